@@ -1,0 +1,87 @@
+"""The `levid` command: its verbs, loaded when called, and one place for errors a user can cause."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+from .. import __version__
+
+# verb: module, what it does (shown without loading the module)
+_VERBS = {
+    "check": ("check", "Check configuration and log files without touching a device."),
+    "run": ("run", "Run the daemon on a rig, in real time, until it is stopped."),
+    "excite": ("excite", "Fly an excitation session and log it."),
+    "identify": ("identify", "Identify the plant from logs."),
+    "import": ("importing", "Turn measured data of others into a log."),
+    "demo": ("demo", "Fly, log and identify the simulated rig, and show pictures."),
+}
+
+EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
+
+
+class _Verbs(click.Group):
+    """Loads a verb's module only when that verb is called: `levid --help` stays quick."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        return list(_VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        if cmd_name not in _VERBS:
+            return None
+        module = importlib.import_module(f".{_VERBS[cmd_name][0]}", __package__)
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        with formatter.section("Commands"):
+            formatter.write_dl([(verb, about) for verb, (_, about) in _VERBS.items()])
+
+
+@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="levid")
+def levid() -> None:
+    """Fly, excite, log and identify a magnetically levitated platform.
+
+    \b
+    Examples:
+      levid demo
+      levid check config/rigs/loopback.yaml
+      levid excite config/sessions/white-noise-1khz.yaml --virtual --out out/first
+      levid identify out/first/*.mcap --out out/first/identification
+    """
+
+
+def main() -> None:
+    """Run the command line; what a user can get wrong ends in one line and exit code 1."""
+    try:
+        code = levid(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(EXIT_FAILED)
+    except Exception as error:
+        if not _user_error(error):
+            raise
+        click.echo(f"error: {error}", err=True)
+        sys.exit(EXIT_FAILED)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _user_error(error: Exception) -> bool:
+    """Tell errors with a message for the user from those that need a traceback."""
+    return isinstance(error, OSError) or any(
+        kind.__module__.startswith("levid.") for kind in type(error).__mro__
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""A progress bar on stderr for work that takes over a second; silent when stderr is no terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+console = Console(stderr=True, highlight=False)
+
+
+class Report(Protocol):
+    """Tells how far the work is."""
+
+    def __call__(self, what: str, share: float) -> None:
+        """Say what is being done and the share done, 0 to 1."""
+
+
+@contextmanager
+def progress(title: str) -> Iterator[Report]:
+    """Show a bar while the body runs; the body calls what it gets with (what, share)."""
+    columns = (
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=30),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[what]}"),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(title, total=1.0, what="")
+
+        def report(what: str, share: float) -> None:
+            bar.update(task, completed=share, what=what)
+
+        yield report

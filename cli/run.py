@@ -1,0 +1,36 @@
+"""`levid run`: the daemon in real time."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import click
+
+from ..config.rig import load_rig
+from ..daemon.client import socket_path
+from ..daemon.service import Service
+from .progress import console
+
+
+@click.command("run")
+@click.argument("rig", type=click.Path(path_type=Path))
+def command(rig: Path) -> int:
+    """Run the daemon on RIG.yaml: zero force until a session is flown, landing on exit.
+
+    Ctrl-C or SIGTERM lands the platform and ends the daemon.
+
+    \b
+    Examples:
+      levid run config/rigs/loopback.yaml
+      levid excite config/sessions/beam.yaml --out out/beam     # in another terminal
+    """
+    config = load_rig(rig)
+    path = socket_path(config)
+    service = Service(config, rig, path)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: service.stop())
+    console.print(f"{config.name} at {config.rate_hz:g} Hz, control socket {path}; Ctrl-C lands")
+    service.run()
+    console.print("stopped, coils at zero force")
+    return 0

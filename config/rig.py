@@ -1,0 +1,134 @@
+"""The rig: geometry, gains, limits, and which backend plays each role; RIG.yaml in types."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from .base import Finite, NonNegative, Positive, Strict, load_yaml
+
+Rate = Annotated[float, Field(ge=10.0, le=20_000.0)]
+
+
+class Geometry(Strict):
+    """Where coils and sensors sit on the platform; as many as the lists are long."""
+
+    coil_x_m: Annotated[tuple[Finite, ...], Field(min_length=3)]
+    coil_y_m: Annotated[tuple[Finite, ...], Field(min_length=3)]
+    sensor_x_m: tuple[Finite, ...] = ()
+    sensor_y_m: tuple[Finite, ...] = ()
+
+    @model_validator(mode="after")
+    def _pairs(self) -> Self:
+        for what in ("coil", "sensor"):
+            nx, ny = len(getattr(self, f"{what}_x_m")), len(getattr(self, f"{what}_y_m"))
+            if nx != ny:
+                raise ValueError(f"expected as many {what}_x_m as {what}_y_m, found {nx} and {ny}")
+        return self
+
+    @property
+    def sensors_x_m(self) -> tuple[float, ...]:
+        """Sensor positions along x in m; under the coils unless given."""
+        return self.sensor_x_m or self.coil_x_m
+
+    @property
+    def sensors_y_m(self) -> tuple[float, ...]:
+        """Sensor positions along y in m; under the coils unless given."""
+        return self.sensor_y_m or self.coil_y_m
+
+
+class TiltGains(Strict):
+    """PI gains of a tilt: C(z) = kp + ki Ts z / (z - 1)."""
+
+    kp_n_m_rad: NonNegative
+    ki_n_m_rad_s: NonNegative
+
+
+class HeightGains(Strict):
+    """PI gains of the height: C(z) = kp + ki Ts z / (z - 1)."""
+
+    kp_n_m: NonNegative
+    ki_n_m_s: NonNegative
+
+
+class Control(Strict):
+    """The three SISO PI controllers of the pose."""
+
+    psi: TiltGains
+    theta: TiltGains
+    z: HeightGains
+
+    @property
+    def kp(self) -> tuple[float, float, float]:
+        """Proportional gains of psi, theta, z in N m/rad, N m/rad, N/m."""
+        return self.psi.kp_n_m_rad, self.theta.kp_n_m_rad, self.z.kp_n_m
+
+    @property
+    def ki(self) -> tuple[float, float, float]:
+        """Integral gains of psi, theta, z in N m/(rad s), N m/(rad s), N/(m s)."""
+        return self.psi.ki_n_m_rad_s, self.theta.ki_n_m_rad_s, self.z.ki_n_m_s
+
+
+class FeedForward(Strict):
+    """What is carried without waiting for the integrators: weight, the beam's torque, the rods.
+
+    The rods' stiffness in z matters off the working point alone: it takes the platform from the
+    stops and back along its reference instead of letting the rods throw it.
+    """
+
+    mass_kg: NonNegative
+    beam_mass_kg: NonNegative
+    rods_n_m: NonNegative
+    gravity_m_s2: Positive = 9.81
+
+
+class Limits(Strict):
+    """What the loop never exceeds; a coil force is clipped, anything else is a fault."""
+
+    coil_n: Positive
+    coil_rate_n_s: Positive
+    gap_m: Positive
+    beam_m: Positive
+    beam_velocity_m_s: Positive
+    beam_acceleration_m_s2: Positive
+    rotor_velocity_rad_s: Positive = 20.0
+    rotor_acceleration_rad_s2: Positive = 200.0
+
+
+class Role(BaseModel):
+    """Which backend plays a role; further keys belong to that backend and are checked by it."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    backend: Annotated[str, Field(min_length=1)]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The keys that belong to the backend."""
+        return dict(self.model_extra or {})
+
+
+class RigConfig(Strict):
+    """RIG.yaml."""
+
+    levid: Literal["rig"]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    rate_hz: Rate
+    geometry: Geometry
+    control: Control
+    feedforward: FeedForward
+    limits: Limits
+    amplifiers: Role
+    sensors: Role
+    drives: Role
+    sim: str | None = None
+    """SIM.yaml of the loopback backend, relative to this file."""
+    socket: str | None = None
+    """Path of the daemon's control socket; a runtime directory of the user's unless given."""
+
+
+def load_rig(path: Path | str) -> RigConfig:
+    """Read RIG.yaml; raises ConfigError."""
+    return load_yaml(path, RigConfig)

@@ -1,0 +1,183 @@
+"""A session: lift off, move the beam, record under excitation, land; SESSION.yaml in types."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .base import Finite, NonNegative, Positive, Strict, load_yaml
+from .rig import Rate
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+Duration = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
+Dof = Literal["psi", "theta", "z"]
+
+
+class Excitation(Strict):
+    """A signal for one input of the platform: psi, theta, z, or one coil by its number.
+
+    `rms_n_m` is the level of a torque, `rms_n` that of a force; exactly the one that fits `input`.
+    `band_hz` bounds the spectrum; without it white noise is white up to half the rate.
+    A multisine repeats after `period_s`; its lines are the multiples of 1 / period_s in the band.
+    """
+
+    input: Dof | Annotated[str, Field(pattern=r"^coil:\d+$")]
+    signal: Literal["white_noise", "multisine"] = "white_noise"
+    rms_n_m: Positive | None = None
+    rms_n: Positive | None = None
+    band_hz: tuple[NonNegative, Positive] | None = None
+    period_s: Duration | None = None
+    lines: Literal["all", "odd"] = "all"
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        torque = self.input in ("psi", "theta")
+        need, other = ("rms_n_m", "rms_n") if torque else ("rms_n", "rms_n_m")
+        if getattr(self, need) is None or getattr(self, other) is not None:
+            raise ValueError(f"expected the level of input '{self.input}' as '{need}'")
+        if self.band_hz is not None and self.band_hz[0] >= self.band_hz[1]:
+            raise ValueError(f"expected band_hz [low, high] with low < high, found {self.band_hz}")
+        if (self.signal == "multisine") != (self.period_s is not None):
+            raise ValueError("expected 'period_s' with signal multisine, and only there")
+        if self.signal == "multisine" and self.band_hz is None:
+            raise ValueError("expected 'band_hz' with signal multisine")
+        if self.signal != "multisine" and self.lines != "all":
+            raise ValueError("expected 'lines' only with signal multisine")
+        return self
+
+    @property
+    def level(self) -> float:
+        """RMS level in N m (psi, theta) or N."""
+        level = self.rms_n_m if self.rms_n_m is not None else self.rms_n
+        assert level is not None
+        return level
+
+
+class Waypoint(Strict):
+    """Move the beam to `to_m`, then stay for `dwell_s`; a smooth profile within the limits."""
+
+    to_m: Finite
+    velocity_m_s: Positive | None = None
+    acceleration_m_s2: Positive | None = None
+    dwell_s: NonNegative = 0.0
+
+
+class Levitate(Strict):
+    """Take the weight off the stops in `unload_s`, rise in `ramp_s`, settle for `settle_s`."""
+
+    unload_s: Duration = 0.5
+    ramp_s: Duration = 1.5
+    settle_s: NonNegative = 4.0
+
+
+class Move(Strict):
+    """Move the beam (and the rotor), then settle for `settle_s`."""
+
+    beam_m: Finite | None = None
+    rotor_rad: Finite | None = None
+    velocity_m_s: Positive | None = None
+    acceleration_m_s2: Positive | None = None
+    settle_s: NonNegative = 4.0
+
+
+class RecordStep(Strict):
+    """Log `duration_s` for identification while the named excitations play, or in silence.
+
+    The platform first settles for `settle_s`, in the same log. Excitations fade in and out over
+    `fade_s` at both ends. `beam` is a trajectory that repeats until the record ends.
+    """
+
+    name: Name
+    duration_s: Duration
+    excite: tuple[Name, ...] = ()
+    settle_s: NonNegative = 3.0
+    fade_s: NonNegative = 0.5
+    beam: tuple[Waypoint, ...] = ()
+
+    @model_validator(mode="after")
+    def _long_enough(self) -> Self:
+        if self.duration_s <= 2 * self.fade_s:
+            raise ValueError(
+                f"expected duration_s longer than twice fade_s, found {self.duration_s} s "
+                f"and {self.fade_s} s"
+            )
+        return self
+
+
+class Land(Strict):
+    """Sink onto the stops in `ramp_s`, then let the force fade out over `release_s`."""
+
+    ramp_s: Duration = 1.5
+    release_s: Duration = 0.5
+
+
+class Step(Strict):
+    """One step of a session: exactly one of its keys."""
+
+    levitate: Levitate | None = None
+    move: Move | None = None
+    record: RecordStep | None = None
+    land: Land | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        given = [k for k in ("levitate", "move", "record", "land") if getattr(self, k) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"expected exactly one of levitate, move, record, land, found {given or 'none'}"
+            )
+        return self
+
+    @property
+    def kind(self) -> Literal["levitate", "move", "record", "land"]:
+        """Which of the keys is given."""
+        for kind in ("levitate", "move", "record"):
+            if getattr(self, kind) is not None:
+                return kind
+        return "land"
+
+
+class SessionConfig(Strict):
+    """SESSION.yaml."""
+
+    levid: Literal["session"]
+    name: Name
+    rate_hz: Rate | None = None
+    """Rate of the loop; the rig's unless given."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    excitations: dict[Name, Excitation] = Field(default_factory=dict)
+    steps: Annotated[tuple[Step, ...], Field(min_length=1, max_length=10_000)]
+    then: tuple[Literal["identify"], ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.steps[0].kind != "levitate":
+            raise ValueError(f"expected the first step to be levitate, found {self.steps[0].kind}")
+        if self.steps[-1].kind != "land":
+            raise ValueError(f"expected the last step to be land, found {self.steps[-1].kind}")
+        names: set[str] = set()
+        for number, step in enumerate(self.steps):
+            if number and step.kind == "levitate":
+                raise ValueError(f"steps[{number}]: expected levitate as the first step only")
+            if step.kind == "land" and number != len(self.steps) - 1:
+                raise ValueError(f"steps[{number}]: expected land as the last step only")
+            if step.record is None:
+                continue
+            if step.record.name in names:
+                raise ValueError(f"steps[{number}]: record name '{step.record.name}' stands twice")
+            names.add(step.record.name)
+            for excitation in step.record.excite:
+                if excitation not in self.excitations:
+                    known = ", ".join(sorted(self.excitations)) or "none"
+                    raise ValueError(
+                        f"steps[{number}].record.excite: expected a name from 'excitations' "
+                        f"({known}), found '{excitation}'"
+                    )
+        return self
+
+
+def load_session(path: Path | str) -> SessionConfig:
+    """Read SESSION.yaml; raises ConfigError."""
+    return load_yaml(path, SessionConfig)

@@ -1,0 +1,1 @@
+"""The daemon: clock, loop, control, excitation, session, limits, recorder, server."""

@@ -1,0 +1,92 @@
+"""A client of the control socket."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from ..config.rig import RigConfig
+from .flight import FlightResult
+from .server import default_socket
+
+_TIMEOUT_S = 30.0
+
+
+class DaemonError(Exception):
+    """The daemon refused a request, or there is none."""
+
+
+def socket_path(rig: RigConfig | None) -> Path:
+    """Return the control socket of the daemon that runs `rig`, or of the default one."""
+    return Path(rig.socket) if rig is not None and rig.socket else default_socket()
+
+
+class Client:
+    """One connection; a context manager. Requests raise DaemonError when they are refused."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(_TIMEOUT_S)
+
+    def __enter__(self) -> Self:
+        """Connect; raises DaemonError when no daemon answers."""
+        try:
+            self._socket.connect(str(self._path))
+        except OSError as error:
+            self._socket.close()
+            raise DaemonError(
+                f"no daemon answers at {self._path} ({error.strerror or error}); start one with "
+                "'levid run RIG.yaml', or fly in this process with --virtual"
+            ) from None
+        self._stream = self._socket.makefile("rwb")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Disconnect."""
+        self._socket.close()
+
+    def request(
+        self, op: str, on_line: Callable[[Mapping[str, Any]], None] | None = None, **more: Any
+    ) -> dict[str, Any]:
+        """Send one request; lines before the answer go to `on_line`."""
+        try:
+            self._stream.write(json.dumps({"op": op, **more}).encode() + b"\n")
+            self._stream.flush()
+            while line := self._stream.readline():
+                answer: dict[str, Any] = json.loads(line)
+                if "ok" not in answer:
+                    if on_line is not None:
+                        on_line(answer)
+                    continue
+                if not answer["ok"]:
+                    raise DaemonError(str(answer.get("error", "refused without a reason")))
+                return answer
+        except (OSError, ValueError) as error:
+            raise DaemonError(f"lost the daemon at {self._path}: {error}") from None
+        raise DaemonError(f"the daemon at {self._path} hung up")
+
+    def excite(self, session: str, out: Path, report: Callable[[str, float], None]) -> FlightResult:
+        """Fly the session of this YAML text, logging into `out` on the daemon's machine."""
+        answer = self.request(
+            "excite",
+            lambda line: report(str(line.get("step", "")), float(line.get("share", 0.0))),
+            session=session,
+            out=str(out),
+        )
+        return FlightResult(
+            tuple(map(Path, answer["logs"])),
+            tuple(map(Path, answer["records"])),
+            int(answer["cycles"]),
+            int(answer["late"]),
+            int(answer["lost"]),
+        )

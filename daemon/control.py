@@ -1,0 +1,217 @@
+"""One cycle of control, compiled: pose, PI, feed-forward, excitation, limits, record."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ..config.rig import RigConfig
+from ..model.geometry import decoupling_matrix, shape_matrix
+from .faults import Fault
+from .segment import Segment
+from .states import State
+
+Array = NDArray[np.float64]
+
+_READING, _GAP = int(Fault.READING), int(Fault.GAP)
+_COMPUTATION, _BEAM = int(Fault.COMPUTATION), int(Fault.BEAM)
+_FAULT_STATE = int(State.FAULT)
+# The beam may overshoot its setpoint range by this much before that is a fault.
+_BEAM_MARGIN_M = 0.002
+
+# Rows of the memory (ROWS, 4). Every array handed to a compiled function costs some 50 ns a call,
+# and the cycle may not allocate: what it remembers and its scratch share one block.
+_POSE, _INTEGRAL, _REST, _GOAL, _LAST, _MODE, _REF, _FF, _TAU, _LOST, _ROWS = range(11)
+
+
+class Controller:
+    """Three SISO PI controllers with feed-forward, limits and anti-windup, and their memory.
+
+    `gap_m`, `readback_n`, `beam`, `rotor` are for the drivers to fill, `coil_n`, `beam_ref`,
+    `rotor_ref` for them to send; `step` computes the latter from the former and writes the cycle's
+    row of the log.
+    """
+
+    def __init__(self, rig: RigConfig, period_s: float) -> None:
+        geometry, ff, limits = rig.geometry, rig.feedforward, rig.limits
+        coils, sensors = len(geometry.coil_x_m), len(geometry.sensors_x_m)
+        self._inputs = np.zeros(sensors + coils + 6)
+        self.gap_m, self.readback_n, self.beam, self.rotor = np.split(
+            self._inputs, np.cumsum([sensors, coils, 3])
+        )
+        self._outputs = np.zeros(coils + 6)
+        self.coil_n, self.beam_ref, self.rotor_ref = np.split(self._outputs, np.cumsum([coils, 3]))
+        law = (
+            decoupling_matrix(geometry.sensors_x_m, geometry.sensors_y_m).ravel(),
+            decoupling_matrix(geometry.coil_x_m, geometry.coil_y_m).ravel(),
+            shape_matrix(geometry.coil_x_m, geometry.coil_y_m).ravel(),
+            rig.control.kp,
+            [ki * period_s for ki in rig.control.ki],
+            [ff.mass_kg * ff.gravity_m_s2, ff.beam_mass_kg * ff.gravity_m_s2, ff.rods_n_m],
+            [limits.coil_n, limits.coil_rate_n_s * period_s],
+            [limits.gap_m, limits.beam_m + _BEAM_MARGIN_M],
+        )
+        self._law = np.concatenate([np.asarray(part, float) for part in law])
+        self._memory = np.zeros((_ROWS, 4))
+        self._arrays: tuple[Any, ...] = ()
+
+    @property
+    def pose(self) -> Array:
+        """The pose (3,) of the last cycle in rad, rad, m; a view."""
+        return self._memory[_POSE, :3]
+
+    def begin(self, segment: Segment) -> None:
+        """Prepare for `segment`.
+
+        Engaging control starts from the pose at hand, landing from the reference and the
+        feed-forward at hand: neither makes the force jump.
+        """
+        memory = self._memory
+        if segment.engages:
+            memory[_REST] = memory[_POSE]
+            memory[_INTEGRAL] = 0.0
+            memory[_GOAL] = 0.0, 0.0, 0.0, 1.0
+        if segment.lands:
+            memory[_GOAL] = memory[_LAST]
+        memory[_MODE, :3] = segment.state, segment.in_control, segment.airborne
+        self._arrays = (
+            segment.v, segment.coil_excitation, segment.blend, segment.beam, segment.rotor,
+        )  # fmt: skip
+
+    def latch(self, fault: Fault) -> None:
+        """Log `fault` in every row until it is cleared with Fault.NONE."""
+        self._memory[_MODE, 3] = fault
+
+    def halt(self) -> None:
+        """Command zero force from now on."""
+        self.coil_n[:] = 0.0
+        self._memory[_INTEGRAL] = 0.0
+
+    def step(self, rows: NDArray[np.void], slot: int, cycle: int, time_s: float, k: int) -> int:
+        """Compute cycle `k` of the segment and write row `slot`; return the fault, 0 for none."""
+        return control_cycle(  # type: ignore[no-any-return]
+            rows, slot, cycle, time_s, k,
+            self._inputs, self._outputs, self._law, self._memory, *self._arrays,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - the cycle, in its order
+    rows, slot, cycle, time_s, k, inputs, outputs, law, memory,
+    v_all, coil_excitation_all, blend_all, beam_all, rotor_all,
+):  # fmt: skip
+    """Compute one cycle; see Controller.step, and Controller for what the packed arrays hold.
+
+    The segment's arrays have one row a cycle, or a single row that holds for all of them.
+    """
+    row = rows[slot]
+    n_coils, n_sensors = outputs.size - 6, row.gap_m.size
+    gap = inputs[:n_sensors]
+    readback = inputs[n_sensors : n_sensors + n_coils]
+    beam, rotor = inputs[-6:-3], inputs[-3:]
+    coil, beam_ref, rotor_ref = outputs[:n_coils], outputs[-6:-3], outputs[-3:]
+
+    end = 3 * n_sensors
+    T_sensors = law[:end].reshape(3, n_sensors)
+    T_coils = law[end : end + 3 * n_coils].reshape(3, n_coils)
+    S_coils = law[end + 3 * n_coils : end + 6 * n_coils].reshape(n_coils, 3)
+    kp, ki_Ts = law[-13:-10], law[-10:-7]
+    weight, beam_weight, rods, coil_limit, coil_step, gap_limit, beam_limit = law[-7:]
+
+    pose, integral, rest, goal, last = (
+        memory[_POSE], memory[_INTEGRAL], memory[_REST], memory[_GOAL], memory[_LAST],
+    )  # fmt: skip
+    ref, ff, tau, lost = memory[_REF], memory[_FF], memory[_TAU], memory[_LOST]
+    memory[_REF:] = 0.0
+    state, in_control, airborne = memory[_MODE, 0], memory[_MODE, 1] > 0, memory[_MODE, 2] > 0
+
+    v = v_all[min(k, len(v_all) - 1)]
+    coil_excitation = coil_excitation_all[min(k, len(coil_excitation_all) - 1)]
+    blend = blend_all[min(k, len(blend_all) - 1)]
+
+    fault = 0
+    for j in range(n_sensors):
+        if airborne and abs(gap[j]) > gap_limit:
+            fault = _GAP
+    if in_control and abs(beam[0]) > beam_limit:
+        fault = _BEAM
+    for j in range(inputs.size):
+        if not np.isfinite(inputs[j]):
+            fault = _READING
+
+    for i in range(3):
+        pose[i] = 0.0
+        for j in range(n_sensors):
+            pose[i] += T_sensors[i, j] * gap[j]
+    active = in_control and fault == 0
+    if active:
+        for i in range(3):
+            ref[i] = rest[i] + blend[0] * (goal[i] - rest[i])
+            last[i] = ref[i]
+        last[3] = blend[1] * goal[3]
+        ff[1] = last[3] * beam_weight * beam[0]
+        ff[2] = last[3] * (weight + rods * ref[2])
+        for i in range(3):
+            error = ref[i] - pose[i]
+            integral[i] += ki_Ts[i] * error
+            tau[i] = blend[2] * (kp[i] * error + integral[i] + ff[i] + v[i])
+
+    saturated = 0
+    for j in range(n_coils):
+        force = 0.0
+        if active:
+            force = blend[2] * coil_excitation[j]
+            for i in range(3):
+                force += T_coils[i, j] * tau[i]
+            if not np.isfinite(force):
+                fault = _COMPUTATION
+            low, high = max(-coil_limit, coil[j] - coil_step), min(coil_limit, coil[j] + coil_step)
+            allowed = min(max(force, low), high)
+            if allowed != force:
+                saturated += 1
+                for i in range(3):
+                    lost[i] += S_coils[j, i] * (force - allowed)
+            force = allowed
+        coil[j] = force
+    if fault != 0:
+        coil[:] = 0.0
+        integral[:] = 0.0
+    elif saturated:
+        # Anti-windup: an integrator does not go on in the direction that the coils cannot follow.
+        for i in range(3):
+            increment = ki_Ts[i] * (ref[i] - pose[i])
+            if increment * lost[i] > 0.0:
+                integral[i] -= increment
+
+    for j in range(3):
+        beam_ref[j] = beam_all[min(k, len(beam_all) - 1), j]
+        rotor_ref[j] = rotor_all[min(k, len(rotor_all) - 1), j]
+
+    row.cycle = cycle
+    row.time_s = time_s
+    for j in range(n_sensors):
+        row.gap_m[j] = gap[j]
+    row.psi_rad, row.theta_rad, row.z_m = pose[0], pose[1], pose[2]
+    row.psi_ref_rad, row.theta_ref_rad, row.z_ref_m = ref[0], ref[1], ref[2]
+    played = blend[2] if active else 0.0
+    row.v_psi_n_m, row.v_theta_n_m, row.v_z_n = played * v[0], played * v[1], played * v[2]
+    for j in range(n_coils):
+        row.coil_excitation_n[j] = played * coil_excitation[j]
+        row.coil_n[j] = coil[j]
+        row.coil_readback_n[j] = readback[j]
+    row.ff_psi_n_m, row.ff_theta_n_m, row.ff_z_n = played * ff[0], played * ff[1], played * ff[2]
+    row.tau_psi_n_m, row.tau_theta_n_m, row.tau_z_n = tau[0], tau[1], tau[2]
+    row.beam_m, row.beam_m_s, row.beam_force_n = beam[0], beam[1], beam[2]
+    row.beam_ref_m, row.beam_ref_m_s, row.beam_ref_m_s2 = beam_ref[0], beam_ref[1], beam_ref[2]
+    row.rotor_rad, row.rotor_rad_s, row.rotor_torque_n_m = rotor[0], rotor[1], rotor[2]
+    row.rotor_ref_rad = rotor_ref[0]
+    row.lateness_s = 0.0
+    row.execution_s = 0.0
+    row.state = _FAULT_STATE if fault != 0 else state
+    row.fault = fault if fault != 0 else memory[_MODE, 3]
+    row.saturated = min(saturated, 255)
+    row.skipped = 0
+    return fault

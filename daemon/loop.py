@@ -1,0 +1,145 @@
+"""The timed loop: wait, sync, read, control, write, record; nothing else happens in a cycle."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from ..drivers.base import Devices
+from .clock import Clock
+from .control import Controller
+from .faults import Fault
+from .ring import Ring
+from .segment import Segment
+
+_LATE_IN_A_ROW = 20
+_BLOCK = 4096
+
+
+class Loop:
+    """Flies segments on open devices, one row of the ring a cycle.
+
+    `cycle` numbers the periods since the start, those that were skipped included, so that cycle
+    times the period is the time of the plant.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        devices: Devices,
+        clock: Clock,
+        ring: Ring,
+        period_s: float,
+        make_room: Callable[[int], None],
+    ) -> None:
+        self._controller, self._devices, self._clock = controller, devices, clock
+        self._ring, self._period_s, self._make_room = ring, period_s, make_room
+        self.cycle = -1
+        self.late = 0
+        self.stop_requested = False
+        self.detail = ""
+
+    def fly(self, segment: Segment) -> Fault:
+        """Fly one segment to its end, a stop request, or a fault, which is returned."""
+        self._controller.begin(segment)
+        run = self._in_real_time if self._clock.real else self._in_virtual_time
+        try:
+            return Fault(run(segment.cycles))
+        except Exception as error:  # noqa: BLE001
+            # Whatever a driver did wrong, the coils get zero force before anyone is told.
+            self._controller.halt()
+            self.detail = f"{type(error).__name__}: {error}"
+            self.zero()
+            return Fault.DRIVER
+
+    def zero(self) -> None:
+        """Command zero force, as well as the devices still allow."""
+        self._controller.halt()
+        try:
+            self._devices.amplifiers.write(self._controller.coil_n)
+        except Exception as error:  # noqa: BLE001 - the fault at hand matters more
+            self.detail = self.detail or f"{type(error).__name__}: {error}"
+
+    def _in_virtual_time(self, cycles: int) -> int:
+        fault = 0
+        for begin in range(0, cycles, _BLOCK):
+            block = min(_BLOCK, cycles - begin)
+            # Virtual time outruns any disk: here, and only here, the loop waits for the recorder.
+            self._make_room(block)
+            fault = self._virtual_block(begin, begin + block)
+            if fault or self.stop_requested:
+                break
+        return fault
+
+    def _virtual_block(self, begin: int, end: int) -> int:
+        control, ring, devices = self._controller, self._ring, self._devices
+        amplifiers, sensors, drives = devices.amplifiers, devices.sensors, devices.drives
+        syncs, step, rows, capacity = devices.syncs, control.step, ring.rows, ring.capacity
+        gap, readback, coil = control.gap_m, control.readback_n, control.coil_n
+        beam, rotor, beam_ref, rotor_ref = (
+            control.beam, control.rotor, control.beam_ref, control.rotor_ref,
+        )  # fmt: skip
+        cycle, head, period_s = self.cycle, ring.head, self._period_s
+        fault = 0
+        for k in range(begin, end):
+            cycle += 1
+            for sync in syncs:
+                sync(cycle)
+            sensors.read(gap)
+            drives.read(beam, rotor)
+            amplifiers.read(readback)
+            fault = step(rows, head % capacity, cycle, cycle * period_s, k)
+            amplifiers.write(coil)
+            drives.write(beam_ref, rotor_ref)
+            head += 1
+            if fault or self.stop_requested:
+                break
+        self.cycle, ring.head = cycle, head
+        return fault
+
+    def _in_real_time(self, cycles: int) -> int:
+        control, ring, devices, clock = self._controller, self._ring, self._devices, self._clock
+        amplifiers, sensors, drives = devices.amplifiers, devices.sensors, devices.drives
+        syncs, step, rows, capacity = devices.syncs, control.step, ring.rows, ring.capacity
+        gap, readback, coil = control.gap_m, control.readback_n, control.coil_n
+        beam, rotor, beam_ref, rotor_ref = (
+            control.beam, control.rotor, control.beam_ref, control.rotor_ref,
+        )  # fmt: skip
+        lateness, execution, skips = rows["lateness_s"], rows["execution_s"], rows["skipped"]
+        period_s, wait, now = self._period_s, clock.wait, time.perf_counter_ns
+        fault, late_in_a_row, k = 0, 0, -1
+        while k < cycles - 1:
+            late_s = wait()
+            begin = now()
+            skipped = clock.skipped
+            self.cycle += 1 + skipped
+            k += 1 + skipped
+            for sync in syncs:
+                sync(self.cycle)
+            sensors.read(gap)
+            drives.read(beam, rotor)
+            amplifiers.read(readback)
+            full = ring.head - ring.tail >= capacity
+            slot = capacity if full else ring.head % capacity
+            fault = step(rows, slot, self.cycle, self.cycle * period_s, k)
+            if skipped:
+                self.late += 1
+                late_in_a_row += 1
+                if late_in_a_row > _LATE_IN_A_ROW and not fault:
+                    fault = int(Fault.LATE)
+                    control.halt()
+                    rows["fault"][slot] = fault
+            else:
+                late_in_a_row = 0
+            amplifiers.write(coil)
+            drives.write(beam_ref, rotor_ref)
+            lateness[slot] = late_s
+            skips[slot] = min(skipped, 255)
+            execution[slot] = (now() - begin) * 1e-9
+            if full:
+                ring.lost += 1
+            else:
+                ring.head += 1
+            if fault or self.stop_requested:
+                break
+        return fault

@@ -1,0 +1,310 @@
+"""From a session to segments: what the loop will fly, computed before it flies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.base import ConfigError
+from ..config.rig import RigConfig
+from ..config.session import Land, Levitate, Move, RecordStep, SessionConfig
+from ..model.geometry import decoupling_matrix
+from . import trajectory
+from .excitation import fade, signal
+from .segment import Segment, idle_segment
+from .states import State
+
+Array = NDArray[np.float64]
+
+_IDLE_S = 0.3
+_FLYING = np.array([[1.0, 1.0, 1.0]])
+_AXIS = {"psi": 0, "theta": 1, "z": 2}
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """One step of a session; `segments()` computes its arrays, tens of MB for a long record."""
+
+    index: int
+    kind: Literal["levitate", "move", "record", "land"]
+    name: str
+    cycles: int
+    segments: Callable[[], list[Segment]]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All steps of a session at one rate."""
+
+    name: str
+    rate_hz: float
+    steps: tuple[PlannedStep, ...]
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of the whole session."""
+        return sum(step.cycles for step in self.steps)
+
+
+def plan_session(
+    session: SessionConfig, rig: RigConfig, beam_m: float = 0.0, rotor_rad: float = 0.0
+) -> Plan:
+    """Lay out `session` on `rig`, from a manipulator at rest at `beam_m` and `rotor_rad`.
+
+    Raises:
+        ConfigError: a position or speed outside the rig's limits, a coil that the rig has not, a
+            level that would saturate the coils; the message names session, step and key.
+    """
+    return _Planner(session, rig, beam_m, rotor_rad).plan()
+
+
+class _Planner:
+    def __init__(
+        self, session: SessionConfig, rig: RigConfig, beam_m: float, rotor_rad: float
+    ) -> None:
+        self.session, self.rig = session, rig
+        self.rate_hz = session.rate_hz or rig.rate_hz
+        self.beam_m, self.rotor_rad = beam_m, rotor_rad
+        self.coils = len(rig.geometry.coil_x_m)
+        self.T_coils = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
+        self.no_v, self.no_coils = np.zeros((1, 3)), np.zeros((1, self.coils))
+
+    def plan(self) -> Plan:
+        steps: list[PlannedStep] = []
+        for index, step in enumerate(self.session.steps):
+            where = f"session {self.session.name}: steps[{index}].{step.kind}"
+            if step.levitate is not None:
+                planned = self.levitate(step.levitate)
+            elif step.move is not None:
+                planned = self.move(step.move, where)
+            elif step.record is not None:
+                planned = self.record(step.record, index, where)
+            else:
+                planned = self.land(step.land or Land())
+            name = step.record.name if step.record else step.kind
+            cycles, segments = planned
+            steps.append(PlannedStep(index, step.kind, name, cycles, segments))
+        return Plan(self.session.name, self.rate_hz, tuple(steps))
+
+    def levitate(self, step: Levitate) -> tuple[int, Callable[[], list[Segment]]]:
+        idle, settle = self.n(_IDLE_S), self.n(step.settle_s)
+        unload, ramp = self.n(step.unload_s), self.n(step.ramp_s)
+        beam, rotor = self.still()
+
+        def segments() -> list[Segment]:
+            up = np.concatenate([np.zeros(unload), _smooth(ramp)])
+            share = np.concatenate([_smooth(unload), np.ones(ramp)])
+            blend = np.stack([up, share, np.ones(unload + ramp)], axis=1)
+            return [
+                idle_segment(idle, self.coils, beam, rotor),
+                self.flying(
+                    State.LEVITATING, unload + ramp, beam, rotor, blend, False, engages=True
+                ),
+                self.flying(State.LEVITATING, settle, beam, rotor),
+            ]
+
+        return idle + unload + ramp + settle, segments
+
+    def move(self, step: Move, where: str) -> tuple[int, Callable[[], list[Segment]]]:
+        limits = self.rig.limits
+        beam, rotor = self.still()
+        if step.beam_m is not None:
+            beam = self.beam_move(
+                step.beam_m, step.velocity_m_s, step.acceleration_m_s2, f"{where}.beam_m"
+            )
+        if step.rotor_rad is not None:
+            rotor = trajectory.move(
+                self.rotor_rad,
+                step.rotor_rad,
+                limits.rotor_velocity_rad_s,
+                limits.rotor_acceleration_rad_s2,
+                1 / self.rate_hz,
+            )
+            self.rotor_rad = step.rotor_rad
+        moving, settle = max(len(beam), len(rotor)), self.n(step.settle_s)
+
+        def segments() -> list[Segment]:
+            return [
+                self.flying(State.MOVING, moving, beam, rotor),
+                self.flying(State.LEVITATING, settle, beam[-1:], rotor[-1:]),
+            ]
+
+        return moving + settle, segments
+
+    def record(
+        self, step: RecordStep, index: int, where: str
+    ) -> tuple[int, Callable[[], list[Segment]]]:
+        n, settle = self.n(step.duration_s), self.n(step.settle_s)
+        beam_before, rotor = self.still()
+        beam = beam_before
+        if step.beam:
+            beam = self.beam_trajectory(step, n, where)
+        state = State.MOVING if step.beam and not step.excite else State.EXCITING
+
+        def segments() -> list[Segment]:
+            v, coil_excitation = self.excitation(step, index, n, where)
+            return [
+                self.flying(State.LEVITATING, settle, beam_before, rotor),
+                Segment(state, n, v, coil_excitation, _FLYING, beam, rotor),
+            ]
+
+        self.check_levels(*self.excitation(step, index, n, where), beam, where)
+        return settle + n, segments
+
+    def land(self, step: Land) -> tuple[int, Callable[[], list[Segment]]]:
+        ramp, release, idle = self.n(step.ramp_s), self.n(step.release_s), self.n(_IDLE_S)
+        beam, rotor = self.still()
+
+        def segments() -> list[Segment]:
+            down = _smooth(ramp)[::-1]
+            sink = np.stack([down, np.ones(ramp), np.ones(ramp)], axis=1)
+            out = _smooth(release)[::-1]
+            let_go = np.stack([np.zeros(release), np.ones(release), out], axis=1)
+            return [
+                self.flying(State.LANDING, ramp, beam, rotor, sink, False, lands=True),
+                self.flying(State.LANDING, release, beam, rotor, let_go, False, lands=True),
+                idle_segment(idle, self.coils, beam, rotor),
+            ]
+
+        return ramp + release + idle, segments
+
+    def excitation(self, step: RecordStep, index: int, n: int, where: str) -> tuple[Array, Array]:
+        """Return v (n, 3) and coil excitation (n, C); a single row of zeros where nothing plays."""
+        v, coils = self.no_v, self.no_coils
+        window = fade(n, step.fade_s, self.rate_hz)
+        for position, name in enumerate(step.excite):
+            excitation = self.session.excitations[name]
+            # One stream for each place in the session: adding a record leaves the others alone.
+            rng = np.random.default_rng([self.session.seed, index, position])
+            try:
+                played = window * signal(excitation, n, self.rate_hz, rng)
+            except ConfigError as error:
+                raise ConfigError(
+                    f"session {self.session.name}: excitations.{name}.{error}"
+                ) from None
+            if excitation.input in _AXIS:
+                v = v if len(v) == n else np.zeros((n, 3))
+                v[:, _AXIS[excitation.input]] += played
+            else:
+                coil = int(excitation.input.removeprefix("coil:"))
+                if coil >= self.coils:
+                    raise ConfigError(
+                        f"{where}: excitation '{name}': expected coil:0 .. coil:{self.coils - 1}, "
+                        f"found {excitation.input}"
+                    )
+                coils = coils if len(coils) == n else np.zeros((n, self.coils))
+                coils[:, coil] += played
+        return v, coils
+
+    def check_levels(self, v: Array, coil_excitation: Array, beam: Array, where: str) -> None:
+        """Raise ConfigError where weight and excitation together ask more than a coil can give."""
+        ff, limit = self.rig.feedforward, self.rig.limits.coil_n
+        beam_torque = ff.beam_mass_kg * ff.gravity_m_s2 * np.atleast_2d(beam)[:, 0]
+        weight = np.zeros((len(beam_torque), 3))
+        weight[:, 1], weight[:, 2] = beam_torque, ff.mass_kg * ff.gravity_m_s2
+        carried = float(np.max(np.abs(weight @ self.T_coils)))
+        played = _peak_force(v, self.T_coils) + float(np.max(np.abs(coil_excitation)))
+        if carried + played > limit:
+            raise ConfigError(
+                f"{where}: the excitation would saturate the coils: expected at most {limit:g} N "
+                f"a coil, found {carried:.1f} N of weight and {played:.1f} N of excitation at its "
+                f"peak; lower rms_n or rms_n_m by a factor of "
+                f"{played / max(limit - carried, 1e-9):.1f} or more"
+            )
+
+    def beam_trajectory(self, step: RecordStep, n: int, where: str) -> Array:
+        """Return setpoints (n, 3): the waypoints, again and again, cut at the record's end."""
+        parts: list[Array] = []
+        length = 0
+        while length < n:
+            before = length
+            for number, point in enumerate(step.beam):
+                key = f"{where}.beam[{number}].to_m"
+                part = self.beam_move(point.to_m, point.velocity_m_s, point.acceleration_m_s2, key)
+                if length + len(part) > n:
+                    # No move that the record would cut in the middle: the beam waits instead.
+                    self.beam_m = parts[-1][-1, 0] if parts else float(part[0, 0])
+                    parts.append(trajectory.hold(self.beam_m, n - length))
+                    return np.vstack(parts)[:n]
+                parts.append(part)
+                parts.append(trajectory.hold(point.to_m, self.n(point.dwell_s)))
+                length += len(part) + len(parts[-1])
+            if length - before <= len(step.beam):
+                break  # waypoints that go nowhere and stay nowhere: hold for the rest
+        parts.append(trajectory.hold(self.beam_m, max(n - length, 0)))
+        return np.vstack(parts)[:n]
+
+    def beam_move(
+        self, to_m: float, velocity: float | None, acceleration: float | None, where: str
+    ) -> Array:
+        limits = self.rig.limits
+        if abs(to_m) > limits.beam_m:
+            raise ConfigError(f"{where}: expected within +-{limits.beam_m:g} m, found {to_m:g} m")
+        for key, value, limit, unit in (
+            ("velocity_m_s", velocity, limits.beam_velocity_m_s, "m/s"),
+            ("acceleration_m_s2", acceleration, limits.beam_acceleration_m_s2, "m/s2"),
+        ):
+            if value is not None and value > limit:
+                raise ConfigError(
+                    f"{where}: {key}: expected at most {limit:g} {unit}, found {value:g} {unit}"
+                )
+        setpoints = trajectory.move(
+            self.beam_m,
+            to_m,
+            velocity or limits.beam_velocity_m_s / 2,
+            acceleration or limits.beam_acceleration_m_s2 / 10,
+            1 / self.rate_hz,
+        )
+        self.beam_m = to_m
+        return setpoints
+
+    def flying(
+        self,
+        state: State,
+        cycles: int,
+        beam: Array,
+        rotor: Array,
+        blend: Array = _FLYING,
+        airborne: bool = True,
+        engages: bool = False,
+        lands: bool = False,
+    ) -> Segment:
+        return Segment(
+            state,
+            cycles,
+            self.no_v,
+            self.no_coils,
+            np.ascontiguousarray(blend),
+            np.atleast_2d(beam),
+            np.atleast_2d(rotor),
+            airborne=airborne,
+            engages=engages,
+            lands=lands,
+        )
+
+    def still(self) -> tuple[Array, Array]:
+        """Return single setpoints (1, 3) that hold beam and rotor where the plan left them."""
+        return np.array([[self.beam_m, 0.0, 0.0]]), np.array([[self.rotor_rad, 0.0, 0.0]])
+
+    def n(self, duration_s: float) -> int:
+        return round(duration_s * self.rate_hz)
+
+
+def _smooth(n: int) -> Array:
+    """Return n samples of a smooth step from 0 to 1 (minimum jerk)."""
+    s = np.arange(1, n + 1) / n if n else np.zeros(0)
+    return np.asarray(s**3 * (10.0 + s * (-15.0 + 6.0 * s)))
+
+
+def _peak_force(v: Array, T_coils: Array) -> float:
+    """Return the largest force of a coil under the wrench v (n, 3)."""
+    used = np.flatnonzero(v.any(axis=0))
+    if len(used) == 0:
+        return 0.0
+    if len(used) == 1:  # by far the most frequent: one product instead of one a cycle
+        return float(np.abs(v[:, used[0]]).max() * np.abs(T_coils[used[0]]).max())
+    return float(np.max(np.abs(v @ T_coils)))

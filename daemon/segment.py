@@ -1,0 +1,51 @@
+"""A stretch of cycles that the loop flies without thinking: everything it needs is in arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .states import State
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """`cycles` cycles in one state.
+
+    Arrays have one row a cycle, or a single row that holds throughout: v (n, 3) excitation in N m,
+    N m, N; coil_excitation (n, C) in N; beam and rotor (n, 3) setpoints of position, velocity and
+    acceleration; blend (n, 3): reference from the pose at rest (0) to the working point (1), share
+    of the feed-forward, share of the whole force. A segment that `engages` starts control from the
+    pose at hand; one that `lands` fades out from the reference and feed-forward at hand.
+    """
+
+    state: State
+    cycles: int
+    v: Array
+    coil_excitation: Array
+    blend: Array
+    beam: Array
+    rotor: Array
+    in_control: bool = True
+    airborne: bool = True
+    engages: bool = False
+    lands: bool = False
+
+
+def idle_segment(cycles: int, coils: int, beam: Array, rotor: Array) -> Segment:
+    """Return `cycles` of zero force, the manipulator held at its setpoints beam, rotor (3,)."""
+    return Segment(
+        State.IDLE,
+        cycles,
+        np.zeros((1, 3)),
+        np.zeros((1, coils)),
+        np.zeros((1, 3)),
+        beam.reshape(1, 3),
+        rotor.reshape(1, 3),
+        in_control=False,
+        airborne=False,
+    )

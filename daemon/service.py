@@ -1,0 +1,177 @@
+"""The daemon in real time: idles at zero force, flies the sessions it is asked for, lands."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..config.base import ConfigError, parse_text
+from ..config.rig import RigConfig
+from ..config.session import SessionConfig
+from .clock import RealClock
+from .faults import Fault, FlightFault
+from .flight import Flight, FlightResult, attachments
+from .plan import Plan, plan_session
+from .server import Send, Server
+
+_IDLE_S = 0.05
+_PROGRESS_S = 0.5
+
+
+class ServiceError(Exception):
+    """A request that cannot be carried out now."""
+
+
+@dataclass
+class _Job:
+    plan: Plan
+    out: Path
+    texts: Mapping[str, bytes]
+    done: threading.Event = field(default_factory=threading.Event)
+    step: str = ""
+    share: float = 0.0
+    result: FlightResult | None = None
+    error: Exception | None = None
+
+
+class Service:
+    """Runs the loop in this thread until `stop` is called; requests come through the socket.
+
+    Requests: status; excite (session: YAML text, out: folder); land (end the session at hand);
+    clear (a fault).
+    """
+
+    def __init__(self, rig: RigConfig, rig_file: Path, socket_path: Path) -> None:
+        self._rig, self._rig_file = rig, rig_file
+        self._flight = Flight(rig, rig_file.parent, rig.rate_hz, RealClock(1.0 / rig.rate_hz))
+        self._jobs: queue.Queue[_Job] = queue.Queue(maxsize=1)
+        self._job: _Job | None = None
+        self._fault = Fault.NONE
+        self._detail = ""
+        self._stopping = False
+        self._server = Server(
+            socket_path,
+            {
+                "status": self._status,
+                "excite": self._excite,
+                "land": self._land,
+                "clear": self._clear,
+            },
+        )
+
+    def run(self) -> None:
+        """Fly until stopped; coils are at zero force on return, whatever happened."""
+        with self._flight as flight:
+            self._server.start()
+            try:
+                while not self._stopping:
+                    try:
+                        self._job = self._jobs.get_nowait()
+                    except queue.Empty:
+                        self._idle()
+                        continue
+                    self._fly(self._job)
+                    self._job = None
+                flight.loop.stop_requested = False
+            finally:
+                self._server.close()
+
+    def stop(self) -> None:
+        """Land if in flight, then return from `run`; may be called from a signal handler."""
+        self._stopping = True
+        self._flight.loop.stop_requested = True
+
+    def _idle(self) -> None:
+        fault = self._flight.idle(max(int(_IDLE_S * self._rig.rate_hz), 1))
+        # Late cycles at zero force harm nobody; they count, but they do not fault.
+        if fault not in (Fault.NONE, Fault.LATE):
+            self._enter_fault(fault, self._flight.loop.detail)
+
+    def _fly(self, job: _Job) -> None:
+        def progress(step: str, done: int, total: int) -> None:
+            job.step, job.share = step, done / max(total, 1)
+
+        try:
+            job.result = self._flight.fly(job.plan, job.out, job.texts, progress)
+        except FlightFault as error:
+            job.error = error
+            self._enter_fault(error.fault, error.detail)
+        except Exception as error:  # noqa: BLE001 - the client is told, the daemon goes on
+            self._flight.loop.zero()
+            job.error = error
+        finally:
+            job.done.set()
+
+    def _enter_fault(self, fault: Fault, detail: str) -> None:
+        self._fault, self._detail = fault, detail
+        self._flight.latch(fault)
+
+    def _status(self, request: Mapping[str, Any], send: Send) -> Mapping[str, Any]:  # noqa: ARG002
+        job, loop = self._job, self._flight.loop
+        return {
+            "rig": self._rig.name,
+            "rate_hz": self._rig.rate_hz,
+            "cycle": loop.cycle,
+            "late": loop.late,
+            "fault": self._fault.name,
+            "detail": self._detail,
+            "session": job.plan.name if job else None,
+            "step": job.step if job else None,
+            "share": job.share if job else None,
+        }
+
+    def _excite(self, request: Mapping[str, Any], send: Send) -> Mapping[str, Any]:
+        if self._fault is not Fault.NONE:
+            raise ServiceError(f"in fault {self._fault.name}: clear it first")
+        job = self._new_job(request)
+        try:
+            self._jobs.put_nowait(job)
+        except queue.Full:
+            raise ServiceError("a session is waiting already") from None
+        while not job.done.wait(_PROGRESS_S):
+            send({"step": job.step, "share": job.share})
+        if job.error is not None:
+            raise ServiceError(str(job.error))
+        assert job.result is not None
+        result = job.result
+        return {
+            "logs": list(map(str, result.logs)),
+            "records": list(map(str, result.records)),
+            "cycles": result.cycles,
+            "late": result.late,
+            "lost": result.lost,
+        }
+
+    def _new_job(self, request: Mapping[str, Any]) -> _Job:
+        if self._job is not None:
+            raise ServiceError(f"session {self._job.plan.name} is being flown")
+        text, out = request.get("session"), request.get("out")
+        if not isinstance(text, str) or not isinstance(out, str):
+            raise ServiceError("excite: expected 'session' (YAML text) and 'out' (a folder)")
+        session = parse_text(text, SessionConfig, "session")
+        if session.rate_hz not in (None, self._rig.rate_hz):
+            raise ConfigError(
+                f"session {session.name}: rate_hz: expected the daemon's {self._rig.rate_hz:g} Hz, "
+                f"found {session.rate_hz:g} Hz"
+            )
+        plan = plan_session(session, self._rig, self._flight.beam_m, self._flight.rotor_rad)
+        folder = Path(out)
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.glob("*.mcap")):
+            raise ServiceError(f"{folder}: expected a folder without logs")
+        return _Job(plan, folder, attachments(self._rig_file.read_bytes(), text.encode()))
+
+    def _land(self, request: Mapping[str, Any], send: Send) -> Mapping[str, Any]:  # noqa: ARG002
+        if self._job is None:
+            return {"landing": False}
+        self._flight.loop.stop_requested = True
+        return {"landing": True}
+
+    def _clear(self, request: Mapping[str, Any], send: Send) -> Mapping[str, Any]:  # noqa: ARG002
+        cleared, self._fault, self._detail = self._fault, Fault.NONE, ""
+        self._flight.latch(Fault.NONE)
+        return {"cleared": cleared.name}

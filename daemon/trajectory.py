@@ -1,0 +1,45 @@
+"""Point-to-point moves of beam and rotor: smooth, within velocity and acceleration limits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Peak velocity and acceleration of the minimum-jerk polynomial over distance/T and distance/T^2.
+_PEAK_VELOCITY = 15.0 / 8.0
+_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
+
+
+def move(start: float, end: float, velocity: float, acceleration: float, Ts_s: float) -> Array:
+    """Return setpoints (n, 3), position, velocity, acceleration, from rest at start to rest at end.
+
+    The profile is the minimum-jerk quintic (Flash and Hogan, 1985), as short as the limits on
+    velocity and acceleration allow; the last row is `end` at rest. Units follow the arguments.
+    """
+    distance = end - start
+    if distance == 0.0:
+        return np.array([[end, 0.0, 0.0]])
+    duration = max(
+        _PEAK_VELOCITY * abs(distance) / velocity,
+        math.sqrt(_PEAK_ACCELERATION * abs(distance) / acceleration),
+    )
+    n = max(math.ceil(duration / Ts_s), 1)
+    duration = n * Ts_s
+    s = np.arange(1, n + 1) / n
+    position = start + distance * s**3 * (10.0 + s * (-15.0 + 6.0 * s))
+    speed = distance / duration * 30.0 * s**2 * (1.0 - s) ** 2
+    accel = distance / duration**2 * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+    setpoints = np.stack([position, speed, accel], axis=1)
+    setpoints[-1] = end, 0.0, 0.0
+    return setpoints
+
+
+def hold(position: float, n: int) -> Array:
+    """Return n setpoints (n, 3) at rest."""
+    setpoints = np.zeros((n, 3))
+    setpoints[:, 0] = position
+    return setpoints

@@ -1,0 +1,1 @@
+"""Swappable backends for the three roles: coil amplifiers, position sensors, manipulator drives."""

@@ -1,0 +1,121 @@
+"""The three roles a backend can play, and what a backend is; devices hide behind these."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.rig import RigConfig
+
+Array = NDArray[np.float64]
+Sync = Callable[[int], None]
+
+
+class DriverError(Exception):
+    """A device or bus that cannot be used; the message says which, and what it did."""
+
+
+class CoilAmplifiers(ABC):
+    """Nine (or as many) coil amplifiers that take forces and tell the forces they drive."""
+
+    @abstractmethod
+    def write(self, coil_n: Array) -> None:
+        """Command coil forces (C,) in N; they act from the next cycle on."""
+
+    @abstractmethod
+    def read(self, coil_n: Array) -> None:
+        """Fill `coil_n` (C,) with current times the nominal force constant, in N."""
+
+
+class PositionSensors(ABC):
+    """Position sensors that tell the platform's height at their places."""
+
+    @abstractmethod
+    def read(self, gap_m: Array) -> None:
+        """Fill `gap_m` (S,) with heights above the working point, up positive, in m."""
+
+
+class ManipulatorDrives(ABC):
+    """The beam's gantry (X1 and X2 as one) and the rotor on it."""
+
+    @abstractmethod
+    def write(self, beam: Array, rotor: Array) -> None:
+        """Command position, velocity, acceleration: beam (3,) in m, m/s, m/s2, rotor in rad."""
+
+    @abstractmethod
+    def read(self, beam: Array, rotor: Array) -> None:
+        """Fill beam (3,) with m, m/s, N and rotor (3,) with rad, rad/s, N m."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a backend is built from: the rig, the loop's period, and where relative paths start."""
+
+    rig: RigConfig
+    period_s: float
+    folder: Path
+
+
+class Backend(ABC):
+    """One kind of connection, built once for all the roles that name it in the rig's YAML."""
+
+    @classmethod
+    @abstractmethod
+    def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:
+        """Check a role's options without touching a device; raises ConfigError."""
+
+    @abstractmethod
+    def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
+        """Open what is needed to play `roles` (name to options); raises DriverError."""
+
+    @abstractmethod
+    def sync(self, cycle: int) -> None:
+        """Begin a cycle: all readings are of this moment. `cycle` jumps where periods were late."""
+
+    def amplifiers(self) -> CoilAmplifiers:
+        """Return the amplifiers; raises DriverError where this backend has none."""
+        raise DriverError(f"{type(self).__name__} plays no amplifiers")
+
+    def sensors(self) -> PositionSensors:
+        """Return the sensors; raises DriverError where this backend has none."""
+        raise DriverError(f"{type(self).__name__} plays no sensors")
+
+    def drives(self) -> ManipulatorDrives:
+        """Return the drives; raises DriverError where this backend has none."""
+        raise DriverError(f"{type(self).__name__} plays no drives")
+
+    def close(self) -> None:
+        """Send zero force, then let go of the device; safe to call twice."""
+        return
+
+
+@dataclass(frozen=True)
+class Devices:
+    """The three roles of a rig, open and ready, and what to call at the start of each cycle."""
+
+    amplifiers: CoilAmplifiers
+    sensors: PositionSensors
+    drives: ManipulatorDrives
+    backends: tuple[Backend, ...]
+
+    @property
+    def syncs(self) -> tuple[Sync, ...]:
+        """The `sync` of every backend."""
+        return tuple(backend.sync for backend in self.backends)
+
+    def close(self) -> None:
+        """Close every backend, whatever happens to the others."""
+        errors = []
+        for backend in self.backends:
+            try:
+                backend.close()
+            except Exception as error:  # noqa: BLE001 - one dead bus must not keep the others from zero force
+                errors.append(f"{type(backend).__name__}: {error}")
+        if errors:
+            raise DriverError(f"did not close: {'; '.join(errors)}")

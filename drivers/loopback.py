@@ -1,0 +1,122 @@
+"""The loopback backend: the simulated rig plays all three roles, in the loop's own process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..config.base import ConfigError, load_yaml
+from ..config.sim import SimConfig
+from ..sim.plant import Plant
+from .base import Array, Backend, CoilAmplifiers, Context, ManipulatorDrives, PositionSensors
+
+
+class LoopbackBackend(Backend):
+    """One simulated plant behind amplifiers, sensors and drives.
+
+    A command written in cycle k acts over [t(k+1), t(k+2)), as on every backend.
+    """
+
+    @classmethod
+    def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:
+        """Check that there are no options and that SIM.yaml fits the rig; raises ConfigError."""
+        if options:
+            raise ConfigError(
+                f"{role}: backend loopback takes no options, found {', '.join(sorted(options))}"
+            )
+        _sim_config(context)
+
+    def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:  # noqa: ARG002
+        """Build the plant at rest on its stops."""
+        path, config = _sim_config(context)
+        self._plant = Plant(config, context.period_s, source=path)
+        self._cycle: int | None = None
+        # A command lies here from its cycle to the next, and then acts for a period.
+        self._pending = _Command(len(context.rig.geometry.coil_x_m), self._plant)
+        self._acting = _Command(len(context.rig.geometry.coil_x_m), self._plant)
+
+    def sync(self, cycle: int) -> None:
+        """Bring the plant to this cycle's moment and sample it."""
+        plant, acting = self._plant, self._acting
+        if self._cycle is None:
+            self._cycle = cycle
+        while self._cycle < cycle:
+            plant.advance(acting.coil_n, acting.beam, acting.rotor)
+            acting.all[:] = self._pending.all
+            self._cycle += 1
+        plant.sample()
+
+    def amplifiers(self) -> CoilAmplifiers:
+        """Return the simulated coil amplifiers."""
+        return _Amplifiers(self._plant, self._pending)
+
+    def sensors(self) -> PositionSensors:
+        """Return the simulated position sensors."""
+        return _Sensors(self._plant)
+
+    def drives(self) -> ManipulatorDrives:
+        """Return the simulated drives."""
+        return _Drives(self._plant, self._pending)
+
+    def close(self) -> None:
+        """Zero the force that acts next."""
+        self._pending.coil_n[:] = 0.0
+
+
+class _Command:
+    """Forces and setpoints of one cycle in one block; at first zero force, the manipulator still."""
+
+    def __init__(self, coils: int, plant: Plant) -> None:
+        self.all = np.zeros(coils + 6)
+        self.coil_n, self.beam, self.rotor = np.split(self.all, np.cumsum([coils, 3]))
+        self.beam[0], self.rotor[0] = plant.beam[0], plant.rotor[0]
+
+
+class _Amplifiers(CoilAmplifiers):
+    def __init__(self, plant: Plant, pending: _Command) -> None:
+        self._readback, self._pending = plant.coil_readback_n, pending.coil_n
+
+    def write(self, coil_n: Array) -> None:
+        self._pending[:] = coil_n
+
+    def read(self, coil_n: Array) -> None:
+        coil_n[:] = self._readback
+
+
+class _Sensors(PositionSensors):
+    def __init__(self, plant: Plant) -> None:
+        self._gap = plant.gap_m
+
+    def read(self, gap_m: Array) -> None:
+        gap_m[:] = self._gap
+
+
+class _Drives(ManipulatorDrives):
+    def __init__(self, plant: Plant, pending: _Command) -> None:
+        self._beam, self._rotor = plant.beam, plant.rotor
+        self._pending_beam, self._pending_rotor = pending.beam, pending.rotor
+
+    def write(self, beam: Array, rotor: Array) -> None:
+        self._pending_beam[:] = beam
+        self._pending_rotor[:] = rotor
+
+    def read(self, beam: Array, rotor: Array) -> None:
+        beam[:] = self._beam
+        rotor[:] = self._rotor
+
+
+def _sim_config(context: Context) -> tuple[Path, SimConfig]:
+    if context.rig.sim is None:
+        raise ConfigError("sim: backend loopback needs the path of a SIM.yaml, found nothing")
+    path = context.folder / context.rig.sim
+    config = load_yaml(path, SimConfig)
+    simulated = config.geometry
+    coils, sensors = len(context.rig.geometry.coil_x_m), len(context.rig.geometry.sensors_x_m)
+    if (coils, sensors) != (simulated.n_coils, simulated.n_sensors):
+        raise ConfigError(
+            f"{path}: expected the rig's {coils} coils and {sensors} sensors, "
+            f"found {simulated.n_coils} and {simulated.n_sensors}"
+        )
+    return path, config

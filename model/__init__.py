@@ -1,0 +1,1 @@
+"""The declared model: geometry and LPV equations as pure functions, no files, no devices."""

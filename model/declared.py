@@ -1,0 +1,146 @@
+"""The declared model: M(p) q'' + D(p) q' + K(p) q = B(p) u + f(p), for any number of DOF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .expression import Expression, ExpressionError
+from .second_order import SecondOrder
+
+Grid = tuple[tuple[Expression, ...], ...]
+
+
+class ModelError(ValueError):
+    """A declared model that contradicts itself."""
+
+
+@dataclass(frozen=True)
+class DeclaredModel:
+    """Matrices as formulas in parameters and scheduling variables.
+
+    `values` and `scheduling` are in SI units; `force` is f, the part that does not come through
+    the inputs (gravity and reaction of the beam); `lag` and `delay` are the first-order lag and
+    the delay in s between a commanded and an acting input.
+    """
+
+    dof: tuple[str, ...]
+    inputs: tuple[str, ...]
+    values: Mapping[str, float]
+    scheduling: Mapping[str, float]
+    M: Grid
+    D: Grid
+    K: Grid
+    B: Grid
+    force: tuple[Expression, ...]
+    lag: Expression = field(default_factory=lambda: Expression.parse(0))
+    delay: Expression = field(default_factory=lambda: Expression.parse(0))
+
+    @classmethod
+    def build(
+        cls,
+        dof: Sequence[str],
+        inputs: Sequence[str],
+        values: Mapping[str, float],
+        scheduling: Mapping[str, float],
+        matrices: Mapping[str, Sequence[Sequence[str | float]]],
+        force: Sequence[str | float] = (),
+        lag: str | float = 0.0,
+        delay: str | float = 0.0,
+    ) -> DeclaredModel:
+        """Parse formulas and check that sizes and names agree.
+
+        Raises:
+            ModelError: a matrix of the wrong size, a name that is not declared, a formula that is
+                none; the message names the matrix and the place.
+        """
+        n, p = len(dof), len(inputs)
+        known = set(values) | set(scheduling)
+        B = matrices.get("B")
+        if B is None and n != p:
+            raise ModelError(f"B: needed, since there are {p} inputs for {n} DOF")
+        if B is None:
+            B = [[float(i == j) for j in range(n)] for i in range(n)]
+        grids = {
+            name: _grid(name, rows, n, columns, known)
+            for name, rows, columns in (
+                ("M", matrices["M"], n),
+                ("D", matrices["D"], n),
+                ("K", matrices["K"], n),
+                ("B", B, p),
+            )
+        }
+        if force and len(force) != n:
+            raise ModelError(f"force: expected {n} entries, one a DOF, found {len(force)}")
+        return cls(
+            tuple(dof),
+            tuple(inputs),
+            dict(values),
+            dict(scheduling),
+            **grids,
+            force=tuple(_formula("force", f, known) for f in force or [0.0] * n),
+            lag=_formula("lag", lag, known),
+            delay=_formula("delay", delay, known),
+        )
+
+    def at(self, scheduling: Mapping[str, float] | None = None) -> SecondOrder:
+        """Return the matrices at one value of the scheduling variables (defaults: as declared)."""
+        given = dict(scheduling or {})
+        unknown = set(given) - set(self.scheduling)
+        if unknown:
+            raise ModelError(
+                f"expected scheduling variables {sorted(self.scheduling)}, found {sorted(unknown)}"
+            )
+        values = {**self.values, **self.scheduling, **given}
+        try:
+            return SecondOrder(
+                M=_evaluate(self.M, values),
+                D=_evaluate(self.D, values),
+                K=_evaluate(self.K, values),
+                B=_evaluate(self.B, values),
+                force=np.array([f(values) for f in self.force]),
+                lag_s=self.lag(values),
+                delay_s=self.delay(values),
+            )
+        except ExpressionError as error:
+            raise ModelError(str(error)) from None
+
+    def with_values(self, values: Mapping[str, float]) -> DeclaredModel:
+        """Return the model with some parameters changed; raises ModelError for unknown names."""
+        unknown = set(values) - set(self.values)
+        if unknown:
+            raise ModelError(f"expected parameters {sorted(self.values)}, found {sorted(unknown)}")
+        return replace(self, values={**self.values, **values})
+
+
+def _grid(
+    name: str, rows: Sequence[Sequence[str | float]], n: int, columns: int, known: set[str]
+) -> Grid:
+    if len(rows) != n or any(len(row) != columns for row in rows):
+        found = f"{len(rows)} rows of {sorted({len(row) for row in rows})}"
+        raise ModelError(f"{name}: expected {n} rows of {columns} entries, found {found}")
+    return tuple(
+        tuple(_formula(f"{name}[{i}][{j}]", entry, known) for j, entry in enumerate(row))
+        for i, row in enumerate(rows)
+    )
+
+
+def _formula(where: str, source: str | float, known: set[str]) -> Expression:
+    try:
+        expression = Expression.parse(source)
+    except ExpressionError as error:
+        raise ModelError(f"{where}: {error}") from None
+    unknown = expression.names - known
+    if unknown:
+        raise ModelError(
+            f"{where}: expected declared parameters and scheduling variables, "
+            f"found {sorted(unknown)} in '{expression.text}'"
+        )
+    return expression
+
+
+def _evaluate(grid: Grid, values: Mapping[str, float]) -> NDArray[np.float64]:
+    return np.array([[entry(values) for entry in row] for row in grid])

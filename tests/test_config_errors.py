@@ -1,0 +1,119 @@
+"""A bad file is an error that names file, key, what was expected and what came."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from levid.config.base import ConfigError, load_yaml
+from levid.config.kinds import load_any
+from levid.config.model import ModelConfig
+from levid.config.rig import RigConfig, load_rig
+from levid.config.session import load_session
+from levid.config.shipped import shipped
+
+CONFIG = Path(shipped("rigs/loopback.yaml")).parent.parent
+
+
+def rig_text(**changes: object) -> str:
+    data = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
+    for dotted, value in changes.items():
+        *path, last = dotted.split("__")
+        inner = data
+        for key in path:
+            inner = inner[key]
+        inner[last] = value
+    return yaml.safe_dump(data)
+
+
+def error_of(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_rig(path)
+    assert str(path) in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CONFIG.glob("*/*.yaml")), ids=lambda p: f"{p.parent.name}/{p.name}"
+)
+def test_every_shipped_file_is_read(path: Path) -> None:
+    if path.parent.name == "signals":
+        pytest.skip("read by the importer's own tests")
+    assert load_any(path)
+
+
+def test_unknown_key_names_the_likely_one(tmp_path: Path) -> None:
+    assert "limits.coil_nn: unknown key; expected 'coil_n'" in error_of(
+        tmp_path, rig_text(limits__coil_nn=20)
+    )
+
+
+def test_wrong_unit_is_named_by_the_key_it_should_be(tmp_path: Path) -> None:
+    message = error_of(tmp_path, rig_text(limits__gap_mm=0.85))
+    assert "limits.gap_mm" in message
+    assert "'gap_m'" in message
+
+
+def test_impossible_value_says_what_was_expected_and_found(tmp_path: Path) -> None:
+    message = error_of(tmp_path, rig_text(limits__coil_n=-20))
+    assert "limits.coil_n: expected greater than 0, found -20" in message
+
+
+def test_text_where_a_number_belongs(tmp_path: Path) -> None:
+    message = error_of(tmp_path, rig_text(rate_hz="1 kHz"))
+    assert "rate_hz: expected a valid number" in message
+    assert "'1 kHz'" in message
+
+
+def test_missing_key(tmp_path: Path) -> None:
+    data = yaml.safe_load(rig_text())
+    del data["control"]["z"]
+    assert "control.z: required key is missing" in error_of(tmp_path, yaml.safe_dump(data))
+
+
+def test_not_yaml_names_line_and_column(tmp_path: Path) -> None:
+    assert "rig.yaml:3:1: not valid YAML" in error_of(tmp_path, "levid: rig\nname: [unclosed\n")
+
+
+def test_key_that_stands_twice(tmp_path: Path) -> None:
+    assert "'name' stands twice" in error_of(tmp_path, "levid: rig\nname: a\nname: b\n")
+
+
+@pytest.mark.parametrize("text", ["", "- a\n- b\n", "just text", "\x00\x01", "a: &x [*x]\n"])
+def test_what_is_no_mapping_is_an_error_without_traceback(tmp_path: Path, text: str) -> None:
+    error_of(tmp_path, text)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.yaml", tmp_path):
+        with pytest.raises(ConfigError, match="cannot be read"):
+            load_rig(path)
+
+
+def test_another_kind_of_file_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text("levid: rocket\n")
+    with pytest.raises(ConfigError, match="expected one of .*rig.*found 'rocket'"):
+        load_any(path)
+
+
+def test_numbers_like_1e_4_are_numbers(tmp_path: Path) -> None:
+    text = shipped("models/rig.yaml").read_text().replace("value: 0.0003", "value: 3e-4")
+    path = tmp_path / "model.yaml"
+    path.write_text(text)
+    assert load_yaml(path, ModelConfig).parameters["lag"].value == 3e-4
+
+
+def test_session_names_step_and_key(tmp_path: Path) -> None:
+    text = shipped("sessions/beam.yaml").read_text().replace("name: beam-sweep", "excite: [psi]")
+    path = tmp_path / "session.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"steps\[2\].record.name: required key is missing"):
+        load_session(path)
+
+
+def test_rig_of_any_number_of_coils() -> None:
+    data = yaml.safe_load(rig_text())
+    data["geometry"] = {"coil_x_m": [0.1, -0.1, 0.0, 0.1], "coil_y_m": [0.1, 0.1, -0.1, -0.1]}
+    assert len(RigConfig.model_validate(data).geometry.sensors_x_m) == 4

@@ -1,0 +1,153 @@
+"""The cycle's control law, limits and faults, against the equations written out in numpy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from levid.config.rig import RigConfig, load_rig
+from levid.config.shipped import shipped
+from levid.daemon.control import Controller
+from levid.daemon.faults import Fault
+from levid.daemon.segment import Segment, idle_segment
+from levid.daemon.states import State
+from levid.log.signals import cycle_dtype
+from levid.model.geometry import decoupling_matrix, shape_matrix
+
+RIG = load_rig(shipped("rigs/loopback.yaml"))
+PERIOD = 1e-3
+X, Y = RIG.geometry.coil_x_m, RIG.geometry.coil_y_m
+T = decoupling_matrix(X, Y)
+WEIGHT = 7.0 * 9.81
+
+
+def flying(cycles: int, **more: object) -> Segment:
+    zero = np.zeros((1, 3))
+    segment = Segment(
+        State.EXCITING, cycles, zero, np.zeros((1, 9)), np.ones((1, 3)), zero, zero, engages=True
+    )
+    return replace(segment, **more)
+
+
+class Bench:
+    def __init__(self, rig: RigConfig = RIG) -> None:
+        self.control = Controller(rig, PERIOD)
+        self.rows = np.zeros(5000, cycle_dtype(9, 9))
+        self.cycle = 0
+
+    def run(self, segment: Segment, gaps: np.ndarray) -> np.ndarray:
+        """Fly the segment on these gap readings (n, 9); return its rows."""
+        first = self.cycle
+        self.control.begin(segment)
+        for k, gap in enumerate(gaps):
+            self.control.gap_m[:] = gap
+            fault = self.control.step(self.rows, self.cycle, self.cycle, self.cycle * PERIOD, k)
+            self.cycle += 1
+            if fault:
+                break
+        return self.rows[first : self.cycle]
+
+
+def test_law_is_pi_with_feed_forward_and_excitation() -> None:
+    n = 200
+    rng = np.random.default_rng(1)
+    q = rng.normal(0, 1e-5, (n, 3))
+    v = rng.normal(0, [0.1, 0.1, 1.3], (n, 3))
+    coil_excitation = rng.normal(0, 0.1, (n, 9))
+    bench = Bench()
+    bench.control.beam[0] = 0.05
+    rows = bench.run(flying(n, v=v, coil_excitation=coil_excitation), q @ shape_matrix(X, Y).T)
+
+    error = -q  # the reference is zero: engaging starts from the first pose, at rest it is zero
+    kp, ki = np.array(RIG.control.kp), np.array(RIG.control.ki)
+    tau = kp * error + np.cumsum(ki * PERIOD * error, axis=0) + v
+    tau += [0.0, 1.4 * 9.81 * 0.05, WEIGHT]
+    logged = np.stack([rows[name] for name in ("tau_psi_n_m", "tau_theta_n_m", "tau_z_n")], axis=1)
+    # float32 of the log: 6e-8 of 70 N.
+    np.testing.assert_allclose(logged, tau, atol=5e-6)
+    np.testing.assert_allclose(rows["coil_n"], tau @ T + coil_excitation, atol=2e-6)
+    np.testing.assert_allclose(rows["z_m"], q[:, 2], atol=1e-11)
+
+
+def test_engaging_starts_without_a_jump() -> None:
+    # At the stops, control begins where the platform lies: zero force in the first cycle.
+    bench = Bench()
+    rest = np.full((1, 9), -0.0009)
+    bench.run(idle_segment(1, 9, np.zeros(3), np.zeros(3)), rest)
+    blend = np.array([[0.0, 0.0, 1.0]])
+    rows = bench.run(flying(1, blend=blend, airborne=False), rest)
+    assert np.all(rows["coil_n"] == 0.0)
+
+
+def test_landing_starts_from_the_reference_and_feed_forward_at_hand() -> None:
+    bench = Bench()
+    rest = np.full((1, 9), -0.0009)
+    bench.run(idle_segment(1, 9, np.zeros(3), np.zeros(3)), rest)
+    half_way = np.array([[0.5, 0.6, 1.0]])
+    up = bench.run(flying(1, blend=half_way, airborne=False), rest)
+    down = bench.run(
+        flying(1, blend=np.ones((1, 3)), airborne=False, engages=False, lands=True), rest
+    )
+    assert down["z_ref_m"][0] == up["z_ref_m"][0]
+    assert down["ff_z_n"][0] == up["ff_z_n"][0]
+
+
+def test_coil_force_and_its_rate_are_clipped_and_counted() -> None:
+    bench = Bench()
+    v = np.array([[0.0, 0.0, 1000.0]])
+    rows = bench.run(flying(3, v=v), np.zeros((3, 9)))
+    assert np.all(rows["coil_n"] == 20.0)  # limits.coil_n, within a step of 40 N
+    assert np.all(rows["saturated"] == 9)
+    slow = RIG.model_copy(
+        update={"limits": RIG.limits.model_copy(update={"coil_rate_n_s": 1000.0})}
+    )
+    rows = Bench(slow).run(flying(3, v=v), np.zeros((3, 9)))
+    np.testing.assert_allclose(rows["coil_n"][:, 0], [1.0, 2.0, 3.0], rtol=1e-6)
+
+
+def test_integrator_does_not_wind_up_while_coils_are_at_their_limit() -> None:
+    def recovery(n_saturated: int) -> np.ndarray:
+        bench = Bench()
+        push = np.array([[0.0, 0.0, 1000.0]])
+        down, level = np.full((n_saturated, 9), -1e-4), np.zeros((1, 9))
+        bench.run(flying(n_saturated, v=push), down)
+        return bench.run(flying(1, engages=False), level)["tau_z_n"]
+
+    # The error asks for more than the coils give: however long, the integrator stays.
+    np.testing.assert_array_equal(recovery(10), recovery(2000))
+
+
+@pytest.mark.parametrize("where", ["gap_m", "readback_n", "beam", "rotor"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_reading_that_is_no_number_gives_zero_force(where: str, value: float) -> None:
+    bench = Bench()
+    bench.control.begin(flying(2))
+    assert bench.control.step(bench.rows, 0, 0, 0.0, 0) == Fault.NONE
+    assert np.all(bench.control.coil_n != 0.0)
+    getattr(bench.control, where)[1] = value
+    assert bench.control.step(bench.rows, 1, 1, PERIOD, 1) == Fault.READING
+    assert np.all(bench.control.coil_n == 0.0)
+    assert bench.rows["state"][1] == State.FAULT
+    assert bench.rows["fault"][1] == Fault.READING
+    assert np.all(bench.rows["coil_n"][1] == 0.0)
+
+
+def test_leaving_the_flying_range_is_a_fault_in_flight_alone() -> None:
+    outside = np.zeros((1, 9))
+    outside[0, 4] = RIG.limits.gap_m * 1.01
+    assert Bench().run(flying(1), outside)["fault"][0] == Fault.GAP
+    assert Bench().run(flying(1, airborne=False), outside)["fault"][0] == Fault.NONE
+
+
+def test_excitation_that_is_no_number_is_a_fault() -> None:
+    rows = Bench().run(flying(1, v=np.full((1, 3), np.nan)), np.zeros((1, 9)))
+    assert rows["fault"][0] == Fault.COMPUTATION
+    assert np.all(rows["coil_n"] == 0.0)
+
+
+def test_latched_fault_stands_in_every_row_until_cleared() -> None:
+    bench = Bench()
+    idle = idle_segment(1, 9, np.zeros(3), np.zeros(3))
+    bench.control.latch(Fault.GAP)
+    assert bench.run(idle, np.zeros((1, 9)))["fault"][0] == Fault.GAP
+    bench.control.latch(Fault.NONE)
+    assert bench.run(idle, np.zeros((1, 9)))["fault"][0] == Fault.NONE

@@ -98,7 +98,10 @@ _UniqueKeys.add_implicit_resolver(
 
 def _explain(error: ValidationError, model: type[BaseModel], where: str) -> list[str]:
     lines = []
-    for item in error.errors(include_url=False):
+    items = error.errors(include_url=False)
+    # A file of another kind would be one error a key: that it is another kind says it all.
+    of_kind = [item for item in items if item["loc"] == ("levid",)]
+    for item in of_kind or items:
         key = _dotted(item["loc"])
         if item["type"] == "extra_forbidden":
             known = _keys_at(model, item["loc"][:-1])
@@ -131,9 +134,11 @@ def _suggest(key: str, known: list[str]) -> str:
     # The same quantity in another unit (r_mm for r_m) is the likeliest slip: compare without units.
     stem = key.rsplit("_", 1)[0]
     same_quantity = [k for k in known if k.rsplit("_", 1)[0] == stem]
-    close = same_quantity or difflib.get_close_matches(key, known, n=1)
+    if same_quantity:
+        return f"; expected '{same_quantity[0]}' (the ending of a key is its unit)"
+    close = difflib.get_close_matches(key, known, n=1)
     if close:
-        return f"; expected '{close[0]}' (SI units, as the key's ending says)"
+        return f"; expected '{close[0]}'"
     return f"; expected one of {', '.join(sorted(known))}"
 
 

@@ -111,7 +111,7 @@ class Geometry(Strict):
 
 
 class Platform(Strict):
-    """Rigid platform with the static part of the manipulator; inertias about O, without the beam."""
+    """Rigid platform with the manipulator's static part; inertias about O, without the beam."""
 
     m_p_kg: Positive
     j_psi_kg_m2: Positive
@@ -146,7 +146,7 @@ class Air(Strict):
 
 
 class Rods(Strict):
-    """Stiffness of the suspending rods, without gravity: a full symmetric matrix in [psi, theta, z]."""
+    """Stiffness of the rods without gravity: a full symmetric matrix in [psi, theta, z]."""
 
     k_psi_n_m_rad: Finite
     k_theta_n_m_rad: Finite

@@ -56,6 +56,7 @@ class Controller:
         )
         self._law = np.concatenate([np.asarray(part, float) for part in law])
         self._memory = np.zeros((_ROWS, 4))
+        self._engaged = False
         self._arrays: tuple[Any, ...] = ()
 
     @property
@@ -67,16 +68,18 @@ class Controller:
         """Prepare for `segment`.
 
         Engaging control starts from the pose at hand, landing from the reference and the
-        feed-forward at hand: neither makes the force jump.
+        feed-forward at hand: neither makes the force jump. Only a segment that engages brings control
+        in: any other one that follows idling, a halt or a fault stays at zero force.
         """
         memory = self._memory
+        self._engaged = segment.in_control and (segment.engages or self._engaged)
         if segment.engages:
             memory[_REST] = memory[_POSE]
             memory[_INTEGRAL] = 0.0
             memory[_GOAL] = 0.0, 0.0, 0.0, 1.0
         if segment.lands:
             memory[_GOAL] = memory[_LAST]
-        memory[_MODE, :3] = segment.state, segment.in_control, segment.airborne
+        memory[_MODE, :3] = segment.state, self._engaged, segment.airborne
         self._arrays = (
             segment.v, segment.coil_excitation, segment.blend, segment.beam, segment.rotor,
         )  # fmt: skip
@@ -89,6 +92,8 @@ class Controller:
         """Command zero force from now on."""
         self.coil_n[:] = 0.0
         self._memory[_INTEGRAL] = 0.0
+        self._engaged = False
+        self._memory[_MODE, 1] = 0.0
 
     def step(self, rows: NDArray[np.void], slot: int, cycle: int, time_s: float, k: int) -> int:
         """Compute cycle `k` of the segment and write row `slot`; return the fault, 0 for none."""

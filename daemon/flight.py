@@ -181,7 +181,7 @@ class Flight:
                 self._recorder.shut()
                 self._recorder.settle()
                 raise FlightFault(fault, at_s, step.name, self.loop.detail)
-            if self.loop.stop_requested:
+            if self.loop.stop_requested and not segment.lands:
                 return
 
     def _stay_in_fault(self, fault: Fault) -> None:

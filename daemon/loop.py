@@ -37,10 +37,15 @@ class Loop:
         self.cycle = -1
         self.late = 0
         self.stop_requested = False
+        self._stoppable = True
         self.detail = ""
 
     def fly(self, segment: Segment) -> Fault:
-        """Fly one segment to its end, a stop request, or a fault, which is returned."""
+        """Fly one segment to its end, a stop request, or a fault, which is returned.
+
+        A landing goes on to its end whatever is requested: it is what a stop leads to.
+        """
+        self._stoppable = not segment.lands
         self._controller.begin(segment)
         run = self._in_real_time if self._clock.real else self._in_virtual_time
         try:
@@ -67,7 +72,7 @@ class Loop:
             # Virtual time outruns any disk: here, and only here, the loop waits for the recorder.
             self._make_room(block)
             fault = self._virtual_block(begin, begin + block)
-            if fault or self.stop_requested:
+            if fault or (self.stop_requested and self._stoppable):
                 break
         return fault
 
@@ -92,7 +97,7 @@ class Loop:
             amplifiers.write(coil)
             drives.write(beam_ref, rotor_ref)
             head += 1
-            if fault or self.stop_requested:
+            if fault or (self.stop_requested and self._stoppable):
                 break
         self.cycle, ring.head = cycle, head
         return fault
@@ -140,6 +145,6 @@ class Loop:
                 ring.lost += 1
             else:
                 ring.head += 1
-            if fault or self.stop_requested:
+            if fault or (self.stop_requested and self._stoppable):
                 break
         return fault

@@ -12,6 +12,7 @@ from typing import Any
 
 _LONGEST_LINE = 1 << 20
 _MOST_CLIENTS = 16
+_WAITING_CLIENTS = 128
 _TIMEOUT_S = 10.0
 
 # A request's handler: takes the request and a function that sends a line before the answer.
@@ -45,7 +46,7 @@ class Server:
                 self._path.unlink()
             self._socket.bind(str(self._path))
             self._path.chmod(0o660)
-            self._socket.listen(_MOST_CLIENTS)
+            self._socket.listen(_WAITING_CLIENTS)
         except OSError as error:
             raise ServerError(f"{self._path}: cannot open the control socket: {error}") from None
         threading.Thread(target=self._accept, name="levid-server", daemon=True).start()

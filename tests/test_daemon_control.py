@@ -91,6 +91,20 @@ def test_landing_starts_from_the_reference_and_feed_forward_at_hand() -> None:
     assert down["ff_z_n"][0] == up["ff_z_n"][0]
 
 
+@pytest.mark.parametrize("lands", [True, False])
+def test_nothing_but_engaging_brings_control_in(lands: bool) -> None:
+    bench = Bench()
+    level = np.zeros((1, 9))
+    bench.run(flying(1), level)
+    bench.run(idle_segment(1, 9, np.zeros(3), np.zeros(3)), level)
+    rows = bench.run(flying(1, engages=False, lands=lands), level)
+    assert np.all(rows["coil_n"] == 0.0)
+    bench.run(flying(1), level)
+    bench.control.halt()
+    rows = bench.run(flying(1, engages=False, lands=lands), level)
+    assert np.all(rows["coil_n"] == 0.0)
+
+
 def test_coil_force_and_its_rate_are_clipped_and_counted() -> None:
     bench = Bench()
     v = np.array([[0.0, 0.0, 1000.0]])

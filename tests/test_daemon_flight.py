@@ -1,10 +1,12 @@
 """Whole flights in virtual time: what is flown, what is logged, how it ends."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+
 from levid.config.base import ConfigError, parse_text
 from levid.config.rig import RigConfig, load_rig
 from levid.config.session import SessionConfig
@@ -196,7 +198,7 @@ def test_stop_request_skips_to_landing(tmp_path: Path) -> None:
     config, rig = session(), load_rig(RIG_FILE)
     with Flight(rig, RIG_FILE.parent, 1000.0, VirtualClock()) as flight:
 
-        def stop_in_first_record(step: str, done: int, total: int) -> None:  # noqa: ARG001
+        def stop_in_first_record(step: str, done: int, total: int) -> None:
             if step == "tilt":
                 flight.loop.stop_requested = True
 
@@ -206,6 +208,29 @@ def test_stop_request_skips_to_landing(tmp_path: Path) -> None:
     rows = read_log(result.logs[-1]).rows
     assert rows["state"][-1] == State.IDLE
     assert np.all(rows["coil_n"][-1] == 0.0)
+
+
+@pytest.mark.parametrize("at_cycle", [10, 500, 1500, 3000, 5000])
+def test_stop_at_any_time_ends_on_the_stops_without_a_jump(tmp_path: Path, at_cycle: int) -> None:
+    config, rig = session(), load_rig(RIG_FILE)
+    with Flight(rig, RIG_FILE.parent, 1000.0, VirtualClock()) as flight:
+        read = flight.devices.sensors.read
+
+        def reading(gap_m: np.ndarray) -> None:
+            # Again and again, while landing too: an operator who presses twice.
+            flight.loop.stop_requested |= next(reads) >= at_cycle
+            read(gap_m)
+
+        reads = itertools.count()
+        flight.devices.sensors.read = reading  # type: ignore[method-assign]
+        (tmp_path / "logs").mkdir()
+        result = flight.fly(plan_session(config, rig), tmp_path / "logs", {})
+    rows = np.concatenate([read_log(path).rows for path in result.logs])
+    assert rows["fault"].max() == 0
+    assert np.all(rows["coil_n"][-1] == 0.0)
+    # The excitation may stop dead (0.14 N a coil at four sigma); the force that carries may not.
+    carried = rows["coil_n"] - rows["coil_excitation_n"]
+    assert np.abs(np.diff(carried, axis=0)).max() < 1.5
 
 
 def test_log_that_cannot_be_written_does_not_end_the_flight(tmp_path: Path) -> None:

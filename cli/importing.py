@@ -1,0 +1,32 @@
+"""`levid import`: measured data of others become a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ..log.importer import import_file
+
+
+@click.command("import")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "--signals",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="SIGNALS.yaml: columns, units, roles and rate; see config/signals/.",
+)
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The new log.")
+def command(file: Path, signals: Path, out: Path) -> int:
+    """Turn FILE (CSV, whitespace text, NPZ, MAT) into a log that `levid identify` reads.
+
+    \b
+    Examples:
+      levid import arm.dat --signals config/signals/cd-player-arm.yaml -o arm.mcap
+      levid identify arm.mcap --out out/arm
+    """
+    samples = import_file(file, signals, out)
+    click.echo(f"{out}: {samples} samples")
+    click.echo(f"next: levid identify {out} --out {out.with_suffix('')}", err=True)
+    return 0

@@ -13,6 +13,8 @@ from time import perf_counter
 import _table
 import numpy as np
 from _table import Figure
+from mcap.writer import Writer
+
 from levid.config.base import load_yaml, parse_text
 from levid.config.model import load_model
 from levid.config.rig import load_rig
@@ -28,7 +30,6 @@ from levid.model.declared import DeclaredModel
 from levid.model.geometry import decoupling_matrix
 from levid.model.second_order import discretise
 from levid.sim.plant import Plant
-from mcap.writer import Writer
 
 RIG_FILE = shipped("rigs/loopback.yaml")
 SESSION = """

@@ -68,8 +68,8 @@ class Controller:
         """Prepare for `segment`.
 
         Engaging control starts from the pose at hand, landing from the reference and the
-        feed-forward at hand: neither makes the force jump. Only a segment that engages brings control
-        in: any other one that follows idling, a halt or a fault stays at zero force.
+        feed-forward at hand: neither makes the force jump. Only a segment that engages brings
+        control in: any other that follows idling, a halt or a fault stays at zero force.
         """
         memory = self._memory
         self._engaged = segment.in_control and (segment.engages or self._engaged)

@@ -72,7 +72,7 @@ class Recorder:
             time.sleep(0.001)
 
     def wait_for_room(self, rows: int) -> None:
-        """Wait until the ring has room for `rows`; only for virtual time, which outruns any disk."""
+        """Wait until the ring has room for `rows`; for virtual time, which outruns any disk."""
         while self._ring.room < rows and self._thread.is_alive():
             time.sleep(0.0005)
 

@@ -66,7 +66,7 @@ class LoopbackBackend(Backend):
 
 
 class _Command:
-    """Forces and setpoints of one cycle in one block; at first zero force, the manipulator still."""
+    """Forces and setpoints of one cycle in one block; at first zero force, all at rest."""
 
     def __init__(self, coils: int, plant: Plant) -> None:
         self.all = np.zeros(coils + 6)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from levid.cli.main import main
 from levid.config.shipped import shipped
 from levid.log.reader import read_log

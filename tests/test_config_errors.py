@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+
 from levid.config.base import ConfigError, load_yaml
 from levid.config.kinds import load_any
 from levid.config.model import ModelConfig
@@ -94,7 +95,7 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
 def test_another_kind_of_file_says_so(tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
     path.write_text("levid: rocket\n")
-    with pytest.raises(ConfigError, match="expected one of .*rig.*found 'rocket'"):
+    with pytest.raises(ConfigError, match=r"expected one of .*rig.*found 'rocket'"):
         load_any(path)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control import Controller

@@ -190,7 +190,7 @@ def test_driver_that_fails_in_flight_ends_in_a_named_fault(tmp_path: Path) -> No
 
         flight.devices.sensors.read = failing  # type: ignore[method-assign]
         (tmp_path / "logs").mkdir()
-        with pytest.raises(FlightFault, match="DRIVER .*bus can0: gone"):
+        with pytest.raises(FlightFault, match=r"DRIVER .*bus can0: gone"):
             flight.fly(plan_session(config, rig), tmp_path / "logs", {})
 
 
@@ -240,7 +240,7 @@ def test_log_that_cannot_be_written_does_not_end_the_flight(tmp_path: Path) -> N
     (out / "02-tilt.mcap").write_bytes(b"mine")
     with (
         Flight(rig, RIG_FILE.parent, 1000.0, VirtualClock()) as flight,
-        pytest.raises(RecordingError, match="02-tilt.mcap"),
+        pytest.raises(RecordingError, match=r"02-tilt\.mcap"),
     ):
         flight.fly(plan_session(config, rig), out, {})
     assert flight.loop.cycle + 1 == plan_session(config, rig).cycles
@@ -250,7 +250,7 @@ def test_log_that_cannot_be_written_does_not_end_the_flight(tmp_path: Path) -> N
 def test_virtual_time_is_for_loopback_alone(tmp_path: Path) -> None:
     rig = load_rig(RIG_FILE)
     other = rig.model_copy(update={"drives": rig.drives.model_copy(update={"backend": "can"})})
-    with pytest.raises(ConfigError, match="drives.backend: virtual time needs loopback, found can"):
+    with pytest.raises(ConfigError, match=r"drives\.backend: .* needs loopback, found can"):
         fly(tmp_path / "logs", rig=other)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.client import Client, DaemonError
@@ -132,5 +133,5 @@ def test_second_daemon_on_one_socket_is_refused(socket_file: Path) -> None:
 
 
 def test_no_daemon_says_how_to_start_one(tmp_path: Path) -> None:
-    with pytest.raises(DaemonError, match="levid run RIG.yaml"), Client(tmp_path / "none.sock"):
+    with pytest.raises(DaemonError, match="levid run RIG"), Client(tmp_path / "none.sock"):
         pass

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from levid.config.base import ConfigError
 from levid.config.session import Excitation
 from levid.daemon import trajectory

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from levid.model.geometry import GeometryError, decoupling_matrix, shape_matrix
 
 R = 0.12

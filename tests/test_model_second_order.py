@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from levid.config.model import load_model
 from levid.config.shipped import shipped
 from levid.model.declared import DeclaredModel, ModelError
@@ -86,7 +87,7 @@ def test_one_mass_model_of_any_size() -> None:
         ["x"], ["f"], {"m": 2.0, "k": 8.0}, {}, {"M": [["m"]], "D": [[0]], "K": [["k"]]}
     ).at()
     assert isinstance(model, SecondOrder)
-    # Undamped: after half a period of 2 pi / 2 s under a constant force, twice the static deflection.
+    # Undamped, 2 rad/s: half a period under a constant force gives twice the static deflection.
     step = discretise(model, np.pi / 2)
     x = step.B[:, 0]
     np.testing.assert_allclose((step.C @ x)[0], 2 / 8.0, rtol=1e-12)

@@ -1,0 +1,376 @@
+"""Reading logs of our own and of strangers, whole, cut off and damaged."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import tracemalloc
+
+import lz4.frame
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, IndexType, Writer
+
+from levid.log.errors import LogError
+from levid.log.mcap_format import RECORD_HEAD, Op
+from levid.log.reader import read_log
+from levid.log.signals import cycle_dtype, dtype_from_ros2msg, ros2msg
+from levid.log.writer import LogWriter
+
+DTYPE = cycle_dtype(4, 3)
+STEP_NS = 1_000_000
+
+
+def some_rows(count, dtype=DTYPE):
+    bits = np.random.default_rng(2).integers(0, 256, (count, dtype.itemsize), np.uint8)
+    return bits.view(dtype)[:, 0]
+
+
+def times_of(count):
+    return 10**18 + STEP_NS * np.arange(count, dtype=np.uint64)
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return some_rows(400)
+
+
+@pytest.fixture(scope="module")
+def path(rows, tmp_path_factory):
+    """A log of eight chunks of 50 rows."""
+    path = tmp_path_factory.mktemp("log") / "a.mcap"
+    with LogWriter(
+        path,
+        DTYPE,
+        rate_hz=100,
+        metadata={"kind": "record"},
+        attachments={"rig.yaml": b"levid: rig\n" * 20},
+    ) as log:
+        log.write(rows, times_of(rows.size))
+    return path
+
+
+def chunks_of(data):
+    """First byte and end of each chunk record of an MCAP file."""
+    chunks, at = [], 8
+    while at < len(data) - 8:
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        end = at + RECORD_HEAD.size + length
+        if opcode == Op.CHUNK:
+            chunks.append((at, end))
+        at = end
+    return chunks
+
+
+def read_bytes(tmp_path, data):
+    path = tmp_path / "changed.mcap"
+    path.write_bytes(data)
+    return read_log(path)
+
+
+def test_round_trip_gives_every_bit_back(path, rows):
+    log = read_log(path)
+    assert log.rows.dtype == DTYPE
+    assert log.rows.tobytes() == rows.tobytes()
+    np.testing.assert_array_equal(log.log_time_ns, times_of(rows.size))
+    assert (log.rate_hz, log.schema_name) == (100.0, "levid/msg/Cycle")
+    assert log.metadata == {"format": "1", "kind": "record", "rate_hz": "100.0"}
+    assert log.attachments == {"rig.yaml": b"levid: rig\n" * 20}
+    assert log.complete
+    assert log.problem is None
+
+
+def test_a_field_is_an_array_and_a_misspelt_one_names_its_neighbours(path, rows):
+    log = read_log(path)
+    np.testing.assert_array_equal(log.field("gap_m"), rows["gap_m"])
+    with pytest.raises(LogError, match="no field 'gap_mm'; there is gap_m"):
+        log.field("gap_mm")
+
+
+def test_cut_off_anywhere_gives_the_whole_chunks_before_the_cut(path, rows, tmp_path):
+    data = path.read_bytes()
+    ends = [end for _, end in chunks_of(data)]
+    assert len(ends) == 8
+    cuts = np.random.default_rng(3).integers(0, len(data), 200).tolist()
+    edges = [edge + by for edge in (8, ends[0], ends[3], len(data) - 8) for by in (-1, 0, 1)]
+    opened = 0
+    for cut in [*cuts, *edges, len(data) - 1]:
+        whole = 50 * sum(end <= cut for end in ends)
+        if not whole:
+            with pytest.raises(LogError, match=r"byte|empty"):
+                read_bytes(tmp_path, data[:cut])
+            continue
+        log = read_bytes(tmp_path, data[:cut])
+        assert not log.complete
+        assert "byte" in log.problem
+        assert log.rows.tobytes() == rows[:whole].tobytes(), cut
+        assert log.attachments["rig.yaml"] == b"levid: rig\n" * 20
+        opened += 1
+    assert opened > 100
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_damaged_bytes_give_an_error_or_the_rows_before_them(path, rows, tmp_path, seed):
+    # CRCs cover head, chunks and summary: no flipped bit may turn into a wrong row or label.
+    data = path.read_bytes()
+    rng = np.random.default_rng(seed)
+    for _ in range(100):
+        damaged = bytearray(data)
+        at = int(rng.integers(len(data)))
+        damaged[at] ^= int(rng.integers(1, 256))
+        try:
+            log = read_bytes(tmp_path, bytes(damaged))
+        except LogError as error:
+            assert "byte" in str(error) or "expected" in str(error)  # noqa: PT017
+            continue
+        assert log.rows.size % 50 == 0
+        assert log.rows.tobytes() == rows[: log.rows.size].tobytes(), at
+        assert log.rows.size == rows.size or not log.complete
+        assert (log.rate_hz, log.metadata["kind"]) == (100.0, "record")
+
+
+def test_many_damaged_bytes_at_once_never_raise_anything_else(path, tmp_path):
+    data = path.read_bytes()
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        damaged = np.frombuffer(data, np.uint8).copy()
+        places = rng.integers(0, damaged.size, 20)
+        damaged[places] = rng.integers(0, 256, 20)
+        try:
+            read_bytes(tmp_path, damaged.tobytes())
+        except LogError:
+            continue
+
+
+@pytest.mark.parametrize("length", [2**31, 2**40, 2**63, 2**64 - 1])
+@pytest.mark.parametrize("which", [0, 5])
+def test_a_corrupt_length_asks_for_no_memory(path, rows, tmp_path, length, which):
+    data = path.read_bytes()
+    start, _ = chunks_of(data)[which]
+    lengths = {
+        "of the record": start + 1,
+        "uncompressed": start + RECORD_HEAD.size + 16,
+        "compressed": start + RECORD_HEAD.size + 28 + len(b"\4\0\0\0zstd"),
+    }
+    for what, at in lengths.items():
+        damaged = data[:at] + struct.pack("<Q", length) + data[at + 8 :]
+        tracemalloc.start()
+        try:
+            log = read_bytes(tmp_path, damaged)
+        except LogError:
+            assert which == 0, what
+        else:
+            assert log.rows.tobytes() == rows[: 50 * which].tobytes(), what
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        # What the whole log takes; the least of these lengths is 40,000 times as much.
+        assert peak < 10 * len(data), what
+
+
+@pytest.mark.parametrize("opcode", [Op.MESSAGE_INDEX, Op.SUMMARY_OFFSET, 0x86])
+def test_a_chunk_made_to_look_like_something_else_leaves_no_hole(path, rows, tmp_path, opcode):
+    data = path.read_bytes()
+    start, _ = chunks_of(data)[2]
+    log = read_bytes(tmp_path, data[:start] + bytes([opcode]) + data[start + 1 :])
+    assert not log.complete
+    assert log.rows.tobytes() == rows[:100].tobytes()
+
+
+def mcap_bytes(build, **options):
+    """An MCAP file by mcap's own writer; `build` puts in what it wants."""
+    file = io.BytesIO()
+    writer = Writer(file, **options)
+    writer.start("ros2")
+    build(writer)
+    writer.finish()
+    return file.getvalue()
+
+
+def fill(writer, rows, *, topic="/levid/cycle", text=None, head=b"\0\1\0\0", tail=b""):
+    schema = writer.register_schema("x/msg/Y", "ros2msg", (text or ros2msg(rows.dtype)).encode())
+    channel = writer.register_channel(topic, "cdr", schema)
+    for number, row in enumerate(rows):
+        time = int(times_of(number + 1)[-1])
+        writer.add_message(channel, time, head + row.tobytes() + tail, time, number)
+    return channel
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+@pytest.mark.parametrize("options", [{}, {"chunk_size": 1000}, {"use_chunking": False}])
+def test_a_log_by_mcaps_own_writer(rows, tmp_path, compression, options):
+    data = mcap_bytes(lambda w: fill(w, rows), compression=compression, **options)
+    log = read_bytes(tmp_path, data)
+    assert log.complete
+    assert log.rows.tobytes() == rows.tobytes()
+    # No metadata "levid": the rate is that of the log times, 1 ms apart.
+    assert log.rate_hz == pytest.approx(1000.0)
+    assert (log.metadata, log.schema_name) == ({}, "x/msg/Y")
+
+
+def test_a_log_without_any_summary_or_index(rows, tmp_path):
+    data = mcap_bytes(
+        lambda w: fill(w, rows),
+        index_types=IndexType.NONE,
+        repeat_channels=False,
+        repeat_schemas=False,
+        use_statistics=False,
+        use_summary_offsets=False,
+        enable_crcs=False,
+    )
+    log = read_bytes(tmp_path, data)
+    assert log.complete
+    assert log.rows.tobytes() == rows.tobytes()
+
+
+def test_damage_between_messages_outside_of_chunks_is_told_by_the_crc_of_all_data(rows, tmp_path):
+    data = mcap_bytes(lambda w: fill(w, rows), use_chunking=False, enable_data_crcs=True)
+    assert read_bytes(tmp_path, data).complete
+    at = data.index(rows[200].tobytes()) + 50
+    log = read_bytes(tmp_path, data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+    assert not log.complete
+    assert "data section: expected CRC" in log.problem
+
+
+def test_a_foreign_log_cut_off_opens_to_its_last_whole_chunk(rows, tmp_path):
+    data = mcap_bytes(lambda w: fill(w, rows), chunk_size=5000)
+    log = read_bytes(tmp_path, data[: chunks_of(data)[3][1] + 10])
+    assert not log.complete
+    assert 0 < log.rows.size < rows.size
+    assert log.rows.tobytes() == rows[: log.rows.size].tobytes()
+
+
+def test_lz4_frames_that_do_not_say_their_size(rows, tmp_path, monkeypatch):
+    compress = lz4.frame.compress
+    monkeypatch.setattr(lz4.frame, "compress", lambda data: compress(data, store_size=False))
+    data = mcap_bytes(lambda w: fill(w, rows), compression=CompressionType.LZ4)
+    assert read_bytes(tmp_path, data).rows.tobytes() == rows.tobytes()
+
+
+def test_channels_that_take_turns(rows, tmp_path):
+    def build(writer):
+        names = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        chatter = writer.register_channel("/chatter", "cdr", names)
+        other = writer.register_schema("a/msg/B", "ros2msg", b"float64 temperature_k")
+        heat = writer.register_channel("/heat", "cdr", other)
+        schema = writer.register_schema("x/msg/Y", "ros2msg", ros2msg(DTYPE).encode())
+        cycle = writer.register_channel("/levid/cycle", "cdr", schema)
+        for number, row in enumerate(rows):
+            time = int(times_of(number + 1)[-1])
+            if number % 3 == 0:
+                text = b"\0\1\0\0" + struct.pack("<I", 1 + number) + b"x" * number + b"\0"
+                writer.add_message(chatter, time, text, time, number)
+            if number % 50 < 3:
+                writer.add_message(heat, time, b"\0\1\0\0" + bytes(8), time, number)
+            writer.add_message(cycle, time, b"\0\1\0\0" + row.tobytes(), time, number)
+
+    for options in ({"chunk_size": 4000}, {"use_chunking": False}):
+        log = read_bytes(tmp_path, mcap_bytes(build, **options))
+        assert log.complete
+        assert log.rows.tobytes() == rows.tobytes()
+        np.testing.assert_array_equal(log.log_time_ns, times_of(rows.size))
+
+
+def test_the_only_channel_of_fixed_size_will_do_but_two_of_them_are_a_question(tmp_path):
+    text = "float64 force\nuint8 flag\nfloat32 gap"
+    foreign = some_rows(20, dtype_from_ros2msg(text))
+
+    def one(writer):
+        fill(writer, foreign, topic="/bench", text=text)
+
+    def two(writer):
+        one(writer)
+        fill(writer, foreign, topic="/other", text=text)
+
+    log = read_bytes(tmp_path, mcap_bytes(one))
+    assert log.rows.dtype.names == ("force", "flag", "gap")
+    for name in log.rows.dtype.names:
+        np.testing.assert_array_equal(log.rows[name], foreign[name])
+    with pytest.raises(LogError, match=r"expected one channel .*/bench, /other"):
+        read_bytes(tmp_path, mcap_bytes(two))
+
+
+def test_big_endian_messages_come_out_as_little_endian_numbers(rows, tmp_path):
+    swapped = rows.astype(DTYPE.newbyteorder(">"))
+    text = ros2msg(DTYPE)
+    data = mcap_bytes(lambda w: fill(w, swapped, text=text, head=b"\0\0\0\0"))
+    log = read_bytes(tmp_path, data)
+    assert log.rows.dtype == DTYPE
+    assert log.rows.tobytes() == rows.tobytes()
+
+
+def test_padding_after_the_last_field_is_no_harm(tmp_path):
+    text = "float64 force\nuint8 flag"  # 9 bytes; some writers round up to 12
+    foreign = some_rows(20, dtype_from_ros2msg(text))
+    data = mcap_bytes(lambda w: fill(w, foreign, text=text, tail=bytes(3)))
+    assert read_bytes(tmp_path, data).rows.tobytes() == foreign.tobytes()
+
+
+def test_messages_that_do_not_fit_their_schema(rows, tmp_path):
+    short = mcap_bytes(lambda w: fill(w, some_rows(9, cycle_dtype(2, 3)), text=ros2msg(DTYPE)))
+    with pytest.raises(LogError, match=r"expected messages of \d+ bytes, as their schema says"):
+        read_bytes(tmp_path, short)
+    parameter_list = mcap_bytes(lambda w: fill(w, rows, head=b"\0\3\0\0"))
+    with pytest.raises(LogError, match="found 00 03"):
+        read_bytes(tmp_path, parameter_list)
+
+
+def test_schemas_and_files_that_cannot_be_read(tmp_path):
+    def json(writer):
+        schema = writer.register_schema("x", "jsonschema", b"{}")
+        writer.add_message(writer.register_channel("/x", "json", schema), 0, b"{}", 0)
+
+    def nested(writer):
+        schema = writer.register_schema("x/msg/Y", "ros2msg", b"std_msgs/Header header")
+        writer.add_message(writer.register_channel("/x", "cdr", schema), 0, bytes(8), 0)
+
+    def silent(writer):
+        fill(writer, some_rows(0))
+
+    with pytest.raises(
+        LogError, match=r"/x: expected cdr with ros2msg, found json with jsonschema"
+    ):
+        read_bytes(tmp_path, mcap_bytes(json))
+    with pytest.raises(LogError, match=r"/x: schema: field 'header'.*nested"):
+        read_bytes(tmp_path, mcap_bytes(nested))
+    with pytest.raises(LogError, match=r"expected messages on /levid/cycle, found none"):
+        read_bytes(tmp_path, mcap_bytes(silent))
+    with pytest.raises(LogError, match="expected a channel with messages, found none"):
+        read_bytes(tmp_path, mcap_bytes(lambda _: None))
+    with pytest.raises(LogError, match="found an empty file"):
+        read_bytes(tmp_path, b"")
+    with pytest.raises(LogError, match=r"expected an MCAP file.*found b'levid: s'"):
+        read_bytes(tmp_path, b"levid: session\n")
+    with pytest.raises(LogError, match=r"missing\.mcap: cannot be read: No such file"):
+        read_log(tmp_path / "missing.mcap")
+    with pytest.raises(LogError, match="expected a file, found something else"):
+        read_log(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(LogError, match="expected a file, found something else"):
+        read_log(tmp_path / "pipe")
+
+
+def test_a_rate_that_cannot_be_known_is_an_error(rows, tmp_path):
+    def still(writer):
+        schema = writer.register_schema("x/msg/Y", "ros2msg", ros2msg(DTYPE).encode())
+        channel = writer.register_channel("/levid/cycle", "cdr", schema)
+        for row in rows:
+            writer.add_message(channel, 5, b"\0\1\0\0" + row.tobytes(), 5)
+
+    def wrong(writer):
+        writer.add_metadata("levid", {"rate_hz": "fast"})
+        fill(writer, rows)
+
+    with pytest.raises(LogError, match="expected rate_hz in a Metadata record"):
+        read_bytes(tmp_path, mcap_bytes(still))
+    with pytest.raises(LogError, match="rate_hz: expected a positive number, found 'fast'"):
+        read_bytes(tmp_path, mcap_bytes(wrong))
+
+
+def test_a_private_record_between_chunks_is_skipped(path, rows, tmp_path):
+    data = path.read_bytes()
+    (_, before), (_, end) = chunks_of(data)[-2:]
+    private = RECORD_HEAD.pack(0x90, 3) + b"abc"
+    # Without the summary, whose offsets would be wrong.
+    log = read_bytes(tmp_path, data[:before] + private + data[before:end])
+    assert log.rows.tobytes() == rows.tobytes()

@@ -1,0 +1,260 @@
+"""What the writer leaves on disk, as others' MCAP readers see it."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+
+import numpy as np
+import pytest
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Chunk, MessageIndex
+from mcap.stream_reader import StreamReader
+from mcap_ros2.decoder import DecoderFactory
+
+from levid.log.errors import LogError
+from levid.log.reader import read_log
+from levid.log.signals import cycle_dtype, ros2msg
+from levid.log.writer import MAX_CHUNK_ROWS, LogWriter
+
+DTYPE = cycle_dtype(9, 9)
+START_NS = 1_700_000_000_000_000_000
+
+
+def random_rows(count, dtype=DTYPE, seed=1):
+    """Rows of random bits (NaN and infinity among them), numbered from 2**32 - 100."""
+    bits = np.random.default_rng(seed).integers(0, 256, (count, dtype.itemsize), np.uint8)
+    rows = bits.view(dtype)[:, 0]
+    rows["cycle"] = np.arange(count) + 2**32 - 100
+    return rows
+
+
+def times_of(count, step_ns=100_000):
+    return START_NS + step_ns * np.arange(count, dtype=np.uint64)
+
+
+def write(path, rows, times, *, rate_hz=1000.0, block=333, **options):
+    options = {"metadata": {"kind": "record"}, "attachments": {}} | options
+    with LogWriter(path, rows.dtype, rate_hz=rate_hz, **options) as log:
+        for begin in range(0, rows.size, block):
+            log.write(rows[begin : begin + block], times[begin : begin + block])
+    return path
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return random_rows(2300)
+
+
+@pytest.fixture(scope="module")
+def path(rows, tmp_path_factory):
+    return write(
+        tmp_path_factory.mktemp("log") / "a.mcap",
+        rows,
+        times_of(rows.size),
+        metadata={"kind": "record", "name": "left-psi"},
+        attachments={"rig.yaml": b"levid: rig\n", "host.json": b"{}"},
+    )
+
+
+def test_mcap_and_ros2_support_decode_every_field_of_every_row(path, rows):
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        decoded = list(reader.iter_decoded_messages())
+    assert len(decoded) == rows.size
+    for number, (item, row) in enumerate(zip(decoded, rows, strict=True)):
+        assert item.message.log_time == item.message.publish_time == START_NS + 100_000 * number
+        assert item.message.sequence == int(row["cycle"]) & 0xFFFFFFFF
+        for name in DTYPE.names:
+            np.testing.assert_array_equal(
+                np.array(getattr(item.decoded_message, name), DTYPE[name].base), row[name]
+            )
+
+
+def test_streaming_reader_finds_all_crcs_right_and_all_records_in_place(path, rows):
+    with path.open("rb") as file:
+        records = list(StreamReader(file, validate_crcs=True, emit_chunks=True).records)
+    kinds = [kind for kind, _ in itertools.groupby(type(r).__name__ for r in records)]
+    assert kinds[:7] == [
+        "Header",
+        "Schema",
+        "Channel",
+        "Attachment",
+        "Metadata",
+        "Chunk",
+        "MessageIndex",
+    ]
+    assert records[0].profile == "ros2"
+    with path.open("rb") as file:
+        reader = NonSeekingReader(file, validate_crcs=True)
+        assert sum(1 for _ in reader.iter_messages(log_time_order=False)) == rows.size
+
+
+def test_summary_is_what_the_file_holds(path, rows):
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        attachments = {record.name: record.data for record in reader.iter_attachments()}
+    statistics = summary.statistics
+    assert statistics.message_count == rows.size
+    assert statistics.channel_message_counts == {1: rows.size}
+    assert statistics.chunk_count == len(summary.chunk_indexes) == 5  # 4 of 500 rows, one of 300
+    assert (statistics.schema_count, statistics.channel_count) == (1, 1)
+    assert (statistics.attachment_count, statistics.metadata_count) == (2, 2)
+    assert statistics.message_start_time == START_NS
+    assert statistics.message_end_time == START_NS + 100_000 * (rows.size - 1)
+    assert metadata["levid"] == {
+        "format": "1",
+        "kind": "record",
+        "name": "left-psi",
+        "rate_hz": "1000.0",
+    }
+    assert attachments == {"rig.yaml": b"levid: rig\n", "host.json": b"{}"}
+    (channel,) = summary.channels.values()
+    (schema,) = summary.schemas.values()
+    assert (channel.topic, channel.message_encoding) == ("/levid/cycle", "cdr")
+    assert (schema.name, schema.encoding) == ("levid/msg/Cycle", "ros2msg")
+    assert schema.data.decode() == ros2msg(DTYPE)
+
+
+def test_index_leads_to_each_chunk_and_each_message(path):
+    with path.open("rb") as file:
+        indexes = make_reader(file).get_summary().chunk_indexes
+        for index in indexes:
+            file.seek(index.chunk_start_offset)
+            records = StreamReader(file, skip_magic=True, emit_chunks=True).records
+            chunk, messages = next(records), next(records)
+            assert isinstance(chunk, Chunk)
+            assert isinstance(messages, MessageIndex)
+            assert chunk.message_start_time == index.message_start_time == messages.records[0][0]
+            assert chunk.message_end_time == index.message_end_time == messages.records[-1][0]
+            assert (chunk.uncompressed_size, len(chunk.data)) == (
+                index.uncompressed_size,
+                index.compressed_size,
+            )
+        # A query by time goes through these indexes and the message offsets.
+        file.seek(0)
+        found = make_reader(file).iter_messages(
+            starting_at=START_NS + 700 * 100_000, ending_before=START_NS + 1200 * 100_000
+        )
+        assert [m.log_time for _, _, m in found] == times_of(1200)[700:].tolist()
+
+
+def test_equal_input_gives_equal_bytes_however_it_is_cut_into_writes(path, rows, tmp_path):
+    again = write(
+        tmp_path / "b.mcap",
+        rows,
+        times_of(rows.size),
+        block=17,
+        metadata={"kind": "record", "name": "left-psi"},
+        attachments={"rig.yaml": b"levid: rig\n", "host.json": b"{}"},
+    )
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_file_that_exists_is_left_alone(path, rows):
+    before = path.read_bytes()
+    with pytest.raises(LogError, match="exists"):
+        LogWriter(path, DTYPE, rate_hz=1000, metadata={}, attachments={})
+    assert path.read_bytes() == before
+
+
+def test_chunks_hold_at_most_half_a_second_and_8192_rows(tmp_path):
+    for rate_hz, expected in ((10.0, 5), (1000.0, 500), (100_000.0, MAX_CHUNK_ROWS)):
+        path = tmp_path / f"{rate_hz}.mcap"
+        rows = random_rows(2 * expected)
+        write(path, rows, times_of(rows.size), rate_hz=rate_hz)
+        with path.open("rb") as file:
+            assert len(make_reader(file).get_summary().chunk_indexes) == 2
+
+
+def test_what_was_written_before_a_crash_opens_to_its_last_whole_chunk(tmp_path, rows):
+    log = LogWriter(
+        tmp_path / "a.mcap", DTYPE, rate_hz=1000, metadata={}, attachments={"a.txt": b"x"}
+    )
+    log.write(rows[:1750], times_of(1750))
+    # No close: what a killed process leaves is what the file holds now.
+    found = read_log(log.path)
+    assert not found.complete
+    assert found.rows.tobytes() == rows[:1500].tobytes()
+    assert found.attachments == {"a.txt": b"x"}
+    log.close()
+    assert read_log(log.path).complete
+
+
+def test_an_error_in_the_middle_still_leaves_a_whole_log(tmp_path, rows):
+    path = tmp_path / "a.mcap"
+
+    def fly():
+        with LogWriter(path, DTYPE, rate_hz=1000, metadata={}, attachments={}) as log:
+            log.write(rows[:700], times_of(700))
+            raise RuntimeError("the loop failed")
+
+    with pytest.raises(RuntimeError, match="the loop failed"):
+        fly()
+    found = read_log(path)
+    assert found.complete
+    assert found.rows.size == 700
+
+
+def test_rows_of_another_kind_and_writes_after_close_are_refused(tmp_path, rows):
+    log = LogWriter(tmp_path / "a.mcap", DTYPE, rate_hz=1000, metadata={}, attachments={})
+    other = np.zeros(3, cycle_dtype(4, 4))
+    with pytest.raises(LogError, match=r"272 bytes .*found 192 bytes"):
+        log.write(other, times_of(3))
+    with pytest.raises(LogError, match=r"times \(n,\)"):
+        log.write(rows[:3], times_of(2))
+    log.close()
+    log.close()
+    with pytest.raises(LogError, match="closed"):
+        log.write(rows[:3], times_of(3))
+
+
+class FullDisk:
+    """A file on a disk that takes `room` bytes more."""
+
+    def __init__(self, file, room):
+        self.file, self.room = file, room
+
+    @property
+    def closed(self):
+        return self.file.closed
+
+    def close(self):
+        self.file.close()
+
+    def write(self, data):
+        if not self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        count = self.file.write(data[: self.room])
+        self.room -= count
+        return count
+
+
+def test_a_full_disk_is_an_error_and_the_log_ends_with_its_last_whole_chunk(tmp_path, rows):
+    path = tmp_path / "a.mcap"
+
+    def fly():
+        with LogWriter(path, DTYPE, rate_hz=1000, metadata={}, attachments={}) as log:
+            log.write(rows[:1000], times_of(1000))
+            log._file = FullDisk(log._file, 5000)  # random bits: a chunk is about 150 kB
+            log.write(rows[1000:1500], times_of(500))
+
+    with pytest.raises(LogError, match=r"a\.mcap: cannot be written: No space left"):
+        fly()
+    found = read_log(path)
+    assert not found.complete
+    assert found.rows.tobytes() == rows[:1000].tobytes()
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, -1.0, np.nan, np.inf])
+def test_a_rate_that_is_none_is_refused_before_there_is_a_file(tmp_path, rate_hz):
+    with pytest.raises(LogError, match="positive rate"):
+        LogWriter(tmp_path / "a.mcap", DTYPE, rate_hz=rate_hz, metadata={}, attachments={})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_missing_is_a_clear_error(tmp_path):
+    with pytest.raises(LogError, match="cannot be created: No such file"):
+        LogWriter(tmp_path / "no" / "a.mcap", DTYPE, rate_hz=1, metadata={}, attachments={})

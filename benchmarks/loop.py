@@ -25,8 +25,8 @@ from levid.daemon.clock import VirtualClock
 from levid.daemon.control import Controller
 from levid.daemon.flight import Flight
 from levid.daemon.plan import plan_session
+from levid.identification.declared import declared_model
 from levid.log.signals import cycle_dtype, ros2msg
-from levid.model.declared import DeclaredModel
 from levid.model.geometry import decoupling_matrix
 from levid.model.second_order import discretise
 from levid.sim.plant import Plant
@@ -116,15 +116,7 @@ def peer_rate(rate_hz: float, cycles: int) -> float:
     """Return cycles per second of a plain loop: numpy for every step, mcap's writer for the log."""
     rig, Ts = load_rig(RIG_FILE), 1 / rate_hz
     T = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
-    config = load_model(shipped("models/rig.yaml"))
-    model = DeclaredModel.build(
-        [axis.name for axis in config.dof],
-        [axis.name for axis in config.inputs],
-        {name: parameter.value for name, parameter in config.parameters.items()},
-        {name: variable.value for name, variable in config.scheduling.items()},
-        {"M": config.M, "D": config.D, "K": config.K},
-        lag=config.lag_s,
-    ).at()
+    model = declared_model(load_model(shipped("models/rig.yaml"))).at()
     internal_s = 1e-4
     steps = round(Ts / internal_s)
     plant = discretise(model, internal_s)

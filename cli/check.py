@@ -16,9 +16,10 @@ from ..config.sim import SimConfig
 from ..daemon.plan import plan_session
 from ..drivers.base import Context
 from ..drivers.registry import check_backends
+from ..identification.declared import declared_model
 from ..log.errors import LogError
 from ..log.reader import read_log
-from ..model.declared import DeclaredModel, ModelError
+from ..model.declared import ModelError
 from ..model.geometry import GeometryError, decoupling_matrix
 
 
@@ -92,18 +93,8 @@ def _rig(rig: RigConfig, path: Path) -> str:
 
 
 def _model(config: ModelConfig, path: Path) -> str:
-    matrices = {name: getattr(config, name) for name in ("M", "D", "K", "B")}
     try:
-        model = DeclaredModel.build(
-            [axis.name for axis in config.dof],
-            [axis.name for axis in config.inputs],
-            {name: parameter.value for name, parameter in config.parameters.items()},
-            {name: variable.value for name, variable in config.scheduling.items()},
-            {name: rows for name, rows in matrices.items() if rows is not None},
-            config.force,
-            config.lag_s,
-            config.delay_s,
-        )
+        model = declared_model(config)
         model.at()
     except ModelError as error:
         raise ConfigError(f"{path}: {error}") from None

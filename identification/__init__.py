@@ -1,0 +1,1 @@
+"""Identification: log -> records -> Markov parameters and frequency response -> plant."""

@@ -1,0 +1,116 @@
+"""One operating point in a loop with a known controller: the paper's section 4."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.second_order import StateSpace
+from . import frequency
+from .data import OperatingPoint, PiController, Record
+from .fit import nrmse_fit_percent
+from .ho_kalman import Decomposition, OrderChoice, Scaling, decompose, order_from_gap, realise
+from .loop import without_delay
+from .markov import ESTIMATORS, MarkovEstimate, estimate_markov, markov_response
+from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
+from .plant import Plant, closed_loop, plant_from_loop
+from .results import ClosedLoopPoint, HoldOut
+from .simulate import simulate
+
+Array = NDArray[np.float64]
+
+LOWEST_HZ, HIGHEST_HZ, POINTS = 0.5, 250.0, 180
+"""The logarithmic grid of responses: from the slowest motion a segment of 8 s shows well."""
+
+
+def identify_closed_loop(
+    point: OperatingPoint, options: Options, progress: Callable[[float], None]
+) -> ClosedLoopPoint:
+    """Return everything identified at one operating point; progress is told the share done.
+
+    The last part of every record (`options.holdout`) is kept from all estimates and simulated by
+    the identified plant in its loop. Raises IdentificationError.
+    """
+    controller = point.records[0].controller
+    assert controller is not None
+    Ts_s = point.records[0].Ts_s
+    delay = point.records[0].leading_zeros
+    lag_pole = float(np.exp(-Ts_s / options.lag_s)) if options.lag_s > 0 else 0.0
+    training = [r.rows(0, len(r.y) - options.holdout_rows(len(r.y))) for r in point.records]
+    scaling = Scaling.of(training)
+    length = round((options.impulse_s or LOOP_IMPULSE_S) / Ts_s)
+    segment_s = options.segment_s or LOOP_SEGMENT_S
+
+    markov: dict[str, MarkovEstimate] = {}
+    decompositions: dict[str, Decomposition] = {}
+    for n, method in enumerate(sorted(ESTIMATORS, key=lambda m: m != options.markov)):
+        markov[method] = estimate_markov(training, length, method)
+        series = without_delay(markov[method].g, delay, lag_pole, controller, Ts_s)
+        decompositions[method] = decompose(series, Ts_s, scaling)
+        progress(0.35 * (n + 1))
+    order, loop, plant = _realise(
+        decompositions[options.markov], options.order, controller, delay, lag_pole
+    )
+
+    grid = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.25 / Ts_s), POINTS)
+    S = frequency.sensitivity(training, grid, segment_s)
+    joint = frequency.plant_from_joint(training, grid, segment_s)
+    G = frequency.frequency_response(
+        [r.v for r in training], [r.y for r in training], Ts_s, grid, segment_s
+    )
+    progress(0.9)
+    measured = markov_response(markov[options.markov].g, S.freq_hz, Ts_s)
+    full_loop = closed_loop(plant.state_space(), controller)
+    return ClosedLoopPoint(
+        beam_m=point.beam_m,
+        records=tuple(r.name for r in point.records),
+        controller=controller,
+        markov=markov,
+        singular_values={m: d.singular_values for m, d in decompositions.items()},
+        order=order,
+        loop=loop,
+        plant=plant,
+        freq_hz=S.freq_hz,
+        from_ho_kalman=plant.response(S.freq_hz),
+        from_markov=frequency.plant_from_loop_response(measured, controller, S.freq_hz, Ts_s),
+        from_sensitivity=frequency.plant_from_sensitivity(S, controller),
+        from_joint=joint,
+        sensitivity=S,
+        loop_coherence=G.coherence,
+        holdout=tuple(_hold_out(r, full_loop, options) for r in point.records),
+        remarks=tuple(f"{r.name}: {text}" for r in point.records for text in r.remarks),
+    )
+
+
+def _realise(
+    decomposition: Decomposition,
+    given: int | None,
+    controller: PiController,
+    delay: int,
+    lag_pole: float,
+) -> tuple[OrderChoice, StateSpace, Plant]:
+    order = order_from_gap(decomposition.singular_values)
+    if given is not None:
+        gap = order.gaps[given - 1] if 1 <= given <= len(order.gaps) else np.nan
+        order = OrderChoice(given, float(gap), order.gaps)
+    loop = realise(decomposition, order.order)
+    return order, loop, Plant(plant_from_loop(loop, controller), delay, lag_pole)
+
+
+def _hold_out(record: Record, loop: StateSpace, options: Options) -> HoldOut:
+    rows = options.holdout_rows(len(record.y))
+    simulated = simulate(loop, record.v)
+    start = len(record.y) - rows
+    # The level is not the model's to know: the loop rests at whatever offset the record has.
+    offset = (record.y - simulated)[:start].mean(axis=0)
+    measured, modelled = record.y[start:], np.asarray(simulated[start:] + offset)
+    time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
+    return HoldOut(
+        record.name,
+        time_s,
+        measured,
+        modelled,
+        nrmse_fit_percent(measured, modelled),
+    )

@@ -1,0 +1,169 @@
+"""What identification works on: records of excitation, plant input and output."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SAME_BEAM_M = 1e-3
+"""Records whose mean beam positions differ by less belong to one operating point."""
+
+
+class IdentificationError(Exception):
+    """Records that cannot be identified; the message says which, what was expected and found."""
+
+
+@dataclass(frozen=True)
+class PiController:
+    """The diagonal controller C(z) = Kp + Ki Ts z / (z - 1) of u = v - C y; kp and ki are (p,)."""
+
+    kp: Array
+    ki: Array
+
+    def response(self, freq_hz: Array, Ts_s: float) -> NDArray[np.complex128]:
+        """Return the diagonal of C as (F, p) at freq_hz (F,); it is infinite at 0 Hz."""
+        z = np.exp(2j * np.pi * np.asarray(freq_hz) * Ts_s)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            integral = np.where(self.ki > 0, self.ki * Ts_s * z / (z - 1), 0.0)
+        return np.asarray(self.kp + integral)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One experiment: excitation v (N, p), plant input u (N, p), output y (N, m).
+
+    u is what controller and excitation ask for, without feed-forward; None where it is not known.
+    `controller` is the one that closed the loop, None in open loop or when it is not known.
+    `delay_cycles` are whole cycles between an input and its first action; None when not known (the
+    output may then react in the cycle of its input). `at_rest` says that v = 0 before the first row
+    and that y had settled to a constant. `remarks` say in words what happened during the record
+    that a linear model does not know of. `input_units` are those of v and u.
+    """
+
+    name: str
+    Ts_s: float
+    v: Array
+    y: Array
+    input_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+    u: Array | None = None
+    beam_m: float | None = None
+    controller: PiController | None = None
+    delay_cycles: int | None = None
+    at_rest: bool = False
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def leading_zeros(self) -> int:
+        """Number of Markov parameters that are zero for certain: the hold and the whole cycles."""
+        return 0 if self.delay_cycles is None else self.delay_cycles + 1
+
+    @property
+    def excited(self) -> NDArray[np.bool_]:
+        """Inputs (p,) that carry any excitation."""
+        return np.asarray(np.ptp(self.v, axis=0) > 0)
+
+    def first_row(self, taps: int) -> int:
+        """Return the first row whose past over `taps` samples is known."""
+        return 0 if self.at_rest else taps - 1
+
+    def rows(self, start: int, stop: int) -> Record:
+        """Return the record cut to rows start..stop; at rest only if it still begins at row 0."""
+        return replace(
+            self,
+            v=self.v[start:stop],
+            y=self.y[start:stop],
+            u=None if self.u is None else self.u[start:stop],
+            at_rest=self.at_rest and start == 0,
+        )
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Records of one beam position (m; None where there is no beam) that excite every input."""
+
+    beam_m: float | None
+    records: tuple[Record, ...]
+
+
+def operating_points(records: Sequence[Record]) -> tuple[OperatingPoint, ...]:
+    """Group records by beam position (within 1 mm), in ascending order.
+
+    Raises IdentificationError when there is no record, when records of one position differ in
+    sampling time, signals, controller or delay, or when an input is excited by none of them.
+    """
+    if not records:
+        raise IdentificationError("expected at least one record to identify, found none")
+    points = tuple(OperatingPoint(_mean_beam(group), tuple(group)) for group in _clusters(records))
+    for point in points:
+        _check_consistent(point)
+        _check_excited(point)
+    return points
+
+
+def describe_position(beam_m: float | None) -> str:
+    """Return the position in words, for messages and labels."""
+    return "no beam position" if beam_m is None else f"beam at {1e3 * beam_m:+.1f} mm"
+
+
+def _clusters(records: Iterable[Record]) -> list[list[Record]]:
+    without = [r for r in records if r.beam_m is None]
+    ordered = sorted((r for r in records if r.beam_m is not None), key=_beam)
+    groups: list[list[Record]] = [without] if without else []
+    previous = -np.inf
+    for record in ordered:
+        if _beam(record) - previous > SAME_BEAM_M:
+            groups.append([])
+        groups[-1].append(record)
+        previous = _beam(record)
+    return groups
+
+
+def _beam(record: Record) -> float:
+    return 0.0 if record.beam_m is None else record.beam_m
+
+
+def _mean_beam(group: list[Record]) -> float | None:
+    return None if group[0].beam_m is None else float(np.mean([_beam(r) for r in group]))
+
+
+def _check_consistent(point: OperatingPoint) -> None:
+    first = point.records[0]
+    for record in point.records[1:]:
+        for field in ("Ts_s", "input_names", "output_names", "delay_cycles"):
+            ours, theirs = getattr(first, field), getattr(record, field)
+            if ours != theirs:
+                raise IdentificationError(
+                    f"{describe_position(point.beam_m)}: expected one {field} in all records, "
+                    f"found {ours} in '{first.name}' and {theirs} in '{record.name}'"
+                )
+        if not _same_controller(first.controller, record.controller):
+            raise IdentificationError(
+                f"{describe_position(point.beam_m)}: expected one controller in all records, "
+                f"found different gains in '{first.name}' and '{record.name}'"
+            )
+
+
+def _same_controller(a: PiController | None, b: PiController | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return np.array_equal(a.kp, b.kp) and np.array_equal(a.ki, b.ki)
+
+
+def _check_excited(point: OperatingPoint) -> None:
+    first = point.records[0]
+    excited = np.any([r.excited for r in point.records], axis=0)
+    missing = [name for name, yes in zip(first.input_names, excited, strict=True) if not yes]
+    if missing:
+        names = ", ".join(f"'{r.name}'" for r in point.records)
+        raise IdentificationError(
+            f"{describe_position(point.beam_m)}: expected records that excite "
+            f"{', '.join(first.input_names)}; {', '.join(missing)} is excited by none of {names}"
+        )

@@ -1,0 +1,163 @@
+"""Records from logs: which fields are excitation, input and output, and what happened meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.base import ConfigError, parse_text
+from ..config.rig import RigConfig
+from ..log.reader import Log
+from ..log.signals_file import SignalsFile
+from .data import SAME_BEAM_M, IdentificationError, PiController, Record
+
+Array = NDArray[np.float64]
+
+DOF = ("psi", "theta", "z")
+INPUT_UNITS = ("N m", "N m", "N")
+OUTPUT_UNITS = ("rad", "rad", "m")
+_EXCITATION = ("v_psi_n_m", "v_theta_n_m", "v_z_n")
+_WRENCH = ("tau_psi_n_m", "tau_theta_n_m", "tau_z_n")
+_FEED_FORWARD = ("ff_psi_n_m", "ff_theta_n_m", "ff_z_n")
+_POSE = ("psi_rad", "theta_rad", "z_m")
+_REFERENCE = ("psi_ref_rad", "theta_ref_rad", "z_ref_m")
+_CYCLE = (*_EXCITATION, *_WRENCH, *_FEED_FORWARD, *_POSE, *_REFERENCE, "beam_m")
+
+
+class NotARecordError(IdentificationError):
+    """A log that is not to be identified, with the reason: part of a session, no failure."""
+
+
+def from_log(log: Log) -> Record:
+    """Return the record that a log holds: of the rig's cycles, or of imported signals.
+
+    Raises NotARecordError for a log that belongs to another step of a session or excites nothing,
+    IdentificationError (with file and field) for one that lacks what identification needs.
+    """
+    kind = log.metadata.get("kind")
+    if kind == "import" or "signals.yaml" in log.attachments:
+        return _from_signals(log)
+    if kind != "record":
+        raise NotARecordError(
+            f"{log.path.name}: kind '{kind or 'none'}', only records are identified"
+        )
+    return _from_cycles(log)
+
+
+def records_from_logs(logs: Sequence[Log]) -> tuple[tuple[Record, ...], tuple[str, ...]]:
+    """Return the records among the logs, and a reason for each log that is none."""
+    records, skipped = [], []
+    for log in logs:
+        try:
+            records.append(from_log(log))
+        except NotARecordError as reason:
+            skipped.append(str(reason))
+    return tuple(records), tuple(skipped)
+
+
+def _from_cycles(log: Log) -> Record:
+    _require(log, _CYCLE)
+    v = _columns(log, _EXCITATION)
+    beam = log.rows["beam_m"].astype(float)
+    if not np.any(v):
+        raise NotARecordError(f"{log.path.name}: no wrench excitation in it")
+    if np.ptp(beam) > SAME_BEAM_M:
+        raise NotARecordError(
+            f"{log.path.name}: the beam moves by {1e3 * np.ptp(beam):.1f} mm; a response is "
+            "identified at one position"
+        )
+    return Record(
+        name=log.metadata.get("name") or log.path.stem,
+        Ts_s=1.0 / log.rate_hz,
+        v=v,
+        u=_columns(log, _WRENCH) - _columns(log, _FEED_FORWARD),
+        y=_columns(log, _POSE),
+        input_names=DOF,
+        input_units=INPUT_UNITS,
+        output_names=DOF,
+        output_units=OUTPUT_UNITS,
+        beam_m=float(beam.mean()),
+        controller=_controller(log),
+        delay_cycles=1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
+        at_rest=True,
+        remarks=tuple(_remarks(log)),
+    )
+
+
+def _controller(log: Log) -> PiController:
+    text = log.attachments.get("rig.yaml")
+    if text is None:
+        raise IdentificationError(f"{log.path}: expected the attachment rig.yaml, found none")
+    try:
+        control = parse_text(text, RigConfig, f"{log.path}: rig.yaml").control
+    except ConfigError as error:
+        raise IdentificationError(str(error)) from None
+    return PiController(np.array(control.kp), np.array(control.ki))
+
+
+def _remarks(log: Log) -> list[str]:
+    rows, names = log.rows, log.rows.dtype.names or ()
+    found = []
+    if np.any(_columns(log, _REFERENCE)):
+        found.append("references are not zero; only their constant part does no harm")
+    for field, what in (
+        ("saturated", "cycles with coils at a limit"),
+        ("fault", "cycles under a fault"),
+        ("skipped", "cycles after skipped periods"),
+    ):
+        count = int(np.count_nonzero(rows[field])) if field in names else 0
+        if count:
+            found.append(f"{count} {what}")
+    if "coil_excitation_n" in names and np.any(rows["coil_excitation_n"]):
+        found.append("coils were excited one by one besides, which counts as noise here")
+    if not log.complete:
+        found.append("the log was cut off; what is left of it is used")
+    return found
+
+
+def _from_signals(log: Log) -> Record:
+    text = log.attachments.get("signals.yaml")
+    if text is None:
+        raise IdentificationError(f"{log.path}: expected the attachment signals.yaml, found none")
+    try:
+        signals = parse_text(text, SignalsFile, f"{log.path}: signals.yaml")
+    except ConfigError as error:
+        raise IdentificationError(str(error)) from None
+    inputs, outputs = signals.with_role("input"), signals.with_role("output")
+    for role, columns in (("input", inputs), ("output", outputs)):
+        if not columns:
+            raise IdentificationError(
+                f"{log.path}: signals.yaml: expected a column of role {role}, found none"
+            )
+    scheduling = signals.with_role("scheduling")
+    _require(log, [c.name for c in (*inputs, *outputs, *scheduling)])
+    beam = log.rows[scheduling[0].name].astype(float) if scheduling else None
+    return Record(
+        name=log.metadata.get("name") or log.path.stem,
+        Ts_s=1.0 / log.rate_hz,
+        v=_columns(log, [c.name for c in inputs]),
+        y=_columns(log, [c.name for c in outputs]),
+        input_names=tuple(c.name for c in inputs),
+        input_units=tuple(c.unit for c in inputs),
+        output_names=tuple(c.name for c in outputs),
+        output_units=tuple(c.unit for c in outputs),
+        beam_m=None if beam is None else float(beam.mean()),
+    )
+
+
+def _require(log: Log, names: Sequence[str]) -> None:
+    present = log.rows.dtype.names or ()
+    missing = [n for n in names if n not in present]
+    if missing:
+        raise IdentificationError(
+            f"{log.path}: expected the fields {', '.join(names)}; {', '.join(missing)} missing"
+        )
+    for name in names:
+        if not np.all(np.isfinite(log.rows[name])):
+            raise IdentificationError(f"{log.path}: {name}: expected finite values, found others")
+
+
+def _columns(log: Log, names: Sequence[str]) -> Array:
+    return np.stack([log.rows[n].astype(float) for n in names], axis=1)

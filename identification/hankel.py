@@ -1,0 +1,81 @@
+"""The block Hankel matrix (10) as an operator by FFT, and its leading SVD (12)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.sparse.linalg import ArpackError, LinearOperator, svds
+
+Array = NDArray[np.float64]
+
+DENSE_SIDE = 400
+"""Up to this side the matrix is formed: a dense SVD is quicker and gives every singular value."""
+
+
+@dataclass(frozen=True)
+class HankelSvd:
+    """Leading singular triplets of H: U (nr m, k), s (k,) descending, Vt (k, nc p)."""
+
+    U: Array
+    s: Array
+    Vt: Array
+
+
+class HankelOperator(LinearOperator):
+    """H with nr x nc blocks h(a + b), h of shape (L, m, p), L >= nr + nc - 1; never formed."""
+
+    def __init__(self, h: Array, block_rows: int, block_columns: int) -> None:
+        length, self.m, self.p = h.shape
+        if length < block_rows + block_columns - 1:
+            raise ValueError(
+                f"expected {block_rows + block_columns - 1} Markov parameters for {block_rows} x "
+                f"{block_columns} blocks, found {length}"
+            )
+        self.block_rows, self.block_columns = block_rows, block_columns
+        self._h = h[: block_rows + block_columns - 1]
+        self._size = fft.next_fast_len(block_rows + block_columns - 1, real=True)
+        self._spectrum = fft.rfft(self._h, self._size, axis=0)
+        shape = (block_rows * self.m, block_columns * self.p)
+        super().__init__(np.dtype(float), shape)  # type: ignore[call-arg]
+
+    def _matmat(self, X: Array) -> Array:
+        x = X.reshape(self.block_columns, self.p, -1)
+        product = np.einsum("fij,fjc->fic", self._spectrum.conj(), fft.rfft(x, self._size, axis=0))
+        # sum_b h(a + b) x(b) is a correlation: the conjugate transform runs it backwards in a.
+        y = fft.irfft(product, self._size, axis=0)
+        index = -np.arange(self.block_rows) % self._size
+        return np.asarray(y[index].reshape(self.shape[0], -1))
+
+    def _matvec(self, x: Array) -> Array:
+        return self._matmat(x.reshape(-1, 1)).ravel()
+
+    def _adjoint(self) -> HankelOperator:
+        return HankelOperator(self._h.transpose(0, 2, 1), self.block_columns, self.block_rows)
+
+    def dense(self) -> Array:
+        """Return the matrix itself, for small ones."""
+        index = np.arange(self.block_rows)[:, None] + np.arange(self.block_columns)
+        return np.asarray(self._h[index].transpose(0, 2, 1, 3).reshape(self.shape))
+
+
+def leading_svd(operator: HankelOperator, count: int) -> HankelSvd:
+    """Return the `count` largest singular triplets, the same ones on every call.
+
+    Small matrices are decomposed densely, others by PROPACK's Lanczos bidiagonalisation, which
+    keeps the accuracy of small singular values; should it fail, by ARPACK on H^T H, which does not
+    below 1e-8 of the largest.
+    """
+    count = min(count, *operator.shape)
+    if max(operator.shape) <= DENSE_SIDE:
+        U, s, Vt = np.linalg.svd(operator.dense(), full_matrices=False)
+        return HankelSvd(U[:, :count], s[:count], Vt[:count])
+    start = np.random.default_rng(0).normal(size=operator.shape[0])
+    try:
+        U, s, Vt = svds(operator, count, solver="propack", v0=start)
+    except (np.linalg.LinAlgError, ArpackError):
+        U, s, Vt = svds(operator, count, solver="arpack", v0=start[: min(operator.shape)])
+    down = np.argsort(s)[::-1]
+    return HankelSvd(U[:, down], np.asarray(s[down], dtype=np.float64), Vt[down])

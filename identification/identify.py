@@ -1,0 +1,72 @@
+"""From records to models: every operating point by what its records allow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from .closed_loop import identify_closed_loop
+from .data import IdentificationError, Record, describe_position, operating_points
+from .open_loop import identify_open_loop
+from .options import Options
+from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, Signals
+
+Progress = Callable[[str, float], None]
+"""Is told what is being done, and the share (0 to 1) of all work that is done."""
+
+
+def identify(
+    records: Sequence[Record],
+    options: Options | None = None,
+    progress: Progress | None = None,
+    skipped: Sequence[str] = (),
+) -> IdentificationResult:
+    """Identify every operating point that the records cover.
+
+    Records under a known controller are treated as the paper does (closed_loop), others as plain
+    input and output (open_loop). `skipped` (reasons for logs left out) goes into the result.
+
+    Raises IdentificationError, which names position and records: no records, an input that none
+    excites, signals or sampling that differ, records too short or too poor.
+    """
+    options = options or Options()
+    if not records:
+        reasons = f" ({'; '.join(skipped)})" if skipped else ""
+        raise IdentificationError(f"expected at least one record to identify, found none{reasons}")
+    points = operating_points(records)
+    first = points[0].records[0]
+    for point in points:
+        _check_same_signals(first, point.records[0])
+    results: list[ClosedLoopPoint | OpenLoopPoint] = []
+    for number, point in enumerate(points):
+        where = describe_position(point.beam_m)
+
+        def told(share: float, number: int = number, where: str = where) -> None:
+            if progress is not None:
+                progress(where, (number + share) / len(points))
+
+        told(0.0)
+        method = identify_open_loop if first.controller is None else identify_closed_loop
+        try:
+            results.append(method(point, options, told))
+        except IdentificationError as error:
+            raise IdentificationError(f"{where}: {error}") from None
+        told(1.0)
+    signals = Signals(
+        first.input_names, first.input_units, first.output_names, first.output_units, first.Ts_s
+    )
+    return IdentificationResult(signals, tuple(results), tuple(skipped))
+
+
+def _check_same_signals(first: Record, other: Record) -> None:
+    for field in ("Ts_s", "input_names", "output_names", "input_units", "output_units"):
+        ours, theirs = getattr(first, field), getattr(other, field)
+        if ours != theirs:
+            raise IdentificationError(
+                f"expected one {field} in all records, found {ours} in '{first.name}' and {theirs} "
+                f"in '{other.name}'; identify them apart"
+            )
+    if (first.controller is None) != (other.controller is None):
+        raise IdentificationError(
+            f"expected records of one kind, found '{first.name}' and '{other.name}', of which only "
+            "one has a known controller; identify them apart"
+        )

@@ -1,0 +1,215 @@
+"""Identification of a system from input to output when no controller is known: others' data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.second_order import StateSpace
+from .data import IdentificationError, OperatingPoint, Record
+from .fit import nrmse_fit_percent
+from .frequency import ResponseEstimate, frequency_response
+from .ho_kalman import Scaling, decompose_coloured, realise
+from .markov import MarkovEstimate, estimate_markov
+from .options import Options
+from .predictor import choose_past, innovation_model, state_sequence
+from .results import HoldOut, OpenLoopPoint
+from .simulate import InnovationModel, fit_input_matrices, initial_state, simulate, spectral_radius
+
+Array = NDArray[np.float64]
+
+HIGHEST_ORDER = 20
+PAST = (4, 6, 8, 10, 15, 20, 30, 40)
+ROWS_A_TAP = 8
+MOST_TAPS = 200
+VALIDATION_SHARE = 0.25
+BLOCKS = 8
+"""The standard error of a validation error is that of this many blocks in time."""
+BINS = 180
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Models of every order that could be made, from the same training records."""
+
+    markov: MarkovEstimate
+    singular_values: Array
+    simulators: dict[int, StateSpace]
+    predictors: dict[int, InnovationModel]
+
+
+def identify_open_loop(
+    point: OperatingPoint, options: Options, progress: Callable[[float], None]
+) -> OpenLoopPoint:
+    """Return everything identified at one operating point; progress is told the share done.
+
+    The simulating model: Markov parameters, Ho-Kalman weighted by the inputs, B and D refitted. The
+    predictor: observer Markov parameters. Their orders are chosen on the training rows alone:
+    models of every order from the first three quarters of them are judged on the last. What
+    `options.holdout` keeps back only measures the fit. Raises IdentificationError.
+    """
+    stops = [len(r.y) - options.holdout_rows(len(r.y)) for r in point.records]
+    centred = [_centred(r, stop) for r, stop in zip(point.records, stops, strict=True)]
+    training = [r.rows(0, stop) for r, stop in zip(centred, stops, strict=True)]
+    part_stops = [stop - round(VALIDATION_SHARE * stop) for stop in stops]
+    parts = [r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)]
+
+    trial = _candidates(parts, options)
+    progress(0.4)
+    simulated = _errors(
+        training, part_stops, {n: _simulated(m, parts) for n, m in trial.simulators.items()}
+    )
+    predicted = _errors(
+        training, part_stops, {n: _predicted(m) for n, m in trial.predictors.items()}
+    )
+    final = _candidates(training, options)
+    progress(0.8)
+    order = options.order or _smallest_good(simulated, final.simulators)
+    predictor_order = options.order or _smallest_good(predicted, final.predictors)
+    if order not in final.simulators or predictor_order not in final.predictors:
+        raise IdentificationError(
+            f"no stable model of order {order} follows from these records; stable ones have order "
+            f"{', '.join(map(str, final.simulators)) or 'none'}"
+        )
+    model, predictor = final.simulators[order], final.predictors[predictor_order]
+    spectra = _spectra(training, options)
+    return OpenLoopPoint(
+        beam_m=point.beam_m,
+        records=tuple(r.name for r in point.records),
+        markov={options.markov: final.markov},
+        singular_values={options.markov: final.singular_values},
+        order=order,
+        predictor_order=predictor_order,
+        validation_error=_curve(simulated),
+        predictor_validation_error=_curve(predicted),
+        model=model,
+        predictor=predictor,
+        freq_hz=spectra.freq_hz,
+        from_ho_kalman=model.response(spectra.freq_hz),
+        from_spectra=spectra,
+        holdout=tuple(
+            _hold_out(original, record, stop, model, predictor)
+            for original, record, stop in zip(point.records, centred, stops, strict=True)
+        ),
+        remarks=tuple(f"{r.name}: {text}" for r in point.records for text in r.remarks),
+    )
+
+
+def _centred(record: Record, stop: int) -> Record:
+    """Return the record less the means of its first `stop` rows: the level is not modelled."""
+    return replace(
+        record,
+        v=record.v - record.v[:stop].mean(axis=0),
+        y=record.y - record.y[:stop].mean(axis=0),
+        at_rest=False,
+    )
+
+
+def _candidates(records: Sequence[Record], options: Options) -> _Candidates:
+    Ts_s = records[0].Ts_s
+    scaling = Scaling.of(records)
+    markov = estimate_markov(records, _taps(records, options), options.markov)
+    inputs = [r.v for r in records]
+    decomposition = decompose_coloured(markov.g, Ts_s, scaling, inputs)
+    sequence = state_sequence(choose_past(records, PAST), records, HIGHEST_ORDER)
+    simulators, predictors = {}, {}
+    for n in [options.order] if options.order else range(1, HIGHEST_ORDER + 1):
+        if n <= len(decomposition.singular_values):
+            model = realise(decomposition, n)
+            if spectral_radius(model.A) < 1.0:
+                simulators[n] = fit_input_matrices(model, records)
+        if n <= len(sequence.singular_values):
+            predictors[n] = innovation_model(sequence, n, Ts_s)
+    return _Candidates(markov, decomposition.singular_values, simulators, predictors)
+
+
+def _taps(records: Sequence[Record], options: Options) -> int:
+    if options.impulse_s is not None:
+        return max(3, round(options.impulse_s / records[0].Ts_s))
+    rows = sum(len(r.y) for r in records)
+    shortest = min(len(r.y) for r in records)
+    return min(MOST_TAPS, rows // (ROWS_A_TAP * records[0].v.shape[1]), shortest // 2)
+
+
+Run = Callable[[Record], Array]
+
+
+def _simulated(model: StateSpace, known: Sequence[Record]) -> Run:
+    """Return a function that simulates a record, its initial state taken from its known rows."""
+    starts = {r.name: initial_state(model, r.v, r.y) for r in known}
+    return lambda record: simulate(model, record.v, starts[record.name])
+
+
+def _predicted(model: InnovationModel) -> Run:
+    predictor = model.predictor()
+    return lambda record: simulate(predictor, np.hstack([record.v, record.y]))
+
+
+def _errors(
+    records: Sequence[Record], starts: Sequence[int], runs: dict[int, Run]
+) -> dict[int, Array]:
+    """Return by order the squared error relative to the outputs' rms, in BLOCKS blocks of time."""
+    errors = {}
+    for order, run in runs.items():
+        blocks = np.zeros(BLOCKS)
+        for record, start in zip(records, starts, strict=True):
+            error = (record.y - run(record))[start:] / record.y[start:].std(axis=0)
+            blocks += [np.mean(part**2) for part in np.array_split(error, BLOCKS)]
+        if np.all(np.isfinite(blocks)):
+            errors[order] = blocks / len(records)
+    return errors
+
+
+def _smallest_good(errors: Mapping[int, Array], available: Collection[int]) -> int:
+    """Return the smallest order within one standard error of the best, compared block by block."""
+    possible = {n: e for n, e in errors.items() if n in available}
+    if not possible:
+        raise IdentificationError(
+            "expected a stable model of some order from these records, found none"
+        )
+    best = possible[min(possible, key=lambda n: float(possible[n].mean()))]
+
+    def close(order: int) -> bool:
+        worse = possible[order] - best
+        return bool(worse.mean() <= worse.std(ddof=1) / np.sqrt(BLOCKS))
+
+    return next(order for order in sorted(possible) if close(order))
+
+
+def _curve(errors: dict[int, Array]) -> Array:
+    curve = np.full(HIGHEST_ORDER, np.nan)
+    for order, blocks in errors.items():
+        if order <= HIGHEST_ORDER:
+            curve[order - 1] = np.sqrt(blocks.mean())
+    return curve
+
+
+def _spectra(records: Sequence[Record], options: Options) -> ResponseEstimate:
+    Ts_s = records[0].Ts_s
+    segment_s = options.segment_s or max(len(r.y) for r in records) // 8 * Ts_s
+    usable = [r for r in records if len(r.y) * Ts_s >= 2 * segment_s]
+    grid = np.geomspace(1.0 / segment_s, 0.5 / Ts_s, BINS)
+    return frequency_response([r.v for r in usable], [r.y for r in usable], Ts_s, grid, segment_s)
+
+
+def _hold_out(
+    original: Record, record: Record, start: int, model: StateSpace, predictor: InnovationModel
+) -> HoldOut:
+    """Run both models from the record's first row; judge them on the rows from `start` on."""
+    level = original.y[start:] - record.y[start:]
+    simulated = _simulated(model, [record.rows(0, start)])(record)[start:] + level
+    predicted = _predicted(predictor)(record)[start:] + level
+    measured = original.y[start:]
+    time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
+    return HoldOut(
+        record.name,
+        time_s,
+        measured,
+        simulated,
+        nrmse_fit_percent(measured, simulated),
+        predicted,
+        nrmse_fit_percent(measured, predicted),
+    )

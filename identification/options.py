@@ -1,0 +1,49 @@
+"""What a user may decide about an identification."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .data import IdentificationError
+from .markov import ESTIMATORS
+
+LOOP_IMPULSE_S = 6.0
+LOOP_SEGMENT_S = 8.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of an identification; what is None follows from the data.
+
+    markov: estimator of the Markov parameters (markov.ESTIMATORS) that the model is made from.
+    order: states of the realised model; None for the largest gap of the singular values in a loop,
+    and by validation without. impulse_s: length of the impulse response (None: 6 s in a loop, else
+    as many taps as leave 8 rows each). segment_s: segments of the spectra (None: 8 s in a loop,
+    else an eighth of the longest record). holdout: share of every record, its end, that only
+    checks. lag_s: known first-order lag of the inputs (the declared model's current loop), taken
+    out of the loop before it is realised.
+    """
+
+    markov: str = "least_squares"
+    order: int | None = None
+    impulse_s: float | None = None
+    segment_s: float | None = None
+    holdout: float = 0.25
+    lag_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.markov not in ESTIMATORS:
+            raise IdentificationError(
+                f"expected a Markov estimator out of {', '.join(sorted(ESTIMATORS))}, "
+                f"found '{self.markov}'"
+            )
+        if not 0.0 <= self.holdout <= 0.5:
+            raise IdentificationError(f"expected a holdout of 0 to 0.5, found {self.holdout:g}")
+        for name in ("impulse_s", "segment_s"):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise IdentificationError(f"expected a positive {name}, found {value:g}")
+
+    def holdout_rows(self, rows: int) -> int:
+        """Return how many of `rows` rows are kept for checking."""
+        return round(self.holdout * rows)

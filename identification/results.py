@@ -1,0 +1,113 @@
+"""What identification returns: frozen arrays that carry sampling time, names and units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.second_order import StateSpace
+from .data import PiController
+from .frequency import ResponseEstimate
+from .ho_kalman import OrderChoice
+from .markov import MarkovEstimate
+from .plant import Plant
+from .simulate import InnovationModel
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Names and units of inputs and outputs, and their sampling time."""
+
+    input_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+    Ts_s: float
+
+
+@dataclass(frozen=True)
+class HoldOut:
+    """Rows that no estimate has seen: measured (N, m), simulated from the input alone, predicted.
+
+    Fits are in percent, one for each output (m,). `predicted` (one step ahead) is None where no
+    predictor was identified.
+    """
+
+    record: str
+    time_s: Array
+    measured: Array
+    simulated: Array
+    simulated_fit_percent: Array
+    predicted: Array | None = None
+    predicted_fit_percent: Array | None = None
+
+
+@dataclass(frozen=True)
+class ClosedLoopPoint:
+    """The plant at one operating point, from records in a loop with a known controller.
+
+    `markov` and `singular_values` have one entry for each estimator, of the loop G from v to y and
+    of its Hankel matrix without known delay and lag. `loop` is the realised model of that loop,
+    `plant` what (14) leaves of it. The responses of P are all at freq_hz (F,): of `plant`, of (14)
+    applied to the Markov parameters point by point, of (15), and of the joint estimate.
+    """
+
+    beam_m: float | None
+    records: tuple[str, ...]
+    controller: PiController
+    markov: Mapping[str, MarkovEstimate]
+    singular_values: Mapping[str, Array]
+    order: OrderChoice
+    loop: StateSpace
+    plant: Plant
+    freq_hz: Array
+    from_ho_kalman: Complex
+    from_markov: Complex
+    from_sensitivity: ResponseEstimate
+    from_joint: ResponseEstimate
+    sensitivity: ResponseEstimate
+    loop_coherence: Array
+    holdout: tuple[HoldOut, ...]
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class OpenLoopPoint:
+    """A system from its input to its output, from records without a known controller.
+
+    `model` simulates, `predictor` looks one step ahead; both of `order` (the predictor of
+    `predictor_order`), the smallest whose error on the last quarter of the training rows is within
+    one standard error of the least; `validation_error` (orders,) is that error relative to the
+    outputs' rms, nan where the model is unstable.
+    """
+
+    beam_m: float | None
+    records: tuple[str, ...]
+    markov: Mapping[str, MarkovEstimate]
+    singular_values: Mapping[str, Array]
+    order: int
+    predictor_order: int
+    validation_error: Array
+    predictor_validation_error: Array
+    model: StateSpace
+    predictor: InnovationModel
+    freq_hz: Array
+    from_ho_kalman: Complex
+    from_spectra: ResponseEstimate
+    holdout: tuple[HoldOut, ...]
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class IdentificationResult:
+    """All operating points of a set of logs, and why some logs were left out."""
+
+    signals: Signals
+    points: tuple[ClosedLoopPoint | OpenLoopPoint, ...]
+    skipped: tuple[str, ...] = field(default=())

@@ -1,0 +1,139 @@
+"""Running identified models: simulation, one-step prediction, and what their states start from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.second_order import StateSpace
+from .data import Record
+
+Array = NDArray[np.float64]
+
+BLOCK = 64
+"""Samples simulated in one matrix product; the state is carried from block to block."""
+
+
+@dataclass(frozen=True)
+class InnovationModel:
+    """x(k+1) = A x + B u + K e, y = C x + D u + e: a model with its steady-state predictor.
+
+    `model` holds A, B, C, D; K is (n, m), e the one-step prediction error, `e_covariance` (m, m).
+    """
+
+    model: StateSpace
+    K: Array
+    e_covariance: Array
+
+    def predictor(self) -> StateSpace:
+        """Return the model from [u, y] to the one-step prediction of y."""
+        m = self.model
+        none = np.zeros((len(m.C), len(m.C)))
+        return StateSpace(
+            m.A - self.K @ m.C,
+            np.hstack([m.B - self.K @ m.D, self.K]),
+            m.C,
+            np.hstack([m.D, none]),
+            m.Ts_s,
+        )
+
+
+def simulate(model: StateSpace, u: Array, x0: Array | None = None) -> Array:
+    """Return the response (N, m) to u (N, p) from state x0 (n,), zero unless given."""
+    n = len(model.A)
+    m, p = model.D.shape
+    rows = -(-len(u) // BLOCK) * BLOCK
+    padded = np.zeros((rows, p))
+    padded[: len(u)] = u
+    blocks = padded.reshape(-1, BLOCK * p)
+    # Powers of A give what a block's state and inputs do inside and at the end of the block.
+    powers = np.empty((BLOCK + 1, n, n))
+    powers[0] = np.eye(n)
+    for k in range(BLOCK):
+        powers[k + 1] = model.A @ powers[k]
+    observe = (model.C @ powers[:BLOCK]).reshape(BLOCK * m, n)
+    impulse = np.concatenate([model.D[None], model.C @ powers[: BLOCK - 1] @ model.B])
+    within = np.zeros((BLOCK, m, BLOCK, p))
+    for k in range(BLOCK):
+        within[k, :, : k + 1] = impulse[k::-1].transpose(1, 0, 2)
+    reach = (powers[BLOCK - 1 :: -1] @ model.B).transpose(1, 0, 2).reshape(n, BLOCK * p)
+    driven = blocks @ reach.T
+    x = np.empty((len(blocks), n))
+    state = np.zeros(n) if x0 is None else np.asarray(x0, float)
+    for k in range(len(blocks)):
+        x[k] = state
+        state = powers[BLOCK] @ state + driven[k]
+    y = blocks @ within.reshape(BLOCK * m, BLOCK * p).T + x @ observe.T
+    return np.asarray(y.reshape(-1, m)[: len(u)])
+
+
+def free_response(model: StateSpace, rows: int) -> Array:
+    """Return (rows, m, n): the output that each initial state alone causes."""
+    out = np.empty((rows, *model.C.shape))
+    M = model.C
+    for k in range(rows):
+        out[k] = M
+        M = M @ model.A
+    return out
+
+
+def initial_state(model: StateSpace, u: Array, y: Array) -> Array:
+    """Return the state (n,) whose simulation is nearest to y (N, m) in least squares.
+
+    Outputs count relative to their rms.
+    """
+    weight = 1.0 / np.maximum(y.std(axis=0), np.finfo(float).tiny)
+    missing = (y - simulate(model, u)) * weight
+    response = free_response(model, len(u)) * weight[:, None]
+    return np.asarray(
+        np.linalg.lstsq(response.reshape(-1, len(model.A)), missing.ravel(), rcond=None)[0]
+    )
+
+
+def spectral_radius(A: Array) -> float:
+    """Return the largest modulus of the eigenvalues."""
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def fit_input_matrices(model: StateSpace, records: Sequence[Record]) -> StateSpace:
+    """Return the model with B and D that simulate the records' y from v best, A and C kept.
+
+    Linear least squares on the simulation's error, outputs relative to their rms; the initial state
+    of every record is fitted along. Needs a stable A: the caller sees to that.
+    """
+    n, p = model.B.shape
+    m = len(model.C)
+    weight = 1.0 / np.maximum(_rms(records), np.finfo(float).tiny)
+    regressors, targets = [], []
+    for record in records:
+        X = _input_regressors(model, record.v) * weight[:, None]
+        Q = np.linalg.qr((free_response(model, len(record.y)) * weight[:, None]).reshape(-1, n))[0]
+        X, y = X.reshape(-1, X.shape[2]), (record.y * weight).ravel()
+        regressors.append(X - Q @ (Q.T @ X))
+        targets.append(y - Q @ (Q.T @ y))
+    X = np.vstack(regressors)
+    scale = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
+    found = np.linalg.lstsq(X / scale, np.concatenate(targets), rcond=None)[0] / scale
+    B = found[: n * p].reshape(p, n).T
+    D = found[n * p :].reshape(p, m).T
+    return StateSpace(model.A, B, model.C, D, model.Ts_s)
+
+
+def _input_regressors(model: StateSpace, u: Array) -> Array:
+    """Return (N, m, n p + m p): the output that each entry of B and D alone causes."""
+    n, p = model.B.shape
+    m = len(model.C)
+    columns = []
+    for j in range(p):
+        for i in range(n):
+            unit = StateSpace(model.A, np.eye(n)[:, i : i + 1], model.C, np.zeros((m, 1)), 0.0)
+            columns.append(simulate(unit, u[:, j : j + 1])[:, :, None])
+    columns += [u[:, j, None, None] * np.eye(m) for j in range(p)]
+    return np.concatenate(columns, axis=2)
+
+
+def _rms(records: Sequence[Record]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.concatenate([r.y for r in records]) ** 2, axis=0)))

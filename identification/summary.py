@@ -1,0 +1,119 @@
+"""The result in plain numbers and words, for JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..model.second_order import StateSpace
+from .markov import MarkovEstimate
+from .results import ClosedLoopPoint, HoldOut, IdentificationResult, OpenLoopPoint
+
+
+def summary(result: IdentificationResult) -> dict[str, Any]:
+    """Return dicts, lists, finite numbers and words; None stands for what is not a number.
+
+    Responses are left to the arrays of the result; models are given in full.
+    """
+    s = result.signals
+    out = {
+        "Ts_s": s.Ts_s,
+        "inputs": _named(s.input_names, s.input_units),
+        "outputs": _named(s.output_names, s.output_units),
+        "points": [
+            _closed(p) if isinstance(p, ClosedLoopPoint) else _open(p) for p in result.points
+        ],
+        "skipped": list(result.skipped),
+    }
+    cleaned = _plain(out)
+    assert isinstance(cleaned, dict)
+    return cleaned
+
+
+def _closed(point: ClosedLoopPoint) -> dict[str, Any]:
+    return {
+        "kind": "closed loop",
+        "beam_m": point.beam_m,
+        "records": point.records,
+        "order": point.order.order,
+        "order_gap": point.order.gap,
+        "singular_values": point.singular_values,
+        "markov": {name: _markov(m) for name, m in point.markov.items()},
+        "loop": _model(point.loop),
+        "plant": {
+            **_model(point.plant.core),
+            "delay_steps": point.plant.delay_steps,
+            "lag_pole": point.plant.lag_pole,
+        },
+        "holdout": [_holdout(h) for h in point.holdout],
+        "remarks": point.remarks,
+    }
+
+
+def _open(point: OpenLoopPoint) -> dict[str, Any]:
+    return {
+        "kind": "open loop",
+        "beam_m": point.beam_m,
+        "records": point.records,
+        "order": point.order,
+        "predictor_order": point.predictor_order,
+        "validation_error": point.validation_error,
+        "predictor_validation_error": point.predictor_validation_error,
+        "singular_values": point.singular_values,
+        "markov": {name: _markov(m) for name, m in point.markov.items()},
+        "model": _model(point.model),
+        "predictor": {**_model(point.predictor.model), "K": point.predictor.K},
+        "holdout": [_holdout(h) for h in point.holdout],
+        "remarks": point.remarks,
+    }
+
+
+def _model(model: StateSpace) -> dict[str, Any]:
+    poles = np.linalg.eigvals(model.A).astype(complex)
+    s = np.log(poles) / model.Ts_s
+    order = np.argsort(np.abs(s))
+    return {
+        "A": model.A,
+        "B": model.B,
+        "C": model.C,
+        "D": model.D,
+        "pole_frequency_hz": np.abs(s[order]) / (2 * np.pi),
+        "pole_damping": -s[order].real / np.maximum(np.abs(s[order]), np.finfo(float).tiny),
+    }
+
+
+def _markov(estimate: MarkovEstimate) -> dict[str, Any]:
+    return {
+        "taps": len(estimate.g),
+        "standard_error": estimate.standard_error,
+        "residual_rms": estimate.residual_rms,
+    }
+
+
+def _holdout(holdout: HoldOut) -> dict[str, Any]:
+    return {
+        "record": holdout.record,
+        "rows": len(holdout.time_s),
+        "simulated_fit_percent": holdout.simulated_fit_percent,
+        "predicted_fit_percent": holdout.predicted_fit_percent,
+    }
+
+
+def _named(names: tuple[str, ...], units: tuple[str, ...]) -> list[dict[str, str]]:
+    return [{"name": n, "unit": u} for n, u in zip(names, units, strict=True)]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict) or hasattr(value, "items"):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

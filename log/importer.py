@@ -1,0 +1,104 @@
+"""Brings measured data of others (CSV, text, NPZ, MAT) into a log that identification can read."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.base import load_yaml
+from .errors import LogError
+from .signals_file import Format, SignalsFile
+from .tables import load_mat, load_npz, read_delimited, read_variables
+from .writer import LogWriter
+
+SCHEMA_NAME = "levid/msg/Signals"
+TOPIC = "/levid/signals"
+
+_FORMATS: dict[str, Format] = {
+    ".csv": "csv",
+    ".txt": "text",
+    ".dat": "text",
+    ".asc": "text",
+    ".npz": "npz",
+    ".mat": "mat",
+}
+
+
+def import_file(data_path: Path, signals_path: Path, out_path: Path) -> int:
+    """Write the log `out_path` from a data file and the SIGNALS.yaml that explains it.
+
+    The log's fields are cycle, time_s (from 0, by the rate) and the signals, float64, scaled to
+    their units; the SIGNALS.yaml goes along as the attachment "signals.yaml". Equal files give
+    equal logs.
+
+    Returns:
+        The number of samples written.
+
+    Raises:
+        ConfigError: the SIGNALS.yaml does not fit.
+        LogError: the data do not: file, row, column, what was expected and found; or `out_path`
+            exists.
+    """
+    data_path, signals_path = Path(data_path), Path(signals_path)
+    signals = load_yaml(signals_path, SignalsFile)
+    values = [
+        column.scale * raw + column.offset
+        for column, raw in zip(signals.columns, _raw_columns(data_path, signals), strict=True)
+    ]
+    rows = _rows(signals, values)
+    source = data_path.read_bytes()
+    metadata = {
+        "kind": "import",
+        "name": signals.name or data_path.stem,
+        "step": "0",
+        "session": "",
+        "input_hold": signals.input_hold,
+        "source": data_path.name,
+        "source_sha256": hashlib.sha256(source).hexdigest(),
+    }
+    with LogWriter(
+        out_path,
+        rows.dtype,
+        rate_hz=signals.rate_hz,
+        metadata=metadata,
+        attachments={"signals.yaml": signals_path.read_bytes()},
+        schema_name=SCHEMA_NAME,
+        topic=TOPIC,
+        units={column.name: column.unit for column in signals.columns},
+        chunk_s=math.inf,
+    ) as log:
+        log.write(rows, np.round(rows["time_s"] * 1e9).astype(np.uint64))
+    return rows.size
+
+
+def _raw_columns(path: Path, signals: SignalsFile) -> list[NDArray[np.float64]]:
+    """Return the columns as they are in the file, all of one length, finite."""
+    kind = signals.format or _FORMATS.get(path.suffix.lower())
+    if kind is None:
+        raise LogError(
+            f"{path}: expected one of {', '.join(_FORMATS)}; "
+            "for another ending say format: csv, text, npz or mat in the signals file"
+        )
+    if not path.is_file():
+        raise LogError(f"{path}: expected a file, found {'a folder' if path.exists() else 'none'}")
+    if kind == "npz":
+        return read_variables(path, signals, load_npz(path))
+    if kind == "mat":
+        return read_variables(path, signals, load_mat(path))
+    return read_delimited(path, signals, whitespace=kind == "text")
+
+
+def _rows(signals: SignalsFile, values: list[NDArray[np.float64]]) -> NDArray[np.void]:
+    dtype = np.dtype(
+        [("cycle", "<u8"), ("time_s", "<f8"), *((column.name, "<f8") for column in signals.columns)]
+    )
+    rows = np.empty(values[0].size, dtype)
+    rows["cycle"] = np.arange(rows.size)
+    rows["time_s"] = np.arange(rows.size) / signals.rate_hz
+    for column, value in zip(signals.columns, values, strict=True):
+        rows[column.name] = value
+    return rows

@@ -1,0 +1,91 @@
+"""SIGNALS.yaml in types: what the columns of somebody else's data file are."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from ..config.base import Finite, Positive, Strict
+
+Role = Literal["input", "output", "scheduling", "other"]
+Format = Literal["csv", "text", "npz", "mat"]
+
+# A name becomes a field of a ros2msg, a unit its comment in brackets: hence the patterns.
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(_[a-z0-9]+)*$")]
+Unit = Annotated[str, Field(pattern=r"^[^\[\],#\s][^\[\],#\r\n\t]*$")]
+Index = Annotated[int, Field(ge=0)]
+
+
+class Column(Strict):
+    """One signal: where it is in the file, what it is called, its unit and its part in the model.
+
+    `column` is a number, from 0, or a name: of the header in CSV and text, of a variable in NPZ and
+    MAT (`struct.field` for a field of a MATLAB struct); `index` picks one column of a variable that
+    is a matrix. The logged value is `scale` times the file's value plus `offset`, in `unit`.
+    """
+
+    column: Index | Annotated[str, Field(min_length=1)]
+    index: Index | None = None
+    name: Name
+    unit: Unit
+    role: Role
+    scale: Finite = 1.0
+    offset: Finite = 0.0
+
+    @property
+    def label(self) -> str:
+        """What to call the column in an error."""
+        index = "" if self.index is None else f", index {self.index}"
+        return f"column {self.column!r}{index}"
+
+
+class Rows(Strict):
+    """The samples to be taken, both included; counted from 0, a header not counted."""
+
+    first: Index = 0
+    last: Index | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.last is not None and self.last < self.first:
+            raise ValueError(f"expected last >= first, found {self.first} to {self.last}")
+        return self
+
+    @property
+    def end(self) -> int | None:
+        """One past the last row, None for 'to the end'."""
+        return None if self.last is None else self.last + 1
+
+
+class SignalsFile(Strict):
+    """SIGNALS.yaml.
+
+    `format` follows the file's ending unless given. `input_hold` is what the inputs do between
+    samples. `samples` says along what a matrix of an NPZ or MAT file holds its samples.
+    """
+
+    levid: Literal["signals"]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
+    rate_hz: Positive
+    format: Format | None = None
+    rows: Rows = Rows()
+    samples: Literal["rows", "columns"] = "rows"
+    input_hold: Literal["zoh", "foh", "band_limited"] = "zoh"
+    columns: Annotated[tuple[Column, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _distinct_names(self) -> Self:
+        taken = {"time_s", "cycle"}
+        for column in self.columns:
+            if column.name in taken:
+                raise ValueError(
+                    f"expected names that differ from each other and from time_s and "
+                    f"cycle, found '{column.name}' again"
+                )
+            taken.add(column.name)
+        return self
+
+    def with_role(self, role: Role) -> tuple[Column, ...]:
+        """Return the columns of one role, in the order of the file."""
+        return tuple(column for column in self.columns if column.role == role)

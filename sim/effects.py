@@ -1,0 +1,237 @@
+"""Effects: what the simulated plant does and the declared model does not know, as small classes.
+
+A class has any of these hooks; each is called once per internal step, in this order, and effects
+chain in the order of the SIM.yaml:
+
+    reset(plant)                      once before the first step, see EffectPlant
+    coil_force(t_s, q, force_n)       -> (C,) N: what the coils really give; force_n is their mean
+                                         over the step, and what is changed acts over the whole step
+    wrench(t_s, q, qd, beam)          -> (3,) N m, N m, N from outside the platform
+    mass(t_s)                         -> (3, 3) symmetric, added to the mass matrix
+    beam_force(t_s, beam, q, qd)      -> N on the beam along x, from the platform
+    gap(t_s, gap_m)                   -> (S,) m: what the sensors really see
+
+q is [psi, theta, z], qd its rate, beam a BeamState, all at t_s, the step's begin; `gap` is called
+at the end of the step, and once before the first. Every array is the effect's own copy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from ..config.base import ConfigError
+from ..config.sim import Effect, Geometry
+from .kernels import Array
+
+HOOKS = ("reset", "coil_force", "wrench", "mass", "beam_force", "gap")
+
+
+class EffectError(ConfigError):
+    """An effect that cannot be loaded, or that returned what it must not."""
+
+
+@dataclass(frozen=True)
+class BeamState:
+    """True motion of beam and rotor."""
+
+    x_m: float
+    v_m_s: float
+    a_m_s2: float
+    phi_rad: float
+    phi_rad_s: float
+    phi_rad_s2: float
+
+
+@dataclass(frozen=True)
+class EffectGeometry:
+    """Nominal arm, positions of the coils (C,) and height of the beam, m."""
+
+    r_m: float
+    coil_x_m: Array
+    coil_y_m: Array
+    beam_z_m: float
+
+
+@dataclass(frozen=True)
+class EffectPlant:
+    """What `reset` gets: the internal step, a random generator for this effect, the geometry."""
+
+    dt_s: float
+    rng: np.random.Generator
+    geometry: EffectGeometry
+
+
+class Effects:
+    """The effects of one plant, loaded and chained.
+
+    Raises (on building, and from every method):
+        EffectError: a class that is missing or does not take the named values; a hook that raises,
+            or returns another shape or numbers that are not finite. It names the SIM.yaml.
+    """
+
+    def __init__(self, effects: Sequence[Effect], source: Path | None) -> None:
+        self.source = str(source or "SIM.yaml")
+        self._loaded = [
+            _Loaded(f"{self.source}: effects[{i}] ({effect.use})", effect, source)
+            for i, effect in enumerate(effects)
+        ]
+        self._with = {
+            hook: [effect for effect in self._loaded if hook in effect.hooks] for hook in HOOKS
+        }
+
+    def __bool__(self) -> bool:
+        return bool(self._loaded)
+
+    def uses(self, hook: str) -> bool:
+        """Return whether any effect has this hook."""
+        return bool(self._with[hook])
+
+    def reset(
+        self, dt_s: float, rngs: Sequence[np.random.Generator], geometry: Geometry, beam_z_m: float
+    ) -> None:
+        """Tell every effect about the plant; `rngs` has one generator for each effect."""
+        for effect, rng in zip(self._loaded, rngs, strict=True):
+            if "reset" in effect.hooks:
+                x, y = np.array(geometry.coil_x_m), np.array(geometry.coil_y_m)
+                own = EffectGeometry(geometry.r_m, x, y, beam_z_m)
+                effect.call("reset", EffectPlant(dt_s, rng, own))
+
+    def coil_force(self, t_s: float, q: Array, force_n: Array) -> Array:
+        """Return what the coils (C,) really give, N."""
+        for effect in self._with["coil_force"]:
+            force_n = effect.array("coil_force", force_n.shape, t_s, q.copy(), force_n.copy())
+        return force_n
+
+    def wrench(self, t_s: float, q: Array, qd: Array, beam: BeamState) -> Array:
+        """Return the sum of the outer wrenches (3,), N m, N m, N."""
+        total = np.zeros(3)
+        for effect in self._with["wrench"]:
+            total += effect.array("wrench", (3,), t_s, q.copy(), qd.copy(), beam)
+        return total
+
+    def mass(self, t_s: float) -> Array:
+        """Return the sum (3, 3) that is added to the mass matrix."""
+        total = np.zeros((3, 3))
+        for effect in self._with["mass"]:
+            added = effect.array("mass", (3, 3), t_s)
+            if np.abs(added - added.T).max() > 1e-9 * np.abs(added).max():
+                raise EffectError(f"{effect.where}: mass: expected a symmetric matrix")
+            total += added
+        return total
+
+    def beam_force(self, t_s: float, beam: BeamState, q: Array, qd: Array) -> float:
+        """Return the sum of the forces on the beam along x, N."""
+        total = 0.0
+        for effect in self._with["beam_force"]:
+            total += float(effect.array("beam_force", (), t_s, beam, q.copy(), qd.copy()))
+        return total
+
+    def gap(self, t_s: float, gap_m: Array) -> Array:
+        """Return what the sensors (S,) really see, m."""
+        for effect in self._with["gap"]:
+            gap_m = effect.array("gap", gap_m.shape, t_s, gap_m.copy())
+        return gap_m
+
+
+class _Loaded:
+    """One effect: its instance, its hooks, and how errors name it."""
+
+    def __init__(self, where: str, effect: Effect, source: Path | None) -> None:
+        self.where = where
+        cls = _find_class(where, effect.use, source)
+        try:
+            inspect.signature(cls).bind(**effect.values)
+        except TypeError as error:
+            raise EffectError(f"{where}: named values do not fit the class: {error}") from None
+        except ValueError:
+            pass  # a class without a signature: its call will tell
+        self.hooks: dict[str, Callable[..., Any]] = {}
+        try:
+            instance = cls(**effect.values)
+        except Exception as error:
+            raise EffectError(f"{where}: {type(error).__name__}: {error}") from error
+        for hook in HOOKS:
+            method = getattr(instance, hook, None)
+            if callable(method):
+                self.hooks[hook] = method
+        if not self.hooks:
+            raise EffectError(f"{where}: expected a class with any of {', '.join(HOOKS)}")
+
+    def call(self, hook: str, *arguments: object) -> object:
+        try:
+            return self.hooks[hook](*arguments)
+        except Exception as error:
+            raise EffectError(
+                f"{self.where}: {hook} raised {type(error).__name__}: {error}"
+            ) from error
+
+    def array(self, hook: str, shape: tuple[int, ...], *arguments: object) -> Array:
+        """Call a hook and return its answer (shape), a fresh float64 array."""
+        answer = self.call(hook, *arguments)
+        try:
+            array = np.array(answer, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise EffectError(
+                f"{self.where}: {hook}: expected numbers of shape {shape}, found {answer!r:.60}"
+            ) from None
+        if answer is None or array.shape != shape:
+            found = "None" if answer is None else f"shape {array.shape}"
+            raise EffectError(f"{self.where}: {hook}: expected shape {shape}, found {found}")
+        if not (math.isfinite(array.sum()) or np.isfinite(array).all()):
+            raise EffectError(
+                f"{self.where}: {hook}: expected finite numbers, found {array} "
+                f"at t_s, ... = {arguments[0]!r}"
+            )
+        return array
+
+
+def _find_class(where: str, use: str, source: Path | None) -> Callable[..., object]:
+    place, _, name = use.rpartition(":")
+    module = _load_file(where, place, source) if place.endswith(".py") else _load(where, place)
+    found = getattr(module, name, None)
+    if not inspect.isclass(found):
+        classes = [key for key, value in vars(module).items() if inspect.isclass(value)]
+        known = ", ".join(classes) or "none"
+        raise EffectError(f"{where}: no class '{name}' in {place}; classes there: {known}")
+    return found
+
+
+def _load(where: str, name: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except Exception as error:
+        raise EffectError(
+            f"{where}: cannot import {name}: {type(error).__name__}: {error}"
+        ) from error
+
+
+def _load_file(where: str, place: str, source: Path | None) -> ModuleType:
+    folders = ([source.parent] if source is not None else []) + [Path.cwd()]
+    tried = [(folder / Path(place).expanduser()).resolve() for folder in folders]
+    path = next((p for p in tried if p.is_file()), None)
+    if path is None:
+        raise EffectError(f"{where}: no such file: {' or '.join(map(str, dict.fromkeys(tried)))}")
+    name = f"levid_effect_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise EffectError(f"{where}: {path} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses and pickle look their module up by name
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise EffectError(f"{where}: {path}: {type(error).__name__}: {error}") from error
+    return module

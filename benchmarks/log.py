@@ -53,7 +53,7 @@ def flight(count: int) -> NDArray[np.void]:
 
 
 def measure(quick: bool) -> Sequence[Figure]:
-    count, repeats = (50_000, 3) if quick else (200_000, 7)
+    count, repeats = (50_000, 3) if quick else (100_000, 9)
     few = 2000 if quick else 10_000
     rows = flight(count)
     times = (rows["time_s"] * 1e9).astype(np.uint64)

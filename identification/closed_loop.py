@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,9 @@ from .simulate import simulate
 Array = NDArray[np.float64]
 
 LOWEST_HZ, HIGHEST_HZ, POINTS = 0.5, 250.0, 180
-"""The logarithmic grid of responses: from the slowest motion a segment of 8 s shows well."""
+"""The logarithmic grid of responses: from the slowest motion a segment of 10 s shows well."""
+SETTLED_S = 4.0
+"""After this the resonances (2.5 1/s) of what came before a record are down by 1e-4."""
 
 
 def identify_closed_loop(
@@ -30,8 +32,9 @@ def identify_closed_loop(
 ) -> ClosedLoopPoint:
     """Return everything identified at one operating point; progress is told the share done.
 
-    The last part of every record (`options.holdout`) is kept from all estimates and simulated by
-    the identified plant in its loop. Raises IdentificationError.
+    The last part of every record (`options.holdout`) is kept from the model and simulated by the
+    identified plant in its loop. The spectra, which no row checks, use every row once the record
+    has settled. Raises IdentificationError.
     """
     controller = point.records[0].controller
     assert controller is not None
@@ -40,8 +43,10 @@ def identify_closed_loop(
     lag_pole = float(np.exp(-Ts_s / options.lag_s)) if options.lag_s > 0 else 0.0
     training = [r.rows(0, len(r.y) - options.holdout_rows(len(r.y))) for r in point.records]
     scaling = Scaling.of(training)
-    length = round((options.impulse_s or LOOP_IMPULSE_S) / Ts_s)
-    segment_s = options.segment_s or LOOP_SEGMENT_S
+    settled = [r.rows(_settled_row(r), len(r.y)) for r in point.records]
+    impulse_s = options.impulse_s or _at_most(LOOP_IMPULSE_S, training, 3)
+    segment_s = options.segment_s or _at_most(LOOP_SEGMENT_S, settled, 4)
+    length = round(impulse_s / Ts_s)
 
     markov: dict[str, MarkovEstimate] = {}
     decompositions: dict[str, Decomposition] = {}
@@ -55,10 +60,10 @@ def identify_closed_loop(
     )
 
     grid = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.25 / Ts_s), POINTS)
-    S = frequency.sensitivity(training, grid, segment_s)
-    joint = frequency.plant_from_joint(training, grid, segment_s)
+    S = frequency.sensitivity(settled, grid, segment_s)
+    joint = frequency.plant_from_joint(settled, grid, segment_s)
     G = frequency.frequency_response(
-        [r.v for r in training], [r.y for r in training], Ts_s, grid, segment_s
+        [r.v for r in settled], [r.y for r in settled], Ts_s, grid, segment_s
     )
     progress(0.9)
     measured = markov_response(markov[options.markov].g, S.freq_hz, Ts_s)
@@ -80,7 +85,10 @@ def identify_closed_loop(
         sensitivity=S,
         loop_coherence=G.coherence,
         holdout=tuple(_hold_out(r, full_loop, options) for r in point.records),
-        remarks=tuple(f"{r.name}: {text}" for r in point.records for text in r.remarks),
+        remarks=(
+            *(f"{r.name}: {text}" for r in point.records for text in r.remarks),
+            *_short_remarks(options, impulse_s, segment_s),
+        ),
     )
 
 
@@ -99,12 +107,31 @@ def _realise(
     return order, loop, Plant(plant_from_loop(loop, controller), delay, lag_pole)
 
 
+def _settled_row(record: Record) -> int:
+    """Return the row from which on nothing rings from before; in a short record, a quarter in."""
+    return 0 if record.at_rest else min(round(SETTLED_S / record.Ts_s), len(record.y) // 4)
+
+
+def _at_most(wanted_s: float, records: Sequence[Record], share: int) -> float:
+    """Return `wanted_s`, or less where the shortest record is not `share` times as long."""
+    return min(wanted_s, min(len(r.y) for r in records) // share * records[0].Ts_s)
+
+
+def _short_remarks(options: Options, impulse_s: float, segment_s: float) -> list[str]:
+    remarks = []
+    if options.impulse_s is None and impulse_s < LOOP_IMPULSE_S:
+        remarks.append(f"short records: impulse response cut to {impulse_s:.3g} s")
+    if options.segment_s is None and segment_s < LOOP_SEGMENT_S:
+        remarks.append(f"short records: spectra resolve only {1 / segment_s:.2g} Hz")
+    return remarks
+
+
 def _hold_out(record: Record, loop: StateSpace, options: Options) -> HoldOut:
     rows = options.holdout_rows(len(record.y))
     simulated = simulate(loop, record.v)
     start = len(record.y) - rows
     # The level is not the model's to know: the loop rests at whatever offset the record has.
-    offset = (record.y - simulated)[:start].mean(axis=0)
+    offset = (record.y - simulated)[_settled_row(record) : start].mean(axis=0)
     measured, modelled = record.y[start:], np.asarray(simulated[start:] + offset)
     time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
     return HoldOut(

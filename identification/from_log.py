@@ -81,7 +81,7 @@ def _from_cycles(log: Log) -> Record:
         beam_m=float(beam.mean()),
         controller=_controller(log),
         delay_cycles=1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
-        at_rest=True,
+        at_rest=False,  # the platform may still ring from the record before
         remarks=tuple(_remarks(log)),
     )
 

@@ -131,7 +131,7 @@ def _taps(records: Sequence[Record], options: Options) -> int:
         return max(3, round(options.impulse_s / records[0].Ts_s))
     rows = sum(len(r.y) for r in records)
     shortest = min(len(r.y) for r in records)
-    return min(MOST_TAPS, rows // (ROWS_A_TAP * records[0].v.shape[1]), shortest // 2)
+    return int(min(MOST_TAPS, rows // (ROWS_A_TAP * records[0].v.shape[1]), shortest // 2))
 
 
 Run = Callable[[Record], Array]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from ..model.second_order import StateSpace
 from .data import Record
@@ -124,14 +125,14 @@ def fit_input_matrices(model: StateSpace, records: Sequence[Record]) -> StateSpa
 
 def _input_regressors(model: StateSpace, u: Array) -> Array:
     """Return (N, m, n p + m p): the output that each entry of B and D alone causes."""
-    n, p = model.B.shape
-    m = len(model.C)
+    m, n = model.C.shape
+    response = free_response(model, len(u)).reshape(len(u), m * n)
     columns = []
-    for j in range(p):
-        for i in range(n):
-            unit = StateSpace(model.A, np.eye(n)[:, i : i + 1], model.C, np.zeros((m, 1)), 0.0)
-            columns.append(simulate(unit, u[:, j : j + 1])[:, :, None])
-    columns += [u[:, j, None, None] * np.eye(m) for j in range(p)]
+    for u_j in u.T:
+        driven = np.zeros((len(u), m * n))
+        driven[1:] = signal.fftconvolve(response, u_j[:, None], axes=0)[: len(u) - 1]
+        columns.append(driven.reshape(len(u), m, n))
+    columns += [u_j[:, None, None] * np.eye(m) for u_j in u.T]
     return np.concatenate(columns, axis=2)
 
 

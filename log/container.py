@@ -6,20 +6,20 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import lz4.frame
 import zstandard
 
 from .errors import LogError
-from .mcap_format import MAGIC, RECORD_HEAD, Channel, Cursor, Op, Schema, check_crc
+from .mcap_format import CHUNK_HEAD, MAGIC, RECORD_HEAD, Channel, Cursor, Op, Schema, check_crc
 
 # A corrupt size must not ask for gigabytes; common writers make chunks of 1 to 16 MiB.
 MAX_CHUNK_BYTES = 256 << 20
 _LZ4_BEST_RATIO = 255
 
 
-@dataclass(frozen=True)
-class Segment:
+class Segment(NamedTuple):
     """Records that lie together: the inside of a chunk, or a run of messages outside of chunks.
 
     `offset` is where its first record starts in the file, bytes [begin, end) hold its content,
@@ -167,15 +167,11 @@ def _take(contents: Contents, data: memoryview, opcode: int, at: int, end: int) 
     """Take in the record at bytes [at, end); a LogError if it is damaged."""
     if opcode == Op.MESSAGE_INDEX:
         return
-    body = Cursor(data, at + RECORD_HEAD.size, end)
     if opcode == Op.CHUNK:
-        chunk = body.chunk()
-        if body.left:
-            raise LogError(f"byte {at}: expected the chunk to end {body.left} bytes earlier")
-        contents.segments.append(
-            Segment(at, chunk.begin, chunk.end, chunk.size, chunk.crc, chunk.compression)
-        )
-    elif opcode == Op.MESSAGE:
+        contents.segments.append(_chunk(data, at, end))
+        return
+    body = Cursor(data, at + RECORD_HEAD.size, end)
+    if opcode == Op.MESSAGE:
         _take_message(contents.segments, at, end)
     elif opcode == Op.ATTACHMENT:
         name, content = body.attachment()
@@ -194,6 +190,22 @@ def _take(contents: Contents, data: memoryview, opcode: int, at: int, end: int) 
         _check_summary(contents, data, at, body)
     else:
         contents.declare(opcode, body)
+
+
+def _chunk(data: memoryview, at: int, end: int) -> Segment:
+    """Return the segment in the Chunk record at bytes [at, end)."""
+    begin = at + RECORD_HEAD.size
+    found = end - begin
+    if found >= CHUNK_HEAD.size:
+        _, _, size, crc, length = CHUNK_HEAD.unpack_from(data, begin)
+        begin += CHUNK_HEAD.size + length
+        if (
+            begin + 8 <= end
+            and begin + 8 + int.from_bytes(data[begin : begin + 8], "little") == end
+        ):
+            compression = str(data[begin - length : begin], "utf-8", "replace")
+            return Segment(at, begin + 8, end, size, crc, compression)
+    raise LogError(f"byte {at}: the Chunk record of {found} bytes does not hold what it says")
 
 
 def _take_message(segments: list[Segment], at: int, end: int) -> None:

@@ -7,7 +7,6 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ CDR_LE = b"\x00\x01\x00\x00"
 CDR_BE = b"\x00\x00\x00\x00"
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, size, CRC, length of the compression's name
+CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, size, CRC, length of the compression's name
 
 
 class Op(IntEnum):
@@ -159,17 +158,6 @@ class Channel:
     encoding: str
 
 
-@dataclass(frozen=True)
-class ChunkHead:
-    """A Chunk record without its data, which lie at bytes [begin, end) of the file."""
-
-    size: int
-    crc: int
-    compression: str
-    begin: int
-    end: int
-
-
 class Cursor:
     """Takes values off the body of one record; running over its end is a LogError."""
 
@@ -241,18 +229,6 @@ class Cursor:
         (crc,) = self.integers("I")
         check_crc(f"byte {self._begin}: attachment '{name}'", self._data[self._begin : end], crc)
         return name, bytes(data)
-
-    def chunk(self) -> ChunkHead:
-        """Return the head of a Chunk record."""
-        _, _, size, crc, length = _CHUNK_HEAD.unpack(self.take(_CHUNK_HEAD.size))
-        compression = bytes(self.take(length)).decode("utf-8", errors="replace")
-        (length,) = self.integers("Q")
-        begin = self._at
-        return ChunkHead(size, crc, compression, begin, begin + len(self.take(length)))
-
-    def rest(self) -> Self:
-        """Return a cursor over what has not been taken."""
-        return type(self)(self._data, self._at, self._end)
 
 
 def check_crc(where: str, data: memoryview | bytes, expected: int) -> None:

@@ -6,7 +6,7 @@ import difflib
 import math
 import mmap
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,9 +104,9 @@ def _read(path: Path, data: memoryview) -> Log:
     if not contents.channels:
         _declare_from_chunks(data, contents)
     channel, dtype = _choose_channel(contents)
-    cdr = _first_cdr_header(data, contents, channel)
+    cdr, unpacked = _first_cdr_header(data, contents, channel)
     stream = _Stream(channel, dtype if cdr == b"\x00\x01" else dtype.newbyteorder(">"), cdr)
-    rows, times, problem = _read_rows(data, contents.segments, stream)
+    rows, times, problem = _read_rows(data, contents.segments, stream, unpacked)
     problem = problem or contents.problem
     if problem is None and contents.message_counts is not None:
         stated = contents.message_counts.get(channel, 0)
@@ -171,10 +171,15 @@ def _declare_from_chunks(data: memoryview, contents: Contents) -> None:
             return
 
 
-def _first_cdr_header(data: memoryview, contents: Contents, channel: int) -> bytes:
-    """Return the first two bytes of the first message, which tell its byte order."""
+def _first_cdr_header(
+    data: memoryview, contents: Contents, channel: int
+) -> tuple[bytes, dict[int, memoryview]]:
+    """Return the first two bytes of the first message, which tell its byte order.
+
+    Also the content of the segment it was found in, by its number, to spare unpacking it again.
+    """
     unpack = Unpacker(data)
-    for segment in contents.segments:
+    for i, segment in enumerate(contents.segments):
         raw = unpack(segment)
         for opcode, begin, end in _records(raw, segment):
             if opcode == Op.MESSAGE and _channel_of(raw, begin) == channel:
@@ -184,13 +189,16 @@ def _first_cdr_header(data: memoryview, contents: Contents, channel: int) -> byt
                         f"byte {segment.offset}: expected messages that start with 00 01 (CDR, "
                         f"little endian) or 00 00 (big endian), found {cdr.hex(' ') or 'nothing'}"
                     )
-                return cdr
+                return cdr, {i: raw}
     topic = contents.channels[channel].topic
     raise LogError(contents.problem or f"expected messages on {topic}, found none")
 
 
 def _read_rows(
-    data: memoryview, segments: list[Segment], stream: _Stream
+    data: memoryview,
+    segments: list[Segment],
+    stream: _Stream,
+    unpacked: Mapping[int, memoryview],
 ) -> tuple[NDArray[np.void], NDArray[np.uint64], str | None]:
     """Return rows, times, and what is wrong with the first segment that could not be read."""
     # A segment that claims too much will fail to unpack; no room is kept for it.
@@ -211,7 +219,7 @@ def _read_rows(
         for i in part:
             place = slice(starts[i], starts[i + 1])
             try:
-                raw = unpack(segments[i])
+                raw = unpacked[i] if i in unpacked else unpack(segments[i])
                 counts.append(_fill(raw, segments[i], stream, payloads[place], times[place]))
             except LogError as error:
                 return [*counts, error]

@@ -37,7 +37,7 @@ class SampledPlant:
     Ts_s: float
 
     def frequency_response(self, freq_hz: Array) -> NDArray[np.complex128]:
-        """Return P of shape (F, 3, 3): from commanded wrench to pose, one cycle of delay included."""
+        """Return P (F, 3, 3) from commanded wrench to pose, with one cycle of delay."""
         z = np.exp(2j * np.pi * freq_hz * self.Ts_s)[:, None, None]
         return self.C @ np.linalg.solve(z * np.eye(len(self.A)) - self.A, self.B) / z
 
@@ -65,11 +65,12 @@ def sampled_plant(x_b_m: float, Ts_s: float, lag_s: float = LAG_S) -> SampledPla
     Ac = np.block([[Z, one, Z], [-Mi @ K, -Mi @ D, Mi], [Z, Z, -one / lag_s]])
     Bc = np.vstack([Z, Z, one / lag_s])
     both = expm(np.block([[Ac, Bc], [np.zeros((3, 12))]]) * Ts_s)
-    return SampledPlant(both[:9, :9], both[:9, 9:], np.hstack([one, Z, Z]), Ts_s)
+    A, B = both[:9, :9].copy(), both[:9, 9:].copy()  # contiguous, for the loop
+    return SampledPlant(A, B, np.hstack([one, Z, Z]), Ts_s)
 
 
 def closed_loop_markov(plant: SampledPlant, length: int) -> Array:
-    """Return the exact Markov parameters (length, 3, 3) of G from v to y, eq. (14) read backwards."""
+    """Return the exact Markov parameters (length, 3, 3) of the loop G from v to y."""
     g = np.zeros((length, 3, 3))
     for j in range(3):
         v = np.zeros((length, 3))
@@ -81,7 +82,7 @@ def closed_loop_markov(plant: SampledPlant, length: int) -> Array:
 def simulate(
     plant: SampledPlant, v: Array, *, noise: bool = True, seed: int = 0
 ) -> tuple[Array, Array]:
-    """Fly excitation v (N, 3) in closed loop from rest; return pose y (N, 3) and wrench u (N, 3)."""
+    """Fly excitation v (N, 3) in closed loop from rest; return pose y and wrench u, (N, 3)."""
     rng = np.random.default_rng(seed)
     n = len(v)
     if noise:

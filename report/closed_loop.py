@@ -1,0 +1,189 @@
+"""What the report says of a plant identified in a loop with a known controller: the paper's rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..identification.results import ClosedLoopPoint
+from .curves import RIG, Curve, Range, Signals, ratio
+from .deviation import AGREEMENT, Bounds, Worst, worst_on_diagonal
+from .page import Number, Text
+from .style import TRUTH, line_of, position_label
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+Truth = Callable[[float | None, Array], Complex]
+"""Gives the true P as (F, m, p) for a beam position in m and frequencies in Hz (F,)."""
+
+ESTIMATOR = {"least_squares": "least squares", "correlation": "cross-correlation"}
+
+_TRUTH_POINTS = 240
+
+
+@dataclass(frozen=True)
+class ClosedLoopReport:
+    """The curves of all beam positions, from which figures, numbers and tables follow.
+
+    ratios: by what is compared ('Ho-Kalman / truth'), one curve of ratios (F, m, p) a position.
+    """
+
+    points: tuple[ClosedLoopPoint, ...]
+    signals: Signals
+    labels: tuple[str, ...]
+    shown: Range
+    ho_kalman: tuple[Curve, ...]
+    sensitivity: tuple[Curve, ...]
+    truth: tuple[Curve, ...]
+    ratios: dict[str, tuple[Curve, ...]]
+    bounds: Bounds = AGREEMENT
+
+    def worst(self, name: str) -> tuple[tuple[Worst, ...], ...]:
+        """Return by position and DOF the largest errors of one comparison."""
+        return tuple(worst_on_diagonal(curve, self.shown) for curve in self.ratios[name])
+
+    def largest(self, name: str) -> tuple[float, float]:
+        """Return the largest error of all positions and axes in dB, and the largest in degrees."""
+        worst = [w for position in self.worst(name) for w in position]
+        # np.max hands NaN on: an error that is not known must not pass for a small one.
+        return float(np.max([w.decibel for w in worst])), float(np.max([w.degree for w in worst]))
+
+
+HO_KALMAN, SENSITIVITY = "Ho-Kalman", "sensitivity"
+METHOD = {
+    HO_KALMAN: "the model by Ho-Kalman's algorithm",
+    SENSITIVITY: "the frequency response from the sensitivity",
+}
+
+
+def closed_loop_report(
+    points: Sequence[ClosedLoopPoint], signals: Signals, truth: Truth | None = None
+) -> ClosedLoopReport:
+    """Collect the curves of the operating points, in ascending order of the beam's position."""
+    beams = [point.beam_m for point in points]
+    labels = tuple(position_label(beam, beams) for beam in beams)
+    lines = [line_of(k) for k in range(len(points))]
+    shown = _range(points[0], signals)
+    drawn = list(zip(points, labels, lines, strict=True))
+    ho_kalman = tuple(Curve(label, line, p.freq_hz, p.from_ho_kalman) for p, label, line in drawn)
+    measured = tuple(
+        Curve(
+            label,
+            line,
+            p.from_sensitivity.freq_hz,
+            p.from_sensitivity.H,
+            p.from_sensitivity.standard_deviation,
+        )
+        for p, label, line in drawn
+    )
+    ratios: dict[str, tuple[Curve, ...]] = {}
+    truths: tuple[Curve, ...] = ()
+    if truth is not None:
+        f = np.geomspace(shown.low_hz, shown.high_hz, _TRUTH_POINTS)
+        truths = tuple(Curve("truth of the simulator", TRUTH, f, truth(b, f)) for b in beams)
+        for name, estimates in ((HO_KALMAN, ho_kalman), (SENSITIVITY, measured)):
+            exact = [
+                Curve("", TRUTH, estimate.freq_hz, truth(beam, estimate.freq_hz))
+                for estimate, beam in zip(estimates, beams, strict=True)
+            ]
+            ratios[f"{name} / truth"] = _ratios(estimates, exact)
+    ratios[f"{HO_KALMAN} / {SENSITIVITY}"] = _ratios(ho_kalman, measured)
+    return ClosedLoopReport(
+        tuple(points), signals, labels, shown, ho_kalman, measured, truths, ratios
+    )
+
+
+def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
+    """Return what was found, in sentences for the summary."""
+    main = next(iter(report.points[0].markov))
+    smallest = min(p.order.gap for p in report.points)
+    found = (
+        f"The loop shows {_numbers(p.order.order for p in report.points)} main states: in the "
+        f"singular values by {ESTIMATOR.get(main, main)} they stand out by a factor of "
+        f"{factor(smallest)} at least. Without the controller's integrators the plant has "
+        f"{_numbers(len(p.plant.core.A) for p in report.points)}."
+    )
+    span = f"From {report.shown.low_hz:g} to {report.shown.top_hz:g} Hz on the diagonal of P"
+    agreement = "; ".join(_comparison(report, name) for name in report.ratios)
+    texts = [Text(found), Text(f"{span}, {agreement}.")]
+    fits = _fits(report)
+    if fits.size:
+        kept_back = (
+            "On the end of every record, which no estimate has seen, the model in its loop fits "
+            f"the output that was excited by {fits.min():.1f} to {fits.max():.1f} %."
+        )
+        texts.append(Text(kept_back))
+    if not report.truth:
+        judged = (
+            "No truth was given, as there is none on a real rig: the agreement of the two methods "
+            "and the data kept back are what the model can be judged by."
+        )
+        texts.append(Text(judged, "note"))
+    return tuple(texts)
+
+
+def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
+    """Return the numbers of the summary."""
+    smallest = min(p.order.gap for p in report.points)
+    orders = _numbers(p.order.order for p in report.points)
+    numbers = [Number(orders, f"main states of the loop, out by a factor of {factor(smallest)}")]
+    for name in report.ratios:
+        first, second = name.split(" / ")
+        if second != "truth" and report.truth:
+            continue
+        decibel, degree = report.largest(name)
+        kept = decibel <= report.bounds.decibel and degree <= report.bounds.degree
+        against = "the truth" if second == "truth" else second
+        numbers.append(
+            Number(
+                f"{decibel:.2f} dB, {degree:.1f}°",
+                f"{first} against {against} at worst, up to {report.shown.top_hz:g} Hz",
+                "good" if kept else "bad",
+            )
+        )
+    fits = _fits(report)
+    if fits.size:
+        numbers.append(Number(f"{fits.min():.1f} %", "least fit on data kept back"))
+    return tuple(numbers)
+
+
+def factor(value: float) -> str:
+    """Return a ratio with two or three digits."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
+
+
+def _comparison(report: ClosedLoopReport, name: str) -> str:
+    first, second = name.split(" / ")
+    decibel, degree = report.largest(name)
+    error = f"{decibel:.2f} dB and {degree:.1f}°"
+    if second == "truth":
+        return f"{METHOD[first]} is within {error} of the simulator's truth"
+    return f"{METHOD[first]} and {METHOD[second]} differ by at most {error}"
+
+
+def _numbers(values: Iterable[int]) -> str:
+    return " or ".join(str(n) for n in sorted(set(values)))
+
+
+def _ratios(estimates: Sequence[Curve], references: Sequence[Curve]) -> tuple[Curve, ...]:
+    return tuple(
+        Curve(e.label, e.line, e.freq_hz, ratio(e, r))
+        for e, r in zip(estimates, references, strict=True)
+    )
+
+
+def _fits(report: ClosedLoopReport) -> Array:
+    """Return the fit of the best explained output of each record: the one it excites."""
+    fits = [held.simulated_fit_percent for point in report.points for held in point.holdout]
+    return np.array([np.nanmax(f) for f in fits if np.isfinite(f).any()])
+
+
+def _range(point: ClosedLoopPoint, signals: Signals) -> Range:
+    """Return the paper's range for the rig, else all that was identified."""
+    if signals.output_names == ("psi", "theta", "z"):
+        return RIG
+    return Range(float(point.freq_hz[0]), float(point.freq_hz[-1]))

@@ -1,0 +1,112 @@
+"""How far responses are from another, in dB and degrees on the diagonal, with the bounds drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from .curves import RIG, Curve, Range, Signals, decibels, inside
+from .grid import entry, new_grid, plot_curve
+from .style import BOUND, PAGE, Sheet, colour, drawing, frequency_axis
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What an error on the diagonal may be, within a range of frequencies."""
+
+    decibel: float
+    degree: float
+
+
+AGREEMENT = Bounds(2.0, 15.0)
+"""Within which both methods must agree with the simulated truth up to 64 Hz."""
+
+
+@dataclass(frozen=True)
+class Worst:
+    """Largest error of one path over a range, in dB and degrees, and the frequency of each."""
+
+    decibel: float
+    degree: float
+    decibel_at_hz: float
+    degree_at_hz: float
+
+    def within(self, bounds: Bounds) -> bool:
+        """Whether both errors keep the bounds; an error that is not known does not."""
+        return self.decibel <= bounds.decibel and self.degree <= bounds.degree
+
+
+def worst_on_diagonal(curve: Curve, shown: Range) -> tuple[Worst, ...]:
+    """Return the largest error of each diagonal path of a ratio, up to where the range is valid.
+
+    NaN where the ratio is missing everywhere.
+    """
+    part = (curve.freq_hz >= shown.low_hz) & (curve.freq_hz <= shown.top_hz)
+    out = []
+    for i in range(min(curve.response.shape[1:])):
+        f, H = curve.freq_hz[part], curve.response[part, i, i]
+        level, phase = np.abs(decibels(H)), np.abs(np.degrees(np.angle(H)))
+        known = np.isfinite(level)
+        if not known.any():
+            out.append(Worst(np.nan, np.nan, np.nan, np.nan))
+            continue
+        f, level, phase = f[known], level[known], phase[known]
+        a, b = int(np.argmax(level)), int(np.argmax(phase))
+        out.append(Worst(float(level[a]), float(phase[b]), float(f[a]), float(f[b])))
+    return tuple(out)
+
+
+def deviation(
+    ratios: Sequence[Curve],
+    signals: Signals,
+    *,
+    bounds: Bounds = AGREEMENT,
+    shown: Range = RIG,
+    sheet: Sheet = PAGE,
+) -> Figure:
+    """Draw ratios estimate / reference: dB in the upper row, degrees in the lower, a column a DOF.
+
+    The response of each curve is the ratio itself. Panels reach a little beyond the bounds, or as
+    far as the errors within the valid range do, up to four times the bounds.
+    """
+    columns = min(signals.shape)
+    drawn = [inside(curve, shown) for curve in ratios]
+    with drawing(sheet):
+        legend: list[Artist] = [entry(c.label, c.line) for c in ratios]
+        legend.append(entry(f"±{bounds.decibel:g} dB, ±{bounds.degree:g}°", BOUND))
+        grid = new_grid((2, columns), sheet, 1.7, legend)
+        worst = [w for c in ratios for w in worst_on_diagonal(c, shown)]
+        for (row, j), ax in grid.panels():
+            bound = (bounds.decibel, bounds.degree)[row]
+            errors = [(w.decibel, w.degree)[row] for w in worst]
+            reach = min(
+                max([1.3 * bound, *(1.15 * e for e in errors if np.isfinite(e))]), 4 * bound
+            )
+            frequency_axis(ax, (shown.low_hz, shown.high_hz))
+            ax.set_ylim(-reach, reach)
+            _draw_bound(ax, bound, shown)
+            for curve in drawn:
+                H = curve.response[:, j, j]
+                values = decibels(H) if row == 0 else np.degrees(np.angle(H))
+                plot_curve(ax, curve, values)
+            if row == 0:
+                ax.set_title(signals.path(j, j))
+            if j == 0:
+                ax.set_ylabel(("magnitude [dB]", "phase [degrees]")[row])
+        grid.finish_frequency(shown)
+    return grid.figure
+
+
+def _draw_bound(ax: Axes, bound: float, shown: Range) -> None:
+    for sign in (-1, 1):
+        ax.plot([shown.low_hz, shown.top_hz], [sign * bound] * 2, **BOUND.keywords())
+    ax.axhline(0, color=colour("edge"), linewidth=0.8, zorder=1)

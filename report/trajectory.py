@@ -1,0 +1,78 @@
+"""The platform under a moving beam, measured and predicted: the paper's Fig. 14."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from .envelope import envelope, plot_envelope
+from .grid import entry, new_grid
+from .style import PAGE, Line, Sheet, colour, drawing
+
+Array = NDArray[np.float64]
+
+_BINS = 900
+_MEASURED = Line(colour("blue"), width=1.1)
+_PREDICTED = Line(colour("vermillion"), (5.0, 1.6), width=1.3, zorder=4)
+_REFERENCE = Line(colour("ink"), (2.0, 2.0), width=0.9, zorder=4)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Pose that a model predicts at its own times: t_s (N,), theta_rad (N,), z_m (N,)."""
+
+    label: str
+    t_s: Array
+    theta_rad: Array
+    z_m: Array
+
+
+@dataclass(frozen=True)
+class BeamRecord:
+    """A record with a moving beam: all (N,); beam_ref_m None where there is no reference."""
+
+    t_s: Array
+    beam_m: Array
+    theta_rad: Array
+    z_m: Array
+    beam_ref_m: Array | None = None
+
+
+def beam_trajectory(
+    record: BeamRecord, prediction: Prediction | None = None, *, sheet: Sheet = PAGE
+) -> Figure:
+    """Draw x_b(t), theta(t) and z(t) over one axis of time, measured and, when given, predicted."""
+    legend: list[Artist] = [entry("measured", _MEASURED)]
+    if record.beam_ref_m is not None:
+        legend.append(entry("reference", _REFERENCE))
+    if prediction is not None:
+        legend.append(entry(prediction.label, _PREDICTED))
+    p = prediction
+    rows = (
+        ("beam x_b", "mm", 1e3, record.beam_m, None),
+        ("θ", "µrad", 1e6, record.theta_rad, None if p is None else p.theta_rad),
+        ("z", "µm", 1e6, record.z_m, None if p is None else p.z_m),
+    )
+    with drawing(sheet):
+        grid = new_grid((3, 1), sheet, 1.45, legend)
+        for ax, (title, unit, factor, measured, predicted) in zip(
+            grid.axes[:, 0], rows, strict=True
+        ):
+            plot_envelope(ax, envelope(record.t_s, measured, _BINS), _MEASURED, factor)
+            if prediction is not None and predicted is not None:
+                signal = envelope(prediction.t_s, predicted, _BINS)
+                plot_envelope(ax, signal, _PREDICTED, factor)
+            ax.set_title(title)
+            ax.set_title(unit, loc="right", fontweight="normal")
+            ax.margins(x=0)
+            ax.tick_params(labelbottom=False, length=2.5)
+        if record.beam_ref_m is not None:
+            reference = envelope(record.t_s, record.beam_ref_m, _BINS)
+            plot_envelope(grid.axes[0, 0], reference, _REFERENCE, 1e3)
+        grid.axes[-1, 0].tick_params(labelbottom=True)
+        grid.axes[-1, 0].set_xlabel("time [s]")
+    return grid.figure

@@ -130,7 +130,7 @@ def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
     smallest = min(p.order.gap for p in report.points)
     orders = _numbers(p.order.order for p in report.points)
-    numbers = [Number(orders, f"main states of the loop, out by a factor of {factor(smallest)}")]
+    numbers = [Number(orders, f"main states, standing out by a factor of {factor(smallest)}")]
     for name in report.ratios:
         first, second = name.split(" / ")
         if second != "truth" and report.truth:

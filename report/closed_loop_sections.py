@@ -32,7 +32,7 @@ def closed_loop_sections(report: ClosedLoopReport) -> tuple[Section, ...]:
 
 
 def _order_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
-    order = report.points[0].order.order
+    order, plant = report.points[0].order.order, len(report.points[0].plant.core.A)
     spectra = [
         Spectrum(
             ESTIMATOR.get(method, method),
@@ -51,12 +51,10 @@ def _order_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
         to_svg(singular_values(spectra)),
         f"Singular values of the Hankel matrix, logarithmic; the first {order} stand out.",
         f"Singular values of the Hankel matrix of the loop, known delay and lag taken out. Between "
-        f"number {order} and the next lies {told}. Six states are the platform's and three the "
-        "controller's integrators; what is left is noise, which plain correlation has far more of, "
-        "since the rest of the response acts as noise on each of its taps."
-        if order == 9
-        else f"Singular values of the Hankel matrix of the loop, known delay and lag taken out. "
-        f"Between number {order} and the next lies {told}.",
+        f"number {order} and the next lies {told}. {plant} states are the plant's and "
+        f"{order - plant} the controller's integrators; what is left is noise, which plain "
+        "correlation has far more of, since the rest of the response acts as noise on each of its "
+        "taps.",
         "Fig. 9",
     )
     rows = tuple(
@@ -90,11 +88,7 @@ def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
     parts: list[Part] = [
         Picture(
             "plant-ho-kalman",
-            to_svg(
-                bode_magnitude(
-                    report.ho_kalman, report.signals, truth=report.truth, shown=report.shown
-                )
-            ),
+            _magnitude(report, report.ho_kalman),
             "Bode magnitude of the identified plant, every input to every output.",
             f"Magnitude of P by Ho-Kalman's algorithm and (14), {states} states."
             f"{moved}{scales}{beneath}",
@@ -102,11 +96,7 @@ def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
         ),
         Picture(
             "plant-sensitivity",
-            to_svg(
-                bode_magnitude(
-                    report.sensitivity, report.signals, truth=report.truth, shown=report.shown
-                )
-            ),
+            _magnitude(report, report.sensitivity),
             "Bode magnitude of the plant from the input sensitivity, every input to every output.",
             "Magnitude of P from the frequency response of the input sensitivity by (15) "
             "corrected, without any model; bands hold 95 % of the estimate's error. What scatters "

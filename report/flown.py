@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -111,9 +111,7 @@ DRAWN = (
 """The fields of the cycle record that the time plots show."""
 
 
-def read_session(
-    paths: Sequence[Path], bins: int = 700, progress: Callable[[float], None] | None = None
-) -> Session:
+def read_session(paths: Sequence[Path], bins: int = 700) -> Session:
     """Read the logs of one session in order of time, and reduce each before the next is read.
 
     Raises:
@@ -122,19 +120,7 @@ def read_session(
     """
     if not paths:
         raise ValueError("expected at least one log of the session, found none")
-    parts = []
-    for number, path in enumerate(paths):
-        parts.append(_reduced(read_log(path)))
-        if progress is not None:
-            progress((number + 1) / len(paths))
-    return _assembled(parts, bins)
-
-
-def session_of(logs: Sequence[Log], bins: int = 700) -> Session:
-    """Return the session of logs that are in memory already; see read_session."""
-    if not logs:
-        raise ValueError("expected at least one log of the session, found none")
-    return _assembled([_reduced(log) for log in logs], bins)
+    return _assembled([_reduced(read_log(path)) for path in paths], bins)
 
 
 @dataclass(frozen=True)

@@ -150,7 +150,6 @@ def _order_parts(point: OpenLoopPoint, name: str) -> tuple[Part, ...]:
             to_svg(singular_values(spectra)),
             "Singular values of the Hankel matrix on a logarithmic scale.",
             "Singular values of the Hankel matrix of the Markov parameters, where no gap decides.",
-            "Fig. 9",
         ),
     )
 

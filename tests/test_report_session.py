@@ -11,10 +11,9 @@ import pytest
 from levid.daemon.faults import Fault
 from levid.daemon.states import State
 from levid.log.errors import LogError
-from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype
 from levid.log.writer import LogWriter
-from levid.report.flown import read_session, session_of
+from levid.report.flown import read_session
 from levid.report.session import session_report, session_words
 from levid.report.svg import to_svg
 from levid.report.time_plot import session_plot
@@ -102,11 +101,6 @@ def test_a_session_is_told_as_it_was_flown(logs):
 def test_logs_in_any_order_give_the_same_session(logs):
     forward, backward = read_session(logs), read_session(logs[::-1])
     assert to_svg(session_plot(forward)) == to_svg(session_plot(backward))
-
-
-def test_logs_in_memory_give_the_same_session(logs):
-    one, other = read_session(logs), session_of([read_log(path) for path in logs])
-    assert one.steps == other.steps
 
 
 def test_the_page_of_a_session(logs, tmp_path):

@@ -13,6 +13,7 @@ from ..config.shipped import shipped
 from ..daemon.flight import FlightResult
 from ..daemon.handover import identify_in_own_process
 from ..daemon.virtual import fly_virtually
+from ..report.session import session_report
 from .progress import console, progress
 
 
@@ -82,7 +83,11 @@ def command(
     if "identify" in config.then and result.records:
         report_path = identify_in_own_process(result.records, out / "identification")
         console.print(f"report: {report_path}")
-    else:
+        return 0
+    with progress("drawing the flight") as report:
+        report("", 0.5)
+        console.print(f"report: {session_report(result.logs, out / 'report')}")
+    if result.records:
         console.print(f"next: levid identify {out}/*.mcap --out {out}/identification")
     return 0
 

@@ -21,6 +21,8 @@ from .states import State
 Array = NDArray[np.float64]
 
 _IDLE_S = 0.3
+# A record's arrays stay below 1 GB: 50 min at 10 kHz. Longer ones are flown as several records.
+_MOST_CYCLES = 30_000_000
 _FLYING = np.array([[1.0, 1.0, 1.0]])
 _AXIS = {"psi": 0, "theta": 1, "z": 2}
 
@@ -139,6 +141,11 @@ class _Planner:
         self, step: RecordStep, index: int, where: str
     ) -> tuple[int, Callable[[], list[Segment]]]:
         n, settle = self.n(step.duration_s), self.n(step.settle_s)
+        if n > _MOST_CYCLES:
+            raise ConfigError(
+                f"{where}.duration_s: expected at most {_MOST_CYCLES / self.rate_hz:g} s at "
+                f"{self.rate_hz:g} Hz, found {step.duration_s:g} s; fly several records"
+            )
         beam_before, rotor = self.still()
         beam = beam_before
         if step.beam:

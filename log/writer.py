@@ -22,8 +22,9 @@ from .signals import ros2msg
 
 FORMAT = "1"
 MAX_CHUNK_ROWS = 8192
-# Measured on rows with sensor noise: against lz4, zstd at -3 is smaller, writes faster and reads as
-# fast; against zstd's level 1 it is 8 % larger, writes 1.5 and reads 2 times as fast.
+# Measured on flights at 1 and 10 kHz: against lz4, zstd at -3 is 7 % smaller, writes and reads as
+# fast; against zstd's level 1 it is 10 % larger, writes 1.5 and reads 2 times as fast; without
+# compression a file is 1.8 times as large and reads 1.4 to 1.5 times as fast.
 COMPRESSION = "zstd"
 ZSTD_LEVEL = -3
 

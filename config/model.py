@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import Finite, NonNegative, Strict, load_yaml
+from .base import Finite, NonNegative, Positive, Strict, load_yaml
 
 Identifier = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Entry = Finite | str
@@ -29,6 +29,8 @@ class Parameter(Strict):
     min: Finite | None = None
     max: Finite | None = None
     fixed: bool = False
+    prior_sd: Positive | None = None
+    """Standard deviation of what is known of the value before any record."""
     se: NonNegative | None = None
     about: str = ""
 
@@ -42,10 +44,11 @@ class Parameter(Strict):
 
 
 class Scheduling(Strict):
-    """A variable that the matrices depend on and that a log field measures."""
+    """A variable that the matrices depend on and that a log's field, or its derivative, measures."""
 
     unit: str
     signal: str
+    derivative: bool = False
     value: Finite = 0.0
     min: Finite | None = None
     max: Finite | None = None

@@ -20,7 +20,10 @@ class Excitation(Strict):
 
     `rms_n_m` is the level of a torque, `rms_n` that of a force; exactly the one that fits `input`.
     `band_hz` bounds the spectrum; without it white noise is white up to half the rate.
-    A multisine repeats after `period_s`; its lines are the multiples of 1 / period_s in the band.
+    A multisine repeats after `period_s`; its lines are the multiples of 1 / period_s in the band:
+    all, the odd ones, or of every four odd ones in a row three (`odd_random_grid`, the fourth drawn
+    by lot), so that what the plant answers at the lines left out shows how it distorts. They are of
+    one amplitude, or above `rise_hz` in proportion to frequency, as masses answer less and less.
     """
 
     input: Dof | Annotated[str, Field(pattern=r"^coil:\d+$")]
@@ -29,7 +32,8 @@ class Excitation(Strict):
     rms_n: Positive | None = None
     band_hz: tuple[NonNegative, Positive] | None = None
     period_s: Duration | None = None
-    lines: Literal["all", "odd"] = "all"
+    lines: Literal["all", "odd", "odd_random_grid"] = "all"
+    rise_hz: Positive | None = None
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -45,6 +49,8 @@ class Excitation(Strict):
             raise ValueError("expected 'band_hz' with signal multisine")
         if self.signal != "multisine" and self.lines != "all":
             raise ValueError("expected 'lines' only with signal multisine")
+        if self.signal != "multisine" and self.rise_hz is not None:
+            raise ValueError("expected 'rise_hz' only with signal multisine")
         return self
 
     @property
@@ -82,23 +88,43 @@ class Move(Strict):
     settle_s: NonNegative = 4.0
 
 
+class Orthogonal(Strict):
+    """How the multisines of a record play at once and can still be told apart.
+
+    Each of the `realisations` draws phases anew and plays as many experiments as there are
+    multisines, the phases of which differ by an orthogonal matrix at every line. An experiment
+    lasts `periods` periods; during the first the transient of the one before dies out.
+    """
+
+    realisations: Annotated[int, Field(ge=1, le=1000)]
+    periods: Annotated[int, Field(ge=3, le=1000)]
+
+
 class RecordStep(Strict):
     """Log `duration_s` for identification while the named excitations play, or in silence.
 
     The platform first settles for `settle_s`, in the same log. Excitations fade in and out over
-    `fade_s` at both ends. `beam` is a trajectory that repeats until the record ends.
+    `fade_s` at both ends. `beam` is a trajectory that repeats until the record ends. With
+    `orthogonal` the record is as long as its experiments and the last `fade_s`.
     """
 
     name: Name
-    duration_s: Duration
+    duration_s: Duration | None = None
     excite: tuple[Name, ...] = ()
+    orthogonal: Orthogonal | None = None
     settle_s: NonNegative = 3.0
     fade_s: NonNegative = 0.5
     beam: tuple[Waypoint, ...] = ()
 
     @model_validator(mode="after")
     def _long_enough(self) -> Self:
-        if self.duration_s <= 2 * self.fade_s:
+        if (self.duration_s is None) != (self.orthogonal is not None):
+            raise ValueError("expected 'duration_s', or 'orthogonal', which says how long it is")
+        if self.orthogonal is not None and not self.excite:
+            raise ValueError("expected multisines in 'excite' with 'orthogonal', found none")
+        if self.orthogonal is not None and self.beam:
+            raise ValueError("expected the beam at rest with 'orthogonal', found a trajectory")
+        if self.duration_s is not None and self.duration_s <= 2 * self.fade_s:
             raise ValueError(
                 f"expected duration_s longer than twice fade_s, found {self.duration_s} s "
                 f"and {self.fade_s} s"
@@ -175,7 +201,38 @@ class SessionConfig(Strict):
                         f"steps[{number}].record.excite: expected a name from 'excitations' "
                         f"({known}), found '{excitation}'"
                     )
+            self._check_orthogonal(step.record, f"steps[{number}].record")
         return self
+
+    def _check_orthogonal(self, record: RecordStep, where: str) -> None:
+        if record.orthogonal is None:
+            return
+        played = [self.excitations[name] for name in record.excite]
+        for name, excitation in zip(record.excite, played, strict=True):
+            if excitation.signal != "multisine":
+                raise ValueError(
+                    f"{where}.orthogonal: expected multisines only, found '{name}' with signal "
+                    f"{excitation.signal}"
+                )
+            for key in ("period_s", "band_hz", "lines"):
+                first, other = getattr(played[0], key), getattr(excitation, key)
+                if first != other:
+                    raise ValueError(
+                        f"{where}.orthogonal: expected one {key} in all its excitations, found "
+                        f"{first} in '{record.excite[0]}' and {other} in '{name}'"
+                    )
+        inputs = [excitation.input for excitation in played]
+        if len(set(inputs)) < len(inputs):
+            raise ValueError(
+                f"{where}.orthogonal: expected every excitation at an input of its own, found "
+                f"{', '.join(inputs)}"
+            )
+        period_s = played[0].period_s
+        if period_s is not None and record.fade_s > period_s:
+            raise ValueError(
+                f"{where}.fade_s: expected at most one period, {period_s:g} s, found "
+                f"{record.fade_s:g} s"
+            )
 
 
 def load_session(path: Path | str) -> SessionConfig:

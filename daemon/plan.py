@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +15,7 @@ from ..config.session import Land, Levitate, Move, RecordStep, SessionConfig
 from ..model.geometry import decoupling_matrix
 from . import trajectory
 from .excitation import fade, signal
+from .orthogonal import orthogonal_cycles, orthogonal_multisines
 from .segment import Segment, idle_segment
 from .states import State
 
@@ -140,11 +141,12 @@ class _Planner:
     def record(
         self, step: RecordStep, index: int, where: str
     ) -> tuple[int, Callable[[], list[Segment]]]:
-        n, settle = self.n(step.duration_s), self.n(step.settle_s)
+        n, settle = self.record_cycles(step), self.n(step.settle_s)
         if n > _MOST_CYCLES:
+            key = "duration_s" if step.orthogonal is None else "orthogonal"
             raise ConfigError(
-                f"{where}.duration_s: expected at most {_MOST_CYCLES / self.rate_hz:g} s at "
-                f"{self.rate_hz:g} Hz, found {step.duration_s:g} s; fly several records"
+                f"{where}.{key}: expected at most {_MOST_CYCLES / self.rate_hz:g} s at "
+                f"{self.rate_hz:g} Hz, found {n / self.rate_hz:g} s; fly several records"
             )
         beam_before, rotor = self.still()
         beam = beam_before
@@ -183,12 +185,11 @@ class _Planner:
         """Return v (n, 3) and coil excitation (n, C); a single row of zeros where nothing plays."""
         v, coils = self.no_v, self.no_coils
         window = fade(n, step.fade_s, self.rate_hz)
-        for position, name in enumerate(step.excite):
+        signals = self.signals(step, index, n)
+        for name in step.excite:
             excitation = self.session.excitations[name]
-            # One stream for each place in the session: adding a record leaves the others alone.
-            rng = np.random.default_rng([self.session.seed, index, position])
             try:
-                played = window * signal(excitation, n, self.rate_hz, rng)
+                played = window * next(signals)
             except ConfigError as error:
                 raise ConfigError(
                     f"session {self.session.name}: excitations.{name}.{error}"
@@ -206,6 +207,29 @@ class _Planner:
                 coils = coils if len(coils) == n else np.zeros((n, self.coils))
                 coils[:, coil] += played
         return v, coils
+
+    def signals(self, step: RecordStep, index: int, n: int) -> Iterator[Array]:
+        """Yield the samples (n,) of each excitation of a record; raises ConfigError."""
+        played = [self.session.excitations[name] for name in step.excite]
+        seed = self.session.seed
+        if step.orthogonal is not None:
+            yield from orthogonal_multisines(
+                played, step.orthogonal, step.fade_s, self.rate_hz, seed, index
+            ).T
+            return
+        for position, excitation in enumerate(played):
+            # One stream for each place in the session: adding a record leaves the others alone.
+            rng = np.random.default_rng([seed, index, position])
+            yield signal(excitation, n, self.rate_hz, rng)
+
+    def record_cycles(self, step: RecordStep) -> int:
+        if step.orthogonal is None:
+            assert step.duration_s is not None
+            return self.n(step.duration_s)
+        first = self.session.excitations[step.excite[0]]
+        return orthogonal_cycles(
+            first, len(step.excite), step.orthogonal, step.fade_s, self.rate_hz
+        )
 
     def check_levels(self, v: Array, coil_excitation: Array, beam: Array, where: str) -> None:
         """Raise ConfigError where weight and excitation together ask more than a coil can give."""

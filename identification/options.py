@@ -18,7 +18,7 @@ class Options:
     markov: estimator of the Markov parameters (markov.ESTIMATORS) that the model is made from.
     order: states of the realised model; None for the largest gap of the singular values in a loop,
     and by validation without. impulse_s: length of the impulse response (None: 6 s in a loop, less
-    for short records, else as many taps as leave 8 rows each). segment_s: segments of the spectra
+    for short records, else as many taps as leave 4 rows each). segment_s: segments of the spectra
     (None: 10 s in a loop, less for short records, else an eighth of the longest record). holdout:
     share of every record, its end, that only checks the model. lag_s: known first-order lag of the
     inputs (the declared model's current loop), taken out of the loop before it is realised.

@@ -11,11 +11,23 @@ from numpy.typing import NDArray
 from .expression import Expression, ExpressionError
 from .second_order import SecondOrder
 
+Array = NDArray[np.float64]
 Grid = tuple[tuple[Expression, ...], ...]
 
 
 class ModelError(ValueError):
     """A declared model that contradicts itself."""
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """M, D, K (N, n, n), B (N, n, p) and force (N, n) along a record, in SI units."""
+
+    M: Array
+    D: Array
+    K: Array
+    B: Array
+    force: Array
 
 
 @dataclass(frozen=True)
@@ -108,6 +120,18 @@ class DeclaredModel:
         except ExpressionError as error:
             raise ModelError(str(error)) from None
 
+    def over(self, scheduling: Mapping[str, Array]) -> Matrices:
+        """Return the matrices along scheduling variables (N,), those not given as declared."""
+        values: dict[str, float | Array] = {**self.values, **self.scheduling, **scheduling}
+        n = len(next(iter(scheduling.values()))) if scheduling else 1
+        try:
+            return Matrices(
+                *(_stacked(grid, values, n) for grid in (self.M, self.D, self.K, self.B)),
+                force=_stacked((self.force,), values, n)[:, 0],
+            )
+        except ExpressionError as error:
+            raise ModelError(str(error)) from None
+
     def with_values(self, values: Mapping[str, float]) -> DeclaredModel:
         """Return the model with some parameters changed; raises ModelError for unknown names."""
         unknown = set(values) - set(self.values)
@@ -140,6 +164,14 @@ def _formula(where: str, source: str | float, known: set[str]) -> Expression:
             f"found {sorted(unknown)} in '{expression.text}'"
         )
     return expression
+
+
+def _stacked(grid: Grid, values: Mapping[str, float | Array], n: int) -> Array:
+    stacked = np.empty((n, len(grid), len(grid[0])))
+    for i, row in enumerate(grid):
+        for j, entry in enumerate(row):
+            stacked[:, i, j] = entry.over(values)
+    return stacked
 
 
 def _evaluate(grid: Grid, values: Mapping[str, float]) -> NDArray[np.float64]:

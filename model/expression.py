@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import ast
-import math
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
-_BINARY: dict[type[ast.operator], Callable[[float, float], float]] = {
+import numpy as np
+from numpy.typing import NDArray
+
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
-_FUNCTIONS: dict[str, Callable[[float], float]] = {
-    "sqrt": math.sqrt,
-    "sin": math.sin,
-    "cos": math.cos,
-    "exp": math.exp,
+_FUNCTIONS: dict[str, Callable[[Any], Any]] = {
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "exp": np.exp,
 }
 _DEEPEST = 50
 
@@ -50,8 +53,13 @@ class Expression:
 
     def __call__(self, values: Mapping[str, float]) -> float:
         """Return the value in SI units; raises ExpressionError where it has none."""
+        return float(self.over(values))
+
+    def over(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
+        """Return the values where some of `values` are arrays (N,); raises ExpressionError."""
         try:
-            return float(_value(self._tree, values))
+            with np.errstate(all="raise", under="ignore"):
+                return np.asarray(_value(self._tree, values), np.float64)
         except (ArithmeticError, ValueError, TypeError) as error:
             raise ExpressionError(f"'{self.text}' has no value: {error}") from None
 
@@ -79,7 +87,7 @@ def _check(node: ast.expr, names: set[str], text: str, depth: int) -> None:
             )
 
 
-def _value(node: ast.expr, values: Mapping[str, float]) -> float:
+def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
     match node:
         case ast.Constant(value=number):
             return float(number)  # type: ignore[arg-type]

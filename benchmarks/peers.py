@@ -1,0 +1,175 @@
+"""levid against its peers on the same records in the same run: error, time and memory of P.
+
+Flies white noise at each input in turn, with the beam off the middle, so that theta and z couple,
+and has every contender (_contenders.py) identify P from those logs, each in a process of its own.
+The truth is the simulator's. Several flights differ in seed; the medians over them are shown.
+`pip install levid[peers]` brings the other packages; what is missing or fails says so in the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from _contenders import CONTENDERS, Complex, Contender
+from _isolated import Outcome, measure_apart
+from _white_noise import fly, truth
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from levid.identification.data import Record
+from levid.identification.from_log import from_log
+from levid.log.reader import read_log
+from levid.sim.truth import frequency_response
+
+RATE_HZ = 1000
+BEAM_M = 0.1
+FREQ_HZ = np.unique(np.round(np.geomspace(1.0, 64.0, 100), 1))  # bins of spectra over 10 s
+COMPARABLE = 2.0
+"""Errors up to this many times another count as comparable to it."""
+MEMORY_BYTES = 8_000_000_000
+
+
+@dataclass(frozen=True)
+class Score:
+    """Medians over the flights of one contender; `failed` says why there are none."""
+
+    contender: Contender
+    error_db: float = np.nan
+    error_deg: float = np.nan
+    error_percent: float = np.nan
+    seconds: float = np.nan
+    peak_mb: float = np.nan
+    failed: str = ""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="levid against its peers")
+    parser.add_argument("--quick", action="store_true", help="one flight of 20 s an input")
+    parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
+    parser.add_argument("--only", nargs="+", metavar="KEY", help="some of the contenders")
+    arguments = parser.parse_args()
+    chosen = [c for c in CONTENDERS if arguments.only is None or c.key in arguments.only]
+    seeds, duration_s, timeout_s = (
+        ((1,), 20.0, 60.0) if arguments.quick else ((1, 2, 3), 60.0, 300.0)
+    )
+    scores = measure(chosen, seeds, duration_s, timeout_s)
+    if arguments.json:
+        json.dump({"figures": figures(scores)}, sys.stdout)
+        sys.stdout.write("\n")
+    else:
+        Console().print(table(scores, f"P's diagonal, 1 to 64 Hz, from 3 x {duration_s:g} s"))
+
+
+def measure(
+    contenders: Sequence[Contender], seeds: Sequence[int], duration_s: float, timeout_s: float
+) -> list[Score]:
+    """Return the scores of all contenders; they take turns on every flight."""
+    outcomes: dict[str, list[Outcome]] = {c.key: [] for c in contenders}
+    for seed in seeds:
+        records = fly_records(duration_s, seed)
+        for contender in contenders:
+            known = outcomes[contender.key]
+            if not any(o.failed for o in known):
+                packages = [contender.package] if contender.package else []
+                known.append(
+                    measure_apart(
+                        contender.identify, records, FREQ_HZ, packages=packages,
+                        timeout_s=timeout_s, memory_bytes=MEMORY_BYTES,
+                    )
+                )  # fmt: skip
+    true = frequency_response(truth(), BEAM_M, FREQ_HZ, RATE_HZ)
+    return [score(c, outcomes[c.key], true) for c in contenders]
+
+
+def fly_records(duration_s: float, seed: int) -> list[Record]:
+    with tempfile.TemporaryDirectory() as folder:
+        logs = fly(Path(folder), RATE_HZ, [BEAM_M], duration_s, seed)
+        return [from_log(read_log(path)) for path in logs]
+
+
+def score(contender: Contender, outcomes: Sequence[Outcome], true: Complex) -> Score:
+    """Return the medians over flights of the largest and the rms relative errors, and the cost."""
+    for outcome in outcomes:
+        if outcome.failed:
+            return Score(contender, failed=outcome.failed)
+    ratios = [np.einsum("fii->fi", o.value) / np.einsum("fii->fi", true) for o in outcomes]
+    return Score(
+        contender,
+        _median([np.abs(20 * np.log10(np.abs(r))).max() for r in ratios]),
+        _median([np.abs(np.angle(r, deg=True)).max() for r in ratios]),
+        _median([100 * np.sqrt(np.mean(np.abs(r - 1) ** 2)) for r in ratios]),
+        _median([o.seconds for o in outcomes]),
+        _median([o.peak_bytes / 1e6 for o in outcomes]),
+    )
+
+
+def figures(scores: Sequence[Score]) -> dict[str, float]:
+    """Return every number by name; of a contender that failed only failed_KEY = 1."""
+    out: dict[str, float] = {}
+    for s in scores:
+        key = s.contender.key
+        out[f"failed_{key}"] = float(bool(s.failed))
+        if not s.failed:
+            out[f"error_{key}_db"] = s.error_db
+            out[f"error_{key}_deg"] = s.error_deg
+            out[f"error_{key}_percent"] = s.error_percent
+            out[f"time_{key}_s"] = s.seconds
+            out[f"memory_{key}_mb"] = s.peak_mb
+    ours = [s for s in scores if s.contender.is_levid and not s.failed]
+    peers = [s for s in scores if not s.contender.is_levid and not s.failed]
+    if ours and peers:
+        best = min(s.error_percent for s in ours)
+        out["lead_error"] = min(s.error_percent for s in peers) / best
+        comparable = [s for s in peers if s.error_percent <= COMPARABLE * best]
+        leads = [time_lead(s, ours) for s in comparable]
+        if leads:
+            out["lead_time"] = min(leads)
+    return out
+
+
+def time_lead(peer: Score, ours: Sequence[Score]) -> float:
+    """Return how many times faster levid's fastest method is of those no worse than the peer.
+
+    Where every one of levid's is worse, its most accurate one is compared.
+    """
+    best = min(s.error_percent for s in ours)
+    at_least = [s.seconds for s in ours if s.error_percent <= max(peer.error_percent, best)]
+    return peer.seconds / min(at_least)
+
+
+def table(scores: Sequence[Score], title: str) -> Table:
+    grid = Table(title=title, title_justify="left")
+    grid.add_column("contender")
+    for column in ("largest, dB", "largest, deg", "rms, %", "time, s", "memory, MB"):
+        grid.add_column(column, justify="right")
+    grid.add_column("levid, no worse, is")
+    ours = [s for s in scores if s.contender.is_levid and not s.failed]
+    for s in scores:
+        if s.failed:
+            grid.add_row(s.contender.label, f"failed: {s.failed}")
+            continue
+        lead = "" if s.contender.is_levid or not ours else f"{time_lead(s, ours):.1f} x as fast"
+        if lead and s.error_percent < min(o.error_percent for o in ours):
+            lead = f"none ({lead})"
+        numbers = (s.error_db, s.error_deg, s.error_percent, s.seconds, s.peak_mb)
+        grid.add_row(
+            s.contender.label, *(f"{x:.3g}" for x in numbers[:4]), f"{s.peak_mb:,.0f}", lead
+        )
+    return grid
+
+
+def _median(values: Sequence[float] | Sequence[NDArray[np.float64]]) -> float:
+    return float(statistics.median(float(v) for v in values))
+
+
+if __name__ == "__main__":
+    main()

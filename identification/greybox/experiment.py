@@ -1,0 +1,159 @@
+"""One record as the declared model sees it: applied inputs, outputs, schedule, and the loop around."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.base import parse_text
+from ...config.model import ModelConfig
+from ...config.rig import RigConfig
+from ...log.reader import Log
+from ...model.geometry import shape_matrix
+from ..data import IdentificationError, PiController
+from ..from_log import _CYCLE as CYCLE  # noqa
+from ..from_log import _EXCITATION as EXCITATION
+from ..from_log import _FEED_FORWARD as FEED_FORWARD
+from ..from_log import _POSE as POSE
+from ..from_log import _REFERENCE as REFERENCE
+from ..from_log import NotARecordError, from_log
+from ..from_log import _columns as columns
+from ..from_log import _controller as controller_of
+from ..from_log import _remarks as remarks_of
+
+Array = NDArray[np.float64]
+
+_STILL = 1e-3
+"""A scheduling variable whose spread is below this share of its range counts as constant."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What closed the loop: excitation v (N, p), reference (N, n), feed-forward (N, p), controller."""
+
+    v: Array
+    reference: Array
+    feedforward: Array
+    controller: PiController
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Rows of one record: input u (N, p) as commanded, output y (N, n), schedule by name (N,).
+
+    Schedule variables in `rates` are means over the period that follows a row, others are samples.
+    The input acts `delay_cycles` whole periods after its row, beyond any delay of the model. `moving`
+    says that the schedule changes during the record. `loop` is None where no controller is known.
+    """
+
+    name: str
+    Ts_s: float
+    u: Array
+    y: Array
+    schedule: Mapping[str, Array]
+    rates: frozenset[str]
+    moving: bool
+    delay_cycles: int = 0
+    loop: Loop | None = None
+    remarks: tuple[str, ...] = ()
+
+    def rows(self, start: int, stop: int) -> Experiment:
+        """Return the experiment cut to rows start .. stop."""
+        cut = slice(start, stop)
+        loop = self.loop and Loop(
+            self.loop.v[cut],
+            self.loop.reference[cut],
+            self.loop.feedforward[cut],
+            self.loop.controller,
+        )
+        schedule = {name: values[cut] for name, values in self.schedule.items()}
+        return replace(self, u=self.u[cut], y=self.y[cut], schedule=schedule, loop=loop)
+
+
+def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
+    """Return the record of a log for `model`: what the coils were told to do, what the pose did.
+
+    Raises:
+        NotARecordError: the log is of a step that is not to be identified.
+        IdentificationError: signals that the model names are not in the log, or do not fit it.
+    """
+    base = _imported(log) if "signals.yaml" in log.attachments else _flown(log)
+    if (base.u.shape[1], base.y.shape[1]) != (len(model.inputs), len(model.dof)):
+        raise IdentificationError(
+            f"{log.path}: expected {len(model.inputs)} inputs and {len(model.dof)} outputs, as "
+            f"model '{model.name}' has, found {base.u.shape[1]} and {base.y.shape[1]}"
+        )
+    names = log.rows.dtype.names or ()
+    missing = [v.signal for v in model.scheduling.values() if v.signal not in names]
+    if missing:
+        raise IdentificationError(f"{log.path}: expected the model's signals {missing} in the log")
+    schedule = {
+        name: _schedule(log, variable.signal, variable.derivative, base.Ts_s)
+        for name, variable in model.scheduling.items()
+    }
+    spans = {
+        name: _span(variable.min, variable.max, variable.value)
+        for name, variable in model.scheduling.items()
+    }
+    moving = any(
+        np.ptp(schedule[name]) > _STILL * spans[name]
+        for name, variable in model.scheduling.items()
+        if not variable.derivative
+    )
+    rates = frozenset(name for name, variable in model.scheduling.items() if variable.derivative)
+    return replace(base, schedule=schedule, rates=rates, moving=moving)
+
+
+def _imported(log: Log) -> Experiment:
+    record = from_log(log)
+    return Experiment(record.name, record.Ts_s, record.v, record.y, {}, frozenset(), False)
+
+
+def _flown(log: Log) -> Experiment:
+    """Return a record of the rig: the input is the wrench the coils were told to give."""
+    kind = log.metadata.get("kind")
+    if kind != "record":
+        raise NotARecordError(
+            f"{log.path.name}: kind '{kind or 'none'}', only records are identified"
+        )
+    controller = controller_of(log)
+    geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
+    S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
+    loop = Loop(
+        columns(log, EXCITATION) + log.field("coil_excitation_n").astype(float) @ S,
+        columns(log, REFERENCE),
+        columns(log, FEED_FORWARD),
+        controller,
+    )
+    return Experiment(
+        log.metadata.get("name") or log.path.stem,
+        1.0 / log.rate_hz,
+        np.asarray(log.field("coil_n").astype(float) @ S),
+        columns(log, POSE),
+        {},
+        frozenset(),
+        False,
+        1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
+        loop,
+        tuple(remarks_of(log)),
+    )
+
+
+def _schedule(log: Log, signal: str, derivative: bool, Ts_s: float) -> Array:
+    values = log.field(signal).astype(float)
+    if not derivative:
+        return np.asarray(values)
+    # The mean over the period that follows: exact, whatever the drive does within it.
+    return np.append(np.diff(values), 0.0) / Ts_s
+
+
+def _span(low: float | None, high: float | None, value: float) -> float:
+    if low is not None and high is not None:
+        return high - low
+    return max(abs(value), 1.0)
+
+
+__all__ = ["Experiment", "Loop", "NotARecordError", "experiment_from_log"]

@@ -1,0 +1,274 @@
+"""The declared model fitted to records by maximum likelihood of one-step-ahead prediction errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from ...config.model import ModelConfig
+from ...model.declared import DeclaredModel, ModelError
+from ..data import IdentificationError
+from ..declared import declared_model
+from .experiment import Experiment
+from .identifiability import Unidentifiable, judge
+from .motion import motion
+from .noise import Noise, estimate_noise
+from .parameters import FreeParameters, free_parameters
+from .prediction import Prediction, errors_of, predict, settled
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+_MOST_STEPS = 15
+_SINGULAR = 1e-8
+_CONVERGED = 1e-3
+"""A step below this share of every standard error ends a search."""
+_NUDGE = 1e-4
+"""Half of a central difference, as a share of a parameter's scale."""
+_NOISE_ROUNDS = 2
+_FIRST_FORCE_SHARE = 0.3
+"""Unknown forces are first taken to be this part of the input's."""
+_NOISE_ROWS = 60_000
+_SHORTEST_ROWS = 50
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    `free`: the fitted parameters, with `covariance` (F, F) in SI units. `unidentifiable`: those that
+    these records say nothing of, held at their declared values. `predictions`: the records, with
+    whitened errors of unit variance where the model holds. `at_bound`: fitted parameters that ended
+    at a bound of the model file, whose standard errors mean little.
+    """
+
+    model: DeclaredModel
+    free: tuple[str, ...]
+    covariance: Array
+    unidentifiable: tuple[Unidentifiable, ...]
+    at_bound: tuple[str, ...]
+    noise: Noise
+    predictions: tuple[Prediction, ...]
+    steps: int
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Values of all parameters, SI."""
+        return self.model.values
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors of the fitted parameters, SI."""
+        return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def cost(self) -> float:
+        """Minus twice the log-likelihood of all records, but for a constant."""
+        return sum(p.cost for p in self.predictions)
+
+
+def fit_model(
+    config: ModelConfig, experiments: Sequence[Experiment], progress: Progress | None = None
+) -> Fit:
+    """Fit every parameter of `config` that is not fixed to all experiments together.
+
+    The errors are those of the Kalman filter of the declared model under white forces and white
+    measurement noise, whose sizes are estimated too: the exact likelihood of a record in a loop,
+    since the input is known as it was commanded. Constant forces and the state at the start are
+    fitted for each record by itself. Gauss-Newton on QR factors, damped where it must be, within
+    the bounds of the model file; priors are further rows. Standard errors are those of maximum
+    likelihood.
+
+    Raises IdentificationError: no experiment, a record too short, a model that has no values.
+    """
+    if not experiments:
+        raise IdentificationError("expected at least one record to fit, found none")
+    for e in experiments:
+        if len(e.y) < _SHORTEST_ROWS:
+            raise IdentificationError(
+                f"record '{e.name}': expected at least {_SHORTEST_ROWS} rows, found {len(e.y)}"
+            )
+    try:
+        # Records go to threads; BLAS threads inside those would only fight for the same cores.
+        with threadpool_limits(1):
+            return _Search(config, experiments, progress or (lambda _what, _share: None)).run()
+    except ModelError as error:
+        raise IdentificationError(f"model '{config.name}': {error}") from None
+
+
+class _Search:
+    def __init__(
+        self, config: ModelConfig, experiments: Sequence[Experiment], progress: Progress
+    ) -> None:
+        self.hold, self.experiments, self.progress = config.input, tuple(experiments), progress
+        self.model = declared_model(config)
+        self.parameters = free_parameters(config)
+        self.noise = _first_noise(experiments)
+        self.held: list[Unidentifiable] = []
+        self.steps, self.damping = 0, 0.0
+
+    def run(self) -> Fit:
+        # With much force noise the filter follows the record whatever the parameters are, and the
+        # errors are nearly linear in them; with little it hardly differs from a simulation, whose
+        # errors have many minima. So the noise comes down in steps, and the parameters with it.
+        predictions = self.descend(settle=0.1)
+        for _ in range(_NOISE_ROUNDS):
+            self.noise = self.refined_noise(predictions)
+            predictions = self.descend(settle=0.1)
+        self.hold_unidentifiable(predictions)
+        self.noise = self.refined_noise(predictions)
+        predictions = self.descend(settle=_CONVERGED)
+        R = self.factor(predictions)[:-1, :-1]
+        inverse = np.linalg.inv(R)
+        scale, values = self.parameters.scale, self.values()
+        edge = 1e-9 * scale
+        bound = (values <= self.parameters.low + edge) | (values >= self.parameters.high - edge)
+        return Fit(
+            self.model,
+            self.parameters.names,
+            scale[:, None] * (inverse @ inverse.T) * scale,
+            tuple(self.held),
+            tuple(np.array(self.parameters.names)[bound].tolist()),
+            self.noise,
+            tuple(predictions),
+            self.steps,
+        )
+
+    def descend(self, settle: float) -> list[Prediction]:
+        """Take Gauss-Newton steps until one is below `settle` standard errors."""
+        predictions = self.predict_all(self.model)
+        for _ in range(_MOST_STEPS):
+            self.progress(f"step {self.steps + 1}", self.share())
+            R = self.factor(predictions)
+            moved, predictions = self.step(R, predictions)
+            self.steps += 1
+            if moved < settle:
+                break
+        return predictions
+
+    def hold_unidentifiable(self, predictions: list[Prediction]) -> None:
+        """Put parameters that the records say nothing of back to what was declared."""
+        p = self.parameters
+        R = self.factor(predictions)[:-1, :-1]
+        self.held = judge(R, p.names, p.worth, p.scale)
+        gone = {u.name for u in self.held}
+        declared = dict(zip(p.names, p.prior_mean.tolist(), strict=True))
+        self.model = self.model.with_values({name: declared[name] for name in gone})
+        self.parameters = p.only([i for i, name in enumerate(p.names) if name not in gone])
+
+    def step(self, R: Array, predictions: list[Prediction]) -> tuple[float, list[Prediction]]:
+        """Take one step that lowers the cost; return its size in standard errors."""
+        J, r = R[:-1, :-1], R[:-1, -1]
+        start, before = self.model, self.cost(predictions)
+        # Directions that nothing depends on stay where they are: least squares of least norm.
+        by_worth = self.parameters.worth / self.parameters.scale
+        errors = np.linalg.norm(np.linalg.pinv(J * by_worth, rcond=_SINGULAR), axis=1) * by_worth
+        for _ in range(12):
+            damped = np.vstack([J, np.diag(np.sqrt(self.damping) * np.linalg.norm(J, axis=0))])
+            right = np.append(r, np.zeros(len(r)))
+            move = -by_worth * np.linalg.lstsq(damped * by_worth, right, rcond=_SINGULAR)[0]
+            values = self.values(start) + self.parameters.scale * move
+            values = np.clip(values, self.parameters.low, self.parameters.high)
+            self.model = start.with_values(
+                dict(zip(self.parameters.names, values.tolist(), strict=True))
+            )
+            try:
+                after = self.predict_all(self.model)
+            except (ModelError, IdentificationError, np.linalg.LinAlgError):
+                after = None
+            if after is not None and self.cost(after) <= before + 1e-9 * abs(before):
+                self.damping = 0.0 if self.damping < 1e-6 else self.damping / 10
+                moved = (values - self.values(start)) / self.parameters.scale / errors
+                return float(np.max(np.abs(moved[errors > 0]))), after
+            self.damping = max(10 * self.damping, 1e-4)
+        self.model = start
+        return 0.0, predictions
+
+    def predict_all(self, model: DeclaredModel) -> list[Prediction]:
+        with ThreadPoolExecutor() as pool:
+            return list(
+                pool.map(lambda e: predict(model, e, self.hold, self.noise), self.experiments)
+            )
+
+    def factor(self, predictions: Sequence[Prediction]) -> Array:
+        """Return R (F + 1, F + 1) of [Jacobian by parameter over scale, errors], unknowns taken out."""
+        nudged = [self.nudged(i) for i in range(len(self.parameters.names))]
+
+        def one(p: Prediction) -> Array:
+            columns = [self.sensitivity(p, *models) for models in nudged]
+            parts = [p.unknowns, *(c[:, :, None] for c in columns), p.errors[:, :, None]]
+            stacked = np.concatenate(parts, axis=2)
+            taken = p.unknowns.shape[2]
+            R = np.linalg.qr(stacked.reshape(-1, stacked.shape[2]), mode="r")
+            return np.asarray(R[taken:, taken:])
+
+        with ThreadPoolExecutor() as pool:
+            rows = list(pool.map(one, predictions))
+        rows.append(self.parameters.prior_rows(self.values()))
+        return np.asarray(np.linalg.qr(np.vstack(rows), mode="r"))
+
+    def nudged(self, index: int) -> tuple[DeclaredModel, DeclaredModel, float, bool]:
+        """Return the model with one parameter lower and higher, their distance over scale, and
+        whether it changes what the inputs do between samples."""
+        p, name = self.parameters, self.parameters.names[index]
+        value, nudge = self.model.values[name], _NUDGE * self.parameters.scale[index]
+        low, high = max(value - nudge, p.low[index]), min(value + nudge, p.high[index])
+        return (
+            self.model.with_values({name: low}),
+            self.model.with_values({name: high}),
+            (high - low) / p.scale[index],
+            name in self.model.lag.names | self.model.delay.names,
+        )
+
+    def sensitivity(
+        self,
+        p: Prediction,
+        low: DeclaredModel,
+        high: DeclaredModel,
+        distance: float,
+        on_inputs: bool,
+    ) -> Array:
+        inputs, e = None if on_inputs else p.motion.inputs, p.experiment
+        # Around the offset and start at hand: the weight alone bends the rods by millimetres.
+        low_errors, high_errors = (
+            errors_of(settled(motion(model, e, self.hold, inputs), p.offset), p.filter, e, p.start)
+            for model in (low, high)
+        )
+        return np.asarray((high_errors - low_errors) / distance)
+
+    def refined_noise(self, predictions: Sequence[Prediction]) -> Noise:
+        self.progress("noise", self.share())
+        chosen = [p for p in predictions if p.motion.fixed] or list(predictions)
+        rows = max(_NOISE_ROWS // len(chosen), _SHORTEST_ROWS)
+        short = [p.experiment.rows(0, rows) for p in chosen]
+        motions = [
+            settled(motion(self.model, e, self.hold), p.offset)
+            for p, e in zip(chosen, short, strict=True)
+        ]
+        return estimate_noise(motions, [e.y for e in short], [p.start for p in chosen], self.noise)
+
+    def values(self, model: DeclaredModel | None = None) -> Array:
+        model = model or self.model
+        return np.array([model.values[name] for name in self.parameters.names])
+
+    def cost(self, predictions: Sequence[Prediction]) -> float:
+        prior = self.parameters.prior_rows(self.values())[:, -1]
+        return sum(p.cost for p in predictions) + float(prior @ prior)
+
+    def share(self) -> float:
+        return 1.0 - 0.85**self.steps
+
+
+def _first_noise(experiments: Sequence[Experiment]) -> Noise:
+    """Return a guess: measurement noise from how rough outputs are, forces from how the input is."""
+    # A third difference of white noise has 20 times its variance; smooth motion has next to none.
+    rough = np.min([np.var(np.diff(e.y, 3, axis=0), axis=0) / 20.0 for e in experiments], axis=0)
+    push = np.max([np.var(e.u, axis=0) * e.Ts_s for e in experiments], axis=0)
+    n = len(rough)
+    psd = _FIRST_FORCE_SHARE**2 * (push if len(push) == n else np.full(n, push.mean()))
+    return Noise(np.maximum(psd, 1e-300), np.maximum(rough, 1e-300))

@@ -1,0 +1,151 @@
+"""Compiled passes over a record: the innovations filter, fixed and along a schedule, and the loop.
+
+All of them step a second-order model by a Taylor series of its exact flow: over one period the state
+[q, q'] becomes sum_j A^j (Ts^j / j! x + B m_j + g_j), with m_j the moments of the input over the period
+(inputs.py) and g_j those of the force that comes with the schedule. They stand in one file because the
+compiler's cache follows a function's own file only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def innovations_fixed(  # type: ignore[no-untyped-def]
+    Phi: Array, gain: Array, forcing: Array, y: Array, x0: Array, out: Array
+):
+    """Fill `out` (N, m) with y - C x of the filter x(k+1) = Phi (x + gain e) + forcing(k).
+
+    Phi (2n, 2n), gain (2n, m), forcing (N, 2n), y (N, m), x0 (2n,); C takes the first m states.
+    """
+    size, m = len(x0), y.shape[1]
+    x, updated = x0.copy(), np.empty(size)
+    for k in range(len(y)):
+        for i in range(size):
+            updated[i] = x[i]
+        for j in range(m):
+            error = y[k, j] - x[j]
+            out[k, j] = error
+            for i in range(size):
+                updated[i] += gain[i, j] * error
+        for i in range(size):
+            total = forcing[k, i]
+            for j in range(size):
+                total += Phi[i, j] * updated[j]
+            x[i] = total
+
+
+@njit(cache=True, nogil=True)
+def flow(K, D, B, x, moments, drift, scale, work, top):  # type: ignore[no-untyped-def]
+    """Put the state after one period into `x` (2n,): Horner's scheme over the Taylor series.
+
+    K, D (n, n) and B (n, p) already divided by M; moments (J, p); drift (J, n) moments of the force;
+    scale (J + 1,) is Ts^j / j!; work, top (2n,) are scratch.
+    """
+    n, p, order = len(K), B.shape[1], len(moments)
+    for i in range(2 * n):
+        work[i] = scale[order] * x[i]
+    for j in range(order - 1, -1, -1):
+        for i in range(n):
+            total = 0.0
+            for a in range(n):
+                total -= K[i, a] * work[a] + D[i, a] * work[n + a]
+            top[i] = work[n + i]
+            top[n + i] = total
+        for i in range(n):
+            total = drift[j, i]
+            for a in range(p):
+                total += B[i, a] * moments[j, a]
+            top[n + i] += total
+        for i in range(2 * n):
+            work[i] = top[i] + scale[j] * x[i]
+    for i in range(2 * n):
+        x[i] = work[i]
+
+
+@njit(cache=True, nogil=True)
+def innovations_along(K, D, B, drift, gain, moments, scale, y, x0, out):  # type: ignore[no-untyped-def]
+    """Fill `out` (N, m) like innovations_fixed for a model that changes from period to period.
+
+    K, D (N, n, n), B (N, n, p), already divided by M, hold in the middle of each period; drift
+    (N, J, n); gain (N, 2n, m); moments (N, J, p); scale (J + 1,).
+    """
+    size, m = len(x0), y.shape[1]
+    x, work, top = x0.copy(), np.empty(size), np.empty(size)
+    for k in range(len(y)):
+        for j in range(m):
+            out[k, j] = y[k, j] - x[j]
+        for j in range(m):
+            for i in range(size):
+                x[i] += gain[k, i, j] * out[k, j]
+        flow(K[k], D[k], B[k], x, moments[k], drift[k], scale, work, top)
+
+
+@njit(cache=True, nogil=True)
+def gains_along(K, D, scale, Q, R, P0, gain, S_out):  # type: ignore[no-untyped-def]
+    """Fill gain (N, 2n, m) and innovation covariances (N, m, m) of the Kalman filter on a schedule.
+
+    Q (N, 2n, 2n) process and R (m, m) measurement covariance, P0 (2n, 2n) of the state at the start.
+    """
+    size, m = len(P0), len(R)
+    n = size // 2
+    P = P0.copy()
+    Phi = np.empty((size, size))
+    unit, work, top = np.zeros(size), np.empty(size), np.empty(size)
+    nothing, no_drift, no_input = (
+        np.zeros((len(scale) - 1, 1)), np.zeros((len(scale) - 1, n)), np.zeros((n, 1)),
+    )  # fmt: skip
+    for k in range(len(K)):
+        S = P[:m, :m] + R
+        top_rows = np.ascontiguousarray(P[:m, :])
+        L = np.ascontiguousarray(np.linalg.solve(S, top_rows).T)
+        gain[k] = L
+        S_out[k] = S
+        P = P - L @ top_rows
+        for i in range(size):
+            unit[:] = 0.0
+            unit[i] = 1.0
+            flow(K[k], D[k], no_input, unit, nothing, no_drift, scale, work, top)
+            Phi[:, i] = unit
+        P = Phi @ P @ Phi.T + Q[k]
+        P = 0.5 * (P + P.T)
+
+
+@njit(cache=True, nogil=True)
+def closed_loop_along(  # type: ignore[no-untyped-def]
+    K, D, B, drift, scale, v, ref, known, kp, ki_Ts, whole,
+    from_old, from_new, from_lag, end, x0, integral0, u0, y_out, u_out,
+):  # fmt: skip
+    """Simulate the model in its loop, free of any measurement.
+
+    u = v + known + PI(ref - y), commanded at the samples, acting `whole` periods and a fraction later
+    behind the lag (inputs.HeldStep: from_*, end = [old, new, lag]). v, ref, known (N, n or p); x0 (2n,)
+    state, integral0 of the controller, u0 (p,) the command before the record. K, D, B, drift have one
+    row a period or a single one. Fills y_out (N, n) and u_out (N, p).
+    """
+    n, p, rows = K.shape[1], B.shape[2], len(v)
+    x, work, top = x0.copy(), np.empty(2 * n), np.empty(2 * n)
+    integral, lag = integral0.copy(), u0.copy()
+    moments = np.empty((len(from_old), p))
+    for k in range(rows):
+        at = min(k, len(K) - 1)
+        for i in range(n):
+            y_out[k, i] = x[i]
+        for i in range(p):
+            error = ref[k, i] - x[i]
+            integral[i] += ki_Ts[i] * error
+            u_out[k, i] = v[k, i] + known[k, i] + kp[i] * error + integral[i]
+        for i in range(p):
+            new = u_out[k - whole, i] if k >= whole else u0[i]
+            old = u_out[k - whole - 1, i] if k >= whole + 1 else u0[i]
+            for j in range(len(moments)):
+                moments[j, i] = from_old[j] * old + from_new[j] * new + from_lag[j] * lag[i]
+            lag[i] = end[0] * old + end[1] * new + end[2] * lag[i]
+        flow(
+            K[at], D[at], B[at], x, moments, drift[min(k, len(drift) - 1)], scale, work, top
+        )

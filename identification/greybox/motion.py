@@ -1,0 +1,166 @@
+"""The declared model along one record, ready to be stepped: fixed matrices, or one set a period."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from ...model.declared import DeclaredModel
+from . import kernels
+from .experiment import Experiment
+from .inputs import Hold, moments
+
+Array = NDArray[np.float64]
+
+_ACCURACY = 1e-12
+"""What the Taylor series of a period's flow may leave out, relative to the state."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A model along an experiment: K, D (R, n, n) and B (R, n, p) divided by M, one row or N of them.
+
+    `mobility` (R, n, n) is the inverse of M.
+    `drift` (R, J, n): moments of the model's own force over each period, divided by M; `scale`
+    (J + 1,) is Ts^j / j!; `inputs` (N, J, p) the moments of the input.
+    """
+
+    K: Array
+    D: Array
+    B: Array
+    mobility: Array
+    drift: Array
+    scale: Array
+    inputs: Array
+    Ts_s: float
+
+    @property
+    def fixed(self) -> bool:
+        """Whether one set of matrices holds throughout."""
+        return len(self.K) == 1
+
+    def continuous(self, row: int = 0) -> tuple[Array, Array]:
+        """Return A (2n, 2n) and B (2n, p) of one period, states [q, q']."""
+        n = self.K.shape[1]
+        A = np.block([[np.zeros((n, n)), np.eye(n)], [-self.K[row], -self.D[row]]])
+        return A, np.vstack([np.zeros((n, self.B.shape[2])), self.B[row]])
+
+
+def motion(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, inputs: Array | None = None
+) -> Motion:
+    """Return `model` along `experiment`; `inputs` saves their moments where they are known already.
+
+    A schedule that stands still gives one set of matrices and no drift (a constant force is part of
+    the record's unknown offset); one that moves gives matrices in the middle of each period and the
+    model's force as a straight line over it.
+    """
+    Ts_s = experiment.Ts_s
+    if experiment.moving:
+        begin = dict(experiment.schedule)
+        end = {
+            name: values if name in experiment.rates else np.append(values[1:], values[-1])
+            for name, values in begin.items()
+        }
+        at = model.over({name: 0.5 * (begin[name] + end[name]) for name in begin})
+        force = np.stack([model.over(begin).force, model.over(end).force], axis=2)
+    else:
+        mean = {name: np.array([values.mean()]) for name, values in experiment.schedule.items()}
+        at, force = model.over(mean), np.zeros((1, len(model.dof), 2))
+    mobility = np.linalg.inv(at.M)
+    K, D, B = mobility @ at.K, mobility @ at.D, mobility @ at.B
+    scale = taylor_scale(K, D, Ts_s)
+    order = len(scale) - 1
+    if inputs is None or inputs.shape[1] != order:
+        inputs = input_moments(model, experiment, hold, order)
+    drift = np.zeros((len(K), order, len(model.dof)))
+    if experiment.moving:
+        drift = _drift(mobility @ force, Ts_s, order)
+    return Motion(K, D, B, mobility, drift, scale, inputs, Ts_s)
+
+
+def input_moments(model: DeclaredModel, experiment: Experiment, hold: Hold, order: int) -> Array:
+    """Return the moments (N, order, p) of what the experiment's input does behind delay and lag."""
+    values = {**model.values, **model.scheduling}
+    delay_s = experiment.delay_cycles * experiment.Ts_s + model.delay(values)
+    return moments(
+        experiment.u, experiment.Ts_s, order, hold, max(delay_s, 0.0), max(model.lag(values), 0.0)
+    )
+
+
+def taylor_scale(K: Array, D: Array, Ts_s: float) -> Array:
+    """Return Ts^j / j! (J + 1,) with J large enough for a period's flow to be exact to 1e-12."""
+    # |A Ts| in units where the fastest motion has position and velocity of the same size.
+    fastest = math.sqrt(float(np.abs(K).sum(axis=2).max())) + float(np.abs(D).sum(axis=2).max())
+    reach, term, order = fastest * Ts_s, 1.0, 0
+    while term > _ACCURACY or order < 3:
+        order += 1
+        term *= reach / order
+        if order > 60:
+            break
+    return np.array([Ts_s**j / math.factorial(j) for j in range(order + 1)])
+
+
+def innovations(model: Motion, gain: Array, y: Array, x0: Array) -> Array:
+    """Return y minus its one-step-ahead prediction (N, n); gain (1 or N, 2n, n), x0 (2n,)."""
+    out = np.empty_like(y)
+    if model.fixed:
+        A, B = model.continuous()
+        Phi = expm(A * model.Ts_s)
+        kernels.innovations_fixed(Phi, gain[0], forcing(model, A, B), y, x0, out)
+    else:
+        kernels.innovations_along(
+            model.K, model.D, model.B, model.drift, gain, model.inputs, model.scale, y, x0, out
+        )
+    return out
+
+
+def forcing(model: Motion, A: Array, B: Array) -> Array:
+    """Return what inputs and drift add to the state in each period (N, 2n), a fixed motion's.
+
+    With moments m_j of the input and g_j of the drift it is sum_j A^j (B m_j + [0, g_j]).
+    """
+    n, p = len(model.K[0]), B.shape[1]
+    power = np.hstack([B, np.vstack([np.zeros((n, n)), np.eye(n)])])
+    by_input, constant = [], np.zeros(2 * n)
+    for drift in model.drift[0]:
+        by_input.append(power[:, :p].T)
+        constant += power[:, p:] @ drift
+        power = A @ power
+    return model.inputs.reshape(len(model.inputs), -1) @ np.vstack(by_input) + constant
+
+
+def process_covariance(model: Motion, psd: Array) -> Array:
+    """Return Q (R, 2n, 2n) of white generalised forces with two-sided densities psd (n,), N^2/Hz.
+
+    A period's Q is the integral of its flow times the noise (Van Loan 1978); along a schedule the
+    flow over one period is taken to second order, which noise is never known better than.
+    """
+    Ts_s, n = model.Ts_s, model.K.shape[1]
+    if model.fixed:
+        A, _ = model.continuous()
+        G = np.vstack([np.zeros((n, n)), model.mobility[0]])
+        block = np.block([[-A, G @ np.diag(psd) @ G.T], [np.zeros_like(A), A.T]]) * Ts_s
+        Phi = expm(block)
+        Q = Phi[2 * n :, 2 * n :].T @ Phi[: 2 * n, 2 * n :]
+        return np.asarray(0.5 * (Q + Q.T))[None]
+    force = model.mobility @ np.diag(psd) @ np.swapaxes(model.mobility, 1, 2)
+    Q = np.empty((len(force), 2 * n, 2 * n))
+    Q[:, n:, n:] = force * Ts_s
+    Q[:, :n, n:] = Q[:, n:, :n] = force * (Ts_s**2 / 2)
+    Q[:, :n, :n] = force * (Ts_s**3 / 3)
+    return Q
+
+
+def _drift(force: Array, Ts_s: float, order: int) -> Array:
+    """Return moments (N, J, n) of a force that goes straight from [:, :, 0] to [:, :, 1] (N, n, 2)."""
+    drift = np.empty((len(force), order, force.shape[1]))
+    for j in range(order):
+        whole = Ts_s ** (j + 1) / math.factorial(j + 1)
+        now = Ts_s ** (j + 1) / (math.factorial(j) * (j + 2))
+        drift[:, j] = now * force[:, :, 0] + (whole - now) * force[:, :, 1]
+    return drift

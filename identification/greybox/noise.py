@@ -1,0 +1,117 @@
+"""What disturbs a record: white forces and white measurement noise, their size and their filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm, solve_discrete_are
+from scipy.optimize import minimize
+
+from ..data import IdentificationError
+from . import kernels
+from .motion import Motion, innovations, process_covariance
+
+Array = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class Noise:
+    """Two-sided density of white generalised forces (n,) N^2/Hz, and measurement variance (n,)."""
+
+    force_psd: Array
+    output_variance: Array
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Kalman filter of a motion: gain (R, 2n, n) and innovation covariance (R, n, n), R = 1 or N."""
+
+    gain: Array
+    covariance: Array
+
+    def whiten(self, errors: Array) -> Array:
+        """Return errors (N, n, ...) with unit covariance, uncorrelated from sample to sample."""
+        whitener = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        flat = errors.reshape(len(errors), errors.shape[1], -1)
+        if len(whitener) == 1 and flat.shape[2] == 1:
+            return np.asarray(errors @ whitener[0].T)
+        return np.asarray(whitener @ flat).reshape(errors.shape)
+
+    @property
+    def log_determinant(self) -> float:
+        """Mean over the record of the logarithm of the innovation covariance's determinant."""
+        return float(np.mean(np.linalg.slogdet(self.covariance)[1]))
+
+
+def kalman_filter(model: Motion, noise: Noise) -> Filter:
+    """Return the stationary filter of a fixed motion, the running one of a motion on a schedule.
+
+    Raises IdentificationError where the noise leaves no stationary filter.
+    """
+    Q = process_covariance(model, noise.force_psd)
+    R = np.diag(noise.output_variance)
+    n = len(R)
+    A, _ = model.continuous()
+    Phi = expm(A * model.Ts_s)
+    # Metres and radians differ by orders: the Riccati equation is solved in units of the noise.
+    unit = np.concatenate([np.sqrt(noise.output_variance)] * 2)
+    unit[n:] /= model.Ts_s
+    C = np.hstack([np.eye(n), np.zeros((n, n))])
+    try:
+        P = solve_discrete_are(
+            (Phi / unit[:, None] * unit).T,
+            C.T,
+            Q[0] / unit[:, None] / unit,
+            np.eye(n),
+        )
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise IdentificationError(f"no Kalman filter for this noise: {error}") from None
+    P = P * unit[:, None] * unit
+    if model.fixed:
+        S = P[:n, :n] + R
+        return Filter(np.linalg.solve(S, P[:n, :]).T[None], S[None])
+    rows = len(model.K)
+    gain, S_all = np.empty((rows, 2 * n, n)), np.empty((rows, n, n))
+    kernels.gains_along(
+        model.K, model.D, model.scale, np.ascontiguousarray(Q), R, np.ascontiguousarray(P),
+        gain, S_all,
+    )  # fmt: skip
+    return Filter(gain, S_all)
+
+
+def estimate_noise(
+    motions: Sequence[Motion], outputs: Sequence[Array], starts: Sequence[Array], first: Noise
+) -> Noise:
+    """Return the noise of largest likelihood, the models held as they are.
+
+    `motions` with all their forces, their outputs (N, n) and starts (2n,). Minus twice the
+    log-likelihood of Gaussian innovations is N log det S + sum e' S^-1 e.
+    """
+    n = len(first.output_variance)
+
+    def cost(log_sizes: Array) -> float:
+        noise = Noise(
+            first.force_psd * np.exp(log_sizes[:n]), first.output_variance * np.exp(log_sizes[n:])
+        )
+        total, count = 0.0, 0
+        for model, y, start in zip(motions, outputs, starts, strict=True):
+            try:
+                kalman = kalman_filter(model, noise)
+            except IdentificationError:
+                return 1e6
+            white = kalman.whiten(innovations(model, kalman.gain, y, start))
+            total += float(np.sum(white**2)) + len(white) * kalman.log_determinant
+            count += len(white)
+        return total / count
+
+    found = minimize(
+        cost,
+        np.zeros(2 * n),
+        method="L-BFGS-B",
+        bounds=[(-20.0, 20.0)] * (2 * n),
+        options={"maxiter": 40, "eps": 1e-4, "ftol": 1e-8},
+    )
+    sizes = np.exp(found.x)
+    return Noise(first.force_psd * sizes[:n], first.output_variance * sizes[n:])

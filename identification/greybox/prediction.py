@@ -1,0 +1,84 @@
+"""Prediction errors of one record: whitened, with its constant forces and its start fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.declared import DeclaredModel
+from .experiment import Experiment
+from .inputs import Hold
+from .motion import Motion, innovations, motion
+from .noise import Filter, Noise, kalman_filter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One experiment predicted one step ahead.
+
+    errors (N, n): whitened, of unit variance where model and noise hold. offset (n,): constant
+    generalised force that the model does not account for; start (2n,): the state at row 0.
+    unknowns (N, n, 3n): what a unit of each of these adds to the errors.
+    """
+
+    experiment: Experiment
+    motion: Motion
+    filter: Filter
+    errors: Array
+    unknowns: Array
+    offset: Array
+    start: Array
+
+    @property
+    def cost(self) -> float:
+        """Minus twice the log-likelihood, but for a constant."""
+        return float(np.sum(self.errors**2) + len(self.errors) * self.filter.log_determinant)
+
+
+def predict(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Prediction:
+    """Return the experiment predicted by `model` under `noise`, offset and start by least squares."""
+    at = motion(model, experiment, hold)
+    kalman = kalman_filter(at, noise)
+    nowhere = np.zeros(2 * experiment.y.shape[1])
+    errors = errors_of(at, kalman, experiment, nowhere)
+    unknowns = kalman.whiten(_unknowns(at, kalman.gain, len(errors)))
+    flat = unknowns.reshape(-1, unknowns.shape[2])
+    # Offsets and start differ by orders in what they move: scale before deciding what is singular.
+    size = np.linalg.norm(flat, axis=0)
+    solution = -np.linalg.lstsq(flat / size, errors.reshape(-1), rcond=1e-12)[0] / size
+    n = errors.shape[1]
+    return Prediction(
+        experiment, at, kalman, errors + unknowns @ solution, unknowns, solution[:n], solution[n:]
+    )
+
+
+def errors_of(at: Motion, kalman: Filter, experiment: Experiment, start: Array) -> Array:
+    """Return whitened errors (N, n) of a motion that starts at `start` (2n,)."""
+    return kalman.whiten(innovations(at, kalman.gain, experiment.y, start))
+
+
+def settled(at: Motion, offset: Array) -> Motion:
+    """Return a motion with a constant generalised force `offset` (n,) among its forces."""
+    return replace(at, drift=at.drift + _steady(at, offset))
+
+
+def _unknowns(at: Motion, gain: Array, rows: int) -> Array:
+    n = at.K.shape[1]
+    silent = replace(at, inputs=np.zeros((rows, len(at.scale) - 1, at.B.shape[2])))
+    still = replace(silent, drift=np.zeros_like(at.drift))
+    zero = np.zeros((rows, n))
+    columns = np.empty((rows, n, 3 * n))
+    for i in range(n):
+        columns[:, :, i] = innovations(settled(still, np.eye(n)[i]), gain, zero, np.zeros(2 * n))
+    for i in range(2 * n):
+        columns[:, :, n + i] = innovations(still, gain, zero, np.eye(2 * n)[i])
+    return columns
+
+
+def _steady(at: Motion, force: Array) -> Array:
+    """Return moments (R, J, n) of a constant force (n,) over each period, divided by M."""
+    return np.asarray(at.scale[1:, None] * (at.mobility @ force)[:, None, :])

@@ -1,0 +1,148 @@
+"""How well a model explains records: simulated fit, residual spectrum, whiteness, the noise floor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+from scipy.stats import chi2
+
+from ...model.declared import DeclaredModel
+from ..fit import nrmse_fit_percent
+from .experiment import Experiment
+from .inputs import Hold
+from .noise import Noise
+from .prediction import predict
+from .simulate import free_run
+
+Array = NDArray[np.float64]
+
+_LAGS = 25
+_SEGMENT_S = 4.0
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Ljung and Box's test of one-step-ahead errors, one value an output (n,).
+
+    correlation (n, lags): autocorrelation from lag 1 on; bound: what 99 % of white records stay
+    below; p_value: of a white record being less white than this one.
+    """
+
+    correlation: Array
+    bound: float
+    p_value: Array
+
+
+@dataclass(frozen=True)
+class Validation:
+    """One record against its free-run simulation, rows from `time_s` on.
+
+    measured, simulated (N, n); fit_percent (n,); error_rms (n,) of measured minus simulated;
+    floor_rms (n,): what the noise alone would leave of a perfect model, from the fitted noise in
+    the loop; freq_hz (F,), error_psd and floor_psd (F, n) one-sided spectra of error and floor.
+    """
+
+    record: str
+    time_s: Array
+    measured: Array
+    simulated: Array
+    fit_percent: Array
+    error_rms: Array
+    floor_rms: Array
+    freq_hz: Array
+    error_psd: Array
+    floor_psd: Array
+    whiteness: Whiteness
+
+
+def validate(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise, seed: int = 1
+) -> Validation:
+    """Simulate a record and compare; the floor comes from a noise realisation through the loop."""
+    run = free_run(model, experiment, hold, noise)
+    rows = slice(run.counts_from, None)
+    measured, simulated = experiment.y[rows], run.y[rows]
+    error = measured - simulated
+    floor = _floor(model, experiment, hold, noise, seed)[rows]
+    segment = min(round(_SEGMENT_S / experiment.Ts_s), len(error))
+    freq_hz, error_psd = welch(error, 1 / experiment.Ts_s, nperseg=segment, axis=0)
+    _, floor_psd = welch(floor, 1 / experiment.Ts_s, nperseg=segment, axis=0)
+    errors = predict(model, experiment, hold, noise).errors[rows]
+    return Validation(
+        experiment.name,
+        np.arange(run.counts_from, len(experiment.y)) * experiment.Ts_s,
+        measured,
+        simulated,
+        nrmse_fit_percent(measured, simulated),
+        error.std(axis=0),
+        floor.std(axis=0),
+        freq_hz,
+        error_psd,
+        floor_psd,
+        whiteness(errors),
+    )
+
+
+def whiteness(errors: Array, lags: int = _LAGS) -> Whiteness:
+    """Return the Ljung-Box test of whitened errors (N, n)."""
+    n, centred = len(errors), errors - errors.mean(axis=0)
+    power = np.sum(centred**2, axis=0)
+    rho = np.array([np.sum(centred[k:] * centred[:-k], axis=0) / power for k in range(1, lags + 1)])
+    Q = n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1))[:, None], axis=0)
+    return Whiteness(rho.T, 2.576 / np.sqrt(n), np.asarray(chi2.sf(Q, lags)))
+
+
+def _floor(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise, seed: int
+) -> Array:
+    """Return one realisation (N, n) of what noise adds to the outputs in this record's loop.
+
+    Noise enters the simulation as a force that changes from period to period and as an error of
+    what the controller sees, both of the fitted sizes.
+    """
+    rng = np.random.default_rng(seed)
+    shape = experiment.y.shape
+    force = rng.standard_normal(shape) * np.sqrt(noise.force_psd / experiment.Ts_s)
+    seen = rng.standard_normal(shape) * np.sqrt(noise.output_variance)
+    quiet = noisy_pair(model, experiment, hold, noise, force, seen)
+    return np.asarray(quiet + seen)
+
+
+def noisy_pair(
+    model: DeclaredModel,
+    experiment: Experiment,
+    hold: Hold,
+    noise: Noise,
+    force: Array,
+    seen: Array,
+) -> Array:
+    """Return the outputs (N, n) that forces and false readings add, by difference of two runs."""
+    from dataclasses import replace
+
+    loop = experiment.loop
+    if loop is None or force.shape != experiment.u.shape:
+        pushed = replace(experiment, u=experiment.u + force) if force.shape == experiment.u.shape else experiment
+        return free_run(model, pushed, hold, noise).y - free_run(model, experiment, hold, noise).y
+    # A false reading is a false reference; a force is an excitation that nobody recorded.
+    shaken = replace(loop, v=loop.v + force, reference=loop.reference - seen)
+    start = free_run(model, experiment, hold, noise)
+    moved = free_run(model, replace(experiment, loop=shaken), hold, noise)
+    return moved.y - start.y
+
+
+def summary_lines(validations: Sequence[Validation], names: Sequence[str]) -> list[str]:
+    """Return a line a record: fit in percent and error over floor, by output."""
+    lines = []
+    for v in validations:
+        parts = [
+            f"{name} {fit:.2f} % ({error / max(floor, 1e-300):.2f} x floor)"
+            for name, fit, error, floor in zip(
+                names, v.fit_percent, v.error_rms, v.floor_rms, strict=True
+            )
+        ]
+        lines.append(f"{v.record}: {', '.join(parts)}")
+    return lines

@@ -1,0 +1,315 @@
+"""The robust multisine method: best linear approximation, its noise and its distortion apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from .data import SAME_BEAM_M, IdentificationError, describe_position
+from .distortion import (
+    DetectionLines,
+    ExcessTest,
+    detection_lines,
+    excess,
+    noise_of_mean,
+    transient_test,
+)
+from .frequency import ResponseEstimate
+from .periodic import PeriodicRecord
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+EXCITED = 1e-6
+"""A line is excited when its power is at least this share of the strongest line's."""
+ALIKE = 1e8
+"""Condition number of the inputs' powers above which they cannot be told apart."""
+TRANSIENT_P = 1e-6
+"""A first period as different as this by chance still holds a transient."""
+
+
+@dataclass(frozen=True)
+class BestLinearApproximation:
+    """The plant as the best linear approximation H (F, m, p) at the excited lines freq_hz (F,).
+
+    `covariance` (F, m, p, m, p), E dH[i,j] dH[k,l]^*, holds all errors of H, from the scatter over
+    realisations: noise and nonlinear distortion, with `freedom` complex degrees of freedom.
+    `noise_covariance` is the noise's part, from the scatter over periods, with `noise_freedom`.
+    `distortion_variance` (F, m, p), at least 0, is what distortion adds to the variance of one
+    realisation's estimate; it tells of the plant at this amplitude, not of how long was measured.
+    With one realisation all errors are taken for noise, and the distortion is nan.
+
+    For plots, rms of each line in the outputs' units (F, m): `output_level` of one experiment,
+    `total_level` of what H leaves of it, `noise_level` of what noise alone leaves.
+    """
+
+    freq_hz: Array
+    H: Complex
+    covariance: Complex
+    noise_covariance: Complex
+    distortion_variance: Array
+    freedom: int
+    noise_freedom: int
+    output_level: Array
+    total_level: Array
+    noise_level: Array
+    even: DetectionLines
+    odd: DetectionLines
+    Ts_s: float
+    beam_m: float | None
+    records: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def standard_deviation(self) -> Array:
+        """Standard deviation (F, m, p) of the complex entries of H, from all errors."""
+        return _deviation(self.covariance)
+
+    @property
+    def noise_deviation(self) -> Array:
+        """Standard deviation (F, m, p) of the complex entries of H, from noise alone."""
+        return _deviation(self.noise_covariance)
+
+    def radius(self, confidence: float = 0.95) -> Array:
+        """Return (F, m, p): the circle around H that holds the truth with this confidence.
+
+        |dH|^2 over its estimated variance is distributed as F with 2 and 2 `freedom` degrees of
+        freedom (Pintelon and Schoukens 2012, chapter 2), whose quantile has a closed form.
+        """
+        return np.asarray(self.standard_deviation * _circle(confidence, self.freedom))
+
+    def test(self) -> ExcessTest:
+        """Return whether the scatter over realisations exceeds that over periods."""
+        if not np.all(np.isfinite(self.distortion_variance)):
+            nothing = np.full(self.H.shape[1], np.nan)
+            return ExcessTest(nothing, nothing)
+        return excess(self.total_level**2, self.noise_level**2, self.freedom, self.noise_freedom)
+
+
+def best_linear_approximation(records: Sequence[PeriodicRecord]) -> BestLinearApproximation:
+    """Estimate the plant from all records of one operating point, which may be one.
+
+    At every excited line the known reference V, input U and output Y, averaged over periods, of
+    all E experiments give Y V^-1 and U V^-1 by least squares (with orthogonal multisines: the mean
+    over realisations of each one's p x p solution) and P = (Y V^-1)(U V^-1)^-1, which feedback
+    does not bias (Pintelon and Schoukens 2012, chapters 3 and 4). What P leaves, Y - P U, scatters
+    over periods with the noise alone and over experiments with noise and distortion; both variances
+    of P follow to first order. As noise and distortion of all experiments are uncorrelated, all R p
+    of them together give (R - 1) p degrees of freedom.
+
+    Raises IdentificationError for records that do not fit together, inputs that are not all
+    excited at the same lines, and lines at which inputs cannot be told apart.
+    """
+    _check_alike(records)
+    first = records[0]
+    spectra = _Spectra.of(records)
+    excited = spectra.excited()
+    E, P, K, p = spectra.V.shape
+    V, U, Y = (
+        X[:, :, excited].mean(axis=1).transpose(1, 2, 0)  # (F, n, E)
+        for X in (spectra.V, spectra.U, spectra.Y)
+    )
+    inverse = _right_inverse(V)
+    shares = inverse @ np.linalg.inv(U @ inverse)  # dP = sum over e of (Y - P U)[:, e] shares[e]
+    H = Y @ shares
+    weight = np.einsum("fej,fel->fjl", shares, shares.conj())
+    one_realisation = np.einsum("fjj->fj", weight).real * (E / p)
+
+    left = Y - H @ U
+    answer = np.einsum("fij,epfj->epfi", H, spectra.U[:, :, excited])
+    of_period = spectra.Y[:, :, excited] - answer
+    noise = noise_of_mean(of_period)
+    freedom, noise_freedom = E - p, E * (P - 1)
+    if freedom:
+        total = np.einsum("fie,fke->fik", left, left.conj()) / freedom
+        distortion = np.maximum(_diagonal(total) - _diagonal(noise), 0.0)
+    else:
+        total, freedom = noise, noise_freedom
+        distortion = np.full(noise.shape[:2], np.nan)
+    lines, f0 = np.arange(1, K + 1), 1.0 / (first.v.shape[2] * first.Ts_s)
+    even, odd = _detection(lines, excited, H, spectra, f0)
+    return BestLinearApproximation(
+        freq_hz=lines[excited] * f0,
+        H=H,
+        covariance=np.einsum("fik,fjl->fijkl", total, weight),
+        noise_covariance=np.einsum("fik,fjl->fijkl", noise, weight),
+        distortion_variance=distortion[:, :, None] * one_realisation[:, None, :],
+        freedom=freedom,
+        noise_freedom=noise_freedom,
+        output_level=np.sqrt(np.mean(np.abs(Y) ** 2, axis=2)),
+        total_level=np.sqrt(_diagonal(total)),
+        noise_level=np.sqrt(_diagonal(noise)),
+        even=even,
+        odd=odd,
+        Ts_s=first.Ts_s,
+        beam_m=first.beam_m,
+        records=tuple(r.name for r in records),
+        remarks=_remarks(records, transient_test(of_period)),
+    )
+
+
+def at_every_position(records: Sequence[PeriodicRecord]) -> tuple[BestLinearApproximation, ...]:
+    """Return the best linear approximation at each beam position (within 1 mm), ascending.
+
+    Raises IdentificationError, which names the position.
+    """
+    groups: list[list[PeriodicRecord]] = []
+    for record in sorted(records, key=lambda r: r.beam_m or 0.0):
+        if groups and (record.beam_m or 0.0) - (groups[-1][-1].beam_m or 0.0) <= SAME_BEAM_M:
+            groups[-1].append(record)
+        else:
+            groups.append([record])
+    found = []
+    for group in groups:
+        try:
+            found.append(best_linear_approximation(group))
+        except IdentificationError as error:
+            where = describe_position(group[0].beam_m)
+            raise IdentificationError(f"{where}: {error}") from None
+    return tuple(found)
+
+
+def response_estimate(bla: BestLinearApproximation) -> ResponseEstimate:
+    """Return the approximation in the form that all methods share.
+
+    Its covariance is enlarged so that sqrt(-ln 0.05) standard deviations hold 95 %, as they do with
+    variances that are known, however few the degrees of freedom. The coherence of output i, the
+    same for all inputs, is the share of its power that H explains.
+    """
+    widening = _circle(0.95, bla.freedom) ** 2 / -np.log(0.05)
+    power = bla.output_level**2
+    unexplained = np.divide(bla.total_level**2, power, out=np.ones_like(power), where=power > 0)
+    coherence = np.repeat(np.clip(1.0 - unexplained, 0.0, 1.0)[:, :, None], bla.H.shape[2], axis=2)
+    return ResponseEstimate(bla.freq_hz, bla.H, coherence, widening * bla.covariance, bla.Ts_s)
+
+
+@dataclass(frozen=True)
+class _Spectra:
+    """V, U (E, P, K, p) and Y (E, P, K, m) at lines 1 to K; |X|^2 is the sine's mean square."""
+
+    V: Complex
+    U: Complex
+    Y: Complex
+
+    @classmethod
+    def of(cls, records: Sequence[PeriodicRecord]) -> _Spectra:
+        """Return the spectra of all records' experiments up to the last line excited."""
+        N = records[0].v.shape[2]
+        V = np.concatenate([_lines(r.v, (N - 1) // 2) for r in records])
+        power = np.einsum("epkj,epkj->k", V, V.conj()).real
+        K = int(np.flatnonzero(power >= EXCITED * power.max())[-1]) + 1
+        V = V[:, :, :K]
+        U, e = V.copy(), 0
+        for r in records:
+            if r.u is not None:
+                U[e : e + len(r.v)] += _lines(r.u - r.v, K)
+            e += len(r.v)
+        return cls(V, U, np.concatenate([_lines(r.y, K) for r in records]))
+
+    def excited(self) -> NDArray[np.bool_]:
+        """Return which lines (K,) are excited: at all inputs; raises IdentificationError."""
+        power = np.einsum("epkj,epkj->jk", self.V, self.V.conj()).real
+        strongest = power.max(axis=1, keepdims=True)
+        if np.any(strongest == 0):
+            raise IdentificationError("expected every input to be excited, found one that is not")
+        excited = power >= EXCITED * strongest
+        if np.any(excited != excited[0]):
+            raise IdentificationError("expected all inputs to be excited at the same lines")
+        return np.asarray(excited[0])
+
+
+def _lines(x: Array, last: int) -> Complex:
+    """Return the spectra (E, P, last, n) of the periods of x (E, P, N, n) at lines 1 to `last`."""
+    E, P, N, n = x.shape
+    out = np.empty((E, P, last, n), complex)
+    for e, experiment in enumerate(x):  # one at a time: spectra up to half the rate are large
+        out[e] = fft.rfft(experiment, axis=1)[:, 1 : last + 1] * (np.sqrt(2) / N)
+    return out
+
+
+def _right_inverse(V: Complex) -> Complex:
+    """Return V^H (V V^H)^-1 (F, E, p) of V (F, p, E); raises IdentificationError."""
+    across = V.conj().transpose(0, 2, 1)
+    power = V @ across
+    scale = np.sqrt(np.einsum("fjj->fj", power).real)
+    if np.linalg.cond(power / (scale[:, :, None] * scale[:, None, :])).max() > ALIKE:
+        raise IdentificationError(
+            "expected experiments that tell the inputs apart at every line, found inputs that play "
+            f"alike in all {V.shape[2]} experiments"
+        )
+    return np.asarray(across @ np.linalg.inv(power))
+
+
+def _detection(
+    lines: NDArray[np.int_], excited: NDArray[np.bool_], H: Complex, spectra: _Spectra, f0: float
+) -> tuple[DetectionLines, DetectionLines]:
+    """Return what even and odd lines between excited ones show."""
+    freq_hz = np.asarray(lines * f0, dtype=np.float64)
+    inside = ~excited & (lines >= lines[excited][0])
+    even, odd = (
+        detection_lines(
+            freq_hz[part], freq_hz[excited], H, spectra.U[:, :, part], spectra.Y[:, :, part]
+        )
+        for part in (inside & (lines % 2 == 0), inside & (lines % 2 == 1))
+    )
+    return even, odd
+
+
+def _remarks(records: Sequence[PeriodicRecord], transient: ExcessTest) -> tuple[str, ...]:
+    found = [f"{r.name}: {text}" for r in records for text in r.remarks]
+    if np.any(transient.p_value < TRANSIENT_P):
+        found.append(
+            "the first period that is used still holds a transient of the experiment before, which "
+            "counts as noise: longer periods would help"
+        )
+    return tuple(found)
+
+
+def _check_alike(records: Sequence[PeriodicRecord]) -> None:
+    if not records:
+        raise IdentificationError("expected at least one record of multisines, found none")
+    first = records[0]
+    if first.v.shape[1] < 2:
+        raise IdentificationError(
+            f"'{first.name}': expected two periods or more in steady state, found "
+            f"{first.v.shape[1]}"
+        )
+    for other in records[1:]:
+        for what, ours, theirs in (
+            ("sampling time", first.Ts_s, other.Ts_s),
+            ("period and number of periods", first.v.shape[1:], other.v.shape[1:]),
+            ("way of feedback", _loop(first), _loop(other)),
+            ("outputs", first.output_names, other.output_names),
+            ("inputs", first.input_names, other.input_names),
+        ):
+            if ours != theirs:
+                raise IdentificationError(
+                    f"expected one {what}, found {ours} in '{first.name}' and {theirs} in "
+                    f"'{other.name}'"
+                )
+        if abs((first.beam_m or 0.0) - (other.beam_m or 0.0)) > SAME_BEAM_M:
+            raise IdentificationError(
+                f"expected records of one position, found {describe_position(first.beam_m)} in "
+                f"'{first.name}' and {describe_position(other.beam_m)} in '{other.name}'"
+            )
+
+
+def _loop(record: PeriodicRecord) -> str:
+    return "an open loop" if record.u is None else "a closed loop"
+
+
+def _diagonal(covariance: Complex) -> Array:
+    return np.asarray(np.einsum("fii->fi", covariance).real)
+
+
+def _deviation(covariance: Complex) -> Array:
+    return np.asarray(np.sqrt(np.abs(np.einsum("fijij->fij", covariance))))
+
+
+def _circle(confidence: float, freedom: int) -> float:
+    """Return the radius, in standard deviations, that holds an error with this confidence."""
+    return float(np.sqrt(freedom * ((1.0 - confidence) ** (-1.0 / freedom) - 1.0)))

@@ -1,0 +1,170 @@
+"""Records of orthogonal multisines: whole periods of a known length, cut out of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.base import ConfigError, parse_text
+from ..config.session import RecordStep, SessionConfig
+from ..log.reader import Log
+from .data import IdentificationError, PiController, Record
+from .from_log import NotARecordError, from_log
+
+Array = NDArray[np.float64]
+
+TRANSIENT_PERIODS = 1
+"""Periods at the begin of every experiment that are left to the transient of the one before."""
+REPEATS_WITHIN = 1e-2
+"""Largest rms by which the excitation of two periods may differ, relative to its own."""
+
+
+class NotPeriodicError(IdentificationError):
+    """A record without orthogonal multisines: for other methods, no failure."""
+
+
+@dataclass(frozen=True)
+class PeriodicRecord:
+    """E experiments of P whole periods of N samples in steady state at one operating point.
+
+    Excitation v (E, P, N, p), plant input u of the same shape (None where v is the plant's input),
+    output y (E, P, N, m). `realisations` says how many times phases were drawn anew.
+    """
+
+    name: str
+    Ts_s: float
+    v: Array
+    y: Array
+    u: Array | None
+    realisations: int
+    input_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+    beam_m: float | None = None
+    controller: PiController | None = None
+    remarks: tuple[str, ...] = ()
+
+
+def periodic_record(log: Log) -> PeriodicRecord:
+    """Return the periods of a record that played orthogonal multisines.
+
+    Their length and number come from session.yaml at the head of the log. Of every experiment the
+    first period is left out. A log that was cut off gives its complete realisations.
+
+    Raises:
+        NotARecordError: the log holds no record (see from_log).
+        NotPeriodicError: the record played something else.
+        IdentificationError: no session.yaml, not one complete realisation, or an excitation that
+            does not repeat as the session says.
+    """
+    record = from_log(log)
+    step, period_s = _orthogonal_step(log, record.name)
+    plan = step.orthogonal
+    assert plan is not None
+    N, p = round(period_s / record.Ts_s), len(step.excite)
+    per_realisation = p * plan.periods * N
+    begin = round(step.settle_s / record.Ts_s)
+    record, missing = _without_gaps(log, record)
+    whole = min((len(record.y) - begin) // per_realisation, plan.realisations)
+    if whole < 1:
+        raise IdentificationError(
+            f"{log.path.name}: expected at least one complete realisation of "
+            f"{per_realisation * record.Ts_s:g} s, found "
+            f"{max(len(record.y) - begin, 0) * record.Ts_s:g} s"
+        )
+
+    def periods(x: Array) -> Array:
+        cut = x[begin : begin + whole * per_realisation]
+        return cut.reshape(whole * p, plan.periods, N, x.shape[1])[:, TRANSIENT_PERIODS:]
+
+    remarks = list(record.remarks)
+    if missing:
+        remarks.append(f"{missing} samples of skipped cycles were interpolated")
+    if whole < plan.realisations:
+        remarks.append(f"{whole} of {plan.realisations} realisations are complete")
+    periodic = PeriodicRecord(
+        name=record.name,
+        Ts_s=record.Ts_s,
+        v=periods(record.v),
+        y=periods(record.y),
+        u=None if record.u is None else periods(record.u),
+        realisations=whole,
+        input_names=record.input_names,
+        input_units=record.input_units,
+        output_names=record.output_names,
+        output_units=record.output_units,
+        beam_m=record.beam_m,
+        controller=record.controller,
+        remarks=tuple(remarks),
+    )
+    _check_repeats(periodic, log)
+    return periodic
+
+
+def periodic_records(logs: Sequence[Log]) -> tuple[tuple[PeriodicRecord, ...], tuple[str, ...]]:
+    """Return the records of orthogonal multisines among the logs, and why the others are none."""
+    records, skipped = [], []
+    for log in logs:
+        try:
+            records.append(periodic_record(log))
+        except (NotARecordError, NotPeriodicError) as reason:
+            skipped.append(str(reason))
+    return tuple(records), tuple(skipped)
+
+
+def _orthogonal_step(log: Log, name: str) -> tuple[RecordStep, float]:
+    """Return the step of the session that flew the record, and the period of its multisines."""
+    text = log.attachments.get("session.yaml")
+    if text is None:
+        raise NotPeriodicError(f"{log.path.name}: record '{name}' has no session.yaml with it")
+    try:
+        session = parse_text(text, SessionConfig, f"{log.path}: session.yaml")
+    except ConfigError as error:
+        raise IdentificationError(str(error)) from None
+    steps = [s.record for s in session.steps if s.record is not None and s.record.name == name]
+    if not steps:
+        raise IdentificationError(
+            f"{log.path}: session.yaml: expected a record named '{name}', found none"
+        )
+    if steps[0].orthogonal is None:
+        raise NotPeriodicError(
+            f"{log.path.name}: record '{name}' plays no orthogonal multisines (key 'orthogonal')"
+        )
+    period_s = session.excitations[steps[0].excite[0]].period_s
+    assert period_s is not None  # the session's own check
+    return steps[0], period_s
+
+
+def _without_gaps(log: Log, record: Record) -> tuple[Record, int]:
+    """Return the record with a row for every cycle, and how many were missing.
+
+    The coils held their force over a skipped period: a disturbance of one sample, which
+    interpolated signals leave to the noise, where shifted periods would spoil all that follows.
+    """
+    cycle = log.rows["cycle"].astype(np.int64)
+    every = np.arange(cycle[0], cycle[-1] + 1)
+    missing = len(every) - len(cycle)
+    if not missing:
+        return record, 0
+
+    def filled(x: Array) -> Array:
+        return np.stack([np.interp(every, cycle, column) for column in x.T], axis=1)
+
+    u = None if record.u is None else filled(record.u)
+    return replace(record, v=filled(record.v), y=filled(record.y), u=u), missing
+
+
+def _check_repeats(periodic: PeriodicRecord, log: Log) -> None:
+    v = periodic.v
+    # Each input by its own size: torques and forces have no common one.
+    difference = np.sqrt(np.mean((v - v[:, :1]) ** 2, axis=(0, 1, 2)))
+    share = difference / np.sqrt(np.mean(v**2, axis=(0, 1, 2)))
+    if not np.all(share < REPEATS_WITHIN):
+        raise IdentificationError(
+            f"{log.path}: expected v to repeat every {v.shape[2] * periodic.Ts_s:g} s, found "
+            f"periods that differ by {np.nanmax(share):.1%} of their rms"
+        )

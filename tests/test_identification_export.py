@@ -1,0 +1,185 @@
+"""What other tools are given is the same model and the same response."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import signal
+from scipy.io import loadmat
+
+from levid.identification.data import PiController, Record
+from levid.identification.export import (
+    control_frd,
+    control_state_space,
+    scipy_state_space,
+    write_mat,
+)
+from levid.identification.frequency import ResponseEstimate
+from levid.identification.identify import identify
+from levid.identification.options import Options
+from levid.identification.plant import Plant
+from levid.identification.results import IdentificationResult, Signals
+from levid.identification.simulate import simulate
+from levid.model.second_order import StateSpace
+
+FREQ_HZ = np.geomspace(0.5, 20.0, 15)
+# Both sides solve the same 4 x 4 equations in double precision, conditioned by 1e3 at most.
+SAME = 1e-12
+
+MODEL = StateSpace(
+    np.array([[0.95, 0.2, 0.0, 0.0], [-0.2, 0.95, 0.0, 0.0], [0, 0, 0.8, 0.4], [0, 0, -0.4, 0.8]]),
+    np.array([[0.0, 0.3, 1.0], [1.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.0, 0.5, 2.0]]),
+    np.array([[1.0, 0.0, 0.5, 0.0], [0.0, 0.5, 1.0, 0.0]]),
+    np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.0]]),
+    0.02,
+)
+PLANT = Plant(MODEL, delay_steps=2, lag_pole=0.3)
+SIGNALS = Signals(("a", "b", "c"), ("N", "N", "N m"), ("p", "q"), ("m", "rad"), MODEL.Ts_s)
+
+
+@pytest.fixture
+def control():
+    return pytest.importorskip("control", reason="python-control is not installed")
+
+
+@pytest.mark.parametrize("model", [MODEL, PLANT], ids=["model", "with delay and lag"])
+def test_control_evaluates_the_same_response(control, model):
+    system = control_state_space(model, SIGNALS)
+    assert isinstance(system, control.StateSpace)
+    assert (system.dt, system.noutputs, system.ninputs) == (0.02, 2, 3)
+    assert (system.input_labels, system.output_labels) == (["a", "b", "c"], ["p", "q"])
+    theirs = system(np.exp(2j * np.pi * FREQ_HZ * 0.02)).transpose(2, 0, 1)
+    np.testing.assert_allclose(theirs, model.response(FREQ_HZ), rtol=SAME, atol=SAME)
+
+
+def test_a_continuous_model_stays_continuous(control):
+    model = StateSpace(
+        np.array([[-2.0]]), np.array([[1.0]]), np.array([[3.0]]), np.zeros((1, 1)), 0
+    )
+    assert control_state_space(model).dt == 0
+    assert isinstance(scipy_state_space(model), signal.lti)
+    np.testing.assert_allclose(control_state_space(model)(0), 1.5, rtol=SAME)
+
+
+def test_control_holds_the_measured_response(control):
+    estimate = _estimate()
+    frd = control_frd(estimate, SIGNALS)
+    assert isinstance(frd, control.FRD)
+    assert (frd.dt, frd.input_labels, frd.output_labels) == (0.02, ["a", "b", "c"], ["p", "q"])
+    for f, freq_hz in enumerate(FREQ_HZ):
+        np.testing.assert_array_equal(frd.eval(2 * np.pi * freq_hz), estimate.H[f])
+
+
+def test_without_control_the_error_names_the_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)  # what an import of a missing package finds
+    for call in (lambda: control_state_space(MODEL), lambda: control_frd(_estimate())):
+        with pytest.raises(
+            ModuleNotFoundError, match=r"python-control.*pip install levid\[control\]"
+        ):
+            call()
+
+
+def test_scipy_simulates_the_same():
+    system = scipy_state_space(PLANT)
+    assert isinstance(system, signal.dlti)
+    assert system.dt == 0.02
+    u = np.random.default_rng(1).normal(size=(200, 3))
+    _, theirs, _ = signal.dlsim(system, u)
+    np.testing.assert_allclose(theirs, simulate(PLANT.state_space(), u), rtol=SAME, atol=SAME)
+
+
+def test_mat_file_holds_models_and_responses_of_all_positions(rig, tmp_path):
+    result = _identified(rig, (-0.1, 0.1))
+    write_mat(tmp_path / "plant.mat", result)
+    mat = loadmat(tmp_path / "plant.mat")
+    first, second = result.points
+    n, frequencies = len(first.plant.state_space().A), len(first.freq_hz)
+    assert mat["A"].shape == (n, n, 2)
+    assert mat["B"].shape == (n, 3, 2)
+    assert mat["C"].shape == (3, n, 2)
+    assert mat["D"].shape == (3, 3, 2)
+    assert mat["frf"].shape == mat["frf_sd"].shape == (3, 3, frequencies, 2)  # as idfrd has it
+    assert mat["freq"].shape == (frequencies, 1)
+    assert mat["Ts"].item() == 1e-3
+    np.testing.assert_allclose(mat["beam_m"], [[-0.1, 0.1]])
+    assert [name.item() for name in mat["input_names"][0]] == ["psi", "theta", "z"]
+    assert [unit.item() for unit in mat["output_units"][0]] == ["rad", "rad", "m"]
+    for k, point in enumerate((first, second)):
+        model = StateSpace(*(mat[name][:, :, k] for name in "ABCD"), mat["Ts"].item())
+        np.testing.assert_array_equal(
+            model.response(FREQ_HZ), point.plant.state_space().response(FREQ_HZ)
+        )
+        np.testing.assert_array_equal(
+            mat["frf"][..., k].transpose(2, 0, 1), point.from_sensitivity.H
+        )
+
+
+def test_mat_file_of_one_position_has_plain_matrices(rig, tmp_path):
+    write_mat(tmp_path / "plant.mat", _identified(rig, (0.0,)))
+    mat = loadmat(tmp_path / "plant.mat")
+    assert mat["A"].ndim == 2
+    assert mat["frf"].ndim == 3
+
+
+def test_mat_file_keeps_positions_of_different_order_apart(rig, tmp_path):
+    one, other = _identified(rig, (0.0,), order=9), _identified(rig, (0.1,), order=10)
+    both = IdentificationResult(one.signals, one.points + other.points)
+    write_mat(tmp_path / "plant.mat", both)
+    mat = loadmat(tmp_path / "plant.mat")
+    assert mat["A"].shape == (1, 2)
+    assert [len(A) for A in mat["A"][0]] == [len(p.plant.state_space().A) for p in both.points]
+    assert mat["frf"].shape[-1] == 2  # the responses are at the same frequencies
+
+
+def test_mat_file_loads_in_octave(rig, tmp_path):
+    octave = shutil.which("octave-cli")
+    if octave is None:
+        pytest.skip("GNU Octave is not installed")
+    result = _identified(rig, (-0.1, 0.1))
+    write_mat(tmp_path / "plant.mat", result)
+    script = (
+        "load plant.mat; z = exp(2i * pi * freq(7) * Ts); k = 2;"
+        "P = C(:,:,k) * ((z * eye(rows(A)) - A(:,:,k)) \\ B(:,:,k)) + D(:,:,k);"
+        "for x = [P(2,3), frf(2,3,7,k)], printf('%.17g %.17g ', real(x), imag(x)); end;"
+        "printf('%s %s', input_names{3}, output_units{2});"
+    )
+    run = subprocess.run(
+        [octave, "--norc", "--eval", script],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    *numbers, name, unit = run.stdout.split()
+    model, measured = (complex(float(a), float(b)) for a, b in (numbers[:2], numbers[2:]))
+    point = result.points[1]
+    # Octave's own solver of 12 equations; then numbers printed exactly.
+    np.testing.assert_allclose(model, point.plant.response(point.freq_hz[6:7])[0, 1, 2], rtol=1e-8)
+    assert measured == point.from_sensitivity.H[6, 1, 2]
+    assert (name, unit) == ("z", "rad")
+
+
+def _estimate() -> ResponseEstimate:
+    H = PLANT.response(FREQ_HZ)
+    return ResponseEstimate(FREQ_HZ, H, np.ones(H.shape), np.zeros((*H.shape, 2, 3), complex), 0.02)
+
+
+def _identified(rig, beams: tuple[float, ...], order: int = 9) -> IdentificationResult:
+    """Identify short records: what is tested is the file, not the estimates."""
+    names = ("psi", "theta", "z")
+    records = []
+    for x_b in beams:
+        for axis, name in enumerate(names):
+            v, u, y = rig.record(x_b, 1000.0, 8.0, axis, seed=axis)
+            records.append(
+                Record(
+                    f"{name} at {x_b}", 1e-3, v, y, names, ("N m", "N m", "N"), names,
+                    ("rad", "rad", "m"), u=u, beam_m=x_b,
+                    controller=PiController(rig.KP, rig.KI), delay_cycles=1, at_rest=True,
+                )
+            )  # fmt: skip
+    return identify(records, Options(order=order, impulse_s=0.5, segment_s=2.0, lag_s=rig.LAG_S))

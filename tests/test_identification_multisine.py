@@ -1,0 +1,375 @@
+"""The robust multisine method: exact without noise, honest intervals, distortion where it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.config.base import load_yaml, parse_text
+from levid.config.rig import load_rig
+from levid.config.session import Excitation, Orthogonal, SessionConfig
+from levid.config.shipped import shipped
+from levid.config.sim import SimConfig
+from levid.daemon.orthogonal import orthogonal_multisines
+from levid.daemon.virtual import fly_virtually
+from levid.identification.data import IdentificationError
+from levid.identification.distortion import excess
+from levid.identification.multisine import (
+    BestLinearApproximation,
+    at_every_position,
+    best_linear_approximation,
+    response_estimate,
+)
+from levid.identification.periodic import (
+    NotPeriodicError,
+    PeriodicRecord,
+    periodic_record,
+    periodic_records,
+)
+from levid.log.reader import Log, read_log
+from levid.sim.truth import frequency_response
+
+RATE_HZ, PERIOD_S, P = 100.0, 4.0, 4
+N = round(RATE_HZ * PERIOD_S)
+
+
+def excitations(p: int, **more: object) -> list[Excitation]:
+    text = {"signal": "multisine", "period_s": PERIOD_S, "band_hz": [1, 40]}
+    return [
+        Excitation.model_validate(
+            {"input": f"coil:{j}", "rms_n": 1.0, "lines": "odd_random_grid", **text, **more}
+        )
+        for j in range(p)
+    ]
+
+
+def playing(p: int, realisations: int, seed: int) -> np.ndarray:
+    """Phases by `seed`, always at the same lines."""
+    plan = Orthogonal(realisations=realisations, periods=P)
+    return orthogonal_multisines(excitations(p), plan, 0.0, RATE_HZ, 1, seed)
+
+
+def periodic(v: np.ndarray, y: np.ndarray, p: int, drop: int = 1) -> PeriodicRecord:
+    """Input and output in open loop, cut into experiments of P periods less the first."""
+
+    def cut(x: np.ndarray) -> np.ndarray:
+        return x.reshape(-1, P, N, x.shape[1])[:, drop:]
+
+    names = tuple(f"{j}" for j in range(p))
+    outputs = tuple(f"{i}" for i in range(y.shape[1]))
+    return PeriodicRecord("test", 1 / RATE_HZ, cut(v), cut(y), None, len(v) // (p * P * N),
+                          names, names, outputs, outputs)  # fmt: skip
+
+
+def impulse_response(m: int, p: int) -> np.ndarray:
+    """Taps that end within a second, so that one period leaves no transient."""
+    g = np.random.default_rng(7).normal(size=(60, m, p))
+    return g * 0.9 ** np.arange(60)[:, None, None]
+
+
+def filtered(v: np.ndarray, g: np.ndarray) -> np.ndarray:
+    y = np.zeros((len(v), g.shape[1]))
+    for i in range(g.shape[1]):
+        for j in range(g.shape[2]):
+            y[:, i] += np.convolve(v[:, j], g[:, i, j])[: len(v)]
+    return y
+
+
+def response(g: np.ndarray, freq_hz: np.ndarray) -> np.ndarray:
+    z = np.exp(-2j * np.pi * freq_hz[:, None] / RATE_HZ * np.arange(len(g)))
+    return np.einsum("fl,lij->fij", z, g)
+
+
+@pytest.mark.parametrize(("m", "p"), [(1, 1), (2, 2), (3, 3), (3, 2), (2, 4)])
+def test_without_noise_the_response_is_exact(m: int, p: int) -> None:
+    g = impulse_response(m, p)
+    v = playing(p, 1, seed=1)
+    found = best_linear_approximation([periodic(v, filtered(v, g), p)])
+    # Steady state of a finite response, whole periods: nothing but rounding is left.
+    np.testing.assert_allclose(found.H, response(g, found.freq_hz), atol=1e-11)
+    assert np.all(found.odd.level < 1e-12)
+    assert np.all(found.even.level < 1e-12)
+
+
+@pytest.mark.parametrize(("p", "realisations"), [(2, 1), (2, 2), (3, 2), (1, 4)])
+def test_intervals_hold_the_truth_as_often_as_they_say(p: int, realisations: int) -> None:
+    g = impulse_response(2, p)
+    colour = np.array([[1.0, 0.4], [0.0, 0.8]])
+    inside, shared, noise_only = [], [], []
+    for seed in range(20):
+        v = playing(p, realisations, seed)
+        noise = 0.3 * np.random.default_rng(seed).normal(size=(len(v), 2)) @ colour
+        found = best_linear_approximation([periodic(v, filtered(v, g) + noise, p)])
+        error = np.abs(found.H - response(g, found.freq_hz))
+        inside.append(error < found.radius())
+        shared.append(error < 1.73 * response_estimate(found).standard_deviation)
+        noise_only.append(error < 1.73 * found.noise_deviation)
+    # 20 x 59 lines x 2 p entries, of which a line's p columns share their variance: 0.5 % is two
+    # standard errors of 95 % of them.
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
+    assert np.mean(shared) == pytest.approx(0.95, abs=0.01)
+    # Plain Gaussian intervals with as few as 4 degrees of freedom hold less, by (1 + 3 / 4)^-4.
+    assert 0.89 < np.mean(noise_only) < 0.96
+
+
+def test_one_realisation_leaves_distortion_unknown() -> None:
+    v = playing(2, 1, 1)
+    y = filtered(v, impulse_response(2, 2)) + np.random.default_rng(1).normal(size=v.shape)
+    found = best_linear_approximation([periodic(v, y, 2)])
+    assert found.freedom == found.noise_freedom == 2 * 2
+    assert np.all(np.isnan(found.distortion_variance))
+    assert np.all(np.isnan(found.test().p_value))
+    assert np.all(np.isfinite(found.radius()))
+
+
+def distorted(seed: int, power: int, *, noise: float = 0.02, size: float = 0.05):
+    """Two channels that meet before a static nonlinearity: nothing is on one input alone."""
+    v = playing(2, 3, seed)
+    mixed = v @ np.array([[1.0, 0.3], [-0.4, 0.8]])
+    y = filtered(mixed + size * mixed**power, impulse_response(2, 2))
+    y += noise * np.random.default_rng(seed).normal(size=y.shape)
+    return best_linear_approximation([periodic(v, y, 2)])
+
+
+def test_intervals_hold_the_best_linear_approximation_of_a_nonlinear_plant() -> None:
+    truth = np.mean([distorted(seed, 3).H for seed in range(1000, 1200)], axis=0)
+    inside, noise_only = [], []
+    for seed in range(40):
+        found = distorted(seed, 3)
+        error = np.abs(found.H - truth)
+        inside.append(error < found.radius())
+        noise_only.append(error < 1.73 * found.noise_deviation)
+    # 4 degrees of freedom that distortion, not quite Gaussian and alike at neighbouring lines,
+    # fills: 92 to 98 % were asked for.
+    assert 0.92 < np.mean(inside) < 0.98
+    assert np.mean(noise_only) < 0.5  # the noise alone would be far too sure
+
+
+def test_odd_and_even_distortion_show_at_their_lines() -> None:
+    nothing, cubic, square = (distorted(3, power, size=s) for power, s in
+                              ((3, 0.0), (3, 0.05), (2, 0.05)))  # fmt: skip
+    for found, odd, even in ((nothing, False, False), (cubic, True, False), (square, False, True)):
+        # One chance in a thousand for each of 12 verdicts that nothing is there.
+        assert np.all((found.odd.test().p_value < 1e-3) == odd)
+        assert np.all((found.even.test().p_value < 1e-3) == even)
+    # An even distortion of odd lines falls on even ones alone, and spares the response.
+    assert np.all(nothing.test().p_value > 1e-3)
+    assert np.all(square.test().p_value > 1e-3)
+    assert np.all(cubic.test().p_value < 1e-12)
+    # Both ways measure the same: power of odd distortion at lines excited and lines left out. Its
+    # spectrum is smooth, 59 lines of 4 and 19 of 6 degrees of freedom make 10 %; excited lines
+    # lack the share that is in phase with the excitation, some percent.
+    by_scatter = np.mean(cubic.total_level**2 - cubic.noise_level**2, axis=0)
+    by_detection = np.mean(cubic.odd.level**2 - cubic.odd.noise**2, axis=0)
+    np.testing.assert_allclose(by_scatter, by_detection, rtol=0.4)
+
+
+def test_p_values_are_uniform_when_nothing_is_there() -> None:
+    rng = np.random.default_rng(4)
+    p_values = []
+    for _ in range(300):
+        power = rng.gamma(6, 1 / 6, (100, 3))
+        noise = rng.gamma(18, 1 / 18, (100, 3))
+        p_values.append(excess(power, noise, 6, 18).p_value)
+    # 900 values: the share below p scatters by sqrt(p (1 - p) / 900); four of that.
+    for p in (0.05, 0.5, 0.95):
+        assert np.mean(np.array(p_values) < p) == pytest.approx(
+            p, abs=4 * np.sqrt(p * (1 - p) / 900)
+        )
+
+
+def test_a_transient_in_the_periods_is_told() -> None:
+    g = 0.995 ** np.arange(2000)[:, None, None]  # dies out by 1 / e in 2 s, half a period
+    v = playing(1, 3, 2)
+    y = filtered(v, g) + 0.01 * np.random.default_rng(2).normal(size=v.shape)
+    assert "transient" in best_linear_approximation([periodic(v, y, 1)]).remarks[0]
+    fast = filtered(v, g[:50]) + 0.01 * np.random.default_rng(2).normal(size=v.shape)
+    assert best_linear_approximation([periodic(v, fast, 1)]).remarks == ()
+
+
+def test_records_that_do_not_fit_are_errors() -> None:
+    v = playing(2, 1, 1)
+    good = periodic(v, v, 2)
+    with pytest.raises(IdentificationError, match="at least one record"):
+        best_linear_approximation([])
+    with pytest.raises(IdentificationError, match=r"sampling time, found 0\.01 in 'test'"):
+        best_linear_approximation([good, replace(good, Ts_s=0.02)])
+    with pytest.raises(IdentificationError, match=r"of one position, found .*0.0 mm .*50.0 mm"):
+        best_linear_approximation([replace(good, beam_m=0.0), replace(good, beam_m=0.05)])
+    with pytest.raises(IdentificationError, match="two periods or more in steady state, found 1"):
+        best_linear_approximation([periodic(v, v, 2, drop=3)])
+    alike = replace(good, v=good.v[..., [0, 0]])
+    with pytest.raises(IdentificationError, match="found inputs that play alike in all 2"):
+        best_linear_approximation([alike])
+    silent = replace(good, v=good.v * [1.0, 0.0])
+    with pytest.raises(IdentificationError, match="every input to be excited"):
+        best_linear_approximation([silent])
+    turned = good.v.copy()
+    turned[..., 1] *= np.cos(2 * np.pi * np.arange(N) / N)  # moves its lines by one
+    with pytest.raises(IdentificationError, match="same lines"):
+        best_linear_approximation([replace(good, v=turned)])
+    with pytest.raises(IdentificationError, match=r"beam at \+0\.0 mm: expected experiments that"):
+        at_every_position([replace(alike, beam_m=0.0)])
+
+
+# --- in the rig's loop ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("x_b_m", [-0.1, 0.0, 0.1])
+def test_the_plant_in_its_loop_against_the_truth(rig, x_b_m: float) -> None:
+    """Two realisations of 8 s, evaluated over two periods each: 144 s in all."""
+    R, periods, rate_hz = 2, 3, 1000.0
+    played = parse_text(
+        shipped("sessions/multisine-1khz.yaml").read_bytes(), SessionConfig, "session"
+    ).excitations
+    v = orthogonal_multisines(
+        [played[name] for name in ("psi", "theta", "z")],
+        Orthogonal(realisations=R, periods=periods), 0.0, rate_hz, 1, 0,
+    )  # fmt: skip
+    y, u = rig.simulate(rig.sampled_plant(x_b_m, 1 / rate_hz), v, seed=3)
+
+    def cut(x: np.ndarray) -> np.ndarray:
+        return x.reshape(3 * R, periods, 8000, 3)[:, 1:]
+
+    names = ("psi", "theta", "z")
+    record = PeriodicRecord(
+        "rig", 1 / rate_hz, cut(v), cut(y), cut(u), R, names, names, names, names
+    )
+    found = best_linear_approximation([record])
+    true = rig.sampled_plant(x_b_m, 1 / rate_hz).frequency_response(found.freq_hz)
+    band = (found.freq_hz >= 1) & (found.freq_hz <= 64)
+    ratio = (found.H / true)[band]
+    decibel, degree = np.abs(20 * np.log10(np.abs(ratio))), np.abs(np.angle(ratio, deg=True))
+    # 0.5 dB and 3 degrees were asked for; three times what is found over seeds.
+    assert np.einsum("fii->fi", decibel).max() < 0.06
+    assert np.einsum("fii->fi", degree).max() < 0.3
+    # Off the diagonal what stands 20 dB above its noise: 1 dB is one deviation, 2 dB two.
+    stands = np.abs(found.H[band]) > 10 * found.radius()[band]
+    assert decibel[stands].max() < 2.0
+    inside = (np.abs(found.H - true) < found.radius())[band]
+    # 189 lines x 3 rows that are independent: 0.9 % is the standard error.
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
+    assert np.all(found.test().p_value > 1e-4)
+    assert np.all(found.odd.test().p_value > 1e-4)
+    assert np.all(found.even.test().p_value > 1e-4)
+    assert found.remarks == ()
+
+
+# --- flown ---------------------------------------------------------------------------------------
+
+SESSION = """
+levid: session
+name: multisine-short
+rate_hz: 1000
+excitations:
+  psi: {input: psi, rms_n_m: 0.32, signal: multisine, period_s: 8, band_hz: [0.5, 100], lines: odd_random_grid, rise_hz: 10}
+  theta: {input: theta, rms_n_m: 0.32, signal: multisine, period_s: 8, band_hz: [0.5, 100], lines: odd_random_grid, rise_hz: 10}
+  z: {input: z, rms_n: 4, signal: multisine, period_s: 8, band_hz: [0.5, 100], lines: odd_random_grid, rise_hz: 10}
+  half-psi: {input: psi, rms_n_m: 0.16, signal: multisine, period_s: 8, band_hz: [0.5, 100], lines: odd_random_grid, rise_hz: 10}
+  half-theta: {input: theta, rms_n_m: 0.16, signal: multisine, period_s: 8, band_hz: [0.5, 100], lines: odd_random_grid, rise_hz: 10}
+  half-z: {input: z, rms_n: 2, signal: multisine, period_s: 8, band_hz: [0.5, 100], lines: odd_random_grid, rise_hz: 10}
+  noise: {input: psi, rms_n_m: 0.05}
+steps:
+  - levitate: {}
+  - move: {beam_m: 0.1}
+  - record: {name: whole, excite: [psi, theta, z], orthogonal: {realisations: 2, periods: 3}}
+  - record: {name: half, excite: [half-psi, half-theta, half-z], orthogonal: {realisations: 2, periods: 3}}
+  - record: {name: white, duration_s: 2, excite: [noise]}
+  - land: {}
+"""  # noqa: E501
+
+
+def fly(out: Path, sim: str) -> list[Log]:
+    rig_file = shipped("rigs/loopback.yaml")
+    rig = load_rig(rig_file).model_copy(update={"sim": str(shipped(f"sims/{sim}.yaml"))})
+    session = parse_text(SESSION, SessionConfig, "session")
+    flown = fly_virtually(rig, rig_file, session, SESSION.encode(), out)
+    return [read_log(path) for path in flown.logs]
+
+
+@pytest.fixture(scope="module")
+def nominal(tmp_path_factory: pytest.TempPathFactory) -> list[Log]:
+    return fly(tmp_path_factory.mktemp("nominal") / "logs", "nominal")
+
+
+@pytest.fixture(scope="module")
+def nonlinear(tmp_path_factory: pytest.TempPathFactory) -> list[Log]:
+    return fly(tmp_path_factory.mktemp("rig") / "logs", "rig")
+
+
+def both(logs: list[Log]) -> list[BestLinearApproximation]:
+    records, _ = periodic_records(logs)
+    return [best_linear_approximation([record]) for record in records]
+
+
+def test_records_come_from_logs_and_others_are_refused_by_name(nominal: list[Log]) -> None:
+    records, skipped = periodic_records(nominal)
+    assert [r.name for r in records] == ["whole", "half"]
+    assert records[0].v.shape == (6, 2, 8000, 3)
+    assert records[0].beam_m == pytest.approx(0.1, abs=1e-6)
+    assert any("04-white.mcap: record 'white' plays no orthogonal multisines" in s for s in skipped)
+    with pytest.raises(NotPeriodicError, match="'white' plays no orthogonal multisines"):
+        periodic_record(nominal[4])
+
+
+def test_the_flown_plant_is_the_truth_and_linear(nominal: list[Log]) -> None:
+    config = load_yaml(shipped("sims/nominal.yaml"), SimConfig)
+    for found in both(nominal):
+        true = frequency_response(config, 0.1, found.freq_hz, 1000.0)
+        inside = np.abs(found.H - true) < found.radius()
+        # 299 lines x 3 rows: 0.7 % is the standard error.
+        assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
+        for test in (found.test(), found.odd.test(), found.even.test()):
+            assert np.all(test.p_value > 1e-4)
+    (together,) = at_every_position(periodic_records(nominal)[0])
+    assert together.records == ("whole", "half")
+    assert together.freedom == 12 - 3
+
+
+def test_a_hardening_spring_shows_at_odd_lines_and_grows_with_the_amplitude(
+    nonlinear: list[Log],
+) -> None:
+    whole, half = both(nonlinear)
+    # z is what the rods' cubic stiffness moves most against its noise.
+    assert whole.test().p_value[2] < 1e-12
+    assert whole.odd.test().p_value[2] < 1e-12
+    assert whole.even.test().p_value[2] > 1e-6
+    near = whole.freq_hz < 12.0
+    level = [np.sqrt(np.mean(b.distortion_variance[near, 2, 2])) for b in (whole, half)]
+    # A cubic force falls by 8 at half the amplitude, by 4 relative to the response, and so from
+    # four times the noise to as much as the noise: what is left of it there is noise's own.
+    assert level[0] > 2.0 * level[1]
+    assert half.test().p_value[2] > 1e-6
+
+
+def test_a_log_that_was_cut_off_gives_its_complete_realisations(nominal: list[Log]) -> None:
+    log = nominal[2]
+    begin, realisation = 3000, 3 * 3 * 8000
+    cut = replace(log, rows=log.rows[: begin + realisation + 5000])
+    record = periodic_record(cut)
+    assert record.realisations == 1
+    assert "1 of 2 realisations are complete" in record.remarks
+    np.testing.assert_array_equal(record.y, periodic_record(log).y[:3])
+    with pytest.raises(IdentificationError, match="one complete realisation of 72 s, found 71 s"):
+        periodic_record(replace(log, rows=log.rows[: begin + realisation - 1000]))
+
+
+def test_skipped_cycles_are_filled_in(nominal: list[Log]) -> None:
+    log = nominal[2]
+    record = periodic_record(replace(log, rows=np.delete(log.rows, [20_000, 20_001, 50_000])))
+    assert "3 samples of skipped cycles were interpolated" in record.remarks
+    whole, found = (best_linear_approximation([r]) for r in (periodic_record(log), record))
+    # Three samples of 144,000, each interpolated within 10 % of the signal: 1e-3 of it at most.
+    np.testing.assert_allclose(found.H[:, 2, 2], whole.H[:, 2, 2], rtol=1e-2)
+    # One cycle less in all that follows, unseen, would turn the phase of 100 Hz by 36 degrees.
+
+
+def test_a_period_that_is_not_the_sessions_is_refused(nominal: list[Log]) -> None:
+    log = nominal[2]
+    text = log.attachments["session.yaml"].replace(b"period_s: 8", b"period_s: 7.9")
+    wrong = replace(log, attachments={**log.attachments, "session.yaml": text})
+    with pytest.raises(IdentificationError, match=r"repeat every 7.9 s, found periods that differ"):
+        periodic_record(wrong)

@@ -2,9 +2,12 @@
 
 Every contender takes the records of one beam position (each excites one input, the loop closed by
 a known controller; together they are one unbroken flight) and returns P at given frequencies.
-Those that identify the loop G from v to y go on by (14) with that controller, exactly and point by
-point. A peer has the settings that served it best on three flights; what was tried stands beside
-them. Where it gets fewer samples, v and y pass the same filter first, which leaves G as it is.
+
+A peer has the settings and the preparation of its data that served it best on three flights; what
+was tried stands beside them. Those that identify the loop G from v to y go on by (14) with the
+controller, exactly and point by point; where they get fewer samples, v and y pass the same filter
+first, which leaves G as it is. Those that stand feedback identify the core Q from u to y, the known
+delay and lag put before their data as levid does it.
 """
 
 from __future__ import annotations
@@ -57,7 +60,7 @@ class Contender:
 def levid_ho_kalman(records: Sequence[Record], freq_hz: Array) -> Complex:
     """Least-squares Markov parameters, Ho-Kalman to nine states, and (14)."""
     Ts_s, delay, controller = records[0].Ts_s, records[0].leading_zeros, _controller(records)
-    pole = float(np.exp(-Ts_s / LAG_S))
+    pole = _lag_pole(records)
     markov = estimate_markov(records, impulse_taps(records), "least_squares")
     series = without_delay(markov.g, delay, pole, controller, Ts_s)
     loop = realise(decompose(series, Ts_s, Scaling.of(records)), 9)
@@ -88,20 +91,21 @@ def control_realization(records: Sequence[Record], freq_hz: Array) -> Complex:
     # 250, 375, 500 and 750 blocks tried: more take up to a minute and gain nothing.
     blocks = min(250, (g.shape[2] - 2) // 2)
     G, _ = control.eigensys_realization(g, ORDER, m=blocks, n=blocks, dt=True)
-    return _plant(G.A, G.B, G.C, G.D, scaling, fewer[0].Ts_s, records, freq_hz)
+    loop = _unscaled(G.A, G.B, G.C, G.D, scaling, fewer[0].Ts_s).response(freq_hz)
+    return plant_from_loop_response(loop, _controller(records), freq_hz, records[0].Ts_s)
 
 
 def sippy_n4sid(records: Sequence[Record], freq_hz: Array) -> Complex:
-    """SIPPY's N4SID of G."""
+    """SIPPY's N4SID of Q."""
     import sippy_unipi
 
-    # Horizons of 20, 40, 60 and every 1st, 2nd, 4th, 8th sample tried. P from u to y, without (14),
-    # is worse: 1.1 % instead of 0.6 % with every 4th sample.
-    v, y, scaling, Ts_s = _joined(records, 2)
-    G = sippy_unipi.system_identification(
-        y.T, v.T, "N4SID", tsample=Ts_s, SS_f=40, SS_fixed_order=ORDER, SS_D_required=True
+    # Horizons of 20, 40, 60 and every 1st, 2nd, 4th, 8th sample tried. Without the preparation, G
+    # with every 2nd sample and 12 states has 15 times the error, P with 8 states 200 times.
+    w, y, scaling = _core_signals(records)
+    Q = sippy_unipi.system_identification(
+        y.T, w.T, "N4SID", tsample=records[0].Ts_s, SS_f=40, SS_fixed_order=6, SS_D_required=True
     )
-    return _plant(G.A, G.B, G.C, G.D, scaling, Ts_s, records, freq_hz)
+    return _plant_from_core(Q.A, Q.B, Q.C, Q.D, scaling, records, freq_hz)
 
 
 def nfoursid(records: Sequence[Record], freq_hz: Array) -> Complex:
@@ -112,17 +116,19 @@ def nfoursid(records: Sequence[Record], freq_hz: Array) -> Complex:
     # It makes a matrix as wide and as high as there are rows: 16 GB for all three records at every
     # 4th sample, so each record, with its one input, is identified by itself. Every 8th sample is
     # quick and far worse (30 %); every 3rd and less do not fit into 8 GB.
-    G = np.empty((len(freq_hz), 3, 3), complex)
+    outputs, G = ["y0", "y1", "y2"], np.empty((len(freq_hz), 3, 3), complex)
     for record in records:
-        v, y, scaling, Ts_s = _joined([record], 4)
-        names = [f"v{j}" for j in range(3)], [f"y{i}" for i in range(3)]
         j = int(np.flatnonzero(record.excited)[0])
-        table = pd.DataFrame(np.hstack([v, y]), columns=[*names[0], *names[1]])
-        method = NFourSID(table, names[1], [names[0][j]], num_block_rows=40)
+        fewer = _every(record, 4)
+        scaling = Scaling.of([fewer])
+        table = pd.DataFrame(fewer.y / scaling.outputs, columns=outputs)
+        table["v"] = fewer.v[:, j] / scaling.inputs[j]
+        method = NFourSID(table, outputs, ["v"], num_block_rows=40)
         method.subspace_identification()
         found, _ = method.system_identification(ORDER)
-        column = StateSpace(found.a, found.b, found.c, found.d, Ts_s).response(freq_hz)
-        G[:, :, j] = column[:, :, 0] * scaling.outputs / scaling.inputs[j]
+        one = Scaling(scaling.outputs, scaling.inputs[j : j + 1])
+        column = _unscaled(found.a, found.b, found.c, found.d, one, fewer.Ts_s)
+        G[:, :, j] = column.response(freq_hz)[:, :, 0]
     return plant_from_loop_response(G, _controller(records), freq_hz, records[0].Ts_s)
 
 
@@ -152,26 +158,28 @@ def scipy_csd_loop(records: Sequence[Record], freq_hz: Array) -> Complex:
 
 
 def octave_n4sid(records: Sequence[Record], freq_hz: Array) -> Complex:
-    """GNU Octave's n4sid (package control; SLICOT's IB01AD and IB01BD, compiled Fortran) of G."""
-    v, y, scaling, Ts_s = _joined(records, 1)  # 40, 80, 120 block rows, every 1st and 2nd tried
+    """GNU Octave's n4sid (package control; SLICOT's IB01AD and IB01BD, compiled Fortran) of Q."""
+    # 20, 40, 80, 120 block rows tried. Without the preparation 9 states have twice, P of 12 states
+    # three and G of 12 states four times the error.
+    w, y, scaling = _core_signals(records)
     with tempfile.TemporaryDirectory() as folder:
-        savemat(Path(folder) / "data.mat", {"v": v, "y": y, "Ts": Ts_s})
+        savemat(Path(folder) / "data.mat", {"w": w, "y": y, "Ts": records[0].Ts_s})
         script = (
             "pkg load control; load data.mat;"
-            f"G = n4sid(iddata(y, v, Ts), 'n', {ORDER}, 's', 80, 'rcond', 1e-10);"
-            "[A, B, C, D] = ssdata(G); save -v7 model.mat A B C D;"
+            "Q = n4sid(iddata(y, w, Ts), 'n', 6, 's', 40, 'rcond', 1e-10);"
+            "[A, B, C, D] = ssdata(Q); save -v7 model.mat A B C D;"
         )
         command = ["octave-cli", "--norc", "--eval", script]
         try:
             subprocess.run(command, cwd=folder, check=True, capture_output=True)
         except FileNotFoundError:
             raise ModuleNotFoundError("no octave-cli", name="octave-cli") from None
-        G = loadmat(Path(folder) / "model.mat")
-    return _plant(G["A"], G["B"], G["C"], G["D"], scaling, Ts_s, records, freq_hz)
+        Q = loadmat(Path(folder) / "model.mat")
+    return _plant_from_core(Q["A"], Q["B"], Q["C"], Q["D"], scaling, records, freq_hz)
 
 
 CONTENDERS = (
-    Contender("levid_ho_kalman", "levid: least squares, Ho-Kalman", levid_ho_kalman),
+    Contender("levid_ho_kalman", "levid: Markov, Ho-Kalman", levid_ho_kalman),
     Contender("levid_sensitivity", "levid: sensitivity", levid_sensitivity),
     Contender("control_era", "python-control: markov, ERA", control_realization, "control"),
     Contender("control_markov", "python-control: markov", control_markov, "control"),
@@ -182,6 +190,10 @@ CONTENDERS = (
     Contender("octave_n4sid", "Octave, SLICOT: n4sid", octave_n4sid, "scipy"),
 )
 """Whoever joins the comparison stands here; levid's own have keys that begin with `levid`."""
+
+
+def _lag_pole(records: Sequence[Record]) -> float:
+    return float(np.exp(-records[0].Ts_s / LAG_S))
 
 
 def impulse_taps(records: Sequence[Record]) -> int:
@@ -209,16 +221,36 @@ def _every(record: Record, step: int) -> Record:
     return replace(record, v=fewer(record.v), y=fewer(record.y), u=None, Ts_s=step * record.Ts_s)
 
 
-def _joined(records: Sequence[Record], step: int) -> tuple[Array, Array, Scaling, float]:
-    """Return v, y (N, 3) of all records in one, of about rms 1, with the units they have then."""
+def _core_signals(records: Sequence[Record]) -> tuple[Array, Array, Scaling]:
+    """Return the whole flight in rms 1: what enters Q, the output at that time, and their units."""
+    pole, delay = _lag_pole(records), records[0].leading_zeros
+    u = np.vstack([np.asarray(r.u) for r in records])
+    lagged = signal.lfilter([1.0 - pole], [1.0, -pole], u - u[0], axis=0)
     whole = replace(
-        records[0],
-        v=np.vstack([r.v for r in records]),
-        y=np.vstack([r.y - r.y.mean(axis=0) for r in records]),
+        records[0], v=lagged[:-delay], y=np.vstack([r.y for r in records])[delay:], u=None
     )
-    fewer = _every(whole, step)
-    scaling = Scaling.of([fewer])
-    return fewer.v / scaling.inputs, fewer.y / scaling.outputs, scaling, fewer.Ts_s
+    scaling = Scaling.of([whole])
+    w, y = whole.v / scaling.inputs, whole.y / scaling.outputs
+    return w - w.mean(axis=0), y - y.mean(axis=0), scaling
+
+
+def _plant_from_core(
+    A: Array,
+    B: Array,
+    C: Array,
+    D: Array,
+    scaling: Scaling,
+    records: Sequence[Record],
+    freq_hz: Array,
+) -> Complex:
+    """Return P from a model of Q in scaled signals."""
+    core = _unscaled(A, B, C, D, scaling, records[0].Ts_s)
+    return Plant(core, records[0].leading_zeros, _lag_pole(records)).response(freq_hz)
+
+
+def _unscaled(A: Array, B: Array, C: Array, D: Array, scaling: Scaling, Ts_s: float) -> StateSpace:
+    outputs = scaling.outputs[:, None]
+    return StateSpace(A, B / scaling.inputs, C * outputs, D / scaling.inputs * outputs, Ts_s)
 
 
 def _control_markov(records: Sequence[Record]) -> Array:
@@ -245,19 +277,3 @@ def _cross_spectra(y: Array, x: Array, Ts_s: float, freq_hz: Array) -> Complex:
     rows = round(10.0 / Ts_s)
     _, spectra = signal.csd(x.T[None], y.T[:, None], 1.0 / Ts_s, nperseg=rows)
     return spectra[:, :, np.rint(freq_hz * 10.0).astype(int)].transpose(2, 0, 1)
-
-
-def _plant(
-    A: Array,
-    B: Array,
-    C: Array,
-    D: Array,
-    scaling: Scaling,
-    Ts_s: float,
-    records: Sequence[Record],
-    freq_hz: Array,
-) -> Complex:
-    """Return P by (14) from a model of G in scaled signals with sampling time Ts_s."""
-    G = StateSpace(A, B, C, D, Ts_s).response(freq_hz)
-    G = G * scaling.outputs[:, None] / scaling.inputs
-    return plant_from_loop_response(G, _controller(records), freq_hz, records[0].Ts_s)

@@ -44,7 +44,7 @@ class Parameter(Strict):
 
 
 class Scheduling(Strict):
-    """A variable that the matrices depend on and that a log's field, or its derivative, measures."""
+    """A variable of the matrices, measured by a field of the log or by its derivative."""
 
     unit: str
     signal: str

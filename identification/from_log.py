@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 DOF = ("psi", "theta", "z")
 INPUT_UNITS = ("N m", "N m", "N")
 OUTPUT_UNITS = ("rad", "rad", "m")
-_EXCITATION = ("v_psi_n_m", "v_theta_n_m", "v_z_n")
+EXCITATION = ("v_psi_n_m", "v_theta_n_m", "v_z_n")
 _WRENCH = ("tau_psi_n_m", "tau_theta_n_m", "tau_z_n")
-_FEED_FORWARD = ("ff_psi_n_m", "ff_theta_n_m", "ff_z_n")
-_POSE = ("psi_rad", "theta_rad", "z_m")
-_REFERENCE = ("psi_ref_rad", "theta_ref_rad", "z_ref_m")
-_CYCLE = (*_EXCITATION, *_WRENCH, *_FEED_FORWARD, *_POSE, *_REFERENCE, "beam_m")
+FEED_FORWARD = ("ff_psi_n_m", "ff_theta_n_m", "ff_z_n")
+POSE = ("psi_rad", "theta_rad", "z_m")
+REFERENCE = ("psi_ref_rad", "theta_ref_rad", "z_ref_m")
+_CYCLE = (*EXCITATION, *_WRENCH, *FEED_FORWARD, *POSE, *REFERENCE, "beam_m")
 
 
 class NotARecordError(IdentificationError):
@@ -59,7 +59,7 @@ def records_from_logs(logs: Sequence[Log]) -> tuple[tuple[Record, ...], tuple[st
 
 def _from_cycles(log: Log) -> Record:
     _require(log, _CYCLE)
-    v = _columns(log, _EXCITATION)
+    v = columns(log, EXCITATION)
     beam = log.rows["beam_m"].astype(float)
     if not np.any(v):
         raise NotARecordError(f"{log.path.name}: no wrench excitation in it")
@@ -72,21 +72,22 @@ def _from_cycles(log: Log) -> Record:
         name=log.metadata.get("name") or log.path.stem,
         Ts_s=1.0 / log.rate_hz,
         v=v,
-        u=_columns(log, _WRENCH) - _columns(log, _FEED_FORWARD),
-        y=_columns(log, _POSE),
+        u=columns(log, _WRENCH) - columns(log, FEED_FORWARD),
+        y=columns(log, POSE),
         input_names=DOF,
         input_units=INPUT_UNITS,
         output_names=DOF,
         output_units=OUTPUT_UNITS,
         beam_m=float(beam.mean()),
-        controller=_controller(log),
+        controller=controller_of(log),
         delay_cycles=1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
         at_rest=False,  # the platform may still ring from the record before
-        remarks=tuple(_remarks(log)),
+        remarks=tuple(remarks_of(log)),
     )
 
 
-def _controller(log: Log) -> PiController:
+def controller_of(log: Log) -> PiController:
+    """Return the controller that rig.yaml at the head of the log names; IdentificationError."""
     text = log.attachments.get("rig.yaml")
     if text is None:
         raise IdentificationError(f"{log.path}: expected the attachment rig.yaml, found none")
@@ -97,10 +98,11 @@ def _controller(log: Log) -> PiController:
     return PiController(np.array(control.kp), np.array(control.ki))
 
 
-def _remarks(log: Log) -> list[str]:
+def remarks_of(log: Log) -> list[str]:
+    """Return in words what happened in a log of the rig that a linear model does not know of."""
     rows, names = log.rows, log.rows.dtype.names or ()
     found = []
-    if np.any(_columns(log, _REFERENCE)):
+    if np.any(columns(log, REFERENCE)):
         found.append("references are not zero; only their constant part does no harm")
     for field, what in (
         ("saturated", "cycles with coils at a limit"),
@@ -137,8 +139,8 @@ def _from_signals(log: Log) -> Record:
     return Record(
         name=log.metadata.get("name") or log.path.stem,
         Ts_s=1.0 / log.rate_hz,
-        v=_columns(log, [c.name for c in inputs]),
-        y=_columns(log, [c.name for c in outputs]),
+        v=columns(log, [c.name for c in inputs]),
+        y=columns(log, [c.name for c in outputs]),
         input_names=tuple(c.name for c in inputs),
         input_units=tuple(c.unit for c in inputs),
         output_names=tuple(c.name for c in outputs),
@@ -159,5 +161,6 @@ def _require(log: Log, names: Sequence[str]) -> None:
             raise IdentificationError(f"{log.path}: {name}: expected finite values, found others")
 
 
-def _columns(log: Log, names: Sequence[str]) -> Array:
+def columns(log: Log, names: Sequence[str]) -> Array:
+    """Return fields of a log side by side (N, fields)."""
     return np.stack([log.rows[n].astype(float) for n in names], axis=1)

@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 
 from ..model.second_order import StateSpace
+from .greybox.result import GreyBox
 from .markov import MarkovEstimate
+from .multisine import BestLinearApproximation
 from .results import ClosedLoopPoint, HoldOut, IdentificationResult, OpenLoopPoint
+from .study import Study
 
 
 def summary(result: IdentificationResult) -> dict[str, Any]:
@@ -117,3 +120,57 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def study_summary(found: Study) -> dict[str, Any]:
+    """Return everything that was found as `summary` does, with multisine and grey box beside it."""
+    out: dict[str, Any] = summary(found.points) if found.points is not None else {}
+    if found.multisine:
+        out["multisine"] = [_multisine(bla) for bla in found.multisine]
+    if found.grey is not None:
+        out["grey_box"] = _grey_box(found.grey)
+    out["notes"] = list(found.notes)
+    cleaned = _plain(out)
+    assert isinstance(cleaned, dict)
+    return cleaned
+
+
+def _multisine(bla: BestLinearApproximation) -> dict[str, Any]:
+    tests = {"distortion": bla.test(), "even": bla.even.test(), "odd": bla.odd.test()}
+    return {
+        "beam_m": bla.beam_m,
+        "lines": len(bla.freq_hz),
+        "tests": {name: {"ratio": t.ratio, "p_value": t.p_value} for name, t in tests.items()},
+        "remarks": bla.remarks,
+    }
+
+
+def _grey_box(grey: GreyBox) -> dict[str, Any]:
+    fitted = grey.fitted.parameters
+    return {
+        "parameters": {
+            name: {
+                "value": p.value,
+                "se": p.se,
+                "unit": p.unit,
+                "declared": grey.declared.parameters[name].value,
+            }
+            for name, p in fitted.items()
+        },
+        "unidentifiable": [str(u) for u in grey.fit.unidentifiable],
+        "at_bound": grey.fit.at_bound,
+        "noise": {
+            "force_psd": grey.fit.noise.force_psd,
+            "output_variance": grey.fit.noise.output_variance,
+        },
+        "validation": [
+            {
+                "record": v.record,
+                "fit_percent": v.fit_percent,
+                "error_rms": v.error_rms,
+                "floor_rms": v.floor_rms,
+                "whiteness_p_value": v.whiteness.p_value,
+            }
+            for v in grey.validations
+        ],
+    }

@@ -1,1 +1,1 @@
-"""The declared model fitted to records: prediction, noise, Gauss-Newton, what cannot be told apart."""
+"""The declared model fitted to records: prediction, noise, Gauss-Newton, identifiability."""

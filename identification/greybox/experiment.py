@@ -1,4 +1,4 @@
-"""One record as the declared model sees it: applied inputs, outputs, schedule, and the loop around."""
+"""One record as the declared model sees it: inputs, outputs, schedule, and the loop around."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from ...config.rig import RigConfig
 from ...log.reader import Log
 from ...model.geometry import shape_matrix
 from ..data import IdentificationError, PiController
-from ..from_log import _CYCLE as CYCLE  # noqa
-from ..from_log import _EXCITATION as EXCITATION
-from ..from_log import _FEED_FORWARD as FEED_FORWARD
-from ..from_log import _POSE as POSE
-from ..from_log import _REFERENCE as REFERENCE
-from ..from_log import NotARecordError, from_log
-from ..from_log import _columns as columns
-from ..from_log import _controller as controller_of
-from ..from_log import _remarks as remarks_of
+from ..from_log import (
+    EXCITATION,
+    FEED_FORWARD,
+    POSE,
+    REFERENCE,
+    NotARecordError,
+    columns,
+    controller_of,
+    from_log,
+    remarks_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -32,7 +34,7 @@ _STILL = 1e-3
 
 @dataclass(frozen=True)
 class Loop:
-    """What closed the loop: excitation v (N, p), reference (N, n), feed-forward (N, p), controller."""
+    """What closed the loop: v (N, p), reference (N, n), feed-forward (N, p), controller."""
 
     v: Array
     reference: Array
@@ -45,8 +47,9 @@ class Experiment:
     """Rows of one record: input u (N, p) as commanded, output y (N, n), schedule by name (N,).
 
     Schedule variables in `rates` are means over the period that follows a row, others are samples.
-    The input acts `delay_cycles` whole periods after its row, beyond any delay of the model. `moving`
-    says that the schedule changes during the record. `loop` is None where no controller is known.
+    The input acts `delay_cycles` whole periods after its row, beyond any delay of the model.
+    `moving` says that the schedule changes during the record. `loop` is None where no controller is
+    known.
     """
 
     name: str
@@ -154,6 +157,3 @@ def _span(low: float | None, high: float | None, value: float) -> float:
     if low is not None and high is not None:
         return high - low
     return max(abs(value), 1.0)
-
-
-__all__ = ["Experiment", "Loop", "NotARecordError", "experiment_from_log"]

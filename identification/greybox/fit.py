@@ -1,4 +1,4 @@
-"""The declared model fitted to records by maximum likelihood of one-step-ahead prediction errors."""
+"""The declared model fitted by maximum likelihood of one-step-ahead prediction errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .experiment import Experiment
 from .identifiability import Unidentifiable, judge
 from .motion import motion
 from .noise import Noise, estimate_noise
-from .parameters import FreeParameters, free_parameters
+from .parameters import free_parameters
 from .prediction import Prediction, errors_of, predict, settled
 
 Array = NDArray[np.float64]
@@ -35,16 +35,17 @@ _FIRST_FORCE_SHARE = 0.3
 """Unknown forces are first taken to be this part of the input's."""
 _NOISE_ROWS = 60_000
 _SHORTEST_ROWS = 50
+_FIRST_ROWS = 12_000
 
 
 @dataclass(frozen=True)
 class Fit:
     """A fitted model.
 
-    `free`: the fitted parameters, with `covariance` (F, F) in SI units. `unidentifiable`: those that
-    these records say nothing of, held at their declared values. `predictions`: the records, with
-    whitened errors of unit variance where the model holds. `at_bound`: fitted parameters that ended
-    at a bound of the model file, whose standard errors mean little.
+    `free`: the fitted parameters, with `covariance` (F, F) in SI units. `unidentifiable`: those
+    that these records say nothing of, held at their declared values. `predictions`: the records,
+    with whitened errors of unit variance where the model holds. `at_bound`: fitted parameters that
+    ended at a bound of the model file, whose standard errors mean little.
     """
 
     model: DeclaredModel
@@ -116,12 +117,15 @@ class _Search:
         # With much force noise the filter follows the record whatever the parameters are, and the
         # errors are nearly linear in them; with little it hardly differs from a simulation, whose
         # errors have many minima. So the noise comes down in steps, and the parameters with it.
+        # The way there needs a part of each record only.
+        whole, self.experiments = self.experiments, tuple(map(_shortened, self.experiments))
         predictions = self.descend(settle=0.1)
         for _ in range(_NOISE_ROUNDS):
             self.noise = self.refined_noise(predictions)
             predictions = self.descend(settle=0.1)
-        self.hold_unidentifiable(predictions)
-        self.noise = self.refined_noise(predictions)
+        self.experiments = whole
+        self.hold_unidentifiable(self.predict_all(self.model))
+        self.noise = self.refined_noise(self.predict_all(self.model))
         predictions = self.descend(settle=_CONVERGED)
         R = self.factor(predictions)[:-1, :-1]
         inverse = np.linalg.inv(R)
@@ -196,7 +200,7 @@ class _Search:
             )
 
     def factor(self, predictions: Sequence[Prediction]) -> Array:
-        """Return R (F + 1, F + 1) of [Jacobian by parameter over scale, errors], unknowns taken out."""
+        """Return R (F + 1, F + 1) of [Jacobian over scale, errors], unknowns taken out."""
         nudged = [self.nudged(i) for i in range(len(self.parameters.names))]
 
         def one(p: Prediction) -> Array:
@@ -264,8 +268,12 @@ class _Search:
         return 1.0 - 0.85**self.steps
 
 
+def _shortened(e: Experiment) -> Experiment:
+    return e if e.moving else e.rows(0, max(len(e.y) // 5, min(len(e.y), _FIRST_ROWS)))
+
+
 def _first_noise(experiments: Sequence[Experiment]) -> Noise:
-    """Return a guess: measurement noise from how rough outputs are, forces from how the input is."""
+    """Return a guess: measurement noise from the outputs' roughness, forces from the inputs."""
     # A third difference of white noise has 20 times its variance; smooth motion has next to none.
     rough = np.min([np.var(np.diff(e.y, 3, axis=0), axis=0) / 20.0 for e in experiments], axis=0)
     push = np.max([np.var(e.u, axis=0) * e.Ts_s for e in experiments], axis=0)

@@ -33,11 +33,11 @@ class Unidentifiable:
 
 
 def judge(R: Array, names: Sequence[str], worth: Array, scale: Array) -> list[Unidentifiable]:
-    """Return the parameters to hold, from R (F, F) of the Jacobian by parameters over their scale.
+    """Return the parameters to hold, from R (F, F) of the Jacobian by parameters over scale.
 
-    A parameter is worth fitting while its standard error stays below `worth` (F,), SI. The direction
-    that the records know least about, parameters counted in units of their worth, is found by SVD;
-    its largest part is held, and so on until every direction is known well enough.
+    A parameter is worth fitting while its standard error stays below `worth` (F,), SI. The
+    direction that the records know least about, parameters counted in units of their worth, is
+    found by SVD; its largest part is held, and so on until every direction is known well enough.
     """
     by_worth = R * (worth / scale)
     left = list(range(len(names)))

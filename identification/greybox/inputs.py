@@ -41,8 +41,9 @@ def moments(u: Array, Ts_s: float, order: int, hold: Hold, delay_s: float, lag_s
     """Return m (N, order, p): integrals of (Ts - s)^j / j! times the acting input over each period.
 
     With x' = A x + B l(t), a step of length Ts adds sum_j A^j B m_j to the state: the input's whole
-    effect, whatever it does between samples. `u` (N, p) is commanded at the samples; it acts delay_s
-    later behind a first-order lag of lag_s. Before the record the first row is taken to have acted.
+    effect, whatever it does between samples. `u` (N, p) is commanded at the samples; it acts
+    delay_s later behind a first-order lag of lag_s. Before the record the first row is taken to
+    have acted.
     """
     if hold == "zoh":
         return _held(u, held_step(Ts_s, order, delay_s, lag_s))

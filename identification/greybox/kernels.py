@@ -1,9 +1,9 @@
 """Compiled passes over a record: the innovations filter, fixed and along a schedule, and the loop.
 
-All of them step a second-order model by a Taylor series of its exact flow: over one period the state
-[q, q'] becomes sum_j A^j (Ts^j / j! x + B m_j + g_j), with m_j the moments of the input over the period
-(inputs.py) and g_j those of the force that comes with the schedule. They stand in one file because the
-compiler's cache follows a function's own file only.
+All of them step a second-order model by a Taylor series of its exact flow: over one period the
+state [q, q'] becomes sum_j A^j (Ts^j / j! x + B m_j + g_j), with m_j the moments of the input over
+the period (inputs.py) and g_j those of the force that comes with the schedule. They stand in one
+file because the compiler's cache follows a function's own file only.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def innovations_fixed(  # type: ignore[no-untyped-def]
 def flow(K, D, B, x, moments, drift, scale, work, top):  # type: ignore[no-untyped-def]
     """Put the state after one period into `x` (2n,): Horner's scheme over the Taylor series.
 
-    K, D (n, n) and B (n, p) already divided by M; moments (J, p); drift (J, n) moments of the force;
-    scale (J + 1,) is Ts^j / j!; work, top (2n,) are scratch.
+    K, D (n, n) and B (n, p) already divided by M; moments (J, p); drift (J, n) moments of the
+    force; scale (J + 1,) is Ts^j / j!; work, top (2n,) are scratch.
     """
     n, p, order = len(K), B.shape[1], len(moments)
     for i in range(2 * n):
@@ -88,9 +88,10 @@ def innovations_along(K, D, B, drift, gain, moments, scale, y, x0, out):  # type
 
 @njit(cache=True, nogil=True)
 def gains_along(K, D, scale, Q, R, P0, gain, S_out):  # type: ignore[no-untyped-def]
-    """Fill gain (N, 2n, m) and innovation covariances (N, m, m) of the Kalman filter on a schedule.
+    """Fill gains (N, 2n, m) and innovation covariances (N, m, m) of a Kalman filter on a schedule.
 
-    Q (N, 2n, 2n) process and R (m, m) measurement covariance, P0 (2n, 2n) of the state at the start.
+    Q (N, 2n, 2n) process and R (m, m) measurement covariance, P0 (2n, 2n) of the state at the
+    start.
     """
     size, m = len(P0), len(R)
     n = size // 2
@@ -123,10 +124,10 @@ def closed_loop_along(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Simulate the model in its loop, free of any measurement.
 
-    u = v + known + PI(ref - y), commanded at the samples, acting `whole` periods and a fraction later
-    behind the lag (inputs.HeldStep: from_*, end = [old, new, lag]). v, ref, known (N, n or p); x0 (2n,)
-    state, integral0 of the controller, u0 (p,) the command before the record. K, D, B, drift have one
-    row a period or a single one. Fills y_out (N, n) and u_out (N, p).
+    u = v + known + PI(ref - y), commanded at the samples, acting `whole` periods and a fraction
+    later behind the lag (inputs.HeldStep: from_*, end = [old, new, lag]). v, ref, known (N, n or
+    p); x0 (2n,) state, integral0 of the controller, u0 (p,) the command before the record. K, D, B,
+    drift have one row a period or a single one. Fills y_out (N, n) and u_out (N, p).
     """
     n, p, rows = K.shape[1], B.shape[2], len(v)
     x, work, top = x0.copy(), np.empty(2 * n), np.empty(2 * n)
@@ -146,6 +147,4 @@ def closed_loop_along(  # type: ignore[no-untyped-def]
             for j in range(len(moments)):
                 moments[j, i] = from_old[j] * old + from_new[j] * new + from_lag[j] * lag[i]
             lag[i] = end[0] * old + end[1] * new + end[2] * lag[i]
-        flow(
-            K[at], D[at], B[at], x, moments, drift[min(k, len(drift) - 1)], scale, work, top
-        )
+        flow(K[at], D[at], B[at], x, moments, drift[min(k, len(drift) - 1)], scale, work, top)

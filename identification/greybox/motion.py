@@ -22,7 +22,7 @@ _ACCURACY = 1e-12
 
 @dataclass(frozen=True)
 class Motion:
-    """A model along an experiment: K, D (R, n, n) and B (R, n, p) divided by M, one row or N of them.
+    """A model along an experiment: K, D (R, n, n), B (R, n, p) divided by M, R = 1 or N.
 
     `mobility` (R, n, n) is the inverse of M.
     `drift` (R, J, n): moments of the model's own force over each period, divided by M; `scale`
@@ -157,7 +157,7 @@ def process_covariance(model: Motion, psd: Array) -> Array:
 
 
 def _drift(force: Array, Ts_s: float, order: int) -> Array:
-    """Return moments (N, J, n) of a force that goes straight from [:, :, 0] to [:, :, 1] (N, n, 2)."""
+    """Return moments (N, J, n) of a force (N, n, 2) that goes straight from [..., 0] to [..., 1]."""
     drift = np.empty((len(force), order, force.shape[1]))
     for j in range(order):
         whole = Ts_s ** (j + 1) / math.factorial(j + 1)

@@ -16,6 +16,7 @@ from .motion import Motion, innovations, process_covariance
 
 Array = NDArray[np.float64]
 
+
 @dataclass(frozen=True)
 class Noise:
     """Two-sided density of white generalised forces (n,) N^2/Hz, and measurement variance (n,)."""
@@ -26,7 +27,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Filter:
-    """Kalman filter of a motion: gain (R, 2n, n) and innovation covariance (R, n, n), R = 1 or N."""
+    """Kalman filter of a motion: gain (R, 2n, n), innovation covariance (R, n, n), R = 1 or N."""
 
     gain: Array
     covariance: Array

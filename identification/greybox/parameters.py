@@ -1,4 +1,4 @@
-"""The free parameters of a declared model: values, scale, bounds, priors, and what they are worth."""
+"""The free parameters of a declared model: scale, bounds, priors, and what they are worth."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Prediction:
 
 
 def predict(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Prediction:
-    """Return the experiment predicted by `model` under `noise`, offset and start by least squares."""
+    """Return the experiment predicted by `model`, its offset and start by least squares."""
     at = motion(model, experiment, hold)
     kalman = kalman_filter(at, noise)
     nowhere = np.zeros(2 * experiment.y.shape[1])

@@ -24,7 +24,7 @@ START_S = 5.0
 
 @dataclass(frozen=True)
 class FreeRun:
-    """Outputs (N, n) and commands (N, p) of a simulated record; rows before `counts_from` are start."""
+    """Outputs (N, n), commands (N, p) of a simulated record; rows before `counts_from` are start."""
 
     y: Array
     u: Array
@@ -65,7 +65,7 @@ def _in_loop(
         max(experiment.delay_cycles * Ts_s + model.delay(values), 0.0),
         max(model.lag(values), 0.0),
     )
-    # u = v + feed-forward + kp e + I holds of what was recorded, so the integrator's start is known.
+    # u = v + feed-forward + kp e + I holds of what was recorded: the integrator's start is known.
     error = loop.reference[0] - experiment.y[0]
     integral = experiment.u[0] - loop.v[0] - loop.feedforward[0] - kp * error - ki_Ts * error
     y, u = np.empty_like(experiment.y), np.empty_like(experiment.u)

@@ -1,9 +1,9 @@
-"""How well a model explains records: simulated fit, residual spectrum, whiteness, the noise floor."""
+"""How well a model explains records: simulated fit, residual spectrum, whiteness, noise floor."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,8 @@ class Validation:
 
     measured, simulated (N, n); fit_percent (n,); error_rms (n,) of measured minus simulated;
     floor_rms (n,): what the noise alone would leave of a perfect model, from the fitted noise in
-    the loop; freq_hz (F,), error_psd and floor_psd (F, n) one-sided spectra of error and floor.
+    the loop; freq_hz (F,), error_psd and floor_psd (F, n) one-sided spectra of error and floor;
+    schedule: the scheduling variables of the same rows (N,), SI.
     """
 
     record: str
@@ -57,6 +58,7 @@ class Validation:
     error_psd: Array
     floor_psd: Array
     whiteness: Whiteness
+    schedule: Mapping[str, Array]
 
 
 def validate(
@@ -84,6 +86,7 @@ def validate(
         error_psd,
         floor_psd,
         whiteness(errors),
+        {name: values[rows] for name, values in experiment.schedule.items()},
     )
 
 
@@ -108,11 +111,10 @@ def _floor(
     shape = experiment.y.shape
     force = rng.standard_normal(shape) * np.sqrt(noise.force_psd / experiment.Ts_s)
     seen = rng.standard_normal(shape) * np.sqrt(noise.output_variance)
-    quiet = noisy_pair(model, experiment, hold, noise, force, seen)
-    return np.asarray(quiet + seen)
+    return _added(model, experiment, hold, noise, force, seen) + seen
 
 
-def noisy_pair(
+def _added(
     model: DeclaredModel,
     experiment: Experiment,
     hold: Hold,
@@ -121,17 +123,15 @@ def noisy_pair(
     seen: Array,
 ) -> Array:
     """Return the outputs (N, n) that forces and false readings add, by difference of two runs."""
-    from dataclasses import replace
-
-    loop = experiment.loop
-    if loop is None or force.shape != experiment.u.shape:
-        pushed = replace(experiment, u=experiment.u + force) if force.shape == experiment.u.shape else experiment
-        return free_run(model, pushed, hold, noise).y - free_run(model, experiment, hold, noise).y
-    # A false reading is a false reference; a force is an excitation that nobody recorded.
-    shaken = replace(loop, v=loop.v + force, reference=loop.reference - seen)
-    start = free_run(model, experiment, hold, noise)
-    moved = free_run(model, replace(experiment, loop=shaken), hold, noise)
-    return moved.y - start.y
+    loop, shaken = experiment.loop, experiment
+    if force.shape == experiment.u.shape:
+        # A force is an input that nobody recorded; a false reading is a false reference.
+        shaken = replace(experiment, u=experiment.u + force)
+        if loop is not None:
+            noisy = replace(loop, v=loop.v + force, reference=loop.reference - seen)
+            shaken = replace(experiment, loop=noisy)
+    quiet = free_run(model, experiment, hold, noise)
+    return np.asarray(free_run(model, shaken, hold, noise).y - quiet.y)
 
 
 def summary_lines(validations: Sequence[Validation], names: Sequence[str]) -> list[str]:

@@ -1,0 +1,101 @@
+"""Grey-box identification from end to end: fit on the records' beginnings, check on their ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from ...config.model import ModelConfig
+from ...model.second_order import discretise
+from .experiment import Experiment
+from .fit import Fit, fit_model
+from .validation import Validation, validate
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class GreyBox:
+    """The declared model as it was and as fitted, with the checks on rows that the fit never saw.
+
+    `fitted` is a model file again, with values and standard errors. `validations` has one entry a
+    record, of its held-out end; `training` names the share of every record that was fitted to.
+    """
+
+    declared: ModelConfig
+    fitted: ModelConfig
+    fit: Fit
+    validations: tuple[Validation, ...]
+    Ts_s: float
+    delay_cycles: int
+
+    def response(self, schedule: Mapping[str, float], freq_hz: Array) -> Complex:
+        """Return the sampled plant (F, n, p) from command to output, delay and hold included."""
+        at = self.fit.model.at(schedule)
+        delayed = replace(at, delay_s=max(at.delay_s + self.delay_cycles * self.Ts_s, 0.0))
+        return np.asarray(discretise(delayed, self.Ts_s).response(freq_hz))
+
+
+def identify_grey_box(
+    config: ModelConfig,
+    experiments: Sequence[Experiment],
+    holdout: float,
+    progress: Callable[[str, float], None] | None = None,
+) -> GreyBox:
+    """Fit `config` to the first 1 - holdout of every record and validate on the rest.
+
+    Raises IdentificationError, see fit_model.
+    """
+    stops = [len(e.y) - round(holdout * len(e.y)) for e in experiments]
+    fit = fit_model(
+        config, [e.rows(0, stop) for e, stop in zip(experiments, stops, strict=True)], progress
+    )
+    checks = tuple(
+        validate(fit.model, e.rows(stop if holdout else 0, len(e.y)), config.input, fit.noise)
+        for e, stop in zip(experiments, stops, strict=True)
+    )
+    first = experiments[0]
+    return GreyBox(config, fitted_model(config, fit), fit, checks, first.Ts_s, first.delay_cycles)
+
+
+def fitted_model(config: ModelConfig, fit: Fit) -> ModelConfig:
+    """Return the model file with fitted values, and standard errors where there are any."""
+    errors = fit.standard_errors
+    parameters = {
+        name: parameter.model_copy(update={"value": fit.values[name], "se": errors.get(name)})
+        for name, parameter in config.parameters.items()
+    }
+    return config.model_copy(update={"parameters": parameters})
+
+
+def to_yaml(config: ModelConfig) -> str:
+    """Return a model file's text; reading it gives the same model."""
+    plain = config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    return yaml.dump(
+        {"levid": "model", **plain}, Dumper=_Flow, sort_keys=False, width=100, allow_unicode=True
+    )
+
+
+class _Flow(yaml.SafeDumper):
+    """Block style for what is long, flow style for rows and parameters, as in the shipped files."""
+
+    def represent_sequence(
+        self, tag: str, sequence: Sequence[object], flow_style: bool | None = None
+    ) -> yaml.SequenceNode:
+        """Write a row of scalars in one line."""
+        flat = all(not isinstance(item, (list, dict)) for item in sequence)
+        return super().represent_sequence(tag, sequence, flow_style=flat or flow_style)
+
+    def represent_mapping(
+        self, tag: str, mapping: Mapping[object, object], flow_style: bool | None = None
+    ) -> yaml.MappingNode:
+        """Write a mapping of scalars in one line, but not the file itself."""
+        flat = "levid" not in mapping and all(
+            not isinstance(item, (list, dict)) for item in mapping.values()
+        )
+        return super().represent_mapping(tag, mapping, flow_style=flat or flow_style)

@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from ..config.base import ConfigError, Strict
-from ..config.kinds import load_any
-from ..config.model import ModelConfig
-from ..config.rig import RigConfig, load_rig
-from ..config.session import SessionConfig
-from ..config.shipped import shipped
-from ..config.sim import SimConfig
-from ..daemon.plan import plan_session
-from ..drivers.base import Context
-from ..drivers.registry import check_backends
-from ..identification.declared import declared_model
-from ..log.errors import LogError
-from ..log.reader import read_log
-from ..model.declared import ModelError
-from ..model.geometry import GeometryError, decoupling_matrix
+if TYPE_CHECKING:
+    from ..config.model import ModelConfig
+    from ..config.rig import RigConfig
+    from ..config.session import SessionConfig
+    from ..config.sim import SimConfig
 
 
 @click.command("check")
@@ -42,6 +33,9 @@ def command(files: tuple[Path, ...], rig_path: Path | None) -> int:
       levid check config/rigs/loopback.yaml config/sessions/beam.yaml
       levid check out/first/*.mcap
     """
+    from ..config.base import ConfigError
+    from ..log.errors import LogError
+
     bad = 0
     for path in files:
         try:
@@ -54,31 +48,48 @@ def command(files: tuple[Path, ...], rig_path: Path | None) -> int:
 
 def _check(path: Path, rig_path: Path | None) -> str:
     if path.suffix == ".mcap":
-        log = read_log(path)
-        seconds = len(log.rows) / log.rate_hz
-        ending = "" if log.complete else "; cut off, this is what is left"
-        return f"log, {len(log.rows)} records at {log.rate_hz:g} Hz ({seconds:.1f} s){ending}"
-    config = load_any(path, _more_kinds())
-    match config:
-        case RigConfig():
-            return _rig(config, path)
-        case SessionConfig():
-            rig = load_rig(rig_path or shipped("rigs/loopback.yaml"))
-            plan = plan_session(config, rig)
-            records = sum(step.kind == "record" for step in plan.steps)
-            return (
-                f"session, {len(plan.steps)} steps, {records} records, "
-                f"{plan.cycles / plan.rate_hz:.0f} s at {plan.rate_hz:g} Hz"
-            )
-        case ModelConfig():
-            return _model(config, path)
-        case SimConfig():
-            effects = len(config.effects)
-            return f"simulator, plant {config.plant}, {effects or 'no'} effects"
-    return str(getattr(config, "levid", "ok"))
+        return _log(path)
+    from ..config.kinds import load_any
+    from ..config.model import ModelConfig
+    from ..config.rig import RigConfig
+    from ..config.session import SessionConfig
+    from ..config.sim import SimConfig
+    from ..log.signals_file import SignalsFile
+
+    said = "ok"
+    match load_any(path, {"signals": SignalsFile}):
+        case RigConfig() as rig:
+            said = _rig(rig, path)
+        case SessionConfig() as session:
+            said = _session(session, path, rig_path)
+        case ModelConfig() as model:
+            said = _model(model, path)
+        case SimConfig() as sim:
+            said = _sim(sim, path)
+        case SignalsFile() as signals:
+            said = f"signals, {len(signals.columns)} columns at {signals.rate_hz:g} Hz"
+    return said
+
+
+def _log(path: Path) -> str:
+    from ..log.reader import read_log
+
+    log = read_log(path)
+    n = len(log.rows)
+    seconds = n / log.rate_hz
+    if "cycle" in (log.rows.dtype.names or ()) and n:
+        # Skipped periods are no rows, but they are time.
+        seconds = float(log.rows["cycle"][-1] - log.rows["cycle"][0] + 1) / log.rate_hz
+    ending = "" if log.complete else f"; not complete, this is what is left: {log.problem}"
+    return f"log, {n} records at {log.rate_hz:g} Hz ({seconds:.1f} s){ending}"
 
 
 def _rig(rig: RigConfig, path: Path) -> str:
+    from ..config.base import ConfigError
+    from ..drivers.base import Context
+    from ..drivers.registry import check_backends
+    from ..model.geometry import GeometryError, decoupling_matrix
+
     try:
         decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
         decoupling_matrix(rig.geometry.sensors_x_m, rig.geometry.sensors_y_m)
@@ -92,7 +103,25 @@ def _rig(rig: RigConfig, path: Path) -> str:
     return f"rig, {len(rig.geometry.coil_x_m)} coils, {rig.rate_hz:g} Hz"
 
 
+def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
+    from ..config.rig import load_rig
+    from ..config.shipped import shipped
+    from ..daemon.plan import plan_session
+
+    rig = load_rig(rig_path or shipped("rigs/loopback.yaml"))
+    plan = plan_session(config, rig, source=str(path))
+    records = sum(step.kind == "record" for step in plan.steps)
+    return (
+        f"session, {len(plan.steps)} steps, {records} record{'s' * (records != 1)}, "
+        f"{plan.cycles / plan.rate_hz:.0f} s at {plan.rate_hz:g} Hz"
+    )
+
+
 def _model(config: ModelConfig, path: Path) -> str:
+    from ..config.base import ConfigError
+    from ..identification.declared import declared_model
+    from ..model.declared import ModelError
+
     try:
         model = declared_model(config)
         model.at()
@@ -101,7 +130,9 @@ def _model(config: ModelConfig, path: Path) -> str:
     return f"model, {len(model.dof)} DOF, {len(model.values)} parameters"
 
 
-def _more_kinds() -> dict[str, type[Strict]]:
-    from ..log.signals_file import SignalsFile
+def _sim(config: SimConfig, path: Path) -> str:
+    from ..sim.effects import Effects
 
-    return {"signals": SignalsFile}
+    Effects(config.effects, path)
+    count = len(config.effects)
+    return f"simulator, plant {config.plant}, {count or 'no'} effect{'s' * (count != 1)}"

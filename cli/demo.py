@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from ..config.rig import load_rig
-from ..config.session import load_session
-from ..config.shipped import shipped
-from ..daemon.flight import FlightResult
-from ..daemon.virtual import fly_virtually
-from ..report.session import session_report
+from .excite import fly_here
 from .identify import identify_logs, words
-from .progress import console, progress
+from .progress import progress, say
+
+if TYPE_CHECKING:
+    from ..daemon.flight import FlightResult
 
 
 @click.command("demo")
@@ -34,18 +33,24 @@ def command(out: Path | None) -> int:
       levid demo
       levid demo --out out/mine
     """
+    from ..config.shipped import shipped
+    from ..report.session import session_report
+
     begin = time.perf_counter()
     folder = out or _next_free()
     excited = _fly("sessions/white-noise-1khz.yaml", folder / "white-noise")
     moved = _fly("sessions/beam.yaml", folder / "beam")
-    # The truth is drawn beneath the results; identification gets the logs and nothing else.
-    result, page = identify_logs(
-        excited.logs, None, shipped("sims/nominal.yaml"), folder / "white-noise" / "identification"
-    )
-    for line in words(result):
-        click.echo(line)
     with progress("drawing the moving beam"):
         beam_page = session_report(moved.logs, folder / "beam" / "report")
+    # The truth is drawn beneath the results; identification gets the logs and nothing else.
+    found, page = identify_logs(
+        [*excited.logs, *moved.logs],
+        None,
+        shipped("sims/nominal.yaml"),
+        folder / "identification",
+    )
+    for line in words(found):
+        click.echo(line)
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
     click.echo(f"moving beam: {beam_page}")
     click.echo(f"report: {page}")
@@ -53,18 +58,13 @@ def command(out: Path | None) -> int:
 
 
 def _fly(name: str, out: Path) -> FlightResult:
-    rig_file, session_file = shipped("rigs/loopback.yaml"), shipped(name)
-    session = load_session(session_file)
-    with progress(f"flying {session.name}") as report:
-        result = fly_virtually(
-            load_rig(rig_file),
-            rig_file,
-            session,
-            session_file.read_bytes(),
-            out,
-            lambda step, done, total: report(step, done / total),
-        )
-    console.print(f"{session.name}: {result.cycles} cycles, {len(result.records)} records in {out}")
+    from ..config.session import load_session
+    from ..config.shipped import shipped
+
+    session = shipped(name)
+    config = load_session(session)
+    result = fly_here(config, session, None, None, out)
+    say(f"{config.name}: {result.cycles} cycles, {len(result.records)} records in {out}")
     return result
 
 

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from ..config.base import ConfigError
-from ..config.rig import RigConfig, load_rig
-from ..config.session import load_session
-from ..config.shipped import shipped
-from ..daemon.flight import FlightResult
-from ..daemon.handover import identify_in_own_process
-from ..daemon.virtual import fly_virtually
-from ..report.session import session_report
-from .progress import console, progress
+from .progress import progress, say
+
+if TYPE_CHECKING:
+    from ..config.session import SessionConfig
+    from ..daemon.flight import FlightResult
 
 
 @click.command("excite")
@@ -23,7 +20,7 @@ from .progress import console, progress
     "--rig",
     "rig_path",
     type=click.Path(path_type=Path),
-    help="RIG.yaml; the shipped loopback rig unless given.",
+    help="RIG.yaml; with --virtual the shipped loopback rig unless given.",
 )
 @click.option(
     "--sim",
@@ -37,18 +34,15 @@ from .progress import console, progress
     help="Fly in this process, on the loopback simulator, in virtual time.",
 )
 @click.option(
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Folder for the logs, new or empty.",
+    "--out", required=True, type=click.Path(path_type=Path), help="Folder for logs, new or empty."
 )
 def command(
     session: Path, rig_path: Path | None, sim_path: Path | None, virtual: bool, out: Path
 ) -> int:
-    """Fly SESSION.yaml and write one log a step into --out.
+    """Fly SESSION.yaml and write one log a step into --out, and a page on the flight.
 
     With --virtual it flies here, as fast as the code runs; without it, the daemon that `levid run`
-    started flies, in real time.
+    started flies, in real time, and goes on flying if this command is interrupted.
 
     \b
     Examples:
@@ -56,44 +50,58 @@ def command(
       levid excite my-session.yaml --sim config/sims/rig.yaml --virtual --out out/second
       levid excite config/sessions/beam.yaml --out /var/lib/levid/today
     """
+    from ..config.session import load_session
+
     config = load_session(session)
     refuse_used_folder(out)
-    if not virtual:
-        if sim_path is not None:
-            raise click.UsageError(
-                "--sim needs --virtual; the daemon's rig names its own simulator"
-            )
-        result = _on_daemon(session, rig_path, out)
+    if virtual:
+        result = fly_here(config, session, rig_path, sim_path, out)
+    elif sim_path is not None:
+        raise click.UsageError("--sim needs --virtual: the daemon's rig names its simulator")
     else:
-        rig_file = rig_path or shipped("rigs/loopback.yaml")
-        rig = with_sim(load_rig(rig_file), sim_path)
-        with progress(f"flying {config.name}") as report:
-            result = fly_virtually(
+        result = _on_daemon(session, rig_path, out)
+    late = f", {result.late} late cycles" if result.late else ""
+    lost = f", {result.lost} rows lost" if result.lost else ""
+    say(
+        f"flew {result.cycles} cycles, {len(result.records)} records{late}{lost}, "
+        f"logs in {result.logs[0].parent if result.logs else out}"
+    )
+    return _after_landing(config, result, out)
+
+
+def fly_here(
+    config: SessionConfig, session: Path, rig_path: Path | None, sim_path: Path | None, out: Path
+) -> FlightResult:
+    """Fly in this process, in virtual time."""
+    from ..config.rig import load_rig
+    from ..config.shipped import shipped
+    from ..daemon.faults import FlightFault
+    from ..daemon.virtual import fly_virtually
+
+    rig_file = rig_path or shipped("rigs/loopback.yaml")
+    rig = load_rig(rig_file)
+    if sim_path is not None:
+        rig = rig.model_copy(update={"sim": str(sim_path.resolve())})
+    with progress(f"flying {config.name}") as report:
+        try:
+            return fly_virtually(
                 rig,
                 rig_file,
                 config,
                 session.read_bytes(),
                 out,
                 lambda step, done, total: report(step, done / total),
+                source=str(session),
             )
-    console.print(
-        f"flew {result.cycles} cycles, {len(result.records)} records, logs in {out}"
-        f"{f', {result.late} late cycles' if result.late else ''}"
-    )
-    if "identify" in config.then and result.records:
-        report_path = identify_in_own_process(result.records, out / "identification")
-        console.print(f"report: {report_path}")
-        return 0
-    with progress("drawing the flight") as report:
-        report("", 0.5)
-        console.print(f"report: {session_report(result.logs, out / 'report')}")
-    if result.records:
-        console.print(f"next: levid identify {out}/*.mcap --out {out}/identification")
-    return 0
+        except FlightFault:
+            say(f"logs up to the fault and half a second beyond: {out}")
+            raise
 
 
 def refuse_used_folder(out: Path) -> None:
     """Raise ConfigError where `out` is no folder or holds logs: none is ever overwritten."""
+    from ..config.base import ConfigError
+
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: expected a folder, found a file")
     logs = sorted(out.glob("*.mcap")) if out.is_dir() else []
@@ -104,14 +112,37 @@ def refuse_used_folder(out: Path) -> None:
         )
 
 
-def with_sim(rig: RigConfig, sim_path: Path | None) -> RigConfig:
-    """Return the rig with another simulator."""
-    return rig if sim_path is None else rig.model_copy(update={"sim": str(sim_path.resolve())})
-
-
 def _on_daemon(session: Path, rig_path: Path | None, out: Path) -> FlightResult:
+    from ..config.rig import load_rig
     from ..daemon.client import Client, socket_path
 
     rig = load_rig(rig_path) if rig_path is not None else None
+    rig_text = rig_path.read_text() if rig_path is not None else None
     with Client(socket_path(rig)) as client, progress("flying on the daemon") as report:
-        return client.excite(session.read_text(), out.resolve(), report)
+        try:
+            return client.excite(session.read_text(), out.resolve(), report, rig_text)
+        except KeyboardInterrupt:
+            say("the daemon goes on flying; 'levid land' ends the session")
+            raise
+
+
+def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> int:
+    """Hand the logs over or draw the flight; return the exit code."""
+    from ..daemon.handover import identify_in_own_process
+    from ..report.session import session_report
+
+    excited = any(step.record is not None and step.record.excite for step in config.steps)
+    following = f"levid identify {out}/*.mcap --out {out}/identification"
+    if result.stopped:
+        say(f"the session was asked to land before its end; to use what there is: {following}")
+        return 1
+    if "identify" in config.then and result.records:
+        say(f"report: {identify_in_own_process(result.logs, out / 'identification')}")
+        return 0
+    with progress("drawing the flight") as report:
+        report("", 0.5)
+        page = session_report(result.logs, out / "report")
+    say(f"report: {page}")
+    if excited:
+        say(f"next: {following}")
+    return 0

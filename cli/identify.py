@@ -5,25 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..config.base import load_yaml
-from ..config.model import ModelConfig, load_model
-from ..config.shipped import shipped
-from ..config.sim import SimConfig
-from ..identification.data import IdentificationError
-from ..identification.export import write_mat
-from ..identification.greybox.result import to_yaml
-from ..identification.options import Options
-from ..identification.study import Study, study
-from ..identification.summary import study_summary
-from ..log.reader import Log
-from ..report.closed_loop import Truth
-from ..report.flown import read_session
-from ..report.identification import identification_report
-from ..sim.truth import frequency_response
 from .progress import progress
+
+if TYPE_CHECKING:
+    from ..config.model import ModelConfig
+    from ..config.sim import SimConfig
+    from ..identification.study import Study
+    from ..log.reader import Log
+    from ..report.closed_loop import Truth
 
 
 @click.command("identify")
@@ -38,12 +31,7 @@ from .progress import progress
     type=click.Path(path_type=Path),
     help="SIM.yaml that flew the logs: its true response is drawn beneath, and never used.",
 )
-@click.option(
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Folder of the report, index.html.",
-)
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the report.")
 @click.option("--mat", is_flag=True, help="Write identified.mat for MATLAB and Octave too.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 def command(
@@ -68,10 +56,10 @@ def command(
     """
     found, page = identify_logs(logs, model, truth, out)
     if mat:
-        if found.points is None:
-            raise IdentificationError("--mat: expected records of white noise, found none")
-        write_mat(out / "identified.mat", found.points)
+        _write_mat(found, out / "identified.mat")
     if as_json:
+        from ..identification.summary import study_summary
+
         click.echo(json.dumps({**study_summary(found), "report": str(page)}))
         return 0
     for line in words(found):
@@ -84,22 +72,41 @@ def identify_logs(
     logs: Sequence[Path], model: Path | None, truth: Path | None, out: Path
 ) -> tuple[Study, Path]:
     """Identify logs, write report and model.yaml; return what was found and the page's path."""
+    from ..config.base import ConfigError, load_yaml
+    from ..config.model import load_model
+    from ..config.shipped import shipped
+    from ..config.sim import SimConfig
+    from ..identification.data import IdentificationError
+    from ..identification.greybox.result import to_yaml
+    from ..identification.options import Options
+    from ..identification.study import study
+    from ..report.flown import read_session
+    from ..report.identification import identification_report
+
+    # Whatever can be wrong without reading a log is found before the work begins.
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"--out {out}: expected a folder, found a file")
     declared = None if model is None else load_model(model)
+    simulator = None if truth is None else load_yaml(truth, SimConfig)
     flown = False
 
     def model_of(log: Log) -> ModelConfig | None:
         nonlocal flown
         flown = "rig.yaml" in log.attachments
+        if truth is not None and not flown:
+            raise IdentificationError(f"--truth: expected logs of the rig, found {log.path}")
         return load_model(shipped("models/rig.yaml")) if flown and not declared else declared
 
     with progress("identifying") as report:
         found = study(logs, model_of, Options(), lambda what, share: report(what, 0.85 * share))
         report("report", 0.85)
+        # Plant time is continuous within one session: the page shows the one of the first log.
+        session = [path for path in logs if path.parent == logs[0].parent]
         page = identification_report(
             found.points,
-            read_session(logs) if flown else None,
+            read_session(session) if flown else None,
             out,
-            _truth(truth, found),
+            _truth(simulator, found),
             found.grey,
             found.multisine,
         )
@@ -110,34 +117,66 @@ def identify_logs(
 
 def words(found: Study) -> list[str]:
     """Return what was found, a line an operating point or a parameter."""
+    from ..identification.summary import study_summary
+
     plain = study_summary(found)
-    lines = []
-    for point in plain.get("points", []):
-        beam = point["beam_m"]
-        where = "all records" if beam is None else f"beam at {1e3 * beam:+.1f} mm"
-        gap = f", gap {point['order_gap']:.1f}" if "order_gap" in point else ""
-        fits = [fit for h in point["holdout"] for fit in h["simulated_fit_percent"] if fit]
-        best = f", fit on held-out rows up to {max(fits):.2f} %" if fits else ""
-        lines.append(f"{where}: {len(point['records'])} records, order {point['order']}{gap}{best}")
-    for bla in plain.get("multisine", []):
-        lines.append(
-            f"beam at {1e3 * (bla['beam_m'] or 0.0):+.1f} mm: multisine, {bla['lines']} lines"
-        )
+    names = [output["name"] for output in plain.get("outputs", [])]
+    lines = [line for point in plain.get("points", []) for line in _point(point, names)]
+    lines += [
+        f"{_where(bla['beam_m'])}: multisine, {bla['lines']} lines, distortion "
+        f"{'found' if min(bla['tests']['distortion']['p_value']) < 0.01 else 'not found'}"
+        for bla in plain.get("multisine", [])
+    ]
     grey = plain.get("grey_box")
     if grey:
-        for name, p in grey["parameters"].items():
-            if p["se"] is not None:
-                lines.append(f"{name:>12} = {p['value']:.7g} +- {p['se']:.2g} {p['unit']}")
+        lines += [
+            f"{name:>12} = {p['value']:.7g} +- {p['se']:.2g} {p['unit']}"
+            for name, p in grey["parameters"].items()
+            if p["se"] is not None
+        ]
         lines += grey["unidentifiable"]
     return lines
 
 
-def _truth(path: Path | None, found: Study) -> Truth | None:
-    if path is None:
+def _point(point: dict[str, Any], names: list[str]) -> list[str]:
+    gap = ""
+    if "order_gap" in point:
+        gap = f", the next singular value is {point['order_gap']:.0f} times smaller"
+    count = len(point["records"])
+    line = f"{_where(point['beam_m'])}: {count} record{'s' * (count != 1)}, order {point['order']}"
+    lines = [f"{line}{gap}"]
+    if "order_gap" in point:
+        return lines
+    for held in point["holdout"]:
+        for what, fits in (
+            ("simulated", held["simulated_fit_percent"]),
+            ("one step ahead", held["predicted_fit_percent"]),
+        ):
+            said = [f"{n} {fit:.1f} %" for n, fit in zip(names, fits or [], strict=False) if fit]
+            lines.append(f"  last {held['rows']} rows, {what}: {', '.join(said)}")
+    return lines
+
+
+def _where(beam_m: float | None) -> str:
+    return "all records" if beam_m is None else f"beam at {1e3 * beam_m:+.1f} mm"
+
+
+def _write_mat(found: Study, path: Path) -> None:
+    from ..identification.data import IdentificationError
+    from ..identification.export import write_mat
+
+    if found.points is None:
+        raise IdentificationError("--mat: expected records of white noise, found none")
+    write_mat(path, found.points)
+
+
+def _truth(config: SimConfig | None, found: Study) -> Truth | None:
+    from ..sim.truth import frequency_response
+
+    if config is None:
         return None
-    config = load_yaml(path, SimConfig)
-    points = found.points.points if found.points is not None else ()
-    if any(point.beam_m is None for point in points):
-        raise IdentificationError("--truth: expected logs of the rig, found records without a beam")
-    rate_hz = 1.0 / (found.points.signals.Ts_s if found.points else found.multisine[0].Ts_s)
-    return lambda beam_m, freq_hz: frequency_response(config, beam_m or 0.0, freq_hz, rate_hz)
+    if found.points is not None:
+        Ts_s = found.points.signals.Ts_s
+    else:
+        Ts_s = found.multisine[0].Ts_s if found.multisine else found.grey.Ts_s  # type: ignore[union-attr]
+    return lambda beam_m, freq_hz: frequency_response(config, beam_m or 0.0, freq_hz, 1.0 / Ts_s)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..log.importer import import_file
+from .progress import say
 
 
 @click.command("import")
@@ -26,7 +26,9 @@ def command(file: Path, signals: Path, out: Path) -> int:
       levid import arm.dat --signals config/signals/cd-player-arm.yaml -o arm.mcap
       levid identify arm.mcap --out out/arm
     """
+    from ..log.importer import import_file
+
     samples = import_file(file, signals, out)
     click.echo(f"{out}: {samples} samples")
-    click.echo(f"next: levid identify {out} --out {out.with_suffix('')}", err=True)
+    say(f"next: levid identify {out} --out {out.with_suffix('')}")
     return 0

@@ -9,14 +9,17 @@ import click
 
 from .. import __version__
 
-# verb: module, what it does (shown without loading the module)
+# verb: module and attribute, what it does (shown without loading the module)
 _VERBS = {
-    "check": ("check", "Check configuration and log files without touching a device."),
-    "run": ("run", "Run the daemon on a rig, in real time, until it is stopped."),
-    "excite": ("excite", "Fly an excitation session and log it."),
-    "identify": ("identify", "Identify the plant from logs."),
-    "import": ("importing", "Turn measured data of others into a log."),
-    "demo": ("demo", "Fly, log and identify the simulated rig, and show pictures."),
+    "check": ("check:command", "Check configuration and log files without touching a device."),
+    "run": ("run:command", "Run the daemon on a rig, in real time, until it is stopped."),
+    "excite": ("excite:command", "Fly an excitation session and log it."),
+    "status": ("control:status", "Say what the daemon is doing."),
+    "land": ("control:land", "End the daemon's session at hand: land at once."),
+    "clear": ("control:clear", "Clear the daemon's fault, once its cause is gone."),
+    "identify": ("identify:command", "Identify the plant from logs."),
+    "import": ("importing:command", "Turn measured data of others into a log."),
+    "demo": ("demo:command", "Fly, log and identify the simulated rig, and show pictures."),
 }
 
 EXIT_FAILED = 1
@@ -32,8 +35,9 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         if cmd_name not in _VERBS:
             return None
-        module = importlib.import_module(f".{_VERBS[cmd_name][0]}", __package__)
-        command: click.Command = module.command
+        name, _, attribute = _VERBS[cmd_name][0].partition(":")
+        module = importlib.import_module(f".{name}", __package__)
+        command: click.Command = getattr(module, attribute)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002

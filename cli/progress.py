@@ -1,4 +1,4 @@
-"""A progress bar on stderr for work that takes over a second; silent when stderr is no terminal."""
+"""Messages and a progress bar on stderr; the bar is silent when stderr is no terminal."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-console = Console(stderr=True, highlight=False)
+import click
 
 
 class Report(Protocol):
@@ -19,9 +16,24 @@ class Report(Protocol):
         """Say what is being done and the share done, 0 to 1."""
 
 
+def say(text: str) -> None:
+    """Write a line for people; stdout is for results."""
+    click.echo(text, err=True)
+
+
 @contextmanager
 def progress(title: str) -> Iterator[Report]:
     """Show a bar while the body runs; the body calls what it gets with (what, share)."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
     columns = (
         TextColumn("[bold]{task.description}"),
         BarColumn(bar_width=30),

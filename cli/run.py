@@ -7,10 +7,7 @@ from pathlib import Path
 
 import click
 
-from ..config.rig import load_rig
-from ..daemon.client import socket_path
-from ..daemon.service import Service
-from .progress import console
+from .progress import say
 
 
 @click.command("run")
@@ -24,13 +21,17 @@ def command(rig: Path) -> int:
     Examples:
       levid run config/rigs/loopback.yaml
       levid excite config/sessions/beam.yaml --out out/beam     # in another terminal
+      levid status
     """
+    from ..config.rig import load_rig
+    from ..daemon.client import socket_path
+    from ..daemon.service import Service
+
     config = load_rig(rig)
     path = socket_path(config)
     service = Service(config, rig, path)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
-    console.print(f"{config.name} at {config.rate_hz:g} Hz, control socket {path}; Ctrl-C lands")
-    service.run()
-    console.print("stopped, coils at zero force")
+    service.run(lambda: say(f"{config.name} at {config.rate_hz:g} Hz, socket {path}; Ctrl-C lands"))
+    say("stopped, coils at zero force")
     return 0

@@ -75,13 +75,23 @@ class Client:
             raise DaemonError(f"lost the daemon at {self._path}: {error}") from None
         raise DaemonError(f"the daemon at {self._path} hung up")
 
-    def excite(self, session: str, out: Path, report: Callable[[str, float], None]) -> FlightResult:
-        """Fly the session of this YAML text, logging into `out` on the daemon's machine."""
+    def excite(
+        self,
+        session: str,
+        out: Path,
+        report: Callable[[str, float], None],
+        rig: str | None = None,
+    ) -> FlightResult:
+        """Fly the session of this YAML text, logging into `out` on the daemon's machine.
+
+        With `rig` (YAML text) the daemon refuses unless it runs that very rig.
+        """
         answer = self.request(
             "excite",
             lambda line: report(str(line.get("step", "")), float(line.get("share", 0.0))),
             session=session,
             out=str(out),
+            rig=rig,
         )
         return FlightResult(
             tuple(map(Path, answer["logs"])),
@@ -89,4 +99,5 @@ class Client:
             int(answer["cycles"]),
             int(answer["late"]),
             int(answer["lost"]),
+            bool(answer["stopped"]),
         )

@@ -16,6 +16,7 @@ class Fault(IntEnum):
     BEAM = 4
     DRIVER = 5
     LATE = 6
+    SIMULATION = 7
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,10 @@ FAULTS: dict[Fault, FaultText] = {
     Fault.DRIVER: FaultText(
         "a device or bus failed",
         "cables, supply and bus of the device that the message names",
+    ),
+    Fault.SIMULATION: FaultText(
+        "the simulated plant or one of its effects failed",
+        "SIM.yaml and the effect that the message names",
     ),
     Fault.LATE: FaultText(
         "too many cycles in a row were late by a period or more",

@@ -40,13 +40,17 @@ class RecordingError(Exception):
 
 @dataclass(frozen=True)
 class FlightResult:
-    """What a session left behind: its logs in order, its records, and the loop's misses."""
+    """What a session left behind: its logs in order, its records, and the loop's misses.
+
+    `stopped`: it was asked to land before its end.
+    """
 
     logs: tuple[Path, ...]
     records: tuple[Path, ...]
     cycles: int
     late: int
     lost: int
+    stopped: bool = False
 
 
 class Flight:
@@ -119,6 +123,7 @@ class Flight:
             FlightFault: the flight ended in a fault; forces are zero, logs are closed.
             RecordingError: the log could not be written; the session was flown and landed.
         """
+        self._recorder.forget_errors()
         prepared = {step.index: step.segments for step in plan.steps}
         if self._clock.real:
             prepared = {step.index: _ready(step.segments()) for step in plan.steps}
@@ -130,16 +135,17 @@ class Flight:
 
         logs: list[Path] = []
         records: list[Path] = []
+        stopped = False
         for step in plan.steps:
             if self.loop.stop_requested and step.kind != "land":
                 continue
-            self.loop.stop_requested = self.loop.stop_requested and step.kind != "land"
             path = out / f"{step.index:02d}-{step.name}.mcap"
             logs.append(path)
             if step.kind == "record":
                 records.append(path)
             file = LogFile(path, self._metadata(plan, step), attachments)
             self._fly_step(step, prepared[step.index], file, tell)
+            stopped |= self.loop.stop_requested and step.kind != "land"
         # The files are complete only once the recorder has caught up.
         self._recorder.shut()
         self._recorder.settle()
@@ -151,6 +157,7 @@ class Flight:
             self.loop.cycle + 1 - begin,
             self.loop.late - late,
             self._ring.lost - lost,
+            stopped,
         )
 
     def _metadata(self, plan: Plan, step: PlannedStep) -> dict[str, str]:
@@ -176,13 +183,19 @@ class Flight:
             fault = self.loop.fly(segment)
             tell(step.name)
             if fault:
-                at_s = self.loop.cycle / self._rate_hz
+                at_s, detail = self.loop.cycle / self._rate_hz, self._detail(fault)
                 self._stay_in_fault(fault)
                 self._recorder.shut()
                 self._recorder.settle()
-                raise FlightFault(fault, at_s, step.name, self.loop.detail)
+                raise FlightFault(fault, at_s, step.name, detail)
             if self.loop.stop_requested and not segment.lands:
                 return
+
+    def _detail(self, fault: Fault) -> str:
+        if fault is not Fault.GAP:
+            return self.loop.detail
+        gap = np.abs(self._controller.gap_m)
+        return f"{1e3 * gap.max():.3f} mm at sensor {gap.argmax()}"
 
     def _stay_in_fault(self, fault: Fault) -> None:
         """Log what happens after a fault, at zero force, for as long as the devices answer."""

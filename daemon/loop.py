@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from ..config.base import ConfigError
 from ..drivers.base import Devices
 from .clock import Clock
 from .control import Controller
@@ -37,7 +38,6 @@ class Loop:
         self.cycle = -1
         self.late = 0
         self.stop_requested = False
-        self._stoppable = True
         self.detail = ""
 
     def fly(self, segment: Segment) -> Fault:
@@ -45,16 +45,20 @@ class Loop:
 
         A landing goes on to its end whatever is requested: it is what a stop leads to.
         """
-        self._stoppable = not segment.lands
+        stoppable = not segment.lands
         self._controller.begin(segment)
         run = self._in_real_time if self._clock.real else self._in_virtual_time
         try:
-            return Fault(run(segment.cycles))
+            return Fault(run(segment.cycles, stoppable))
+        except ConfigError as error:
+            # The simulated plant runs effects that users wrote: what fails there is no bus.
+            self.zero()
+            self.detail = str(error)
+            return Fault.SIMULATION
         except Exception as error:  # noqa: BLE001
             # Whatever a driver did wrong, the coils get zero force before anyone is told.
-            self._controller.halt()
-            self.detail = f"{type(error).__name__}: {error}"
             self.zero()
+            self.detail = f"{type(error).__name__}: {error}"
             return Fault.DRIVER
 
     def zero(self) -> None:
@@ -65,18 +69,18 @@ class Loop:
         except Exception as error:  # noqa: BLE001 - the fault at hand matters more
             self.detail = self.detail or f"{type(error).__name__}: {error}"
 
-    def _in_virtual_time(self, cycles: int) -> int:
+    def _in_virtual_time(self, cycles: int, stoppable: bool) -> int:
         fault = 0
         for begin in range(0, cycles, _BLOCK):
             block = min(_BLOCK, cycles - begin)
             # Virtual time outruns any disk: here, and only here, the loop waits for the recorder.
             self._make_room(block)
-            fault = self._virtual_block(begin, begin + block)
-            if fault or (self.stop_requested and self._stoppable):
+            fault = self._virtual_block(begin, begin + block, stoppable)
+            if fault or (self.stop_requested and stoppable):
                 break
         return fault
 
-    def _virtual_block(self, begin: int, end: int) -> int:
+    def _virtual_block(self, begin: int, end: int, stoppable: bool) -> int:
         control, ring, devices = self._controller, self._ring, self._devices
         amplifiers, sensors, drives = devices.amplifiers, devices.sensors, devices.drives
         syncs, step, rows, capacity = devices.syncs, control.step, ring.rows, ring.capacity
@@ -97,12 +101,12 @@ class Loop:
             amplifiers.write(coil)
             drives.write(beam_ref, rotor_ref)
             head += 1
-            if fault or (self.stop_requested and self._stoppable):
+            if fault or (self.stop_requested and stoppable):
                 break
         self.cycle, ring.head = cycle, head
         return fault
 
-    def _in_real_time(self, cycles: int) -> int:
+    def _in_real_time(self, cycles: int, stoppable: bool) -> int:
         control, ring, devices, clock = self._controller, self._ring, self._devices, self._clock
         amplifiers, sensors, drives = devices.amplifiers, devices.sensors, devices.drives
         syncs, step, rows, capacity = devices.syncs, control.step, ring.rows, ring.capacity
@@ -145,6 +149,6 @@ class Loop:
                 ring.lost += 1
             else:
                 ring.head += 1
-            if fault or (self.stop_requested and self._stoppable):
+            if fault or (self.stop_requested and stoppable):
                 break
         return fault

@@ -54,22 +54,34 @@ class Plan:
 
 
 def plan_session(
-    session: SessionConfig, rig: RigConfig, beam_m: float = 0.0, rotor_rad: float = 0.0
+    session: SessionConfig,
+    rig: RigConfig,
+    beam_m: float = 0.0,
+    rotor_rad: float = 0.0,
+    source: str | None = None,
 ) -> Plan:
     """Lay out `session` on `rig`, from a manipulator at rest at `beam_m` and `rotor_rad`.
+
+    `source` names the session in errors, its file if there is one.
 
     Raises:
         ConfigError: a position or speed outside the rig's limits, a coil that the rig has not, a
             level that would saturate the coils; the message names session, step and key.
     """
-    return _Planner(session, rig, beam_m, rotor_rad).plan()
+    return _Planner(session, rig, beam_m, rotor_rad, source).plan()
 
 
 class _Planner:
     def __init__(
-        self, session: SessionConfig, rig: RigConfig, beam_m: float, rotor_rad: float
+        self,
+        session: SessionConfig,
+        rig: RigConfig,
+        beam_m: float,
+        rotor_rad: float,
+        source: str | None,
     ) -> None:
         self.session, self.rig = session, rig
+        self.source = source or f"session {session.name}"
         self.rate_hz = session.rate_hz or rig.rate_hz
         self.beam_m, self.rotor_rad = beam_m, rotor_rad
         self.coils = len(rig.geometry.coil_x_m)
@@ -79,7 +91,7 @@ class _Planner:
     def plan(self) -> Plan:
         steps: list[PlannedStep] = []
         for index, step in enumerate(self.session.steps):
-            where = f"session {self.session.name}: steps[{index}].{step.kind}"
+            where = f"{self.source}: steps[{index}].{step.kind}"
             if step.levitate is not None:
                 planned = self.levitate(step.levitate)
             elif step.move is not None:
@@ -191,9 +203,7 @@ class _Planner:
             try:
                 played = window * next(signals)
             except ConfigError as error:
-                raise ConfigError(
-                    f"session {self.session.name}: excitations.{name}.{error}"
-                ) from None
+                raise ConfigError(f"{self.source}: excitations.{name}.{error}") from None
             if excitation.input in _AXIS:
                 v = v if len(v) == n else np.zeros((n, 3))
                 v[:, _AXIS[excitation.input]] += played
@@ -254,11 +264,17 @@ class _Planner:
         while length < n:
             before = length
             for number, point in enumerate(step.beam):
-                key = f"{where}.beam[{number}].to_m"
+                key, from_m = f"{where}.beam[{number}].to_m", self.beam_m
                 part = self.beam_move(point.to_m, point.velocity_m_s, point.acceleration_m_s2, key)
                 if length + len(part) > n:
                     # No move that the record would cut in the middle: the beam waits instead.
-                    self.beam_m = parts[-1][-1, 0] if parts else float(part[0, 0])
+                    if not parts:
+                        raise ConfigError(
+                            f"{key}: expected a move that ends within the record's "
+                            f"{n / self.rate_hz:g} s, found one of {len(part) / self.rate_hz:g} s; "
+                            "move faster or record longer"
+                        )
+                    self.beam_m = from_m
                     parts.append(trajectory.hold(self.beam_m, n - length))
                     return np.vstack(parts)[:n]
                 parts.append(part)

@@ -51,6 +51,10 @@ class Recorder:
         self.epoch_ns = epoch_ns
         self._thread.start()
 
+    def forget_errors(self) -> None:
+        """Begin anew after a failure: the next session records again."""
+        self.error = None
+
     def open(self, file: LogFile) -> None:
         """Write rows from here on into a new file."""
         self._marks.append((self._ring.head, file))

@@ -20,6 +20,10 @@ Send = Callable[[Mapping[str, Any]], None]
 Handler = Callable[[Mapping[str, Any], Send], Mapping[str, Any]]
 
 
+class _GoneError(Exception):
+    """The client does not take its answer."""
+
+
 class ServerError(Exception):
     """A control socket that cannot be opened."""
 
@@ -73,15 +77,18 @@ class Server:
             with connection, connection.makefile("rwb") as stream:
 
                 def send(answer: Mapping[str, Any]) -> None:
-                    stream.write(json.dumps(answer).encode() + b"\n")
-                    stream.flush()
+                    try:
+                        stream.write(json.dumps(answer).encode() + b"\n")
+                        stream.flush()
+                    except (OSError, ValueError) as error:
+                        raise _GoneError(str(error)) from None
 
                 while line := stream.readline(_LONGEST_LINE + 1):
                     if len(line) > _LONGEST_LINE:
                         send(_refusal(f"expected at most {_LONGEST_LINE} bytes a request"))
                         return
                     send(self._answer(line, send))
-        except (OSError, ValueError):
+        except (OSError, ValueError, _GoneError):
             return  # the client is gone, or too slow to be worth waiting for
         finally:
             self._clients.release()
@@ -99,7 +106,7 @@ class Server:
             )
         try:
             return {"ok": True, **handler(request, send)}
-        except OSError:
+        except _GoneError:
             raise
         except Exception as error:  # noqa: BLE001 - whatever a request does, the daemon flies on
             return _refusal(str(error) or type(error).__name__)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -63,10 +63,14 @@ class Service:
             },
         )
 
-    def run(self) -> None:
-        """Fly until stopped; coils are at zero force on return, whatever happened."""
-        with self._flight as flight:
+    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Fly until stopped; coils are at zero force on return, whatever happened.
+
+        `ready` is called when requests are answered.
+        """
+        with self._flight:
             self._server.start()
+            ready()
             try:
                 while not self._stopping:
                     try:
@@ -76,7 +80,6 @@ class Service:
                         continue
                     self._fly(self._job)
                     self._job = None
-                flight.loop.stop_requested = False
             finally:
                 self._server.close()
 
@@ -95,6 +98,11 @@ class Service:
         def progress(step: str, done: int, total: int) -> None:
             job.step, job.share = step, done / max(total, 1)
 
+        loop = self._flight.loop
+        # A request to land belongs to one session; one to stop is never forgotten, not even if the
+        # signal comes between these two lines.
+        loop.stop_requested = False
+        loop.stop_requested |= self._stopping
         try:
             job.result = self._flight.fly(job.plan, job.out, job.texts, progress)
         except FlightFault as error:
@@ -144,6 +152,7 @@ class Service:
             "cycles": result.cycles,
             "late": result.late,
             "lost": result.lost,
+            "stopped": result.stopped,
         }
 
     def _new_job(self, request: Mapping[str, Any]) -> _Job:
@@ -152,6 +161,7 @@ class Service:
         text, out = request.get("session"), request.get("out")
         if not isinstance(text, str) or not isinstance(out, str):
             raise ServiceError("excite: expected 'session' (YAML text) and 'out' (a folder)")
+        self._check_rig(request.get("rig"))
         session = parse_text(text, SessionConfig, "session")
         if session.rate_hz not in (None, self._rig.rate_hz):
             raise ConfigError(
@@ -164,6 +174,17 @@ class Service:
         if any(folder.glob("*.mcap")):
             raise ServiceError(f"{folder}: expected a folder without logs")
         return _Job(plan, folder, attachments(self._rig_file.read_bytes(), text.encode()))
+
+    def _check_rig(self, text: object) -> None:
+        """Refuse a session that was written for another rig than this daemon runs."""
+        if text is None:
+            return
+        rig = parse_text(str(text), RigConfig, "rig")
+        if rig != self._rig:
+            raise ConfigError(
+                f"rig {rig.name}: expected the rig that this daemon runs ({self._rig_file}), "
+                "found another"
+            )
 
     def _land(self, request: Mapping[str, Any], send: Send) -> Mapping[str, Any]:  # noqa: ARG002
         if self._job is None:

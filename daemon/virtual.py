@@ -20,8 +20,11 @@ def fly_virtually(
     session_text: bytes,
     out: Path,
     progress: Progress | None = None,
+    source: str | None = None,
 ) -> FlightResult:
     """Fly `session` on `rig` (read from `rig_file`) and log into the folder `out`.
+
+    `source` names the session in errors.
 
     Raises:
         ConfigError: a role is not played by loopback, or the session does not fit the rig.
@@ -36,7 +39,7 @@ def fly_virtually(
     rate_hz = session.rate_hz or rig.rate_hz
     texts = attachments(rig_file.read_bytes(), session_text)
     with Flight(rig, rig_file.parent, rate_hz, VirtualClock()) as flight:
-        plan = plan_session(session, rig, flight.beam_m, flight.rotor_rad)
+        plan = plan_session(session, rig, flight.beam_m, flight.rotor_rad, source)
         # Only now: a session that does not fit is refused before any file is made.
         out.mkdir(parents=True, exist_ok=True)
         return flight.fly(plan, out, texts, progress)

@@ -115,7 +115,7 @@ def remarks_of(log: Log) -> list[str]:
     if "coil_excitation_n" in names and np.any(rows["coil_excitation_n"]):
         found.append("coils were excited one by one besides, which counts as noise here")
     if not log.complete:
-        found.append("the log was cut off; what is left of it is used")
+        found.append(f"the log is not complete ({log.problem}); what is left of it is used")
     return found
 
 
@@ -128,8 +128,8 @@ def _from_signals(log: Log) -> Record:
     except ConfigError as error:
         raise IdentificationError(str(error)) from None
     inputs, outputs = signals.with_role("input"), signals.with_role("output")
-    for role, columns in (("input", inputs), ("output", outputs)):
-        if not columns:
+    for role, found in (("input", inputs), ("output", outputs)):
+        if not found:
             raise IdentificationError(
                 f"{log.path}: signals.yaml: expected a column of role {role}, found none"
             )

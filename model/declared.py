@@ -126,7 +126,10 @@ class DeclaredModel:
         n = len(next(iter(scheduling.values()))) if scheduling else 1
         try:
             return Matrices(
-                *(_stacked(grid, values, n) for grid in (self.M, self.D, self.K, self.B)),
+                M=_stacked(self.M, values, n),
+                D=_stacked(self.D, values, n),
+                K=_stacked(self.K, values, n),
+                B=_stacked(self.B, values, n),
                 force=_stacked((self.force,), values, n)[:, 0],
             )
         except ExpressionError as error:

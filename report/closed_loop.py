@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..identification.results import ClosedLoopPoint
-from .curves import RIG, Curve, Range, Signals, ratio
-from .deviation import AGREEMENT, Bounds, Worst, worst_on_diagonal
+from .curves import Curve, Range, Signals, ratio, rig_or
+from .deviation import AGREEMENT, Bounds, Worst, largest, worst_on_diagonal
 from .page import Number, Text
 from .style import TRUTH, line_of, position_label
 
@@ -19,6 +19,8 @@ Complex = NDArray[np.complex128]
 
 Truth = Callable[[float | None, Array], Complex]
 """Gives the true P as (F, m, p) for a beam position in m and frequencies in Hz (F,)."""
+
+TRUTH_NAME = "truth of the simulator"
 
 ESTIMATOR = {"least_squares": "least squares", "correlation": "cross-correlation"}
 
@@ -48,9 +50,7 @@ class ClosedLoopReport:
 
     def largest(self, name: str) -> tuple[float, float]:
         """Return the largest error of all positions and axes in dB, and the largest in degrees."""
-        worst = [w for position in self.worst(name) for w in position]
-        # np.max hands NaN on: an error that is not known must not pass for a small one.
-        return float(np.max([w.decibel for w in worst])), float(np.max([w.degree for w in worst]))
+        return largest(self.ratios[name], self.shown)
 
 
 HO_KALMAN, SENSITIVITY = "Ho-Kalman", "sensitivity"
@@ -67,7 +67,7 @@ def closed_loop_report(
     beams = [point.beam_m for point in points]
     labels = tuple(position_label(beam, beams) for beam in beams)
     lines = [line_of(k) for k in range(len(points))]
-    shown = _range(points[0], signals)
+    shown = rig_or(float(points[0].freq_hz[0]), float(points[0].freq_hz[-1]), signals)
     drawn = list(zip(points, labels, lines, strict=True))
     ho_kalman = tuple(Curve(label, line, p.freq_hz, p.from_ho_kalman) for p, label, line in drawn)
     measured = tuple(
@@ -84,7 +84,7 @@ def closed_loop_report(
     truths: tuple[Curve, ...] = ()
     if truth is not None:
         f = np.geomspace(shown.low_hz, shown.high_hz, _TRUTH_POINTS)
-        truths = tuple(Curve("truth of the simulator", TRUTH, f, truth(b, f)) for b in beams)
+        truths = tuple(Curve(TRUTH_NAME, TRUTH, f, truth(b, f)) for b in beams)
         for name, estimates in ((HO_KALMAN, ho_kalman), (SENSITIVITY, measured)):
             exact = [
                 Curve("", TRUTH, estimate.freq_hz, truth(beam, estimate.freq_hz))
@@ -180,10 +180,3 @@ def _fits(report: ClosedLoopReport) -> Array:
     """Return the fit of the best explained output of each record: the one it excites."""
     fits = [held.simulated_fit_percent for point in report.points for held in point.holdout]
     return np.array([np.nanmax(f) for f in fits if np.isfinite(f).any()])
-
-
-def _range(point: ClosedLoopPoint, signals: Signals) -> Range:
-    """Return the paper's range for the rig, else all that was identified."""
-    if signals.output_names == ("psi", "theta", "z"):
-        return RIG
-    return Range(float(point.freq_hz[0]), float(point.freq_hz[-1]))

@@ -77,7 +77,13 @@ RIG = Range(1.0, 100.0, 64.0)
 """The paper's figures; beyond about 400 rad/s its platform is no longer rigid."""
 
 
+def rig_or(low_hz: float, high_hz: float, signals: Signals) -> Range:
+    """Return the paper's range for the rig, else the one given."""
+    return RIG if signals.output_names == ("psi", "theta", "z") else Range(low_hz, high_hz)
+
+
 _MOST_POINTS = 400
+_PER_DECADE = 60
 
 CONFIDENCE = 1.73
 """Of a circular complex Gaussian error 95 % lie within sqrt(-ln 0.05) of its deviation."""
@@ -112,6 +118,23 @@ def inside(curve: Curve, shown: Range) -> Curve:
         curve.response[part],
         None if curve.deviation is None else curve.deviation[part],
     )
+
+
+def pooled(freq_hz: Array, values: Array, shown: Range) -> tuple[Array, Array]:
+    """Return frequencies and the rms of values (K, ...) over 60 logarithmic bins a decade.
+
+    Of the range only, and of bins that hold any line: more could not be told apart in a figure.
+    """
+    order = np.argsort(freq_hz)
+    order = order[(freq_hz[order] >= shown.low_hz) & (freq_hz[order] <= shown.high_hz)]
+    f, x = freq_hz[order], values[order]
+    if not f.size:
+        return f, x
+    number = np.rint(_PER_DECADE * np.log10(f / shown.low_hz))
+    starts = np.flatnonzero(np.diff(number, prepend=-1.0))
+    count = np.diff(np.append(starts, len(f)))
+    power = np.add.reduceat(x**2, starts) / count.reshape(-1, *[1] * (x.ndim - 1))
+    return np.add.reduceat(f, starts) / count, np.sqrt(power)
 
 
 def decibels(response: Complex) -> Array:

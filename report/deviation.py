@@ -29,6 +29,8 @@ class Bounds:
 
 AGREEMENT = Bounds(2.0, 15.0)
 """Within which both methods must agree with the simulated truth up to 64 Hz."""
+ACCURACY = Bounds(0.5, 3.0)
+"""The same for a fitted model, and for periodic records, which have no leakage."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,13 @@ def worst_on_diagonal(curve: Curve, shown: Range) -> tuple[Worst, ...]:
         a, b = int(np.argmax(level)), int(np.argmax(phase))
         out.append(Worst(float(level[a]), float(phase[b]), float(f[a]), float(f[b])))
     return tuple(out)
+
+
+def largest(ratios: Sequence[Curve], shown: Range) -> tuple[float, float]:
+    """Return the largest error in dB, and in degrees, on the diagonals of all ratios."""
+    worst = [w for curve in ratios for w in worst_on_diagonal(curve, shown)]
+    # np.max hands NaN on: an error that is not known must not pass for a small one.
+    return float(np.max([w.decibel for w in worst])), float(np.max([w.degree for w in worst]))
 
 
 def deviation(

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from ..identification.multisine import BestLinearApproximation
-from .curves import RIG, Curve, Range, Signals, inside
+from .curves import RIG, Curve, Range, Signals, inside, pooled
 from .grid import entry, new_grid, plot_curve
 from .style import PAGE, Line, Sheet, colour, drawing, frequency_axis, log_ticks
 
@@ -23,7 +23,6 @@ PLANT = Line(colour("blue"), width=1.4)
 NOISE = Line(colour("muted"), width=0.9, zorder=2.5)
 _ROW_IN = 1.95
 _DECADES_MOST = 7.0
-_PER_DECADE = 60
 
 
 @dataclass(frozen=True)
@@ -110,8 +109,8 @@ def response_with_distortion(
     decade are drawn together, by their rms.
     """
     plant = inside(Curve("", PLANT, response.freq_hz, response.magnitude.astype(complex)), shown)
-    pooled_hz, noise = _pooled(response.freq_hz, response.noise, shown)
-    _, all_errors = _pooled(response.freq_hz, response.all_errors, shown)
+    pooled_hz, noise = pooled(response.freq_hz, response.noise, shown)
+    _, all_errors = pooled(response.freq_hz, response.all_errors, shown)
     with drawing(sheet):
         legend = [
             entry("best linear approximation", PLANT),
@@ -142,14 +141,14 @@ def detection_levels(
     would lie closer than 60 a decade are drawn together, by their rms.
     """
     parts = [
-        (label, _pooled(part.freq_hz, part.level, shown), dots)
+        (label, pooled(part.freq_hz, part.level, shown), dots)
         for label, part, dots in (
             ("excited lines", levels.excited, EXCITED),
             ("odd lines left out", levels.odd, ODD),
             ("even lines left out", levels.even, EVEN),
         )
     ]
-    noise_hz, floor = _pooled(levels.noise.freq_hz, levels.noise.level, shown)
+    noise_hz, floor = pooled(levels.noise.freq_hz, levels.noise.level, shown)
     with drawing(sheet):
         legend: list[Artist] = [_legend_of(label, dots) for label, _, dots in parts]
         legend.append(entry("noise", NOISE))
@@ -167,20 +166,6 @@ def detection_levels(
             _scale(ax, np.concatenate(drawn), shown)
         grid.finish_frequency(shown)
     return grid.figure
-
-
-def _pooled(freq_hz: Array, values: Array, shown: Range) -> tuple[Array, Array]:
-    """Return the rms of values (K, ...) over logarithmic bins of the range that hold any line."""
-    order = np.argsort(freq_hz)
-    order = order[(freq_hz[order] >= shown.low_hz) & (freq_hz[order] <= shown.high_hz)]
-    f, x = freq_hz[order], values[order]
-    if not f.size:
-        return f, x
-    number = np.rint(_PER_DECADE * np.log10(f / shown.low_hz))
-    starts = np.flatnonzero(np.diff(number, prepend=-1.0))
-    count = np.diff(np.append(starts, len(f)))
-    power = np.add.reduceat(x**2, starts) / count.reshape(-1, *[1] * (x.ndim - 1))
-    return np.add.reduceat(f, starts) / count, np.sqrt(power)
 
 
 def _scale(ax: Axes, drawn: Array, shown: Range) -> None:

@@ -49,18 +49,12 @@ class Grid:
 def new_grid(
     shape: tuple[int, int],
     sheet: Sheet,
-    row_in: float,
+    row_in: float | Sequence[float],
     legend: Sequence[Artist] = (),
-    first_row_in: float | None = None,
 ) -> Grid:
-    """Return a grid of (rows, columns) panels, `row_in` inches a row, under its legend.
-
-    The first row may be of another height, as a strip of names is.
-    """
+    """Return a grid of (rows, columns) panels, `row_in` inches a row or each row, under its legend."""
     scale = max(sheet.width_in / PAGE.width_in, 0.8)
-    heights = [row_in * scale] * shape[0]
-    if first_row_in is not None:
-        heights[0] = first_row_in * scale
+    heights = [scale * h for h in np.broadcast_to(row_in, shape[0]).tolist()]
     columns = _legend_columns(legend, sheet)
     top = _TITLE_IN + _LEGEND_ROW_IN * -(-len(legend) // columns)
     height = sum(heights) - _GAP_IN + top + _BOTTOM_IN
@@ -104,8 +98,8 @@ def _row_by_row(entries: Sequence[Artist], columns: int) -> list[Artist]:
 def legend_of(
     curves: Sequence[Curve], truth: Sequence[Curve] = (), shown: Range | None = None
 ) -> list[Artist]:
-    """Return the legend's entries of curves, their band, the truth and the range."""
-    entries: list[Artist] = [entry(c.label, c.line) for c in curves]
+    """Return the legend's entries of curves that have a label, of their band, truth and range."""
+    entries: list[Artist] = [entry(c.label, c.line) for c in curves if c.label]
     if any(c.deviation is not None for c in curves):
         entries.append(Patch(color=colour("muted"), alpha=0.3, label="95 % confidence"))
     if truth:

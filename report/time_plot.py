@@ -85,7 +85,7 @@ def session_plot(session: Session, *, sheet: Sheet = PAGE) -> Figure:
     with drawing(sheet):
         flat = _names_fit(session, sheet)
         strip_in = 0.72 if flat else 1.2
-        grid = new_grid((len(shown) + 1, 1), sheet, 1.15, legend, strip_in)
+        grid = new_grid((len(shown) + 1, 1), sheet, [strip_in, *[1.15] * len(shown)], legend)
         _strip(grid.axes[0, 0], session, sheet, flat)
         for panel, ax in zip(shown, grid.axes[1:, 0], strict=True):
             _draw(ax, panel, session)

@@ -1,4 +1,4 @@
-"""The platform under a moving beam, measured and predicted: the paper's Fig. 14."""
+"""The platform under a moving beam, as measured."""
 
 from __future__ import annotations
 
@@ -17,18 +17,7 @@ Array = NDArray[np.float64]
 
 _BINS = 900
 _MEASURED = Line(colour("blue"), width=1.1)
-_PREDICTED = Line(colour("vermillion"), (5.0, 1.6), width=1.3, zorder=4)
 _REFERENCE = Line(colour("ink"), (2.0, 2.0), width=0.9, zorder=4)
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Pose that a model predicts at its own times: t_s (N,), theta_rad (N,), z_m (N,)."""
-
-    label: str
-    t_s: Array
-    theta_rad: Array
-    z_m: Array
 
 
 @dataclass(frozen=True)
@@ -42,30 +31,20 @@ class BeamRecord:
     beam_ref_m: Array | None = None
 
 
-def beam_trajectory(
-    record: BeamRecord, prediction: Prediction | None = None, *, sheet: Sheet = PAGE
-) -> Figure:
-    """Draw x_b(t), theta(t) and z(t) over one axis of time, measured and, when given, predicted."""
+def beam_trajectory(record: BeamRecord, *, sheet: Sheet = PAGE) -> Figure:
+    """Draw x_b(t), theta(t) and z(t) over one axis of time."""
     legend: list[Artist] = [entry("measured", _MEASURED)]
     if record.beam_ref_m is not None:
         legend.append(entry("reference", _REFERENCE))
-    if prediction is not None:
-        legend.append(entry(prediction.label, _PREDICTED))
-    p = prediction
     rows = (
-        ("beam x_b", "mm", 1e3, record.beam_m, None),
-        ("θ", "µrad", 1e6, record.theta_rad, None if p is None else p.theta_rad),
-        ("z", "µm", 1e6, record.z_m, None if p is None else p.z_m),
+        ("beam x_b", "mm", 1e3, record.beam_m),
+        ("θ", "µrad", 1e6, record.theta_rad),
+        ("z", "µm", 1e6, record.z_m),
     )
     with drawing(sheet):
         grid = new_grid((3, 1), sheet, 1.45, legend)
-        for ax, (title, unit, factor, measured, predicted) in zip(
-            grid.axes[:, 0], rows, strict=True
-        ):
-            plot_envelope(ax, envelope(record.t_s, measured, _BINS), _MEASURED, factor)
-            if prediction is not None and predicted is not None:
-                signal = envelope(prediction.t_s, predicted, _BINS)
-                plot_envelope(ax, signal, _PREDICTED, factor)
+        for ax, (title, unit, factor, values) in zip(grid.axes[:, 0], rows, strict=True):
+            plot_envelope(ax, envelope(record.t_s, values, _BINS), _MEASURED, factor)
             ax.set_title(title)
             ax.set_title(unit, loc="right", fontweight="normal")
             ax.margins(x=0)

@@ -21,7 +21,7 @@ steps:
   - record: {name: tilt, duration_s: 2, settle_s: 0.5, excite: [psi]}
   - land: {}
 """
-VERBS = ["check", "run", "excite", "identify", "import", "demo"]
+VERBS = ["check", "run", "excite", "status", "land", "clear", "identify", "import", "demo"]
 
 
 class Outcome:
@@ -109,7 +109,7 @@ def test_check_reads_logs(levid, session: Path, tmp_path: Path) -> None:
     cut.write_bytes(log.read_bytes()[: log.stat().st_size * 3 // 4])
     outcome = levid("check", cut)
     assert outcome.code == 0
-    assert "cut off" in outcome.out
+    assert "not complete, this is what is left: byte" in outcome.out
     empty = tmp_path / "empty.mcap"
     empty.touch()
     assert levid("check", empty).code == 1
@@ -148,6 +148,15 @@ def test_excite_flies_another_simulator_with_an_undeclared_effect(
     # slow approach (1 rad/s) after 1 s of settling is under half of it; noise is mN.
     pi = np.mean((rows["tau_z_n"] - rows["ff_z_n"] - rows["v_z_n"])[-500:])
     assert -0.6 < pi < -0.2
+
+
+def test_check_loads_effects(levid, tmp_path: Path) -> None:
+    sim = tmp_path / "sim.yaml"
+    text = shipped("sims/nominal.yaml").read_text()
+    sim.write_text(text.replace("effects: []", 'effects: [{use: "nowhere.py:Wind"}]'))
+    outcome = levid("check", sim)
+    assert outcome.code == 1
+    assert "nowhere.py" in outcome.err
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,7 @@ def test_cut_log_identifies_what_is_left_and_says_so(
     cut.write_bytes(data[: len(data) * 9 // 10])
     code, out, _ = call(capfd, "identify", cut, *flown[3:], "--out", tmp_path / "out", "--json")
     assert code == 0
-    assert any("cut off" in remark for remark in json.loads(out)["points"][0]["remarks"])
+    assert any("not complete" in remark for remark in json.loads(out)["points"][0]["remarks"])
 
 
 def test_data_of_others_are_imported_and_identified(

@@ -233,6 +233,26 @@ def test_stop_at_any_time_ends_on_the_stops_without_a_jump(tmp_path: Path, at_cy
     assert np.abs(np.diff(carried, axis=0)).max() < 1.5
 
 
+def test_another_session_records_again_after_one_that_could_not(tmp_path: Path) -> None:
+    config, rig = session(), load_rig(RIG_FILE)
+    bad, good = tmp_path / "bad", tmp_path / "good"
+    bad.mkdir()
+    good.mkdir()
+    (bad / "01-move.mcap").write_bytes(b"mine")
+    with Flight(rig, RIG_FILE.parent, 1000.0, VirtualClock()) as flight:
+        with pytest.raises(RecordingError):
+            flight.fly(plan_session(config, rig), bad, {})
+        result = flight.fly(plan_session(config, rig), good, {})
+    assert all(read_log(path).complete for path in result.logs)
+
+
+def test_waypoint_that_its_record_cannot_hold_is_refused() -> None:
+    slow = {"name": "x", "duration_s": 2, "beam": [{"to_m": 0.1, "velocity_m_s": 0.01}]}
+    config = session(steps=[{"levitate": {}}, {"record": slow}, {"land": {}}])
+    with pytest.raises(ConfigError, match=r"steps\[1\].record.beam\[0\].to_m: expected a move"):
+        plan_session(config, load_rig(RIG_FILE))
+
+
 def test_log_that_cannot_be_written_does_not_end_the_flight(tmp_path: Path) -> None:
     config, rig = session(), load_rig(RIG_FILE)
     out = tmp_path / "logs"

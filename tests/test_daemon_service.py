@@ -74,6 +74,31 @@ def test_log_time_is_the_time_of_day(socket_file: Path, tmp_path: Path) -> None:
     assert before - 1e9 < float(log.log_time_ns[0]) < time.time_ns() + 1e9
 
 
+def test_land_ends_a_session_and_does_not_touch_the_next(socket_file: Path, tmp_path: Path) -> None:
+    def land(step: str, share: float) -> None:
+        with Client(socket_file) as other:
+            other.request("land")
+
+    long = SESSION.replace("duration_s: 0.5", "duration_s: 30")
+    with Client(socket_file) as client:
+        cut = client.excite(long, tmp_path / "cut", land)
+        whole = client.excite(SESSION, tmp_path / "whole", lambda *_: None)
+    assert cut.stopped
+    assert not whole.stopped
+    assert len(whole.logs) == 3
+
+
+def test_another_rig_than_the_daemon_runs_is_refused(socket_file: Path, tmp_path: Path) -> None:
+    other = RIG_FILE.read_text().replace("coil_n: 20", "coil_n: 10")
+    with Client(socket_file) as client, pytest.raises(DaemonError, match="expected the rig that"):
+        client.excite(SESSION, tmp_path / "logs", lambda *_: None, other)
+
+
+def test_folder_that_cannot_be_made_is_refused_with_its_reason(socket_file: Path) -> None:
+    with Client(socket_file) as client, pytest.raises(DaemonError, match="/proc/none"):
+        client.excite(SESSION, Path("/proc/none/logs"), lambda *_: None)
+
+
 @pytest.mark.parametrize(
     ("session", "message"),
     [

@@ -208,8 +208,8 @@ class _Search:
             parts = [p.unknowns, *(c[:, :, None] for c in columns), p.errors[:, :, None]]
             stacked = np.concatenate(parts, axis=2)
             taken = p.unknowns.shape[2]
-            R = np.linalg.qr(stacked.reshape(-1, stacked.shape[2]), mode="r")
-            return np.asarray(R[taken:, taken:])
+            R = np.asarray(np.linalg.qr(stacked.reshape(-1, stacked.shape[2]), mode="r"))
+            return R[taken:, taken:]
 
         with ThreadPoolExecutor() as pool:
             rows = list(pool.map(one, predictions))

@@ -71,7 +71,7 @@ def motion(
     else:
         mean = {name: np.array([values.mean()]) for name, values in experiment.schedule.items()}
         at, force = model.over(mean), np.zeros((1, len(model.dof), 2))
-    mobility = np.linalg.inv(at.M)
+    mobility = np.asarray(np.linalg.inv(at.M), np.float64)
     K, D, B = mobility @ at.K, mobility @ at.D, mobility @ at.B
     scale = taylor_scale(K, D, Ts_s)
     order = len(scale) - 1
@@ -131,7 +131,8 @@ def forcing(model: Motion, A: Array, B: Array) -> Array:
         by_input.append(power[:, :p].T)
         constant += power[:, p:] @ drift
         power = A @ power
-    return model.inputs.reshape(len(model.inputs), -1) @ np.vstack(by_input) + constant
+    effect = model.inputs.reshape(len(model.inputs), -1) @ np.vstack(by_input)
+    return np.asarray(effect + constant)
 
 
 def process_covariance(model: Motion, psd: Array) -> Array:

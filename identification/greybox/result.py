@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import yaml
@@ -85,14 +86,15 @@ class _Flow(yaml.SafeDumper):
     """Block style for what is long, flow style for rows and parameters, as in the shipped files."""
 
     def represent_sequence(
-        self, tag: str, sequence: Sequence[object], flow_style: bool | None = None
+        self, tag: str, sequence: Iterable[Any], flow_style: bool | None = None
     ) -> yaml.SequenceNode:
         """Write a row of scalars in one line."""
+        sequence = list(sequence)
         flat = all(not isinstance(item, (list, dict)) for item in sequence)
         return super().represent_sequence(tag, sequence, flow_style=flat or flow_style)
 
     def represent_mapping(
-        self, tag: str, mapping: Mapping[object, object], flow_style: bool | None = None
+        self, tag: str, mapping: Any, flow_style: bool | None = None
     ) -> yaml.MappingNode:
         """Write a mapping of scalars in one line, but not the file itself."""
         flat = "levid" not in mapping and all(

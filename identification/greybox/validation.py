@@ -74,9 +74,10 @@ def validate(
     freq_hz, error_psd = welch(error, 1 / experiment.Ts_s, nperseg=segment, axis=0)
     _, floor_psd = welch(floor, 1 / experiment.Ts_s, nperseg=segment, axis=0)
     errors = predict(model, experiment, hold, noise).errors[rows]
+    time_s = np.asarray(np.arange(run.counts_from, len(experiment.y)) * experiment.Ts_s)
     return Validation(
         experiment.name,
-        np.arange(run.counts_from, len(experiment.y)) * experiment.Ts_s,
+        time_s,
         measured,
         simulated,
         nrmse_fit_percent(measured, simulated),

@@ -62,7 +62,7 @@ def main() -> None:
 
 def with_tables(text: str) -> str:
     """Return a page with the tables between its marks as the code has them now."""
-    return _MARKED.sub(lambda m: f"{m[1]}\n{TABLES[m[2]]()}\n{m[3]}", text)
+    return _MARKED.sub(lambda m: f"{m[1]}\n{TABLES[m[2]]()}\n\n{m[3]}", text)
 
 
 def reference(kind: str) -> str:

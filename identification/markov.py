@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import solve_triangular
 
 from .data import IdentificationError, Record
+from .least_squares import independent, triangle
 from .toeplitz import ToeplitzGram, solve
 
 Array = NDArray[np.float64]
@@ -107,26 +108,30 @@ def solve_dense(records: Sequence[Record], length: int) -> tuple[Array, Array]:
 
     Raises IdentificationError when the excitation cannot tell the taps apart.
     """
-    p = records[0].v.shape[1]
-    regressors, targets = [], []
-    for record in records:
-        first = record.first_row(length)
-        padded = np.concatenate([np.zeros((length - 1, p)), record.v])
-        windows = np.lib.stride_tricks.sliding_window_view(padded, length, axis=0)[first:, :, ::-1]
-        T = windows.reshape(len(windows), p * length)
-        regressors.append(T - T.mean(axis=0))
-        targets.append(record.y[first:] - record.y[first:].mean(axis=0))
-    Q, R = qr(np.vstack(regressors), mode="economic", overwrite_a=True)
-    diagonal = np.abs(np.diag(R))
-    if diagonal.min() <= 1e-12 * diagonal.max():
+    p, m = records[0].v.shape[1], records[0].y.shape[1]
+    R = triangle(_dense_rows(records, length))
+    taps = R[: p * length, : p * length]
+    if not independent(taps, 1e-12):
         raise IdentificationError(
             f"expected excitation that tells {length} Markov parameters apart, found one that "
             "leaves a combination of them undetermined"
         )
-    g = solve_triangular(R, Q.T @ np.vstack(targets))
-    inverse = solve_triangular(R, np.eye(len(R)))
+    g = solve_triangular(taps, R[: p * length, -m:])
+    inverse = solve_triangular(taps, np.eye(p * length))
     spread = np.sqrt((inverse**2).sum(axis=1).reshape(p, length).mean(axis=1))
     return np.ascontiguousarray(g.reshape(p, length, -1).transpose(1, 2, 0)), spread
+
+
+def _dense_rows(records: Sequence[Record], length: int) -> Iterator[Array]:
+    """Yield the rows [v of the last taps, y] of every record, each less its mean."""
+    for record in records:
+        first = record.first_row(length)
+        p = record.v.shape[1]
+        padded = np.concatenate([np.zeros((length - 1, p)), record.v])
+        windows = np.lib.stride_tricks.sliding_window_view(padded, length, axis=0)[first:, :, ::-1]
+        T = windows.reshape(len(windows), p * length)
+        y = record.y[first:]
+        yield np.hstack([T - T.mean(axis=0), y - y.mean(axis=0)])
 
 
 ESTIMATORS: Mapping[str, Callable[[Sequence[Record], int], MarkovEstimate]] = MappingProxyType(

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr, solve_discrete_are, solve_triangular
+from scipy.linalg import solve_discrete_are, solve_triangular
 
 from ..model.second_order import StateSpace
 from .data import IdentificationError, Record
+from .least_squares import independent, triangle
 from .simulate import InnovationModel
 
 Array = NDArray[np.float64]
@@ -20,63 +21,55 @@ Array = NDArray[np.float64]
 class ObserverMarkov:
     """y(k) = D v(k) + sum_i [b(i) a(i)] [v(k-i) y(k-i)] + e: Markov parameters of a predictor.
 
-    `blocks` (s, m, p + m) for i = 1..s, D (m, p), `e_covariance` (m, m), from `rows` rows.
+    `blocks` (s, m, p + m) for i = 1..s, D (m, p).
     """
 
     blocks: Array
     D: Array
-    e_covariance: Array
-    rows: int
-
-    @property
-    def akaike(self) -> float:
-        """Akaike's criterion a row: log det of the error plus twice the parameters."""
-        parameters = self.blocks.size + self.D.size
-        return float(np.linalg.slogdet(self.e_covariance)[1] + 2.0 * parameters / self.rows)
 
 
 @dataclass(frozen=True)
 class StateSequence:
-    """States estimated from the records: (x, v, y) of each, k columns of x.
+    """States estimated from the records, by how much of the future they hold.
 
-    `singular_values` (k,) say how much of the future each state holds, descending.
+    `singular_values` (k,) say how much that is, descending. `triangle` is the R of the QR of
+    [v(k) x(k) | x(k+1) y(k)] over all `rows` rows, for `inputs` inputs: what every model is fitted
+    from.
     """
 
-    records: tuple[tuple[Array, Array, Array], ...]
     singular_values: Array
-
-
-def observer_markov(records: Sequence[Record], past: int, skip: int) -> ObserverMarkov:
-    """Fit the observer's Markov parameters (OKID; a high-order ARX) to all records by QR.
-
-    Rows before `skip` >= past are left out, so that models of different `past` compare. Raises
-    IdentificationError for fewer than two rows a parameter.
-    """
-    X = np.vstack([np.hstack([_past(r, past, skip), r.v[skip:]]) for r in records])
-    Y = np.vstack([r.y[skip:] for r in records])
-    if len(X) < 2 * X.shape[1]:
-        raise IdentificationError(
-            f"expected at least {2 * X.shape[1]} rows for an observer of {past} past samples, "
-            f"found {len(X)}"
-        )
-    theta = _least_squares(X, Y)
-    error = Y - X @ theta
-    m, p = Y.shape[1], records[0].v.shape[1]
-    blocks = theta[: past * (p + m)].reshape(past, p + m, m).transpose(0, 2, 1)
-    return ObserverMarkov(blocks, theta[past * (p + m) :].T, error.T @ error / len(X), len(X))
+    triangle: Array
+    rows: int
+    inputs: int
 
 
 def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> ObserverMarkov:
-    """Return the observer of the candidate length with the least Akaike criterion."""
+    """Return the observer (OKID; a high-order ARX) whose past has the least Akaike criterion.
+
+    That is log det of the error's covariance plus twice the parameters a row. All lengths are
+    judged on the same rows, as the likelihoods of different rows do not compare, and so follow from
+    one QR. Raises IdentificationError for fewer than two rows a parameter.
+    """
     p, m = records[0].v.shape[1], records[0].y.shape[1]
     rows = sum(len(r.y) for r in records)
     possible = [s for s in candidates if 2 * (s * (p + m) + p) < rows - s * len(records)]
     if not possible:
         raise IdentificationError(f"expected longer records for a predictor, found {rows} rows")
-    # All are judged on the same rows: the likelihoods of different rows do not compare.
-    fits = [observer_markov(records, past, max(possible)) for past in possible]
-    best = min(range(len(fits)), key=lambda n: fits[n].akaike)
-    return observer_markov(records, possible[best], possible[best])
+    longest = max(possible)
+    R = _observer_triangle(records, longest, longest)
+    rows -= longest * len(records)
+
+    def akaike(past: int) -> float:
+        columns = p + past * (p + m)
+        error = R[columns:, -m:]
+        size = np.linalg.slogdet(error.T @ error / rows)[1]
+        return float(size + 2.0 * m * columns / rows)
+
+    past = min(possible, key=akaike)
+    if past < longest:
+        R = _observer_triangle(records, past, past)
+    theta = _solve(R, p + past * (p + m), m)
+    return ObserverMarkov(theta[p:].reshape(past, p + m, m).transpose(0, 2, 1), theta[:p].T)
 
 
 def state_sequence(
@@ -92,12 +85,19 @@ def state_sequence(
     H = np.zeros((past, m, past, width))
     for row in range(past):
         H[row, :, : past - row] = observer.blocks[row:].transpose(1, 0, 2)
+    flat = H.reshape(past * m, -1)
     Z = [_past(r, past, past) for r in records]
-    _, s, Vt = np.linalg.svd(H.reshape(past * m, -1) @ np.vstack(Z).T, full_matrices=False)
-    count = min(count, len(s))
-    x = np.split(Vt[:count].T * np.sqrt(s[:count]), np.cumsum([len(z) for z in Z])[:-1])
-    parts = [(x_r, r.v[past:], r.y[past:]) for x_r, r in zip(x, records, strict=True)]
-    return StateSequence(tuple(parts), s[:count])
+    # H Z = H R^T Q^T: the triangle has the singular values and left vectors of the whole.
+    U, s, _ = np.linalg.svd(flat @ triangle(Z).T, full_matrices=False)
+    count = int(min(count, np.sum(s > np.finfo(float).eps * s[0])))
+    states = flat.T @ (U[:, :count] / np.sqrt(s[:count]))
+    p = records[0].v.shape[1]
+    parts = []
+    for record, z in zip(records, Z, strict=True):
+        x = z @ states
+        v, y = record.v[past:-1], record.y[past:-1]
+        parts.append(np.hstack([v, x[:-1], x[1:], y]))
+    return StateSequence(s[:count], triangle(parts), sum(map(len, parts)), p)
 
 
 def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> InnovationModel:
@@ -109,13 +109,15 @@ def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> Innova
     available = len(sequence.singular_values)
     if not 1 <= order <= available:
         raise IdentificationError(f"expected an order of 1 to {available}, found {order}")
-    n = order
-    X = np.vstack([np.hstack([x[:-1, :n], v[:-1]]) for x, v, _ in sequence.records])
-    Y = np.vstack([np.hstack([x[1:, :n], y[:-1]]) for x, _, y in sequence.records])
-    theta = _least_squares(X, Y)
-    error = Y - X @ theta
-    covariance = error.T @ error / len(error)
-    A, B, C, D = theta[:n, :n].T, theta[n:, :n].T, theta[:n, n:].T, theta[n:, n:].T
+    n, p = order, sequence.inputs
+    # Columns v, the first n states | the same states one step on, the outputs.
+    chosen = [*range(p + n), *range(p + available, p + available + n)]
+    chosen += range(p + 2 * available, sequence.triangle.shape[1])
+    R = sequence.triangle[:, chosen]
+    theta = _solve(R[: p + n], p + n, R.shape[1] - p - n)
+    error = R[p + n :, p + n :]
+    covariance = error.T @ error / sequence.rows
+    A, B, C, D = theta[p:, :n].T, theta[:p, :n].T, theta[p:, n:].T, theta[:p, n:].T
     Q, S, R = covariance[:n, :n], covariance[:n, n:], covariance[n:, n:]
     # A trace of process noise in every direction keeps the Riccati equation solvable.
     Q = Q + 1e-12 * np.trace(Q) * np.eye(n)
@@ -134,13 +136,19 @@ def _past(record: Record, past: int, skip: int) -> Array:
     return np.hstack([z[skip - i : len(z) - i] for i in range(1, past + 1)])
 
 
-def _least_squares(X: Array, Y: Array) -> Array:
-    """Solve min ||X theta - Y|| by QR, columns scaled so that units do not matter."""
-    scale = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
-    Q, R = qr(X / scale, mode="economic")
-    diagonal = np.abs(np.diag(R))
-    if diagonal.min() <= 1e-13 * diagonal.max():
+def _observer_triangle(records: Sequence[Record], past: int, skip: int) -> Array:
+    """Return R of the QR of [v(k) z(k-1) ... z(k-past) | y(k)], shorter pasts in front."""
+    return triangle(np.hstack([r.v[skip:], _past(r, past, skip), r.y[skip:]]) for r in records)
+
+
+def _solve(R: Array, columns: int, targets: int) -> Array:
+    """Return the least-squares solution (columns, targets) of the last columns of R on the first.
+
+    Raises IdentificationError where those are not independent.
+    """
+    square = R[:columns, :columns]
+    if not independent(square, 1e-13):
         raise IdentificationError(
             "expected inputs and outputs that are independent, found some that follow from others"
         )
-    return np.asarray(solve_triangular(R, Q.T @ Y) / scale[:, None])
+    return np.asarray(solve_triangular(square, R[:columns, R.shape[1] - targets :]))

@@ -11,6 +11,7 @@ from scipy import signal
 
 from ..model.second_order import StateSpace
 from .data import Record
+from .least_squares import triangle
 
 Array = NDArray[np.float64]
 
@@ -73,12 +74,18 @@ def simulate(model: StateSpace, u: Array, x0: Array | None = None) -> Array:
 
 def free_response(model: StateSpace, rows: int) -> Array:
     """Return (rows, m, n): the output that each initial state alone causes."""
-    out = np.empty((rows, *model.C.shape))
-    M = model.C
-    for k in range(rows):
-        out[k] = M
-        M = M @ model.A
-    return out
+    n = len(model.A)
+    powers = np.empty((BLOCK + 1, n, n))
+    powers[0] = np.eye(n)
+    for k in range(BLOCK):
+        powers[k + 1] = model.A @ powers[k]
+    within = (model.C @ powers[:BLOCK]).reshape(-1, n)
+    blocks = -(-rows // BLOCK)
+    out = np.empty((blocks, *within.shape))
+    for k in range(blocks):
+        out[k] = within
+        within = within @ powers[BLOCK]
+    return out.reshape(blocks * BLOCK, len(model.C), n)[:rows]
 
 
 def initial_state(model: StateSpace, u: Array, y: Array) -> Array:
@@ -86,12 +93,12 @@ def initial_state(model: StateSpace, u: Array, y: Array) -> Array:
 
     Outputs count relative to their rms.
     """
+    n = len(model.A)
     weight = 1.0 / np.maximum(y.std(axis=0), np.finfo(float).tiny)
     missing = (y - simulate(model, u)) * weight
     response = free_response(model, len(u)) * weight[:, None]
-    return np.asarray(
-        np.linalg.lstsq(response.reshape(-1, len(model.A)), missing.ravel(), rcond=None)[0]
-    )
+    R = triangle([np.hstack([response.reshape(-1, n), missing.reshape(-1, 1)])])
+    return np.asarray(np.linalg.lstsq(R[:, :n], R[:, n], rcond=None)[0])
 
 
 def spectral_radius(A: Array) -> float:
@@ -108,16 +115,17 @@ def fit_input_matrices(model: StateSpace, records: Sequence[Record]) -> StateSpa
     n, p = model.B.shape
     m = len(model.C)
     weight = 1.0 / np.maximum(_rms(records), np.finfo(float).tiny)
-    regressors, targets = [], []
+    reduced = []
     for record in records:
-        X = _input_regressors(model, record.v) * weight[:, None]
-        Q = np.linalg.qr((free_response(model, len(record.y)) * weight[:, None]).reshape(-1, n))[0]
-        X, y = X.reshape(-1, X.shape[2]), (record.y * weight).ravel()
-        regressors.append(X - Q @ (Q.T @ X))
-        targets.append(y - Q @ (Q.T @ y))
-    X = np.vstack(regressors)
-    scale = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
-    found = np.linalg.lstsq(X / scale, np.concatenate(targets), rcond=None)[0] / scale
+        free = free_response(model, len(record.y)) * weight[:, None]
+        driven = _input_regressors(model, record.v) * weight[:, None]
+        columns = [x.reshape(-1, x.shape[2]) for x in (free, driven)]
+        # Below the rows of the initial state, the triangle is that of the rest without it.
+        target = (record.y * weight).reshape(-1, 1)
+        reduced.append(triangle([np.hstack([*columns, target])])[n:, n:])
+    stacked = np.vstack(reduced)
+    scale = np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), np.finfo(float).tiny)
+    found = np.linalg.lstsq(stacked[:, :-1] / scale, stacked[:, -1], rcond=None)[0] / scale
     B = found[: n * p].reshape(p, n).T
     D = found[n * p :].reshape(p, m).T
     return StateSpace(model.A, B, model.C, D, model.Ts_s)

@@ -117,12 +117,6 @@ def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
             f"the output that was excited by {fits.min():.1f} to {fits.max():.1f} %."
         )
         texts.append(Text(kept_back))
-    if not report.truth:
-        judged = (
-            "No truth was given, as there is none on a real rig: the agreement of the two methods "
-            "and the data kept back are what the model can be judged by."
-        )
-        texts.append(Text(judged, "note"))
     return tuple(texts)
 
 

@@ -44,6 +44,14 @@ class Signals:
         return f"{output}/({given})" if " " in given or "/" in given else f"{output}/{given}"
 
 
+RIG_SIGNALS = Signals(
+    ("tau_psi", "tau_theta", "tau_z"),
+    ("N m", "N m", "N"),
+    ("psi", "theta", "z"),
+    ("rad", "rad", "m"),
+)
+
+
 @dataclass(frozen=True)
 class Curve:
     """A frequency response (F, m, p) at freq_hz (F,), how it is called and drawn.
@@ -99,16 +107,16 @@ def symbol(name: str) -> str:
     return name.replace("_", " ")
 
 
-def inside(curve: Curve, shown: Range) -> Curve:
-    """Return the part of a curve within the range, at up to 400 of its frequencies.
+def inside(curve: Curve, shown: Range, most: int = _MOST_POINTS) -> Curve:
+    """Return the part of a curve within the range, at up to 400 of its frequencies (or `most`).
 
     Of more than these the nearest to a logarithmic grid are kept: over two decades the next is then
     1 % away, closer than any resonance is narrow that could be seen.
     """
     f = curve.freq_hz
     part = np.flatnonzero((f >= shown.low_hz) & (f <= shown.high_hz) & (f > 0))
-    if part.size > _MOST_POINTS:
-        wanted = np.geomspace(f[part[0]], f[part[-1]], _MOST_POINTS)
+    if part.size > most:
+        wanted = np.geomspace(f[part[0]], f[part[-1]], most)
         middle = (f[part[1:]] + f[part[:-1]]) / 2
         part = part[np.unique(np.searchsorted(middle, wanted))]
     return Curve(

@@ -74,6 +74,15 @@ def largest(ratios: Sequence[Curve], shown: Range) -> tuple[float, float]:
     return float(np.max([w.decibel for w in worst])), float(np.max([w.degree for w in worst]))
 
 
+def told(error: tuple[float, float], joint: str = " and ") -> str:
+    """Return an error in dB and degrees as read, of small ones the first digit."""
+    decibel, degree = (
+        f"{x:.{digits}f}" if not x < 10.0**-digits else f"{x:.1g}"
+        for x, digits in zip(error, (2, 1), strict=True)
+    )
+    return f"{decibel} dB{joint}{degree}°"
+
+
 def deviation(
     ratios: Sequence[Curve],
     signals: Signals,

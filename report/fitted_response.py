@@ -10,13 +10,21 @@ from numpy.typing import NDArray
 
 from ..identification.greybox.result import GreyBox
 from ..identification.results import ClosedLoopPoint
-from .curves import CONFIDENCE, Array, Complex, Curve, Range
+from .curves import CONFIDENCE, Curve, Range
 from .style import Line, line_of, position_label
 
-_POINTS = 160
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_POINTS = 120
 _BEAM = "beam_m"
-_SAME = 1e-3
+_STILL = 1e-3
+"""A variable that stays within this share of its range counts as still."""
+_NUDGE = 1e-2
+"""Half of a central difference, as a share of a standard error."""
 _SURE_95 = 1.96
+_SEEN = 0.02
+"""Of a magnitude: a pixel of a panel of some four decades."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +37,7 @@ class Place:
 
 
 def places_of(grey: GreyBox, points: Sequence[ClosedLoopPoint]) -> tuple[Place, ...]:
-    """Return the beam positions of the points; without any, minimum, mean and maximum of the records.
+    """Return the beam positions of the points; without any, least, mean and most of the records.
 
     A model without scheduling variables, or one whose records keep them still, has one place.
     """
@@ -49,7 +57,8 @@ def places_of(grey: GreyBox, points: Sequence[ClosedLoopPoint]) -> tuple[Place, 
 def fitted_curve(grey: GreyBox, place: Place, line: Line, shown: Range) -> Curve:
     """Return the response at a place, with what the parameters' errors make of its magnitude.
 
-    The band is of first order in them; parameters that were held count as known.
+    The band is of first order in them; parameters that were held count as known. Paths
+    where nothing of it would be seen have no band.
     """
     freq_hz = np.geomspace(shown.low_hz, shown.high_hz, _POINTS)
     H = grey.response(place.schedule, freq_hz)
@@ -57,15 +66,17 @@ def fitted_curve(grey: GreyBox, place: Place, line: Line, shown: Range) -> Curve
         along = np.conj(H) / np.abs(H)
     errors = grey.fit.standard_errors
     slopes = [
-        np.real(along * _slope(grey, place, freq_hz, name, error))
-        for name, error in errors.items()
+        np.real(along * _slope(grey, place, freq_hz, name, error)) for name, error in errors.items()
     ]
     scaled = _correlation(grey.fit.covariance)
     J = np.array(slopes).reshape(len(slopes), *H.shape)
-    variance = np.einsum("a...,ab,b...->...", J, scaled, J) if len(slopes) else np.zeros(H.shape)
+    variance = np.einsum("a...,ab,b...->...", J, scaled, J) if slopes else np.zeros(H.shape)
     # A figure's band is CONFIDENCE deviations wide, as is right for errors in two dimensions.
     deviation = _SURE_95 / CONFIDENCE * np.sqrt(np.maximum(variance, 0.0))
-    return Curve(place.label, line, freq_hz, H, deviation)
+    seen = np.any(CONFIDENCE * deviation > _SEEN * np.abs(H), axis=0)
+    return Curve(
+        place.label, line, freq_hz, H, np.where(seen, deviation, np.nan) if seen.any() else None
+    )
 
 
 def fitted_curves(grey: GreyBox, places: Sequence[Place], shown: Range) -> tuple[Curve, ...]:
@@ -77,10 +88,12 @@ def _slope(grey: GreyBox, place: Place, freq_hz: Array, name: str, error: float)
     """Return how the response changes with a parameter, a unit being its standard error."""
     if not error > 0:
         return np.zeros((len(freq_hz), *_shape(grey)), complex)
-    value, step = grey.fit.values[name], _SAME * error
-    low, high = (_nudged(grey, name, x).response(place.schedule, freq_hz) for x in
-                 (value - step, value + step))
-    return np.asarray((high - low) / (2 * _SAME))
+    value, step = grey.fit.values[name], _NUDGE * error
+    low, high = (
+        _nudged(grey, name, x).response(place.schedule, freq_hz)
+        for x in (value - step, value + step)
+    )
+    return np.asarray((high - low) / (2 * _NUDGE))
 
 
 def _nudged(grey: GreyBox, name: str, value: float) -> GreyBox:
@@ -102,7 +115,7 @@ def _spread(grey: GreyBox, name: str) -> list[float]:
     mean = float(np.mean([v.mean() for v in values]))
     variable = grey.declared.scheduling[name]
     span = (variable.max or 0.0) - (variable.min or 0.0) or max(abs(mean), 1.0)
-    return [low, mean, high] if high - low > _SAME * span else [mean]
+    return [low, mean, high] if high - low > _STILL * span else [mean]
 
 
 def _shape(grey: GreyBox) -> tuple[int, int]:

@@ -52,7 +52,7 @@ def new_grid(
     row_in: float | Sequence[float],
     legend: Sequence[Artist] = (),
 ) -> Grid:
-    """Return a grid of (rows, columns) panels, `row_in` inches a row or each row, under its legend."""
+    """Return a grid of (rows, columns) panels, `row_in` inches each row, under its legend."""
     scale = max(sheet.width_in / PAGE.width_in, 0.8)
     heights = [scale * h for h in np.broadcast_to(row_in, shape[0]).tolist()]
     columns = _legend_columns(legend, sheet)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ..identification.greybox.result import GreyBox
+from ..identification.multisine import BestLinearApproximation
 from ..identification.results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
 from .closed_loop import (
     ClosedLoopReport,
@@ -15,76 +19,211 @@ from .closed_loop import (
     closed_loop_words,
 )
 from .closed_loop_sections import closed_loop_sections
-from .curves import Signals
+from .curves import RIG_SIGNALS, Signals
 from .flown import Session
+from .grey_box import (
+    NOISE_MOST,
+    NOT_WHITE,
+    GreyBoxReport,
+    grey_box_numbers,
+    grey_box_report,
+    grey_box_words,
+    least_chance,
+)
+from .grey_box_sections import grey_box_sections
+from .multisine import (
+    multisine_numbers,
+    multisine_report,
+    multisine_sections,
+    multisine_words,
+)
 from .open_loop import open_loop_numbers, open_loop_sections, open_loop_words
-from .page import Figures, Part, Section, Steps, Table, Text, write_report
+from .page import Figures, Number, Part, Section, Steps, Table, Text, write_report
 from .session import listed, session_sections, session_words
 from .style import signed
 
 _POOR_FIT_PERCENT = 50.0
 _FAST_S = 2e-4
+_READ_REMARKS = (
+    "Read the remarks on the records: what they name is noise to a linear model.",
+    "",
+)
+_NO_TRUTH = (
+    "No truth was given, as there is none on a real rig: the agreement of the methods and the data "
+    "kept back are what the model can be judged by."
+)
 
 
 def identification_report(
-    result: IdentificationResult,
+    result: IdentificationResult | None,
     session: Session | None,
     out_dir: Path,
     truth: Truth | None = None,
+    grey: GreyBox | None = None,
+    multisine: Sequence[BestLinearApproximation] = (),
+    notes: Sequence[str] = (),
 ) -> Path:
     """Write the page on an identification into `out_dir` and return its path.
 
-    `session` is what flown.read_session makes of the logs, None to leave the flight out. `truth`
-    gives the true P (F, m, p) of a beam position at frequencies in Hz; who calls knows the
-    simulator, this page does not.
+    What was not identified is left out: `result` is None without records for it, `grey` without a
+    declared model, `multisine` empty without periodic records. `session` is what
+    flown.read_session makes of the logs, None to leave the flight out. `truth` gives the true P
+    (F, m, p) of a beam position at frequencies in Hz; who calls knows the simulator, this page does
+    not. `notes` say what was left out and why, 'log: reason'.
 
     Raises:
-        ValueError: the result has no operating point.
+        ValueError: nothing was identified.
         OSError: the page cannot be written.
     """
-    if not result.points:
-        raise ValueError("expected at least one operating point to report on, found none")
-    signals = _signals(result)
-    closed = [p for p in result.points if isinstance(p, ClosedLoopPoint)]
-    others = [p for p in result.points if isinstance(p, OpenLoopPoint)]
-    summary: list[Part] = []
-    sections: list[Section] = []
-    steps: list[tuple[str, str]] = []
-    if session is not None:
-        summary.append(Text(session_words(session), "lead"))
+    points = () if result is None else result.points
+    if not points and grey is None and not multisine:
+        raise ValueError(
+            "expected at least one operating point, fitted model or multisine to report on, found "
+            "none"
+        )
+    signals = _signals(result, grey, multisine)
+    closed = [p for p in points if isinstance(p, ClosedLoopPoint)]
+    others = [p for p in points if isinstance(p, OpenLoopPoint)]
+    chapters: list[_Chapter] = []
     if closed:
-        report = closed_loop_report(closed, signals, truth)
-        summary += closed_loop_words(report)
-        summary.append(Figures(closed_loop_numbers(report)))
-        sections += closed_loop_sections(report)
-        steps += _after_closed_loop(report)
+        chapters.append(_closed_loop_chapter(closed, signals, truth, grey))
     for number, point in enumerate(others, start=1):
-        summary += open_loop_words(point, signals)
-        summary.append(Figures(open_loop_numbers(point)))
-        sections += open_loop_sections(point, signals, truth, number)
-        steps += _after_open_loop(point)
-    details = _record_parts(result)
+        chapters.append(_open_loop_chapter(point, signals, truth, number))
+    if multisine:
+        chapters.append(_multisine_chapter(multisine, signals, truth))
+    if grey is not None:
+        chapters.append(_grey_box_chapter(grey, closed, signals, truth, session))
+    summary: list[Part] = [] if session is None else [Text(session_words(session), "lead")]
+    for chapter in chapters:
+        summary += [*chapter.words, Figures(chapter.numbers)]
+    if truth is None and (grey is not None or multisine or closed):
+        summary.append(Text(_NO_TRUTH, "note"))
+    sections = [section for chapter in chapters for section in chapter.sections]
+    details = _record_parts(result, grey, multisine, notes)
     if session is not None:
         sections[:0] = session_sections(session)
         details += _versions_parts(session)
     sections.append(Section("Records", details))
+    steps = dict.fromkeys(step for chapter in chapters for step in chapter.steps)
     sections.append(Section("What next", (Steps(tuple(steps)),)))
-    name = ", ".join(result.points[0].records) if session is None else session.name
-    return write_report(
-        out_dir, f"Identification of {name}", [Section("Summary", tuple(summary)), *sections]
+    title = f"Identification of {_name(result, session, grey, multisine)}"
+    return write_report(out_dir, title, [Section("Summary", tuple(summary)), *sections])
+
+
+@dataclass(frozen=True)
+class _Chapter:
+    """What one way of identification adds to the page."""
+
+    words: tuple[Text, ...]
+    numbers: tuple[Number, ...]
+    sections: tuple[Section, ...]
+    steps: Sequence[tuple[str, str]]
+
+
+def _closed_loop_chapter(
+    points: Sequence[ClosedLoopPoint],
+    signals: Signals,
+    truth: Truth | None,
+    grey: GreyBox | None,
+) -> _Chapter:
+    report = closed_loop_report(points, signals, truth)
+    beam_moved = grey is not None and any(p.experiment.moving for p in grey.fit.predictions)
+    return _Chapter(
+        closed_loop_words(report),
+        closed_loop_numbers(report),
+        closed_loop_sections(report),
+        _after_closed_loop(report, beam_moved),
     )
 
 
-def _signals(result: IdentificationResult) -> Signals:
+def _open_loop_chapter(
+    point: OpenLoopPoint, signals: Signals, truth: Truth | None, number: int
+) -> _Chapter:
+    return _Chapter(
+        open_loop_words(point, signals),
+        open_loop_numbers(point),
+        open_loop_sections(point, signals, truth, number),
+        _after_open_loop(point),
+    )
+
+
+def _multisine_chapter(
+    blas: Sequence[BestLinearApproximation], signals: Signals, truth: Truth | None
+) -> _Chapter:
+    report = multisine_report(blas, signals, truth)
+    steps = []
+    if report.distorted():
+        steps.append(
+            (
+                "The plant distorts at this amplitude: fly the multisines at half of it. What "
+                "falls by more than half is distortion, and the model is that of the amplitude.",
+                "",
+            )
+        )
+    if any(bla.remarks for bla in blas):
+        steps.append(_READ_REMARKS)
+    return _Chapter(
+        multisine_words(report), multisine_numbers(report), multisine_sections(report), steps
+    )
+
+
+def _grey_box_chapter(
+    grey: GreyBox,
+    points: Sequence[ClosedLoopPoint],
+    signals: Signals,
+    truth: Truth | None,
+    session: Session | None,
+) -> _Chapter:
+    report = grey_box_report(grey, points, signals, truth)
+    return _Chapter(
+        grey_box_words(report),
+        grey_box_numbers(report),
+        grey_box_sections(report),
+        _after_grey_box(report, truth, session),
+    )
+
+
+def _signals(
+    result: IdentificationResult | None,
+    grey: GreyBox | None,
+    multisine: Sequence[BestLinearApproximation],
+) -> Signals:
     """Return names and units; wrenches that are called like the axes they act on get a tau."""
-    s = result.signals
-    inputs = s.input_names
-    if inputs == s.output_names:
-        inputs = tuple(f"tau_{name}" for name in inputs)
-    return Signals(inputs, s.input_units, s.output_names, s.output_units)
+    if grey is not None:
+        inputs, dof = grey.declared.inputs, grey.declared.dof
+        return Signals(
+            tuple(q.name for q in inputs),
+            tuple(q.unit for q in inputs),
+            tuple(q.name for q in dof),
+            tuple(q.unit for q in dof),
+        )
+    if result is not None:
+        s = result.signals
+        names = s.input_names
+        if names == s.output_names:
+            names = tuple(f"tau_{name}" for name in names)
+        return Signals(names, s.input_units, s.output_names, s.output_units)
+    m, p = multisine[0].H.shape[1:]
+    if (m, p) == RIG_SIGNALS.shape:
+        return RIG_SIGNALS
+    numbered = [tuple(f"{letter}{k + 1}" for k in range(n)) for letter, n in (("u", p), ("y", m))]
+    return Signals(numbered[0], ("",) * p, numbered[1], ("",) * m)
 
 
-def _after_closed_loop(report: ClosedLoopReport) -> list[tuple[str, str]]:
+def _name(
+    result: IdentificationResult | None,
+    session: Session | None,
+    grey: GreyBox | None,
+    multisine: Sequence[BestLinearApproximation],
+) -> str:
+    if session is not None:
+        return session.name
+    if result is not None and result.points:
+        return ", ".join(result.points[0].records)
+    return grey.declared.name if grey is not None else ", ".join(multisine[0].records)
+
+
+def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple[str, str]]:
     """Return what to do next, most urgent first."""
     steps = []
     orders = {point.order.order for point in report.points}
@@ -117,9 +256,7 @@ def _after_closed_loop(report: ClosedLoopReport) -> list[tuple[str, str]]:
             )
         )
     if any(point.remarks for point in report.points):
-        steps.append(
-            ("Read the remarks on the records: what they name is noise to a linear model.", "")
-        )
+        steps.append(_READ_REMARKS)
     flight = " --virtual" if report.truth else ""
     if report.points[0].loop.Ts_s > _FAST_S:
         steps.append(
@@ -128,13 +265,50 @@ def _after_closed_loop(report: ClosedLoopReport) -> list[tuple[str, str]]:
                 f"levid excite config/sessions/white-noise-10khz.yaml{flight} --out out/10khz",
             )
         )
-    steps.append(
-        (
-            "Let the beam move and see what that does to the platform: the paper's Fig. 14.",
-            f"levid excite config/sessions/beam.yaml{flight} --out out/beam",
-        )
-    )
+    if not beam_moved:
+        steps.append(_move_the_beam(flight))
     return steps
+
+
+def _after_grey_box(
+    report: GreyBoxReport, truth: Truth | None, session: Session | None
+) -> list[tuple[str, str]]:
+    fit, steps = report.grey.fit, []
+    if fit.unidentifiable:
+        names = listed([u.name for u in fit.unidentifiable])
+        steps.append(
+            (
+                f"{names} stayed as declared: measure what would tell, or fix it in the model file "
+                "where it is known.",
+                "",
+            )
+        )
+        if report.grey.declared.scheduling and not report.moving and session is not None:
+            steps.append(_move_the_beam(" --virtual" if truth else ""))
+    if fit.at_bound:
+        steps.append(
+            (f"Widen the bounds of {listed(list(fit.at_bound))} in the model file, or ask why.", "")
+        )
+    least, tests = least_chance(report)
+    worst = report.worst
+    if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
+        steps.append(
+            (
+                "Look at what the fitted model leaves: the frequency at which the error rises over "
+                "the noise tells what the declared model lacks.",
+                "",
+            )
+        )
+    if not steps:
+        steps.append(("Use the fitted model: it is a model file again.", ""))
+    return steps
+
+
+def _move_the_beam(flight: str) -> tuple[str, str]:
+    return (
+        "Let the beam move and see what that does to the platform: the paper's Fig. 14.",
+        f"levid excite config/sessions/beam.yaml{flight} --out out/beam",
+    )
 
 
 def _after_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
@@ -151,19 +325,33 @@ def _after_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
     return [(what, "levid identify LOG --out DIR --json")]
 
 
-def _record_parts(result: IdentificationResult) -> tuple[Part, ...]:
-    rows = []
-    for point in result.points:
+def _record_parts(
+    result: IdentificationResult | None,
+    grey: GreyBox | None,
+    multisine: Sequence[BestLinearApproximation],
+    notes: Sequence[str],
+) -> tuple[Part, ...]:
+    rows: dict[tuple[str, str], list[str]] = {}
+    for point in (*(result.points if result is not None else ()), *multisine):
         where = "—" if point.beam_m is None else f"{signed(1e3 * point.beam_m, 1)} mm"
         for record in point.records:
             own = [r.removeprefix(f"{record}: ") for r in point.remarks if r.startswith(record)]
-            rows.append((record, where, "; ".join(own) or "—"))
+            rows[record, where] = own
+    for prediction in () if grey is None else grey.fit.predictions:
+        experiment = prediction.experiment
+        where = "moving" if experiment.moving else "—"
+        if experiment.name not in {name for name, _ in rows}:
+            rows[experiment.name, where] = list(experiment.remarks)
+    told = tuple((record, where, "; ".join(own) or "—") for (record, where), own in rows.items())
     parts: list[Part] = [
-        Table("Records that were identified", ("record", "beam", "remarks"), tuple(rows), 3)
+        Table("Records that were identified", ("record", "beam", "remarks"), told, 3)
     ]
-    if result.skipped:
-        skipped = tuple(_log_and_reason(text) for text in result.skipped)
-        parts.append(Table("Logs left out", ("log", "reason"), skipped, 2))
+    of_all = [r for bla in multisine for r in bla.remarks if not r.startswith(bla.records)]
+    parts += [Text(f"Multisines: {remark}.") for remark in dict.fromkeys(of_all)]
+    left_out = dict.fromkeys([*(result.skipped if result is not None else ()), *notes])
+    if left_out:
+        skipped = tuple(_log_and_reason(text) for text in left_out)
+        parts.append(Table("Left out", ("what", "reason"), skipped, 2))
     return tuple(parts)
 
 

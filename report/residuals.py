@@ -63,7 +63,10 @@ def residual_spectra(
         grid = new_grid((len(residuals), len(names)), sheet, 1.9, legend)
         for (row, i), ax in grid.panels():
             drawn = []
-            for psd, line in ((residuals[row].floor_psd, _FLOOR), (residuals[row].error_psd, _ERROR)):
+            for psd, line in (
+                (residuals[row].floor_psd, _FLOOR),
+                (residuals[row].error_psd, _ERROR),
+            ):
                 f, level = pooled(residuals[row].freq_hz, np.sqrt(psd[:, i]), shown)
                 ax.plot(f, np.where(level > 0, level, np.nan), **line.keywords())
                 drawn.append(level)
@@ -79,21 +82,21 @@ def residual_spectra(
 def residual_correlation(
     residuals: Sequence[Residuals], names: Sequence[str], *, sheet: Sheet = PAGE
 ) -> Figure:
-    """Draw the autocorrelation of one-step-ahead errors over the lag, with its bound."""
+    """Draw the autocorrelation of one-step-ahead errors in % over the lag, with its bound."""
     legend: list[Artist] = [
-        entry("autocorrelation", _ERROR),
+        entry("autocorrelation, %", _ERROR),
         entry("99 % of white errors stay within", BOUND),
     ]
     with drawing(sheet):
         grid = new_grid((len(residuals), len(names)), sheet, 1.5, legend)
         for (row, i), ax in grid.panels():
             r = residuals[row]
-            rho = r.correlation[i]
+            rho = 100 * r.correlation[i]
             ax.vlines(np.arange(1, len(rho) + 1), 0, rho, color=_ERROR.colour, linewidth=1.8)
             ax.axhline(0, color=colour("edge"), linewidth=0.8, zorder=1)
-            for bound in (-r.bound, r.bound):
+            for bound in (-100 * r.bound, 100 * r.bound):
                 ax.axhline(bound, **BOUND.keywords())
-            reach = 1.15 * float(np.nanmax(np.abs(rho), initial=1.5 * r.bound))
+            reach = 1.15 * float(np.nanmax(np.abs(rho), initial=150 * r.bound))
             ax.set_ylim(-reach, reach)
             ax.set_xlim(0, len(rho) + 1)
             ax.set_title(f"p = {chance(r.p_value[i])}", loc="right", fontweight="normal")
@@ -108,7 +111,9 @@ def chance(p_value: float) -> str:
     """Return a probability as read: two digits, tiny ones as a bound, '—' where there is none."""
     if not np.isfinite(p_value):
         return "—"
-    return f"{p_value:.2f}" if p_value >= 0.01 else f"{p_value:.1g}" if p_value >= 1e-4 else "< 10⁻⁴"
+    return (
+        f"{p_value:.2f}" if p_value >= 0.01 else f"{p_value:.1g}" if p_value >= 1e-4 else "< 10⁻⁴"
+    )
 
 
 def _name(grid: Grid, residuals: Sequence[Residuals], names: Sequence[str]) -> None:

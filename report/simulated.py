@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 NOISE_BAND = 1.96
 """Of Gaussian noise 95 % lie within this many of its rms."""
-_BINS = 900
+_BINS, _POINTS = 500, 1500
 _SCHEDULE_IN, _OUTPUT_IN, _ERROR_IN = 1.1, 1.5, 1.1
 _SCHEDULE = Line(colour("ink"), width=1.1)
 _MEASURED = Line(TRUTH.colour, width=2.8, alpha=0.6, zorder=2)
@@ -73,7 +73,7 @@ def simulated_outputs(run: Simulated, *, sheet: Sheet = PAGE) -> Figure:
         for ax, trace in zip(axes, run.schedule, strict=False):
             factor, prefix = _scale(trace.values, trace.unit)
             plot_envelope(ax, envelope(run.t_s, trace.values, _BINS), _SCHEDULE, factor)
-            ax.set_title(symbol(trace.name))
+            ax.set_title(trace.name)
             ax.set_title(prefix + trace.unit, loc="right", fontweight="normal")
         for i in range(outputs):
             above, beneath = axes[schedules + 2 * i], axes[schedules + 2 * i + 1]
@@ -88,8 +88,13 @@ def simulated_outputs(run: Simulated, *, sheet: Sheet = PAGE) -> Figure:
 
 def _draw_output(ax: Axes, run: Simulated, i: int) -> None:
     factor, prefix = _scale(run.measured[:, i], run.units[i])
-    for values, line in ((run.measured, _MEASURED), (run.simulated, _SIMULATED)):
-        plot_envelope(ax, envelope(run.t_s, values[:, i], _BINS), line, factor)
+    measured = envelope(run.t_s, run.measured[:, i], _BINS)
+    plot_envelope(ax, measured, _MEASURED, factor)
+    if not measured.is_line:  # a band thinner than the simulation's line would hide behind it
+        ax.plot(measured.t, factor * (measured.low + measured.high) / 2, **_MEASURED.keywords())
+    thinned = slice(None, None, -(-len(run.t_s) // _POINTS))
+    simulated = factor * run.simulated[thinned, i]
+    ax.plot(run.t_s[thinned], simulated, **_SIMULATED.keywords())
     ax.set_title(f"{symbol(run.names[i])}, fit {run.fit_percent[i]:.2f} %")
     ax.set_title(prefix + _shown(run.units[i]), loc="right", fontweight="normal")
     known = factor * run.measured[:, i][np.isfinite(run.measured[:, i])]

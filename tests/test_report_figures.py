@@ -28,7 +28,7 @@ from levid.report.style import (
 )
 from levid.report.svg import to_svg
 from levid.report.timing import quantile_s, timing_histogram
-from levid.report.trajectory import BeamRecord, Prediction, beam_trajectory
+from levid.report.trajectory import BeamRecord, beam_trajectory
 from levid.report.validation import OrderErrors, validation_errors
 
 AXES = Signals(
@@ -195,12 +195,11 @@ def test_coherence_of_three_positions():
     drawn(coherence([Curve(f"p{k}", line_of(k), FREQ_HZ, share) for k in range(3)], AXES))
 
 
-def test_beam_trajectory_with_and_without_prediction():
+def test_beam_trajectory():
     t = np.arange(60_000) * 1e-3
     x = 0.08 * np.sin(t)
     record = BeamRecord(t, x, 1e-4 * x, 1e-5 * x, x)
     drawn(beam_trajectory(record))
-    assert "model" in drawn(beam_trajectory(record, Prediction("model", t, 1e-4 * x, 1e-5 * x)))
 
 
 def test_outputs_keep_their_scale_beside_an_unstable_simulation():

@@ -17,7 +17,8 @@ from ..declared import declared_model
 from .experiment import Experiment
 from .identifiability import Unidentifiable, judge
 from .motion import motion
-from .noise import Noise, estimate_noise
+from .noise import Filter, Noise
+from .noise_fit import estimate_noise
 from .parameters import free_parameters
 from .prediction import Prediction, errors_of, predict, settled
 
@@ -25,15 +26,19 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 _MOST_STEPS = 15
+_MOST_TRIES = 12
 _SINGULAR = 1e-8
 _CONVERGED = 1e-3
 """A step below this share of every standard error ends a search."""
 _NUDGE = 1e-4
 """Half of a central difference, as a share of a parameter's scale."""
-_NOISE_ROUNDS = 2
+_NOISE_ROUNDS = 6
+_NOISE_SETTLED = 0.02
+"""Change of any noise's variance, as a share, below which it is found."""
 _FIRST_FORCE_SHARE = 0.3
 """Unknown forces are first taken to be this part of the input's."""
-_NOISE_ROWS = 60_000
+_NOISE_ROWS = 24_000
+_NOISE_RECORDS = 3
 _SHORTEST_ROWS = 50
 _FIRST_ROWS = 12_000
 
@@ -121,8 +126,10 @@ class _Search:
         whole, self.experiments = self.experiments, tuple(map(_shortened, self.experiments))
         predictions = self.descend(settle=0.1)
         for _ in range(_NOISE_ROUNDS):
-            self.noise = self.refined_noise(predictions)
+            before, self.noise = self.noise, self.refined_noise(predictions)
             predictions = self.descend(settle=0.1)
+            if self.noise.distance(before) < _NOISE_SETTLED:
+                break
         self.experiments = whole
         self.hold_unidentifiable(self.predict_all(self.model))
         self.noise = self.refined_noise(self.predict_all(self.model))
@@ -166,37 +173,42 @@ class _Search:
         self.parameters = p.only([i for i, name in enumerate(p.names) if name not in gone])
 
     def step(self, R: Array, predictions: list[Prediction]) -> tuple[float, list[Prediction]]:
-        """Take one step that lowers the cost; return its size in standard errors."""
+        """Take one step that lowers the squared errors; return its size in standard errors.
+
+        The filters stay as they are during the step, in the Jacobian as in the errors that judge
+        it: what a parameter does through the filter says nothing on average. They follow after it.
+        """
         J, r = R[:-1, :-1], R[:-1, -1]
-        start, before = self.model, self.cost(predictions)
+        start, before = self.model, self.squares(predictions)
+        p = self.parameters
         # Directions that nothing depends on stay where they are: least squares of least norm.
-        by_worth = self.parameters.worth / self.parameters.scale
+        by_worth = p.worth / p.scale
         errors = np.linalg.norm(np.linalg.pinv(J * by_worth, rcond=_SINGULAR), axis=1) * by_worth
-        for _ in range(12):
+        for _ in range(_MOST_TRIES):
             damped = np.vstack([J, np.diag(np.sqrt(self.damping) * np.linalg.norm(J, axis=0))])
             right = np.append(r, np.zeros(len(r)))
             move = -by_worth * np.linalg.lstsq(damped * by_worth, right, rcond=_SINGULAR)[0]
-            values = self.values(start) + self.parameters.scale * move
-            values = np.clip(values, self.parameters.low, self.parameters.high)
-            self.model = start.with_values(
-                dict(zip(self.parameters.names, values.tolist(), strict=True))
-            )
+            values = np.clip(self.values(start) + p.scale * move, p.low, p.high)
+            self.model = start.with_values(dict(zip(p.names, values.tolist(), strict=True)))
             try:
-                after = self.predict_all(self.model)
+                after = self.predict_all(self.model, [q.filter for q in predictions])
+                if self.squares(after) <= before * (1 + 1e-12):
+                    self.damping = 0.0 if self.damping < 1e-3 else self.damping / 10
+                    moved = np.abs(values - self.values(start)) / p.scale / errors
+                    return float(np.max(moved[errors > 0])), self.predict_all(self.model)
             except (ModelError, IdentificationError, np.linalg.LinAlgError):
-                after = None
-            if after is not None and self.cost(after) <= before + 1e-9 * abs(before):
-                self.damping = 0.0 if self.damping < 1e-6 else self.damping / 10
-                moved = (values - self.values(start)) / self.parameters.scale / errors
-                return float(np.max(np.abs(moved[errors > 0]))), after
+                pass  # values that give no model: a shorter step
             self.damping = max(10 * self.damping, 1e-4)
         self.model = start
         return 0.0, predictions
 
-    def predict_all(self, model: DeclaredModel) -> list[Prediction]:
+    def predict_all(
+        self, model: DeclaredModel, filters: Sequence[Filter] | None = None
+    ) -> list[Prediction]:
+        by: Sequence[Noise | Filter] = filters or [self.noise] * len(self.experiments)
         with ThreadPoolExecutor() as pool:
             return list(
-                pool.map(lambda e: predict(model, e, self.hold, self.noise), self.experiments)
+                pool.map(lambda e, b: predict(model, e, self.hold, b), self.experiments, by)
             )
 
     def factor(self, predictions: Sequence[Prediction]) -> Array:
@@ -247,22 +259,19 @@ class _Search:
 
     def refined_noise(self, predictions: Sequence[Prediction]) -> Noise:
         self.progress("noise", self.share())
-        chosen = [p for p in predictions if p.motion.fixed] or list(predictions)
-        rows = max(_NOISE_ROWS // len(chosen), _SHORTEST_ROWS)
-        short = [p.experiment.rows(0, rows) for p in chosen]
-        motions = [
-            settled(motion(self.model, e, self.hold), p.offset)
-            for p, e in zip(chosen, short, strict=True)
-        ]
-        return estimate_noise(motions, [e.y for e in short], [p.start for p in chosen], self.noise)
+        chosen = [p.experiment for p in predictions if p.motion.fixed] or list(self.experiments)
+        # Some records, spread over all of them: noise is what they have in common.
+        some = chosen[:: -(-len(chosen) // _NOISE_RECORDS)]
+        short = [e.rows(0, max(_NOISE_ROWS // len(some), _SHORTEST_ROWS)) for e in some]
+        return estimate_noise([motion(self.model, e, self.hold) for e in short], short, self.noise)
 
     def values(self, model: DeclaredModel | None = None) -> Array:
         model = model or self.model
         return np.array([model.values[name] for name in self.parameters.names])
 
-    def cost(self, predictions: Sequence[Prediction]) -> float:
+    def squares(self, predictions: Sequence[Prediction]) -> float:
         prior = self.parameters.prior_rows(self.values())[:, -1]
-        return sum(p.cost for p in predictions) + float(prior @ prior)
+        return sum(p.squares for p in predictions) + float(prior @ prior)
 
     def share(self) -> float:
         return 1.0 - 0.85**self.steps

@@ -78,19 +78,29 @@ def held_step(Ts_s: float, order: int, delay_s: float, lag_s: float) -> HeldStep
 
 
 def _held(u: Array, step: HeldStep) -> Array:
-    n = len(u)
-    rows = np.arange(n)
-    new = u[np.maximum(rows - step.whole, 0)]
-    old = u[np.maximum(rows - step.whole - 1, 0)]
-    lagged = np.empty_like(u)
-    lagged[0] = u[0]
-    drive = step.end_old * old[:-1] + step.end_new * new[:-1]
-    lagged[1:], _ = lfilter([1.0], [1.0, -step.end_lag], drive, axis=0, zi=step.end_lag * u[:1])
+    old, new = _around_jump(u, step)
+    lagged = lagged_input(u, step)
     return np.asarray(
         step.from_old[:, None] * old[:, None]
         + step.from_new[:, None] * new[:, None]
         + step.from_lag[:, None] * lagged[:, None]
     )
+
+
+def lagged_input(u: Array, step: HeldStep) -> Array:
+    """Return the lagged input (N, p) at the beginning of each period, at rest before the record."""
+    old, new = _around_jump(u, step)
+    lagged = np.empty_like(u)
+    lagged[0] = u[0]
+    drive = step.end_old * old[:-1] + step.end_new * new[:-1]
+    lagged[1:], _ = lfilter([1.0], [1.0, -step.end_lag], drive, axis=0, zi=step.end_lag * u[:1])
+    return lagged
+
+
+def _around_jump(u: Array, step: HeldStep) -> tuple[Array, Array]:
+    """Return what acts in each period before and after the jump within it, both (N, p)."""
+    rows = np.arange(len(u))
+    return u[np.maximum(rows - step.whole - 1, 0)], u[np.maximum(rows - step.whole, 0)]
 
 
 def _exponential_moments(Ts_s: float, start: float, end: float, lag_s: float, order: int) -> Array:

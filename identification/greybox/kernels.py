@@ -17,14 +17,15 @@ Array = NDArray[np.float64]
 
 @njit(cache=True, nogil=True)
 def innovations_fixed(  # type: ignore[no-untyped-def]
-    Phi: Array, gain: Array, forcing: Array, y: Array, x0: Array, out: Array
+    Phi: Array, gain: Array, forcing: Array, y: Array, x: Array, out: Array
 ):
     """Fill `out` (N, m) with y - C x of the filter x(k+1) = Phi (x + gain e) + forcing(k).
 
-    Phi (2n, 2n), gain (2n, m), forcing (N, 2n), y (N, m), x0 (2n,); C takes the first m states.
+    Phi (2n, 2n), gain (2n, m), forcing (N, 2n), y (N, m); C takes the first m states. `x` (2n,) is
+    the state at row 0, and afterwards the one predicted for the row after the last.
     """
-    size, m = len(x0), y.shape[1]
-    x, updated = x0.copy(), np.empty(size)
+    size, m = len(x), y.shape[1]
+    updated = np.empty(size)
     for k in range(len(y)):
         for i in range(size):
             updated[i] = x[i]
@@ -69,14 +70,14 @@ def flow(K, D, B, x, moments, drift, scale, work, top):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
-def innovations_along(K, D, B, drift, gain, moments, scale, y, x0, out):  # type: ignore[no-untyped-def]
+def innovations_along(K, D, B, drift, gain, moments, scale, y, x, out):  # type: ignore[no-untyped-def]
     """Fill `out` (N, m) like innovations_fixed for a model that changes from period to period.
 
     K, D (N, n, n), B (N, n, p), already divided by M, hold in the middle of each period; drift
     (N, J, n); gain (N, 2n, m); moments (N, J, p); scale (J + 1,).
     """
-    size, m = len(x0), y.shape[1]
-    x, work, top = x0.copy(), np.empty(size), np.empty(size)
+    size, m = len(x), y.shape[1]
+    work, top = np.empty(size), np.empty(size)
     for k in range(len(y)):
         for j in range(m):
             out[k, j] = y[k, j] - x[j]
@@ -119,31 +120,30 @@ def gains_along(K, D, scale, Q, R, P0, gain, S_out):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def closed_loop_along(  # type: ignore[no-untyped-def]
-    K, D, B, drift, scale, v, ref, known, kp, ki_Ts, whole,
-    from_old, from_new, from_lag, end, x0, integral0, u0, y_out, u_out,
+    K, D, B, drift, scale, v, ref, known, kp, ki_Ts, first, whole,
+    from_old, from_new, from_lag, end, x, integral, lag, y, u,
 ):  # fmt: skip
-    """Simulate the model in its loop, free of any measurement.
+    """Simulate the model in its loop from row `first` on, free of any measurement.
 
-    u = v + known + PI(ref - y), commanded at the samples, acting `whole` periods and a fraction
-    later behind the lag (inputs.HeldStep: from_*, end = [old, new, lag]). v, ref, known (N, n or
-    p); x0 (2n,) state, integral0 of the controller, u0 (p,) the command before the record. K, D, B,
-    drift have one row a period or a single one. Fills y_out (N, n) and u_out (N, p).
+    Command u = v + known + PI(ref - y) at every row, acting `whole` periods and a fraction later
+    behind the lag (inputs.HeldStep: from_*, end = [old, new, lag]). v, ref, known (N, n or p).
+    State x (2n,), integral and lag (p,) are those at row `first`, and change. K, D, B, drift have
+    one row a period or a single one. y (N, n) and u (N, p) hold what was before, and get what
+    follows.
     """
-    n, p, rows = K.shape[1], B.shape[2], len(v)
-    x, work, top = x0.copy(), np.empty(2 * n), np.empty(2 * n)
-    integral, lag = integral0.copy(), u0.copy()
+    n, p = K.shape[1], B.shape[2]
+    work, top = np.empty(2 * n), np.empty(2 * n)
     moments = np.empty((len(from_old), p))
-    for k in range(rows):
+    for k in range(first, len(v)):
         at = min(k, len(K) - 1)
         for i in range(n):
-            y_out[k, i] = x[i]
+            y[k, i] = x[i]
         for i in range(p):
             error = ref[k, i] - x[i]
             integral[i] += ki_Ts[i] * error
-            u_out[k, i] = v[k, i] + known[k, i] + kp[i] * error + integral[i]
+            u[k, i] = v[k, i] + known[k, i] + kp[i] * error + integral[i]
         for i in range(p):
-            new = u_out[k - whole, i] if k >= whole else u0[i]
-            old = u_out[k - whole - 1, i] if k >= whole + 1 else u0[i]
+            new, old = u[max(k - whole, 0), i], u[max(k - whole - 1, 0), i]
             for j in range(len(moments)):
                 moments[j, i] = from_old[j] * old + from_new[j] * new + from_lag[j] * lag[i]
             lag[i] = end[0] * old + end[1] * new + end[2] * lag[i]

@@ -16,6 +16,8 @@ from .inputs import Hold, moments
 
 Array = NDArray[np.float64]
 
+_FORGOTTEN = 12.0
+"""Time constants after which a lag has forgotten its input to 6e-6."""
 _ACCURACY = 1e-12
 """What the Taylor series of a period's flow may leave out, relative to the state."""
 
@@ -24,9 +26,10 @@ _ACCURACY = 1e-12
 class Motion:
     """A model along an experiment: K, D (R, n, n), B (R, n, p) divided by M, R = 1 or N.
 
-    `mobility` (R, n, n) is the inverse of M.
-    `drift` (R, J, n): moments of the model's own force over each period, divided by M; `scale`
-    (J + 1,) is Ts^j / j!; `inputs` (N, J, p) the moments of the input.
+    `mobility` (R, n, n) is the inverse of M. In the first `blind` rows inputs from before the
+    record still act, which nobody knows. `drift` (R, J, n): moments of the model's own force over
+    each period, divided by M; `scale` (J + 1,) is Ts^j / j!; `inputs` (N, J, p) the moments of the
+    input.
     """
 
     K: Array
@@ -37,6 +40,7 @@ class Motion:
     scale: Array
     inputs: Array
     Ts_s: float
+    blind: int
 
     @property
     def fixed(self) -> bool:
@@ -80,7 +84,7 @@ def motion(
     drift = np.zeros((len(K), order, len(model.dof)))
     if experiment.moving:
         drift = _drift(mobility @ force, Ts_s, order)
-    return Motion(K, D, B, mobility, drift, scale, inputs, Ts_s)
+    return Motion(K, D, B, mobility, drift, scale, inputs, Ts_s, _blind_rows(model, experiment))
 
 
 def input_moments(model: DeclaredModel, experiment: Experiment, hold: Hold, order: int) -> Array:
@@ -90,6 +94,13 @@ def input_moments(model: DeclaredModel, experiment: Experiment, hold: Hold, orde
     return moments(
         experiment.u, experiment.Ts_s, order, hold, max(delay_s, 0.0), max(model.lag(values), 0.0)
     )
+
+
+def _blind_rows(model: DeclaredModel, experiment: Experiment) -> int:
+    values = {**model.values, **model.scheduling}
+    memory_s = max(model.delay(values), 0.0) + _FORGOTTEN * max(model.lag(values), 0.0)
+    rows = experiment.delay_cycles + math.ceil(memory_s / experiment.Ts_s) + 1
+    return min(rows, len(experiment.y) // 4)
 
 
 def taylor_scale(K: Array, D: Array, Ts_s: float) -> Array:
@@ -107,16 +118,21 @@ def taylor_scale(K: Array, D: Array, Ts_s: float) -> Array:
 
 def innovations(model: Motion, gain: Array, y: Array, x0: Array) -> Array:
     """Return y minus its one-step-ahead prediction (N, n); gain (1 or N, 2n, n), x0 (2n,)."""
-    out = np.empty_like(y)
+    return run_filter(model, gain, y, x0)[0]
+
+
+def run_filter(model: Motion, gain: Array, y: Array, x0: Array) -> tuple[Array, Array]:
+    """Return the innovations (N, n), and the state (2n,) predicted for the row after the last."""
+    out, x = np.empty_like(y), np.array(x0, float)
     if model.fixed:
         A, B = model.continuous()
         Phi = expm(A * model.Ts_s)
-        kernels.innovations_fixed(Phi, gain[0], forcing(model, A, B), y, x0, out)
+        kernels.innovations_fixed(Phi, gain[0], forcing(model, A, B)[: len(y)], y, x, out)
     else:
         kernels.innovations_along(
-            model.K, model.D, model.B, model.drift, gain, model.inputs, model.scale, y, x0, out
+            model.K, model.D, model.B, model.drift, gain, model.inputs, model.scale, y, x, out
         )
-    return out
+    return out, x
 
 
 def forcing(model: Motion, A: Array, B: Array) -> Array:
@@ -158,7 +174,7 @@ def process_covariance(model: Motion, psd: Array) -> Array:
 
 
 def _drift(force: Array, Ts_s: float, order: int) -> Array:
-    """Return moments (N, J, n) of a force (N, n, 2) that goes straight from [..., 0] to [..., 1]."""
+    """Return moments (N, J, n) of a force (N, n, 2), straight from [..., 0] to [..., 1]."""
     drift = np.empty((len(force), order, force.shape[1]))
     for j in range(order):
         whole = Ts_s ** (j + 1) / math.factorial(j + 1)

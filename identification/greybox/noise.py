@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm, solve_discrete_are
-from scipy.optimize import minimize
 
 from ..data import IdentificationError
 from . import kernels
-from .motion import Motion, innovations, process_covariance
+from .motion import Motion, process_covariance
 
 Array = NDArray[np.float64]
 
@@ -23,6 +21,13 @@ class Noise:
 
     force_psd: Array
     output_variance: Array
+
+    def distance(self, other: Noise) -> float:
+        """Return the largest change of a variance between two, as a logarithm."""
+        ours, theirs = (
+            np.log(np.concatenate([n.force_psd, n.output_variance])) for n in (self, other)
+        )
+        return float(np.max(np.abs(ours - theirs)))
 
 
 @dataclass(frozen=True)
@@ -80,39 +85,3 @@ def kalman_filter(model: Motion, noise: Noise) -> Filter:
         gain, S_all,
     )  # fmt: skip
     return Filter(gain, S_all)
-
-
-def estimate_noise(
-    motions: Sequence[Motion], outputs: Sequence[Array], starts: Sequence[Array], first: Noise
-) -> Noise:
-    """Return the noise of largest likelihood, the models held as they are.
-
-    `motions` with all their forces, their outputs (N, n) and starts (2n,). Minus twice the
-    log-likelihood of Gaussian innovations is N log det S + sum e' S^-1 e.
-    """
-    n = len(first.output_variance)
-
-    def cost(log_sizes: Array) -> float:
-        noise = Noise(
-            first.force_psd * np.exp(log_sizes[:n]), first.output_variance * np.exp(log_sizes[n:])
-        )
-        total, count = 0.0, 0
-        for model, y, start in zip(motions, outputs, starts, strict=True):
-            try:
-                kalman = kalman_filter(model, noise)
-            except IdentificationError:
-                return 1e6
-            white = kalman.whiten(innovations(model, kalman.gain, y, start))
-            total += float(np.sum(white**2)) + len(white) * kalman.log_determinant
-            count += len(white)
-        return total / count
-
-    found = minimize(
-        cost,
-        np.zeros(2 * n),
-        method="L-BFGS-B",
-        bounds=[(-20.0, 20.0)] * (2 * n),
-        options={"maxiter": 40, "eps": 1e-4, "ftol": 1e-8},
-    )
-    sizes = np.exp(found.x)
-    return Noise(first.force_psd * sizes[:n], first.output_variance * sizes[n:])

@@ -34,18 +34,33 @@ class Prediction:
     start: Array
 
     @property
+    def squares(self) -> float:
+        """Sum of the squared errors."""
+        return float(np.sum(self.errors**2))
+
+    @property
     def cost(self) -> float:
         """Minus twice the log-likelihood, but for a constant."""
-        return float(np.sum(self.errors**2) + len(self.errors) * self.filter.log_determinant)
+        return self.squares + len(self.errors) * self.filter.log_determinant
 
 
-def predict(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Prediction:
-    """Return the experiment predicted by `model`, its offset and start by least squares."""
+def predict(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, by: Noise | Filter
+) -> Prediction:
+    """Return the experiment predicted by `model`, its offset and start by least squares.
+
+    `by`: the noise, whose Kalman filter predicts, or a filter as it is.
+    """
     at = motion(model, experiment, hold)
-    kalman = kalman_filter(at, noise)
+    return predict_along(at, experiment, by if isinstance(by, Filter) else kalman_filter(at, by))
+
+
+def predict_along(at: Motion, experiment: Experiment, kalman: Filter) -> Prediction:
+    """Return the experiment predicted by a filter along a motion, offset and start fitted."""
     nowhere = np.zeros(2 * experiment.y.shape[1])
     errors = errors_of(at, kalman, experiment, nowhere)
     unknowns = kalman.whiten(_unknowns(at, kalman.gain, len(errors)))
+    unknowns[: at.blind] = 0.0
     flat = unknowns.reshape(-1, unknowns.shape[2])
     # Offsets and start differ by orders in what they move: scale before deciding what is singular.
     size = np.linalg.norm(flat, axis=0)
@@ -57,8 +72,10 @@ def predict(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noi
 
 
 def errors_of(at: Motion, kalman: Filter, experiment: Experiment, start: Array) -> Array:
-    """Return whitened errors (N, n) of a motion that starts at `start` (2n,)."""
-    return kalman.whiten(innovations(at, kalman.gain, experiment.y, start))
+    """Return whitened errors (N, n) of a motion from `start` (2n,), none in blind rows."""
+    errors = kalman.whiten(innovations(at, kalman.gain, experiment.y, start))
+    errors[: at.blind] = 0.0
+    return errors
 
 
 def settled(at: Motion, offset: Array) -> Motion:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,8 @@ from ...model.declared import DeclaredModel
 from ..data import IdentificationError
 from . import kernels
 from .experiment import Experiment
-from .inputs import Hold, held_step
-from .motion import Motion, innovations, motion
+from .inputs import Hold, held_step, lagged_input
+from .motion import Motion, innovations, motion, run_filter
 from .noise import Noise
 from .prediction import predict, settled
 
@@ -24,7 +24,7 @@ START_S = 5.0
 
 @dataclass(frozen=True)
 class FreeRun:
-    """Outputs (N, n), commands (N, p) of a simulated record; rows before `counts_from` are start."""
+    """Outputs (N, n), commands (N, p); rows before `counts_from` are as recorded."""
 
     y: Array
     u: Array
@@ -35,45 +35,68 @@ def free_run(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: No
     """Simulate a record from its excitation, its feed-forward and its schedule alone.
 
     In a loop the simulated outputs go through the controller; without one the input is as recorded.
-    State and constant force come from the first 5 s (a third of a record shorter than 15 s).
+    State and constant force come from the first 5 s (a third of a record shorter than 15 s), by the
+    Kalman filter; from there on nothing measured is used.
 
     Raises IdentificationError: a loop whose input is not held from sample to sample.
     """
-    rows = min(round(START_S / experiment.Ts_s), len(experiment.y) // 3)
-    beginning = predict(model, experiment.rows(0, rows), hold, noise)
-    at = settled(motion(model, experiment, hold), beginning.offset)
-    loop = experiment.loop
-    if loop is None:
-        zero = np.zeros_like(experiment.y)
-        gain = np.zeros((len(at.K), 2 * zero.shape[1], zero.shape[1]))
-        return FreeRun(-innovations(at, gain, zero, beginning.start), experiment.u, rows)
-    if hold != "zoh":
+    if experiment.loop is not None and hold != "zoh":
         raise IdentificationError(f"expected a held input in a loop, found '{hold}'")
-    return _in_loop(model, experiment, at, beginning.start, rows)
+    first = min(round(START_S / experiment.Ts_s), len(experiment.y) // 3)
+    beginning = experiment.rows(0, first)
+    known = predict(model, beginning, hold, noise)
+    _, state = run_filter(
+        settled(known.motion, known.offset), known.filter.gain, beginning.y, known.start
+    )
+    at = settled(motion(model, experiment, hold), known.offset)
+    y, u = experiment.y.copy(), experiment.u.copy()
+    if experiment.loop is None:
+        rest = _from_row(at, first)
+        n = y.shape[1]
+        gain = np.zeros((len(rest.K), 2 * n, n))
+        y[first:] = -innovations(rest, gain, np.zeros((len(y) - first, n)), state)
+    else:
+        _close_loop(model, experiment, at, first, state, y, u)
+    return FreeRun(y, u, first)
 
 
-def _in_loop(
-    model: DeclaredModel, experiment: Experiment, at: Motion, start: Array, rows: int
-) -> FreeRun:
+def _close_loop(
+    model: DeclaredModel,
+    experiment: Experiment,
+    at: Motion,
+    first: int,
+    state: Array,
+    y: Array,
+    u: Array,
+) -> None:
+    """Fill y and u from row `first` on."""
     loop, Ts_s = experiment.loop, experiment.Ts_s
     assert loop is not None
     kp, ki_Ts = loop.controller.kp, loop.controller.ki * Ts_s
     values = {**model.values, **model.scheduling}
-    step = held_step(
-        Ts_s,
-        len(at.scale) - 1,
-        max(experiment.delay_cycles * Ts_s + model.delay(values), 0.0),
-        max(model.lag(values), 0.0),
-    )
-    # u = v + feed-forward + kp e + I holds of what was recorded: the integrator's start is known.
-    error = loop.reference[0] - experiment.y[0]
-    integral = experiment.u[0] - loop.v[0] - loop.feedforward[0] - kp * error - ki_Ts * error
-    y, u = np.empty_like(experiment.y), np.empty_like(experiment.u)
+    delay_s = max(experiment.delay_cycles * Ts_s + model.delay(values), 0.0)
+    step = held_step(Ts_s, len(at.scale) - 1, delay_s, max(model.lag(values), 0.0))
+    # u = v + feed-forward + kp e + I holds of what was recorded: the integrator's state is known.
+    error = loop.reference[first - 1] - experiment.y[first - 1]
+    integral = u[first - 1] - loop.v[first - 1] - loop.feedforward[first - 1] - kp * error
     kernels.closed_loop_along(
         at.K, at.D, at.B, at.drift, at.scale,
-        loop.v, loop.reference, loop.feedforward, kp, ki_Ts, step.whole,
+        loop.v, loop.reference, loop.feedforward, kp, ki_Ts, first, step.whole,
         step.from_old, step.from_new, step.from_lag,
         np.array([step.end_old, step.end_new, step.end_lag]),
-        start, integral, experiment.u[0].copy(), y, u,
+        state.copy(), integral, lagged_input(experiment.u, step)[first].copy(), y, u,
     )  # fmt: skip
-    return FreeRun(y, u, rows)
+
+
+def _from_row(at: Motion, first: int) -> Motion:
+    if at.fixed:
+        return replace(at, inputs=at.inputs[first:])
+    return replace(
+        at,
+        K=at.K[first:],
+        D=at.D[first:],
+        B=at.B[first:],
+        mobility=at.mobility[first:],
+        drift=at.drift[first:],
+        inputs=at.inputs[first:],
+    )

@@ -1,0 +1,68 @@
+"""The effects of docs/effects.md do what the page says they do."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.config.base import load_yaml
+from levid.config.shipped import shipped
+from levid.config.sim import SimConfig
+from levid.sim.effects import HOOKS
+from levid.sim.plant import Plant
+
+DOC = (Path(__file__).parents[1] / "docs" / "effects.md").read_text()
+(CODE,) = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)
+(SNIPPET,) = re.findall(r"```yaml\n(.*?)```", DOC, re.DOTALL)
+
+
+@pytest.fixture
+def plant(tmp_path):
+    nominal = shipped("sims/nominal.yaml").read_text()
+    assert nominal.endswith("effects: []\n")  # the page says: a copy that ends in ...
+    (tmp_path / "warm.py").write_text(CODE)
+    path = tmp_path / "my-sim.yaml"
+    path.write_text(nominal.replace("effects: []\n", SNIPPET))
+    return Plant(load_yaml(path, SimConfig), 1e-3, source=path)
+
+
+def test_example_changes_the_flight_and_nothing_that_is_logged_of_the_coils(plant):
+    nominal = Plant(load_yaml(shipped("sims/nominal.yaml"), SimConfig), 1e-3)
+    coil_n = np.full(9, 7.0)  # 63 N of 69 N of weight: the platform stays on its lower stops
+    for _ in range(100):
+        for p in (plant, nominal):
+            p.advance(coil_n, np.zeros(3), np.zeros(3))
+            p.sample()
+    assert not np.array_equal(plant.pose, nominal.pose)
+    np.testing.assert_array_equal(plant.coil_readback_n, nominal.coil_readback_n)
+
+
+def test_example_s_floor_shakes_the_platform(plant):
+    coil_n, z = np.full(9, 7.0), []
+    for _ in range(2 * 1000):
+        plant.advance(coil_n, np.zeros(3), np.zeros(3))
+        z.append(plant.pose[2])
+    spectrum = np.abs(np.fft.rfft(np.array(z[1000:]) - np.mean(z[1000:])))
+    assert np.argmax(spectrum) == 17  # Hz, as lines of one second are
+
+
+def test_example_s_coil_warms_up(tmp_path):
+    names = {}
+    exec(compile(CODE, "warm.py", "exec"), names)
+    coil = names["WarmCoil"](coil=4, loss=0.05, time_constant_s=60, rated_n=10)
+
+    class Told:
+        dt_s = 1.0
+
+    coil.reset(Told)
+    for _ in range(600):  # ten time constants at the rated force: warm to 5e-5
+        force_n = coil.coil_force(0.0, np.zeros(3), np.full(9, 10.0))
+    np.testing.assert_allclose(force_n, [10.0] * 4 + [9.5] + [10.0] * 4, rtol=1e-4)
+
+
+def test_page_names_every_hook():
+    table = re.findall(r"^\| `(\w+)\(", DOC, re.MULTILINE)
+    assert tuple(table) == HOOKS

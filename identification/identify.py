@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from threadpoolctl import threadpool_limits
+
 from .closed_loop import identify_closed_loop
 from .data import IdentificationError, Record, describe_position, operating_points
 from .open_loop import identify_open_loop
@@ -47,7 +49,9 @@ def identify(
         told(0.0)
         method = identify_open_loop if first.controller is None else identify_closed_loop
         try:
-            results.append(method(point, options, told))
+            # The matrices are small: threads of the BLAS would wait for each other, not compute.
+            with threadpool_limits(1):
+                results.append(method(point, options, told))
         except IdentificationError as error:
             raise IdentificationError(f"{where}: {error}") from None
         told(1.0)

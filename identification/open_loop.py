@@ -67,8 +67,9 @@ def identify_open_loop(
     )
     final = _candidates(training, options)
     progress(0.8)
-    order = options.order or _smallest_good(simulated, final.simulators)
-    predictor_order = options.order or _smallest_good(predicted, final.predictors)
+    cost = _state_cost(training)
+    order = options.order or _smallest_good(simulated, final.simulators, cost)
+    predictor_order = options.order or _smallest_good(predicted, final.predictors, cost)
     if order not in final.simulators or predictor_order not in final.predictors:
         raise IdentificationError(
             f"no stable model of order {order} follows from these records; stable ones have order "
@@ -163,20 +164,38 @@ def _errors(
     return errors
 
 
-def _smallest_good(errors: Mapping[int, Array], available: Collection[int]) -> int:
-    """Return the smallest order within one standard error of the best, compared block by block."""
+def _smallest_good(
+    errors: Mapping[int, Array], available: Collection[int], state_cost: float
+) -> int:
+    """Return the smallest order that the best one does not beat in earnest.
+
+    That is: its mean error is worse by no more than one standard error of the difference, compared
+    block by block, or the logarithm of the errors' ratio by no more than `state_cost` a state.
+    """
     possible = {n: e for n, e in errors.items() if n in available}
     if not possible:
         raise IdentificationError(
             "expected a stable model of some order from these records, found none"
         )
-    best = possible[min(possible, key=lambda n: float(possible[n].mean()))]
+    best = min(possible, key=lambda n: float(possible[n].mean()))
 
     def close(order: int) -> bool:
-        worse = possible[order] - best
-        return bool(worse.mean() <= worse.std(ddof=1) / np.sqrt(BLOCKS))
+        worse = possible[order] - possible[best]
+        chance = worse.std(ddof=1) / np.sqrt(BLOCKS)
+        price = possible[best].mean() * np.expm1(state_cost * (best - order))
+        return bool(worse.mean() <= max(chance, price))
 
     return next(order for order in sorted(possible) if close(order))
+
+
+def _state_cost(records: Sequence[Record]) -> float:
+    """Return what a state must gain in the logarithm of the mean square error to be worth it.
+
+    It is the price of its parameters, one for each input and output, in Schwarz's criterion (BIC).
+    """
+    m, p = records[0].y.shape[1], records[0].v.shape[1]
+    samples = sum(r.y.size for r in records)
+    return float((m + p) * np.log(samples) / samples)
 
 
 def _curve(errors: dict[int, Array]) -> Array:

@@ -82,9 +82,9 @@ class OpenLoopPoint:
     """A system from its input to its output, from records without a known controller.
 
     `model` simulates, `predictor` looks one step ahead; both of `order` (the predictor of
-    `predictor_order`), the smallest whose error on the last quarter of the training rows is within
-    one standard error of the least; `validation_error` (orders,) is that error relative to the
-    outputs' rms, nan where the model is unstable.
+    `predictor_order`), the smallest whose error on the last quarter of the training rows is hardly
+    larger than the least; `validation_error` (orders,) is that error relative to the outputs' rms,
+    nan where the model is unstable.
     """
 
     beam_m: float | None

@@ -131,8 +131,10 @@ class _Search:
             if self.noise.distance(before) < _NOISE_SETTLED:
                 break
         self.experiments = whole
-        self.hold_unidentifiable(self.predict_all(self.model))
-        self.noise = self.refined_noise(self.predict_all(self.model))
+        predictions = self.predict_all(self.model)
+        if self.hold_unidentifiable(predictions):
+            predictions = self.descend(settle=0.1)
+        self.noise = self.refined_noise(predictions)
         predictions = self.descend(settle=_CONVERGED)
         R = self.factor(predictions)[:-1, :-1]
         inverse = np.linalg.inv(R)
@@ -162,8 +164,8 @@ class _Search:
                 break
         return predictions
 
-    def hold_unidentifiable(self, predictions: list[Prediction]) -> None:
-        """Put parameters that the records say nothing of back to what was declared."""
+    def hold_unidentifiable(self, predictions: list[Prediction]) -> bool:
+        """Put parameters that the records say nothing of back to what was declared, if any."""
         p = self.parameters
         R = self.factor(predictions)[:-1, :-1]
         self.held = judge(R, p.names, p.worth, p.scale)
@@ -171,6 +173,7 @@ class _Search:
         declared = dict(zip(p.names, p.prior_mean.tolist(), strict=True))
         self.model = self.model.with_values({name: declared[name] for name in gone})
         self.parameters = p.only([i for i, name in enumerate(p.names) if name not in gone])
+        return bool(gone)
 
     def step(self, R: Array, predictions: list[Prediction]) -> tuple[float, list[Prediction]]:
         """Take one step that lowers the squared errors; return its size in standard errors.
@@ -261,7 +264,8 @@ class _Search:
         self.progress("noise", self.share())
         chosen = [p.experiment for p in predictions if p.motion.fixed] or list(self.experiments)
         # Some records, spread over all of them: noise is what they have in common.
-        some = chosen[:: -(-len(chosen) // _NOISE_RECORDS)]
+        places = np.linspace(0, len(chosen) - 1, min(_NOISE_RECORDS, len(chosen)))
+        some = [chosen[round(place)] for place in places.tolist()]
         short = [e.rows(0, max(_NOISE_ROWS // len(some), _SHORTEST_ROWS)) for e in some]
         return estimate_noise([motion(self.model, e, self.hold) for e in short], short, self.noise)
 

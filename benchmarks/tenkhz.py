@@ -98,9 +98,9 @@ def to_plants(logs: Sequence[Path]) -> Found:
         first = point.records[0]
         assert first.controller is not None
         pole = float(np.exp(-first.Ts_s / LAG_S))
-        with found.stage("Markov parameters"):
+        with found.stage("markov parameters"):
             g = estimate_markov(point.records, impulse_taps(point.records), "least_squares").g
-        with found.stage("Ho-Kalman"):
+        with found.stage("ho_kalman"):
             series = without_delay(g, first.leading_zeros, pole, first.controller, first.Ts_s)
             loop = realise(decompose(series, first.Ts_s, Scaling.of(point.records)), 9)
         with found.stage("plant"):

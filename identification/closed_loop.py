@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
 from . import frequency
+from .coverage import PoorExcitationError, check_excitation
 from .data import OperatingPoint, PiController, Record
 from .fit import nrmse_fit_percent
 from .ho_kalman import Decomposition, OrderChoice, Scaling, decompose, order_from_gap, realise
@@ -16,15 +17,20 @@ from .loop import without_delay
 from .markov import ESTIMATORS, MarkovEstimate, estimate_markov, markov_response
 from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
 from .plant import Plant, closed_loop, plant_from_loop
+from .plausibility import doubts, has_decayed, predicted_errors, settling_time
 from .results import ClosedLoopPoint, HoldOut
-from .simulate import simulate
+from .simulate import simulate, spectral_radius
 
 Array = NDArray[np.float64]
 
 LOWEST_HZ, HIGHEST_HZ, POINTS = 0.5, 250.0, 180
 """The logarithmic grid of responses: from the slowest motion a segment of 10 s shows well."""
 SETTLED_S = 4.0
-"""After this the resonances (2.5 1/s) of what came before a record are down by 1e-4."""
+"""After this the rig's resonances (2.5 1/s) of what came before a record are down by 1e-4."""
+LONGEST_SETTLING_S = 60.0
+LEAST_RESPONSES = 3
+"""Training rows of the shortest record over the longest impulse response."""
+LENGTHEN = 1.5
 
 
 def identify_closed_loop(
@@ -34,7 +40,10 @@ def identify_closed_loop(
 
     The last part of every record (`options.holdout`) is kept from the model and simulated by the
     identified plant in its loop. The spectra, which no row checks, use every row once the record
-    has settled. Raises IdentificationError.
+    has settled. `doubts` says why the model is not to be trusted, if so.
+
+    Raises PoorExcitationError when the records excite too little for Markov parameters, other
+    IdentificationErrors as its steps do.
     """
     controller = point.records[0].controller
     assert controller is not None
@@ -43,21 +52,27 @@ def identify_closed_loop(
     lag_pole = float(np.exp(-Ts_s / options.lag_s)) if options.lag_s > 0 else 0.0
     training = [r.rows(0, len(r.y) - options.holdout_rows(len(r.y))) for r in point.records]
     scaling = Scaling.of(training)
-    settled = [r.rows(_settled_row(r), len(r.y)) for r in point.records]
-    impulse_s = options.impulse_s or _at_most(LOOP_IMPULSE_S, training, 3)
-    segment_s = options.segment_s or _at_most(LOOP_SEGMENT_S, settled, 4)
-    length = round(impulse_s / Ts_s)
+    ladder = _lengths(options, training)
+    check_excitation(training, ladder[0])
+    first = _decayed(training, ladder, options)
+    length = len(first.g)
 
-    markov: dict[str, MarkovEstimate] = {}
+    markov: dict[str, MarkovEstimate] = {options.markov: first}
     decompositions: dict[str, Decomposition] = {}
     for n, method in enumerate(sorted(ESTIMATORS, key=lambda m: m != options.markov)):
-        markov[method] = estimate_markov(training, length, method)
+        if method not in markov:
+            markov[method] = estimate_markov(training, length, method)
         series = without_delay(markov[method].g, delay, lag_pole, controller, Ts_s)
         decompositions[method] = decompose(series, Ts_s, scaling)
         progress(0.35 * (n + 1))
     order, loop, plant = _realise(
         decompositions[options.markov], options.order, controller, delay, lag_pole
     )
+    full_loop = closed_loop(plant.state_space(), controller)
+    settled_s = settling_time(full_loop, SETTLED_S, LONGEST_SETTLING_S)
+    starts = [_settled_row(r, settled_s) for r in point.records]
+    settled = [r.rows(row, len(r.y)) for r, row in zip(point.records, starts, strict=True)]
+    segment_s = options.segment_s or _at_most(LOOP_SEGMENT_S, settled, 4)
 
     grid = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.25 / Ts_s), POINTS)
     S = frequency.sensitivity(settled, grid, segment_s)
@@ -67,7 +82,9 @@ def identify_closed_loop(
     )
     progress(0.9)
     measured = markov_response(markov[options.markov].g, S.freq_hz, Ts_s)
-    full_loop = closed_loop(plant.state_space(), controller)
+    holdout = tuple(
+        _hold_out(r, full_loop, options, row) for r, row in zip(point.records, starts, strict=True)
+    )
     return ClosedLoopPoint(
         beam_m=point.beam_m,
         records=tuple(r.name for r in point.records),
@@ -84,12 +101,39 @@ def identify_closed_loop(
         from_joint=joint,
         sensitivity=S,
         loop_coherence=G.coherence,
-        holdout=tuple(_hold_out(r, full_loop, options) for r in point.records),
+        holdout=holdout,
         remarks=(
             *(f"{r.name}: {text}" for r in point.records for text in r.remarks),
-            *_short_remarks(options, impulse_s, segment_s),
+            *_length_remarks(options, first, ladder[-1], segment_s),
         ),
+        doubts=doubts(plant, full_loop, holdout, predicted_errors(point.records, holdout, first)),
     )
+
+
+def _lengths(options: Options, training: Sequence[Record]) -> list[int]:
+    """Return the numbers of taps to try, ascending: up to a third of the shortest record."""
+    Ts_s = training[0].Ts_s
+    if options.impulse_s is not None:
+        return [round(options.impulse_s / Ts_s)]
+    longest = min(len(r.y) for r in training) // LEAST_RESPONSES
+    out = [min(round(LOOP_IMPULSE_S / Ts_s), longest)]
+    while out[-1] < longest:
+        out.append(min(round(LENGTHEN * out[-1]), longest))
+    return out
+
+
+def _decayed(training: Sequence[Record], ladder: Sequence[int], options: Options) -> MarkovEstimate:
+    """Return the shortest estimate that has decayed at its end, else the longest there is."""
+    found = estimate_markov(training, ladder[0], options.markov)
+    for length in ladder[1:]:
+        if has_decayed(found):
+            break
+        try:
+            check_excitation(training, length)
+        except PoorExcitationError:
+            break
+        found = estimate_markov(training, length, options.markov)
+    return found
 
 
 def _realise(
@@ -107,9 +151,9 @@ def _realise(
     return order, loop, Plant(plant_from_loop(loop, controller), delay, lag_pole)
 
 
-def _settled_row(record: Record) -> int:
+def _settled_row(record: Record, settled_s: float) -> int:
     """Return the row from which on nothing rings from before; in a short record, a quarter in."""
-    return 0 if record.at_rest else min(round(SETTLED_S / record.Ts_s), len(record.y) // 4)
+    return 0 if record.at_rest else min(round(settled_s / record.Ts_s), len(record.y) // 4)
 
 
 def _at_most(wanted_s: float, records: Sequence[Record], share: int) -> float:
@@ -117,21 +161,34 @@ def _at_most(wanted_s: float, records: Sequence[Record], share: int) -> float:
     return min(wanted_s, min(len(r.y) for r in records) // share * records[0].Ts_s)
 
 
-def _short_remarks(options: Options, impulse_s: float, segment_s: float) -> list[str]:
+def _length_remarks(
+    options: Options, markov: MarkovEstimate, longest: int, segment_s: float
+) -> list[str]:
     remarks = []
-    if options.impulse_s is None and impulse_s < LOOP_IMPULSE_S:
+    impulse_s = len(markov.g) * markov.Ts_s
+    if options.impulse_s is None and len(markov.g) < round(LOOP_IMPULSE_S / markov.Ts_s):
         remarks.append(f"short records: impulse response cut to {impulse_s:.3g} s")
+    elif options.impulse_s is None and impulse_s > LOOP_IMPULSE_S + markov.Ts_s:
+        remarks.append(
+            f"the loop rings for longer than {LOOP_IMPULSE_S:g} s: impulse response of "
+            f"{impulse_s:.3g} s used"
+        )
+        if not has_decayed(markov):
+            why = "which the records allow at most" if len(markov.g) == longest else "no longer one"
+            remarks.append(f"it has not decayed after {impulse_s:.3g} s, {why}: record longer")
     if options.segment_s is None and segment_s < LOOP_SEGMENT_S:
         remarks.append(f"short records: spectra resolve only {1 / segment_s:.2g} Hz")
     return remarks
 
 
-def _hold_out(record: Record, loop: StateSpace, options: Options) -> HoldOut:
+def _hold_out(record: Record, loop: StateSpace, options: Options, settled: int) -> HoldOut:
     rows = options.holdout_rows(len(record.y))
-    simulated = simulate(loop, record.v)
+    # An unstable loop simulates nothing; `doubts` tells of it.
+    stable = spectral_radius(loop.A) < 1.0
+    simulated = simulate(loop, record.v) if stable else np.full_like(record.y, np.nan)
     start = len(record.y) - rows
     # The level is not the model's to know: the loop rests at whatever offset the record has.
-    offset = (record.y - simulated)[_settled_row(record) : start].mean(axis=0)
+    offset = (record.y - simulated)[settled:start].mean(axis=0)
     measured, modelled = record.y[start:], np.asarray(simulated[start:] + offset)
     time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
     return HoldOut(

@@ -12,6 +12,7 @@ from ..config.rig import RigConfig
 from ..log.reader import Log
 from ..log.signals_file import SignalsFile
 from .data import SAME_BEAM_M, IdentificationError, PiController, Record
+from .gaps import without_gaps
 
 Array = NDArray[np.float64]
 
@@ -39,6 +40,8 @@ def from_log(log: Log) -> Record:
     kind = log.metadata.get("kind")
     if kind == "import" or "signals.yaml" in log.attachments:
         return _from_signals(log)
+    if kind is None:
+        _require_cycles(log)
     if kind != "record":
         raise NotARecordError(
             f"{log.path.name}: kind '{kind or 'none'}', only records are identified"
@@ -58,7 +61,8 @@ def records_from_logs(logs: Sequence[Log]) -> tuple[tuple[Record, ...], tuple[st
 
 
 def _from_cycles(log: Log) -> Record:
-    _require(log, _CYCLE)
+    _require_cycles(log)
+    log, gaps = without_gaps(log)
     v = columns(log, EXCITATION)
     beam = log.rows["beam_m"].astype(float)
     if not np.any(v):
@@ -82,7 +86,7 @@ def _from_cycles(log: Log) -> Record:
         controller=controller_of(log),
         delay_cycles=1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
         at_rest=False,  # the platform may still ring from the record before
-        remarks=tuple(remarks_of(log)),
+        remarks=(*remarks_of(log), *gaps),
     )
 
 
@@ -107,7 +111,6 @@ def remarks_of(log: Log) -> list[str]:
     for field, what in (
         ("saturated", "cycles with coils at a limit"),
         ("fault", "cycles under a fault"),
-        ("skipped", "cycles after skipped periods"),
     ):
         count = int(np.count_nonzero(rows[field])) if field in names else 0
         if count:
@@ -147,6 +150,19 @@ def _from_signals(log: Log) -> Record:
         output_units=tuple(c.unit for c in outputs),
         beam_m=None if beam is None else float(beam.mean()),
     )
+
+
+def _require_cycles(log: Log) -> None:
+    present = log.rows.dtype.names or ()
+    missing = [name for name in _CYCLE if name not in present]
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise IdentificationError(
+            f"{log.path}: no log of the rig, it lacks {missing[0]}{more} of its fields; bring "
+            "other data in by 'levid import FILE --signals SIGNALS.yaml -o LOG.mcap', which says "
+            "what is input and output (docs/log-format.md)"
+        )
+    _require(log, _CYCLE)
 
 
 def _require(log: Log, names: Sequence[str]) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from threadpoolctl import threadpool_limits
 
 from .closed_loop import identify_closed_loop
+from .coverage import PoorExcitationError
 from .data import IdentificationError, Record, describe_position, operating_points
 from .open_loop import identify_open_loop
 from .options import Options
@@ -25,7 +26,8 @@ def identify(
     """Identify every operating point that the records cover.
 
     Records under a known controller are treated as the paper does (closed_loop), others as plain
-    input and output (open_loop). `skipped` (reasons for logs left out) goes into the result.
+    input and output (open_loop). `skipped` (reasons for logs left out) goes into the result, with
+    the reason for every position whose excitation does not suit, as long as another one's does.
 
     Raises IdentificationError, which names position and records: no records, an input that none
     excites, signals or sampling that differ, records too short or too poor.
@@ -39,6 +41,7 @@ def identify(
     for point in points:
         _check_same_signals(first, point.records[0])
     results: list[ClosedLoopPoint | OpenLoopPoint] = []
+    poor: list[str] = []
     for number, point in enumerate(points):
         where = describe_position(point.beam_m)
 
@@ -52,13 +55,17 @@ def identify(
             # The matrices are small: threads of the BLAS would wait for each other, not compute.
             with threadpool_limits(1):
                 results.append(method(point, options, told))
+        except PoorExcitationError as error:
+            poor.append(f"{where}: {error}")
         except IdentificationError as error:
             raise IdentificationError(f"{where}: {error}") from None
         told(1.0)
+    if not results:
+        raise PoorExcitationError("; ".join(poor))
     signals = Signals(
         first.input_names, first.input_units, first.output_names, first.output_units, first.Ts_s
     )
-    return IdentificationResult(signals, tuple(results), tuple(skipped))
+    return IdentificationResult(signals, tuple(results), (*skipped, *poor))
 
 
 def _check_same_signals(first: Record, other: Record) -> None:

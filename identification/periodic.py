@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..config.base import ConfigError, parse_text
 from ..config.session import RecordStep, SessionConfig
 from ..log.reader import Log
-from .data import IdentificationError, PiController, Record
+from .data import IdentificationError, PiController
 from .from_log import NotARecordError, from_log
 
 Array = NDArray[np.float64]
@@ -68,7 +68,6 @@ def periodic_record(log: Log) -> PeriodicRecord:
     N, p = round(period_s / record.Ts_s), len(step.excite)
     per_realisation = p * plan.periods * N
     begin = round(step.settle_s / record.Ts_s)
-    record, missing = _without_gaps(log, record)
     whole = min((len(record.y) - begin) // per_realisation, plan.realisations)
     if whole < 1:
         raise IdentificationError(
@@ -82,8 +81,6 @@ def periodic_record(log: Log) -> PeriodicRecord:
         return cut.reshape(whole * p, plan.periods, N, x.shape[1])[:, TRANSIENT_PERIODS:]
 
     remarks = list(record.remarks)
-    if missing:
-        remarks.append(f"{missing} samples of skipped cycles were interpolated")
     if whole < plan.realisations:
         remarks.append(f"{whole} of {plan.realisations} realisations are complete")
     periodic = PeriodicRecord(
@@ -139,31 +136,14 @@ def _orthogonal_step(log: Log, name: str) -> tuple[RecordStep, float]:
     return steps[0], period_s
 
 
-def _without_gaps(log: Log, record: Record) -> tuple[Record, int]:
-    """Return the record with a row for every cycle, and how many were missing.
-
-    The coils held their force over a skipped period: a disturbance of one sample, which
-    interpolated signals leave to the noise, where shifted periods would spoil all that follows.
-    """
-    cycle = log.rows["cycle"].astype(np.int64)
-    every = np.arange(cycle[0], cycle[-1] + 1)
-    missing = len(every) - len(cycle)
-    if not missing:
-        return record, 0
-
-    def filled(x: Array) -> Array:
-        return np.stack([np.interp(every, cycle, column) for column in x.T], axis=1)
-
-    u = None if record.u is None else filled(record.u)
-    return replace(record, v=filled(record.v), y=filled(record.y), u=u), missing
-
-
 def _check_repeats(periodic: PeriodicRecord, log: Log) -> None:
     v = periodic.v
     # Each input by its own size: torques and forces have no common one.
     difference = np.sqrt(np.mean((v - v[:, :1]) ** 2, axis=(0, 1, 2)))
     share = difference / np.sqrt(np.mean(v**2, axis=(0, 1, 2)))
-    if not np.all(share < REPEATS_WITHIN):
+    # Commands held over a skipped period differ from those that the period was to play.
+    held = 1.0 - len(log.rows) / float(np.ptp(log.rows["cycle"].astype(np.int64)) + 1)
+    if not np.all(share < REPEATS_WITHIN + np.sqrt(2.0 * held)):
         raise IdentificationError(
             f"{log.path}: expected v to repeat every {v.shape[2] * periodic.Ts_s:g} s, found "
             f"periods that differ by {np.nanmax(share):.1%} of their rms"

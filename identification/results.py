@@ -56,6 +56,8 @@ class ClosedLoopPoint:
     of its Hankel matrix without known delay and lag. `loop` is the realised model of that loop,
     `plant` what (14) leaves of it. The responses of P are all at freq_hz (F,): of `plant`, of (14)
     applied to the Markov parameters point by point, of (15), and of the joint estimate.
+    `doubts` says why `loop`, `plant` and what is simulated with them are not to be trusted; the
+    other responses need no model and stand.
     """
 
     beam_m: float | None
@@ -75,6 +77,12 @@ class ClosedLoopPoint:
     loop_coherence: Array
     holdout: tuple[HoldOut, ...]
     remarks: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing speaks against the realised model."""
+        return not self.doubts
 
 
 @dataclass(frozen=True)

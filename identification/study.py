@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..config.model import ModelConfig
 from ..log.reader import Log, read_log
-from .data import IdentificationError, Record
+from .data import IdentificationError, Record, describe_position
 from .declared import declared_model
 from .from_log import NotARecordError, from_log
 from .greybox.experiment import Experiment, experiment_from_log
@@ -17,7 +18,10 @@ from .identify import identify
 from .multisine import BestLinearApproximation, at_every_position
 from .options import Options
 from .periodic import NotPeriodicError, PeriodicRecord, periodic_record
-from .results import IdentificationResult
+from .results import ClosedLoopPoint, IdentificationResult
+
+_FIRST_ROWS = 1000
+"""So many rows of two records are not equal by chance: the noise of every sensor differs."""
 
 Progress = Callable[[str, float], None]
 
@@ -26,9 +30,10 @@ Progress = Callable[[str, float], None]
 class Study:
     """What was found.
 
-    `points`: Markov parameters, Ho-Kalman and spectra by operating point; None without a record for
-    them. `multisine`: the best linear approximation by operating point. `grey`: the declared model
-    fitted to all records; None without a model. `notes`: what was left out, and why.
+    `points`: Markov parameters, Ho-Kalman and spectra by operating point; None without records that
+    suit them. `multisine`: the best linear approximation by operating point. `grey`: the declared
+    model fitted to all records; None without a model. `notes`: what was left out, and why, and
+    which models are not to be trusted.
     """
 
     points: IdentificationResult | None
@@ -59,12 +64,7 @@ def study(
     Raises LogError for a file that is no log, IdentificationError where nothing can be identified.
     """
     tell = progress or (lambda _what, _share: None)
-    found, model = _Sorted([], [], [], []), None
-    for number, path in enumerate(logs):
-        tell(path.name, 0.15 * number / len(logs))
-        log = read_log(path)
-        model = model if number else model_of(log)
-        _sort(log, model, found)
+    found, model = _read(logs, model_of, lambda what, share: tell(what, 0.15 * share))
     if model is not None:
         options = replace(options, lag_s=declared_model(model).at().lag_s)
     if not (found.records or found.periodic or found.experiments):
@@ -73,16 +73,23 @@ def study(
         )
     points, grey = None, None
     multisine: tuple[BestLinearApproximation, ...] = ()
+    failed: IdentificationError | None = None
+    skipped = tuple(found.reasons)
+    notes = list(skipped)
     if found.records:
-        points = identify(
-            found.records,
-            options,
-            lambda what, share: tell(what, 0.15 + 0.35 * share),
-            found.reasons,
-        )
+        try:
+            points = identify(
+                found.records,
+                options,
+                lambda what, share: tell(what, 0.15 + 0.35 * share),
+                skipped,
+            )
+            notes = [*points.skipped, *_distrusted(points)]
+        except IdentificationError as error:
+            failed = error
+            notes.append(f"no Markov parameters: {error}")
     if found.periodic:
         multisine = at_every_position(found.periodic)
-    notes = list(found.reasons)
     if model is not None and found.experiments:
         try:
             grey = identify_grey_box(
@@ -93,9 +100,48 @@ def study(
             )
         except IdentificationError as error:
             if points is None and not multisine:
-                raise
+                raise failed or error from None
             notes.append(f"the declared model was not fitted: {error}")
+    if failed is not None and grey is None and not multisine:
+        raise failed
     return Study(points, multisine, grey, tuple(notes))
+
+
+def _read(
+    logs: Sequence[Path], model_of: Callable[[Log], ModelConfig | None], tell: Progress
+) -> tuple[_Sorted, ModelConfig | None]:
+    """Return what the logs hold, each used once however often it is given, and the model."""
+    found, model = _Sorted([], [], [], []), None
+    seen: dict[object, Path] = {}
+    for number, path in enumerate(logs):
+        tell(path.name, number / len(logs))
+        if path.resolve() in seen:
+            found.reasons.append(f"{path}: given twice, used once")
+            continue
+        log = read_log(path)
+        model = model if seen else model_of(log)
+        seen[path.resolve()] = path
+        same = seen.setdefault(_identity(log), path)
+        if same != path:
+            found.reasons.append(f"{path}: the same record as {same}, used once")
+            continue
+        _sort(log, model, found)
+    return found, model
+
+
+def _distrusted(result: IdentificationResult) -> list[str]:
+    return [
+        f"{describe_position(point.beam_m)}: the model by Ho-Kalman is not to be trusted: "
+        f"{'; '.join(point.doubts)}"
+        for point in result.points
+        if isinstance(point, ClosedLoopPoint) and not point.trusted
+    ]
+
+
+def _identity(log: Log) -> object:
+    """Return what two copies of one log share: record, session and first rows, cycle and all."""
+    first = hashlib.sha256(log.rows[:_FIRST_ROWS].tobytes()).digest()
+    return log.metadata.get("name"), log.metadata.get("session"), first
 
 
 def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:

@@ -52,6 +52,8 @@ def _closed(point: ClosedLoopPoint) -> dict[str, Any]:
         },
         "holdout": [_holdout(h) for h in point.holdout],
         "remarks": point.remarks,
+        "trusted": point.trusted,
+        "doubts": point.doubts,
     }
 
 
@@ -75,7 +77,9 @@ def _open(point: OpenLoopPoint) -> dict[str, Any]:
 
 def _model(model: StateSpace) -> dict[str, Any]:
     poles = np.linalg.eigvals(model.A).astype(complex)
-    s = np.log(poles) / model.Ts_s
+    with np.errstate(divide="ignore", invalid="ignore"):  # a pole at 0 has no frequency
+        s = np.log(poles) / model.Ts_s
+        damping = -s.real / np.maximum(np.abs(s), np.finfo(float).tiny)
     order = np.argsort(np.abs(s))
     return {
         "A": model.A,
@@ -83,7 +87,7 @@ def _model(model: StateSpace) -> dict[str, Any]:
         "C": model.C,
         "D": model.D,
         "pole_frequency_hz": np.abs(s[order]) / (2 * np.pi),
-        "pole_damping": -s[order].real / np.maximum(np.abs(s[order]), np.finfo(float).tiny),
+        "pole_damping": damping[order],
     }
 
 

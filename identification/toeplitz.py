@@ -191,7 +191,8 @@ def solve(gram: ToeplitzGram, right: Array) -> Array:
         left = np.sqrt(np.max(rho / target)) * TOLERANCE
         raise IdentificationError(
             f"least squares for {gram.length} Markov parameters did not converge (relative "
-            f"residual {left:.1e}): expected excitation that is rich enough for so many"
+            f"residual {left:.1e}): expected excitation that is rich enough for so many, as white "
+            "noise is"
         )
     return np.ascontiguousarray(g.transpose(2, 0, 1))
 

@@ -169,7 +169,7 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
         Number(
             f"{free} of {free + held}",
             f"parameters of '{report.grey.declared.name}' told by the records",
-            _good(not held and not fit.at_bound),
+            "bad" if fit.at_bound else "none" if held else "good",
         )
     ]
     fits = [cell.fit_percent for cell in report.fits()]

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from ..config.model import ModelConfig, Parameter
 from ..identification.greybox.fit import Fit
+from ..identification.greybox.identifiability import Unidentifiable
 from ..identification.greybox.validation import Validation
 from .bode import bode_magnitude
 from .closed_loop import HO_KALMAN
@@ -61,7 +62,7 @@ def _parameter_parts(report: GreyBoxReport) -> tuple[Part, ...]:
             labels=3,
         )
     ]
-    parts += [Text(f"{u}{_if_fitted(u.standard_error, declared, u.name)}.") for u in held.values()]
+    parts += [Text(f"{u}; {_if_fitted(u, declared)}.") for u in held.values()]
     return tuple(parts)
 
 
@@ -100,10 +101,13 @@ def _percent(change: float) -> str:
     return ("+" if change > 0 else "") + _number(change, 2)
 
 
-def _if_fitted(error: float, declared: ModelConfig, name: str) -> str:
-    if not np.isfinite(error):
-        return "; no prediction depends on it"
-    return f"; fitted, its standard error would be {error:.2g} {declared.parameters[name].unit}"
+def _if_fitted(held: Unidentifiable, declared: ModelConfig) -> str:
+    if np.isfinite(held.standard_error):
+        unit = declared.parameters[held.name].unit
+        return f"fitted, its standard error would be {_number(held.standard_error, 2)} {unit}"
+    if held.together_with:
+        return "what it does, these can do as well"
+    return "nothing in these records depends on it"
 
 
 def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:

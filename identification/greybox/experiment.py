@@ -25,6 +25,7 @@ from ..from_log import (
     from_log,
     remarks_of,
 )
+from ..gaps import without_gaps
 
 Array = NDArray[np.float64]
 
@@ -83,6 +84,7 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
         NotARecordError: the log is of a step that is not to be identified.
         IdentificationError: signals that the model names are not in the log, or do not fit it.
     """
+    log, gaps = without_gaps(log)  # every column alike, the schedule's too
     base = _imported(log) if "signals.yaml" in log.attachments else _flown(log)
     if (base.u.shape[1], base.y.shape[1]) != (len(model.inputs), len(model.dof)):
         raise IdentificationError(
@@ -107,7 +109,8 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
         if not variable.derivative
     )
     rates = frozenset(name for name, variable in model.scheduling.items() if variable.derivative)
-    return replace(base, schedule=schedule, rates=rates, moving=moving)
+    remarks = (*base.remarks, *gaps)
+    return replace(base, schedule=schedule, rates=rates, moving=moving, remarks=remarks)
 
 
 def _imported(log: Log) -> Experiment:

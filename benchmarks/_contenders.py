@@ -33,6 +33,7 @@ from levid.identification.ho_kalman import Scaling, decompose, realise
 from levid.identification.loop import without_delay
 from levid.identification.markov import estimate_markov, markov_response
 from levid.identification.plant import Plant, plant_from_loop
+from levid.identification.subspace import plant_by_subspace
 from levid.model.second_order import StateSpace
 
 Array = NDArray[np.float64]
@@ -65,6 +66,11 @@ def levid_ho_kalman(records: Sequence[Record], freq_hz: Array) -> Complex:
     series = without_delay(markov.g, delay, pole, controller, Ts_s)
     loop = realise(decompose(series, Ts_s, Scaling.of(records)), 9)
     return Plant(plant_from_loop(loop, controller), delay, pole).response(freq_hz)
+
+
+def levid_subspace(records: Sequence[Record], freq_hz: Array) -> Complex:
+    """Predictor-based subspace identification from u to y: the plant's six states at once."""
+    return plant_by_subspace(records, 6, _lag_pole(records)).plant.response(freq_hz)
 
 
 def levid_sensitivity(records: Sequence[Record], freq_hz: Array) -> Complex:
@@ -180,6 +186,7 @@ def octave_n4sid(records: Sequence[Record], freq_hz: Array) -> Complex:
 
 CONTENDERS = (
     Contender("levid_ho_kalman", "levid: Markov, Ho-Kalman", levid_ho_kalman),
+    Contender("levid_subspace", "levid: subspace", levid_subspace),
     Contender("levid_sensitivity", "levid: sensitivity", levid_sensitivity),
     Contender("control_era", "python-control: markov, ERA", control_realization, "control"),
     Contender("control_markov", "python-control: markov", control_markov, "control"),

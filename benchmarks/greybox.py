@@ -1,8 +1,8 @@
 """The grey-box fit against the simulator's truth: errors, coverage of its intervals, time.
 
 The records are flown anew for every seed; the fit starts from a model file that is off by 10 % and
-sees the logs alone. The Silverbox (measured data) is judged by its simulated error where the data lie
-in ../shared/data.
+sees the logs alone. The Silverbox (measured data) is judged by its simulated error where the data
+lie in ../shared/data.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def accuracy(duration_s: float) -> list[Figure]:
 
 
 def coverage(seeds: int, duration_s: float) -> list[Figure]:
-    """How often 95 % intervals hold the truth, pooled over parameters, and how wide errors spread."""
+    """How often 95 % intervals hold the truth, all parameters together; how wide errors spread."""
     truth = load_model(shipped("models/rig.yaml"))
     z: list[float] = []
     for seed in range(seeds):

@@ -109,6 +109,7 @@ def identify_logs(
             _truth(simulator, found),
             found.grey,
             found.multisine,
+            found.notes,
         )
     if found.grey is not None:
         (out / "model.yaml").write_text(to_yaml(found.grey.fitted))

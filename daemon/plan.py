@@ -278,8 +278,11 @@ class _Planner:
                     parts.append(trajectory.hold(self.beam_m, n - length))
                     return np.vstack(parts)[:n]
                 parts.append(part)
-                parts.append(trajectory.hold(point.to_m, self.n(point.dwell_s)))
-                length += len(part) + len(parts[-1])
+                dwell = min(self.n(point.dwell_s), n - length - len(part))
+                parts.append(trajectory.hold(point.to_m, dwell))
+                length += len(part) + dwell
+                if length == n:
+                    break
             if length - before <= len(step.beam):
                 break  # waypoints that go nowhere and stay nowhere: hold for the rest
         parts.append(trajectory.hold(self.beam_m, max(n - length, 0)))

@@ -17,7 +17,7 @@ from .loop import without_delay
 from .markov import ESTIMATORS, MarkovEstimate, estimate_markov, markov_response
 from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
 from .plant import Plant, closed_loop, plant_from_loop
-from .plausibility import doubts, has_decayed, predicted_errors, settling_time
+from .plausibility import STATES_A_DOF, doubts, has_decayed, predicted_errors, settling_time
 from .results import ClosedLoopPoint, HoldOut
 from .simulate import simulate, spectral_radius
 
@@ -143,7 +143,9 @@ def _realise(
     delay: int,
     lag_pole: float,
 ) -> tuple[OrderChoice, StateSpace, Plant]:
-    order = order_from_gap(decomposition.singular_values)
+    # Fewer states no motion has: without this, slow integrators pass for noise now and then.
+    least = STATES_A_DOF * len(controller.ki) + int(np.sum(controller.ki > 0))
+    order = order_from_gap(decomposition.singular_values, least)
     if given is not None:
         gap = order.gaps[given - 1] if 1 <= given <= len(order.gaps) else np.nan
         order = OrderChoice(given, float(gap), order.gaps)

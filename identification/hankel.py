@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 from scipy.sparse.linalg import ArpackError, LinearOperator, svds
+from threadpoolctl import threadpool_limits
 
 Array = NDArray[np.float64]
 
@@ -73,9 +74,11 @@ def leading_svd(operator: HankelOperator, count: int) -> HankelSvd:
         U, s, Vt = np.linalg.svd(operator.dense(), full_matrices=False)
         return HankelSvd(U[:, :count], s[:count], Vt[:count])
     start = np.random.default_rng(0).normal(size=operator.shape[0])
-    try:
-        U, s, Vt = svds(operator, count, solver="propack", v0=start)
-    except (np.linalg.LinAlgError, ArpackError):
-        U, s, Vt = svds(operator, count, solver="arpack", v0=start[: min(operator.shape)])
+    # Lanczos vectors are long and few: several threads of BLAS only wait for each other there.
+    with threadpool_limits(1, "blas"):
+        try:
+            U, s, Vt = svds(operator, count, solver="propack", v0=start)
+        except (np.linalg.LinAlgError, ArpackError):
+            U, s, Vt = svds(operator, count, solver="arpack", v0=start[: min(operator.shape)])
     down = np.argsort(s)[::-1]
     return HankelSvd(U[:, down], np.asarray(s[down], dtype=np.float64), Vt[down])

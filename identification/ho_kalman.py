@@ -92,11 +92,15 @@ def decompose_coloured(
     return _decomposition(scaled, H, svd, root @ svd.Vt.T, scaling, Ts_s)
 
 
-def order_from_gap(singular_values: Array) -> OrderChoice:
-    """Return the order with the largest s(n) / s(n + 1); what is below rounding counts as equal."""
+def order_from_gap(singular_values: Array, least: int = 1) -> OrderChoice:
+    """Return the order of at least `least` with the largest s(n) / s(n + 1).
+
+    What is below rounding counts as equal.
+    """
     s = np.maximum(singular_values, 1e-13 * singular_values[0])
     gaps = s[:-1] / s[1:]
-    order = int(np.argmax(gaps)) + 1
+    first = min(least, len(gaps)) - 1
+    order = first + int(np.argmax(gaps[first:])) + 1
     return OrderChoice(order, float(gaps[order - 1]), gaps)
 
 

@@ -18,11 +18,15 @@ Array = NDArray[np.float64]
 
 PARTS = 6
 """The end of an impulse response is its last sixth."""
+SETTLED = 3e-3
+"""Share of the response to what came before that a settled record may still show."""
 NOISE = 4.0
 """Mean square of the end over its standard error's from which on it counts as signal."""
-CUT_OFF = 3e-3
+CUT_OFF = 1e-3
 """Relative rms that does no harm: what is cut off of a response makes its resonances err by it."""
 STATES_A_DOF = 2
+MATTERS = 0.01
+"""Share of an output's motion that may be missed without a doubt."""
 WORSE = 2.0
 """Rms error of a true model over that of its Markov parameters, whose noise alone is larger."""
 
@@ -44,7 +48,7 @@ def has_decayed(markov: MarkovEstimate) -> bool:
 
 
 def settling_time(loop: StateSpace, least_s: float, most_s: float) -> float:
-    """Return how long the loop rings: until CUT_OFF of its impulse response is left, in s.
+    """Return how long the loop rings: until SETTLED of its impulse response is left, in s.
 
     At least `least_s`; of a loop that is not stable, `most_s`.
     """
@@ -57,7 +61,7 @@ def settling_time(loop: StateSpace, least_s: float, most_s: float) -> float:
     thinned = StateSpace(power, loop.B, loop.C, loop.D, step * loop.Ts_s)
     g = free_response(thinned, max(rows // step, 1)) @ loop.B
     left = np.sqrt(np.cumsum(g[::-1] ** 2, axis=0)[::-1])
-    ringing = np.flatnonzero(np.any(left > CUT_OFF * _of_axes(left[0]), axis=(1, 2)))
+    ringing = np.flatnonzero(np.any(left > SETTLED * _of_axes(left[0]), axis=(1, 2)))
     last = ringing[-1] + 1 if len(ringing) else 0
     return float(np.clip(last * step * loop.Ts_s, least_s, most_s))
 
@@ -91,13 +95,12 @@ def doubts(
     if spectral_radius(loop.A) >= 1.0:
         found.append("the identified loop is unstable, the one that flew was not")
         return tuple(found)
-    for held, expected in zip(holdout, predicted, strict=True):
-        if not len(held.measured):
-            continue
+    judged = [(h, e) for h, e in zip(holdout, predicted, strict=True) if len(h.measured)]
+    # What an output does where it is excited: small errors of what hardly moves are no matter.
+    motion = np.max([held.measured.std(axis=0) for held, _ in judged], axis=0, initial=0.0)
+    for held, expected in judged:
         error = (held.measured - held.simulated).std(axis=0)
-        # What an output has beside its Markov parameters' error must be little, against that
-        # error or against the output itself.
-        worse = (error > WORSE * expected) & (error > 0.01 * held.measured.std(axis=0))
+        worse = (error > WORSE * expected) & (error > MATTERS * motion)
         if np.any(worse) or not np.all(np.isfinite(error)):
             worst = int(np.argmax(np.nan_to_num(error / np.maximum(expected, 1e-300), nan=np.inf)))
             found.append(

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped

@@ -45,8 +45,7 @@ def _records(seed: int, count: int = 1, rows: int = 2400) -> list[Record]:
 def test_a_known_system_is_found_from_coloured_inputs(count):
     (point,) = identify(_records(1, count)).points
     assert isinstance(point, OpenLoopPoint)
-    # Four states are needed, and seen; one or two more may fit noise a little better by chance.
-    assert 4 <= point.order <= 6
+    assert point.order == 4
     true = TRUE.response(point.freq_hz)
     low = point.freq_hz < 10.0  # above, the inputs have less than 1 % of their power
     error = np.abs(point.from_ho_kalman - true)[low] / np.abs(true).max()
@@ -58,6 +57,16 @@ def test_a_known_system_is_found_from_coloured_inputs(count):
         assert holdout.predicted_fit_percent is not None
         assert np.all(holdout.predicted_fit_percent > 98.0)
         assert len(holdout.time_s) == 600
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5, 6, 7])
+def test_the_order_is_the_systems_whatever_the_noise(seed):
+    (point,) = identify(_records(seed)).points
+    assert isinstance(point, OpenLoopPoint)
+    # With fewer states the error is 20 times the noise; what more states gain is a chance of 4 %.
+    assert point.order == 4
+    # The noise is not of the predictor's making, and takes it a state or two.
+    assert 4 <= point.predictor_order <= 6
 
 
 def test_a_given_order_is_kept():
@@ -97,7 +106,7 @@ def test_cd_player_arm():
     assert isinstance(point, OpenLoopPoint)
     (holdout,) = point.holdout
     assert len(holdout.measured) == 512
-    # Measured 76.6 and 84.8 % simulated, 95.9 and 94.9 % one step ahead; a margin for other BLAS.
+    # Measured 75.8 and 84.6 % simulated, 95.9 and 94.9 % one step ahead; a margin for other BLAS.
     assert np.all(holdout.simulated_fit_percent > [73.0, 82.0])
     assert holdout.predicted_fit_percent is not None
     assert np.all(holdout.predicted_fit_percent > [94.0, 93.0])

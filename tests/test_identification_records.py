@@ -109,8 +109,10 @@ def test_a_log_without_its_rig_or_with_a_broken_one_is_an_error():
     with pytest.raises(IdentificationError, match=r"rig\.yaml"):
         from_log(_log(_cycles(), attachments={"rig.yaml": b"levid: rig\n"}))
     fewer = _cycles()[["cycle", "time_s", "v_psi_n_m"]]
-    with pytest.raises(IdentificationError, match="tau_psi_n_m"):
+    with pytest.raises(IdentificationError, match="lacks v_theta_n_m and 14 more"):
         from_log(_log(fewer))
+    with pytest.raises(IdentificationError, match=r"levid import FILE --signals .*log-format\.md"):
+        from_log(_log(fewer, metadata={}))
     broken = _cycles()
     broken["theta_rad"][3] = np.nan
     with pytest.raises(IdentificationError, match="theta_rad: expected finite"):

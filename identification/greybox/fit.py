@@ -28,19 +28,20 @@ Progress = Callable[[str, float], None]
 _MOST_STEPS = 15
 _MOST_TRIES = 12
 _SINGULAR = 1e-8
-_CONVERGED = 1e-3
-"""A step below this share of every standard error ends a search."""
+_CONVERGED = 0.5
+"""A step of less than this many standard errors ends the search: it leaves less than a hundredth of
+one, since so close to the end the errors are linear in the parameters."""
 _NUDGE = 1e-4
 """Half of a central difference, as a share of a parameter's scale."""
 _NOISE_ROUNDS = 6
-_NOISE_SETTLED = 0.02
+_NOISE_SETTLED = 0.1
 """Change of any noise's variance, as a share, below which it is found."""
 _FIRST_FORCE_SHARE = 0.3
 """Unknown forces are first taken to be this part of the input's."""
 _NOISE_ROWS = 24_000
 _NOISE_RECORDS = 3
 _SHORTEST_ROWS = 50
-_FIRST_ROWS = 12_000
+_FIRST_ROWS = 8_000
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,8 @@ class _Search:
         self.noise = _first_noise(experiments)
         self.held: list[Unidentifiable] = []
         self.steps, self.damping = 0, 0.0
+        self.last = np.zeros((0, 0))
+        self.leashed = True
 
     def run(self) -> Fit:
         # With much force noise the filter follows the record whatever the parameters are, and the
@@ -130,14 +133,13 @@ class _Search:
             predictions = self.descend(settle=0.1)
             if self.noise.distance(before) < _NOISE_SETTLED:
                 break
-        self.experiments = whole
+        self.experiments, self.leashed = whole, False
         predictions = self.predict_all(self.model)
         if self.hold_unidentifiable(predictions):
             predictions = self.descend(settle=0.1)
         self.noise = self.refined_noise(predictions)
         predictions = self.descend(settle=_CONVERGED)
-        R = self.factor(predictions)[:-1, :-1]
-        inverse = np.linalg.inv(R)
+        inverse = np.linalg.inv(self.last[:-1, :-1])
         scale, values = self.parameters.scale, self.values()
         edge = 1e-9 * scale
         bound = (values <= self.parameters.low + edge) | (values >= self.parameters.high - edge)
@@ -157,8 +159,8 @@ class _Search:
         predictions = self.predict_all(self.model)
         for _ in range(_MOST_STEPS):
             self.progress(f"step {self.steps + 1}", self.share())
-            R = self.factor(predictions)
-            moved, predictions = self.step(R, predictions)
+            self.last = self.factor(predictions)
+            moved, predictions = self.step(self.last, predictions)
             self.steps += 1
             if moved < settle:
                 break
@@ -181,15 +183,19 @@ class _Search:
         The filters stay as they are during the step, in the Jacobian as in the errors that judge
         it: what a parameter does through the filter says nothing on average. They follow after it.
         """
-        J, r = R[:-1, :-1], R[:-1, -1]
-        start, before = self.model, self.squares(predictions)
         p = self.parameters
+        J, r = R[:-1, :-1], R[:-1, -1]
+        if self.leashed:
+            # Until it is known what the records can tell, nothing strays beyond its worth.
+            J = np.vstack([J, np.diag(p.scale / p.worth)])
+            r = np.append(r, (self.values() - p.prior_mean) / p.worth)
+        start, before = self.model, self.squares(predictions)
         # Directions that nothing depends on stay where they are: least squares of least norm.
         by_worth = p.worth / p.scale
         errors = np.linalg.norm(np.linalg.pinv(J * by_worth, rcond=_SINGULAR), axis=1) * by_worth
         for _ in range(_MOST_TRIES):
             damped = np.vstack([J, np.diag(np.sqrt(self.damping) * np.linalg.norm(J, axis=0))])
-            right = np.append(r, np.zeros(len(r)))
+            right = np.append(r, np.zeros(J.shape[1]))
             move = -by_worth * np.linalg.lstsq(damped * by_worth, right, rcond=_SINGULAR)[0]
             values = np.clip(self.values(start) + p.scale * move, p.low, p.high)
             self.model = start.with_values(dict(zip(p.names, values.tolist(), strict=True)))
@@ -275,14 +281,18 @@ class _Search:
 
     def squares(self, predictions: Sequence[Prediction]) -> float:
         prior = self.parameters.prior_rows(self.values())[:, -1]
-        return sum(p.squares for p in predictions) + float(prior @ prior)
+        total = sum(p.squares for p in predictions) + float(prior @ prior)
+        if self.leashed:
+            p = self.parameters
+            total += float(np.sum(((self.values() - p.prior_mean) / p.worth) ** 2))
+        return total
 
     def share(self) -> float:
         return 1.0 - 0.85**self.steps
 
 
 def _shortened(e: Experiment) -> Experiment:
-    return e if e.moving else e.rows(0, max(len(e.y) // 5, min(len(e.y), _FIRST_ROWS)))
+    return e if e.moving else e.rows(0, max(len(e.y) // 8, min(len(e.y), _FIRST_ROWS)))
 
 
 def _first_noise(experiments: Sequence[Experiment]) -> Noise:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.declared import DeclaredModel
+from ..data import IdentificationError
 from .experiment import Experiment
 from .inputs import Hold
 from .motion import Motion, innovations, motion
@@ -59,6 +60,8 @@ def predict_along(at: Motion, experiment: Experiment, kalman: Filter) -> Predict
     """Return the experiment predicted by a filter along a motion, offset and start fitted."""
     nowhere = np.zeros(2 * experiment.y.shape[1])
     errors = errors_of(at, kalman, experiment, nowhere)
+    if not np.all(np.isfinite(errors)):
+        raise IdentificationError(f"record '{experiment.name}': this model runs away")
     unknowns = kalman.whiten(_unknowns(at, kalman.gain, len(errors)))
     unknowns[: at.blind] = 0.0
     flat = unknowns.reshape(-1, unknowns.shape[2])
@@ -73,7 +76,8 @@ def predict_along(at: Motion, experiment: Experiment, kalman: Filter) -> Predict
 
 def errors_of(at: Motion, kalman: Filter, experiment: Experiment, start: Array) -> Array:
     """Return whitened errors (N, n) of a motion from `start` (2n,), none in blind rows."""
-    errors = kalman.whiten(innovations(at, kalman.gain, experiment.y, start))
+    with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away is told apart later
+        errors = kalman.whiten(innovations(at, kalman.gain, experiment.y, start))
     errors[: at.blind] = 0.0
     return errors
 

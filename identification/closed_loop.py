@@ -17,7 +17,7 @@ from .loop import without_delay
 from .markov import ESTIMATORS, MarkovEstimate, estimate_markov, markov_response
 from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
 from .plant import Plant, closed_loop, plant_from_loop
-from .plausibility import STATES_A_DOF, doubts, has_decayed, predicted_errors, settling_time
+from .plausibility import HARMS, STATES_A_DOF, doubts, has_decayed, predicted_errors, settling_time
 from .results import ClosedLoopPoint, HoldOut
 from .simulate import simulate, spectral_radius
 
@@ -175,7 +175,7 @@ def _length_remarks(
             f"the loop rings for longer than {LOOP_IMPULSE_S:g} s: impulse response of "
             f"{impulse_s:.3g} s used"
         )
-        if not has_decayed(markov):
+        if not has_decayed(markov, HARMS):
             why = "which the records allow at most" if len(markov.g) == longest else "no longer one"
             remarks.append(f"it has not decayed after {impulse_s:.3g} s, {why}: record longer")
     if options.segment_s is None and segment_s < LOOP_SEGMENT_S:

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 PARTS = 6
 """The end of an impulse response is its last sixth."""
+HARMS = 1e-2
+"""Relative rms of what is cut off from which on a model suffers visibly, by 0.1 dB."""
 SETTLED = 3e-3
 """Share of the response to what came before that a settled record may still show."""
 NOISE = 4.0
@@ -31,8 +33,8 @@ WORSE = 2.0
 """Rms error of a true model over that of its Markov parameters, whose noise alone is larger."""
 
 
-def has_decayed(markov: MarkovEstimate) -> bool:
-    """Say whether the end of the impulse response is noise, or too small to matter.
+def has_decayed(markov: MarkovEstimate, cut_off: float = CUT_OFF) -> bool:
+    """Say whether the end of the impulse response is noise, or less than `cut_off` of it.
 
     For every input and output: the rms of the last sixth of g against its standard error, and
     against the largest sixth on the way, of couplings that of both axes they couple.
@@ -44,7 +46,7 @@ def has_decayed(markov: MarkovEstimate) -> bool:
     power = np.mean(sixths**2, axis=1)
     end = np.sqrt(power[-1])
     signal = end > np.sqrt(NOISE) * markov.standard_error
-    return not bool(np.any(signal & (end > CUT_OFF * _of_axes(np.sqrt(power.max(axis=0))))))
+    return not bool(np.any(signal & (end > cut_off * _of_axes(np.sqrt(power.max(axis=0))))))
 
 
 def settling_time(loop: StateSpace, least_s: float, most_s: float) -> float:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..config.model import ModelConfig
 from ..log.reader import Log, read_log
+from .coverage import PoorExcitationError
 from .data import IdentificationError, Record, describe_position
 from .declared import declared_model
 from .from_log import NotARecordError, from_log
@@ -73,7 +74,7 @@ def study(
         )
     points, grey = None, None
     multisine: tuple[BestLinearApproximation, ...] = ()
-    failed: IdentificationError | None = None
+    failed: PoorExcitationError | None = None
     skipped = tuple(found.reasons)
     notes = list(skipped)
     if found.records:
@@ -85,7 +86,7 @@ def study(
                 skipped,
             )
             notes = [*points.skipped, *_distrusted(points)]
-        except IdentificationError as error:
+        except PoorExcitationError as error:
             failed = error
             notes.append(f"no Markov parameters: {error}")
     if found.periodic:

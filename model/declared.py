@@ -122,16 +122,19 @@ class DeclaredModel:
 
     def over(self, scheduling: Mapping[str, Array]) -> Matrices:
         """Return the matrices along scheduling variables (N,), those not given as declared."""
+        grids = (self.M, self.D, self.K, self.B, (self.force,))
+        M, D, K, B, force = (self._along(grid, scheduling) for grid in grids)
+        return Matrices(M, D, K, B, force[:, 0])
+
+    def force_over(self, scheduling: Mapping[str, Array]) -> Array:
+        """Return the model's own force (N, n) alone."""
+        return self._along((self.force,), scheduling)[:, 0]
+
+    def _along(self, grid: Grid, scheduling: Mapping[str, Array]) -> Array:
         values: dict[str, float | Array] = {**self.values, **self.scheduling, **scheduling}
         n = len(next(iter(scheduling.values()))) if scheduling else 1
         try:
-            return Matrices(
-                M=_stacked(self.M, values, n),
-                D=_stacked(self.D, values, n),
-                K=_stacked(self.K, values, n),
-                B=_stacked(self.B, values, n),
-                force=_stacked((self.force,), values, n)[:, 0],
-            )
+            return _stacked(grid, values, n)
         except ExpressionError as error:
             raise ModelError(str(error)) from None
 

@@ -292,7 +292,8 @@ class _Search:
 
 
 def _shortened(e: Experiment) -> Experiment:
-    return e if e.moving else e.rows(0, max(len(e.y) // 8, min(len(e.y), _FIRST_ROWS)))
+    rows = 2 * _FIRST_ROWS if e.moving else _FIRST_ROWS
+    return e.rows(0, max(len(e.y) // 8, min(len(e.y), rows)))
 
 
 def _first_noise(experiments: Sequence[Experiment]) -> Noise:

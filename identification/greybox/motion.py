@@ -71,7 +71,7 @@ def motion(
             for name, values in begin.items()
         }
         at = model.over({name: 0.5 * (begin[name] + end[name]) for name in begin})
-        force = np.stack([model.over(begin).force, model.over(end).force], axis=2)
+        force = np.stack([model.force_over(begin), model.force_over(end)], axis=2)
     else:
         mean = {name: np.array([values.mean()]) for name, values in experiment.schedule.items()}
         at, force = model.over(mean), np.zeros((1, len(model.dof), 2))

@@ -136,6 +136,10 @@ def words(found: Study) -> list[str]:
             if p["se"] is not None
         ]
         lines += grey["unidentifiable"]
+    # Steps of a session that are no records are nobody's loss; what was refused is.
+    lines += [
+        f"note: {note}" for note in plain["notes"] if "only records are identified" not in note
+    ]
     return lines
 
 
@@ -146,6 +150,7 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
     count = len(point["records"])
     line = f"{_where(point['beam_m'])}: {count} record{'s' * (count != 1)}, order {point['order']}"
     lines = [f"{line}{gap}"]
+    lines += [f"  not to be trusted: {doubt}" for doubt in point.get("doubts", [])]
     if "order_gap" in point:
         return lines
     for held in point["holdout"]:

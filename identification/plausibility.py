@@ -27,7 +27,7 @@ NOISE = 4.0
 CUT_OFF = 1e-3
 """Relative rms that does no harm: what is cut off of a response makes its resonances err by it."""
 STATES_A_DOF = 2
-MATTERS = 0.01
+MATTERS = 0.05
 """Share of an output's motion that may be missed without a doubt."""
 WORSE = 2.0
 """Rms error of a true model over that of its Markov parameters, whose noise alone is larger."""

@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from ...model.declared import DeclaredModel
+from ..data import IdentificationError
 from . import kernels
 from .experiment import Experiment
 from .inputs import Hold, moments
 
 Array = NDArray[np.float64]
 
+_FASTEST = 8.0
+"""Largest product of a model's fastest rate and the sampling time: beyond, samples tell nothing."""
 _FORGOTTEN = 12.0
 """Time constants after which a lag has forgotten its input to 6e-6."""
 _ACCURACY = 1e-12
@@ -108,11 +111,14 @@ def taylor_scale(K: Array, D: Array, Ts_s: float) -> Array:
     # |A Ts| in units where the fastest motion has position and velocity of the same size.
     fastest = math.sqrt(float(np.abs(K).sum(axis=2).max())) + float(np.abs(D).sum(axis=2).max())
     reach, term, order = fastest * Ts_s, 1.0, 0
+    if not reach < _FASTEST:
+        raise IdentificationError(
+            f"expected a model that samples {Ts_s:g} s apart can follow, found one whose fastest "
+            f"motion has {fastest:.3g} rad/s: check rate_hz of the records and values of the model"
+        )
     while term > _ACCURACY or order < 3:
         order += 1
         term *= reach / order
-        if order > 60:
-            break
     return np.array([Ts_s**j / math.factorial(j) for j in range(order + 1)])
 
 

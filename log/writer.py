@@ -33,7 +33,7 @@ _CHANNEL = 1
 
 
 class LogWriter:
-    """Writes one log file; what was written is on its way to disk a chunk (0.5 s) later.
+    """Writes one log file; what was written is on its way to disk a chunk (0.9 s) later.
 
     Equal rows, times, metadata and attachments give equal bytes. One thread at a time may use it.
 
@@ -61,7 +61,7 @@ class LogWriter:
         schema_name: str = "levid/msg/Cycle",
         topic: str = "/levid/cycle",
         units: Mapping[str, str] | None = None,
-        chunk_s: float = 0.5,
+        chunk_s: float = 0.9,
     ) -> None:
         self.path = Path(path)
         self.dtype = dtype

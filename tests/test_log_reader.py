@@ -44,6 +44,7 @@ def path(rows, tmp_path_factory):
         path,
         DTYPE,
         rate_hz=100,
+        chunk_s=0.5,
         metadata={"kind": "record"},
         attachments={"rig.yaml": b"levid: rig\n" * 20},
     ) as log:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..config.model import ModelConfig
+from ..log.errors import LogError
 from ..log.reader import Log, read_log
 from .coverage import PoorExcitationError
 from .data import IdentificationError, Record, describe_position
@@ -146,17 +147,25 @@ def _identity(log: Log) -> object:
 
 
 def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:
+    """Give a log to every method that can use it; what none can use is left out with a reason."""
+    reason: NotARecordError | None = None
     try:
         if not _periodic(log, found):
             found.records.append(from_log(log))
-    except NotARecordError as reason:
+    except NotARecordError as error:
+        reason = error
+    if model is not None:
+        try:
+            found.experiments.append(experiment_from_log(log, model))
+            return
+        except NotARecordError as error:
+            reason = error
+        except (IdentificationError, LogError) as error:
+            if reason is not None:
+                raise
+            found.reasons.append(f"not used for the declared model: {error}")
+    if reason is not None:
         found.reasons.append(str(reason))
-    if model is None:
-        return
-    try:
-        found.experiments.append(experiment_from_log(log, model))
-    except NotARecordError:
-        return  # said already
 
 
 def _periodic(log: Log, found: _Sorted) -> bool:

@@ -205,7 +205,7 @@ def python_control(g: NDArray[np.float64], blocks: int) -> list[Figure]:
         return [present]
     import control
 
-    markov = g[1 : 2 * blocks + 1].transpose(1, 2, 0)
+    markov = g[: 2 * blocks + 1].transpose(1, 2, 0)
     times = median_times(
         {"era": lambda: control.eigensys_realization(markov, 9, m=blocks, n=blocks)}, 1
     )

@@ -65,7 +65,7 @@ def _mapping(text: str | bytes, where: str) -> dict[str, Any]:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
         raise ConfigError(f"{where}{line}: not valid YAML: {error.problem}") from None
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+    except Exception as error:  # noqa: BLE001 - PyYAML's constructors raise whatever they meet
         raise ConfigError(f"{where}: not valid YAML: {error}".replace("\n", " ")) from None
     if not isinstance(data, dict):
         found = "nothing" if data is None else type(data).__name__

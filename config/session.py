@@ -12,6 +12,7 @@ from .rig import Rate
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Duration = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
+Pause = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
 Dof = Literal["psi", "theta", "z"]
 
 
@@ -67,7 +68,7 @@ class Waypoint(Strict):
     to_m: Finite
     velocity_m_s: Positive | None = None
     acceleration_m_s2: Positive | None = None
-    dwell_s: NonNegative = 0.0
+    dwell_s: Pause = 0.0
 
 
 class Levitate(Strict):
@@ -75,7 +76,7 @@ class Levitate(Strict):
 
     unload_s: Duration = 0.5
     ramp_s: Duration = 1.5
-    settle_s: NonNegative = 4.0
+    settle_s: Pause = 4.0
 
 
 class Move(Strict):
@@ -85,7 +86,7 @@ class Move(Strict):
     rotor_rad: Finite | None = None
     velocity_m_s: Positive | None = None
     acceleration_m_s2: Positive | None = None
-    settle_s: NonNegative = 4.0
+    settle_s: Pause = 4.0
 
 
 class Orthogonal(Strict):
@@ -112,8 +113,8 @@ class RecordStep(Strict):
     duration_s: Duration | None = None
     excite: tuple[Name, ...] = ()
     orthogonal: Orthogonal | None = None
-    settle_s: NonNegative = 3.0
-    fade_s: NonNegative = 0.5
+    settle_s: Pause = 3.0
+    fade_s: Pause = 0.5
     beam: tuple[Waypoint, ...] = ()
 
     @model_validator(mode="after")

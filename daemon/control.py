@@ -139,7 +139,8 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
 
     fault = 0
     for j in range(n_sensors):
-        if airborne and abs(gap[j]) > gap_limit:
+        # On the way up and down the stops are beyond the limit; ten times as far nothing is real.
+        if abs(gap[j]) > gap_limit * (1.0 if airborne else 10.0) and in_control:
             fault = _GAP
     if in_control and abs(beam[0]) > beam_limit:
         fault = _BEAM

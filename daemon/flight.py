@@ -11,11 +11,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..drivers.base import Context, Devices
 from ..drivers.registry import open_devices
 from ..log.signals import cycle_dtype
+from . import trajectory
 from .clock import Clock, RealClock, VirtualClock
 from .control import Controller
 from .faults import Fault, FlightFault
@@ -25,6 +27,8 @@ from .recorder import LogFile, Recorder
 from .ring import Ring
 from .segment import Segment, idle_segment
 from .states import State
+
+Array = NDArray[np.float64]
 
 _RING_S = 4.0
 _RING_AT_LEAST = 16_384
@@ -144,7 +148,10 @@ class Flight:
             if step.kind == "record":
                 records.append(path)
             file = LogFile(path, self._metadata(plan, step), attachments)
-            self._fly_step(step, prepared[step.index], file, tell)
+            segments = prepared[step.index]
+            if self.loop.stop_requested:
+                segments = _ready(self._landing_from_here(segments()))
+            self._fly_step(step, segments, file, tell)
             stopped |= self.loop.stop_requested and step.kind != "land"
         # The files are complete only once the recorder has caught up.
         self._recorder.shut()
@@ -159,6 +166,19 @@ class Flight:
             self._ring.lost - lost,
             stopped,
         )
+
+    def _landing_from_here(self, planned: list[Segment]) -> list[Segment]:
+        """Return a landing that brakes beam and rotor where they are, not where the plan ends."""
+        limits, control = self._rig.limits, self._controller
+        Ts_s = 1.0 / self._rate_hz
+        (beam_m, beam_m_s), (rotor_rad, rotor_rad_s) = control.beam_ref[:2], control.rotor_ref[:2]
+        beam = trajectory.brake(beam_m, beam_m_s, limits.beam_acceleration_m_s2, Ts_s)
+        rotor = trajectory.brake(rotor_rad, rotor_rad_s, limits.rotor_acceleration_rad_s2, Ts_s)
+        first, *others = planned
+        return [
+            replace(first, beam=beam, rotor=rotor),
+            *(replace(s, beam=beam[-1:], rotor=rotor[-1:]) for s in others),
+        ]
 
     def _metadata(self, plan: Plan, step: PlannedStep) -> dict[str, str]:
         return {
@@ -205,9 +225,14 @@ class Flight:
         self.loop.zero()
 
     def _idle_segment(self, cycles: int) -> Segment:
-        beam = np.array([self.beam_m, 0.0, 0.0])
-        rotor = np.array([self.rotor_rad, 0.0, 0.0])
+        beam, rotor = self._still
         return idle_segment(cycles, len(self._controller.coil_n), beam, rotor)
+
+    @property
+    def _still(self) -> tuple[Array, Array]:
+        """Setpoints (3,) at rest where beam and rotor were last told to be."""
+        at = self._controller.beam_ref[0], self._controller.rotor_ref[0]
+        return np.array([at[0], 0.0, 0.0]), np.array([at[1], 0.0, 0.0])
 
     def _warm_up(self) -> None:
         """Run the compiled cycle once on made-up readings, so that no flight pays for compiling."""
@@ -217,6 +242,10 @@ class Flight:
         for sync in self.devices.syncs:
             sync(0)
         self.devices.drives.read(self._controller.beam, self._controller.rotor)
+        # Once, and never again: from here on the manipulator stays where it was last told to be.
+        reach = self._rig.limits.beam_m
+        self._controller.beam_ref[0] = np.clip(np.nan_to_num(self.beam_m), -reach, reach)
+        self._controller.rotor_ref[0] = np.nan_to_num(self.rotor_rad)
 
 
 def _ready(segments: list[Segment]) -> Callable[[], list[Segment]]:

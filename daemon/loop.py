@@ -13,7 +13,10 @@ from .faults import Fault
 from .ring import Ring
 from .segment import Segment
 
-_LATE_IN_A_ROW = 20
+_LATE_SCORE = 20.0
+"""Late cycles that are too many; a cycle in time takes _LATE_FORGIVEN of them back."""
+_LATE_FORGIVEN = 0.1
+_LONGEST_STALL_S = 0.5
 _BLOCK = 4096
 
 
@@ -90,20 +93,22 @@ class Loop:
         )  # fmt: skip
         cycle, head, period_s = self.cycle, ring.head, self._period_s
         fault = 0
-        for k in range(begin, end):
-            cycle += 1
-            for sync in syncs:
-                sync(cycle)
-            sensors.read(gap)
-            drives.read(beam, rotor)
-            amplifiers.read(readback)
-            fault = step(rows, head % capacity, cycle, cycle * period_s, k)
-            amplifiers.write(coil)
-            drives.write(beam_ref, rotor_ref)
-            head += 1
-            if fault or (self.stop_requested and stoppable):
-                break
-        self.cycle, ring.head = cycle, head
+        try:
+            for k in range(begin, end):
+                cycle += 1
+                for sync in syncs:
+                    sync(cycle)
+                sensors.read(gap)
+                drives.read(beam, rotor)
+                amplifiers.read(readback)
+                fault = step(rows, head % capacity, cycle, cycle * period_s, k)
+                amplifiers.write(coil)
+                drives.write(beam_ref, rotor_ref)
+                head += 1
+                if fault or (self.stop_requested and stoppable):
+                    break
+        finally:  # what was flown before a driver failed is in the log all the same
+            self.cycle, ring.head = cycle, head
         return fault
 
     def _in_real_time(self, cycles: int, stoppable: bool) -> int:
@@ -116,13 +121,15 @@ class Loop:
         )  # fmt: skip
         lateness, execution, skips = rows["lateness_s"], rows["execution_s"], rows["skipped"]
         period_s, wait, now = self._period_s, clock.wait, time.perf_counter_ns
-        fault, late_in_a_row, k = 0, 0, -1
+        fault, late_score, k = 0, 0.0, -1
+        longest_stall = _LONGEST_STALL_S / period_s
         while k < cycles - 1:
             late_s = wait()
             begin = now()
             skipped = clock.skipped
             self.cycle += 1 + skipped
-            k += 1 + skipped
+            # The plan waits for what was skipped: a ramp or a move that jumped would be a jolt.
+            k += 1
             for sync in syncs:
                 sync(self.cycle)
             sensors.read(gap)
@@ -133,13 +140,13 @@ class Loop:
             fault = step(rows, slot, self.cycle, self.cycle * period_s, k)
             if skipped:
                 self.late += 1
-                late_in_a_row += 1
-                if late_in_a_row > _LATE_IN_A_ROW and not fault:
+                late_score += 1.0
+                if (late_score > _LATE_SCORE or skipped > longest_stall) and not fault:
                     fault = int(Fault.LATE)
                     control.halt()
                     rows["fault"][slot] = fault
-            else:
-                late_in_a_row = 0
+            elif late_score > 0.0:
+                late_score -= _LATE_FORGIVEN
             amplifiers.write(coil)
             drives.write(beam_ref, rotor_ref)
             lateness[slot] = late_s

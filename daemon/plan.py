@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..config.base import ConfigError
 from ..config.rig import RigConfig
-from ..config.session import Land, Levitate, Move, RecordStep, SessionConfig
+from ..config.session import Land, Levitate, Move, RecordStep, SessionConfig, Step
 from ..model.geometry import decoupling_matrix
 from . import trajectory
 from .excitation import fade, signal
@@ -92,18 +92,23 @@ class _Planner:
         steps: list[PlannedStep] = []
         for index, step in enumerate(self.session.steps):
             where = f"{self.source}: steps[{index}].{step.kind}"
-            if step.levitate is not None:
-                planned = self.levitate(step.levitate)
-            elif step.move is not None:
-                planned = self.move(step.move, where)
-            elif step.record is not None:
-                planned = self.record(step.record, index, where)
-            else:
-                planned = self.land(step.land or Land())
-            name = step.record.name if step.record else step.kind
-            cycles, segments = planned
-            steps.append(PlannedStep(index, step.kind, name, cycles, segments))
+            try:
+                steps.append(self.step(step, index, where))
+            except (ValueError, OverflowError) as error:
+                raise ConfigError(f"{where}: {error}") from None
         return Plan(self.session.name, self.rate_hz, tuple(steps))
+
+    def step(self, step: Step, index: int, where: str) -> PlannedStep:
+        if step.levitate is not None:
+            planned = self.levitate(step.levitate)
+        elif step.move is not None:
+            planned = self.move(step.move, where)
+        elif step.record is not None:
+            planned = self.record(step.record, index, where)
+        else:
+            planned = self.land(step.land or Land())
+        name = step.record.name if step.record else step.kind
+        return PlannedStep(index, step.kind, name, *planned)
 
     def levitate(self, step: Levitate) -> tuple[int, Callable[[], list[Segment]]]:
         idle, settle = self.n(_IDLE_S), self.n(step.settle_s)

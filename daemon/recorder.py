@@ -98,11 +98,12 @@ class Recorder:
 
     def _work(self) -> bool:
         ring = self._ring
+        head = ring.head  # before the marks: a mark that comes after it lies at or behind it
         if self._marks and ring.tail >= self._marks[0][0]:
             _, file = self._marks.popleft()
             self._guard(lambda: self._switch(file))
             return True
-        up_to = self._marks[0][0] if self._marks else ring.head
+        up_to = self._marks[0][0] if self._marks else head
         if ring.tail >= up_to:
             return False
         rows = ring.take(up_to, _BLOCK)

@@ -14,6 +14,7 @@ _LONGEST_LINE = 1 << 20
 _MOST_CLIENTS = 16
 _WAITING_CLIENTS = 128
 _TIMEOUT_S = 10.0
+_BACK_OFF_S = 0.1
 
 # A request's handler: takes the request and a function that sends a line before the answer.
 Send = Callable[[Mapping[str, Any]], None]
@@ -39,12 +40,15 @@ class Server:
         self._path, self._handlers = path, dict(handlers)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._clients = threading.BoundedSemaphore(_MOST_CLIENTS)
+        self._closed = threading.Event()
 
     def start(self) -> None:
         """Open the socket and answer from now on; raises ServerError."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o750)
             if self._path.exists():
+                if not self._path.is_socket():
+                    raise ServerError(f"{self._path}: expected a socket or nothing, found a file")
                 if _answers(self._path):
                     raise ServerError(f"{self._path}: another daemon answers here already")
                 self._path.unlink()
@@ -57,6 +61,7 @@ class Server:
 
     def close(self) -> None:
         """Stop answering and remove the socket."""
+        self._closed.set()
         self._socket.close()
         self._path.unlink(missing_ok=True)
 
@@ -65,7 +70,9 @@ class Server:
             try:
                 connection, _ = self._socket.accept()
             except OSError:
-                return
+                if self._closed.wait(_BACK_OFF_S):
+                    return
+                continue  # out of file descriptors, say: it passes
             if not self._clients.acquire(blocking=False):
                 connection.close()
                 continue

@@ -53,6 +53,7 @@ class Service:
         self._fault = Fault.NONE
         self._detail = ""
         self._stopping = False
+        self._busy = threading.Lock()
         self._server = Server(
             socket_path,
             {
@@ -78,8 +79,13 @@ class Service:
                     except queue.Empty:
                         self._idle()
                         continue
-                    self._fly(self._job)
+                    if self._fault is Fault.NONE:
+                        self._fly(self._job)
+                    else:  # it came while the session was being planned
+                        self._job.error = ServiceError(f"in fault {self._fault.name}")
+                        self._job.done.set()
                     self._job = None
+                    self._busy.release()
             finally:
                 self._server.close()
 
@@ -135,11 +141,15 @@ class Service:
     def _excite(self, request: Mapping[str, Any], send: Send) -> Mapping[str, Any]:
         if self._fault is not Fault.NONE:
             raise ServiceError(f"in fault {self._fault.name}: clear it first")
-        job = self._new_job(request)
+        # One session at a time, from its planning to its end: a plan begins where the beam is.
+        if not self._busy.acquire(blocking=False):
+            raise ServiceError("a session is being flown, or is about to be")
         try:
+            job = self._new_job(request)
             self._jobs.put_nowait(job)
-        except queue.Full:
-            raise ServiceError("a session is waiting already") from None
+        except BaseException:
+            self._busy.release()
+            raise
         while not job.done.wait(_PROGRESS_S):
             send({"step": job.step, "share": job.share})
         if job.error is not None:
@@ -156,8 +166,6 @@ class Service:
         }
 
     def _new_job(self, request: Mapping[str, Any]) -> _Job:
-        if self._job is not None:
-            raise ServiceError(f"session {self._job.plan.name} is being flown")
         text, out = request.get("session"), request.get("out")
         if not isinstance(text, str) or not isinstance(out, str):
             raise ServiceError("excite: expected 'session' (YAML text) and 'out' (a folder)")

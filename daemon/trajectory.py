@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 # Peak velocity and acceleration of the minimum-jerk polynomial over distance/T and distance/T^2.
 _PEAK_VELOCITY = 15.0 / 8.0
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
+_LONGEST_S = 3600.0
 
 
 def move(start: float, end: float, velocity: float, acceleration: float, Ts_s: float) -> Array:
@@ -19,6 +20,8 @@ def move(start: float, end: float, velocity: float, acceleration: float, Ts_s: f
 
     The profile is the minimum-jerk quintic (Flash and Hogan, 1985), as short as the limits on
     velocity and acceleration allow; the last row is `end` at rest. Units follow the arguments.
+
+    Raises ValueError for a move that takes more than an hour.
     """
     distance = end - start
     if distance == 0.0:
@@ -27,6 +30,10 @@ def move(start: float, end: float, velocity: float, acceleration: float, Ts_s: f
         _PEAK_VELOCITY * abs(distance) / velocity,
         math.sqrt(_PEAK_ACCELERATION * abs(distance) / acceleration),
     )
+    if duration > _LONGEST_S:
+        raise ValueError(
+            f"expected a move of at most {_LONGEST_S:g} s, found one of {duration:.3g} s"
+        )
     n = max(math.ceil(duration / Ts_s), 1)
     duration = n * Ts_s
     s = np.arange(1, n + 1) / n
@@ -35,6 +42,19 @@ def move(start: float, end: float, velocity: float, acceleration: float, Ts_s: f
     accel = distance / duration**2 * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
     setpoints = np.stack([position, speed, accel], axis=1)
     setpoints[-1] = end, 0.0, 0.0
+    return setpoints
+
+
+def brake(position: float, velocity: float, acceleration: float, Ts_s: float) -> Array:
+    """Return setpoints (n, 3) that bring a motion to rest at a constant deceleration."""
+    n = max(math.ceil(abs(velocity) / (acceleration * Ts_s)), 1)
+    t, duration = np.arange(1, n + 1) * Ts_s, n * Ts_s
+    a = -velocity / duration
+    setpoints = np.empty((n, 3))
+    setpoints[:, 0] = position + velocity * t + a * t**2 / 2
+    setpoints[:, 1] = velocity + a * t
+    setpoints[:, 2] = a
+    setpoints[-1, 1:] = 0.0
     return setpoints
 
 

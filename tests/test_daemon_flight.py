@@ -233,6 +233,38 @@ def test_stop_at_any_time_ends_on_the_stops_without_a_jump(tmp_path: Path, at_cy
     assert np.abs(np.diff(carried, axis=0)).max() < 1.5
 
 
+@pytest.mark.parametrize("sim", ["sims/nominal.yaml", "sims/rig.yaml"])
+def test_stop_while_the_beam_moves_brakes_it_within_its_limits(tmp_path: Path, sim: str) -> None:
+    # The plan ends with the beam at +0.1 m; the stop comes on its way to -0.1 m.
+    config = session(
+        steps=[
+            {"levitate": {"settle_s": 0.5}},
+            {"move": {"beam_m": -0.1, "settle_s": 1.0}},
+            {"move": {"beam_m": 0.1}},
+            {"land": {}},
+        ]
+    )
+    rig = load_rig(RIG_FILE).model_copy(update={"sim": str(shipped(sim))})
+    with Flight(rig, RIG_FILE.parent, 1000.0, VirtualClock()) as flight:
+        read, reads = flight.devices.sensors.read, itertools.count()
+
+        def reading(gap_m: np.ndarray) -> None:
+            flight.loop.stop_requested |= next(reads) >= 3200
+            read(gap_m)
+
+        flight.devices.sensors.read = reading  # type: ignore[method-assign]
+        (tmp_path / "logs").mkdir()
+        result = flight.fly(plan_session(config, rig), tmp_path / "logs", {})
+    assert result.stopped
+    rows = np.concatenate([read_log(path).rows for path in result.logs])
+    speed, pace = rows["beam_ref_m_s"], np.diff(rows["beam_ref_m"]) * 1000.0
+    assert np.abs(pace).max() < rig.limits.beam_velocity_m_s
+    # Setpoints and their speeds tell the same story: no jump hides between two cycles.
+    np.testing.assert_allclose(pace, 0.5 * (speed[1:] + speed[:-1]), atol=2e-3)
+    assert speed[-1] == 0.0
+    assert rows["fault"].max() == 0
+
+
 def test_another_session_records_again_after_one_that_could_not(tmp_path: Path) -> None:
     config, rig = session(), load_rig(RIG_FILE)
     bad, good = tmp_path / "bad", tmp_path / "good"
@@ -244,6 +276,40 @@ def test_another_session_records_again_after_one_that_could_not(tmp_path: Path) 
             flight.fly(plan_session(config, rig), bad, {})
         result = flight.fly(plan_session(config, rig), good, {})
     assert all(read_log(path).complete for path in result.logs)
+
+
+@pytest.mark.parametrize(
+    "move",
+    [
+        {"beam_m": 0.1, "velocity_m_s": 1e-9},
+        {"rotor_rad": 1e7},
+        {"beam_m": 0.1, "acceleration_m_s2": 1e-320},
+    ],
+)
+def test_move_without_an_end_is_refused(move: dict) -> None:
+    config = session(steps=[{"levitate": {}}, {"move": move}, {"land": {}}])
+    with pytest.raises(ConfigError, match=r"steps\[1\].move: expected a move of at most 3600 s"):
+        plan_session(config, load_rig(RIG_FILE))
+
+
+def test_rows_before_a_failing_driver_are_in_the_log(tmp_path: Path) -> None:
+    config, rig = session(), load_rig(RIG_FILE)
+    with Flight(rig, RIG_FILE.parent, 1000.0, VirtualClock()) as flight:
+        read, reads = flight.devices.sensors.read, itertools.count()
+
+        def failing(gap_m: np.ndarray) -> None:
+            if next(reads) == 1000:
+                raise DriverError("bus can0: gone")
+            read(gap_m)
+
+        flight.devices.sensors.read = failing  # type: ignore[method-assign]
+        (tmp_path / "logs").mkdir()
+        with pytest.raises(FlightFault):
+            flight.fly(plan_session(config, rig), tmp_path / "logs", {})
+    rows = read_log(tmp_path / "logs" / "00-levitate.mcap").rows
+    np.testing.assert_array_equal(rows["cycle"][:1000], np.arange(1000))
+    assert np.all(np.diff(rows["cycle"].astype(int)) > 0)
+    assert rows["fault"][-1] == Fault.DRIVER
 
 
 def test_waypoint_that_its_record_cannot_hold_is_refused() -> None:

@@ -157,6 +157,14 @@ def test_second_daemon_on_one_socket_is_refused(socket_file: Path) -> None:
         Server(socket_file, {}).start()
 
 
+def test_file_that_is_no_socket_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "precious.txt"
+    path.write_text("mine")
+    with pytest.raises(ServerError, match="found a file"):
+        Server(path, {}).start()
+    assert path.read_text() == "mine"
+
+
 def test_no_daemon_says_how_to_start_one(tmp_path: Path) -> None:
     with pytest.raises(DaemonError, match="levid run RIG"), Client(tmp_path / "none.sock"):
         pass

@@ -27,6 +27,11 @@ REFERENCE = ("psi_ref_rad", "theta_ref_rad", "z_ref_m")
 _CYCLE = (*EXCITATION, *_WRENCH, *FEED_FORWARD, *POSE, *REFERENCE, "beam_m")
 
 
+_SHORTEST_ROWS = 50
+_SAME_RATE = 0.01
+"""Share by which the rate of a log may differ from its log times: clocks of others drift."""
+
+
 class NotARecordError(IdentificationError):
     """A log that is not to be identified, with the reason: part of a session, no failure."""
 
@@ -173,8 +178,22 @@ def _require(log: Log, names: Sequence[str]) -> None:
             f"{log.path}: expected the fields {', '.join(names)}; {', '.join(missing)} missing"
         )
     for name in names:
+        if log.rows[name].ndim != 1:
+            raise IdentificationError(
+                f"{log.path}: {name}: expected one value a row, found several"
+            )
         if not np.all(np.isfinite(log.rows[name])):
             raise IdentificationError(f"{log.path}: {name}: expected finite values, found others")
+    if len(log.rows) < _SHORTEST_ROWS:
+        raise IdentificationError(
+            f"{log.path}: expected at least {_SHORTEST_ROWS} rows, found {len(log.rows)}"
+        )
+    period_s = 1e-9 * float(np.median(np.diff(log.log_time_ns.astype(np.int64))))
+    if abs(period_s * log.rate_hz - 1.0) > _SAME_RATE:
+        raise IdentificationError(
+            f"{log.path}: rate_hz: expected what the log times say, a row every {period_s:g} s, "
+            f"found {log.rate_hz:g} Hz"
+        )
 
 
 def columns(log: Log, names: Sequence[str]) -> Array:

@@ -125,7 +125,9 @@ class Unpacker:
             stated = lz4.frame.get_frame_info(packed)["content_size"]
             if stated not in (0, size) or size > _LZ4_BEST_RATIO * len(packed):
                 raise ValueError(f"expected {size} bytes, the frame holds {stated or 'fewer'}")
-            return memoryview(lz4.frame.decompress(packed))
+            # One byte more than stated tells a frame that holds more, at no more cost than that.
+            whole = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+            return memoryview(whole)
         raise LogError(f"{where}: expected zstd, lz4 or none, found '{segment.compression}'")
 
 

@@ -147,7 +147,8 @@ def dtype_from_ros2msg(text: str) -> np.dtype[np.void]:
     Raises:
         LogError: a field is nested, of variable size, or not understood; it is named.
     """
-    names, formats, offsets, end = [], [], [], 0
+    names: dict[str, None] = {}  # in order, and quick to ask
+    formats, offsets, end = [], [], 0
     for line in _definition_lines(text):
         name, kind, length = _field_of(line)
         if name in names:
@@ -159,12 +160,12 @@ def dtype_from_ros2msg(text: str) -> np.dtype[np.void]:
             raise LogError(
                 f"schema: field '{name}': the record grows beyond {_MAX_RECORD_BYTES} bytes"
             )
-        names.append(name)
+        names[name] = None
         formats.append(kind if length is None else (kind, (length,)))
         offsets.append(offset)
     if not names:
         raise LogError("schema: expected fields of fixed size, found none")
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": end})
+    return np.dtype({"names": list(names), "formats": formats, "offsets": offsets, "itemsize": end})
 
 
 def markdown_table() -> str:

@@ -32,7 +32,7 @@ def _log(n: int = 1000) -> Log:
     return Log(
         path=Path("02-z.mcap"),
         rows=rows,
-        log_time_ns=np.arange(n, dtype=np.uint64),
+        log_time_ns=np.arange(n, dtype=np.uint64) * 10**6,
         rate_hz=1000.0,
         schema_name="levid/msg/Cycle",
         metadata={"kind": "record", "name": "z"},

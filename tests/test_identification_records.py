@@ -40,7 +40,7 @@ def _log(rows: np.ndarray, **changes: object) -> Log:
     log = Log(
         path=Path("03-left-theta.mcap"),
         rows=rows,
-        log_time_ns=np.arange(len(rows), dtype=np.uint64),
+        log_time_ns=np.arange(len(rows), dtype=np.uint64) * 10**6,
         rate_hz=1000.0,
         schema_name="levid/msg/Cycle",
         metadata={"kind": "record", "name": "left-theta"},
@@ -128,6 +128,7 @@ def test_imported_signals_take_their_roles_from_the_attachment():
         rows,
         metadata={"kind": "import", "name": "bench"},
         rate_hz=50.0,
+        log_time_ns=np.arange(100, dtype=np.uint64) * 20_000_000,
         schema_name="levid/msg/Signals",
         attachments={"signals.yaml": SIGNALS_YAML},
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -127,7 +127,17 @@ def grey_box_report(
         )
         ratios[f"{FITTED} / truth"] = _ratios(fitted, truths)
     if len(pale) == len(fitted):
-        ratios[f"{FITTED} / {HO_KALMAN}"] = _ratios(fitted, pale)
+        # At Ho-Kalman's own frequencies: between them its sharp resonances cannot be interpolated.
+        there = tuple(
+            replace(
+                c,
+                freq_hz=r.freq_hz,
+                response=grey.response(place.schedule, r.freq_hz),
+                deviation=None,
+            )
+            for c, r, place in zip(fitted, pale, places, strict=True)
+        )
+        ratios[f"{FITTED} / {HO_KALMAN}"] = _ratios(there, pale)
     return GreyBoxReport(grey, signals, places, shown, fitted, pale, truths, ratios)
 
 

@@ -71,6 +71,15 @@ class Waypoint(Strict):
     dwell_s: Pause = 0.0
 
 
+class RotorWaypoint(Strict):
+    """Turn the rotor to `to_rad`, then stay for `dwell_s`; a smooth profile within the limits."""
+
+    to_rad: Finite
+    velocity_rad_s: Positive | None = None
+    acceleration_rad_s2: Positive | None = None
+    dwell_s: Pause = 0.0
+
+
 class Levitate(Strict):
     """Take the weight off the stops in `unload_s`, rise in `ramp_s`, settle for `settle_s`."""
 
@@ -105,26 +114,43 @@ class RecordStep(Strict):
     """Log `duration_s` for identification while the named excitations play, or in silence.
 
     The platform first settles for `settle_s`, in the same log. Excitations fade in and out over
-    `fade_s` at both ends. `beam` is a trajectory that repeats until the record ends. With
-    `orthogonal` the record is as long as its experiments and the last `fade_s`.
+    `fade_s` at both ends. With `orthogonal` the record is as long as its experiments and the last
+    `fade_s`. With `each_s` the excitations play in turn, each for so long at its full level, and
+    fade into one another. `scale` multiplies their levels. `beam` and `rotor` are trajectories
+    that repeat until the record ends.
     """
 
     name: Name
     duration_s: Duration | None = None
     excite: tuple[Name, ...] = ()
     orthogonal: Orthogonal | None = None
+    each_s: Duration | None = None
+    scale: Positive = 1.0
     settle_s: Pause = 3.0
     fade_s: Pause = 0.5
     beam: tuple[Waypoint, ...] = ()
+    rotor: tuple[RotorWaypoint, ...] = ()
 
     @model_validator(mode="after")
     def _long_enough(self) -> Self:
-        if (self.duration_s is None) != (self.orthogonal is not None):
-            raise ValueError("expected 'duration_s', or 'orthogonal', which says how long it is")
+        given = [
+            key for key in ("duration_s", "orthogonal", "each_s") if getattr(self, key) is not None
+        ]
+        if len(given) != 1:
+            raise ValueError(
+                "expected 'duration_s', or 'orthogonal' or 'each_s', which say how long it is; "
+                f"found {' and '.join(given) or 'none of them'}"
+            )
         if self.orthogonal is not None and not self.excite:
             raise ValueError("expected multisines in 'excite' with 'orthogonal', found none")
-        if self.orthogonal is not None and self.beam:
+        if self.orthogonal is not None and (self.beam or self.rotor):
             raise ValueError("expected the beam at rest with 'orthogonal', found a trajectory")
+        if self.each_s is not None and not self.excite:
+            raise ValueError("expected names in 'excite' that play in turn with 'each_s'")
+        if self.each_s is not None and self.fade_s > self.each_s:
+            raise ValueError(
+                f"expected fade_s of at most each_s, found {self.fade_s} s and {self.each_s} s"
+            )
         if self.duration_s is not None and self.duration_s <= 2 * self.fade_s:
             raise ValueError(
                 f"expected duration_s longer than twice fade_s, found {self.duration_s} s "
@@ -176,7 +202,7 @@ class SessionConfig(Strict):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     excitations: dict[Name, Excitation] = Field(default_factory=dict)
     steps: Annotated[tuple[Step, ...], Field(min_length=1, max_length=10_000)]
-    then: tuple[Literal["identify"], ...] = ()
+    then: tuple[Literal["identify", "trace"], ...] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -17,6 +17,11 @@ class Fault(IntEnum):
     DRIVER = 5
     LATE = 6
     SIMULATION = 7
+    STALE = 8
+    LINK = 9
+    AMPLIFIER = 10
+    SENSOR = 11
+    DRIVE = 12
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,26 @@ FAULTS: dict[Fault, FaultText] = {
     Fault.DRIVER: FaultText(
         "a device or bus failed",
         "cables, supply and bus of the device that the message names",
+    ),
+    Fault.STALE: FaultText(
+        "readings did not come in time, or not as they should, in too many cycles in a row",
+        "load and errors of the bus that the message names, its budget (levid check)",
+    ),
+    Fault.LINK: FaultText(
+        "a bus or port is gone, or nobody answers on it",
+        "plug, adapter and supply; levid clear opens it again",
+    ),
+    Fault.AMPLIFIER: FaultText(
+        "the coil amplifiers tripped, or switched off while force was asked of them",
+        "the coil that the message names, its current and temperature; late cycles",
+    ),
+    Fault.SENSOR: FaultText(
+        "a sensor channel has no reading, is stuck, or is at the end of its range",
+        "the sensor that the message names, its cable and the ADC",
+    ),
+    Fault.DRIVE: FaultText(
+        "a drive of the manipulator does not follow",
+        "encoder and motor that the message names, the gantry's skew",
     ),
     Fault.SIMULATION: FaultText(
         "the simulated plant or one of its effects failed",

@@ -131,6 +131,8 @@ class Flight:
         prepared = {step.index: step.segments for step in plan.steps}
         if self._clock.real:
             prepared = {step.index: _ready(step.segments()) for step in plan.steps}
+            # What the computing took is no late cycle of the flight: one at zero force absorbs it.
+            self.idle(1)
         begin, late, lost = self.loop.cycle + 1, self.loop.late, self._ring.lost
 
         def tell(name: str) -> None:

@@ -13,16 +13,17 @@ class HandoverError(Exception):
     """Identification did not succeed; the logs are untouched."""
 
 
-def identify_in_own_process(records: Sequence[Path], out: Path) -> Path:
-    """Run `levid identify` on `records` at low priority, wait, and return the report's path.
+def hand_over(verb: str, records: Sequence[Path], out: Path) -> Path:
+    """Run `levid VERB` on `records` at low priority, wait, and return the report's path.
 
-    Its messages go to this process's stderr. Raises HandoverError when it fails.
+    VERB is an entry of a session's `then`. Its messages go to this process's stderr. Raises
+    HandoverError when it fails.
     """
     nice = shutil.which("nice")
     done = subprocess.run(
         [
             *([nice, "-n", "10"] if nice else []),
-            *(sys.executable, "-m", "levid.cli.main", "identify"),
+            *(sys.executable, "-m", "levid.cli.main", verb),
             *map(str, records),
             *("--out", str(out)),
         ],
@@ -32,7 +33,12 @@ def identify_in_own_process(records: Sequence[Path], out: Path) -> Path:
     )
     if done.returncode != 0:
         raise HandoverError(
-            f"identification of {len(records)} records failed (exit code {done.returncode}); "
+            f"levid {verb} of {len(records)} records failed (exit code {done.returncode}); "
             f"the logs are in {records[0].parent}"
         )
     return out / "index.html"
+
+
+def identify_in_own_process(records: Sequence[Path], out: Path) -> Path:
+    """Hand over to `levid identify`."""
+    return hand_over("identify", records, out)

@@ -6,18 +6,34 @@ import time
 from collections.abc import Callable
 
 from ..config.base import ConfigError
-from ..drivers.base import Devices
+from ..drivers.base import (
+    AmplifierError,
+    Devices,
+    DriveError,
+    DriverError,
+    LinkError,
+    SensorError,
+    StaleError,
+)
 from .clock import Clock
 from .control import Controller
 from .faults import Fault
 from .ring import Ring
 from .segment import Segment
+from .states import State
 
 _LATE_SCORE = 20.0
 """Late cycles that are too many; a cycle in time takes _LATE_FORGIVEN of them back."""
 _LATE_FORGIVEN = 0.1
 _LONGEST_STALL_S = 0.5
 _BLOCK = 4096
+_FAULT_OF = {
+    LinkError: Fault.LINK,
+    StaleError: Fault.STALE,
+    AmplifierError: Fault.AMPLIFIER,
+    SensorError: Fault.SENSOR,
+    DriveError: Fault.DRIVE,
+}
 
 
 class Loop:
@@ -55,20 +71,30 @@ class Loop:
             return Fault(run(segment.cycles, stoppable))
         except ConfigError as error:
             # The simulated plant runs effects that users wrote: what fails there is no bus.
-            self.zero()
-            self.detail = str(error)
-            return Fault.SIMULATION
+            return self._failed(Fault.SIMULATION, str(error))
+        except DriverError as error:
+            return self._failed(_FAULT_OF.get(type(error), Fault.DRIVER), str(error))
         except Exception as error:  # noqa: BLE001
-            # Whatever a driver did wrong, the coils get zero force before anyone is told.
-            self.zero()
-            self.detail = f"{type(error).__name__}: {error}"
-            return Fault.DRIVER
+            return self._failed(Fault.DRIVER, f"{type(error).__name__}: {error}")
+
+    def _failed(self, fault: Fault, detail: str) -> Fault:
+        """Zero force before anyone is told, then a row of the log that names the fault."""
+        self.zero()
+        self.detail = detail
+        ring, control = self._ring, self._controller
+        if ring.room:
+            slot = ring.head % ring.capacity
+            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
+            ring.rows["fault"][slot] = fault
+            ring.rows["state"][slot] = State.FAULT
+            ring.head += 1
+        return fault
 
     def zero(self) -> None:
         """Command zero force, as well as the devices still allow."""
         self._controller.halt()
         try:
-            self._devices.amplifiers.write(self._controller.coil_n)
+            self._devices.amplifiers.release(self._controller.coil_n)
         except Exception as error:  # noqa: BLE001 - the fault at hand matters more
             self.detail = self.detail or f"{type(error).__name__}: {error}"
 

@@ -160,21 +160,24 @@ class _Planner:
     ) -> tuple[int, Callable[[], list[Segment]]]:
         n, settle = self.record_cycles(step), self.n(step.settle_s)
         if n > _MOST_CYCLES:
-            key = "duration_s" if step.orthogonal is None else "orthogonal"
+            key = next(k for k in ("duration_s", "orthogonal", "each_s") if getattr(step, k))
             raise ConfigError(
                 f"{where}.{key}: expected at most {_MOST_CYCLES / self.rate_hz:g} s at "
                 f"{self.rate_hz:g} Hz, found {n / self.rate_hz:g} s; fly several records"
             )
-        beam_before, rotor = self.still()
-        beam = beam_before
+        beam_before, rotor_before = self.still()
+        beam, rotor = beam_before, rotor_before
         if step.beam:
             beam = self.beam_trajectory(step, n, where)
-        state = State.MOVING if step.beam and not step.excite else State.EXCITING
+        if step.rotor:
+            rotor = self.rotor_trajectory(step, n, where)
+        moves = bool(step.beam or step.rotor)
+        state = State.MOVING if moves and not step.excite else State.EXCITING
 
         def segments() -> list[Segment]:
             v, coil_excitation = self.excitation(step, index, n, where)
             return [
-                self.flying(State.LEVITATING, settle, beam_before, rotor),
+                self.flying(State.LEVITATING, settle, beam_before, rotor_before),
                 Segment(state, n, v, coil_excitation, _FLYING, beam, rotor),
             ]
 
@@ -201,17 +204,19 @@ class _Planner:
     def excitation(self, step: RecordStep, index: int, n: int, where: str) -> tuple[Array, Array]:
         """Return v (n, 3) and coil excitation (n, C); a single row of zeros where nothing plays."""
         v, coils = self.no_v, self.no_coils
-        window = fade(n, step.fade_s, self.rate_hz)
         signals = self.signals(step, index, n)
-        for name in step.excite:
+        for position, name in enumerate(step.excite):
             excitation = self.session.excitations[name]
             try:
-                played = window * next(signals)
+                samples = step.scale * next(signals)
             except ConfigError as error:
                 raise ConfigError(f"{self.source}: excitations.{name}.{error}") from None
+            samples *= fade(len(samples), step.fade_s, self.rate_hz)
+            begin = 0 if step.each_s is None else position * self.n(step.each_s)
+            during = slice(begin, begin + len(samples))
             if excitation.input in _AXIS:
                 v = v if len(v) == n else np.zeros((n, 3))
-                v[:, _AXIS[excitation.input]] += played
+                v[during, _AXIS[excitation.input]] += samples
             else:
                 coil = int(excitation.input.removeprefix("coil:"))
                 if coil >= self.coils:
@@ -220,11 +225,11 @@ class _Planner:
                         f"found {excitation.input}"
                     )
                 coils = coils if len(coils) == n else np.zeros((n, self.coils))
-                coils[:, coil] += played
+                coils[during, coil] += samples
         return v, coils
 
     def signals(self, step: RecordStep, index: int, n: int) -> Iterator[Array]:
-        """Yield the samples (n,) of each excitation of a record; raises ConfigError."""
+        """Yield the samples of each excitation of a record, (n,) or a turn; raises ConfigError."""
         played = [self.session.excitations[name] for name in step.excite]
         seed = self.session.seed
         if step.orthogonal is not None:
@@ -232,19 +237,23 @@ class _Planner:
                 played, step.orthogonal, step.fade_s, self.rate_hz, seed, index
             ).T
             return
+        if step.each_s is not None:  # the next one fades in while a turn fades out
+            n = self.n(step.each_s) + self.n(step.fade_s)
         for position, excitation in enumerate(played):
             # One stream for each place in the session: adding a record leaves the others alone.
             rng = np.random.default_rng([seed, index, position])
             yield signal(excitation, n, self.rate_hz, rng)
 
     def record_cycles(self, step: RecordStep) -> int:
-        if step.orthogonal is None:
-            assert step.duration_s is not None
-            return self.n(step.duration_s)
-        first = self.session.excitations[step.excite[0]]
-        return orthogonal_cycles(
-            first, len(step.excite), step.orthogonal, step.fade_s, self.rate_hz
-        )
+        if step.orthogonal is not None:
+            first = self.session.excitations[step.excite[0]]
+            return orthogonal_cycles(
+                first, len(step.excite), step.orthogonal, step.fade_s, self.rate_hz
+            )
+        if step.each_s is not None:
+            return len(step.excite) * self.n(step.each_s) + self.n(step.fade_s)
+        assert step.duration_s is not None
+        return self.n(step.duration_s)
 
     def check_levels(self, v: Array, coil_excitation: Array, beam: Array, where: str) -> None:
         """Raise ConfigError where weight and excitation together ask more than a coil can give."""
@@ -263,39 +272,62 @@ class _Planner:
             )
 
     def beam_trajectory(self, step: RecordStep, n: int, where: str) -> Array:
-        """Return setpoints (n, 3): the waypoints, again and again, cut at the record's end."""
-        parts: list[Array] = []
-        length = 0
-        while length < n:
-            before = length
-            for number, point in enumerate(step.beam):
-                key, from_m = f"{where}.beam[{number}].to_m", self.beam_m
-                part = self.beam_move(point.to_m, point.velocity_m_s, point.acceleration_m_s2, key)
-                if length + len(part) > n:
-                    # No move that the record would cut in the middle: the beam waits instead.
-                    if not parts:
-                        raise ConfigError(
-                            f"{key}: expected a move that ends within the record's "
-                            f"{n / self.rate_hz:g} s, found one of {len(part) / self.rate_hz:g} s; "
-                            "move faster or record longer"
-                        )
-                    self.beam_m = from_m
-                    parts.append(trajectory.hold(self.beam_m, n - length))
-                    return np.vstack(parts)[:n]
-                parts.append(part)
-                dwell = min(self.n(point.dwell_s), n - length - len(part))
-                parts.append(trajectory.hold(point.to_m, dwell))
-                length += len(part) + dwell
-                if length == n:
-                    break
-            if length - before <= len(step.beam):
-                break  # waypoints that go nowhere and stay nowhere: hold for the rest
-        parts.append(trajectory.hold(self.beam_m, max(n - length, 0)))
-        return np.vstack(parts)[:n]
+        """Return the beam's setpoints (n, 3): its waypoints, again and again."""
+        legs = [
+            self.beam_leg(
+                point.to_m,
+                point.velocity_m_s,
+                point.acceleration_m_s2,
+                point.dwell_s,
+                f"{where}.beam[{number}].to_m",
+            )
+            for number, point in enumerate(step.beam)
+        ]
+        try:
+            setpoints = trajectory.repeated(self.beam_m, legs, n, 1 / self.rate_hz)
+        except ValueError as error:
+            raise ConfigError(f"{where}.beam[0].to_m: {error}") from None
+        self.beam_m = float(setpoints[-1, 0])
+        return setpoints
+
+    def rotor_trajectory(self, step: RecordStep, n: int, where: str) -> Array:
+        """Return the rotor's setpoints (n, 3): its waypoints, again and again."""
+        limits = self.rig.limits
+        legs: list[trajectory.Leg] = []
+        for number, point in enumerate(step.rotor):
+            velocity, acceleration = limits.rotor_velocity_rad_s, limits.rotor_acceleration_rad_s2
+            at = f"{where}.rotor[{number}]"
+            fast, hard = point.velocity_rad_s, point.acceleration_rad_s2
+            _check_limit(f"{at}.velocity_rad_s", fast, velocity, "rad/s")
+            _check_limit(f"{at}.acceleration_rad_s2", hard, acceleration, "rad/s2")
+            legs.append(
+                trajectory.Leg(point.to_rad, fast or velocity, hard or acceleration, point.dwell_s)
+            )
+        try:
+            setpoints = trajectory.repeated(self.rotor_rad, legs, n, 1 / self.rate_hz)
+        except ValueError as error:
+            raise ConfigError(f"{where}.rotor[0].to_rad: {error}") from None
+        self.rotor_rad = float(setpoints[-1, 0])
+        return setpoints
 
     def beam_move(
         self, to_m: float, velocity: float | None, acceleration: float | None, where: str
     ) -> Array:
+        leg = self.beam_leg(to_m, velocity, acceleration, 0.0, where)
+        setpoints = trajectory.move(
+            self.beam_m, leg.to, leg.velocity, leg.acceleration, 1 / self.rate_hz
+        )
+        self.beam_m = to_m
+        return setpoints
+
+    def beam_leg(
+        self,
+        to_m: float,
+        velocity: float | None,
+        acceleration: float | None,
+        dwell_s: float,
+        where: str,
+    ) -> trajectory.Leg:
         limits = self.rig.limits
         if abs(to_m) > limits.beam_m:
             raise ConfigError(f"{where}: expected within +-{limits.beam_m:g} m, found {to_m:g} m")
@@ -303,19 +335,13 @@ class _Planner:
             ("velocity_m_s", velocity, limits.beam_velocity_m_s, "m/s"),
             ("acceleration_m_s2", acceleration, limits.beam_acceleration_m_s2, "m/s2"),
         ):
-            if value is not None and value > limit:
-                raise ConfigError(
-                    f"{where}: {key}: expected at most {limit:g} {unit}, found {value:g} {unit}"
-                )
-        setpoints = trajectory.move(
-            self.beam_m,
+            _check_limit(f"{where}: {key}", value, limit, unit)
+        return trajectory.Leg(
             to_m,
             velocity or limits.beam_velocity_m_s / 2,
             acceleration or limits.beam_acceleration_m_s2 / 10,
-            1 / self.rate_hz,
+            dwell_s,
         )
-        self.beam_m = to_m
-        return setpoints
 
     def flying(
         self,
@@ -347,6 +373,11 @@ class _Planner:
 
     def n(self, duration_s: float) -> int:
         return round(duration_s * self.rate_hz)
+
+
+def _check_limit(where: str, value: float | None, limit: float, unit: str) -> None:
+    if value is not None and value > limit:
+        raise ConfigError(f"{where}: expected at most {limit:g} {unit}, found {value:g} {unit}")
 
 
 def _smooth(n: int) -> Array:

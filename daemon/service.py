@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,6 +39,12 @@ class _Job:
     error: Exception | None = None
 
 
+@dataclass
+class _Recovery:
+    done: threading.Event = field(default_factory=threading.Event)
+    error: Exception | None = None
+
+
 class Service:
     """Runs the loop in this thread until `stop` is called; requests come through the socket.
 
@@ -50,6 +57,7 @@ class Service:
         self._flight = Flight(rig, rig_file.parent, rig.rate_hz, RealClock(1.0 / rig.rate_hz))
         self._jobs: queue.Queue[_Job] = queue.Queue(maxsize=1)
         self._job: _Job | None = None
+        self._recoveries: queue.Queue[_Recovery] = queue.Queue()
         self._fault = Fault.NONE
         self._detail = ""
         self._stopping = False
@@ -74,6 +82,7 @@ class Service:
             ready()
             try:
                 while not self._stopping:
+                    self._recover_if_asked()
                     try:
                         self._job = self._jobs.get_nowait()
                     except queue.Empty:
@@ -96,9 +105,25 @@ class Service:
 
     def _idle(self) -> None:
         fault = self._flight.idle(max(int(_IDLE_S * self._rig.rate_hz), 1))
-        # Late cycles at zero force harm nobody; they count, but they do not fault.
-        if fault not in (Fault.NONE, Fault.LATE):
+        # Late cycles and stale readings at zero force harm nobody; they count, but do not fault.
+        if fault not in (Fault.NONE, Fault.LATE, Fault.STALE):
             self._enter_fault(fault, self._flight.loop.detail)
+            # A dead bus fails at once: wait as long as an idle stretch would have taken.
+            time.sleep(_IDLE_S)
+
+    def _recover_if_asked(self) -> None:
+        """Recover the devices for a client that clears a fault: they belong to this thread."""
+        try:
+            recovery = self._recoveries.get_nowait()
+        except queue.Empty:
+            return
+        try:
+            self._flight.devices.recover()
+            self._fault, self._detail = Fault.NONE, ""
+            self._flight.latch(Fault.NONE)
+        except Exception as error:  # noqa: BLE001 - the client is told, the fault stays
+            recovery.error = error
+        recovery.done.set()
 
     def _fly(self, job: _Job) -> None:
         def progress(step: str, done: int, total: int) -> None:
@@ -121,6 +146,8 @@ class Service:
             job.done.set()
 
     def _enter_fault(self, fault: Fault, detail: str) -> None:
+        if self._fault is not Fault.NONE:
+            return  # what came first is the cause
         self._fault, self._detail = fault, detail
         self._flight.latch(fault)
 
@@ -131,6 +158,7 @@ class Service:
             "rate_hz": self._rig.rate_hz,
             "cycle": loop.cycle,
             "late": loop.late,
+            "stale": self._flight.devices.stale,
             "fault": self._fault.name,
             "detail": self._detail,
             "session": job.plan.name if job else None,
@@ -201,6 +229,12 @@ class Service:
         return {"landing": True}
 
     def _clear(self, request: Mapping[str, Any], send: Send) -> Mapping[str, Any]:  # noqa: ARG002
-        cleared, self._fault, self._detail = self._fault, Fault.NONE, ""
-        self._flight.latch(Fault.NONE)
+        cleared = self._fault
+        if cleared is Fault.NONE:
+            return {"cleared": cleared.name}
+        recovery = _Recovery()
+        self._recoveries.put(recovery)
+        recovery.done.wait()
+        if recovery.error is not None:
+            raise ServiceError(f"the fault {cleared.name} stays: {recovery.error}")
         return {"cleared": cleared.name}

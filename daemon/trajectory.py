@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +45,46 @@ def move(start: float, end: float, velocity: float, acceleration: float, Ts_s: f
     setpoints = np.stack([position, speed, accel], axis=1)
     setpoints[-1] = end, 0.0, 0.0
     return setpoints
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A move to `to` within these limits, then `dwell_s` at rest; units as in `move`."""
+
+    to: float
+    velocity: float
+    acceleration: float
+    dwell_s: float
+
+
+def repeated(start: float, legs: Sequence[Leg], n: int, Ts_s: float) -> Array:
+    """Return setpoints (n, 3) from `start` over the legs, again and again, for n cycles.
+
+    A move that the end would cut is not begun: the axis waits instead.
+
+    Raises ValueError where not even the first move ends within n cycles.
+    """
+    parts: list[Array] = []
+    length, at = 0, start
+    while length < n:
+        before = length
+        for leg in legs:
+            part = move(at, leg.to, leg.velocity, leg.acceleration, Ts_s)
+            if length + len(part) > n:
+                if not parts:
+                    raise ValueError(
+                        f"expected a move that ends within the record's {n * Ts_s:g} s, found one "
+                        f"of {len(part) * Ts_s:g} s; move faster or record longer"
+                    )
+                return np.vstack([*parts, hold(at, n - length)])
+            dwell = min(round(leg.dwell_s / Ts_s), n - length - len(part))
+            parts += [part, hold(leg.to, dwell)]
+            length, at = length + len(part) + dwell, leg.to
+            if length == n:
+                break
+        if length - before <= len(legs):
+            break  # waypoints that go nowhere and stay nowhere: hold for the rest
+    return np.vstack([*parts, hold(at, n - length)])
 
 
 def brake(position: float, velocity: float, acceleration: float, Ts_s: float) -> Array:

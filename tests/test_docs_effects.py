@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
+import pkgutil
 import re
 from pathlib import Path
 
@@ -11,12 +14,13 @@ import pytest
 from levid.config.base import load_yaml
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
+from levid.sim import effects
 from levid.sim.effects import HOOKS
 from levid.sim.plant import Plant
 
 DOC = (Path(__file__).parents[1] / "docs" / "effects.md").read_text()
 (CODE,) = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)
-(SNIPPET,) = re.findall(r"```yaml\n(.*?)```", DOC, re.DOTALL)
+SNIPPET, SHIPPED = re.findall(r"```yaml\n(.*?)```", DOC, re.DOTALL)
 
 
 @pytest.fixture
@@ -66,3 +70,38 @@ def test_example_s_coil_warms_up(tmp_path):
 def test_page_names_every_hook():
     table = re.findall(r"^\| `(\w+)\(", DOC, re.MULTILINE)
     assert tuple(table) == HOOKS
+
+
+def test_page_lists_every_shipped_effect_with_its_keys():
+    listed = dict(re.findall(r"^\| `(\w+:\w+)` \| (.*?) \|", DOC, re.MULTILINE))
+    shipped_ones = {}
+    for module in pkgutil.iter_modules(effects.__path__):
+        name = f"{effects.__name__}.{module.name}"
+        for cls in vars(importlib.import_module(name)).values():
+            hooked = inspect.isclass(cls) and any(hasattr(cls, hook) for hook in HOOKS)
+            if hooked and cls.__module__ == name and module.name not in ("contract", "loader"):
+                shipped_ones[f"{module.name}:{cls.__name__}"] = cls
+    bases = {base for cls in shipped_ones.values() for base in cls.__mro__[1:]}
+    keys = {use: _keys(cls) for use, cls in shipped_ones.items() if cls not in bases}
+    assert listed == keys
+
+
+def _keys(cls):
+    """Return the class's keyword arguments as the page writes them."""
+    shown = []
+    for key, parameter in inspect.signature(cls).parameters.items():
+        default = parameter.default
+        has_value = default is not parameter.empty and default is not None
+        value = default if isinstance(default, str) or not has_value else f"{default:g}"
+        shown.append(f"`{key}={value}`" if has_value else f"`{key}`")
+    return ", ".join(shown)
+
+
+def test_shipped_effects_of_the_page_fly(tmp_path):
+    nominal = shipped("sims/nominal.yaml").read_text()
+    path = tmp_path / "my-sim.yaml"
+    path.write_text(nominal.replace("effects: []\n", SHIPPED))
+    plant = Plant(load_yaml(path, SimConfig), 1e-3, source=path)
+    for _ in range(20):
+        plant.advance(np.full(9, 8.0), np.zeros(3), np.zeros(3))
+    assert np.isfinite(plant.pose).all()

@@ -1,0 +1,73 @@
+"""The zoo: every effect that the simulator knows, at a nominal size and with one number to scale.
+
+The table is zoo-cases.yaml. At scale 1 the closed loop of the session `trace-short` differs from
+the same flight without the effect by about five times the noise of a gap (rms over all gaps and
+records), or as much as physics allows; what a refit of the declared model takes up of it is not
+yet taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+_TABLE = Path(__file__).with_name("zoo-cases.yaml")
+_UNLISTED = Path(__file__).with_name("_unlisted_effects.py")
+
+
+@dataclass(frozen=True)
+class ZooCase:
+    """One effect: its class and place as `levid trace` is to name them, and how it is simulated.
+
+    `size` names the values that make it larger and the power of the scale that each goes with,
+    such that forces or readings grow about in proportion: 1 for a gain, -1 for a distance or a
+    stiffness. `absorbed` says by what, where a refit of the declared model leaves nothing of the
+    effect, or where the gaps cannot show it. `alike` are classes that the same data fit as well.
+    """
+
+    name: str
+    kind: str
+    where: tuple[str, ...]
+    use: str
+    values: Mapping[str, Any]
+    size: Mapping[str, float]
+    absorbed: str | None
+    alike: tuple[str, ...]
+
+    def effect(self, scale: float) -> dict[str, Any]:
+        """Return the entry of a SIM.yaml's `effects` at `scale` times the nominal size."""
+        values = dict(self.values)
+        for key, power in self.size.items():
+            by, value = scale**power, values[key]
+            values[key] = [by * v for v in value] if isinstance(value, list) else by * value
+        return {"use": self.use, **values}
+
+
+def _read(section: str) -> tuple[ZooCase, ...]:
+    table = yaml.safe_load(_TABLE.read_text(encoding="utf-8"))
+    return tuple(_case(name, dict(row)) for name, row in table[section].items())
+
+
+def _case(name: str, row: dict[str, Any]) -> ZooCase:
+    place, _, cls = row.pop("use").rpartition(":")
+    return ZooCase(
+        name,
+        row.pop("class"),
+        tuple(row.pop("where")),
+        f"{_UNLISTED}:{cls}" if place == "unlisted" else f"levid.sim.effects.{place}:{cls}",
+        row.pop("values"),
+        row.pop("size"),
+        row.pop("absorbed", None),
+        tuple(row.pop("alike", [])),
+    )
+
+
+CASES = _read("cases")
+"""Effects of levid.sim.effects."""
+
+UNLISTED = _read("unlisted")
+"""Effects that are in no table of levid's, candidates or simulator; see _unlisted_effects."""

@@ -1,0 +1,89 @@
+"""The beam sits in its bearings on a hysteretic spring and shifts when the platform tilts."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ..arrays import GRAVITY_M_S2
+from ..kernels import Array
+from .contract import BeamState, EffectPlant
+from .friction import Springs
+from .places import positive
+
+_SPRINGS = 8
+
+
+class BearingPresliding:
+    """Presliding of the beam in its bearings, along x (theta) or across, along y (psi).
+
+    The encoders see the carriage; the drives' loops hold that to the platform, and what follows
+    takes place between carriage and beam, where no loop reaches and no encoder looks. The platform
+    alone shows it. With delta the beam's shift against its carriage, R the force of the bearing on
+    the beam, and Y = delta - z_b theta its shift in space, which is free of the platform's angular
+    acceleration,
+
+        m_b Y'' = R - m_b g theta (- m_b a_b along x),   R = -F(delta) - c delta'
+        tau_theta = z_b R - m_b g delta
+
+    (for psi likewise). The plant has the beam rigid in its tilts: m_b z_b^2 in M, m_b g z_b in K
+    and m_b z_b a_b as a reaction are taken off it here, as R brings them. F is a spring of
+    stiffness k for small ways that yields little by little and slips at W: eight springs that slip
+    one after the other, evenly spread over the ways from 0 to 2 W / k (Iwan 1966; measured on ball
+    guides by Al-Bender and Symens 2005). W must be above what the tilts ask for, some newtons, or
+    else the beam walks away.
+
+    Semi-implicit Euler steps of Y: fine while sqrt(k / m_b) stays well below 1 / dt. Across the
+    rails this holds for both plant levels; along x the level `nonlinear` lets the beam's drive feel
+    the platform's tilt as if the bearing were rigid.
+    """
+
+    def __init__(
+        self,
+        axis: Literal["x", "y"],
+        m_b_kg: float,
+        stiffness_n_m: float,
+        slip_n: float,
+        damping_n_s_m: float,
+    ) -> None:
+        if axis not in ("x", "y"):
+            raise ValueError(f"axis: expected x or y, found {axis!r}")
+        positive(m_b_kg=m_b_kg, stiffness_n_m=stiffness_n_m, slip_n=slip_n)
+        self._row = 1 if axis == "x" else 0
+        self.m_b_kg, self.damping_n_s_m = m_b_kg, damping_n_s_m
+        k = stiffness_n_m / _SPRINGS
+        yields_m = 2.0 * slip_n / stiffness_n_m * (np.arange(_SPRINGS) + 0.5) / _SPRINGS
+        self._springs = Springs([k] * _SPRINGS, (k * yields_m).tolist())
+
+    def reset(self, plant: EffectPlant) -> None:
+        """Put the beam where its bearing is not strained."""
+        self._z_b, self._dt_s = plant.geometry.beam_z_m, plant.dt_s
+        self._mass = np.zeros((3, 3))
+        self._mass[self._row, self._row] = -self.m_b_kg * self._z_b**2
+        self._shift_m: float | None = None
+        self._speed_m_s, self._delta_m = 0.0, 0.0
+        self._springs.slacken()
+
+    def wrench(self, t_s: float, q: Array, qd: Array, beam: BeamState) -> list[float]:
+        """Advance the beam; return what its bearing changes, N m, N m, N."""
+        m, z_b, dt = self.m_b_kg, self._z_b, self._dt_s
+        # Half a step ahead, since the wrench is held over the step: see OnDof.
+        tilt = float(q[self._row]) + 0.5 * dt * float(qd[self._row])
+        if self._shift_m is None:
+            self._shift_m, self._speed_m_s = -z_b * tilt, -z_b * float(qd[self._row])
+        self._shift_m += dt * self._speed_m_s
+        delta = self._shift_m + z_b * tilt
+        rate = self._speed_m_s + z_b * float(qd[self._row])
+        force = -self._springs.force(delta - self._delta_m) - self.damping_n_s_m * rate
+        self._delta_m = delta
+        along = m * beam.a_m_s2 if self._row == 1 else 0.0
+        self._speed_m_s += dt * ((force - along) / m - GRAVITY_M_S2 * tilt)
+        tau = [0.0, 0.0, 0.0]
+        rigid = m * GRAVITY_M_S2 * z_b * tilt + z_b * along
+        tau[self._row] = z_b * force - m * GRAVITY_M_S2 * delta - rigid
+        return tau
+
+    def mass(self, t_s: float) -> Array:
+        """Return what M loses, kg m^2."""
+        return self._mass

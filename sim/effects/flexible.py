@@ -1,0 +1,85 @@
+"""A flexible mode of the platform: driven by the coils, seen by the sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from ..kernels import Array
+from .contract import EffectPlant
+from .places import positive
+
+SHAPES: Mapping[str, Callable[[Array, Array], Array]] = {
+    "twist": lambda x, y: x * y,
+    "saddle": lambda x, y: x * x - y * y,
+    "bowl": lambda x, y: x * x + y * y,
+}
+"""First modes of a free square plate, in x / r and y / r; the bowl's mean is taken off."""
+
+
+class FlexibleMode:
+    """m (eta'' + 2 zeta w eta' + w^2 eta) = sum phi_i F_i; the sensors see psi_j eta on top.
+
+    phi and psi are the shape at coils and sensors, 1 at its largest: a name of SHAPES (Leissa,
+    Vibration of Plates 1969), or a list of C numbers, which then stands for the sensors too unless
+    `sensor_shape` says otherwise. Modes are orthogonal to the rigid body's motions, hence they feel
+    the coils alone and not the weight. Advanced exactly for a force held over the step.
+    """
+
+    def __init__(
+        self,
+        freq_hz: float,
+        damping: float,
+        mass_kg: float,
+        shape: str | Sequence[float] = "twist",
+        sensor_shape: Sequence[float] | None = None,
+    ) -> None:
+        positive(freq_hz=freq_hz, mass_kg=mass_kg, damping=damping)
+        if damping >= 1.0:
+            raise ValueError(f"damping: expected less than 1, found {damping!r}")
+        if isinstance(shape, str) and shape not in SHAPES:
+            raise ValueError(f"shape: expected one of {', '.join(SHAPES)}, found {shape!r}")
+        self.freq_hz, self.damping, self.mass_kg = freq_hz, damping, mass_kg
+        self.shape, self.sensor_shape = shape, sensor_shape
+
+    def reset(self, plant: EffectPlant) -> None:
+        """Put the mode to rest; raises ValueError for a shape of the wrong length."""
+        g = plant.geometry
+        at_coils = _shape(self.shape, g.coil_x_m, g.coil_y_m, g.r_m, "shape")
+        seen = self.shape if self.sensor_shape is None else self.sensor_shape
+        self._seen = _shape(seen, g.sensor_x_m, g.sensor_y_m, g.r_m, "sensor_shape")
+        self._drive = at_coils / self.mass_kg
+        w, dt = 2.0 * math.pi * self.freq_hz, plant.dt_s
+        self._static = 1.0 / (w * w)
+        decay, turn = self.damping * w, w * math.sqrt(1.0 - self.damping**2)
+        fall, c, s = math.exp(-decay * dt), math.cos(turn * dt), math.sin(turn * dt) / turn
+        # Free motion over a step: eta and eta' from eta and eta'.
+        self._step = (fall * (c + decay * s), fall * s, -fall * w * w * s, fall * (c - decay * s))
+        self._eta, self._rate = 0.0, 0.0
+
+    def coil_force(self, t_s: float, q: Array, force_n: Array) -> Array:
+        """Advance the mode; the coils' force on the rigid body is what it is, N."""
+        rest = float(self._drive @ force_n) * self._static
+        away, rate = self._eta - rest, self._rate
+        a, b, c, d = self._step
+        self._eta, self._rate = rest + a * away + b * rate, c * away + d * rate
+        return force_n
+
+    def gap(self, t_s: float, gap_m: Array) -> Array:
+        """Return the gaps with the mode on top, m."""
+        gap_m += self._seen * self._eta
+        return gap_m
+
+
+def _shape(shape: str | Sequence[float], x_m: Array, y_m: Array, r_m: float, key: str) -> Array:
+    """Return the shape at these points (N,), 1 at its largest."""
+    if isinstance(shape, str):
+        values = SHAPES[shape](x_m / r_m, y_m / r_m)
+        values = values - values.mean() if shape == "bowl" else values
+        return np.asarray(values / np.abs(values).max())
+    values = np.array(shape, dtype=np.float64)
+    if values.shape != x_m.shape:
+        raise ValueError(f"{key}: expected {len(x_m)} numbers, found {len(values)}")
+    return values

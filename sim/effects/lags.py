@@ -1,0 +1,89 @@
+"""Coils whose force comes late: a lag, a delay, and the slow loss of a coil that gets warm."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from ..kernels import Array
+from .coils import OnCoils
+from .contract import EffectPlant
+from .places import Channel, positive
+
+
+class ActuatorLag(OnCoils):
+    """tau F' = F_in - F: eddy currents or a slow current loop, on top of the nominal lag.
+
+    Gives the mean over the step, exact for a force that is constant over it.
+    """
+
+    def __init__(self, coil: Channel, lag_s: float) -> None:
+        super().__init__(coil)
+        positive(lag_s=lag_s)
+        self.lag_s = lag_s
+
+    def reset(self, plant: EffectPlant) -> None:
+        """Begin with no force."""
+        super().reset(plant)
+        ratio = plant.dt_s / self.lag_s
+        self._decay, self._mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
+        self._force_n = np.zeros(len(self._at))
+
+    def given(self, force_n: Array) -> Array:
+        """Return what the coils at hand give, N."""
+        lacks = self._force_n - force_n
+        self._force_n = force_n + self._decay * lacks
+        return force_n + self._mean * lacks
+
+
+class ExtraDelay(OnCoils):
+    """F(t) = F_in(t - delay): a bus or a converter that takes longer.
+
+    Delays that are no whole number of steps are exact for forces constant over each step.
+    """
+
+    def __init__(self, coil: Channel, delay_s: float) -> None:
+        super().__init__(coil)
+        if delay_s < 0.0:
+            raise ValueError(f"delay_s: expected 0 or more, found {delay_s!r}")
+        self.delay_s = delay_s
+
+    def reset(self, plant: EffectPlant) -> None:
+        """Begin with no force on the way."""
+        super().reset(plant)
+        steps = self.delay_s / plant.dt_s
+        # A hair, so that 3e-4 / 1e-4 is three whole steps.
+        whole = math.floor(steps + 1e-9)
+        self._part = max(steps - whole, 0.0)
+        self._way = deque([np.zeros(len(self._at))] * (whole + 2), maxlen=whole + 2)
+
+    def given(self, force_n: Array) -> Array:
+        """Return what the coils at hand give, N."""
+        self._way.append(force_n)
+        return self._part * self._way[0] + (1.0 - self._part) * self._way[1]
+
+
+class ThermalDrift(OnCoils):
+    """F = F (1 - loss w), T w' = (F / F_rated)^2 - w: magnets weaken as the coil's loss warms them.
+
+    The loss in the copper goes with the current squared, so w is 1 after a long time at F_rated.
+    """
+
+    def __init__(self, coil: Channel, loss: float, rated_n: float, time_constant_s: float) -> None:
+        super().__init__(coil)
+        positive(rated_n=rated_n, time_constant_s=time_constant_s)
+        self.loss, self.rated_n, self.time_constant_s = loss, rated_n, time_constant_s
+
+    def reset(self, plant: EffectPlant) -> None:
+        """Begin cold."""
+        super().reset(plant)
+        self._rate = -math.expm1(-plant.dt_s / self.time_constant_s)
+        self._warmth = np.zeros(len(self._at))
+
+    def given(self, force_n: Array) -> Array:
+        """Return what the coils at hand give, N."""
+        load = force_n / self.rated_n
+        self._warmth += self._rate * (load * load - self._warmth)
+        return force_n * (1.0 - self.loss * self._warmth)

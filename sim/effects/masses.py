@@ -1,0 +1,52 @@
+"""Masses that are not where the model has them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import GRAVITY_M_S2
+from ..kernels import Array
+from .contract import BeamState
+
+
+class CentreOfMass:
+    """The platform's own mass m_p sits at (x, y) instead of above the middle.
+
+    By Steiner's and Lagrange's rules m_p y and m_p x couple psi and theta with z in the mass
+    matrix, and the weight turns by -m_p g y and -m_p g x. The inertias about O stay: their change
+    m_p x^2 is of second order.
+    """
+
+    def __init__(self, m_p_kg: float, x_m: float, y_m: float) -> None:
+        mx, my = m_p_kg * x_m, m_p_kg * y_m
+        self._mass = np.array([[0.0, 0.0, my], [0.0, 0.0, mx], [my, mx, 0.0]])
+        self._tau = [-GRAVITY_M_S2 * my, -GRAVITY_M_S2 * mx, 0.0]
+
+    def mass(self, t_s: float) -> Array:
+        """Return what M gets more, kg m^2, kg m, kg."""
+        return self._mass
+
+    def wrench(self, t_s: float, q: Array, qd: Array, beam: BeamState) -> list[float]:
+        """Return what the weight turns, N m, N m, N."""
+        return self._tau
+
+
+class Payload:
+    """From `begin_s` on a point mass lies on the platform at (x, y); it comes without a push.
+
+    M gets m [y, x, 1]^T [y, x, 1], the weight adds -m g [y, x, 1].
+    """
+
+    def __init__(self, mass_kg: float, x_m: float, y_m: float, begin_s: float) -> None:
+        at = np.array([y_m, x_m, 1.0])
+        self._mass, self._tau = mass_kg * np.outer(at, at), -mass_kg * GRAVITY_M_S2 * at
+        self._none, self._nothing = np.zeros((3, 3)), np.zeros(3)
+        self.begin_s = begin_s
+
+    def mass(self, t_s: float) -> Array:
+        """Return what M gets more, kg m^2, kg m, kg."""
+        return self._mass if t_s >= self.begin_s else self._none
+
+    def wrench(self, t_s: float, q: Array, qd: Array, beam: BeamState) -> Array:
+        """Return its weight, N m, N m, N."""
+        return self._tau if t_s >= self.begin_s else self._nothing

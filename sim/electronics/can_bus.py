@@ -1,0 +1,177 @@
+"""Electronics on a CAN bus: amplifiers and ADC by the DBC, drives as CANopen nodes."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...config.base import ConfigError
+from ...config.buses import CanDriveOptions
+from ...config.rig import RigConfig
+from ...wire.can_frames import Fields, load_frames
+from ...wire.cia402 import SYNC_COUNTER, SYNC_ID
+from ...wire.rejected import Rejected
+from .core import Core
+from .faults import Injector, Outgoing
+
+Frame = tuple[int, bytes]
+
+
+class CanElectronics:
+    """Answers on one bus until `stop`."""
+
+    def __init__(
+        self,
+        name: str,
+        rig: RigConfig,
+        folder: Path,
+        roles: Mapping[str, object],
+        core: Core,
+        injector: Injector,
+    ) -> None:
+        self._config, self._core, self._injector = rig.can[name], core, injector
+        dbc = folder / self._config.dbc if self._config.dbc else None
+        self._frames = load_frames(dbc, core.coils, core.sensors, self._config.fd)
+        self._outgoing = Outgoing(injector)
+        self._handlers: dict[int, Callable[[int, bytes], None]] = {}
+        self._coil_n = np.zeros(core.coils)
+        self._cycle = 0
+        self._amplifiers, self._sensors = "amplifiers" in roles, "sensors" in roles
+        frames = self._frames
+        if self._amplifiers or self._sensors:
+            self._handlers[frames.sync.can_id] = self._sync
+        if self._amplifiers:
+            self._handlers |= dict.fromkeys(frames.setpoint.ids, self._setpoint)
+            self._handlers[frames.request.can_id] = self._asked(frames.request, frames.answer)
+        if self._sensors:
+            self._handlers[frames.sensor_request.can_id] = self._asked(
+                frames.sensor_request, frames.sensor_answer
+            )
+        self._drives: Any = None
+        options = roles.get("drives")
+        if isinstance(options, CanDriveOptions):
+            from .drive_nodes import DriveNodes
+
+            eds = folder / options.eds if options.eds else None
+            self._drives = DriveNodes(rig, options, eds, core, injector, self._send)
+            self._handlers[SYNC_ID] = self._drives_sync
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"levid-{name}", daemon=True)
+        self._bus: Any = None
+
+    def start(self) -> None:
+        """Open the bus and answer from now on; raises ConfigError."""
+        self._open()
+        if self._drives is not None:
+            self._drives.boot()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop answering and leave the bus."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._close()
+
+    def _open(self) -> None:
+        import can
+
+        config = self._config
+        more: dict[str, Any] = dict(config.options)
+        if config.fd:
+            more |= {"fd": True, "data_bitrate": config.data_bitrate}
+        elif config.interface == "udp_multicast":
+            more |= {"fd": False}
+        try:
+            self._bus = can.Bus(
+                interface=config.interface, channel=config.channel, bitrate=config.bitrate, **more
+            )
+        except Exception as error:  # noqa: BLE001 - interfaces raise whatever they meet
+            raise ConfigError(f"can: {config.interface} {config.channel}: {error}") from None
+        self._message = can.Message
+
+    def _close(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with contextlib.suppress(Exception):
+                bus.shutdown()
+
+    def _run(self) -> None:
+        patience_s = min(1.5 * self._core.period_s, 0.1)
+        while not self._stopping.is_set():
+            try:
+                message = self._bus.recv(patience_s)
+            except Exception:  # noqa: BLE001 - an interface that is down comes back
+                time.sleep(patience_s)
+                message = None
+            if self._drives is not None and self._injector.hears:
+                self._drives.poll()
+            if message is None or not self._injector.hears:
+                self._core.tick()
+                continue
+            if message.is_extended_id or message.is_error_frame or message.is_remote_frame:
+                continue
+            can_id = message.arbitration_id
+            handler = self._handlers.get(can_id)
+            if handler is not None:
+                handler(can_id, bytes(message.data))
+            elif self._drives is not None:
+                self._drives.take(can_id, bytes(message.data))
+
+    def _send(self, can_id: int, data: bytes) -> None:
+        fd = self._config.fd and len(data) > 8
+        message = self._message(
+            arbitration_id=can_id, is_extended_id=False, data=data, is_fd=fd, bitrate_switch=fd
+        )
+        with contextlib.suppress(Exception):  # nobody on the bus: as on a wire
+            self._bus.send(message)
+
+    def _sync(self, _: int, data: bytes) -> None:
+        numbers = self._frames.sync.decode(data)
+        if isinstance(numbers, Rejected):
+            return
+        core, frames = self._core, self._frames
+        self._cycle = numbers[0]
+        batch: list[Frame] = []
+        with core.lock:
+            core.begin(self._cycle)
+            if self._sensors:
+                batch += frames.gap.encode(core.gap_m, self._cycle, core.sensor_state)
+            if self._amplifiers:
+                batch += frames.force.encode(core.force_n, self._cycle, core.amplifier_state)
+        frames.setpoint.begin()
+        for frame in self._outgoing.through(batch):
+            self._send(*frame)
+
+    def _drives_sync(self, _: int, data: bytes) -> None:
+        if len(data) != 1 or not 1 <= data[0] <= SYNC_COUNTER:
+            return
+        self._core.begin(data[0] - 1, SYNC_COUNTER)
+        for frame in self._drives.sync():
+            self._send(*frame)
+
+    def _setpoint(self, can_id: int, data: bytes) -> None:
+        if "drop-setpoints" in self._injector.wire:
+            return
+        setpoint = self._frames.setpoint
+        # Setpoints of a cycle that come a second time are those of zero force at once.
+        if setpoint.complete:
+            setpoint.begin()
+        if setpoint.accept(can_id, data, self._cycle) is not None or not setpoint.complete:
+            return
+        if setpoint.finish(self._coil_n) is None:
+            self._core.setpoints(self._coil_n)
+
+    def _asked(self, request: Fields, answer: Fields) -> Callable[[int, bytes], None]:
+        def asked(_: int, data: bytes) -> None:
+            numbers = request.decode(data)
+            if not isinstance(numbers, Rejected) and "drop" not in self._injector.wire:
+                self._send(*answer.encode(*self._core.request(*numbers)))
+
+        return asked

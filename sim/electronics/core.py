@@ -1,0 +1,316 @@
+"""What the electronics do on any bus: sample and hold, expiry, limits, trips, the plant behind.
+
+Time is the host's: a cycle that begins brings the plant there. Without a host it runs on by this
+machine's clock, so that setpoints expire and the platform drops when the bus is dead.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.rig import RigConfig
+from ...config.sim import SimConfig
+from ...wire.device import (
+    AMPLIFIER_LIMITS,
+    CYCLES,
+    AmplifierState,
+    DriveState,
+    Parameter,
+    Refusal,
+    Request,
+    SensorState,
+    declared,
+    response,
+)
+from ..plant import Plant
+
+Array = NDArray[np.float64]
+
+_SILENT_PERIODS = 1.5
+"""How long after a SYNC the next one counts as missing."""
+_BEHIND = 16
+"""So many cycles may one bus be behind another."""
+_NEW_COUNT = 1000
+"""A jump of the cycle by more than this is another host, not a late one."""
+_TOLERANCE_N = 1e-3
+"""Setpoints come rounded to 1 mN: a limit may be exceeded by that."""
+ENCODER_LOST = 0x7305
+"""Error code of CiA 301 for an incremental sensor."""
+
+
+@dataclass
+class Injected:
+    """Faults of the devices themselves, switched while running; see faults."""
+
+    stuck: set[int] = field(default_factory=set)
+    frozen: set[int] = field(default_factory=set)
+    saturated: set[int] = field(default_factory=set)
+    lost_axes: set[int] = field(default_factory=set)
+    skew_m: float = 0.0
+    tripping: set[int] = field(default_factory=set)
+
+
+class Core:
+    """Amplifiers, ADC and drives of `rig`; every public method may be called from any thread.
+
+    After `begin`: `force_n` (C,) N, nan where an amplifier tripped; `gap_m` (S,) m, nan where a
+    channel has no reading; `axes` (3, 3): position, velocity, force of X1, X2, PHI in SI units.
+    """
+
+    def __init__(
+        self, rig: RigConfig, sim: SimConfig, source: Path | None, expire_cycles: int
+    ) -> None:
+        geometry = rig.geometry
+        self.coils, self.sensors = len(geometry.coil_x_m), len(geometry.sensors_x_m)
+        self.period_s = 1.0 / rig.rate_hz
+        self.limits = declared(rig, expire_cycles)
+        self.lock = threading.RLock()
+        self.injected = Injected()
+        self._plant = Plant(sim, self.period_s, source=source)
+        self._range_m = sim.sensors.range_m
+        self._limit_n, self._step_n = rig.limits.coil_n, rig.limits.coil_rate_n_s * self.period_s
+        self._expire = expire_cycles
+        self._rng = np.random.default_rng(sim.seed)
+
+        self.amplifier_state = AmplifierState.OFF
+        self.sensor_state = SensorState.OK
+        self.drive_state = DriveState.OFF
+        self.drive_error = 0
+        self.force_n = np.zeros(self.coils)
+        self.gap_m = np.zeros(self.sensors)
+        self.axes = np.zeros((3, 3))
+        self._held_m = np.zeros(self.sensors)
+
+        self._cycle: int | None = None
+        self._ahead = 0
+        self._last_s = time.monotonic()
+        self._tripped = 0
+        self._challenge = 0
+        self._pending_n, self._acting_n = np.zeros(self.coils), np.zeros(self.coils)
+        self._fresh = False
+        self._missed = 0
+        # Beam and rotor: position, velocity, acceleration that act, and those that come.
+        self._motion = np.zeros((2, 3))
+        self._motion[:, 0] = self._plant.beam[0], self._plant.rotor[0]
+        self._plan: list[Array] = []
+        self._drives_missed = 0
+        self._sample()
+
+    @property
+    def plant(self) -> Plant:
+        """The plant behind, for tests."""
+        return self._plant
+
+    @property
+    def cycle(self) -> int:
+        """The cycle at hand, modulo CYCLES."""
+        return self._cycle or 0
+
+    @property
+    def motion(self) -> Array:
+        """Position, velocity, acceleration (2, 3) that beam and rotor are told for this period."""
+        return self._motion
+
+    @property
+    def acting_n(self) -> Array:
+        """The forces (C,) in N that the amplifiers drive in this period."""
+        return self._acting_n
+
+    def begin(self, cycle: int, modulus: int = CYCLES) -> bool:
+        """Begin a cycle: the plant moves there, setpoints are taken over, readings are sampled.
+
+        `cycle` is counted modulo `modulus`, a divisor of CYCLES. The cycle at hand again (another
+        bus says it too) changes nothing; returns whether it is a new one.
+        """
+        with self.lock:
+            self._last_s = time.monotonic()
+            if self._cycle is None:
+                self._cycle = cycle
+                self._sample()
+                return True
+            periods = (cycle - self._cycle) % modulus
+            if not periods:
+                return False
+            if modulus - periods <= _BEHIND:
+                return False  # another bus was quicker: that cycle is over
+            if periods > min(_NEW_COUNT, modulus // 2):
+                periods = 1
+                self._cycle = cycle if modulus == CYCLES else self._cycle + 1
+            else:
+                self._cycle = (self._cycle + periods) % CYCLES
+            # Periods that went by without a host are not gone through twice.
+            for _ in range(periods - min(periods, self._ahead)):
+                self._period()
+            self._ahead = 0
+            self._sample()
+            return True
+
+    def tick(self) -> None:
+        """Let time go on without a host: to be called about once a period when nothing comes."""
+        with self.lock:
+            now = time.monotonic()
+            if now - self._last_s < _SILENT_PERIODS * self.period_s:
+                return
+            self._period()
+            self._ahead += 1
+            self._last_s += self.period_s
+            if now - self._last_s > _NEW_COUNT * self.period_s:  # it slept: do not race
+                self._last_s = now
+
+    def setpoints(self, coil_n: Array) -> None:
+        """Take forces (C,) in N that act from the next cycle on; one nan makes all of them void."""
+        with self.lock:
+            if self.amplifier_state is AmplifierState.ENABLED and np.isfinite(coil_n).all():
+                self._pending_n[:] = coil_n
+                self._fresh = True
+
+    def drive_setpoints(self, plan: Sequence[Array]) -> None:
+        """Take what beam and rotor are to do in the next periods, one (2, 3) each.
+
+        Rows: beam and rotor; columns: position, velocity, acceleration at the end of the period.
+        """
+        with self.lock:
+            if self.drive_state is not DriveState.OPERATING:
+                return
+            if not all(np.isfinite(motion).all() for motion in plan):
+                return
+            limit_m = self.limits[Parameter.BEAM_LIMIT_UM] * 1e-6 + 1e-6
+            self._plan = [motion.copy() for motion in plan]
+            for motion in self._plan:
+                motion[0, 0] = min(max(motion[0, 0], -limit_m), limit_m)
+
+    def request(self, request: int, index: int, value: int) -> tuple[int, int]:
+        """Answer a request: the parameter and its value, or a Refusal and the request."""
+        with self.lock:
+            if request == Request.READ:
+                return self._read(index)
+            if request == Request.ENABLE:
+                return self._enable(value)
+            if request == Request.RESET:
+                return self._reset()
+            if request == Request.ENABLE_DRIVES:
+                self.enable_drives()
+                return Parameter.DRIVE_ERROR, self.drive_error
+            return Refusal.NO_SUCH_PARAMETER, request
+
+    def enable_drives(self) -> None:
+        """Let the drives follow their setpoints, from where they are."""
+        with self.lock:
+            if self.injected.lost_axes:
+                return
+            self.drive_error = 0
+            if self.drive_state is not DriveState.OPERATING:
+                self._hold_drives()
+                self.drive_state = DriveState.OPERATING
+
+    def disable_drives(self, error: int = 0) -> None:
+        """Stop the drives where they are."""
+        with self.lock:
+            self._hold_drives()
+            self.drive_error = error
+            self.drive_state = DriveState.FAULT if error else DriveState.OFF
+
+    def _read(self, index: int) -> tuple[int, int]:
+        if index == Parameter.CHALLENGE:
+            self._challenge = int(self._rng.integers(1, 2**32))
+            return index, self._challenge
+        if index == Parameter.TRIPPED_COILS:
+            return index, self._tripped
+        if index == Parameter.FAULTY_SENSORS:
+            return index, sum(1 << i for i in self.injected.stuck)
+        if index == Parameter.DRIVE_ERROR:
+            return index, self.drive_error
+        if index in self.limits:
+            return index, self.limits[Parameter(index)] & 0xFFFFFFFF
+        return Refusal.NO_SUCH_PARAMETER, index
+
+    def _enable(self, value: int) -> tuple[int, int]:
+        # A challenge serves once.
+        challenge, self._challenge = self._challenge, 0
+        limits = {p: self.limits[p] for p in AMPLIFIER_LIMITS}
+        if not challenge or value != response(challenge, limits):
+            return Refusal.WRONG_RESPONSE, value
+        if self._tripped:
+            return Refusal.STILL_TRIPPED, self._tripped
+        if self.amplifier_state is not AmplifierState.ENABLED:
+            self.amplifier_state = AmplifierState.ENABLED
+            self._missed, self._fresh = 0, False
+            self._acting_n[:] = 0.0
+        return Parameter.TRIPPED_COILS, 0
+
+    def _reset(self) -> tuple[int, int]:
+        self._tripped = sum(1 << i for i in self.injected.tripping)
+        if not self._tripped and self.amplifier_state is AmplifierState.TRIPPED:
+            self.amplifier_state = AmplifierState.OFF
+        return Parameter.TRIPPED_COILS, self._tripped
+
+    def _period(self) -> None:
+        """One period with what acts; then what is pending takes over."""
+        plant, acting = self._plant, self._acting_n
+        plant.advance(acting, self._motion[0], self._motion[1])
+        self._look_at_injected()
+        if self.amplifier_state is AmplifierState.ENABLED:
+            if self._fresh:
+                self._missed = 0
+                low = np.maximum(acting - self._step_n - _TOLERANCE_N, -self._limit_n)
+                high = np.minimum(acting + self._step_n + _TOLERANCE_N, self._limit_n)
+                np.clip(self._pending_n, low, high, out=acting)
+            else:
+                self._missed += 1
+                if self._missed >= self._expire:
+                    self.amplifier_state = AmplifierState.EXPIRED
+        if self.amplifier_state is not AmplifierState.ENABLED:
+            acting[:] = 0.0
+        self._fresh = False
+        if self._plan:
+            self._motion[:] = self._plan.pop(0)
+            self._drives_missed = 0
+        else:
+            self._drives_missed += 1
+            if self._drives_missed > self._expire:
+                self._hold_drives()
+
+    def _hold_drives(self) -> None:
+        self._plan.clear()
+        self._motion[:, 1:] = 0.0
+
+    def _look_at_injected(self) -> None:
+        injected = self.injected
+        if injected.tripping:
+            self._tripped |= sum(1 << i for i in injected.tripping)
+            self.amplifier_state = AmplifierState.TRIPPED
+        if injected.lost_axes and self.drive_state is DriveState.OPERATING:
+            self.disable_drives(ENCODER_LOST)
+
+    def _sample(self) -> None:
+        self._look_at_injected()
+        plant, injected, gap = self._plant, self.injected, self.gap_m
+        plant.sample()
+        gap[:] = plant.gap_m
+        self.force_n[:] = plant.coil_readback_n
+        if self._tripped:  # a tripped amplifier has no force to tell: so the host knows which
+            for i in range(self.coils):
+                if self._tripped >> i & 1:
+                    self.force_n[i] = math.nan
+        for i in injected.saturated:
+            gap[i] = math.copysign(self._range_m, gap[i])
+        for i in injected.frozen:
+            gap[i] = self._held_m[i]
+        self._held_m[:] = gap
+        for i in injected.stuck:
+            gap[i] = math.nan
+        self.sensor_state = SensorState.FAULTY if injected.stuck else SensorState.OK
+        beam, rotor = plant.beam, plant.rotor
+        self.axes[:2, :2] = beam[:2]
+        self.axes[0, 0] += 0.5 * injected.skew_m
+        self.axes[1, 0] -= 0.5 * injected.skew_m
+        self.axes[:2, 2] = 0.5 * beam[2]
+        self.axes[2] = rotor

@@ -1,0 +1,333 @@
+"""Three CiA 402 drives as CANopen nodes: states, homing, cyclic synchronous position."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import canopen
+import numpy as np
+
+from ...config.buses import CanDriveOptions
+from ...config.rig import RigConfig
+from ...config.shipped import shipped
+from ...wire.cia402 import (
+    FORCE_N,
+    HOMING_ATTAINED,
+    POSITION_M,
+    POSITION_RAD,
+    RPDO,
+    RPDO1_ID,
+    TORQUE_N_M,
+    TPDO,
+    TPDO1_ID,
+    DriveStates,
+    Mode,
+    Object,
+    beam_limits,
+    rotor_limits,
+)
+from ...wire.device import CYCLES
+from ...wire.differences import Differences
+from .core import Core
+from .faults import Injector, Outgoing
+
+Send = Callable[[int, bytes], None]
+Frame = tuple[int, bytes]
+
+_HOMING_S = 0.02
+_POLL_S = 0.005
+_OPERATIONAL = 5
+_COUNTS_16 = 32767
+
+
+class DriveNodes:
+    """X1, X2 and PHI on one bus; `take` hands them frames, `poll` lets them send heartbeats."""
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        options: CanDriveOptions,
+        eds: Path | None,
+        core: Core,
+        injector: Injector,
+        send: Send,
+    ) -> None:
+        logging.getLogger("canopen").setLevel(logging.ERROR)
+        self._core, self._injector, self._send = core, injector, send
+        self._every = options.every
+        self._network = _Network(send)
+        path = str(eds or shipped("drive.eds"))
+        beam, rotor = beam_limits(rig.limits), rotor_limits(rig.limits)
+        numbers = (options.nodes.x1, options.nodes.x2, options.nodes.phi)
+        units = ((POSITION_M, FORCE_N), (POSITION_M, FORCE_N), (POSITION_RAD, TORQUE_N_M))
+        self.drives = [
+            Drive(i, number, path, self._network, limits, *unit)
+            for i, (number, limits, unit) in enumerate(
+                zip(numbers, (beam, beam, rotor), units, strict=True)
+            )
+        ]
+        self._rpdo = {RPDO1_ID + drive.node_id: drive for drive in self.drives}
+        self._differences = [Differences(core.period_s * self._every) for _ in range(2)]
+        self._outgoing = Outgoing(injector)
+        self._was_operating = False
+        self._planned_at = 0
+        self._poll_at_s = 0.0
+
+    def boot(self) -> None:
+        """Announce all nodes."""
+        for drive in self.drives:
+            drive.boot()
+
+    def take(self, can_id: int, data: bytes) -> None:
+        """Take a frame that is not SYNC."""
+        drive = self._rpdo.get(can_id)
+        if drive is not None:
+            if len(data) == RPDO.size and "drop-setpoints" not in self._injector.wire:
+                drive.setpoint(*RPDO.unpack(data))
+                self._plan_if_complete()
+        else:
+            self._network.notify(can_id, bytearray(data), 0.0)
+            self._follow()
+
+    def sync(self) -> list[Frame]:
+        """Return the TPDOs that answer a SYNC, with readings of the cycle that has just begun."""
+        core = self._core
+        with core.lock:
+            axes = core.axes.copy()
+            lost = set(core.injected.lost_axes)
+        for drive, (position, _, force) in zip(self.drives, axes, strict=True):
+            drive.see(position, force)
+            if drive.axis in lost:
+                drive.lose_encoder()
+            drive.has_setpoint = False
+        self._follow()
+        batch = [drive.tpdo() for drive in self.drives if drive.cyclic]
+        return self._outgoing.through(batch) if batch else []
+
+    def poll(self) -> None:
+        """Send the heartbeats that are due; may be called at any time, and mostly does nothing."""
+        now_s = time.monotonic()
+        if now_s < self._poll_at_s:
+            return
+        self._poll_at_s = now_s + _POLL_S
+        with self._core.lock:
+            axes = self._core.axes.copy()
+        for drive, (position, _, force) in zip(self.drives, axes, strict=True):
+            drive.see(position, force)
+            drive.heartbeat(now_s)
+
+    def _follow(self) -> None:
+        """Let the plant's drives follow the state of all three together."""
+        operating = all(drive.operating for drive in self.drives)
+        if operating and not self._was_operating:
+            with self._core.lock:
+                self._core.enable_drives()
+                beam, rotor = self._core.motion[:, 0]
+            self._differences[0].at_rest(float(beam))
+            self._differences[1].at_rest(float(rotor))
+        elif not operating and self._was_operating:
+            self._core.disable_drives(max(drive.error for drive in self.drives))
+        self._was_operating = operating
+
+    def _plan_if_complete(self) -> None:
+        """Lead from where the drives are told to be to the new targets, in `every` periods."""
+        if not (self._was_operating and all(drive.has_setpoint for drive in self.drives)):
+            return
+        x1, x2, phi = (drive.target for drive in self.drives)
+        targets = 0.5 * (x1 + x2), phi
+        begin, cycle = self._core.motion, self._core.cycle
+        regular = (cycle - self._planned_at) % CYCLES == self._every
+        self._planned_at = cycle
+        end = np.array(
+            [
+                (p, *(moved.push(p) if regular else moved.resume(p)))
+                for p, moved in zip(targets, self._differences, strict=True)
+            ]
+        )
+        n, T = self._every, self._core.period_s * self._every
+        plan = [quintic(begin, end, i / n, T) for i in range(1, n)]
+        self._core.drive_setpoints([*plan, end])
+        for drive in self.drives:
+            drive.has_setpoint = False
+
+
+class Drive:
+    """One node: object dictionary, states of CiA 402, counts from where it was switched on."""
+
+    def __init__(
+        self,
+        axis: int,
+        node_id: int,
+        eds: str,
+        network: canopen.Network,
+        limits: dict[tuple[Object, int], int],
+        unit: float,
+        force_unit: float,
+    ) -> None:
+        self.axis, self.node_id = axis, node_id
+        self._unit, self._force_unit = unit, force_unit
+        self._node: Any = canopen.LocalNode(node_id, eds)
+        network.add_node(self._node)
+        for (index, sub), value in limits.items():
+            entry = self._node.object_dictionary[int(index)]
+            variable = (
+                entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[sub]
+            )
+            self._node.set_data(int(index), sub, variable.encode_raw(value))
+        self._node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
+        self._node.add_write_callback(self._written)  # type: ignore[no-untyped-call]
+        self.state = DriveStates.SWITCH_ON_DISABLED
+        self.mode = 0
+        self.error = 0
+        self.has_setpoint = False
+        self._homed = False
+        self._homed_at_s = 0.0
+        self._true = self._force = 0.0
+        self._origin = 0.0
+        self._target = 0
+        self._controlword = 0
+        self._heartbeat_s = 0.0
+
+    @property
+    def cyclic(self) -> bool:
+        """Whether PDOs are exchanged."""
+        return bool(self._node.nmt._state == _OPERATIONAL)
+
+    @property
+    def operating(self) -> bool:
+        """Whether the drive follows its targets."""
+        return self.state is DriveStates.OPERATION_ENABLED and (
+            self.mode == Mode.CYCLIC_SYNCHRONOUS_POSITION
+        )
+
+    @property
+    def target(self) -> float:
+        """Target position in SI units, from the plant's zero."""
+        return self._target * self._unit + self._origin
+
+    def boot(self) -> None:
+        """Announce itself; positions count from here until it is homed."""
+        self._node.nmt.send_command(0)
+        self._node.nmt.send_command(127)
+
+    def see(self, position: float, force: float) -> None:
+        """Look at encoder and force, in SI units; end a homing that took its time."""
+        self._true, self._force = position, force
+        if self._homed_at_s and time.monotonic() >= self._homed_at_s:
+            self._homed, self._homed_at_s, self._origin = True, 0.0, 0.0
+
+    def setpoint(self, controlword: int, target: int) -> None:
+        """Take an RPDO."""
+        self._control(controlword)
+        self._target, self.has_setpoint = target, True
+
+    def tpdo(self) -> Frame:
+        """Return the TPDO with what the drive is doing now."""
+        force = min(max(round(self._force / self._force_unit), -_COUNTS_16), _COUNTS_16)
+        return TPDO1_ID + self.node_id, TPDO.pack(self.statusword, self._counts, force)
+
+    def lose_encoder(self) -> None:
+        """Go into fault and say so by an emergency message."""
+        if self.state is not DriveStates.FAULT:
+            self.state, self.error = DriveStates.FAULT, 0x7305
+            self._node.emcy.send(self.error, 0x21)
+
+    def heartbeat(self, now_s: float) -> None:
+        """Send a heartbeat where one is due."""
+        period_s = 1e-3 * int(self._node.sdo[int(Object.HEARTBEAT_MS)].raw)
+        if period_s and now_s - self._heartbeat_s >= period_s:
+            self._heartbeat_s = now_s
+            self._node.network.send_message(0x700 + self.node_id, bytes((self._node.nmt._state,)))
+
+    @property
+    def statusword(self) -> int:
+        """The statusword: state, and in homing mode whether it is done."""
+        word = self.state.value[1] | (1 << 9)
+        if self.mode == Mode.HOMING and self._homed:
+            word |= HOMING_ATTAINED
+        return word
+
+    @property
+    def _counts(self) -> int:
+        return round((self._true - self._origin) / self._unit)
+
+    def _read(self, *, index: int, subindex: int, od: object) -> int | None:  # noqa: ARG002
+        found = {
+            Object.STATUSWORD: self.statusword,
+            Object.ACTUAL_POSITION: self._counts,
+            Object.MODE_DISPLAY: self.mode,
+            Object.ERROR_CODE: self.error,
+        }
+        return found.get(Object(index)) if index in _OBJECTS else None
+
+    def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:  # noqa: ARG002
+        if index == Object.CONTROLWORD:
+            self._control(od.decode_raw(data))
+        elif index == Object.MODE:
+            self.mode = od.decode_raw(data)
+        elif index == Object.TARGET_POSITION:
+            self._target = od.decode_raw(data)
+
+    def _control(self, word: int) -> None:
+        last, self._controlword = self._controlword, word
+        if self.state is DriveStates.FAULT:
+            if word & 0x80 and not last & 0x80:
+                self.state, self.error = DriveStates.SWITCH_ON_DISABLED, 0
+            return
+        if not word & 0x02:
+            self.state = DriveStates.SWITCH_ON_DISABLED
+        elif word & 0x07 == 0x06 and self.state is not DriveStates.QUICK_STOP_ACTIVE:
+            self.state = DriveStates.READY_TO_SWITCH_ON
+        elif word & 0x0F == 0x07 and self.state is not DriveStates.SWITCH_ON_DISABLED:
+            self.state = DriveStates.SWITCHED_ON
+        elif word & 0x0F == 0x0F and self.state is not DriveStates.SWITCH_ON_DISABLED:
+            self.state = DriveStates.OPERATION_ENABLED
+        elif not word & 0x04 and self.state is DriveStates.OPERATION_ENABLED:
+            self.state = DriveStates.QUICK_STOP_ACTIVE
+        starts = word & 0x10 and not last & 0x10
+        if self.mode == Mode.HOMING and starts and self.state is DriveStates.OPERATION_ENABLED:
+            self._homed, self._homed_at_s = False, time.monotonic() + _HOMING_S
+
+
+_OBJECTS = frozenset(Object)
+
+
+class _Network(canopen.Network):
+    """The library's nodes on the bus of the electronics."""
+
+    def __init__(self, send: Send) -> None:
+        super().__init__()
+        self._send_frame = send
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:  # noqa: ARG002
+        self._send_frame(can_id, bytes(data))
+
+    def send_periodic(self, *_: Any, **__: Any) -> Any:
+        return _NoTask()
+
+
+class _NoTask:
+    """The library's heartbeats; those of Drive are sent instead."""
+
+    def stop(self) -> None:
+        return
+
+    def update(self, data: Any) -> None:  # noqa: ARG002
+        return
+
+
+def quintic(begin: np.ndarray, end: np.ndarray, s: float, T: float) -> np.ndarray:
+    """Return position, velocity, acceleration (n, 3) at share s of T between two such states."""
+    p0, v0, a0 = begin[:, 0], begin[:, 1] * T, begin[:, 2] * T * T
+    d, v1, a1 = end[:, 0] - p0, end[:, 1] * T, end[:, 2] * T * T
+    c3 = 10.0 * d - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1
+    c4 = -15.0 * d + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1
+    c5 = 6.0 * d - 3.0 * (v0 + v1) - 0.5 * (a0 - a1)
+    p = p0 + s * (v0 + s * (0.5 * a0 + s * (c3 + s * (c4 + s * c5))))
+    v = v0 + s * (a0 + s * (3.0 * c3 + s * (4.0 * c4 + s * 5.0 * c5)))
+    a = a0 + s * (6.0 * c3 + s * (12.0 * c4 + s * 20.0 * c5))
+    return np.stack([p, v / T, a / (T * T)], axis=1)

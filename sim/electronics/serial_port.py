@@ -1,0 +1,225 @@
+"""Electronics at the other end of a serial port: a pseudo terminal, or a TCP port."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+import tty
+from pathlib import Path
+from urllib.parse import urlparse
+
+import numpy as np
+
+from ...config.base import ConfigError
+from ...config.buses import SerialBus
+from ...wire.rejected import Rejected
+from ...wire.serial_frames import Contents, Kind, SerialFrames
+from ...wire.stream import FrameStream
+from .core import Core
+from .faults import Injector, Outgoing
+
+_CHUNK = 4096
+
+
+class SerialElectronics:
+    """Answers on one port until `stop`; `start` opens it.
+
+    `port` in the rig is a path, made here as a link to a pseudo terminal, or socket://HOST:PORT,
+    where this end listens.
+    """
+
+    def __init__(
+        self, name: str, bus: SerialBus, contents: Contents, core: Core, injector: Injector
+    ) -> None:
+        self._contents, self._core, self.injector = contents, core, injector
+        self._line: _Line = _TcpLine(name, bus.port) if "://" in bus.port else _Pty(name, bus.port)
+        self._frames = SerialFrames(contents)
+        self._stream = FrameStream(self._frames.longest)
+        self._outgoing = Outgoing(injector)
+        self._coil_n = np.zeros(contents.coils)
+        self._motion = np.zeros((2, 3))
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"levid-{name}", daemon=True)
+
+    def start(self) -> None:
+        """Open the port and answer from now on."""
+        self._line.open()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop answering and close the port."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._line.close()
+
+    def _run(self) -> None:
+        patience_s = min(1.5 * self._core.period_s, 0.1)
+        while not self._stopping.is_set():
+            if "disconnect" in self.injector.wire:
+                self._line.close()
+                self._stopping.wait(self._core.period_s)
+                self._core.tick()
+                continue
+            self._line.open()
+            data = self._line.read(patience_s)
+            if not data:
+                self._core.tick()
+                continue
+            if self.injector.hears:
+                for block in self._stream.feed(data):
+                    self._answer(block)
+            else:
+                self._core.tick()
+
+    def _answer(self, block: bytes) -> None:
+        frames, core = self._frames, self._core
+        header = frames.accept(block)
+        if isinstance(header, Rejected):
+            return
+        if header.kind is Kind.CYCLE:
+            with core.lock:
+                self._take_setpoints()
+                if not core.begin(header.sequence):
+                    return  # setpoints of the cycle at hand once more: zero force at once, say
+                readings = frames.readings(
+                    header.sequence,
+                    (core.amplifier_state, core.force_n),
+                    (core.sensor_state, core.gap_m),
+                    (core.drive_state, core.drive_error, core.axes),
+                )
+            out = [data for _, data in self._outgoing.through([(0, readings)])]
+        elif header.kind is Kind.REQUEST:
+            index, value = core.request(*frames.request_received())
+            out = [frames.answer(header.sequence, index, value)]
+            if self.injector.wire & {"drop", "bus-off"}:
+                out = []
+        else:
+            return
+        for data in out:
+            self._line.write(data)
+
+    def _take_setpoints(self) -> None:
+        if "drop-setpoints" in self.injector.wire:
+            return
+        if self._contents.coils:
+            self._frames.setpoints(self._coil_n)
+            self._core.setpoints(self._coil_n)
+        if self._contents.drives:
+            self._frames.drive_setpoints(self._motion[0], self._motion[1])
+            self._core.drive_setpoints([self._motion])
+
+
+class _Line:
+    """One end of a wire: bytes in and out; opening an open one and closing a closed one is free."""
+
+    def open(self) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+    def read(self, timeout_s: float) -> bytes:
+        raise NotImplementedError
+
+    def write(self, data: bytes) -> None:
+        raise NotImplementedError
+
+
+class _Pty(_Line):
+    def __init__(self, name: str, port: str) -> None:
+        self._path = Path(port)
+        self._master = -1
+        if self._path.exists() and not self._path.is_symlink():
+            raise ConfigError(
+                f"serial.{name}.port: expected a path for a new pseudo terminal, found {port}"
+            )
+
+    def open(self) -> None:
+        if self._master >= 0:
+            return
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        link = self._path.with_name(f"{self._path.name}.new")
+        link.unlink(missing_ok=True)
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.symlink_to(os.ttyname(slave))
+        link.replace(self._path)
+        os.close(slave)
+
+    def close(self) -> None:
+        if self._master < 0:
+            return
+        self._path.unlink(missing_ok=True)
+        os.close(self._master)
+        self._master = -1
+
+    def read(self, timeout_s: float) -> bytes:
+        ready, _, _ = select.select([self._master], [], [], timeout_s)
+        if not ready:
+            return b""
+        try:
+            return os.read(self._master, _CHUNK)
+        except BlockingIOError:
+            return b""
+        except OSError:  # nobody holds the other end: no event says when that changes
+            threading.Event().wait(timeout_s)
+            return b""
+
+    def write(self, data: bytes) -> None:
+        with contextlib.suppress(OSError):  # nobody listens: as on a wire
+            os.write(self._master, data)
+
+
+class _TcpLine(_Line):
+    def __init__(self, name: str, url: str) -> None:
+        parts = urlparse(url)
+        if parts.scheme != "socket" or parts.hostname is None or parts.port is None:
+            raise ConfigError(
+                f"serial.{name}.port: the electronics answer at a path or socket://HOST:PORT, "
+                f"found {url}"
+            )
+        self._address = (parts.hostname, parts.port)
+        self._listener: socket.socket | None = None
+        self._client: socket.socket | None = None
+
+    def open(self) -> None:
+        if self._listener is None:
+            self._listener = socket.create_server(self._address)
+
+    def close(self) -> None:
+        for end in (self._client, self._listener):
+            if end is not None:
+                end.close()
+        self._client = self._listener = None
+
+    def read(self, timeout_s: float) -> bytes:
+        assert self._listener is not None
+        # A new client takes the place of one that is gone without a word.
+        ends = [self._listener] + ([self._client] if self._client is not None else [])
+        ready, _, _ = select.select(ends, [], [], timeout_s)
+        if self._listener in ready:
+            if self._client is not None:
+                self._client.close()
+            self._client, _ = self._listener.accept()
+            self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return b""
+        if self._client is None or not ready:
+            return b""
+        try:
+            data = self._client.recv(_CHUNK)
+        except OSError:
+            data = b""
+        if not data:
+            self._client.close()
+            self._client = None
+        return data
+
+    def write(self, data: bytes) -> None:
+        if self._client is not None:
+            with contextlib.suppress(OSError):
+                self._client.sendall(data)

@@ -1,0 +1,132 @@
+"""The zoo of benchmarks/: it holds every shipped effect, loads, scales; and the unlisted three."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from levid.config.sim import Effect
+from levid.sim import effects
+from levid.sim.effects import HOOKS, BeamState, Effects
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+DT = 1e-4
+# The classes that `levid trace` may name.
+KINDS = {
+    "rod_stiffness",
+    "air_damping",
+    "friction",
+    "flexible_mode",
+    "centre_of_mass",
+    "payload",
+    "beam_motion",
+    "cogging",
+    "rotor",
+    "coil_gain",
+    "force_constant",
+    "actuator_lag",
+    "delay",
+    "dead_zone",
+    "force_offset",
+    "thermal_drift",
+    "saturation",
+    "sensor_gain",
+    "sensor_offset",
+    "sensor_nonlinearity",
+    "sensor_crosstalk",
+    "sensor_lag",
+    "sensor_stuck",
+    "vibration",
+    "external_field",
+    "unknown",
+}
+PLACES = {"psi", "theta", "z", "beam", "rotor"} | {
+    f"{what}:{i}" for what in ("coil", "sensor") for i in range(9)
+}
+
+
+def from_benchmarks(name: str):
+    spec = importlib.util.spec_from_file_location(f"levid_test{name}", BENCHMARKS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+ZOO, UNLISTED = from_benchmarks("_zoo_cases"), from_benchmarks("_unlisted_effects")
+EVERY = ZOO.CASES + ZOO.UNLISTED
+
+
+@pytest.mark.parametrize("case", EVERY, ids=lambda case: case.name)
+def test_case_loads_and_grows(case) -> None:
+    assert {case.kind, *case.alike} <= KINDS
+    assert set(case.where) <= PLACES
+    assert case.size
+    Effects([Effect.model_validate(case.effect(scale)) for scale in (0.5, 1.0, 4.0)], None)
+    once, twice = case.effect(1.0), case.effect(2.0)
+    assert set(once) == set(twice) == {"use", *case.values}
+    for key, value in case.values.items():
+        factor = 2.0 ** case.size.get(key, 0.0)
+        if isinstance(value, str):
+            assert twice[key] == value
+        else:
+            np.testing.assert_allclose(twice[key], factor * np.array(value))
+
+
+def test_names_are_unique_and_classes_all_there() -> None:
+    assert len({case.name for case in EVERY}) == len(EVERY)
+    assert KINDS - {case.kind for case in EVERY} == set()
+    assert {case.kind for case in ZOO.UNLISTED} == {"unknown"}
+
+
+def test_every_shipped_effect_is_in_the_zoo() -> None:
+    classes = {}
+    for module in pkgutil.iter_modules(effects.__path__):
+        name = f"{effects.__name__}.{module.name}"
+        for cls in vars(importlib.import_module(name)).values():
+            hooked = inspect.isclass(cls) and any(hasattr(cls, hook) for hook in HOOKS)
+            if hooked and cls.__module__ == name and module.name not in ("contract", "loader"):
+                classes[f"{name}:{cls.__name__}"] = cls
+    bases = {base for cls in classes.values() for base in cls.__mro__[1:]}
+    assert {use for use, cls in classes.items() if cls not in bases} == {
+        case.use for case in ZOO.CASES
+    }
+
+
+def test_hung_plug_takes_up_its_own_frequency() -> None:
+    """Shaken at its own frequency it pushes 1 / (2 zeta) times as hard as its mass would."""
+    f, zeta, m = 14.0, 0.03, 0.01
+    plug = UNLISTED.HungPlug(m, f, zeta, x_m=0.0, y_m=0.1)
+    plug.reset(SimpleNamespace(dt_s=DT))
+    omega, force = 2 * np.pi * f, []
+    t = np.arange(round(3 / DT)) * DT
+    for s in t:
+        z, v = 1e-4 * np.sin(omega * s), 1e-4 * omega * np.cos(omega * s)
+        force.append(plug.wrench(s, [0, 0, z], [0, 0, v], None))
+    settled = np.array(force)[-10_000:]
+    np.testing.assert_allclose(settled[:, 0], 0.1 * settled[:, 2])
+    # sqrt(1 + 4 zeta^2) is 1.002; an Euler step of 0.0088 rad shifts the peak by less than 2 %.
+    assert np.abs(settled[:, 2]).max() == pytest.approx(m * omega**2 * 1e-4 / (2 * zeta), rel=0.02)
+
+
+def test_eddy_brake_brakes_near_its_magnet_alone() -> None:
+    brake = UNLISTED.EddyBrake(2.0, at_m=0.02, width_m=0.01)
+    near = brake.wrench(0, np.zeros(3), [0, 1.0, 0.5], BeamState(0.02, 0, 0, 0, 0, 0))
+    np.testing.assert_allclose(near, [0, 0.02 * -2 * 0.52, -2 * 0.52])
+    far = brake.wrench(0, np.zeros(3), [0, 1.0, 0.5], BeamState(0.09, 0, 0, 0, 0, 0))
+    assert np.abs(far).max() < 1e-15
+
+
+def test_gyroscope_does_no_work() -> None:
+    gyro, qd = UNLISTED.Gyroscope(1e-3), np.array([0.2, -0.3, 0.1])
+    tau = gyro.wrench(0, np.zeros(3), qd, BeamState(0, 0, 0, 0, 12.0, 0))
+    assert np.abs(tau).max() == pytest.approx(1e-3 * 12 * 0.3)
+    assert abs(np.dot(tau, qd)) < 1e-18

@@ -2,7 +2,7 @@
 # They install into .venv from the lock files, again only when pyproject.toml or a lock has changed.
 
 PYTHON ?= python3
-ROOMS := cli report daemon identification drivers sim log model config
+ROOMS := cli report daemon identification drivers sim log wire model config
 
 VENV := .venv
 BIN := $(VENV)/bin

@@ -96,11 +96,12 @@ def _rig(rig: RigConfig, path: Path) -> str:
     except GeometryError as error:
         raise ConfigError(f"{path}: geometry: {error}") from None
     try:
-        check_backends(Context(rig, 1 / rig.rate_hz, path.parent))
+        found = check_backends(Context(rig, 1 / rig.rate_hz, path.parent))
     except ConfigError as error:
         named = str(error).startswith(str(path.parent))
         raise ConfigError(f"{'' if named else f'{path}: '}{error}") from None
-    return f"rig, {len(rig.geometry.coil_x_m)} coils, {rig.rate_hz:g} Hz"
+    carried = f"; the wire carries {1 / found.cycle_s:.0f} Hz" if found.buses else ""
+    return f"rig, {len(rig.geometry.coil_x_m)} coils, {rig.rate_hz:g} Hz{carried}"
 
 
 def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:

@@ -13,11 +13,16 @@ from .. import __version__
 _VERBS = {
     "check": ("check:command", "Check configuration and log files without touching a device."),
     "run": ("run:command", "Run the daemon on a rig, in real time, until it is stopped."),
+    "electronics": (
+        "electronics:command",
+        "Play a rig's electronics on its buses, with the simulated plant behind.",
+    ),
     "excite": ("excite:command", "Fly an excitation session and log it."),
     "status": ("control:status", "Say what the daemon is doing."),
     "land": ("control:land", "End the daemon's session at hand: land at once."),
     "clear": ("control:clear", "Clear the daemon's fault, once its cause is gone."),
     "identify": ("identify:command", "Identify the plant from logs."),
+    "trace": ("trace:command", "Trace what a model lacks to physical effects, with proof."),
     "import": ("importing:command", "Turn measured data of others into a log."),
     "demo": ("demo:command", "Fly, log and identify the simulated rig, and show pictures."),
 }
@@ -48,7 +53,7 @@ class _Verbs(click.Group):
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="levid")
 def levid() -> None:
-    """Fly, excite, log and identify a magnetically levitated platform.
+    """Fly, excite, log and identify a magnetically levitated platform, and trace what it lacks.
 
     \b
     Examples:
@@ -56,6 +61,7 @@ def levid() -> None:
       levid check config/rigs/loopback.yaml
       levid excite config/sessions/white-noise-1khz.yaml --virtual --out out/first
       levid identify out/first/*.mcap --out out/first/identification
+      levid trace out/trace/*.mcap --out out/trace/found
     """
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 M = TypeVar("M", bound="Strict")
 
@@ -16,14 +16,36 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+MOST_BYTES = 1 << 18
+"""Of a file: the longest that are shipped have a fortieth of it, and YAML is slow to read."""
+MOST_NODES = 50_000
+"""Keys and values of a file, an alias counted as often as it is used."""
+MOST_DIGITS = 40
+"""Of an integer; converting takes time that grows with the square of them."""
+
+
 class ConfigError(Exception):
     """A configuration that cannot be used; the message is one line per problem."""
 
 
 class Strict(BaseModel):
-    """Base of every configuration model: unknown keys are errors, instances are frozen."""
+    """Base of every configuration model: unknown keys are errors, instances are frozen.
+
+    A number is a number: YAML's yes and on, which Python counts as 1, are refused for one.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth_for_a_number(cls, value: object, info: ValidationInfo) -> object:
+        field = cls.model_fields[str(info.field_name)]
+        kinds = set(_kinds(field.annotation))
+        if kinds & {int, float} and bool not in kinds and (truths := _truths(value)):
+            raise ValueError(
+                f"expected a number, found {truths[0]}; yes, no, on and off are no numbers"
+            )
+        return value
 
 
 def load_yaml(path: Path | str, model: type[M]) -> M:
@@ -52,15 +74,20 @@ def parse_text(text: str | bytes, model: type[M], where: str) -> M:
 def read_mapping(path: Path | str) -> dict[str, Any]:
     """Return the top-level mapping of a YAML file; raises ConfigError."""
     try:
-        text = Path(path).read_bytes()
+        with Path(path).open("rb") as file:
+            text = file.read(MOST_BYTES + 1)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     return _mapping(text, str(path))
 
 
 def _mapping(text: str | bytes, where: str) -> dict[str, Any]:
+    if len(text) > MOST_BYTES:
+        raise ConfigError(f"{where}: expected a file of at most {MOST_BYTES >> 10} KiB, found more")
     try:
         data = yaml.load(text, Loader=_UniqueKeys)
+    except RecursionError:
+        raise ConfigError(f"{where}: not valid YAML: nested too deeply") from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
@@ -74,7 +101,27 @@ def _mapping(text: str | bytes, where: str) -> dict[str, Any]:
 
 
 class _UniqueKeys(yaml.SafeLoader):
-    """SafeLoader that reads 1e-4 as a number and refuses a key that stands twice."""
+    """SafeLoader that reads 1e-4 as a number and refuses a key that stands twice.
+
+    It refuses as well what would take time or memory out of all proportion to the file: aliases of
+    aliases, and integers of thousands of digits.
+    """
+
+    def get_single_node(self) -> yaml.Node | None:
+        node: yaml.Node | None = super().get_single_node()
+        if node is not None:
+            _expanded(node, {})
+        return node
+
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        if len(node.value) > MOST_DIGITS:
+            raise yaml.constructor.ConstructorError(
+                None,
+                None,
+                f"expected an integer of at most {MOST_DIGITS} digits, found {len(node.value)}",
+                node.start_mark,
+            )
+        return int(super().construct_yaml_int(node))
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -88,12 +135,39 @@ class _UniqueKeys(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
+_UniqueKeys.add_constructor("tag:yaml.org,2002:int", _UniqueKeys.construct_yaml_int)
 # PyYAML follows YAML 1.1, where 1e-4 is text; YAML 1.2 and every engineer read a number.
 _UniqueKeys.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     __import__("re").compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
     list("-+0123456789."),
 )
+
+
+def _expanded(node: yaml.Node, known: dict[int, int]) -> int:
+    """Return how many nodes a node stands for with all its aliases; too many are an error."""
+    if id(node) in known:
+        if not known[id(node)]:  # still being counted: it stands within itself
+            raise yaml.composer.ComposerError(
+                None, None, "an alias stands within what it names", node.start_mark
+            )
+        return known[id(node)]
+    known[id(node)] = 0
+    total = 1
+    if isinstance(node, yaml.MappingNode):
+        total += sum(_expanded(part, known) for pair in node.value for part in pair)
+    elif isinstance(node, yaml.SequenceNode):
+        total += sum(_expanded(part, known) for part in node.value)
+    if total > MOST_NODES:
+        raise yaml.composer.ComposerError(
+            None,
+            None,
+            f"expected at most {MOST_NODES} keys and values, found more, aliases counted as often "
+            "as they are used",
+            node.start_mark,
+        )
+    known[id(node)] = total
+    return total
 
 
 def _explain(error: ValidationError, model: type[BaseModel], where: str) -> list[str]:
@@ -121,6 +195,21 @@ def _dotted(loc: tuple[int | str, ...]) -> str:
     for part in loc:
         text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
     return text or "file"
+
+
+def _kinds(annotation: Any) -> list[Any]:
+    """Return the types that an annotation is made of."""
+    parts = getattr(annotation, "__args__", ())
+    return [kind for part in parts for kind in _kinds(part)] if parts else [annotation]
+
+
+def _truths(value: object) -> list[bool]:
+    """Return the bools in a value, its lists and its mappings."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, (list, tuple)):
+        return [truth for part in value for truth in _truths(part)]
+    return [value] if isinstance(value, bool) else []
 
 
 def _short(value: object) -> str:

@@ -54,8 +54,24 @@ class Scheduling(Strict):
     max: Finite | None = None
 
 
+class EffectParameter(Strict):
+    """A parameter of an effect in SI units; `se` is a result of a trace."""
+
+    value: Finite
+    unit: str
+    se: NonNegative | None = None
+
+
+class ModelEffect(Strict):
+    """A physical effect beyond the matrices: an entry of the table of effects, with values."""
+
+    effect: str
+    where: tuple[str, ...] = ()
+    parameters: dict[Identifier, EffectParameter] = Field(default_factory=dict)
+
+
 class ModelConfig(Strict):
-    """MODEL.yaml: M(p) q'' + D(p) q' + K(p) q = B(p) u + force(p), in numbers or formulas."""
+    """MODEL.yaml: M(p) q'' + D(p) q' + K(p) q = B(p) u + force(p) + effects; numbers or formulas."""
 
     levid: Literal["model"]
     name: str
@@ -73,6 +89,7 @@ class ModelConfig(Strict):
     force: tuple[Entry, ...] = ()
     lag_s: Entry = 0.0
     delay_s: Entry = 0.0
+    effects: tuple[ModelEffect, ...] = ()
 
 
 def load_model(path: Path | str) -> ModelConfig:

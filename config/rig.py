@@ -7,9 +7,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from .base import Finite, NonNegative, Positive, Strict, load_yaml
+from .base import ConfigError, Finite, NonNegative, Positive, Strict, load_yaml
+from .buses import CanBus, RoleOptions, SerialBus, role_options
 
 Rate = Annotated[float, Field(ge=10.0, le=20_000.0)]
+BusName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 
 
 class Geometry(Strict):
@@ -123,10 +125,32 @@ class RigConfig(Strict):
     amplifiers: Role
     sensors: Role
     drives: Role
+    can: dict[BusName, CanBus] = Field(default_factory=dict)
+    """CAN buses by the names that roles call them."""
+    serial: dict[BusName, SerialBus] = Field(default_factory=dict)
+    """Serial ports by the names that roles call them."""
     sim: str | None = None
-    """SIM.yaml of the loopback backend, relative to this file."""
+    """SIM.yaml of the loopback backend and of emulated electronics, relative to this file."""
     socket: str | None = None
     """Path of the daemon's control socket; a runtime directory of the user's unless given."""
+
+    def on_bus(self, role: str) -> tuple[str, RoleOptions] | None:
+        """Return backend and options of a role that is on a bus, None where it is on none.
+
+        Raises:
+            ConfigError: an option is wrong, or there is no bus of that name.
+        """
+        played: Role = getattr(self, role)
+        options = role_options(played.backend, role, played.options)
+        if options is None:
+            return None
+        known = getattr(self, played.backend)
+        if options.bus not in known:
+            raise ConfigError(
+                f"{role}.bus: expected a name from '{played.backend}' "
+                f"({', '.join(sorted(known)) or 'none is given'}), found '{options.bus}'"
+            )
+        return played.backend, options
 
 
 def load_rig(path: Path | str) -> RigConfig:

@@ -21,6 +21,26 @@ class DriverError(Exception):
     """A device or bus that cannot be used; the message says which, and what it did."""
 
 
+class LinkError(DriverError):
+    """A bus or port that is gone; it is opened anew when the fault is cleared."""
+
+
+class StaleError(DriverError):
+    """Readings that did not come, or not as they should, in more cycles in a row than allowed."""
+
+
+class AmplifierError(DriverError):
+    """Amplifiers that tripped, or switched off although force was asked of them."""
+
+
+class SensorError(DriverError):
+    """A sensor channel without a reading, stuck, or at the end of its range."""
+
+
+class DriveError(DriverError):
+    """A drive that does not follow: encoder lost, emergency, skew of the gantry."""
+
+
 class CoilAmplifiers(ABC):
     """Nine (or as many) coil amplifiers that take forces and tell the forces they drive."""
 
@@ -31,6 +51,10 @@ class CoilAmplifiers(ABC):
     @abstractmethod
     def read(self, coil_n: Array) -> None:
         """Fill `coil_n` (C,) with current times the nominal force constant, in N."""
+
+    def release(self, zero_n: Array) -> None:
+        """Command zero force, `zero_n` (C,), at once, without waiting for a cycle."""
+        self.write(zero_n)
 
 
 class PositionSensors(ABC):
@@ -90,6 +114,19 @@ class Backend(ABC):
         """Return the drives; raises DriverError where this backend has none."""
         raise DriverError(f"{type(self).__name__} plays no drives")
 
+    def recover(self) -> None:
+        """Make good after a fault: open again what is gone, reset what tripped, compare limits.
+
+        Raises:
+            DriverError: the cause is not gone; the next call may succeed.
+        """
+        return
+
+    @property
+    def stale(self) -> int:
+        """In how many cycles a reading did not come in time and the last one stood in for it."""
+        return 0
+
     def close(self) -> None:
         """Send zero force, then let go of the device; safe to call twice."""
         return
@@ -108,6 +145,16 @@ class Devices:
     def syncs(self) -> tuple[Sync, ...]:
         """The `sync` of every backend."""
         return tuple(backend.sync for backend in self.backends)
+
+    @property
+    def stale(self) -> int:
+        """Cycles with a reading that came too late, of all backends."""
+        return sum(backend.stale for backend in self.backends)
+
+    def recover(self) -> None:
+        """Recover every backend after a fault; raises DriverError where one cannot."""
+        for backend in self.backends:
+            backend.recover()
 
     def close(self) -> None:
         """Close every backend, whatever happens to the others."""

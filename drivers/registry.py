@@ -8,18 +8,27 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from ..config.base import ConfigError
+from ..wire.budget import Budget, check_budget
 from .base import Backend, Context, Devices
 
 ENTRY_POINT_GROUP = "levid.backends"
 ROLES = ("amplifiers", "sensors", "drives")
 
-_OWN = {"loopback": ".loopback:LoopbackBackend"}
+_OWN = {
+    "loopback": ".loopback:LoopbackBackend",
+    "can": ".can.backend:CanBackend",
+    "serial": ".serial.backend:SerialBackend",
+}
 
 
-def check_backends(context: Context) -> None:
-    """Check every role's backend and options without touching a device; raises ConfigError."""
+def check_backends(context: Context) -> Budget:
+    """Check every role's backend and options, and whether the buses carry the rate.
+
+    Touches no device; returns what the buses carry. Raises ConfigError.
+    """
     for role, (name, options) in _roles(context).items():
         _backend_class(name, role).check(context, role, options)
+    return check_budget(context.rig, context.folder)
 
 
 def open_devices(context: Context) -> Devices:

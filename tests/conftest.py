@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from levid.config.base import parse_text
+from levid.config.rig import RigConfig
+from levid.config.shipped import shipped
 
 
 @pytest.fixture(scope="session")
@@ -21,3 +26,53 @@ def rig() -> ModuleType:
     sys.modules[spec.name] = module  # where its dataclasses look for it
     spec.loader.exec_module(module)
     return module
+
+
+BUSES = {
+    "can": """
+can:
+  main: {interface: virtual, channel: CHANNEL, bitrate: 1000000, stale_cycles: 2}
+""",
+    "canfd": """
+can:
+  main: {interface: virtual, channel: CHANNEL, bitrate: 1000000, data_bitrate: 5000000,
+         stale_cycles: 2}
+""",
+    "serial": """
+serial:
+  main: {port: FOLDER/port, baud: 3000000, stale_cycles: 2}
+""",
+}
+
+
+@pytest.fixture
+def rig_on(tmp_path: Path) -> Callable[..., RigConfig]:
+    """A function that returns the shipped rig on a bus (or loopback), at a rate, on a SIM.yaml."""
+
+    def rig_on(bus: str, rate_hz: float, sim: Path, expire_cycles: int = 2) -> RigConfig:
+        head = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
+        backend = "can" if bus.startswith("can") else bus
+        options = "" if bus == "loopback" else ", bus: main"
+        expire = "" if bus == "loopback" else f", expire_cycles: {expire_cycles}"
+        text = f"""{head}
+amplifiers: {{backend: {backend}{options}{expire}}}
+sensors: {{backend: {backend}{options}}}
+drives: {{backend: {backend}{options}}}
+sim: {sim}
+{BUSES.get(bus, "").replace("CHANNEL", tmp_path.name).replace("FOLDER", str(tmp_path))}"""
+        text = text.replace("rate_hz: 1000", f"rate_hz: {rate_hz}")
+        return parse_text(text, RigConfig, bus)
+
+    return rig_on
+
+
+@pytest.fixture
+def quiet_sim(tmp_path: Path) -> Path:
+    """The SIM.yaml of the declared model without any noise: equal commands, equal readings."""
+    text = shipped("sims/nominal.yaml").read_text()
+    for noisy in ("noise_n: 1e-3", "noise_m: 1e-7"):
+        assert noisy in text
+        text = text.replace(noisy, f"{noisy.partition(':')[0]}: 0")
+    path = tmp_path / "quiet.yaml"
+    path.write_text(text)
+    return path

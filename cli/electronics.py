@@ -1,0 +1,67 @@
+"""`levid electronics`: emulated amplifiers, ADC and drives that answer on a rig's buses."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import threading
+from pathlib import Path
+
+import click
+
+from .progress import say
+
+
+@click.command("electronics")
+@click.argument("rig", type=click.Path(path_type=Path))
+def command(rig: Path) -> int:
+    """Play the electronics of RIG.yaml on its buses, in real time, with its simulated plant behind.
+
+    Lines on standard input switch faults while it runs, each answered by one line: `status`, the
+    name of a fault with its argument (`trip 3`), `clear`; `help` lists them. The end of the input
+    ends nothing: Ctrl-C or SIGTERM does.
+
+    \b
+    Examples:
+      levid electronics config/rigs/serial.yaml
+      levid run config/rigs/serial.yaml       # in another terminal
+    """
+    from ..config.rig import load_rig
+    from ..sim.electronics.rig import Electronics
+
+    config = load_rig(rig)
+    electronics = Electronics(config, rig.parent)
+    done = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: done.set())
+    with electronics:
+        say(f"electronics of {config.name} answer; Ctrl-C ends them")
+        threading.Thread(target=_obey, args=(electronics,), daemon=True).start()
+        while not done.wait(0.2):
+            pass
+    return 0
+
+
+def _obey(electronics: object) -> None:
+    from ..sim.electronics.faults import FAULTS, InjectionError
+    from ..sim.electronics.rig import Electronics
+
+    assert isinstance(electronics, Electronics)
+    for line in sys.stdin:
+        match line.split():
+            case []:
+                continue
+            case ["help"]:
+                answer = "; ".join(
+                    f"{name}{f' {kind.argument.upper()}' if kind.argument else ''}: {kind.does}"
+                    for name, kind in FAULTS.items()
+                )
+            case ["status"]:
+                answer = json.dumps(electronics.status())
+            case _:
+                try:
+                    answer = electronics.injector.command(line)
+                except InjectionError as error:
+                    answer = f"error: {error}"
+        click.echo(answer)

@@ -1,0 +1,102 @@
+"""Buses and ports by name, and what a role on one of them can say: part of RIG.yaml in types."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from .base import NonNegative, Positive, Strict, parse
+
+Cycles = Annotated[int, Field(ge=0, le=1000)]
+Name = Annotated[str, Field(min_length=1)]
+NodeId = Annotated[int, Field(ge=1, le=127)]
+
+
+class CanBus(Strict):
+    """A CAN bus, classic or, where `data_bitrate` is given, CAN FD."""
+
+    interface: Name
+    channel: str | int
+    bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
+    data_bitrate: Annotated[int, Field(ge=10_000, le=12_000_000)] | None = None
+    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+    dbc: str | None = None
+    latency_s: NonNegative = 2e-5
+    stale_cycles: Cycles = 2
+
+    @property
+    def fd(self) -> bool:
+        """Whether frames are those of CAN FD."""
+        return self.data_bitrate is not None
+
+
+class SerialBus(Strict):
+    """A serial port, or any URL that pyserial opens."""
+
+    port: Name
+    baud: Annotated[int, Field(ge=9600, le=24_000_000)]
+    latency_s: NonNegative = 1.25e-4
+    stale_cycles: Cycles = 2
+
+
+class AmplifierOptions(Strict):
+    """Keys of the role `amplifiers` on a bus."""
+
+    bus: Name
+    expire_cycles: Annotated[int, Field(ge=1, le=1000)] = 2
+
+
+class SensorOptions(Strict):
+    """Keys of the role `sensors` on a bus."""
+
+    bus: Name
+
+
+class SerialDriveOptions(Strict):
+    """Keys of the role `drives` on a serial port."""
+
+    bus: Name
+    skew_m: Positive = 1e-4
+
+
+class Nodes(Strict):
+    """CANopen node numbers of the two linear motors and of the rotary motor."""
+
+    x1: NodeId = 1
+    x2: NodeId = 2
+    phi: NodeId = 3
+
+
+class CanDriveOptions(Strict):
+    """Keys of the role `drives` on a CAN bus, where drives are CANopen nodes (CiA 402)."""
+
+    bus: Name
+    nodes: Nodes = Nodes()
+    eds: str | None = None
+    every: Annotated[int, Field(ge=1, le=100)] = 1
+    skew_m: Positive = 1e-4
+    heartbeat_s: Annotated[float, Field(ge=0.01, le=30.0)] = 0.2
+    homing_method: Annotated[int, Field(ge=1, le=37)] = 34
+
+
+RoleOptions = AmplifierOptions | SensorOptions | CanDriveOptions | SerialDriveOptions
+_MODELS: Mapping[tuple[str, str], type[RoleOptions]] = {
+    ("can", "amplifiers"): AmplifierOptions,
+    ("can", "sensors"): SensorOptions,
+    ("can", "drives"): CanDriveOptions,
+    ("serial", "amplifiers"): AmplifierOptions,
+    ("serial", "sensors"): SensorOptions,
+    ("serial", "drives"): SerialDriveOptions,
+}
+
+
+def role_options(backend: str, role: str, keys: Mapping[str, Any]) -> RoleOptions | None:
+    """Return a role's keys on a bus of `backend` in types, None for a backend without buses.
+
+    Raises:
+        ConfigError: a key is wrong, or missing.
+    """
+    model = _MODELS.get((backend, role))
+    return None if model is None else parse(dict(keys), model, role)

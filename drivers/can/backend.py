@@ -1,0 +1,155 @@
+"""The CAN backend: amplifiers, ADC and drives on as many buses as the rig has."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ...config.base import ConfigError
+from ...config.buses import AmplifierOptions, CanBus, CanDriveOptions
+from ...config.rig import RigConfig
+from ...wire.can_frames import CanFrames, load_frames
+from ...wire.device import CYCLES
+from ...wire.values import LARGEST
+from ..base import Backend, CoilAmplifiers, Context, LinkError, ManipulatorDrives, PositionSensors
+from .devices import CanAmplifiers, CanSensors
+from .drives import CanDrives
+from .link import CanLink
+
+_ANSWER_SHARE = 0.7
+"""Share of the period after which a reading is too late: the rest is for control and setpoints."""
+
+
+class CanBackend(Backend):
+    """Opens each bus once for all the roles on it."""
+
+    @classmethod
+    def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:  # noqa: ARG003
+        """Check a role's options, its bus and the DBC; raises ConfigError."""
+        bus = _bus_of(context.rig, role)
+        if role == "drives":
+            return
+        frames = _frames(context, bus)
+        largest_n = frames.setpoint.unit * LARGEST
+        if role == "amplifiers" and context.rig.limits.coil_n > largest_n:
+            raise ConfigError(
+                f"limits.coil_n: expected at most {largest_n:g} N, the range of the DBC's "
+                f"setpoints, found {context.rig.limits.coil_n:g} N"
+            )
+
+    def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
+        """Open the buses, compare limits with the devices', home and enable the drives."""
+        rig = context.rig
+        self._wait_s = _ANSWER_SHARE * context.period_s
+        self._deadline_s = 0.0
+        self._links: dict[str, CanLink] = {}
+        self._syncs: list[tuple[CanLink, CanFrames]] = []
+        self._roles: dict[str, CanAmplifiers | CanSensors | CanDrives] = {}
+        self._amplifiers: CanAmplifiers | None = None
+        for role in roles:
+            found = rig.on_bus(role)
+            assert found is not None
+            option = found[1]
+            bus = rig.can[option.bus]
+            link = self._links.setdefault(option.bus, CanLink(option.bus, bus))
+            if isinstance(option, CanDriveOptions):
+                self._roles[role] = CanDrives(
+                    link, rig, option, context.folder, bus.stale_cycles, self._deadline
+                )
+                continue
+            frames = next((f for to, f in self._syncs if to is link), None)
+            if frames is None:
+                frames = _frames(context, bus)
+                self._syncs.append((link, frames))
+            if isinstance(option, AmplifierOptions):
+                self._amplifiers = CanAmplifiers(
+                    link, frames, rig, option.expire_cycles, bus.stale_cycles, self._deadline
+                )
+                self._roles[role] = self._amplifiers
+            else:
+                self._roles[role] = CanSensors(link, frames, rig, bus.stale_cycles, self._deadline)
+        self._coils = len(rig.geometry.coil_x_m)
+        self._ready = False
+        try:
+            self.recover()
+        except BaseException:
+            self.close()
+            raise
+
+    def sync(self, cycle: int) -> None:
+        """Begin a cycle on every bus."""
+        for link in self._links.values():
+            link.drain()
+        number = cycle % CYCLES
+        for role in self._roles.values():
+            if not isinstance(role, CanDrives):
+                role.readings.begin(number)
+        if self._amplifiers is not None:
+            self._amplifiers.cycle = number
+        self._deadline_s = perf_counter() + self._wait_s
+        for link, frames in self._syncs:
+            link.send(*frames.sync.encode(number))
+        drives = self._roles.get("drives")
+        if isinstance(drives, CanDrives):
+            drives.sync(cycle)
+
+    def amplifiers(self) -> CoilAmplifiers:
+        """Return the amplifiers."""
+        return self._amplifiers if self._amplifiers is not None else super().amplifiers()
+
+    def sensors(self) -> PositionSensors:
+        """Return the sensors."""
+        found = self._roles.get("sensors")
+        return found if isinstance(found, CanSensors) else super().sensors()
+
+    def drives(self) -> ManipulatorDrives:
+        """Return the drives."""
+        found = self._roles.get("drives")
+        return found if isinstance(found, CanDrives) else super().drives()
+
+    def recover(self) -> None:
+        """Open all buses anew, compare limits, reset trips, home drives; raises DriverError."""
+        self._ready = False
+        for link in self._links.values():
+            link.open()
+        for role in self._roles.values():
+            role.recover()
+        self._ready = True
+
+    @property
+    def stale(self) -> int:
+        """Readings that did not come in time, of all devices."""
+        watches = (
+            role.watch if isinstance(role, CanDrives) else role.readings.watch
+            for role in self._roles.values()
+        )
+        return sum(watch.stale for watch in watches)
+
+    def close(self) -> None:
+        """Send zero force and let go of the buses; after expire_cycles the device is off."""
+        try:
+            if self._ready and self._amplifiers is not None:
+                with suppress(LinkError):  # it is gone: the device's own expiry has to do
+                    self._amplifiers.release(np.zeros(self._coils))
+        finally:
+            self._ready = False
+            for link in self._links.values():
+                link.close()
+
+    def _deadline(self) -> float:
+        return self._deadline_s
+
+
+def _bus_of(rig: RigConfig, role: str) -> CanBus:
+    found = rig.on_bus(role)
+    assert found is not None
+    return rig.can[found[1].bus]
+
+
+def _frames(context: Context, bus: CanBus) -> CanFrames:
+    geometry = context.rig.geometry
+    dbc = context.folder / bus.dbc if bus.dbc else None
+    return load_frames(dbc, len(geometry.coil_x_m), len(geometry.sensors_x_m), bus.fd)

@@ -1,0 +1,126 @@
+"""Coil amplifiers and ADC on CAN: setpoints out, forces and heights in, requests in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+
+from ...config.rig import RigConfig
+from ...wire.can_frames import CanFrames, Fields
+from ...wire.device import AMPLIFIER_LIMITS, SENSOR_LIMITS, Request, declared
+from ...wire.rejected import Rejected
+from ...wire.values import LARGEST
+from ..base import Array, CoilAmplifiers, LinkError, PositionSensors
+from ..enabling import AmplifierWatch, compare_limits
+from ..sensing import SensorWatch
+from .link import CanLink
+from .readings import Readings
+
+_EXCHANGE_S = 0.1
+_TRIES = 5
+
+Deadline = Callable[[], float]
+
+
+class CanAmplifiers(CoilAmplifiers):
+    """Amplifiers by the DBC's Setpoints, Forces, Request and Answer."""
+
+    def __init__(
+        self,
+        link: CanLink,
+        frames: CanFrames,
+        rig: RigConfig,
+        expire_cycles: int,
+        stale_cycles: int,
+        deadline: Deadline,
+    ) -> None:
+        self.readings = Readings("amplifiers", link, frames.force, stale_cycles)
+        self.cycle = 0
+        self._link, self._setpoint, self._deadline = link, frames.setpoint, deadline
+        self._limits = declared(rig, expire_cycles)
+        self._questions = Questions(link, frames.request, frames.answer)
+        self._watch = AmplifierWatch(self.readings.what, self._limits, self._questions.ask)
+        self._questions.answered = self._watch.answered
+
+    def write(self, coil_n: Array) -> None:
+        """Send setpoints (C,) in N; the amplifiers take them over at the next Sync."""
+        self._watch.commanding(coil_n)
+        send = self._link.send
+        for can_id, data in self._setpoint.encode(coil_n, self.cycle, 0):
+            send(can_id, data)
+
+    def read(self, coil_n: Array) -> None:
+        """Fill `coil_n` (C,) with the forces of this cycle, or of the last that came."""
+        self.readings.collect(self._deadline(), coil_n)
+        if self.readings.fresh:
+            self._watch.judge(self.readings.state, coil_n)
+
+    def recover(self) -> None:
+        """Compare limits and reset trips; raises DriverError."""
+        self.readings.reset()
+        exchange = self._questions.exchange
+        compare_limits(self.readings.what, self._limits, AMPLIFIER_LIMITS, exchange)
+        self._watch.reset(exchange)
+
+
+class CanSensors(PositionSensors):
+    """An ADC by the DBC's Gaps, SensorRequest and SensorAnswer."""
+
+    def __init__(
+        self,
+        link: CanLink,
+        frames: CanFrames,
+        rig: RigConfig,
+        stale_cycles: int,
+        deadline: Deadline,
+    ) -> None:
+        self.readings = Readings("sensors", link, frames.gap, stale_cycles)
+        self._deadline, self._limits = deadline, declared(rig, 0)
+        self._questions = Questions(link, frames.sensor_request, frames.sensor_answer)
+        count, unit_m = frames.gap.channels, frames.gap.unit
+        self._watch = SensorWatch(self.readings.what, count, unit_m * LARGEST)
+
+    def read(self, gap_m: Array) -> None:
+        """Fill `gap_m` (S,) with the heights of this cycle, or of the last that came."""
+        self.readings.collect(self._deadline(), gap_m)
+        if self.readings.fresh:
+            self._watch.judge(gap_m)
+
+    def recover(self) -> None:
+        """Compare limits; raises DriverError."""
+        self.readings.reset()
+        self._watch.reset()
+        exchange = self._questions.exchange
+        compare_limits(self.readings.what, self._limits, SENSOR_LIMITS, exchange)
+
+
+class Questions:
+    """Requests to one device, in the cycle without waiting or between cycles with its answer."""
+
+    def __init__(self, link: CanLink, request: Fields, answer: Fields) -> None:
+        self._link, self._request, self._answer = link, request, answer
+        self.answered: Callable[[int, int], None] = lambda _, __: None
+        self._latest: tuple[int, int] | None = None
+        link.listen(answer.can_id, self._take)
+
+    def ask(self, request: Request, index: int, value: int) -> None:
+        """Ask; the answer goes to `answered` when it comes."""
+        self._link.send(*self._request.encode(request, index, value))
+
+    def exchange(self, request: Request, index: int, value: int) -> tuple[int, int]:
+        """Ask and return index and value of the answer; raises LinkError where none comes."""
+        for _ in range(_TRIES):
+            self._link.drain()
+            self._latest = None
+            self.ask(request, index, value)
+            deadline_s = perf_counter() + _EXCHANGE_S
+            while self._link.receive(deadline_s):
+                if self._latest is not None:
+                    return self._latest
+        raise LinkError(f"{self._link.what}: nobody answers to {self._request.name}")
+
+    def _take(self, _: int, data: bytes) -> None:
+        numbers = self._answer.decode(data)
+        if not isinstance(numbers, Rejected):
+            self._latest = numbers[0], numbers[1]
+            self.answered(*self._latest)

@@ -1,0 +1,115 @@
+"""One CAN bus: sends frames, hands those that come to whoever listens, up to a deadline."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from time import perf_counter, time
+from typing import Any
+
+from ...config.buses import CanBus
+from ..base import LinkError
+
+Listener = Callable[[int, bytes], None]
+
+_CAN_ERR_BUSOFF = 0x40
+
+
+class CanLink:
+    """A bus that may go away and come back; what fails is a LinkError that names bus and cause."""
+
+    def __init__(self, name: str, bus: CanBus) -> None:
+        self.what = f"can {name} ({bus.interface} {bus.channel})"
+        self._config = bus
+        self._listeners: dict[int, Listener] = {}
+        self._bus: Any = None
+        self._message: Any = None
+        self.received_s = 0.0
+        """When the last frame came, on the loop's clock (perf_counter): by the time stamp of the
+        interface where it gives one, which is free of this process's own delays."""
+
+    def open(self) -> None:
+        """Open the bus, anew if it was open; raises LinkError."""
+        import can
+
+        self.close()
+        config = self._config
+        more: dict[str, Any] = dict(config.options)
+        if config.fd:
+            more |= {"fd": True, "data_bitrate": config.data_bitrate}
+        elif config.interface == "udp_multicast":
+            more |= {"fd": False}  # it would send CAN FD unless told otherwise
+        try:
+            self._bus = can.Bus(
+                interface=config.interface,
+                channel=config.channel,
+                bitrate=config.bitrate,
+                receive_own_messages=False,
+                **more,
+            )
+        except Exception as error:  # noqa: BLE001 - interfaces raise whatever they meet
+            raise LinkError(f"{self.what}: cannot be opened: {error}") from None
+        self._message = can.Message
+
+    def close(self) -> None:
+        """Let go of the bus; safe to call twice."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with contextlib.suppress(Exception):
+                bus.shutdown()
+
+    def listen(self, can_id: int, listener: Listener) -> None:
+        """Hand every frame of this ID to `listener`; frames of other IDs are nobody's."""
+        self._listeners[can_id] = listener
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame; raises LinkError."""
+        if self._bus is None:
+            raise LinkError(f"{self.what}: gone")
+        fd = self._config.fd and len(data) > 8
+        try:
+            self._bus.send(
+                self._message(
+                    arbitration_id=can_id,
+                    is_extended_id=False,
+                    data=data,
+                    is_fd=fd,
+                    bitrate_switch=fd,
+                )
+            )
+        except Exception as error:  # noqa: BLE001 - as above
+            self._lost(f"sending failed: {error}")
+
+    def receive(self, deadline_s: float) -> bool:
+        """Hand on the next frame, waiting until `deadline_s` (perf_counter) at most.
+
+        Returns whether one came; raises LinkError, for a controller that is bus-off too.
+        """
+        if self._bus is None:
+            raise LinkError(f"{self.what}: gone")
+        try:
+            message = self._bus.recv(max(deadline_s - perf_counter(), 0.0))
+        except Exception as error:  # noqa: BLE001 - as above
+            self._lost(f"receiving failed: {error}")
+        if message is None:
+            return False
+        if message.is_error_frame:
+            if message.arbitration_id & _CAN_ERR_BUSOFF:
+                self._lost("the controller is bus-off")
+            return True
+        listener = self._listeners.get(message.arbitration_id)
+        if listener is not None and not message.is_extended_id and not message.is_remote_frame:
+            # Interfaces stamp with the time of day; what is not from the last second is no such.
+            age_s = time() - message.timestamp
+            self.received_s = perf_counter() - (age_s if 0.0 <= age_s < 1.0 else 0.0)
+            listener(message.arbitration_id, message.data)
+        return True
+
+    def drain(self) -> None:
+        """Hand on all that has come; raises LinkError."""
+        while self.receive(0.0):
+            pass
+
+    def _lost(self, why: str) -> None:
+        self.close()
+        raise LinkError(f"{self.what}: lost: {why}") from None

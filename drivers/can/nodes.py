@@ -1,0 +1,236 @@
+"""CANopen drives between cycles: objects read and written, limits compared, homed, enabled."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from pathlib import Path
+from time import perf_counter, sleep
+from typing import Any
+
+import canopen
+from canopen.sdo.base import SdoVariable
+
+from ...config.base import ConfigError
+from ...config.shipped import shipped
+from ...wire.cia402 import (
+    DEVICE_TYPE_DRIVE,
+    FAULT_RESET,
+    HOMING_ATTAINED,
+    HOMING_ERROR,
+    RPDO1_ID,
+    RPDO_MAPPING,
+    START_HOMING,
+    TOWARDS_OPERATION,
+    TPDO1_ID,
+    TPDO_MAPPING,
+    DriveStates,
+    Mode,
+    Object,
+    state_of,
+)
+from ..base import DriveError, DriverError, LinkError
+from .link import CanLink
+
+_STATE_S = 2.0
+_HOMING_S = 10.0
+_POLL_S = 0.005
+_SYNCHRONOUS = 1
+_NOT_VALID = 1 << 31
+_OPERATIONAL, _PRE_OPERATIONAL = 0x01, 0x80
+
+
+class DriveNode:
+    """One drive, by its EDS; every method waits for the drive's answers.
+
+    `name` is what errors call it. The methods raise DriverError.
+    """
+
+    def __init__(self, name: str, node_id: int, eds: Path | None, link: CanLink) -> None:
+        self.name, self.node_id = name, node_id
+        self.what = f"drive {name} (node {node_id}) on {link.what}"
+        # The library warns on every object that an EDS leaves out.
+        logging.getLogger("canopen").setLevel(logging.ERROR)
+        path = eds or shipped("drive.eds")
+        try:
+            self._node: Any = canopen.RemoteNode(node_id, str(path))
+        except Exception as error:  # noqa: BLE001 - the library raises whatever it meets
+            raise ConfigError(f"{path}: not a valid EDS: {error}") from None
+        self._node.sdo.RESPONSE_TIMEOUT = 0.3
+        self._network = _LinkNetwork(link)
+        self._network.add_node(self._node)
+        link.listen(0x580 + node_id, self._network.notify_now)
+        self._link = link
+
+    def configure(
+        self, limits: dict[tuple[Object, int], int], heartbeat_ms: int, sync_s: float
+    ) -> None:
+        """Compare limits, set heartbeat and PDOs, which begin with every SYNC from here on.
+
+        `limits`: object and subindex to the value that the rig asks for.
+        """
+        with self._answers():
+            self._nmt(_PRE_OPERATIONAL)
+            profile = self._read(Object.DEVICE_TYPE) & 0xFFFF
+            if profile != DEVICE_TYPE_DRIVE:
+                raise DriverError(f"{self.what}: expected a CiA 402 drive, found profile {profile}")
+            wrong = [
+                f"{index.name}: expected {expected}, found {found}"
+                for (index, sub), expected in limits.items()
+                if (found := self._read(index, sub)) != expected
+            ]
+            if wrong:
+                raise DriverError(
+                    f"{self.what}: limits in the device are not the rig's: {'; '.join(wrong)}"
+                )
+            self._write(Object.HEARTBEAT_MS, heartbeat_ms)
+            self._write(Object.INTERPOLATION, _interpolation(sync_s)[0], 1)
+            self._write(Object.INTERPOLATION, _interpolation(sync_s)[1], 2)
+            rpdo, tpdo = RPDO1_ID + self.node_id, TPDO1_ID + self.node_id
+            self._map(Object.RPDO1, Object.RPDO1_MAP, rpdo, RPDO_MAPPING)
+            self._map(Object.TPDO1, Object.TPDO1_MAP, tpdo, TPDO_MAPPING)
+
+    def enable(self, homing_method: int) -> None:
+        """Reset a fault, home, and enable operation in cyclic synchronous position mode."""
+        with self._answers():
+            if state_of(self._read(Object.STATUSWORD)) is DriveStates.FAULT:
+                self._write(Object.CONTROLWORD, 0)
+                self._write(Object.CONTROLWORD, FAULT_RESET)
+            self._write(Object.HOMING_METHOD, homing_method)
+            self._mode(Mode.HOMING)
+            self._go_to_operation()
+            self._home(homing_method)
+            # Where it stands is the first target: nothing moves when the mode changes.
+            self._write(Object.TARGET_POSITION, self._read(Object.ACTUAL_POSITION))
+            self._mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+            self._nmt(_OPERATIONAL)
+
+    def position(self) -> int:
+        """Return the actual position in counts."""
+        with self._answers():
+            return self._read(Object.ACTUAL_POSITION)
+
+    def _home(self, method: int) -> None:
+        self._write(Object.CONTROLWORD, START_HOMING)
+        give_up_s = perf_counter() + _HOMING_S
+        while True:
+            word = self._read(Object.STATUSWORD)
+            if word & HOMING_ERROR:
+                raise DriveError(f"{self.what}: homing by method {method} failed")
+            if word & HOMING_ATTAINED:
+                return
+            if perf_counter() > give_up_s:
+                raise DriveError(f"{self.what}: not homed after {_HOMING_S:g} s by method {method}")
+            sleep(_POLL_S)
+
+    def _go_to_operation(self) -> None:
+        give_up_s = perf_counter() + _STATE_S
+        while True:
+            state = state_of(self._read(Object.STATUSWORD))
+            if state is DriveStates.OPERATION_ENABLED:
+                return
+            if perf_counter() > give_up_s:
+                code = self._read(Object.ERROR_CODE)
+                words = state.words if state else "in an unknown state"
+                raise DriveError(
+                    f"{self.what}: expected operation enabled, found {words}, "
+                    f"error code 0x{code:04X}"
+                )
+            if state in TOWARDS_OPERATION:
+                self._write(Object.CONTROLWORD, TOWARDS_OPERATION[state])
+            sleep(_POLL_S)
+
+    def _mode(self, mode: Mode) -> None:
+        self._write(Object.MODE, mode)
+        give_up_s = perf_counter() + _STATE_S
+        while self._read(Object.MODE_DISPLAY) != mode:
+            if perf_counter() > give_up_s:
+                raise DriveError(f"{self.what}: does not change to mode {mode.name}")
+            sleep(_POLL_S)
+
+    def _map(
+        self, record: Object, mapping: Object, cob_id: int, objects: tuple[tuple[Object, int], ...]
+    ) -> None:
+        """Map a PDO by the procedure of CiA 301: invalid, emptied, filled, valid."""
+        self._write(record, cob_id | _NOT_VALID, 1)
+        self._write(record, _SYNCHRONOUS, 2)
+        self._write(mapping, 0, 0)
+        for i, (index, bits) in enumerate(objects, start=1):
+            self._write(mapping, index << 16 | bits, i)
+        self._write(mapping, len(objects), 0)
+        self._write(record, cob_id, 1)
+
+    def _read(self, index: Object, sub: int = 0) -> int:
+        return int(self._sdo(lambda: self._object(index, sub).raw, index))
+
+    def _write(self, index: Object, value: int, sub: int = 0) -> None:
+        def write() -> None:
+            self._object(index, sub).raw = value
+
+        self._sdo(write, index)
+
+    def _object(self, index: Object, sub: int) -> Any:
+        found = self._node.sdo[int(index)]
+        return found if isinstance(found, SdoVariable) else found[sub]
+
+    def _sdo(self, action: Any, index: Object) -> Any:
+        try:
+            return action()
+        except DriverError:
+            raise
+        except canopen.SdoCommunicationError as error:
+            raise LinkError(f"{self.what}: {index.name}: {error}") from None
+        except Exception as error:  # noqa: BLE001 - an object that the EDS or the drive lacks
+            raise DriverError(f"{self.what}: {index.name}: {error}") from None
+
+    def _nmt(self, command: int) -> None:
+        self._link.send(0x000, bytes((command, self.node_id)))
+
+    def _answers(self) -> _Pump:
+        return _Pump(self._link)
+
+
+class _LinkNetwork(canopen.Network):
+    """The library on a link: it sends there, and is told what its node answers."""
+
+    def __init__(self, link: CanLink) -> None:
+        super().__init__()
+        self._link = link
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:  # noqa: ARG002
+        self._link.send(can_id, bytes(data))
+
+    def notify_now(self, can_id: int, data: bytes) -> None:
+        """Hand a frame to the library."""
+        self.notify(can_id, bytearray(data), 0.0)
+
+
+class _Pump:
+    """Receives in a thread while the library waits for answers; between cycles only."""
+
+    def __init__(self, link: CanLink) -> None:
+        self._link, self._stop = link, threading.Event()
+        self._thread = threading.Thread(target=self._run, name="levid-sdo", daemon=True)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                self._link.receive(perf_counter() + 0.01)
+            except DriverError:  # whoever waits for an answer gets a timeout
+                return
+
+
+def _interpolation(sync_s: float) -> tuple[int, int]:
+    """Return value and power of ten of the interpolation period (object 0x60C2)."""
+    for power in (-3, -4, -5, -6):
+        value = sync_s / 10.0**power
+        if abs(value - round(value)) < 1e-6 and 1 <= round(value) <= 255:
+            return round(value), power
+    return min(max(round(sync_s / 1e-4), 1), 255), -4

@@ -1,0 +1,69 @@
+"""The readings of one device in a cycle: its frames gathered, by the deadline, or counted stale."""
+
+from __future__ import annotations
+
+from ...wire.can_frames import COUNTER_MASK, ValueFrames
+from ...wire.rejected import Rejected
+from ..base import Array
+from ..watch import Watch
+from .link import CanLink
+
+
+class Readings:
+    """What comes in `frames` on `link`; `fresh` says whether it is of the cycle at hand."""
+
+    def __init__(self, what: str, link: CanLink, frames: ValueFrames, stale_cycles: int) -> None:
+        self.what = f"{what} on {link.what}"
+        self.watch = Watch(self.what, stale_cycles)
+        self.fresh = False
+        self._link, self._frames = link, frames
+        self._cycle = 0
+        self._collected = True
+        for can_id in frames.ids:
+            link.listen(can_id, self._take)
+
+    @property
+    def state(self) -> int:
+        """The device's state, as its last frames say."""
+        return self._frames.state
+
+    def begin(self, cycle: int) -> None:
+        """Begin a cycle; what comes from here on must carry its counter."""
+        self.watch.begin()
+        self._frames.begin()
+        self._cycle = cycle
+        self._collected, self.fresh = False, False
+
+    def collect(self, deadline_s: float, out: Array) -> None:
+        """Wait for this cycle's frames and fill `out`; it stays as it was where they are stale.
+
+        Raises:
+            StaleError: too many cycles in a row were not clean.
+        """
+        if self._collected:
+            return
+        try:
+            while not self._frames.complete:
+                if not self._link.receive(deadline_s):
+                    break
+        finally:
+            self._collected = True
+        if self._frames.complete:
+            wrong = self._frames.finish(out)
+            if wrong is None:
+                self.fresh = True
+                self.watch.fresh()
+                return
+            self.watch.reject(wrong)
+        self.watch.missing()
+
+    def reset(self) -> None:
+        """Begin anew after a fault."""
+        self.watch.reset()
+        self._collected = True
+
+    def _take(self, can_id: int, data: bytes) -> None:
+        reason = self._frames.accept(can_id, data, self._cycle)
+        if reason is not None:
+            behind = (self._cycle - data[-2]) & COUNTER_MASK if len(data) > 1 else 0
+            self.watch.reject(reason, behind if reason is Rejected.COUNTER else 0)

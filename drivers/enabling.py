@@ -1,0 +1,110 @@
+"""Host's side of amplifiers on any bus: limits compared, challenge answered, states watched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from ..wire.device import AMPLIFIER_LIMITS, AmplifierState, Parameter, Refusal, Request, response
+from .base import AmplifierError, Array, DriverError
+
+# asks a device: request, index, value; no answer is waited for
+Ask = Callable[[Request, int, int], None]
+# asks a device and returns index and value of its answer; raises DriverError
+Exchange = Callable[[Request, int, int], tuple[int, int]]
+
+_PATIENCE_CYCLES = 5
+"""Cycles until a challenge that was not answered is asked for again."""
+
+
+def compare_limits(
+    what: str, expected: Mapping[Parameter, int], which: tuple[Parameter, ...], exchange: Exchange
+) -> None:
+    """Read the device's limits and compare them with the rig's.
+
+    Raises:
+        DriverError: one differs; all that differ are named, with both values.
+    """
+    wrong = []
+    for parameter in which:
+        index, found = exchange(Request.READ, parameter, 0)
+        if index != parameter:
+            wrong.append(f"{parameter.name}: the device has none")
+        elif found != expected[parameter] & 0xFFFFFFFF:
+            wrong.append(f"{parameter.name}: expected {expected[parameter]}, found {found}")
+    if wrong:
+        raise DriverError(f"{what}: limits in the device are not the rig's: {'; '.join(wrong)}")
+
+
+class AmplifierWatch:
+    """Keeps amplifiers enabled while zero force is asked, and says when they are not in flight."""
+
+    def __init__(self, what: str, limits: Mapping[Parameter, int], ask: Ask) -> None:
+        self._what, self._ask = what, ask
+        self._limits = {p: limits[p] for p in AMPLIFIER_LIMITS}
+        self._commanded = False
+        self._state = AmplifierState.OFF
+        self._patience = 0
+        self._refused = ""
+        self._told = False
+
+    def commanding(self, coil_n: Array) -> None:
+        """Note what force is asked for, (C,) in N."""
+        self._commanded = bool(coil_n.any())
+
+    def judge(self, state: int, force_n: Array) -> None:
+        """Look at the state that came with `force_n` (C,), where nan tells which coil tripped.
+
+        nan becomes 0, and an error is raised once only: the loop goes on reading in the fault.
+
+        Raises:
+            AmplifierError: the amplifiers tripped, or are not enabled although force is asked.
+        """
+        if state == AmplifierState.ENABLED:
+            self._state, self._refused, self._told = AmplifierState.ENABLED, "", False
+            self._patience = 0  # should it switch off, it is asked at once
+            return
+        was_enabled = self._state is AmplifierState.ENABLED
+        tripped = np.flatnonzero(np.isnan(force_n))
+        force_n[tripped] = 0.0
+        self._state = AmplifierState(state) if state in _STATES else AmplifierState.OFF
+        if self._state is not AmplifierState.TRIPPED and not self._commanded:
+            self._pursue()
+            return
+        if self._told:
+            return
+        self._told = True
+        if self._state is AmplifierState.TRIPPED:
+            coils = ", ".join(map(str, tripped)) or "unknown"
+            raise AmplifierError(f"{self._what}: tripped, coil {coils}")
+        if self._state is AmplifierState.EXPIRED:
+            raise AmplifierError(f"{self._what}: setpoints expired, they are at zero force")
+        became = "switched off" if was_enabled else "are not enabled"
+        raise AmplifierError(f"{self._what}: {became} while force is asked for{self._refused}")
+
+    def answered(self, index: int, value: int) -> None:
+        """Take an answer of the device that came between readings."""
+        if index == Parameter.CHALLENGE:
+            self._ask(Request.ENABLE, 0, response(value, self._limits))
+        elif index in _REFUSALS:
+            self._refused = f" ({Refusal(index).name})"
+
+    def reset(self, exchange: Exchange) -> None:
+        """Reset trips after a fault; raises AmplifierError where the cause is not gone."""
+        index, tripped = exchange(Request.RESET, 0, 0)
+        if index != Parameter.TRIPPED_COILS or tripped:
+            coils = ", ".join(str(i) for i in range(32) if tripped >> i & 1)
+            raise AmplifierError(f"{self._what}: still tripped, coil {coils}")
+        self._told, self._commanded, self._patience = False, False, 0
+
+    def _pursue(self) -> None:
+        """Ask for a challenge, now and then, until enabled."""
+        self._patience -= 1
+        if self._patience <= 0:
+            self._patience = _PATIENCE_CYCLES
+            self._ask(Request.READ, Parameter.CHALLENGE, 0)
+
+
+_STATES = frozenset(AmplifierState)
+_REFUSALS = frozenset(Refusal)

@@ -1,0 +1,210 @@
+"""The serial backend: every role on ports of the framed protocol, one transaction a cycle."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from ...config.base import ConfigError
+from ...config.buses import AmplifierOptions, SerialDriveOptions
+from ...config.rig import RigConfig
+from ...wire.device import (
+    AMPLIFIER_LIMITS,
+    DRIVE_LIMITS,
+    SENSOR_LIMITS,
+    DriveState,
+    Request,
+    declared,
+)
+from ...wire.serial_frames import FORCE_N, GAP_M, Contents
+from ...wire.values import LARGEST
+from ..base import (
+    Array,
+    Backend,
+    CoilAmplifiers,
+    Context,
+    DriveError,
+    LinkError,
+    ManipulatorDrives,
+    PositionSensors,
+)
+from ..enabling import AmplifierWatch, compare_limits
+from ..sensing import SensorWatch, check_skew
+from .port import TransactionPort
+
+
+class SerialBackend(Backend):
+    """Opens each port once for all the roles on it."""
+
+    @classmethod
+    def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:  # noqa: ARG003
+        """Check a role's options; raises ConfigError."""
+        context.rig.on_bus(role)
+        if role == "amplifiers" and context.rig.limits.coil_n > FORCE_N * LARGEST:
+            raise ConfigError(
+                f"limits.coil_n: expected at most {FORCE_N * LARGEST:g} N, the range of the "
+                f"serial protocol, found {context.rig.limits.coil_n:g} N"
+            )
+
+    def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
+        """Open the ports, compare limits with the devices', enable the drives."""
+        rig = context.rig
+        options = {role: found[1] for role in roles if (found := rig.on_bus(role)) is not None}
+        names = dict.fromkeys(option.bus for option in options.values())
+        on = {name: {r for r, o in options.items() if o.bus == name} for name in names}
+        self._ports = {
+            name: TransactionPort(name, rig.serial[name], contents(rig, on[name]), context.period_s)
+            for name in names
+        }
+        self._roles: dict[str, _Amplifiers | _Sensors | _Drives] = {}
+        for role, option in options.items():
+            port = self._ports[option.bus]
+            if isinstance(option, AmplifierOptions):
+                self._roles[role] = _Amplifiers(port, rig, option.expire_cycles)
+            elif isinstance(option, SerialDriveOptions):
+                self._roles[role] = _Drives(port, rig, option)
+            else:
+                self._roles[role] = _Sensors(port, rig)
+        try:
+            self.recover()
+        except BaseException:
+            self.close()
+            raise
+
+    def sync(self, cycle: int) -> None:
+        """Begin a cycle on every port: setpoints out, samples in."""
+        for port in self._ports.values():
+            port.sync(cycle)
+
+    def amplifiers(self) -> CoilAmplifiers:
+        """Return the amplifiers."""
+        found = self._roles.get("amplifiers")
+        return found if isinstance(found, _Amplifiers) else super().amplifiers()
+
+    def sensors(self) -> PositionSensors:
+        """Return the sensors."""
+        found = self._roles.get("sensors")
+        return found if isinstance(found, _Sensors) else super().sensors()
+
+    def drives(self) -> ManipulatorDrives:
+        """Return the drives."""
+        found = self._roles.get("drives")
+        return found if isinstance(found, _Drives) else super().drives()
+
+    def recover(self) -> None:
+        """Open all ports anew, compare limits, reset trips, enable drives; raises DriverError."""
+        for port in self._ports.values():
+            port.open()
+        for role in self._roles.values():
+            role.recover()
+
+    @property
+    def stale(self) -> int:
+        """Cycles without a reading in time."""
+        return sum(port.watch.stale for port in self._ports.values())
+
+    def close(self) -> None:
+        """Send zero force and let go of the ports; after expire_cycles the device is off."""
+        amplifiers = self._roles.get("amplifiers")
+        try:
+            if isinstance(amplifiers, _Amplifiers) and amplifiers.open:
+                amplifiers.open = False
+                with suppress(LinkError):  # it is gone: the device's own expiry has to do
+                    amplifiers.release(np.zeros_like(amplifiers.port.coil_n))
+        finally:
+            for port in self._ports.values():
+                port.close()
+
+
+def contents(rig: RigConfig, roles: set[str]) -> Contents:
+    """Return what frames on a port that plays `roles` hold."""
+    return Contents(
+        len(rig.geometry.coil_x_m) if "amplifiers" in roles else 0,
+        len(rig.geometry.sensors_x_m) if "sensors" in roles else 0,
+        "drives" in roles,
+    )
+
+
+class _Amplifiers(CoilAmplifiers):
+    def __init__(self, port: TransactionPort, rig: RigConfig, expire_cycles: int) -> None:
+        self.port, self.open = port, False
+        self._limits = declared(rig, expire_cycles)
+        self._watch = AmplifierWatch(f"amplifiers on {port.what}", self._limits, port.ask)
+        port.amplifiers = self._watch
+
+    def write(self, coil_n: Array) -> None:
+        self._watch.commanding(coil_n)
+        self.port.coil_n[:] = coil_n
+
+    def release(self, zero_n: Array) -> None:
+        self.write(zero_n)
+        self.port.send_setpoints()
+
+    def read(self, coil_n: Array) -> None:
+        self.port.collect()
+        state = self.port.frames.amplifier_readings(coil_n)
+        if self.port.fresh:
+            self._watch.judge(state, coil_n)
+
+    def recover(self) -> None:
+        port = self.port
+        port.coil_n[:] = 0.0
+        compare_limits(port.what, self._limits, AMPLIFIER_LIMITS, port.exchange)
+        self._watch.reset(port.exchange)
+        self.open = True
+
+
+class _Sensors(PositionSensors):
+    def __init__(self, port: TransactionPort, rig: RigConfig) -> None:
+        self._port, self._limits = port, declared(rig, 0)
+        count = len(rig.geometry.sensors_x_m)
+        self._watch = SensorWatch(f"sensors on {port.what}", count, GAP_M * LARGEST)
+
+    def read(self, gap_m: Array) -> None:
+        self._port.collect()
+        self._port.frames.sensor_readings(gap_m)
+        if self._port.fresh:
+            self._watch.judge(gap_m)
+
+    def recover(self) -> None:
+        port = self._port
+        compare_limits(port.what, self._limits, SENSOR_LIMITS, port.exchange)
+        self._watch.reset()
+
+
+class _Drives(ManipulatorDrives):
+    def __init__(self, port: TransactionPort, rig: RigConfig, options: SerialDriveOptions) -> None:
+        self._port, self._limits = port, declared(rig, 0)
+        self._skew_m = options.skew_m
+        self._axes = np.zeros((3, 3))
+        self._told = False
+
+    def write(self, beam: Array, rotor: Array) -> None:
+        self._port.beam[:] = beam
+        self._port.rotor[:] = rotor
+
+    def read(self, beam: Array, rotor: Array) -> None:
+        port, axes = self._port, self._axes
+        port.collect()
+        state, error = port.frames.drive_readings(axes)
+        beam[:] = 0.5 * (axes[0] + axes[1])
+        beam[2] = axes[0, 2] + axes[1, 2]
+        rotor[:] = axes[2]
+        if self._told or not port.fresh:
+            return
+        self._told = True
+        what = f"drives on {port.what}"
+        if state != DriveState.OPERATING:
+            raise DriveError(f"{what}: not operating, error code 0x{error:04X}")
+        check_skew(what, axes[0, 0], axes[1, 0], self._skew_m)
+        self._told = False
+
+    def recover(self) -> None:
+        port = self._port
+        compare_limits(port.what, self._limits, DRIVE_LIMITS, port.exchange)
+        _, error = port.exchange(Request.ENABLE_DRIVES, 0, 0)
+        if error:
+            raise DriveError(f"drives on {port.what}: cannot be enabled, error code 0x{error:04X}")
+        self._told = False

@@ -1,0 +1,139 @@
+"""One port's transaction a cycle: setpoints out with the sync, readings back by the deadline."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+
+from ...config.buses import SerialBus
+from ...wire.device import CYCLES, Request
+from ...wire.rejected import Rejected
+from ...wire.serial_frames import Contents, Header, Kind, SerialFrames
+from ...wire.stream import FrameStream
+from ..base import LinkError
+from ..enabling import AmplifierWatch
+from ..watch import Watch
+from .line import SerialLine
+
+_ANSWER_SHARE = 0.7
+"""Share of the period after which a reading is too late: the rest is for control and writing."""
+_EXCHANGE_S = 0.1
+_TRIES = 5
+
+
+class TransactionPort:
+    """What is to be sent with the next cycle, and what came back with this one.
+
+    `coil_n` (C,) N, `beam` and `rotor` (3,) are sent by `sync`; after `collect` `frames` holds the
+    readings of this cycle, or where they are stale those of an earlier one.
+    """
+
+    def __init__(self, name: str, bus: SerialBus, contents: Contents, period_s: float) -> None:
+        self.what = f"serial {name} ({bus.port})"
+        self.frames = SerialFrames(contents)
+        self.coil_n = np.zeros(contents.coils)
+        self.beam, self.rotor = np.zeros(3), np.zeros(3)
+        self.watch = Watch(self.what, bus.stale_cycles)
+        self.amplifiers: AmplifierWatch | None = None
+        self.fresh = False
+        self._line = SerialLine(name, bus)
+        self._stream = FrameStream(self.frames.longest)
+        self._reading = SerialFrames(contents)
+        self._wait_s = _ANSWER_SHARE * period_s
+        self._deadline_s = 0.0
+        self._cycle = 0
+        self._collected = True
+        self._questions: list[tuple[Request, int, int]] = []
+
+    def open(self) -> None:
+        """Open the port, anew if it is open; raises LinkError."""
+        self._line.open()
+        self._stream.clear()
+        self._questions.clear()
+        self._collected = True
+        self.watch.reset()
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._line.close()
+
+    def sync(self, cycle: int) -> None:
+        """Begin a cycle: send setpoints, at which the device samples and answers."""
+        self._drain()
+        self.watch.begin()
+        self._cycle = cycle % CYCLES
+        self._collected, self.fresh = False, False
+        self._deadline_s = perf_counter() + self._wait_s
+        self._line.write(self._setpoints())
+        if self._questions:
+            for question in self._questions:
+                self._line.write(self.frames.request(0, *question))
+            self._questions.clear()
+
+    def send_setpoints(self) -> None:
+        """Send the setpoints at once, in the cycle at hand."""
+        self._line.write(self._setpoints())
+
+    def ask(self, request: Request, index: int, value: int) -> None:
+        """Ask with the next cycle; the answer goes to `amplifiers`."""
+        self._questions.append((request, index, value))
+
+    def collect(self) -> None:
+        """Wait for this cycle's readings, by the deadline; the first caller of a cycle does."""
+        if self._collected:
+            return
+        try:
+            while not self.fresh:
+                data = self._line.read(self._deadline_s)
+                if not data:
+                    break
+                for block in self._stream.feed(data):
+                    self._take(block)
+        finally:
+            self._collected = True
+        if self.fresh:
+            self.watch.fresh()
+        else:
+            self.watch.missing()
+
+    def exchange(self, request: Request, index: int, value: int) -> tuple[int, int]:
+        """Ask and wait for the answer, between cycles; raises LinkError where none comes."""
+        for attempt in range(1, _TRIES + 1):
+            self._line.write(self.frames.request(attempt, request, index, value))
+            deadline_s = perf_counter() + _EXCHANGE_S
+            while data := self._line.read(deadline_s):
+                for block in self._stream.feed(data):
+                    header = self._reading.accept(block)
+                    if isinstance(header, Header) and header == Header(Kind.ANSWER, attempt):
+                        return self._reading.answer_received()
+        raise LinkError(f"{self.what}: nobody answers")
+
+    def _setpoints(self) -> bytes:
+        return self.frames.cycle(self._cycle, self.coil_n, self.beam, self.rotor)
+
+    def _drain(self) -> None:
+        """Take what came since the last cycle's reading: nothing, if all is well."""
+        while data := self._line.read(0.0):
+            for block in self._stream.feed(data):
+                self._take(block)
+
+    def _take(self, block: bytes) -> None:
+        header = self._reading.accept(block)
+        if isinstance(header, Rejected):
+            self.watch.reject(header)
+        elif header.kind is Kind.ANSWER:
+            if self.amplifiers is not None:
+                self.amplifiers.answered(*self._reading.answer_received())
+        elif header.kind is not Kind.READINGS:
+            self.watch.reject(Rejected.KIND)
+        elif header.sequence != self._cycle:
+            behind = (self._cycle - header.sequence) % CYCLES
+            self.watch.reject(Rejected.COUNTER, behind)
+        elif self.fresh:
+            self.watch.reject(Rejected.REPEATED)
+        elif not self._collected:  # else it is too late, and was counted as missing
+            # The readings stay where they were unpacked; the other codec takes the next frame.
+            self.frames, self._reading = self._reading, self.frames
+            self.fresh = True
+            self.watch.arrived()

@@ -1,0 +1,157 @@
+"""CiA 402 drives: states as tables, limits compared, homing, slower drives, silence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.config.rig import RigConfig
+from levid.config.shipped import shipped
+from levid.drivers.base import Context, DriveError, DriverError
+from levid.drivers.registry import open_devices
+from levid.sim.electronics.rig import Electronics
+from levid.wire.cia402 import (
+    SYNC_COUNTER,
+    TOWARDS_OPERATION,
+    DriveStates,
+    Object,
+    beam_limits,
+    state_of,
+    sync_counter,
+)
+from levid.wire.device import CYCLES
+from levid.wire.differences import Differences
+
+RATE_HZ = 100.0
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
+    monkeypatch.setattr("levid.drivers.can.backend._ANSWER_SHARE", 1e4)
+
+
+@pytest.fixture
+def rig(rig_on, quiet_sim: Path) -> RigConfig:
+    return rig_on("can", RATE_HZ, quiet_sim)
+
+
+def with_drives(rig: RigConfig, **options: object) -> RigConfig:
+    role = rig.drives.model_validate({**rig.drives.model_dump(), **options})
+    return rig.model_copy(update={"drives": role})
+
+
+@pytest.mark.parametrize("state", DriveStates)
+def test_every_state_is_told_from_every_other(state: DriveStates) -> None:
+    mask, value = state.value
+    for noise in range(0x10000):
+        word = value | (noise & ~mask & 0xFFFF)
+        if noise & mask:
+            continue
+        assert state_of(word) is state
+
+
+def test_from_every_state_operation_is_reached() -> None:
+    after = {
+        DriveStates.FAULT: DriveStates.SWITCH_ON_DISABLED,
+        DriveStates.QUICK_STOP_ACTIVE: DriveStates.SWITCH_ON_DISABLED,
+        DriveStates.SWITCH_ON_DISABLED: DriveStates.READY_TO_SWITCH_ON,
+        DriveStates.READY_TO_SWITCH_ON: DriveStates.SWITCHED_ON,
+        DriveStates.SWITCHED_ON: DriveStates.OPERATION_ENABLED,
+    }
+    assert set(after) == set(TOWARDS_OPERATION)
+
+
+def test_counters_of_the_buses_stay_in_step() -> None:
+    """A cycle counted modulo CYCLES gives the same counters as one that is never cut."""
+    for cycle in (0, 239, 240, CYCLES - 1, CYCLES, CYCLES + 1, 10**7):
+        assert sync_counter(cycle) == sync_counter(cycle % CYCLES)
+        assert (cycle - cycle % CYCLES) % 16 == 0
+    assert {sync_counter(k) for k in range(1000)} == set(range(1, SYNC_COUNTER + 1))
+
+
+def test_differences_are_exact_for_a_cubic_and_a_quadratic() -> None:
+    T = 0.01
+    differences = Differences(T)
+    for k in range(10):
+        t = k * T
+        velocity, _ = differences.push(1.0 + 2.0 * t - 3.0 * t**2 + 4.0 * t**3)
+    assert velocity == pytest.approx(2.0 - 6.0 * t + 12.0 * t**2, rel=1e-9)
+    for k in range(10):
+        t = k * T
+        _, acceleration = differences.push(1.0 + 2.0 * t - 3.0 * t**2)
+    assert acceleration == pytest.approx(-6.0, rel=1e-6)
+
+
+def test_limits_that_differ_are_refused_and_named(rig: RigConfig) -> None:
+    slower = rig.limits.model_copy(update={"beam_velocity_m_s": 0.4, "coil_n": 19.0})
+    with (
+        Electronics(rig.model_copy(update={"limits": slower}), Path()),
+        pytest.raises(DriverError) as error,
+    ):
+        open_devices(Context(rig, 1 / RATE_HZ, Path()))
+    # The amplifiers are looked at first; the drives of the rig itself would be refused likewise.
+    assert "COIL_LIMIT_MN: expected 20000, found 19000" in str(error.value)
+    only_drives = rig.limits.model_copy(update={"beam_velocity_m_s": 0.4})
+    with (
+        Electronics(rig.model_copy(update={"limits": only_drives}), Path()),
+        pytest.raises(DriverError, match="MAX_SPEED: expected 500000000, found 400000000"),
+    ):
+        open_devices(Context(rig, 1 / RATE_HZ, Path()))
+
+
+def test_limits_are_in_counts() -> None:
+    limits = beam_limits(load().limits)
+    assert limits[Object.POSITION_LIMIT, 2] == 100_000_000  # 0.1 m in nm
+    assert limits[Object.MAX_ACCELERATION, 0] == 10_000  # 10 m/s2 in mm/s2
+
+
+def load() -> RigConfig:
+    from levid.config.rig import load_rig
+
+    return load_rig(shipped("rigs/canfd.yaml"))
+
+
+def test_node_that_is_not_there_is_named(rig: RigConfig) -> None:
+    other = with_drives(rig, nodes={"x1": 1, "x2": 2, "phi": 9})
+    with Electronics(rig, Path()), pytest.raises(DriverError, match=r"drive phi \(node 9\)"):
+        open_devices(Context(other, 1 / RATE_HZ, Path()))
+
+
+@pytest.mark.parametrize("every", [2, 4, 5])
+def test_slower_drives_follow_in_between(rig: RigConfig, every: int) -> None:
+    slow = with_drives(rig, every=every)
+    with Electronics(slow, Path()) as electronics:
+        devices = open_devices(Context(slow, 1 / RATE_HZ, Path()))
+        beam, rotor, gap, coil = np.zeros(3), np.zeros(3), np.zeros(9), np.zeros(9)
+        speed, cycles = 0.02, 60
+        for k in range(cycles):
+            for sync in devices.syncs:
+                sync(k)
+            devices.sensors.read(gap)
+            devices.drives.read(beam, rotor)
+            devices.amplifiers.read(coil)
+            devices.amplifiers.write(np.zeros(9))
+            moved = speed * k / RATE_HZ
+            devices.drives.write(np.array([moved, speed, 0.0]), np.zeros(3))
+        true = electronics.core.plant.beam.copy()
+        devices.close()
+    # The setpoint written in cycle k - 2 is of this moment; at constant speed, the drive is there.
+    assert true[0] == pytest.approx(speed * (cycles - 3) / RATE_HZ, abs=2e-8)
+    assert beam[0] == pytest.approx(true[0], abs=1e-6)
+    assert beam[1] == pytest.approx(speed, rel=1e-4)
+
+
+def test_drive_that_falls_silent_is_a_fault(rig: RigConfig) -> None:
+    quick = with_drives(rig, heartbeat_s=0.01)
+    with Electronics(quick, Path()) as electronics:
+        devices = open_devices(Context(quick, 1 / RATE_HZ, Path()))
+        drives = devices.backends[0]._roles["drives"]
+        drives._axes[2].heard_s -= 10.0
+        beam, rotor = np.zeros(3), np.zeros(3)
+        with pytest.raises(DriveError, match=r"drive phi \(node 3\).*no heartbeat"):
+            devices.drives.read(beam, rotor)
+        devices.close()
+        assert electronics.core.axes.shape == (3, 3)

@@ -1,0 +1,109 @@
+"""What a cycle takes of a bus: the standards' frame lengths, and rates that do not fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from levid.config.base import ConfigError, parse_text
+from levid.config.rig import RigConfig, load_rig
+from levid.config.shipped import shipped
+from levid.wire.budget import budget, can_frame_s, canfd_frame_s, check_budget
+
+HEAD = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
+ONE_CLASSIC = """
+can: {main: {interface: virtual, channel: x, bitrate: 1000000}}
+amplifiers: {backend: can, bus: main}
+sensors: {backend: can, bus: main}
+drives: {backend: can, bus: main}
+"""
+ONE_FD_WITHOUT_DRIVES = """
+can: {main: {interface: virtual, channel: x, data_bitrate: 5000000, latency_s: 0}}
+amplifiers: {backend: can, bus: main}
+sensors: {backend: can, bus: main}
+drives: {backend: loopback}
+sim: sim.yaml
+"""
+
+
+def rig(buses: str, rate_hz: float) -> RigConfig:
+    return parse_text(HEAD.replace("rate_hz: 1000", f"rate_hz: {rate_hz}") + buses, RigConfig, "")
+
+
+@pytest.mark.parametrize(("length", "bits"), [(0, 55), (1, 65), (8, 135)])
+def test_classic_frame_is_that_of_davis_and_others(length: int, bits: int) -> None:
+    # 55 + 10 n for an 11-bit ID: Davis, Burns, Bril, Lukkien 2007, eq. (2)
+    assert can_frame_s(length, 1e6) == pytest.approx(bits * 1e-6)
+
+
+def test_classic_frame_bounds_what_stuffing_really_adds() -> None:
+    """The worst payload, stuffed bit by bit, stays within the bound and comes near it."""
+    longest = 0
+    for payload in (b"\x00" * 8, b"\xff" * 8, b"\x87\x87\x0f\x1e\x3c\x78\xf0\xe1", b"\x0f" * 8):
+        for can_id in (0x000, 0x078, 0x0F0, 0x10F):
+            bits = f"0{can_id:011b}000{len(payload):04b}" + "".join(f"{b:08b}" for b in payload)
+            longest = max(longest, len(stuffed(bits + crc15(bits))) + 10 + 3)
+    assert longest <= can_frame_s(8, 1.0)
+    assert longest >= can_frame_s(8, 1.0) - 16  # of 24 stuff bits, most
+
+
+def stuffed(bits: str) -> str:
+    out, run = "", ""
+    for bit in bits:
+        out += bit
+        run = run + bit if run[-1:] == bit else bit
+        if len(run) == 5:
+            out += "1" if bit == "0" else "0"
+            run = out[-1]
+    return out
+
+
+def crc15(bits: str) -> str:
+    crc = 0
+    for bit in bits:
+        top = (crc >> 14 & 1) ^ int(bit)
+        crc = (crc << 1 & 0x7FFF) ^ (0x4599 if top else 0)
+    return f"{crc:015b}"
+
+
+def test_fd_frames_are_as_long_as_computed_by_hand() -> None:
+    # 34 bits at 1 Mbit/s; 5 + 8 n, a quarter of that, checksum and fixed stuff bits at 5 Mbit/s
+    assert canfd_frame_s(20, 1e6, 5e6) == pytest.approx(34e-6 + (165 + 41 + 25 + 7) / 5e6)
+    assert canfd_frame_s(8, 1e6, 5e6) == pytest.approx(34e-6 + (69 + 17 + 21 + 6) / 5e6)
+
+
+@pytest.mark.parametrize("name", ["can", "canfd", "serial"])
+def test_shipped_rigs_fit_their_buses(name: str) -> None:
+    path = shipped(f"rigs/{name}.yaml")
+    check_budget(load_rig(path), path.parent)
+
+
+def test_one_classic_bus_does_not_carry_1_khz_and_says_what_does() -> None:
+    with pytest.raises(ConfigError) as error:
+        check_budget(rig(ONE_CLASSIC, 1000.0), Path())
+    text = str(error.value)
+    # sync 85, six frames of answers 810, SYNC 65 and three TPDOs 405, three setpoints 405, three
+    # RPDOs of 6 bytes 345 us, and 20 us of latency
+    assert "a cycle takes 2.135 ms" in text
+    assert "fastest rate that fits is 468 Hz" in text
+    assert "with two buses of classic CAN (amplifiers apart) and drives asked every 4" in text
+
+
+def test_10_khz_fits_no_single_can_bus() -> None:
+    with pytest.raises(ConfigError, match="fastest rate that fits is 3032 Hz") as error:
+        check_budget(rig(ONE_FD_WITHOUT_DRIVES, 10_000.0), Path())
+    assert "with two buses of CAN FD" in str(error.value)
+
+
+def test_rig_on_no_bus_has_no_budget() -> None:
+    path = shipped("rigs/loopback.yaml")
+    assert budget(load_rig(path), path.parent).cycle_s == 0.0
+
+
+def test_role_on_a_bus_that_is_not_there_says_which_are() -> None:
+    text = ONE_CLASSIC.replace(
+        "sensors: {backend: can, bus: main", "sensors: {backend: can, bus: x"
+    )
+    with pytest.raises(ConfigError, match=r"sensors.bus: expected a name from 'can' \(main\)"):
+        budget(rig(text, 100.0), Path())

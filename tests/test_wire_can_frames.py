@@ -1,0 +1,169 @@
+"""CAN payloads are what the DBC says, byte for byte, and frames count only if all checks pass."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import cantools
+import numpy as np
+import pytest
+
+from levid.config.base import ConfigError
+from levid.config.shipped import shipped
+from levid.wire.can_frames import CanFrames, ValueFrames, load_frames
+from levid.wire.crc import FrameCrc, crc8
+from levid.wire.rejected import Rejected
+
+DBC = shipped("levid.dbc")
+DATABASE = cantools.database.load_file(str(DBC))
+
+
+@pytest.fixture(params=[False, True], ids=["classic", "fd"])
+def frames(request: pytest.FixtureRequest) -> CanFrames:
+    return load_frames(None, 9, 9, request.param)
+
+
+def groups(frames: CanFrames) -> list[ValueFrames]:
+    return [frames.setpoint, frames.gap, frames.force]
+
+
+def test_checksum_has_the_check_value_of_autosar() -> None:
+    # AUTOSAR_SWS_CRCLibrary, CRC-8 with polynomial 0x2F: check value of "123456789"
+    assert crc8(b"123456789") == 0xDF
+
+
+@pytest.mark.parametrize("length", range(2, 65))
+def test_checksum_two_bytes_a_step_is_that_of_one(length: int) -> None:
+    data = np.random.default_rng(length).bytes(length)
+    expected = crc8(struct.pack(">H", 0x123) + data[:-1])
+    assert FrameCrc(0x123, length).of(data) == expected
+
+
+def test_payloads_are_those_of_cantools(frames: CanFrames) -> None:
+    rng = np.random.default_rng(1)
+    for group in groups(frames):
+        for cycle in range(20):
+            values = rng.uniform(-32000, 32000, 9) * group.unit
+            decoded: dict[str, float] = {}
+            for can_id, data in group.encode(values, cycle, cycle % 16):
+                message = DATABASE.get_message_by_frame_id(can_id)
+                signals = message.decode(data, decode_choices=False)
+                assert message.encode(signals) == data
+                assert (signals["counter"], signals["state"]) == (cycle % 16, cycle % 16)
+                assert signals["crc"] == crc8(struct.pack(">H", can_id) + data[:-1])
+                decoded |= signals
+            found = [v for k, v in decoded.items() if k.startswith(group.kind)]
+            np.testing.assert_allclose(found, values, atol=0.51 * group.unit)
+
+
+def test_fields_are_those_of_cantools(frames: CanFrames) -> None:
+    can_id, data = frames.request.encode(1, 7, 0x12345678)
+    message = DATABASE.get_message_by_frame_id(can_id)
+    signals = message.decode(data)
+    assert {k: signals[k] for k in ("request", "index", "value")} == {
+        "request": 1,
+        "index": 7,
+        "value": 0x12345678,
+    }
+    assert frames.request.decode(data) == (1, 7, 0x12345678)
+    assert frames.sync.decode(frames.sync.encode(61_439)[1]) == (61_439,)
+
+
+def test_what_is_packed_is_unpacked(frames: CanFrames) -> None:
+    values = np.linspace(-20.0, 20.0, 9)
+    values[4] = np.nan
+    out = np.zeros(9)
+    for can_id, data in frames.force.encode(values, 37, 3):
+        assert frames.force.accept(can_id, data, 37) is None
+    assert frames.force.complete
+    assert frames.force.finish(out) is None
+    assert frames.force.state == 3
+    np.testing.assert_allclose(out, values, atol=0.5001e-3)
+
+
+def test_range_is_clipped_and_not_wrapped(frames: CanFrames) -> None:
+    out = np.zeros(9)
+    for can_id, data in frames.setpoint.encode(np.full(9, 1e6), 0, 0):
+        frames.setpoint.accept(can_id, data, 0)
+    frames.setpoint.finish(out)
+    np.testing.assert_allclose(out, 32.767)
+
+
+def test_every_bit_that_is_turned_is_found(frames: CanFrames) -> None:
+    """A CRC-8 finds any single bit: at the latest by `finish`."""
+    group, out = frames.gap, np.full(9, 7.0)
+    sent = group.encode(np.linspace(-9e-4, 9e-4, 9), 5, 0)
+    for at, (can_id, data) in enumerate(sent):
+        for bit in range(8 * len(data)):
+            turned = bytearray(data)
+            turned[bit // 8] ^= 1 << bit % 8
+            group.begin()
+            others = [frame for i, frame in enumerate(sent) if i != at]
+            assert all(group.accept(i, d, 5) is None for i, d in others)
+            wrong = group.accept(can_id, bytes(turned), 5)
+            assert wrong is Rejected.CHECKSUM or group.finish(out) is Rejected.CHECKSUM
+            assert (out == 7.0).all()
+
+
+def test_frames_that_do_not_count_say_why(frames: CanFrames) -> None:
+    group = frames.gap
+    (can_id, data), *_ = group.encode(np.zeros(9), 5, 0)
+    assert group.accept(can_id, data[:-1], 5) is Rejected.LENGTH
+    assert group.accept(can_id, data, 6) is Rejected.COUNTER
+    assert group.accept(can_id, data, 5) is None
+    assert group.accept(can_id, data, 5) is Rejected.REPEATED
+    assert frames.sync.decode(b"\0\0\0") is Rejected.CHECKSUM
+    assert frames.sync.decode(b"") is Rejected.LENGTH
+
+
+def test_frame_under_another_id_does_not_count() -> None:
+    frames = load_frames(None, 9, 9, False)
+    (_, first), (other_id, _), *_ = frames.gap.encode(np.full(9, 1e-4), 0, 0)
+    out = np.zeros(9)
+    sent = frames.gap.encode(np.full(9, 1e-4), 0, 0)
+    for can_id, data in [sent[0], (other_id, first), sent[2]]:
+        frames.gap.accept(can_id, data, 0)
+    assert frames.gap.finish(out) is Rejected.CHECKSUM
+
+
+@pytest.mark.parametrize(("coils", "count"), [(3, 1), (4, 2), (6, 2), (9, 3)])
+def test_fewer_coils_take_fewer_frames(coils: int, count: int) -> None:
+    frames = load_frames(None, coils, coils, False)
+    sent = frames.setpoint.encode(np.full(coils, 1.0), 0, 0)
+    assert len(sent) == count
+    out = np.zeros(coils)
+    for can_id, data in sent:
+        assert frames.setpoint.accept(can_id, data, 0) is None
+    assert frames.setpoint.finish(out) is None
+    np.testing.assert_allclose(out, 1.0)
+
+
+def test_more_coils_than_the_dbc_has_are_refused() -> None:
+    with pytest.raises(ConfigError, match="expected classic CAN messages with setpoint_0_n to"):
+        load_frames(None, 10, 9, False)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("BO_ 16 Sync: 3", "BO_ 16 Sink: 3", "expected a message Sync"),
+        ("SG_ setpoint_1_n : 16|16@1-", "SG_ setpoint_1_n : 16|16@1+", "signed"),
+        ("SG_ counter : 48|4@1+", "SG_ counter : 48|3@1+", "expected counter at bit 48, 4 bits"),
+        (
+            "setpoint_2_n : 32|16@1- (0.001",
+            "setpoint_2_n : 32|16@1- (0.002",
+            "expected one scale and no offset",
+        ),
+        ("gap_1_m", "gap_8_m", "expected consecutive channels"),
+        ('VERSION "1"', "nonsense", "not a valid DBC"),
+    ],
+)
+def test_dbc_that_does_not_fit_says_where(tmp_path: Path, old: str, new: str, words: str) -> None:
+    text = DBC.read_text()
+    assert old in text
+    path = tmp_path / "other.dbc"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ConfigError, match=words) as error:
+        load_frames(path, 9, 9, False)
+    assert str(path) in str(error.value)

@@ -1,0 +1,126 @@
+"""CiA 402 drives: states, controlwords and the objects and PDOs that levid uses, as tables."""
+
+from __future__ import annotations
+
+import struct
+from enum import Enum, IntEnum
+
+from ..config.rig import Limits
+
+RPDO = struct.Struct("<Hi")
+"""Setpoint to a drive: controlword, target position."""
+TPDO = struct.Struct("<Hih")
+"""Reading of a drive: statusword, actual position, actual force."""
+
+POSITION_M, POSITION_RAD = 1e-9, 1e-7
+FORCE_N, TORQUE_N_M = 1e-3, 1e-5
+ACCELERATION = 1e-3
+"""Units of one count: of the linear motors in m, m/s2 and N, of the rotary one in rad, rad/s2 and
+N m. Speeds are in counts of position a second."""
+
+SYNC_ID, EMERGENCY_ID, TPDO1_ID, RPDO1_ID, HEARTBEAT_ID = 0x080, 0x080, 0x180, 0x200, 0x700
+SYNC_COUNTER = 240
+"""CANopen's SYNC counts from 1 to 240 and begins anew."""
+
+
+class Object(IntEnum):
+    """Indices of the object dictionary."""
+
+    DEVICE_TYPE = 0x1000
+    SYNC_COB_ID = 0x1005
+    HEARTBEAT_MS = 0x1017
+    RPDO1 = 0x1400
+    RPDO1_MAP = 0x1600
+    TPDO1 = 0x1800
+    TPDO1_MAP = 0x1A00
+    ACTUAL_FORCE = 0x2077
+    ERROR_CODE = 0x603F
+    CONTROLWORD = 0x6040
+    STATUSWORD = 0x6041
+    MODE = 0x6060
+    MODE_DISPLAY = 0x6061
+    ACTUAL_POSITION = 0x6064
+    TARGET_POSITION = 0x607A
+    POSITION_LIMIT = 0x607D
+    MAX_SPEED = 0x607F
+    HOMING_METHOD = 0x6098
+    INTERPOLATION = 0x60C2
+    MAX_ACCELERATION = 0x60C5
+
+
+RPDO_MAPPING = ((Object.CONTROLWORD, 16), (Object.TARGET_POSITION, 32))
+TPDO_MAPPING = (
+    (Object.STATUSWORD, 16), (Object.ACTUAL_POSITION, 32), (Object.ACTUAL_FORCE, 16),
+)  # fmt: skip
+DEVICE_TYPE_DRIVE = 402
+
+
+class Mode(IntEnum):
+    """Modes of operation."""
+
+    HOMING = 6
+    CYCLIC_SYNCHRONOUS_POSITION = 8
+
+
+class DriveStates(Enum):
+    """States of the drive; value: mask of the statusword and what it leaves."""
+
+    NOT_READY = (0x4F, 0x00)
+    SWITCH_ON_DISABLED = (0x4F, 0x40)
+    READY_TO_SWITCH_ON = (0x6F, 0x21)
+    SWITCHED_ON = (0x6F, 0x23)
+    OPERATION_ENABLED = (0x6F, 0x27)
+    QUICK_STOP_ACTIVE = (0x6F, 0x07)
+    FAULT_REACTION = (0x4F, 0x0F)
+    FAULT = (0x4F, 0x08)
+
+    @property
+    def words(self) -> str:
+        """The state for people."""
+        return self.name.lower().replace("_", " ")
+
+
+DISABLE_VOLTAGE, SHUTDOWN, SWITCH_ON, ENABLE_OPERATION = 0x00, 0x06, 0x07, 0x0F
+QUICK_STOP, FAULT_RESET, START_HOMING = 0x02, 0x80, 0x1F
+HOMING_ATTAINED, HOMING_ERROR = 1 << 12, 1 << 13
+
+TOWARDS_OPERATION = {
+    DriveStates.FAULT: FAULT_RESET,
+    DriveStates.SWITCH_ON_DISABLED: SHUTDOWN,
+    DriveStates.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
+    DriveStates.READY_TO_SWITCH_ON: SWITCH_ON,
+    DriveStates.SWITCHED_ON: ENABLE_OPERATION,
+}
+"""The controlword that takes a drive one step nearer to OPERATION_ENABLED."""
+
+
+def state_of(statusword: int) -> DriveStates | None:
+    """Return the state that a statusword tells, None for one that CiA 402 does not know."""
+    for state in DriveStates:
+        mask, value = state.value
+        if statusword & mask == value:
+            return state
+    return None
+
+
+def sync_counter(cycle: int) -> int:
+    """Return the counter in the SYNC of a cycle, 1 to 240."""
+    return cycle % SYNC_COUNTER + 1
+
+
+def beam_limits(limits: Limits) -> dict[tuple[Object, int], int]:
+    """Return object, subindex and value of the limits in a linear motor's drive."""
+    return {
+        (Object.POSITION_LIMIT, 1): -round(limits.beam_m / POSITION_M),
+        (Object.POSITION_LIMIT, 2): round(limits.beam_m / POSITION_M),
+        (Object.MAX_SPEED, 0): round(limits.beam_velocity_m_s / POSITION_M),
+        (Object.MAX_ACCELERATION, 0): round(limits.beam_acceleration_m_s2 / ACCELERATION),
+    }
+
+
+def rotor_limits(limits: Limits) -> dict[tuple[Object, int], int]:
+    """Return object, subindex and value of the limits in the rotary motor's drive."""
+    return {
+        (Object.MAX_SPEED, 0): round(limits.rotor_velocity_rad_s / POSITION_RAD),
+        (Object.MAX_ACCELERATION, 0): round(limits.rotor_acceleration_rad_s2 / ACCELERATION),
+    }

@@ -1,0 +1,116 @@
+"""What electronics say of themselves over any bus: states, parameters, the challenge to enable."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from enum import IntEnum
+
+from ..config.rig import RigConfig
+
+PROTOCOL = 1
+"""Version of the frames; host and device must have the same."""
+CYCLES = 61_440
+"""Cycles are counted modulo this on the wire: a multiple of 16, the counter in CAN frames, and of
+240, the counter of CANopen's SYNC."""
+
+
+class AmplifierState(IntEnum):
+    """State of the coil amplifiers, in every frame of forces that they send."""
+
+    OFF = 0
+    ENABLED = 1
+    EXPIRED = 2
+    TRIPPED = 3
+
+
+class SensorState(IntEnum):
+    """State of the ADC, in every frame of readings that it sends."""
+
+    OK = 0
+    FAULTY = 1
+
+
+class DriveState(IntEnum):
+    """State of drives on a serial port, in every frame of readings that they send."""
+
+    OFF = 0
+    HOMING = 1
+    OPERATING = 2
+    FAULT = 3
+
+
+class Request(IntEnum):
+    """What the host may ask for besides the cycle."""
+
+    READ = 1
+    ENABLE = 2
+    RESET = 3
+    ENABLE_DRIVES = 4
+
+
+class Refusal(IntEnum):
+    """Answers to a request that cannot be met, in the place of the parameter."""
+
+    NO_SUCH_PARAMETER = 250
+    WRONG_RESPONSE = 251
+    STILL_TRIPPED = 252
+
+
+class Parameter(IntEnum):
+    """Numbers that a device tells when asked; each is 32 bits, unsigned, in the unit it names."""
+
+    PROTOCOL = 0
+    COILS = 1
+    SENSORS = 2
+    PERIOD_NS = 3
+    EXPIRE_CYCLES = 4
+    COIL_LIMIT_MN = 5
+    COIL_RATE_N_S = 6
+    BEAM_LIMIT_UM = 7
+    BEAM_SPEED_UM_S = 8
+    BEAM_ACCELERATION_MM_S2 = 9
+    CHALLENGE = 16
+    TRIPPED_COILS = 17
+    FAULTY_SENSORS = 18
+    DRIVE_ERROR = 19
+
+
+COMPARED = tuple(p for p in Parameter if p < Parameter.CHALLENGE)
+"""Parameters that host and device must agree on before anything moves."""
+AMPLIFIER_LIMITS = (
+    Parameter.PROTOCOL, Parameter.COILS, Parameter.PERIOD_NS, Parameter.EXPIRE_CYCLES,
+    Parameter.COIL_LIMIT_MN, Parameter.COIL_RATE_N_S,
+)  # fmt: skip
+SENSOR_LIMITS = (Parameter.PROTOCOL, Parameter.SENSORS, Parameter.PERIOD_NS)
+DRIVE_LIMITS = (
+    Parameter.PROTOCOL, Parameter.PERIOD_NS, Parameter.BEAM_LIMIT_UM, Parameter.BEAM_SPEED_UM_S,
+    Parameter.BEAM_ACCELERATION_MM_S2,
+)  # fmt: skip
+
+
+def declared(rig: RigConfig, expire_cycles: int) -> dict[Parameter, int]:
+    """Return what a device of this rig must say of every parameter in COMPARED."""
+    limits, geometry = rig.limits, rig.geometry
+    return {
+        Parameter.PROTOCOL: PROTOCOL,
+        Parameter.COILS: len(geometry.coil_x_m),
+        Parameter.SENSORS: len(geometry.sensors_x_m),
+        Parameter.PERIOD_NS: round(1e9 / rig.rate_hz),
+        Parameter.EXPIRE_CYCLES: expire_cycles,
+        Parameter.COIL_LIMIT_MN: round(1e3 * limits.coil_n),
+        Parameter.COIL_RATE_N_S: round(limits.coil_rate_n_s),
+        Parameter.BEAM_LIMIT_UM: round(1e6 * limits.beam_m),
+        Parameter.BEAM_SPEED_UM_S: round(1e6 * limits.beam_velocity_m_s),
+        Parameter.BEAM_ACCELERATION_MM_S2: round(1e3 * limits.beam_acceleration_m_s2),
+    }
+
+
+def response(challenge: int, limits: Mapping[Parameter, int]) -> int:
+    """Return the answer to a challenge: CRC-32 of it and of all limits that host and device hold.
+
+    A device whose limits are not the host's is therefore never enabled.
+    """
+    words = [challenge, *(limits[parameter] & 0xFFFFFFFF for parameter in AMPLIFIER_LIMITS)]
+    return zlib.crc32(struct.pack(f"<{len(words)}I", *words))

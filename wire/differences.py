@@ -1,0 +1,37 @@
+"""Velocity and acceleration of a sampled position from its last four samples."""
+
+from __future__ import annotations
+
+
+class Differences:
+    """Backward differences of third (velocity) and second order (acceleration).
+
+    A drive in cyclic synchronous position mode gets positions alone, and a position encoder tells
+    nothing else: with one difference of two samples, velocity would be that of half a period ago.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._last = (0.0, 0.0, 0.0)
+        self._velocity = 0.0
+
+    def at_rest(self, position: float) -> None:
+        """Begin anew: nothing has moved."""
+        self._last, self._velocity = (position, position, position), 0.0
+
+    def push(self, p: float) -> tuple[float, float]:
+        """Return velocity and acceleration at the newest sample `p`, per s and s^2."""
+        a, b, c = self._last
+        self._last = p, a, b
+        T = self._period_s
+        self._velocity = (11.0 * p - 18.0 * a + 9.0 * b - 2.0 * c) / (6.0 * T)
+        return self._velocity, (2.0 * p - 5.0 * a + 4.0 * b - c) / (T * T)
+
+    def resume(self, p: float) -> tuple[float, float]:
+        """Return velocity and acceleration at a sample that did not come a period after the last.
+
+        What passed in between is not known: it goes on at the speed it had.
+        """
+        step = self._velocity * self._period_s
+        self._last = p, p - step, p - 2.0 * step
+        return self._velocity, 0.0

@@ -1,0 +1,206 @@
+"""`levid trace`: from logs to what the model lacks, with proof, a report and a better model."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .progress import progress, say
+
+if TYPE_CHECKING:
+    from ..config.model import ModelConfig
+    from ..identification.trace.result import FoundEffect, Outcome
+    from ..identification.trace.study import Trace
+    from ..identification.trace.workers import Workers
+
+
+@click.command("trace")
+@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--model",
+    type=click.Path(path_type=Path),
+    help="Declared model to start from; config/models/rig.yaml for logs of the rig.",
+)
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the report.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    help="Processes to spread the records over; one a core unless given.",
+)
+@click.option(
+    "--dask",
+    metavar="tcp://HOST:PORT",
+    help="Scheduler of a dask.distributed cluster to work on instead; it must see the logs too.",
+)
+def command(
+    logs: tuple[Path, ...],
+    model: Path | None,
+    out: Path,
+    as_json: bool,
+    workers: int | None,
+    dask: str | None,
+) -> int:
+    """Trace what LOGS hold and the declared model lacks to physical effects.
+
+    The model is fitted, what it leaves is held against a table of effects, and those are added that
+    lower the error on records not used to fit, by more than chance. OUT/model.yaml is the model
+    with them, refitted; identify, trace and the simulator take it.
+
+    \b
+    Examples:
+      levid excite config/sessions/trace.yaml --virtual --out out/trace
+      levid trace out/trace/*.mcap --out out/trace/found
+      levid trace out/trace/*.mcap --model out/trace/found/model.yaml --out out/again --json
+      levid trace out/trace/*.mcap --dask tcp://127.0.0.1:8786 --out out/found
+    """
+    if workers is not None and dask is not None:
+        raise click.UsageError("expected --workers or --dask, found both")
+    from ..identification.trace.result import outcome, summary
+
+    found, page = trace_logs(logs, model, out, workers, dask)
+    if as_json:
+        written = {"model": str(out / "model.yaml"), "report": str(page)}
+        click.echo(json.dumps({**summary(found), **written, "notes": list(found.notes)}))
+        return 0
+    for line in words(found):
+        click.echo(line)
+    click.echo(f"model: {out / 'model.yaml'}")
+    click.echo(f"next: {_next(outcome(found), logs, out)}")
+    click.echo(f"report: {page}")
+    return 0
+
+
+def trace_logs(
+    logs: Sequence[Path],
+    model: Path | None,
+    out: Path,
+    workers: int | None = None,
+    dask: str | None = None,
+) -> tuple[Trace, Path]:
+    """Trace logs, write report and model.yaml; return what was found and the page's path."""
+    from ..config.base import ConfigError
+    from ..identification.greybox.result import to_yaml
+    from ..identification.trace.result import model_after
+    from ..identification.trace.study import trace
+    from ..identification.trace.views import views
+    from ..model.effects.table import all_effects
+    from ..report.trace import trace_report
+
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"--out {out}: expected a folder, found a file")
+    config = _model(model, logs)
+    with progress("tracing") as report, _workers(config, workers, dask) as spread:
+        found = trace(
+            logs, config, all_effects, spread, lambda what, share: report(what, 0.9 * share)
+        )
+        report("looking at what is left", 0.92)
+        seen = views(found, logs, spread)
+        report("report", 0.97)
+        page = trace_report(found, seen, out)
+    (out / "model.yaml").write_text(to_yaml(model_after(found)), encoding="utf-8")
+    return found, page
+
+
+def words(found: Trace) -> list[str]:
+    """Return what was found, a line a thing."""
+    from ..identification.trace.result import outcome
+
+    result = outcome(found)
+    lines = [
+        f"error on held-out records, in deviations of the sensor noise: {result.before:.3g} before, "
+        f"{result.after:.3g} after; noise alone leaves {result.floor:.3g}",
+        result.verdict,
+    ]
+    for effect in result.effects:
+        lines += _effect(effect)
+    lines += [f"{f.effect.name}, declared: {_values(f)}" for f in result.declared]
+    lines += [f"given up: {name}, others explain what it did" for name in result.gone]
+    lines += [
+        f"record {name}: the simulation with effects found no end; its error is not to be trusted"
+        for name in result.unsettled
+    ]
+    # Steps of a session that are no records are nobody's loss; what was refused is.
+    lines += [f"note: {note}" for note in found.notes if "only records are identified" not in note]
+    return lines
+
+
+def _effect(found: FoundEffect) -> list[str]:
+    effect, why = found.effect, found.evidence
+    lines = [f"  {effect.name}: {_values(found)}", f"    {effect.equation}"]
+    if why is None:
+        return lines
+    lines.append(
+        f"    explains {100 * why.share:.3g} % of what was left; on held-out records it agrees "
+        f"{why.statistic:.0f} standard deviations beyond chance"
+    )
+    if why.alternatives:
+        lines.append(
+            "    these data do not tell it apart from: "
+            + ", ".join(other.name for other in why.alternatives)
+        )
+        if effect.told_apart_by:
+            lines.append(f"    what would: {effect.told_apart_by}")
+    return lines
+
+
+def _values(found: FoundEffect) -> str:
+    """Return the effect's parameters; shares of zero say nothing."""
+    return ", ".join(
+        f"{name} = {p.value:.5g}"
+        + ("" if p.se is None else f" +- {p.se:.2g}")
+        + ("" if p.unit in ("", "1") else f" {p.unit}")
+        for name, p in found.parameters().items()
+        if p.value != 0.0 or p.se
+    )
+
+
+def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
+    """Return the command that is worth running next."""
+    rivals = [f for f in result.effects if f.evidence is not None and f.evidence.alternatives]
+    folder = logs[0].parent
+    if rivals:
+        return f"fly what tells {rivals[0].effect.name} from its alternatives: see the report"
+    if result.significant:
+        return f"see in the report ({out / 'index.html'}) on what the rest depends"
+    if result.effects:
+        return f"levid identify {folder}/*.mcap --model {out / 'model.yaml'} --out {out / 'identification'}"
+    return "nothing: the model is as good as these records can tell"
+
+
+def _model(path: Path | None, logs: Sequence[Path]) -> ModelConfig:
+    """Return the model to start from: the one named, or the rig's for logs of the rig."""
+    from ..config.model import load_model
+    from ..config.shipped import shipped
+    from ..identification.data import IdentificationError
+    from ..log.reader import read_log
+
+    if path is not None:
+        return load_model(path)
+    if "rig.yaml" not in read_log(logs[0]).attachments:
+        raise IdentificationError(
+            f"expected --model MODEL.yaml, since {logs[0]} is no log of the rig; found none"
+        )
+    return load_model(shipped("models/rig.yaml"))
+
+
+def _workers(
+    config: ModelConfig, processes: int | None, dask: str | None
+) -> AbstractContextManager[Workers]:
+    from ..identification.trace.workers import cluster_workers, local_workers
+
+    if dask is None:
+        return local_workers(config, processes)
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        raise click.UsageError(
+            "--dask needs the package distributed: pip install 'levid[cluster]'"
+        ) from None
+    say(f"working on {dask}")
+    return cluster_workers(config, dask)

@@ -1,0 +1,149 @@
+"""Writes docs/effects-table.md from the table of candidates: `python docs/make_effects_table.py`.
+
+What a family is, where its equations come from and what it looks like is said by the docstring of
+its module. tests/test_docs_effects_table.py fails when the page is not what this would write.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from levid.config.base import load_yaml
+from levid.config.model import ModelConfig
+from levid.config.rig import RigConfig
+from levid.config.shipped import shipped
+from levid.model.effects.base import Effect, Places, Quantity
+from levid.model.effects.flexible import PATTERNS
+from levid.model.effects.table import all_effects
+from levid.model.geometry import shape_matrix
+
+PAGE = Path(__file__).with_name("effects-table.md")
+HEAD = """# The table of candidate effects
+
+What a plant may do and its model may lack, as `levid trace` knows it: generated from
+`model/effects/` by `docs/make_effects_table.py`. `force` is added to the generalised forces, a
+coil's `force` stands for its command F, `reading` for what a sensor shows of the height h under it,
+`drive force` for what the beam's drives give. Heights and the pose count from the working point.
+What a model may change by itself, at least as well, is said under *absorbed by*; nothing of it can
+be found. Effects that look alike in a session are reported together, with what tells them apart.
+"""
+
+
+def main() -> None:
+    """Write the page anew."""
+    PAGE.write_text(page(), encoding="utf-8")
+
+
+def page() -> str:
+    """Return the page: a section for each family, on the rig and then on any other plant."""
+    effects = [*all_effects(rig_places()), *all_effects(one_dof())]
+    families: dict[str, list[Effect]] = {}
+    for effect in effects:
+        families.setdefault(_module(effect).__name__, []).append(effect)
+    sections = [_section(sys.modules[name], found) for name, found in families.items()]
+    return "\n".join([HEAD, *sections])
+
+
+def rig_places() -> Places:
+    """Return where the shipped rig can be acted on and looked at."""
+    geometry = load_yaml(shipped("rigs/loopback.yaml"), RigConfig).geometry
+    model = load_yaml(shipped("models/rig.yaml"), ModelConfig)
+    coils = np.array([geometry.coil_x_m, geometry.coil_y_m])
+    sensors = np.array([geometry.sensors_x_m, geometry.sensors_y_m])
+    return Places(
+        tuple(q.name for q in model.dof),
+        tuple(q.unit for q in model.dof),
+        shape_matrix(*coils),
+        shape_matrix(*sensors),
+        "N",
+        tuple(q.unit for q in model.inputs),
+        "m",
+        coils.T,
+        sensors.T,
+        beam=True,
+    )
+
+
+def one_dof() -> Places:
+    """Return a plant of which nothing is known but one input and one output."""
+    one, nowhere = np.eye(1), np.zeros((0, 2))
+    return Places(("q",), ("m",), one, one, "N", ("N",), "m", nowhere, nowhere, beam=False)
+
+
+def _section(module: ModuleType, effects: Sequence[Effect]) -> str:
+    title, _, rest = inspect.cleandoc(module.__doc__ or "").partition("\n\n")
+    title = title.replace("\n", " ").rstrip(".")
+    rows: dict[str, list[Effect]] = {}
+    for effect in effects:
+        rows.setdefault(_general(effect.key), []).append(effect)
+    lines = [
+        _row("effect", "class", "at", "equation", "parameters", "absorbed by", "told apart by")
+    ]
+    lines.append(_row(*["---"] * 7))
+    for key, same in rows.items():
+        first = same[0]
+        where = "; ".join(dict.fromkeys(_place(e) for e in same))
+        quantities = ", ".join(
+            _quantity(q, same) for q in (*first.amplitudes, *first.shape) if q.name not in PATTERNS
+        )
+        lines.append(
+            _row(
+                f"`{key}`", f"`{first.effect_class}`", where, _code(first.equation), quantities,
+                first.absorbed_by or "—", first.told_apart_by or "—",
+            )
+        )  # fmt: skip
+    return f"## {title}\n\n{rest}\n\n" + "\n".join(lines) + "\n"
+
+
+def _module(effect: Effect) -> ModuleType:
+    build = effect.build.func if isinstance(effect.build, partial) else effect.build
+    module = inspect.getmodule(build)
+    assert module is not None
+    return module
+
+
+def _general(key: str) -> str:
+    """Return a key without the frequency of a line or the pattern of a mode in it."""
+    head, _, tail = key.rpartition(".")
+    if tail in PATTERNS:
+        return f"{head}.PATTERN"
+    return f"{head}.FREQUENCY" if tail.endswith("hz") else key
+
+
+def _place(effect: Effect) -> str:
+    """Return where an effect sits, any coil and any sensor being like the others."""
+    kinds = [w.partition(":")[0] for w in effect.where]
+    numbered = [w for w in effect.where if ":" in w]
+    if len(numbered) > 2:
+        return f"all {kinds[0]}s"
+    if len(numbered) == 2:
+        return f"a {kinds[0]} and its neighbour"
+    if numbered:
+        return f"each {kinds[0]}"
+    return " and ".join(effect.where) or "the platform"
+
+
+def _quantity(quantity: Quantity, same: Sequence[Effect]) -> str:
+    units = dict.fromkeys(
+        q.unit for e in same for q in (*e.amplitudes, *e.shape) if q.name == quantity.name
+    )
+    return f"{quantity.name} [{'; '.join(units)}]"
+
+
+def _code(equation: str) -> str:
+    return "`" + equation.replace("|", "\\|") + "`"
+
+
+def _row(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+if __name__ == "__main__":
+    main()

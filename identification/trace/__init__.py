@@ -1,0 +1,1 @@
+"""From what a model leaves unexplained to the physical effect behind it."""

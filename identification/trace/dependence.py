@@ -1,0 +1,80 @@
+"""How one quantity depends on another: means over bins, their errors, and how much they explain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_BINS = 24
+_RANGE = (0.5, 99.5)
+_FEWEST = 4
+"""Blocks of time that a bin needs: below, its error is not known."""
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Means (K,) of values over bins of a signal, at the signal's means `at` (K,).
+
+    error (K,): standard error of each, from the spread between blocks of time, which knows of what
+    is correlated within one. share: of the values' power, what the means of half the blocks explain
+    in the other half; near zero, or below, where there is no dependence.
+    """
+
+    at: Array
+    mean: Array
+    error: Array
+    share: float
+
+
+def dependence(signal: Array, values: Array, block: NDArray[np.int64]) -> Dependence:
+    """Return how values (N,) depend on a signal (N,); `block` (N,) numbers the blocks of time."""
+    edges = _edges(signal)
+    inside = (signal >= edges[0]) & (signal <= edges[-1])
+    x, y = signal[inside], values[inside]
+    _, b = np.unique(block[inside], return_inverse=True)
+    number = np.clip(np.searchsorted(edges, x, "right") - 1, 0, len(edges) - 2)
+    bins, blocks = len(edges) - 1, int(b.max(initial=0)) + 1
+    count, sums, places = (
+        np.bincount(number * blocks + b, weights, bins * blocks).reshape(bins, blocks)
+        for weights in (np.ones(len(x)), y, x)
+    )
+    rows = count.sum(axis=1)
+    kept = (count > 0).sum(axis=1) >= _FEWEST
+    total = np.maximum(rows, 1.0)
+    mean = sums.sum(axis=1) / total
+    # The error of a ratio of sums over blocks, as in cluster sampling.
+    scatter = sums - mean[:, None] * count
+    error = np.sqrt((scatter**2).sum(axis=1) * blocks / max(blocks - 1, 1)) / total
+    at = places.sum(axis=1) / total
+    return Dependence(at[kept], mean[kept], error[kept], _share(count, sums, y, number, b))
+
+
+def _edges(signal: Array) -> Array:
+    """Return edges (K + 1,) of bins equally wide over nearly all of the signal."""
+    low, high = np.percentile(signal, _RANGE)
+    if not high > low:
+        low, high = low - 0.5, low + 0.5
+    return np.linspace(low, high, _BINS + 1)
+
+
+def _share(
+    count: Array,
+    sums: Array,
+    values: Array,
+    number: NDArray[np.int64],
+    block: NDArray[np.int64],
+) -> float:
+    """Return what means of every second block explain of the others, both ways round."""
+    left, whole = 0.0, 0.0
+    odd = np.arange(count.shape[1]) % 2 == 1
+    for half in (odd, ~odd):
+        rows = count[:, half].sum(axis=1)
+        mean = sums[:, half].sum(axis=1) / np.maximum(rows, 1.0)
+        other = ~half[block]
+        left += float(np.sum((values[other] - mean[number[other]]) ** 2))
+        whole += float(np.sum(values[other] ** 2))
+    return 1.0 - left / whole if whole > 0 else 0.0

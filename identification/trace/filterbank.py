@@ -1,0 +1,249 @@
+"""One innovations filter for many columns at once: what forces and false readings do to a record.
+
+The errors of a record are linear in every force and in every false reading, so what one unit of an
+effect adds to them is the filter's answer to it, and a hundred candidates go through the filter
+side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ...model.declared import DeclaredModel
+from ...model.effects.base import Term
+from ..greybox.inputs import Hold, held_step, lagged_input, moments
+from ..greybox.motion import Motion
+from ..greybox.noise import Filter
+from .record import TraceRecord
+
+Array = NDArray[np.float64]
+
+_BATCH = 16
+"""Columns that go through the filter at once: as many as stay in the cache with it."""
+
+
+@dataclass(frozen=True)
+class FilterBank:
+    """A record's innovations filter, ready for columns.
+
+    Phi, correction (R, 2n, 2n) and (R, 2n, n); `whitener` (R, n, n); `hold` (3 matrices (2n, p)):
+    what the new and the old command of a period and the lagged one add to the state; `straight`
+    (2, 2n, n): what a generalised force at the begin and at the end of a period adds, straight in
+    between; `mobility` (R, n, n) relative to its mean. All errors are in units of their standard
+    deviation; the mean of `every` rows becomes one, which keeps that.
+    """
+
+    Phi: Array
+    correction: Array
+    whitener: Array
+    straight: Array
+    relative: Array
+    motion: Motion
+    model: DeclaredModel
+    record: TraceRecord
+    hold: Hold
+    every: int
+    blind: int
+
+    @classmethod
+    def build(
+        cls,
+        model: DeclaredModel,
+        record: TraceRecord,
+        at: Motion,
+        kalman: Filter,
+        hold: Hold,
+        every: int,
+    ) -> FilterBank:
+        """Return the bank of a record along its motion, with the filter `kalman`."""
+        n = at.K.shape[1]
+        Phi = transitions(at)
+        correction = Phi @ kalman.gain
+        mean = at.mobility.mean(axis=0)
+        relative = at.mobility @ np.linalg.inv(mean)
+        straight = _straight(at, mean)
+        whitener = np.linalg.inv(np.linalg.cholesky(kalman.covariance))
+        if len(whitener) == 1 and len(Phi) > 1:
+            whitener = np.broadcast_to(whitener, (len(Phi), n, n))
+        return cls(
+            np.ascontiguousarray(Phi), np.ascontiguousarray(correction), whitener, straight,
+            relative, at, model, record, hold, every, at.blind,
+        )  # fmt: skip
+
+    def columns(self, terms: Iterable[Term], count: int) -> Array:
+        """Return what one unit of each of `count` terms adds to the errors (N // every, n, count).
+
+        Terms are used as they come, and need not exist all at once.
+        """
+        n, rows = self.motion.K.shape[1], self.record.rows
+        out = np.zeros((rows // self.every, n, count))
+        batch: list[int] = []
+        forcing = np.empty((rows, 2 * n, min(_BATCH, count)))
+        seen = np.empty((rows, n, min(_BATCH, count)))
+        for j, term in enumerate(terms):
+            if self._driven(term, forcing[:, :, len(batch)], seen[:, :, len(batch)]):
+                batch.append(j)
+            if len(batch) == forcing.shape[2]:
+                out[:, :, batch] = self.errors(forcing, seen)
+                batch = []
+        if batch:
+            k = len(batch)
+            out[:, :, batch] = self.errors(
+                np.ascontiguousarray(forcing[:, :, :k]), np.ascontiguousarray(seen[:, :, :k])
+            )
+        return out
+
+    def _driven(self, term: Term, forcing: Array, seen: Array) -> bool:
+        """Put what a term drives the filter with into forcing and seen; False if it is nothing."""
+        held = term.held if term.held is not None and np.any(term.held) else None
+        force = term.force if term.force is not None and np.any(term.force) else None
+        gap = term.gap if term.gap is not None and np.any(term.gap) else None
+        if held is None and force is None and gap is None:
+            return False
+        forcing[:] = 0.0
+        if held is not None:
+            forcing += self.held_forcing(held)
+        if force is not None:
+            forcing += self.force_forcing(force)
+        # The model explains what is measured less the false part of it.
+        seen[:] = 0.0 if gap is None else -(gap @ self.record.places.decoupling.T)
+        return True
+
+    def errors(self, forcing: Array, seen: Array, start: Array | None = None) -> Array:
+        """Return whitened errors (N // every, n, c) of forcing (N, 2n, c) and readings (N, n, c).
+
+        `start` (2n, c) is the state at row 0, zero unless given.
+        """
+        n = seen.shape[1]
+        x = np.zeros((2 * n, seen.shape[2])) if start is None else np.array(start, float)
+        out = np.empty_like(seen)
+        filter_columns(self.Phi, self.correction, forcing, seen, x, out)
+        if len(self.whitener) == 1:
+            out = np.einsum("ij,njc->nic", self.whitener[0], out, optimize=True)
+        else:
+            out = self.whitener @ out
+        out[: self.blind] = 0.0
+        return thinned(out, self.every)
+
+    def unknowns(self) -> Array:
+        """Return the columns (N // every, n, 3n) of constant forces and of the state at row 0."""
+        n, rows = self.motion.K.shape[1], self.record.rows
+        constant = [Term(force=np.broadcast_to(np.eye(n)[i], (rows, n))) for i in range(n)]
+        start = np.hstack([np.zeros((2 * n, 0)), np.eye(2 * n)])
+        free = self.errors(np.zeros((rows, 2 * n, 2 * n)), np.zeros((rows, n, 2 * n)), start)
+        return np.concatenate([self.columns(constant, n), free], axis=2)
+
+    def held_forcing(self, held: Array, extra_lag_s: float = 0.0, extra_s: float = 0.0) -> Array:
+        """Return what commands (N, p) add to the state in each period (N, 2n)."""
+        e, values = self.record.experiment, {**self.model.values, **self.model.scheduling}
+        delay_s = max(e.delay_cycles * e.Ts_s + self.model.delay(values) + extra_s, 0.0)
+        lag_s = max(self.model.lag(values) + extra_lag_s, 0.0)
+        order = len(self.motion.scale) - 1
+        A, B = self.motion.continuous()
+        B = np.vstack([np.zeros_like(self.motion.B[0]), self.motion.B.mean(axis=0)])
+        powers = [B]
+        for _ in range(order - 1):
+            powers.append(A @ powers[-1])
+        if self.hold == "zoh":
+            step = held_step(e.Ts_s, order, delay_s, lag_s)
+            rows = np.arange(len(held))
+            old, new = (
+                held[np.maximum(rows - step.whole - 1, 0)],
+                held[np.maximum(rows - step.whole, 0)],
+            )
+            G_old, G_new, G_lag = (
+                np.tensordot(weights, np.array(powers), 1)
+                for weights in (step.from_old, step.from_new, step.from_lag)
+            )
+            forcing = old @ G_old.T + new @ G_new.T + lagged_input(held, step) @ G_lag.T
+        else:
+            m = moments(held, e.Ts_s, order, self.hold, delay_s, lag_s)
+            forcing = np.einsum("njp,jip->ni", m, np.array(powers), optimize=True)
+        return self._along(forcing)
+
+    def force_forcing(self, force: Array) -> Array:
+        """Return what generalised forces (N, n), straight between rows, add to the state."""
+        following = np.vstack([force[1:], force[-1:]])
+        return self._along(force @ self.straight[0].T + following @ self.straight[1].T)
+
+    def _along(self, forcing: Array) -> Array:
+        """Return forcing with each period's own mobility, where it changes."""
+        if len(self.relative) == 1:
+            return forcing
+        n = self.relative.shape[1]
+        turned = np.empty_like(forcing)
+        for part in (slice(0, n), slice(n, 2 * n)):
+            turned[:, part] = np.einsum("nij,nj->ni", self.relative, forcing[:, part])
+        return turned
+
+
+def thinned(errors: Array, every: int) -> Array:
+    """Return means of `every` rows times its root: white errors of unit variance stay so."""
+    if every == 1:
+        return errors
+    rows = len(errors) // every * every
+    grouped = errors[:rows].reshape(-1, every, *errors.shape[1:])
+    return np.asarray(grouped.sum(axis=1) / np.sqrt(every))
+
+
+def transitions(at: Motion) -> Array:
+    """Return the flow of every period (R, 2n, 2n), by the Taylor series that the motion uses."""
+    n, R = at.K.shape[1], len(at.K)
+    A = np.zeros((R, 2 * n, 2 * n))
+    A[:, :n, n:] = np.eye(n)
+    A[:, n:, :n], A[:, n:, n:] = -at.K, -at.D
+    Phi = np.broadcast_to(np.eye(2 * n), A.shape) * at.scale[-1]
+    for scale in at.scale[-2::-1]:
+        Phi = A @ Phi + scale * np.eye(2 * n)
+    return np.asarray(Phi)
+
+
+def _straight(at: Motion, mobility: Array) -> Array:
+    """Return (2, 2n, n): what a force at the begin and one at the end of a period add."""
+    n, Ts_s = at.K.shape[1], at.Ts_s
+    A, _ = at.continuous()
+    power = np.vstack([np.zeros((n, n)), mobility])
+    begin, end = np.zeros_like(power), np.zeros_like(power)
+    factorial = 1.0
+    for j in range(len(at.scale) - 1):
+        factorial *= max(j, 1)
+        whole = Ts_s ** (j + 1) / (factorial * (j + 1))
+        now = Ts_s ** (j + 1) / (factorial * (j + 2))
+        begin += now * power
+        end += (whole - now) * power
+        power = A @ power
+    return np.stack([begin, end])
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def filter_columns(Phi, correction, forcing, seen, x, out):  # type: ignore[no-untyped-def]
+    """Fill out (N, n, c): errors of x(k+1) = Phi x + correction e + forcing, e = seen - C x."""
+    rows, n, columns = seen.shape
+    size = 2 * n
+    following = np.empty((size, columns))
+    fixed = len(Phi) == 1
+    for k in range(rows):
+        at = 0 if fixed else k
+        gain = at if len(correction) > 1 else 0
+        for i in range(n):
+            for c in range(columns):
+                out[k, i, c] = seen[k, i, c] - x[i, c]
+        for i in range(size):
+            for c in range(columns):
+                following[i, c] = forcing[k, i, c]
+            for j in range(size):
+                factor = Phi[at, i, j]
+                for c in range(columns):
+                    following[i, c] += factor * x[j, c]
+            for j in range(n):
+                factor = correction[gain, i, j]
+                for c in range(columns):
+                    following[i, c] += factor * out[k, j, c]
+        for i in range(size):
+            for c in range(columns):
+                x[i, c] = following[i, c]

@@ -1,0 +1,143 @@
+"""The noise of sensors and amplifiers, told from what an undeclared effect does.
+
+Sensor noise is read where a platform cannot follow, force noise in records in which nothing is
+excited, both by medians over frequencies: a line of the mains, a resonance that nobody declared or
+a hum of the floor moves a median little. What remains of a perfect model follows from both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.signal import welch
+from scipy.stats import chi2
+
+from ...model.declared import DeclaredModel
+from ...model.second_order import discretise
+from ..greybox.experiment import Experiment
+from ..greybox.noise import Noise
+from .record import TraceRecord
+
+Array = NDArray[np.float64]
+
+_MEDIAN_OF_CHI2 = np.log(2.0)
+"""Median over mean of a periodogram's value."""
+_QUIET_FROM = 0.5
+"""Sensor noise is read above this share of the Nyquist frequency."""
+_LONGEST_S = 60.0
+_BAND_HZ = (0.4, 80.0)
+_SEGMENT_S = 5.0
+_WIDEST = 1e3
+"""Force noise is looked for within this factor of what the fit took it to be."""
+_FREQUENCIES = 4000
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Noise as a filter takes it; standard deviation of a sensor; whether still records told it."""
+
+    noise: Noise
+    sensor_sd: float
+    measured: bool
+
+
+def disturbance(
+    model: DeclaredModel, records: Sequence[TraceRecord], fallback: Noise
+) -> Disturbance:
+    """Return the noise of records; `fallback` where no record is still enough to tell its force.
+
+    All actuators are taken to be equally noisy, and all sensors: noise is what they have in common.
+    """
+    places = records[0].places
+    T = places.decoupling
+    still = [r for r in records if r.still and r.experiment.loop is not None]
+    if not still:
+        # Where nothing was still the fit's own noise stands, undeclared effects and all.
+        share = np.sqrt(np.median(fallback.output_variance / np.diag(T @ T.T)))
+        return Disturbance(fallback, float(share), measured=False)
+    sd = float(np.median(sensor_noise(records)))
+    output = np.diag(T @ T.T) * sd**2
+    unit = np.diag(places.coil_shape.T @ places.coil_shape)
+    first = float(np.median(fallback.force_psd / unit))
+    levels = [_force_level(model, r.experiment, Noise(first * unit, output)) for r in still]
+    return Disturbance(Noise(float(np.median(levels)) * first * unit, output), sd, measured=True)
+
+
+def sensor_noise(records: Sequence[TraceRecord]) -> Array:
+    """Return the standard deviation (S,) of each sensor's white noise, as most records show it."""
+    found = []
+    for record in records:
+        rows = record.gap[: round(_LONGEST_S / record.experiment.Ts_s)]
+        window = np.hanning(len(rows))[:, None]
+        power = np.abs(np.fft.rfft(rows * window, axis=0)) ** 2 / np.sum(window**2)
+        quiet = power[round(_QUIET_FROM * len(power)) :]
+        found.append(np.sqrt(np.median(quiet, axis=0) / _MEDIAN_OF_CHI2))
+    return np.asarray(np.median(found, axis=0))
+
+
+def floor_covariance(model: DeclaredModel, experiment: Experiment, noise: Noise) -> Array:
+    """Return the covariance (n, n) of what noise moves the pose by, in the record's loop.
+
+    It is the integral of the closed loop's spectrum, the beam at its mean place.
+    """
+    nyquist = 0.5 / experiment.Ts_s
+    edges = np.concatenate([[0.0], np.geomspace(1e-3, nyquist, _FREQUENCIES)])
+    freq_hz = 0.5 * (edges[1:] + edges[:-1])
+    by_force, by_sensor = _responses(model, experiment, freq_hz)
+    density = np.einsum("fij,j,fkj->fik", by_force, noise.force_psd, by_force.conj())
+    density += (
+        np.einsum("fij,j,fkj->fik", by_sensor, noise.output_variance, by_sensor.conj())
+        * experiment.Ts_s
+    )
+    return np.asarray(2 * np.einsum("fik,f->ik", density.real, np.diff(edges)))
+
+
+def _force_level(model: DeclaredModel, experiment: Experiment, noise: Noise) -> float:
+    """Return by what the density of the force noise must be multiplied, from a still record."""
+    Ts_s = experiment.Ts_s
+    segment = min(round(_SEGMENT_S / Ts_s), len(experiment.y) // 2)
+    freq_hz, seen = welch(experiment.y, 1 / Ts_s, nperseg=segment, axis=0)
+    band = (freq_hz >= _BAND_HZ[0]) & (freq_hz <= _BAND_HZ[1])
+    by_force, by_sensor = _responses(model, experiment, freq_hz[band])
+    # A sensor shows its own noise besides.
+    shown = by_sensor + np.eye(by_sensor.shape[1])
+    force = 2 * np.einsum("fij,j->fi", np.abs(by_force) ** 2, noise.force_psd)
+    sensor = 2 * Ts_s * np.einsum("fij,j->fi", np.abs(shown) ** 2, noise.output_variance)
+
+    # The median of an average of few periodograms lies below their mean.
+    halves = 2 * max(round(2 * len(experiment.y) / segment) - 1, 1)
+    low = float(chi2.median(halves)) / halves
+
+    def misfit(log_level: float) -> float:
+        expected = low * (np.exp(log_level) * force + sensor)
+        return float(np.mean(np.abs(np.log(seen[band] / expected))))
+
+    reach = np.log(_WIDEST)
+    coarse = np.linspace(-reach, reach, 57)
+    start = coarse[np.argmin([misfit(level) for level in coarse])]
+    step = coarse[1] - coarse[0]
+    found = minimize_scalar(misfit, bounds=(start - step, start + step), method="bounded")
+    return float(np.exp(found.x))
+
+
+def _responses(
+    model: DeclaredModel, experiment: Experiment, freq_hz: Array
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return the pose's response (F, n, n) to outer forces and to sensor noise, in the loop."""
+    Ts_s = experiment.Ts_s
+    at = model.at({name: float(v.mean()) for name, v in experiment.schedule.items()})
+    n = len(at.M)
+    outer = replace(at, B=np.eye(n), lag_s=0.0, delay_s=0.0)
+    P_outer = discretise(outer, Ts_s).response(freq_hz)
+    if experiment.loop is None:
+        return P_outer, np.zeros((len(freq_hz), n, n), complex)
+    delay_s = max(at.delay_s + experiment.delay_cycles * Ts_s, 0.0)
+    P = discretise(replace(at, delay_s=delay_s), Ts_s).response(freq_hz)
+    C = experiment.loop.controller.response(freq_hz, Ts_s)
+    loop_gain = P * C[:, None, :]
+    sensitivity = np.linalg.inv(np.eye(n) + loop_gain)
+    return sensitivity @ P_outer, -sensitivity @ loop_gain

@@ -1,0 +1,189 @@
+"""A record as the trace sees it: every sensor and coil by itself, the beam, the drives' force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.base import parse_text
+from ...config.model import ModelConfig
+from ...config.rig import RigConfig
+from ...log.reader import Log
+from ...model.effects.base import Places
+from ...model.geometry import shape_matrix
+from ..gaps import without_gaps
+from ..greybox.experiment import Experiment, experiment_from_log
+
+Array = NDArray[np.float64]
+
+_SILENT = 1e-9
+_SHORTEST_S = 1.0
+_FITTED = 0.6
+
+
+@dataclass(frozen=True)
+class TraceRecord:
+    """An experiment, and what its pose and wrench do not show.
+
+    gap (N, S) as measured; coil, coil_excitation (N, C) commanded; beam and rotor (N, 3) position,
+    velocity, acceleration (zeros where there are none); drive_n (N,) force of the beam's drives;
+    time_s (N,) runs on through a session. `kind` says what moves in it: records of one kind are
+    exchangeable.
+    """
+
+    experiment: Experiment
+    places: Places
+    time_s: Array
+    gap: Array
+    coil: Array
+    coil_excitation: Array
+    beam: Array
+    rotor: Array
+    drive_n: Array | None
+    kind: str
+
+    @property
+    def name(self) -> str:
+        """Name of the record."""
+        return self.experiment.name
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing excites it and nothing moves."""
+        return self.kind == "still"
+
+    @property
+    def rows(self) -> int:
+        """Number of rows, N."""
+        return len(self.time_s)
+
+    def cut(self, start: int, stop: int) -> TraceRecord:
+        """Return rows start .. stop."""
+        rows = slice(start, stop)
+        return replace(
+            self,
+            experiment=self.experiment.rows(start, stop),
+            time_s=self.time_s[rows],
+            gap=self.gap[rows],
+            coil=self.coil[rows],
+            coil_excitation=self.coil_excitation[rows],
+            beam=self.beam[rows],
+            rotor=self.rotor[rows],
+            drive_n=None if self.drive_n is None else self.drive_n[rows],
+        )
+
+
+def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
+    """Return the record of a log; raises as experiment_from_log does."""
+    experiment = experiment_from_log(log, model)
+    log, _ = without_gaps(log)
+    if "signals.yaml" in log.attachments:
+        return _imported(experiment, model)
+    geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
+    coils = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
+    sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
+    places = Places(
+        tuple(q.name for q in model.dof),
+        tuple(q.unit for q in model.dof),
+        coils,
+        sensors,
+        "N",
+        tuple(q.unit for q in model.inputs),
+        "m",
+        np.stack([geometry.coil_x_m, geometry.coil_y_m], axis=1),
+        np.stack([geometry.sensors_x_m, geometry.sensors_y_m], axis=1),
+        beam=True,
+    )
+    beam, rotor = (
+        _motion(log, axis, experiment.Ts_s) for axis in (("beam", "m"), ("rotor", "rad"))
+    )
+    coil = log.field("coil_n").astype(float)
+    coil_excitation = log.field("coil_excitation_n").astype(float)
+    record = TraceRecord(
+        experiment,
+        places,
+        log.field("time_s").astype(float),
+        log.field("gap_m").astype(float),
+        coil,
+        coil_excitation,
+        beam,
+        rotor,
+        log.field("beam_force_n").astype(float),
+        "",
+    )
+    return replace(record, kind=_kind(record))
+
+
+def split(records: Sequence[TraceRecord]) -> tuple[list[TraceRecord], list[TraceRecord]]:
+    """Return the records to fit to and those held out: of every kind about a third.
+
+    Of a kind with several records, the second, fifth, ... are held out; the only one of its kind is
+    cut, and its end held out.
+    """
+    by_kind: dict[str, list[TraceRecord]] = {}
+    for record in records:
+        by_kind.setdefault(record.kind, []).append(record)
+    train: list[TraceRecord] = []
+    held: list[TraceRecord] = []
+    for record in records:
+        group = by_kind[record.kind]
+        if len(group) > 1:
+            out = next(i for i, r in enumerate(group) if r is record) % 3 == 1
+            (held if out else train).append(record)
+            continue
+        at = round(_FITTED * record.rows)
+        if (record.rows - at) * record.experiment.Ts_s < _SHORTEST_S:
+            train.append(record)
+            continue
+        train.append(record.cut(0, at))
+        held.append(record.cut(at, record.rows))
+    return train, held
+
+
+def _imported(experiment: Experiment, model: ModelConfig) -> TraceRecord:
+    n, p = experiment.y.shape[1], experiment.u.shape[1]
+    places = Places(
+        tuple(q.name for q in model.dof),
+        tuple(q.unit for q in model.dof),
+        np.eye(p),
+        np.eye(n),
+        model.inputs[0].unit,
+        tuple(q.unit for q in model.inputs),
+        model.dof[0].unit,
+        np.zeros((0, 2)),
+        np.zeros((0, 2)),
+        beam=False,
+    )
+    N = len(experiment.y)
+    nothing = np.zeros((N, 3))
+    return TraceRecord(
+        experiment, places, np.asarray(np.arange(N) * experiment.Ts_s), experiment.y, experiment.u,
+        np.zeros((N, p)), nothing, nothing, None, "imported",
+    )  # fmt: skip
+
+
+def _motion(log: Log, axis: tuple[str, str], Ts_s: float) -> Array:
+    """Return position, velocity and its central difference (N, 3) of the beam or the rotor."""
+    name, unit = axis
+    position = log.field(f"{name}_{unit}").astype(float)
+    velocity = log.field(f"{name}_{unit}_s").astype(float)
+    return np.stack([position, velocity, np.gradient(velocity, Ts_s)], axis=1)
+
+
+def _kind(record: TraceRecord) -> str:
+    """Return what moves in a record, in words that are the same for like records."""
+    e = record.experiment
+    v = e.loop.v if e.loop is not None else e.u
+    parts = []
+    if np.any(np.abs(record.coil_excitation) > _SILENT):
+        parts.append("coils")
+    elif np.any(np.abs(v) > _SILENT):
+        parts.append("wrench")
+    if np.ptp(record.beam[:, 0]) > 1e-4:
+        parts.append("beam")
+    if np.ptp(record.rotor[:, 0]) > 1e-2:
+        parts.append("rotor")
+    return "+".join(parts) or "still"

@@ -1,0 +1,179 @@
+"""What helps to explain the errors of records, from their Gram matrices alone.
+
+A block of time is a row of evidence. What a set of columns explains is judged on blocks that did
+not fit it: coefficients come from four fifths of the blocks, and are tried on the fifth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .linearise import Linearised
+
+Array = NDArray[np.float64]
+Indices = Sequence[int] | NDArray[np.intp]
+
+FOLDS = 5
+_RIDGE = 1e-11
+"""Of each column's own square: directions that differ by rounding alone are held."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Blocks of several records: gram (blocks, Q, Q) with errors last, count (blocks,) of errors.
+
+    Columns are in units of `size` (Q,), common to all records.
+    """
+
+    gram: Array
+    count: Array
+    size: Array
+    time_s: Array
+    record: NDArray[np.int64]
+    prior: Array
+
+    @classmethod
+    def gather(cls, records: Sequence[Linearised], prior_rows: Array) -> Evidence:
+        """Return the blocks of all records, columns scaled alike.
+
+        `prior_rows` (., F + 1): what is known beforehand of the first F columns, errors last. It
+        stands beside the records in every fit, and is no block.
+        """
+        sizes = np.array([r.size for r in records])
+        size = np.sqrt(np.mean(sizes**2, axis=0))
+        grams = [r.gram * np.outer(r.size / size, r.size / size) for r in records]
+        rows = np.zeros((len(prior_rows), len(size)))
+        known = prior_rows.shape[1] - 1
+        rows[:, :known], rows[:, -1] = prior_rows[:, :-1], prior_rows[:, -1]
+        rows /= size
+        return cls(
+            np.concatenate(grams),
+            np.concatenate([r.count for r in records]),
+            size,
+            np.concatenate([r.time_s for r in records]),
+            np.concatenate([np.full(len(r.gram), i) for i, r in enumerate(records)]),
+            rows.T @ rows,
+        )
+
+    @cached_property
+    def whole(self) -> Array:
+        """Sum of all blocks' Gram matrices and of the prior's (Q, Q)."""
+        return np.asarray(self.gram.sum(axis=0) + self.prior)
+
+    @cached_property
+    def folds(self) -> Array:
+        """Sums of the Gram matrices that each fold leaves out (FOLDS, Q, Q)."""
+        each = np.arange(self.blocks) % FOLDS
+        return np.array([self.gram[each == fold].sum(axis=0) for fold in range(FOLDS)])
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return len(self.gram)
+
+    @property
+    def squares(self) -> float:
+        """Sum of squared errors as they are."""
+        return float(self.gram[:, -1, -1].sum())
+
+    @property
+    def excess(self) -> float:
+        """Sum of squared errors over what noise alone leaves."""
+        return self.squares - float(self.count.sum())
+
+
+def solve(gram: Array, columns: Indices) -> Array:
+    """Return coefficients of columns that take most from the errors; gram (Q, Q), errors last."""
+    pick = np.asarray(columns, int)
+    A = gram[np.ix_(pick, pick)]
+    b = gram[pick, -1]
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A / scale[:, None] / scale + _RIDGE * np.eye(len(pick))
+    return np.asarray(-np.linalg.solve(scaled, b / scale) / scale)
+
+
+def covariance(gram: Array, columns: Indices) -> Array:
+    """Return the covariance of those coefficients for errors of unit variance."""
+    pick = np.asarray(columns, int)
+    A = gram[np.ix_(pick, pick)]
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A / scale[:, None] / scale + _RIDGE * np.eye(len(pick))
+    return np.asarray(np.linalg.inv(scaled) / scale[:, None] / scale)
+
+
+def remaining(gram: Array, columns: Indices, coefficients: Array) -> Array:
+    """Return the squared errors (blocks,) left by coefficients; gram (blocks, Q, Q)."""
+    pick = np.asarray(columns, int)
+    inner = gram[:, pick][:, :, pick]
+    return np.asarray(
+        gram[:, -1, -1]
+        + 2 * gram[:, pick, -1] @ coefficients
+        + np.einsum("i,bij,j->b", coefficients, inner, coefficients, optimize=True)
+    )
+
+
+def cross_validated(evidence: Evidence, columns: Indices) -> Array:
+    """Return the squared errors (blocks,) that columns leave on blocks they were not fitted to."""
+    pick = np.append(np.asarray(columns, int), -1)
+    few = np.arange(len(pick) - 1)
+    by_fold = evidence.folds[:, pick][:, :, pick]
+    whole = evidence.whole[np.ix_(pick, pick)]
+    grams = evidence.gram[:, pick][:, :, pick]
+    left = np.empty(evidence.blocks)
+    each = np.arange(evidence.blocks) % FOLDS
+    for fold in range(FOLDS):
+        out = each == fold
+        left[out] = remaining(grams[out], few, solve(whole - by_fold[fold], few))
+    return left
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Groups of columns tried one by one beside a base: gain (groups, blocks) in squared errors."""
+
+    base: Array
+    gain: Array
+
+    @property
+    def total(self) -> Array:
+        """Sum over blocks (groups,)."""
+        return np.asarray(self.gain.sum(axis=1))
+
+
+def score(evidence: Evidence, base: Indices, groups: Sequence[Indices]) -> Scores:
+    """Return by how much each group of columns lowers the cross-validated squared errors."""
+    before = cross_validated(evidence, base)
+    base_list = list(base)
+    gains = [before - cross_validated(evidence, [*base_list, *group]) for group in groups]
+    return Scores(before, np.array(gains).reshape(len(groups), -1))
+
+
+def chance(evidence: Evidence, base: Indices, group: Indices, coefficients: Array) -> float:
+    """Return how far beyond chance a prediction made elsewhere agrees with these errors.
+
+    `coefficients` of [base, group] come from other records. What the group predicts, freed of what
+    the base could do as well here, is correlated with the errors; if it predicts nothing that is a
+    standard normal number. Errors larger than noise make it smaller in proportion.
+    """
+    gram = evidence.gram.sum(axis=0)
+    base_list, group_list = list(base), list(group)
+    b = np.asarray(coefficients)[len(base_list) :]
+    A = gram[np.ix_(base_list, base_list)]
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    inverse = np.linalg.inv(A / scale[:, None] / scale + _RIDGE * np.eye(len(A)))
+    inverse = inverse / scale[:, None] / scale
+    cross = gram[np.ix_(base_list, group_list)]
+    inner = gram[np.ix_(group_list, group_list)] - cross.T @ inverse @ cross
+    outer = gram[group_list, -1] - cross.T @ (inverse @ gram[base_list, -1])
+    predicted = float(b @ inner @ b)
+    if predicted <= 0.0:
+        return 0.0
+    left = gram[-1, -1] - gram[base_list, -1] @ (inverse @ gram[base_list, -1])
+    left = max(left + 2 * float(b @ outer) + predicted, 0.0)
+    spread = np.sqrt(max(left / float(evidence.count.sum()), 1.0))
+    return float(-(b @ outer) / np.sqrt(predicted) / spread)

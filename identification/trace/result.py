@@ -1,0 +1,326 @@
+"""What a trace found, in numbers and words: for JSON, for the report, and as a model file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.model import EffectParameter, ModelConfig, ModelEffect
+from ...model.effects.base import Effect, Placed
+from .metric import RecordError, pooled, pooled_pose
+from .search import Round, Tried
+from .study import Trace
+
+Array = NDArray[np.float64]
+
+METRIC = (
+    "RMS over rows and sensors of the free-running simulation's error, in standard deviations of "
+    "the sensor noise, on records that were not fitted, from 5 s on"
+)
+NOISE_MOST = 1.15
+"""Error over its floor up to which nothing is left: the floor itself is known to some percent."""
+_SQUARE_MOST = 1.05
+_TOLD = 0.5
+"""Of what was known before: a standard error above says that the records told nothing."""
+_BAND = (0.1, 0.9)
+_MOST_RIVALS = 3
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Why an effect was added.
+
+    statistic: on held-out records, what the effect predicted from the others, against the errors,
+    in standard deviations of chance. explained: squared errors that it took on blocks of time that
+    did not fit it, `share` of all that noise did not explain then. `alternatives` fit no worse.
+    """
+
+    statistic: float
+    explained: float
+    share: float
+    round: int
+    alternatives: tuple[Effect, ...]
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect in the model: `evidence` where this trace added it, None where it was declared."""
+
+    placed: Placed
+    evidence: Evidence | None
+
+    @property
+    def effect(self) -> Effect:
+        """The effect without values."""
+        return self.placed.effect
+
+    def parameters(self) -> dict[str, EffectParameter]:
+        """Return values, standard errors and units, amplitudes before shape."""
+        return _parameters(self.placed)
+
+
+@dataclass(frozen=True)
+class DofError:
+    """Free-running error of one DOF, SI units; band_hz holds the middle 80 % of its power after."""
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    floor: float
+    band_hz: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A trace in numbers.
+
+    before, after, floor: METRIC, of the declared model refitted, of the model with effects, and
+    what noise alone leaves. mean_square: of one-step-ahead errors after, on records that were held
+    out, in variances of the noise; `beyond` the free-running error that a rigid platform cannot
+    show, likewise, None where every sensor has a DOF of its own. `nearest` are the candidates of
+    the last round that explain most, none of them beyond chance. gone: effects that were taken, or
+    declared, and given up since others explain the same.
+    """
+
+    effects: tuple[FoundEffect, ...]
+    declared: tuple[FoundEffect, ...]
+    before: float
+    after: float
+    floor: float
+    dof: tuple[DofError, ...]
+    mean_square: float
+    beyond: float | None
+    nearest: tuple[Tried, ...]
+    gone: tuple[str, ...]
+    unsettled: tuple[str, ...]
+
+    @property
+    def significant(self) -> bool:
+        """Whether more is left than noise."""
+        return self.mean_square > _SQUARE_MOST or not self.after <= NOISE_MOST * self.floor
+
+    @property
+    def verdict(self) -> str:
+        """What was found, in a sentence."""
+        if self.effects:
+            names = ", ".join(f.effect.name for f in self.effects)
+            return f"found: {names}; " + (
+                "more is left that no known effect explains"
+                if self.significant
+                else "what is left is noise"
+            )
+        if self.significant:
+            return (
+                "nothing found: there is more than noise left, and no known effect explains it "
+                "beyond chance"
+            )
+        return "nothing found: the model explains the records down to the noise"
+
+
+def outcome(trace: Trace) -> Outcome:
+    """Return what a trace found, in numbers."""
+    placed = {p.effect.identity: p for p in trace.found.point.placed}
+    started = {p.effect.identity: p.effect.name for p in trace.declared.placed}
+    evidence = _evidence(trace.found.rounds)
+    before, _ = pooled(trace.before)
+    after, floor = pooled(trace.after)
+    taken = {
+        r.taken.effect.identity: r.taken.effect.name for r in trace.found.rounds if r.taken
+    } | started
+    held = trace.found.held
+    last = trace.found.rounds[-1]
+    return Outcome(
+        tuple(FoundEffect(p, evidence.get(k)) for k, p in placed.items() if k not in started),
+        tuple(FoundEffect(p, None) for k, p in placed.items() if k in started),
+        before,
+        after,
+        floor,
+        _dof_errors(trace),
+        held.squares / max(float(held.count.sum()), 1.0),
+        _beyond(trace),
+        last.ranking[:_MOST_RIVALS] if last.taken is None else (),
+        tuple(name for identity, name in taken.items() if identity not in placed),
+        tuple(e.name for e in trace.after if not e.settled),
+    )
+
+
+def summary(trace: Trace) -> dict[str, Any]:
+    """Return the result in plain dicts, lists, finite numbers and words, for JSON.
+
+    effects: each a name, class, where, parameters with value, standard error and unit, evidence;
+    those that the model declared already are not among them. validation: metric, before, after,
+    noise_floor, per_dof. unexplained: what is left. None stands for what is not a number.
+    """
+    found = outcome(trace)
+    return _plain(
+        {
+            "effects": [_effect(f) for f in found.effects],
+            "validation": {
+                "metric": METRIC,
+                "before": found.before,
+                "after": found.after,
+                "noise_floor": found.floor,
+                "per_dof": {
+                    d.name: {
+                        "unit": d.unit,
+                        "before": d.before,
+                        "after": d.after,
+                        "noise_floor": d.floor,
+                    }
+                    for d in found.dof
+                },
+            },
+            "unexplained": {
+                "found": found.verdict,
+                "significant": found.significant,
+                "mean_square": found.mean_square,
+                "per_dof": {
+                    d.name: {"times_noise_floor": d.after / d.floor, "band_hz": list(d.band_hz)}
+                    for d in found.dof
+                },
+                "beyond_rigid": found.beyond,
+                "nearest": [
+                    {**_named(t.effect), "statistic_sd": t.chance, "squared_errors": t.gain}
+                    for t in found.nearest
+                ],
+                "given_up": list(found.gone),
+                "unsettled_records": list(found.unsettled),
+            },
+        }
+    )
+
+
+def model_after(trace: Trace) -> ModelConfig:
+    """Return the model with its effects, refitted, values with standard errors."""
+    point, config = trace.found.point, trace.config
+    free, values = point.parameters, point.values
+    sd = np.sqrt(np.maximum(np.diag(trace.found.covariance)[: len(values)], 0.0)) * free.scale
+    sd *= math.sqrt(max(trace.found.train.squares / float(trace.found.train.count.sum()), 1.0))
+    known = np.minimum(free.worth, free.prior_sd)
+    parameters = dict(config.parameters)
+    for name, value, error, before in zip(free.names, values, sd, known, strict=True):
+        told = error < _TOLD * before
+        parameters[name] = parameters[name].model_copy(
+            update={"value": float(value), "se": float(error) if told else None}
+        )
+    return config.model_copy(
+        update={"parameters": parameters, "effects": tuple(model_effect(p) for p in point.placed)}
+    )
+
+
+def model_effect(placed: Placed) -> ModelEffect:
+    """Return the entry of a model file for an effect."""
+    return ModelEffect(
+        effect=placed.effect.key, where=placed.effect.where, parameters=_parameters(placed)
+    )
+
+
+def _parameters(placed: Placed) -> dict[str, EffectParameter]:
+    quantities = (*placed.effect.amplitudes, *placed.effect.shape)
+    values = (*placed.amplitudes, *placed.shape)
+    errors = placed.standard_errors
+    return {
+        q.name: EffectParameter(value=value, unit=q.unit, se=_finite(errors.get(q.name)))
+        for q, value in zip(quantities, values, strict=True)
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _evidence(rounds: Sequence[Round]) -> dict[str, Evidence]:
+    """Return by identity why effects were taken."""
+    return {
+        r.taken.effect.identity: Evidence(
+            r.taken.chance,
+            r.taken.gain,
+            r.taken.gain / max(r.excess, r.taken.gain),
+            number,
+            tuple(t.effect for t in r.alternatives),
+        )
+        for number, r in enumerate(rounds, start=1)
+        if r.taken is not None
+    }
+
+
+def _dof_errors(trace: Trace) -> tuple[DofError, ...]:
+    before, _ = pooled_pose(trace.before)
+    after, floor = pooled_pose(trace.after)
+    places = trace.places
+    return tuple(
+        DofError(
+            name, unit, float(before[i]), float(after[i]), float(floor[i]), _band(trace.after, i)
+        )
+        for i, (name, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
+    )
+
+
+def _band(errors: Sequence[RecordError], dof: int) -> tuple[float, float]:
+    """Return between which frequencies the middle 80 % of the power of a DOF's error lie."""
+    freq_hz = max((e.freq_hz for e in errors), key=len)
+    power = np.zeros(len(freq_hz))
+    for e in errors:
+        power += np.interp(freq_hz, e.freq_hz, e.psd[:, dof]) * e.rows
+    share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    low, high = (float(np.interp(at, share, freq_hz)) for at in _BAND)
+    return low, high
+
+
+def _beyond(trace: Trace) -> float | None:
+    """Return the mean square beyond the rigid platform, from what the pose's errors leave of it."""
+    shape = trace.places.sensor_shape
+    sensors, n = shape.shape
+    inner = shape.T @ shape
+    own = np.diag(inner)
+    # Where the sensors' pattern mixes the DOFs, squares of the pose alone do not tell.
+    mixed = float(np.abs(inner - np.diag(own)).max()) > 1e-9 * float(own.max())
+    if sensors <= n or mixed:
+        return None
+    sd = trace.found.point.disturbance.sensor_sd
+    rows = np.array([e.rows for e in trace.after], float)
+    squares = np.array(
+        [sensors * e.squares - float(own @ e.pose_squares) / sd**2 for e in trace.after]
+    )
+    return float(rows @ squares / rows.sum()) / (sensors - n)
+
+
+def _effect(found: FoundEffect) -> dict[str, Any]:
+    effect, why = found.effect, found.evidence
+    evidence: dict[str, Any] = {"equation": effect.equation}
+    if why is not None:
+        evidence |= {
+            "statistic_sd": why.statistic,
+            "squared_errors": why.explained,
+            "share": why.share,
+            "round": why.round,
+            "alternatives": [_named(e) for e in why.alternatives],
+        }
+    evidence |= {"absorbed_by": effect.absorbed_by, "told_apart_by": effect.told_apart_by}
+    parameters = {
+        name: {"value": p.value, "se": p.se, "unit": p.unit}
+        for name, p in found.parameters().items()
+    }
+    return {**_named(effect), "parameters": parameters, "evidence": evidence}
+
+
+def _named(effect: Effect) -> dict[str, Any]:
+    return {"name": effect.name, "class": effect.effect_class, "where": list(effect.where)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

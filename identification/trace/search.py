@@ -1,0 +1,358 @@
+"""Which effects are there: screened by regression, fitted together, kept if others agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.declared import ModelError
+from ...model.effects.base import Effect, Placed, Quantity
+from ..data import IdentificationError
+from .linearise import Linearised, WorkingPoint
+from .regression import Evidence, chance, covariance, cross_validated, score, solve
+
+Array = NDArray[np.float64]
+Candidate = tuple[Effect, tuple[float, ...]]
+Progress = Callable[[str, float], None]
+
+
+class Records(Protocol):
+    """Records to fit to, and records held out, linearised around a working point on demand."""
+
+    def train(
+        self,
+        point: WorkingPoint,
+        candidates: Sequence[Candidate] = (),
+        only: Sequence[int] | None = None,
+    ) -> list[Linearised]:
+        """Return the records to fit to, all or some of them by number."""
+
+    def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
+        """Return the records that choose nothing, and are asked only whether they agree."""
+
+
+_MOST_EFFECTS = 6
+_BEYOND_CHANCE = 6.0
+"""Standard deviations by which held-out records must agree: one in 10^9 for a candidate."""
+_WORTH = 0.004
+"""An effect is worth naming if it takes this share of what noise does not explain."""
+_LEAST = 40.0
+"""Squared errors that a candidate must take at least: the best of hundreds takes 15 by chance."""
+_SURVIVES = 0.35
+_MOST_SURVIVORS = 5
+"""Of the candidates, those that explain this share of what the best one does are fitted."""
+_ALIKE = 0.02
+_NEAR = 12.0
+"""Fits whose squared errors differ by less than this share of what they gain are not told apart,
+nor those that differ by less than three standard deviations."""
+_PRICE = 4.0
+"""Squared errors that a parameter must save to be worth it."""
+_TRUST = 1e3
+_TELLING = 0.8
+_SIFTING_STEPS = 4
+_STEPS = 8
+_CONVERGED = 0.3
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate beside the working point: what it gains in cross-validated squared errors."""
+
+    effect: Effect
+    shape: tuple[float, ...]
+    gain: float
+    blocks: Array
+    amplitudes: tuple[float, ...]
+    chance: float
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of the search: what was left over before, the best candidates, what was taken."""
+
+    excess: float
+    count: float
+    ranking: tuple[Tried, ...]
+    survivors: tuple[Tried, ...]
+    taken: Tried | None
+    alternatives: tuple[Tried, ...]
+
+
+@dataclass(frozen=True)
+class Found:
+    """The working point at the end, how it was reached, and what both sets of records leave."""
+
+    point: WorkingPoint
+    rounds: tuple[Round, ...]
+    covariance: Array
+    train: Evidence
+    held: Evidence
+
+
+def search(
+    point: WorkingPoint, effects: Sequence[Effect], records: Records, progress: Progress
+) -> Found:
+    """Add effects one by one while records that were not used to choose them agree.
+
+    `point` is at its best already. Every round tries all candidates by regression, fits the few
+    that explain most, model and all, and takes the best of those.
+    """
+    candidates = [(effect, tuple(shape)) for effect in effects for shape in effect.grid]
+    rounds: list[Round] = []
+    while True:
+        progress(f"screening {len(candidates)} candidates", _share(len(rounds)))
+        train = _gather(point, records.train(point, candidates))
+        held = _gather(point, records.held(point, candidates))
+        found = _round(point, candidates, train, held)
+        if not found.survivors or len(point.placed) >= _MOST_EFFECTS:
+            rounds.append(found)
+            break
+        progress(
+            f"fitting {', '.join(t.effect.name for t in found.survivors)}", _share(len(rounds))
+        )
+        found = _sifted(point, found, train, records)
+        rounds.append(found)
+        if found.taken is None:
+            break
+        progress(f"adding {found.taken.effect.name}", _share(len(rounds)))
+        better, squares = refine(_with(point, found.taken), records)
+        if not squares < train.squares:
+            rounds[-1] = replace(found, taken=None)
+            break
+        point = _without_idle(_believing(better, squares, train), records)
+        chosen = {p.effect.identity for p in point.placed}
+        candidates = [
+            (effect, tuple(shape))
+            for effect in effects
+            if effect.identity not in chosen
+            for shape in effect.grid
+        ]
+    train, held = (_gather(point, part) for part in (records.train(point), records.held(point)))
+    own = list(range(train.gram.shape[1] - 1))
+    spread = covariance(train.whole, own) / np.outer(train.size[:-1], train.size[:-1])
+    return Found(_with_errors(point, spread, train), tuple(rounds), spread, train, held)
+
+
+def _believing(point: WorkingPoint, squares: float, evidence: Evidence) -> WorkingPoint:
+    """Return the point with its trajectories as close to the model as the errors allow."""
+    count = float(evidence.count.sum())
+    return replace(point, trust=float(np.clip(_TRUST * (squares / count - 1.0), 1.0, _TRUST)))
+
+
+def _share(rounds: int) -> float:
+    return 0.85 - 0.7 * 0.6**rounds
+
+
+def _with(point: WorkingPoint, tried: Tried) -> WorkingPoint:
+    return replace(
+        point, placed=(*point.placed, Placed(tried.effect, tried.shape, tried.amplitudes))
+    )
+
+
+def _sifted(point: WorkingPoint, found: Round, train: Evidence, records: Records) -> Round:
+    """Return the round with its survivors fitted, and the best of them taken.
+
+    A candidate that fits at a shape of the grid may fit better in between, so the fits decide. They
+    use the records that tell most of the survivors.
+    """
+    if len(found.survivors) == 1:
+        return replace(found, taken=found.survivors[0])
+    only = _telling(found.survivors, train)
+    before = _gather(point, records.train(point, only=only)).squares
+    fitted: list[tuple[float, Tried]] = []
+    for tried in found.survivors:
+        at, squares = refine(_with(point, tried), records, only, _SIFTING_STEPS)
+        last = at.placed[-1]
+        fitted.append(
+            (
+                squares + _PRICE * (len(last.amplitudes) + len(last.shape)),
+                replace(tried, shape=last.shape, amplitudes=last.amplitudes),
+            )
+        )
+    fitted.sort(key=lambda pair: pair[0])
+    best, taken = fitted[0]
+    near = max(_ALIKE * (before - best), _NEAR)
+    alike = tuple(tried for squares, tried in fitted[1:] if squares - best < near)
+    return replace(found, taken=taken, alternatives=alike)
+
+
+def _telling(survivors: Sequence[Tried], train: Evidence) -> list[int]:
+    """Return the numbers of the records in which the survivors gain most, most of it in all."""
+    gain = np.zeros(int(train.record.max()) + 1)
+    for tried in survivors:
+        share = np.bincount(train.record, np.maximum(tried.blocks, 0.0), len(gain))
+        gain += share / max(share.sum(), 1e-300)
+    order = np.argsort(-gain)
+    enough = np.searchsorted(np.cumsum(gain[order]), _TELLING * gain.sum()) + 1
+    return sorted(order[: max(enough, 2)].tolist())
+
+
+def _without_idle(point: WorkingPoint, records: Records) -> WorkingPoint:
+    """Return the point without effects that those found after them have made idle."""
+    if len(point.placed) < 2:
+        return point
+    train = _gather(point, records.train(point))
+    at, base = len(point.parameters.names), list(range(train.gram.shape[1] - 1))
+    full = cross_validated(train, base).sum()
+    idle = []
+    for p in point.placed:
+        own = set(range(at, at + _width(p)))
+        # Without it its errors come back: what its own columns would have to explain again.
+        back = _restored(train, p, sorted(own), len(p.amplitudes))
+        kept = [c for c in base if c not in own]
+        if cross_validated(back, kept).sum() - full < _LEAST:
+            idle.append(p)
+        at += _width(p)
+    if not idle:
+        return point
+    fewer, _ = refine(
+        replace(point, placed=tuple(p for p in point.placed if p not in idle)), records
+    )
+    return fewer
+
+
+def _restored(evidence: Evidence, placed: Placed, own: Sequence[int], amplitudes: int) -> Evidence:
+    """Return the evidence with an effect's amplitudes set to nothing, to first order."""
+    take = np.eye(evidence.gram.shape[1])
+    columns = list(own)[:amplitudes]
+    take[columns, -1] = -np.array(placed.amplitudes) * evidence.size[columns]
+    gram = np.einsum("ji,bjk,kl->bil", take, evidence.gram, take, optimize=True)
+    return replace(evidence, gram=gram, prior=take.T @ evidence.prior @ take)
+
+
+def refine(
+    point: WorkingPoint,
+    records: Records,
+    only: Sequence[int] | None = None,
+    steps: int = _STEPS,
+) -> tuple[WorkingPoint, float]:
+    """Return the point of least squares nearby, and its squared errors, by Gauss-Newton steps."""
+    train = _gather(point, records.train(point, only=only))
+    damping = 0.0
+    for _ in range(steps):
+        gram = train.whole
+        own = np.arange(len(gram) - 1)
+        damped = gram.copy()
+        damped[own, own] *= 1 + damping
+        step = solve(damped, own) / train.size[:-1]
+        errors = np.sqrt(np.diag(covariance(gram, own))) / train.size[:-1]
+        small = float(np.max(np.abs(step) / errors)) if len(step) else 0.0
+        if small < _CONVERGED:
+            break
+        moved = stepped(point, step)
+        try:
+            after = _gather(moved, records.train(moved, only=only))
+        except (ModelError, IdentificationError, np.linalg.LinAlgError):
+            after = None
+        if after is not None and _cost(after) < _cost(train) * (1 + 1e-9):
+            gained = _cost(train) - _cost(after)
+            point, train, damping = moved, after, damping / 10 if damping > 1e-3 else 0.0
+            if gained < 0.1:
+                break
+        else:
+            damping = max(10 * damping, 1e-2)
+            if damping > 1e4:
+                break
+    return point, train.squares
+
+
+def _gather(point: WorkingPoint, records: Sequence[Linearised]) -> Evidence:
+    """Return records as evidence, with what the model file says of the parameters beside it.
+
+    A parameter that records tell nothing of stays where it was declared: to know it worse than its
+    worth is to know nothing of it.
+    """
+    p = point.parameters
+    sd = np.minimum(p.worth, p.prior_sd)
+    rows = np.zeros((len(sd), len(sd) + 1))
+    np.fill_diagonal(rows, p.scale / sd)
+    rows[:, -1] = (point.values - p.prior_mean) / sd
+    return Evidence.gather(records, rows)
+
+
+def _cost(evidence: Evidence) -> float:
+    return float(evidence.whole[-1, -1])
+
+
+def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
+    """Return the working point after a step in [parameters over scale, amplitudes, shapes]."""
+    p = point.parameters
+    at, placed = len(p.names), []
+    moved = np.clip(point.values + step[:at] * p.scale, p.low, p.high)
+    values = dict(zip(p.names, moved.tolist(), strict=True))
+    for one in point.placed:
+        a, k = len(one.amplitudes), len(one.shape)
+        moves = step[at + a : at + a + k]
+        shape = [
+            float(np.clip(value + _leash(move, value, q), q.low, q.high))
+            for value, move, q in zip(one.shape, moves, one.effect.shape, strict=True)
+        ]
+        placed.append(one.with_values(shape, np.add(one.amplitudes, step[at : at + a]).tolist()))
+        at += a + k
+    return replace(point, model=point.model.with_values(values), placed=tuple(placed))
+
+
+def _leash(move: float, value: float, quantity: Quantity) -> float:
+    """Return a step of a shape as far as terms are about linear."""
+    reach = abs(value) / 3 if quantity.log else 0.1 * (quantity.high - quantity.low)
+    return float(np.clip(move, -reach, reach))
+
+
+def _round(
+    point: WorkingPoint, candidates: Sequence[Candidate], train: Evidence, held: Evidence
+) -> Round:
+    base = list(range(len(point.parameters.names) + sum(_width(p) for p in point.placed)))
+    groups, at = [], len(base)
+    for effect, _ in candidates:
+        groups.append(list(range(at, at + len(effect.amplitudes))))
+        at += len(effect.amplitudes)
+    scores = score(train, base, groups)
+    order = np.argsort(-scores.total)
+    whole = train.whole
+    excess, count = train.excess, float(train.count.sum())
+    ranking: list[Tried] = []
+    seen: set[str] = set()
+    for i in order.tolist():
+        effect, shape = candidates[i]
+        if effect.identity in seen:
+            continue
+        seen.add(effect.identity)
+        coefficients = solve(whole, [*base, *groups[i]])
+        amplitudes = coefficients[len(base) :] / train.size[groups[i]]
+        there = coefficients / train.size[[*base, *groups[i]]] * held.size[[*base, *groups[i]]]
+        ranking.append(
+            Tried(
+                effect, shape, float(scores.total[i]), scores.gain[i],
+                tuple(amplitudes.tolist()), chance(held, base, groups[i], there),
+            )
+        )  # fmt: skip
+        if len(ranking) >= 40:
+            break
+    convincing = [t for t in ranking if _convinces(t, excess)]
+    survivors = [t for t in convincing if t.gain > _SURVIVES * convincing[0].gain]
+    return Round(excess, count, tuple(ranking), tuple(survivors[:_MOST_SURVIVORS]), None, ())
+
+
+def _convinces(tried: Tried, excess: float) -> bool:
+    return tried.chance > _BEYOND_CHANCE and tried.gain > max(_WORTH * excess, _LEAST)
+
+
+def _width(placed: Placed) -> int:
+    return len(placed.amplitudes) + len(placed.shape)
+
+
+def _with_errors(point: WorkingPoint, spread: Array, train: Evidence) -> WorkingPoint:
+    """Return the point with standard errors, widened where the errors are larger than noise."""
+    inflation = max(train.squares / float(train.count.sum()), 1.0)
+    errors = np.sqrt(inflation * np.diag(spread))
+    at, placed = len(point.parameters.names), []
+    for p in point.placed:
+        names = [q.name for q in (*p.effect.amplitudes, *p.effect.shape)]
+        own = errors[at : at + len(names)]
+        placed.append(replace(p, standard_errors=dict(zip(names, own.tolist(), strict=True))))
+        at += len(names)
+    return replace(point, placed=tuple(placed))

@@ -1,0 +1,223 @@
+"""A trace from end to end: logs to a model with effects, judged on records that chose nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from ...config.model import ModelConfig
+from ...log.reader import read_log
+from ...model.effects.base import Effect, Places
+from ...model.effects.extent import Extent
+from ..data import IdentificationError
+from ..declared import declared_model
+from ..from_log import NotARecordError
+from ..greybox.fit import first_noise, fit_model
+from ..greybox.noise import Noise
+from ..greybox.parameters import free_parameters
+from .hints import extent
+from .linearise import Linearised, WorkingPoint, linearise
+from .metric import RecordError, record_error
+from .noise import Disturbance, disturbance
+from .record import TraceRecord, split, trace_record
+from .search import Candidate, Found, refine, search
+from .workers import Source, Workers
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+_FIRST_ROWS = 8000
+_FIRST_RECORDS = 8
+_LOUDER = (1e6, 1e4, 1e2)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What was found.
+
+    `declared`: the model refitted without effects; `found`: the end of the search. before, after:
+    errors of the held-out records, free-running, in the order of `held`.
+    """
+
+    config: ModelConfig
+    places: Places
+    declared: WorkingPoint
+    found: Found
+    fitted: tuple[str, ...]
+    held: tuple[str, ...]
+    before: tuple[RecordError, ...]
+    after: tuple[RecordError, ...]
+    notes: tuple[str, ...]
+
+
+def trace(
+    logs: Sequence[Path],
+    config: ModelConfig,
+    effects: Callable[[Places, Extent], Sequence[Effect]],
+    workers: Workers,
+    progress: Progress,
+) -> Trace:
+    """Return what records lack in the model of `config`, and the model with it.
+
+    Raises IdentificationError: no records, or records that the model does not fit.
+    """
+    # Every worker is one core, this process too: threads of the linear algebra would only fight.
+    with threadpool_limits(1):
+        return _trace(logs, config, effects, workers, progress)
+
+
+def _trace(
+    logs: Sequence[Path],
+    config: ModelConfig,
+    effects: Callable[[Places, Extent], Sequence[Effect]],
+    workers: Workers,
+    progress: Progress,
+) -> Trace:
+    progress("reading logs", 0.0)
+    records, notes = _read(logs, config)
+    span = (
+        min(r.time_s[0] for r in records.values()),
+        max(r.time_s[-1] for r in records.values()),
+    )
+    train, held = split(list(records.values()))
+    where = {r.name: path for path, r in records.items()}
+    begin = {r.name: r.time_s[0] for r in records.values()}
+
+    def sources(parts: Sequence[TraceRecord]) -> list[Source]:
+        found = []
+        for part in parts:
+            first = round((part.time_s[0] - begin[part.name]) / part.experiment.Ts_s)
+            found.append(Source(where[part.name], first, first + part.rows, span))
+        return found
+
+    progress("fitting the declared model", 0.05)
+    point = _start(config, train, list(records.values()))
+    places = replace(train[0].places, span_s=span)
+    covered = extent([*train, *held])
+    train_sources, held_sources = sources(train), sources(held)
+    names = tuple(r.name for r in train), tuple(r.name for r in held)
+    del records, train, held
+
+    logged = _Logged(workers, tuple(train_sources), tuple(held_sources))
+    declared, _ = refine(point, logged)
+    found = search(declared, effects(places, covered), logged, progress)
+    progress("simulating held-out records", 0.9)
+    before = workers.map(partial(record_error, declared), held_sources)
+    after = workers.map(partial(record_error, found.point), held_sources)
+    return Trace(config, places, declared, found, *names, tuple(before), tuple(after), notes)
+
+
+@dataclass(frozen=True)
+class _Logged:
+    """Records that workers read from logs."""
+
+    workers: Workers
+    fitted: tuple[Source, ...]
+    kept: tuple[Source, ...]
+
+    def train(
+        self,
+        point: WorkingPoint,
+        candidates: Sequence[Candidate] = (),
+        only: Sequence[int] | None = None,
+    ) -> list[Linearised]:
+        chosen = self.fitted if only is None else [self.fitted[i] for i in only]
+        return self.workers.map(partial(_linearise, point, tuple(candidates)), chosen)
+
+    def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
+        return self.workers.map(partial(_linearise, point, tuple(candidates)), self.kept)
+
+
+@dataclass(frozen=True)
+class _Loaded:
+    """Records at hand, to fit to."""
+
+    records: Sequence[TraceRecord]
+
+    def train(
+        self,
+        point: WorkingPoint,
+        candidates: Sequence[Candidate] = (),
+        only: Sequence[int] | None = None,
+    ) -> list[Linearised]:
+        chosen = self.records if only is None else [self.records[i] for i in only]
+        return [linearise(point, record, candidates) for record in chosen]
+
+    def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:  # noqa: ARG002
+        return []
+
+
+def _linearise(
+    point: WorkingPoint, candidates: Sequence[Candidate], record: TraceRecord
+) -> Linearised:
+    return linearise(point, record, candidates)
+
+
+def _read(
+    logs: Sequence[Path], config: ModelConfig
+) -> tuple[dict[Path, TraceRecord], tuple[str, ...]]:
+    records: dict[Path, TraceRecord] = {}
+    notes = []
+    for path in logs:
+        try:
+            records[path] = trace_record(read_log(path), config)
+        except NotARecordError as reason:
+            notes.append(str(reason))
+    if not records:
+        raise IdentificationError(
+            f"expected records among the {len(logs)} logs, found none: {'; '.join(notes)}"
+        )
+    names = [r.name for r in records.values()]
+    double = sorted({name for name in names if names.count(name) > 1})
+    if double:
+        raise IdentificationError(
+            f"expected every record once, found several named {', '.join(double)}"
+        )
+    return records, tuple(notes)
+
+
+def _start(
+    config: ModelConfig, train: Sequence[TraceRecord], records: Sequence[TraceRecord]
+) -> WorkingPoint:
+    """Return a working point near the declared model's best, from parts of some records.
+
+    With much force noise the filter follows a record whatever the parameters are, and the errors
+    are nearly linear in them; so it is taken to be loud first, and comes down to what it is.
+    """
+    parts = _parts(train)
+    parameters, model = free_parameters(config), declared_model(config)
+    if any(r.still and r.experiment.loop is not None for r in records):
+        noise = disturbance(model, records, first_noise([r.experiment for r in parts]))
+    else:
+        fit = fit_model(config, [r.experiment for r in parts])
+        model, noise = fit.model, disturbance(fit.model, records, fit.noise)
+    point = WorkingPoint(model, parameters, (), noise, config.input)
+
+    for louder in _LOUDER if noise.measured else ():
+        loud = Noise(louder * noise.noise.force_psd, noise.noise.output_variance)
+        at, _ = refine(replace(point, disturbance=replace(noise, noise=loud)), _Loaded(parts))
+        point = replace(at, disturbance=noise)
+    if noise.measured:
+        noise = disturbance(point.model, records, noise.noise)
+    return replace(point, disturbance=noise)
+
+
+def _parts(records: Sequence[TraceRecord]) -> list[TraceRecord]:
+    moving = [r for r in records if not r.still] or list(records)
+    chosen: list[TraceRecord] = []
+    for kind in dict.fromkeys(r.kind for r in moving):
+        chosen += [r for r in moving if r.kind == kind][:3]
+    parts = []
+    for record in chosen[:_FIRST_RECORDS]:
+        first = max((record.rows - _FIRST_ROWS) // 2, 0)
+        parts.append(record.cut(first, min(first + _FIRST_ROWS, record.rows)))
+    return parts
+
+
+__all__ = ["Disturbance", "Trace", "trace"]

@@ -1,0 +1,110 @@
+"""Records spread over workers: this process, processes of this machine, or a cluster's executor.
+
+A worker reads a record once, from its log, and keeps it. What comes back is added up in the order
+of the records, so that the result does not depend on who did what, to the last digit.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from ...config.model import ModelConfig
+from ...log.reader import read_log
+from .record import TraceRecord, trace_record
+
+Answer = TypeVar("Answer")
+Task = Callable[[TraceRecord], Answer]
+
+_KEPT = 256
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a record comes from: rows of a log, and the span of its session."""
+
+    path: Path
+    start: int
+    stop: int
+    span_s: tuple[float, float]
+
+
+class Workers(Protocol):
+    """Who does what to records."""
+
+    def map(self, task: Task[Answer], sources: Sequence[Source]) -> list[Answer]:
+        """Return the answers in the order of the sources."""
+
+
+@dataclass(frozen=True)
+class Alone:
+    """All in this process."""
+
+    config: ModelConfig
+
+    def map(self, task: Task[Answer], sources: Sequence[Source]) -> list[Answer]:
+        """Return the answers in the order of the sources."""
+        return [_answer(task, source, self.config.model_dump_json()) for source in sources]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Through an executor of concurrent.futures, or one that behaves like it."""
+
+    config: ModelConfig
+    executor: Executor
+
+    def map(self, task: Task[Answer], sources: Sequence[Source]) -> list[Answer]:
+        """Return the answers in the order of the sources."""
+        text = self.config.model_dump_json()
+        # The longest first: nobody waits for a long one that began last.
+        order = sorted(range(len(sources)), key=lambda i: sources[i].start - sources[i].stop)
+        futures = {i: self.executor.submit(_answer, task, sources[i], text) for i in order}
+        return [futures[i].result() for i in range(len(sources))]
+
+
+@contextmanager
+def local_workers(config: ModelConfig, processes: int | None = None) -> Iterator[Workers]:
+    """Give workers on this machine: a process a core, or none beside this one for one core."""
+    count = processes or len(os.sched_getaffinity(0))
+    if count == 1:
+        yield Alone(config)
+        return
+    context = multiprocessing.get_context("forkserver")
+    with ProcessPoolExecutor(count, mp_context=context) as pool:
+        yield Spread(config, pool)
+
+
+@contextmanager
+def cluster_workers(config: ModelConfig, address: str) -> Iterator[Workers]:
+    """Give the workers of a dask.distributed scheduler; they must see the logs where we do.
+
+    Raises OSError where nobody answers at the address.
+    """
+    from distributed import Client
+
+    with Client(address, timeout="10s") as client, client.get_executor(pure=False) as executor:
+        yield Spread(config, executor)
+
+
+def _answer(task: Task[Answer], source: Source, model_json: str) -> Answer:
+    # Each worker is one core: threads of the linear algebra would only add up in another order.
+    with threadpool_limits(1):
+        return task(_record(source, model_json))
+
+
+@lru_cache(maxsize=_KEPT)
+def _record(source: Source, model_json: str) -> TraceRecord:
+    config = ModelConfig.model_validate_json(model_json)
+    record = trace_record(read_log(source.path), config)
+    places = replace(record.places, span_s=source.span_s)
+    return replace(record.cut(source.start, source.stop), places=places)

@@ -1,0 +1,1 @@
+"""Physical effects that a declared model may lack, as equations; one small file each."""

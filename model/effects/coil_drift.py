@@ -1,0 +1,105 @@
+"""Coils that change with time: an offset that drifts, a force constant that falls with heat.
+
+A coil's heat follows the square of its current through a first-order lag, and its magnet weakens as
+it warms (Sebastian, *Temperature effects on torque production of PM motors*, IEEE Trans. Ind. Appl.
+31, 1995); a session begins cold. Signature: with the records' time, not with frequency; thermal
+drift scales what the coil is told and comes back when it rests, an offset does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
+from .recursions import heat
+
+_WARM_S = 40.0
+_LONG = "long records, begin and end of a session with the same excitation"
+
+
+def effects(places: Places) -> list[Effect]:
+    """Return drift of offset and gain of every coil, and of the gain of all together."""
+    found = []
+    unit = places.coil_unit
+    every = tuple(range(places.coils))
+    for coils in [*((c,) for c in every), *([every] if len(every) > 1 else [])]:
+        where = tuple(f"coil:{c}" for c in coils)
+        alike = ", all coils alike" if len(coils) > 1 else ""
+        if not alike:
+            found.append(
+                Effect(
+                    "force_offset.drift",
+                    "Offset of a coil that drifts",
+                    "force_offset",
+                    where,
+                    "force = F + rate t, t from the session's begin",
+                    (Quantity("rate", f"{unit}/s"),),
+                    partial(_offset, coil=coils[0]),
+                    absorbed_by="what stays the same through a record: its constant force",
+                    told_apart_by="long records",
+                )
+            )
+        found += [
+            Effect(
+                "thermal_drift.time",
+                f"Gain that drifts with time{alike}",
+                "thermal_drift",
+                where,
+                "force = (1 - rate t) F, t from the session's begin",
+                (Quantity("rate", "1/s"),),
+                partial(_with_time, coils=coils),
+                told_apart_by=_LONG,
+            ),
+            Effect(
+                "thermal_drift.heat",
+                f"Gain that falls with the coil's heat{alike}",
+                "thermal_drift",
+                where,
+                "force = (1 - a heat) F, heat' = (F^2 - heat) / tau, cold at the session's begin",
+                (Quantity("a", f"1/{unit}^2"),),
+                partial(_with_heat, coils=coils),
+                (Quantity("tau", "s", 0.5, 1000.0, log=True),),
+                ((_WARM_S,),),
+                absorbed_by="once warm: the coil's gain",
+                told_apart_by=_LONG,
+            ),
+        ]
+    return found
+
+
+def _offset(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:
+    return [on_coil(signals, coil, _elapsed(signals))]
+
+
+def _elapsed(signals: Signals) -> Array:
+    """Return time (N,) since the session began."""
+    return np.asarray(signals.time_s - signals.places.span_s[0])
+
+
+def _with_time(signals: Signals, _shape: Sequence[float], *, coils: tuple[int, ...]) -> list[Term]:
+    return _held(signals, coils, [-_elapsed(signals) * signals.coil[:, c] for c in coils])
+
+
+def _with_heat(signals: Signals, shape: Sequence[float], *, coils: tuple[int, ...]) -> list[Term]:
+    return _held(signals, coils, [_weakened(signals, c, shape[0]) for c in coils])
+
+
+def _weakened(signals: Signals, coil: int, tau_s: float) -> Array:
+    F = signals.coil[:, coil]
+    # Before the record the coil carried its share of the weight since the session began.
+    carried = float(np.median(F)) ** 2 * -math.expm1(-max(float(_elapsed(signals)[0]), 0.0) / tau_s)
+    return -heat(F * F, tau_s, signals.Ts_s, carried) * F
+
+
+def _held(signals: Signals, coils: tuple[int, ...], values: list[Array]) -> list[Term]:
+    if len(coils) == 1:
+        return [on_coil(signals, coils[0], values[0])]
+    shape = signals.places.coil_shape
+    held = np.zeros((signals.rows, shape.shape[1]))
+    for c, value in zip(coils, values, strict=True):
+        held += value[:, None] * shape[c]
+    return [Term(held=held)]

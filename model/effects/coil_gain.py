@@ -1,0 +1,85 @@
+"""Coils that do not give what they are told: their own gain, and one that depends on the height.
+
+A voice coil's constant falls off as it leaves the middle of its magnet, evenly to both sides or, in
+a magnet that ends, to one (Furlani, *Permanent Magnet and Electromechanical Devices*, 2001, ch. 5).
+Signature: follows one coil's command; excitation of that coil alone answers too weakly, the ratio
+of the three DOFs is that of its arm. A sensor's gain shows beyond the rigid platform.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
+from .points import forces, heights
+
+_ONE_BY_ONE = "excitation of the coils one by one"
+_ALL = "all coils alike: masses, damping and stiffness, all by the same share"
+
+
+def effects(places: Places) -> list[Effect]:
+    """Return gains and position-dependent constants of every coil, the latter of all alike too."""
+    found = []
+    per = places.sensor_unit
+    for c in range(places.coils):
+        where = (f"coil:{c}",)
+        found.append(
+            Effect(
+                "coil_gain",
+                "Gain of a coil",
+                "coil_gain",
+                where,
+                "force = (1 + gain) F",
+                (Quantity("gain", "1", -1.0, 1.0),),
+                partial(_times_height, coils=(c,), power=0),
+                absorbed_by=_ALL,
+                told_apart_by=_ONE_BY_ONE,
+            )
+        )
+        if _has_height(places):
+            found += [_constant(where, (c,), power, per) for power in (1, 2)]
+    if _has_height(places) and places.coils > 1:
+        found += [_constant((), tuple(range(places.coils)), power, per) for power in (1, 2)]
+    return found
+
+
+def _constant(where: tuple[str, ...], coils: tuple[int, ...], power: int, unit: str) -> Effect:
+    name, title = {
+        1: ("linear", "Force constant that changes with the height"),
+        2: ("quadratic", "Force constant that changes to both sides"),
+    }[power]
+    of_all = not where
+    return Effect(
+        f"force_constant.{name}",
+        f"{title}, all coils alike" if of_all else title,
+        "force_constant",
+        where or tuple(f"coil:{c}" for c in coils),
+        "force = (1 + a h) F" if power == 1 else "force = (1 + b h^2) F",
+        (Quantity("ab"[power - 1], f"1/{unit}" if power == 1 else f"1/{unit}^2"),),
+        partial(_times_height, coils=coils, power=power),
+        absorbed_by="the static force times the height: stiffness" if power == 1 else "",
+        told_apart_by="all DOFs and single coils excited, at two amplitudes",
+    )
+
+
+def _has_height(places: Places) -> bool:
+    return bool(places.coil_shape.shape[1] == len(places.dof))
+
+
+def _times_height(
+    signals: Signals, _shape: Sequence[float], *, coils: tuple[int, ...], power: int
+) -> list[Term]:
+    rows = list(coils)
+    F = signals.coil[:, rows]
+    if power:
+        h = height_when_acting(signals, rows)
+        F = F * h if power == 1 else F * h * h
+    if len(rows) == 1:
+        return [on_coil(signals, rows[0], F[:, 0])]
+    return [Term(held=forces(F, signals.places.coil_shape[rows]))]
+
+
+def height_when_acting(signals: Signals, coils: Sequence[int]) -> Array:
+    """Return the heights (N, len(coils)) of coils when each row's command acts."""
+    return signals.when_acting(heights(signals.q, signals.places.coil_shape[list(coils)]))

@@ -1,0 +1,74 @@
+"""Amplifiers and coils that give less than they are told, near nothing and near their limit.
+
+Around zero a bridge has a dead zone; towards its limit a magnetic circuit saturates softly and an
+amplifier hard (Mohan, Undeland, Robbins, *Power Electronics*, 2003, ch. 8):
+F / (1 + |F/limit|^p)^(1/p) runs from soft (p = 2) to hard (p large). Each coil carries about 8 N of
+weight: a dead zone shows only where a command comes down to it. Signature: depends on one coil's
+command, at every frequency alike; a gain where little is asked, with harmonics where much is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Effect, Places, Quantity, Signals, Term, on_coil
+from .extent import Extent
+
+_TOLD_APART = "excitation of the coils one by one, at two amplitudes"
+
+
+def effects(places: Places, extent: Extent) -> list[Effect]:
+    """Return dead zone and saturation of every coil."""
+    found = []
+    unit, largest = places.coil_unit, extent.command
+    for c in range(places.coils):
+        where = (f"coil:{c}",)
+        found += [
+            Effect(
+                "dead_zone",
+                "Dead zone of a coil",
+                "dead_zone",
+                where,
+                "force = F - depth clip(F, -width, width)",
+                (Quantity("depth", "1", 0.0, 1.0),),
+                partial(_dead_zone, coil=c),
+                (Quantity("width", unit, 1e-3 * largest, largest, log=True),),
+                ((0.35 * largest,),),
+                absorbed_by="where no command comes near zero: constant force",
+                told_apart_by=_TOLD_APART,
+            ),
+            Effect(
+                "saturation",
+                "Saturation of a coil",
+                "saturation",
+                where,
+                "force = F - depth (F - F / (1 + |F/limit|^p)^(1/p)), p = hardness",
+                (Quantity("depth", "1", 0.0, 1.0),),
+                partial(_saturation, coil=c),
+                (
+                    Quantity("limit", unit, 0.1 * largest, 10 * largest, log=True),
+                    Quantity("hardness", "1", 1.0, 40.0, log=True),
+                ),
+                ((0.85 * largest, 6.0),),
+                absorbed_by="far below the limit nothing is seen",
+                told_apart_by=_TOLD_APART,
+            ),
+        ]
+    return found
+
+
+def _dead_zone(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
+    F = signals.coil[:, coil]
+    return [on_coil(signals, coil, -np.clip(F, -shape[0], shape[0]))]
+
+
+def _saturation(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
+    F = signals.coil[:, coil]
+    limit, hardness = shape
+    # Of logarithms: a high power of a large ratio leaves the range of numbers.
+    log_ratio = hardness * np.log(np.maximum(np.abs(F) / limit, 1e-12))
+    given = F * np.exp(-np.logaddexp(0.0, log_ratio) / hardness)
+    return [on_coil(signals, coil, given - F)]

@@ -1,0 +1,162 @@
+"""Air under and around the platform: damping beyond what the model declares.
+
+Drag of a plate in free air grows with the speed squared; a film of air that is squeezed out of a
+narrow gap resists the more, the narrower the gap is, with its cube (Reynolds' equation; Bao and
+Yang, *Squeeze film air damping in MEMS*, Sensors and Actuators A 136, 2007). Signature: nothing
+without speed; drag is odd and answers at odd lines, a film is not and answers at even ones too, at
+two beam positions differently when the pose differs. Friction does not grow with the speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+from .points import forces, heights
+
+_SMALLEST_M = 1e-3
+"""The end stops allow 0.9 mm: a film cannot be thinner at rest."""
+
+
+def effects(places: Places) -> list[Effect]:
+    """Return linear damping of a DOF by itself, drag, and squeezed films."""
+    effect_class = "air_damping" if places.beam else "damping"
+    found = []
+    for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
+        force = places.force_unit(i)
+        if places.beam:
+            # Elsewhere each DOF's own damping is declared; the rig's is one number for all coils.
+            found.append(
+                Effect(
+                    "air_damping.linear",
+                    "Damping of one DOF by itself",
+                    effect_class,
+                    (dof,),
+                    "force = -d q'",
+                    (Quantity("d", f"{force} s/{unit}"),),
+                    partial(_linear, dof=i),
+                    absorbed_by="the part that all coils share is the declared damping",
+                    told_apart_by="every DOF excited around its resonance",
+                )
+            )
+        found.append(
+            Effect(
+                f"{effect_class}.quadratic",
+                "Damping that grows with the speed",
+                effect_class,
+                (dof,),
+                "force = -d2 |q'| q'",
+                (Quantity("d2", f"{force} s^2/{unit}^2"),),
+                partial(_quadratic, dof=i),
+                absorbed_by="what is linear in the speed is the declared damping",
+                told_apart_by="two amplitudes of excitation",
+            )
+        )
+    return found + (_of_plates(places) if places.beam else _with_positions(places))
+
+
+def _of_plates(places: Places) -> list[Effect]:
+    h0 = (Quantity("h0", "m", _SMALLEST_M, 0.05, log=True),)
+    grid = ((2e-3,),)
+    z = places.dof[-1]
+    return [
+        Effect(
+            "air_damping.drag",
+            "Drag of the plates over the coils",
+            "air_damping",
+            places.dof,
+            "force = -d2 sum over coils of s |s^T q'| s^T q', s = [y, x, 1]",
+            (Quantity("d2", "N s^2/m^2"),),
+            _drag,
+            absorbed_by="what is linear in the speed is the declared damping",
+            told_apart_by="all DOFs excited at once, at two amplitudes",
+        ),
+        Effect(
+            "air_damping.squeeze_film",
+            "Air squeezed under the platform",
+            "air_damping",
+            places.dof,
+            "force = -d sum over coils of s ((1 + h/h0)^-3 - 1) h', h = s^T q, s = [y, x, 1]",
+            (Quantity("d", "N s/m"),),
+            _squeeze_under_coils,
+            h0,
+            grid,
+            absorbed_by="what does not depend on the height is the declared damping",
+            told_apart_by="large slow motions with small fast ones on top",
+        ),
+        Effect(
+            "air_damping.squeeze_film_lift",
+            "Air squeezed as the platform goes up and down",
+            "air_damping",
+            (z,),
+            "force = -d ((1 + z/h0)^-3 - 1) z'",
+            (Quantity("d", "N s/m"),),
+            _squeeze_lift,
+            h0,
+            grid,
+            absorbed_by="what does not depend on the height is the declared damping",
+            told_apart_by="large slow motions with small fast ones on top",
+        ),
+    ]
+
+
+def _with_positions(places: Places) -> list[Effect]:
+    return [
+        Effect(
+            f"damping.{name}",
+            title,
+            "damping",
+            (dof,),
+            equation,
+            (Quantity("d", f"{places.force_unit(i)} s/{unit}^{power + 1}"),),
+            partial(_with_position, dof=i, power=power),
+            absorbed_by="what does not depend on the position is the declared damping",
+            told_apart_by="two amplitudes of excitation",
+        )
+        for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
+        for power, name, title, equation in (
+            (1, "one_sided", "Damping that differs between both sides", "force = -d q q'"),
+            (2, "outward", "Damping that changes to both sides", "force = -d q^2 q'"),
+        )
+    ]
+
+
+def _linear(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [on_dof(signals, dof, -signals.qd[:, dof])]
+
+
+def _quadratic(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:
+    qd = signals.qd[:, dof]
+    return [on_dof(signals, dof, -np.abs(qd) * qd)]
+
+
+def _with_position(
+    signals: Signals, _shape: Sequence[float], *, dof: int, power: int
+) -> list[Term]:
+    q, qd = signals.q[:, dof], signals.qd[:, dof]
+    return [on_dof(signals, dof, -q * qd if power == 1 else -q * q * qd)]
+
+
+def _drag(signals: Signals, _shape: Sequence[float]) -> list[Term]:
+    s = signals.places.coil_shape
+    speed = heights(signals.qd, s)
+    return [Term(force=-forces(np.abs(speed) * speed, s))]
+
+
+def _squeeze_under_coils(signals: Signals, shape: Sequence[float]) -> list[Term]:
+    s = signals.places.coil_shape
+    excess = _excess(heights(signals.q, s), shape[0])
+    return [Term(force=-forces(excess * heights(signals.qd, s), s))]
+
+
+def _squeeze_lift(signals: Signals, shape: Sequence[float]) -> list[Term]:
+    return [on_dof(signals, -1, -_excess(signals.q[:, -1], shape[0]) * signals.qd[:, -1])]
+
+
+def _excess(height: Array, h0: float) -> Array:
+    """Return how much more a film resists at a height (...,) than at the working point."""
+    left = 1.0 / np.maximum(1.0 + height / h0, 0.05)
+    return np.asarray(left * left * left - 1.0)

@@ -1,0 +1,66 @@
+"""How far, how fast and how long a plant was driven: where nonlinear parameters are looked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .base import Array, Places, Signals
+
+MAINS_HZ = (50.0, 60.0)
+
+# What the platform is meant to do: corners move 0.3 mm rms at about 5 Hz, coils give 12 N at most.
+_TYPICAL_GAP = 3e-4
+_TYPICAL_HZ = 5.0
+_TYPICAL_COMMAND = 12.0
+_TYPICAL_BEAM_M = 0.2
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What the records of a session cover, in the plant's own units.
+
+    reach, speed (n,): how far from its middle and how fast each DOF moves, rms, in the liveliest
+    record. gap: how far a single sensor moves. command: the largest of a single actuator. beam_m:
+    the length that the beam travels. spans_s: begin and end of each record, in the session's time.
+    tones_hz: frequencies of the lines that are looked for.
+    """
+
+    reach: tuple[float, ...]
+    speed: tuple[float, ...]
+    gap: float
+    command: float
+    beam_m: float
+    spans_s: tuple[tuple[float, float], ...] = ()
+    tones_hz: tuple[float, ...] = MAINS_HZ
+
+    @classmethod
+    def typical(cls, places: Places) -> Extent:
+        """Return what the rig is built for: good enough to lay out the table without a record."""
+        arms = np.abs(places.sensor_shape).max(axis=0)
+        reach = tuple(float(_TYPICAL_GAP / arm) for arm in arms)
+        speed = tuple(2 * math.pi * _TYPICAL_HZ * r for r in reach)
+        return cls(reach, speed, _TYPICAL_GAP, _TYPICAL_COMMAND, _TYPICAL_BEAM_M)
+
+    @classmethod
+    def measured(cls, records: Sequence[Signals], tones_hz: tuple[float, ...] = MAINS_HZ) -> Extent:
+        """Return what records cover; tones_hz as found in them."""
+        shape = records[0].places.sensor_shape
+        return cls(
+            _liveliest([r.q for r in records]),
+            _liveliest([r.qd for r in records]),
+            max(_liveliest([r.q @ shape.T for r in records])),
+            max(float(np.abs(r.coil).max()) for r in records),
+            max(float(r.x_b_m.max()) for r in records) - min(float(r.x_b_m.min()) for r in records),
+            tuple((float(r.time_s[0]), float(r.time_s[-1])) for r in records),
+            tones_hz,
+        )
+
+
+def _liveliest(signals: Sequence[Array]) -> tuple[float, ...]:
+    """Return the largest standard deviation of each column, never zero."""
+    largest = np.max([s.std(axis=0) for s in signals], axis=0)
+    return tuple(float(v) for v in np.maximum(largest, 1e-12))

@@ -1,0 +1,151 @@
+"""A platform that bends: a mode seen beyond the rigid pose, and a mass on a spring seen within it.
+
+eta'' + 2 zeta w eta' + w^2 eta = phi^T F / m, and the sensors show phi eta besides the pose
+(Preumont, *Vibration Control of Active Structures*, 2018, ch. 2). A mode is orthogonal to the rigid
+motions, so with coils and sensors at one place only excitation of single coils drives it, and only
+what a rigid platform cannot show betrays it; a pattern with a rigid part acts through the pose too.
+Something loosely fixed to the platform adds m (w^2 x + 2 zeta w x') to one DOF, x its stroke.
+Signature: a resonance, or below it a compliance, with one pattern over all sensors; a false sensor
+has a pattern of its own alone, and no resonance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+from .points import forces
+from .recursions import lagged_mean, oscillator
+
+PATTERNS = ("twist", "saddle", "dome", "wave_x", "wave_y", "egg_box")
+_RIGID = ("rigid_1", "rigid_2", "rigid_3")
+_MODES_HZ = (25.0, 45.0, 80.0, 140.0, 280.0)
+_HIGHER_HZ = (45.0, 110.0, 280.0)
+_HIGHER = ("wave_x", "wave_y", "egg_box")
+"""Patterns that bend first in hardly any plate."""
+_LOOSE_HZ = (20.0, 80.0)
+_DAMPING = 0.08
+"""Broad enough that a resonance between two frequencies of the grid is seen from both."""
+
+
+def effects(places: Places) -> list[Effect]:
+    """Return a bending mode near each base pattern, and a loose mass on each DOF."""
+    return _modes(places) + [
+        Effect(
+            "flexible_mode.loose_mass",
+            "Mass on a spring",
+            "flexible_mode",
+            (dof,),
+            "force = m (w^2 x + 2 zeta w x'), x'' + 2 zeta w x' + w^2 x = -q''; "
+            "w = 2 pi frequency, zeta = damping",
+            (Quantity("m", f"{places.force_unit(i)} s^2/{unit}"),),
+            partial(_loose_mass, dof=i),
+            _resonance(),
+            tuple((f, _DAMPING) for f in _LOOSE_HZ),
+            absorbed_by="far below its frequency: mass",
+            told_apart_by="excitation up to its frequency",
+        )
+        for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
+    ]
+
+
+def patterns(places: Places) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names, and shapes over sensors (S, P) and over coils (C, P), the rigid ones first.
+
+    Polynomials over the plane, each made orthogonal over the sensors to those before it and of
+    length 1 there; as many as there are sensors. None where nobody knows where sensors are.
+    """
+    if len(places.sensor_xy_m) < 4:
+        return (), np.zeros((places.sensors, 0)), np.zeros((places.coils, 0))
+    size = np.abs(places.sensor_xy_m).max()
+    at_sensors, at_coils = (
+        _polynomials(xy / size) for xy in (places.sensor_xy_m, places.coil_xy_m)
+    )
+    names: list[str] = []
+    kept: list[Array] = []
+    kept_coils: list[Array] = []
+    for name, s, c in zip((*_RIGID, *PATTERNS), at_sensors.T, at_coils.T, strict=True):
+        new, new_coils = s.copy(), c.copy()
+        for known, known_coils in zip(kept, kept_coils, strict=True):
+            share = known @ new
+            new, new_coils = new - share * known, new_coils - share * known_coils
+        length = np.linalg.norm(new)
+        if length > 1e-6 * np.linalg.norm(s):
+            names.append(name)
+            kept.append(new / length)
+            kept_coils.append(new_coils / length)
+    return tuple(names), np.stack(kept, axis=1), np.stack(kept_coils, axis=1)
+
+
+def _polynomials(xy: Array) -> Array:
+    x, y = xy.T
+    return np.stack(
+        [np.ones_like(x), x, y, x * y, x * x - y * y, x * x + y * y, x * y * y, x * x * y,
+         x * x * y * y], axis=1,
+    )  # fmt: skip
+
+
+def _resonance() -> tuple[Quantity, Quantity]:
+    return (
+        Quantity("frequency", "Hz", 5.0, 1000.0, log=True),
+        Quantity("damping", "1", 1e-3, 0.7, log=True),
+    )
+
+
+def _modes(places: Places) -> list[Effect]:
+    names, _, _ = patterns(places)
+    found = []
+    for i, name in enumerate(names):
+        if name in _RIGID:
+            continue
+        others = tuple(other for other in names if other != name)
+        found.append(
+            Effect(
+                f"flexible_mode.{name}",
+                f"Bending mode, mostly {name.replace('_', ' ')}",
+                "flexible_mode",
+                (),
+                "reading = h + phi eta, eta'' + 2 zeta w eta' + w^2 eta = phi^T F / m; "
+                "w = 2 pi frequency, zeta = damping, phi = this pattern + shares of the others",
+                (Quantity("per_mass", "1/kg", 0.0),),
+                partial(_mode, base=i),
+                (*_resonance(), *(Quantity(other, "1", -3.0, 3.0) for other in others)),
+                tuple((f, _DAMPING, *(0.0 for _ in others)) for f in _frequencies(name)),
+                absorbed_by="without excitation of single coils nothing is seen",
+                told_apart_by="excitation of the coils one by one, up to its frequency",
+            )
+        )
+    return found
+
+
+def _frequencies(name: str) -> tuple[float, ...]:
+    return _HIGHER_HZ if name in _HIGHER else _MODES_HZ
+
+
+def _mode(signals: Signals, shape: Sequence[float], *, base: int) -> list[Term]:
+    _, over_sensors, over_coils = patterns(signals.places)
+    shares = np.insert(np.asarray(shape[2:], float), base, 1.0)
+    drive = forces(delayed(signals), (over_coils @ shares)[:, None])[:, 0]
+    if signals.lag_s > 0.0:
+        drive = lagged_mean(drive, signals.lag_s, signals.Ts_s)
+    eta = oscillator(drive, shape[0], shape[1], signals.Ts_s)[:, 0]
+    return [Term(gap=np.outer(eta, over_sensors @ shares))]
+
+
+def delayed(signals: Signals) -> Array:
+    """Return the commands (N, C) that act in the period after each row."""
+    return signals.coil[np.maximum(np.arange(signals.rows) - signals.delay_cycles, 0)]
+
+
+def _loose_mass(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    q, qd = signals.q[:, dof], signals.qd[:, dof]
+    w = 2 * np.pi * shape[0]
+    stiff, damp = w * w, 2 * shape[1] * w
+    pull = stiff * q + damp * qd
+    # Held at the mean of a period's ends, an input comes neither early nor late.
+    mean = 0.5 * (pull + np.append(pull[1:], pull[-1]))
+    p = oscillator(mean, shape[0], shape[1], signals.Ts_s)
+    return [on_dof(signals, dof, stiff * (p[:, 0] - q) + damp * (p[:, 1] - qd))]

@@ -1,0 +1,159 @@
+"""Friction of a cable chain or a bearing between a DOF and the fixed frame, sliding and presliding.
+
+Coulomb's force has one size and the sign of the speed; Stribeck's is larger near rest; Dahl's and
+Maxwell's elements are elastic before they slip, so that force over displacement runs round a loop
+(Dahl 1968; Wen, *Method for random vibration of hysteretic systems*, J. Eng. Mech. 102, 1976;
+Canudas de Wit et al., *A new model for control of systems with friction*, IEEE TAC 40, 1995;
+Al-Bender, Lampaert, Swevers, *The generalized Maxwell-slip model*, IEEE TAC 50, 2005). Three of
+Maxwell's elements come within about a sixth of the loops of the others, whoever drew them.
+Signature: the loop has the same height at every speed and its width follows the amplitude; damping
+shrinks as the amplitude grows. A lag gives a loop that grows with the speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .extent import Extent
+from .recursions import bouc_wen, dahl, lugre, slip
+
+_SMOOTH = 0.1
+"""Where the force turns its sign, as a share of Stribeck's speed."""
+_ELEMENTS = (1.0, 4.0, 16.0)
+"""Break-away displacements of Maxwell's elements, over the smallest."""
+_WIDE = 1e3
+_LOOPS = "several amplitudes of a slow excitation"
+_ELASTIC = "where nothing slips it is stiffness, where all slips fast it is an offset"
+
+
+def effects(places: Places, extent: Extent) -> list[Effect]:
+    """Return every kind of friction of every DOF."""
+    found = []
+    for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
+        force, reach, speed = places.force_unit(i), extent.reach[i], extent.speed[i]
+        amplitude = (Quantity("friction", force),)
+        v_s = Quantity("v_s", f"{unit}/s", speed / _WIDE, 3 * speed, log=True)
+        x_s = Quantity("x_s", unit, reach / _WIDE, 10 * reach, log=True)
+        found += [
+            Effect(
+                "friction.coulomb",
+                "Coulomb friction",
+                "friction",
+                (dof,),
+                "force = -friction tanh(q'/v_s)",
+                amplitude,
+                partial(_coulomb, dof=i),
+                (v_s,),
+                ((0.02 * speed,), (0.15 * speed,)),
+                absorbed_by="at small amplitudes, damping",
+                told_apart_by="two amplitudes of excitation",
+            ),
+            Effect(
+                "friction.stribeck",
+                "Friction with a Stribeck peak",
+                "friction",
+                (dof,),
+                "force = -(friction + peak exp(-(q'/v_s)^2)) tanh(10 q'/v_s)",
+                (*amplitude, Quantity("peak", force)),
+                partial(_stribeck, dof=i),
+                (v_s,),
+                ((0.3 * speed,),),
+                absorbed_by="at small amplitudes, damping",
+                told_apart_by="slow and fast motions of the same amplitude",
+            ),
+            Effect(
+                "friction.dahl",
+                "Friction that is elastic before it slips",
+                "friction",
+                (dof,),
+                "force = -friction f, df = (1 - f sign dq) dq / x_s",
+                amplitude,
+                partial(_dahl, dof=i),
+                (x_s,),
+                ((0.08 * reach,), (0.4 * reach,)),
+                absorbed_by=_ELASTIC,
+                told_apart_by=_LOOPS,
+            ),
+            Effect(
+                "friction.bouc_wen",
+                "Hysteresis of Bouc and Wen",
+                "friction",
+                (dof,),
+                "force = -friction z, dz = (1 - |z|^n (b sign(z dq) + 1 - b)) dq / x_s",
+                amplitude,
+                partial(_bouc_wen, dof=i),
+                (
+                    x_s,
+                    Quantity("n", "1", 0.5, 6.0, log=True),
+                    Quantity("b", "1", 0.0, 1.0),
+                ),
+                ((0.25 * reach, 1.5, 0.6),),
+                absorbed_by=_ELASTIC,
+                told_apart_by=_LOOPS,
+            ),
+            Effect(
+                "friction.lugre",
+                "Friction that is elastic, with a Stribeck peak",
+                "friction",
+                (dof,),
+                "force = -friction f, df = (1 - f sign dq / g) dq / x_s, "
+                "g = 1 + peak exp(-(q'/v_s)^2)",
+                amplitude,
+                partial(_lugre, dof=i),
+                (x_s, Quantity("peak", "1", -0.5, 4.0), v_s),
+                ((0.15 * reach, 0.4, 0.1 * speed),),
+                absorbed_by=_ELASTIC,
+                told_apart_by=_LOOPS + ", slow and fast",
+            ),
+            Effect(
+                "friction.maxwell_slip",
+                "Presliding hysteresis",
+                "friction",
+                (dof,),
+                "force = -sum of f_j, df_j = friction_j dq / x_j while |f_j| < friction_j; "
+                "x_j = x_s, 4 x_s, 16 x_s",
+                tuple(Quantity(f"friction_{j + 1}", force) for j in range(len(_ELEMENTS))),
+                partial(_maxwell, dof=i),
+                (x_s,),
+                ((0.15 * reach,),),
+                absorbed_by=_ELASTIC,
+                told_apart_by=_LOOPS,
+            ),
+        ]
+    return found
+
+
+def _coulomb(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [on_dof(signals, dof, -np.tanh(signals.qd[:, dof] / shape[0]))]
+
+
+def _stribeck(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    ratio = signals.qd[:, dof] / shape[0]
+    sliding = -np.tanh(ratio / _SMOOTH)
+    return [on_dof(signals, dof, v) for v in (sliding, sliding * np.exp(-(ratio**2)))]
+
+
+def _dahl(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [on_dof(signals, dof, -dahl(signals.q[:, dof], shape[0], signals.Ts_s))]
+
+
+def _bouc_wen(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [
+        on_dof(
+            signals, dof, -bouc_wen(signals.q[:, dof], shape[0], shape[1], shape[2], signals.Ts_s)
+        )
+    ]
+
+
+def _lugre(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    q, qd = signals.q[:, dof], signals.qd[:, dof]
+    return [on_dof(signals, dof, -lugre(q, qd, shape[0], shape[1], shape[2], signals.Ts_s))]
+
+
+def _maxwell(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    q = signals.q[:, dof]
+    return [on_dof(signals, dof, -slip(q, shape[0] * r, signals.Ts_s)) for r in _ELEMENTS]

@@ -1,0 +1,128 @@
+"""Mass where the model has none: a centre beside the middle, a payload, inertia that changes.
+
+A centre of mass at (x, y) couples lift and tilt through the acceleration (Newton and Euler about
+the geometric centre); its weight is a constant torque. A payload does the same from a moment on,
+and its weight steps. Inertia that depends on the pose follows from Lagrange's equation (Goldstein,
+*Classical Mechanics*, ch. 1). Signature: follows accelerations, so it grows with frequency squared;
+the step in force at a payload's time stays. Coupling by rods does not grow with frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+from .extent import Extent
+
+_TIMES = 9
+_RISE = 0.08
+"""Of a record, or of the time between two of the grid: how long the first guess takes."""
+_SHORTEST_S = 0.01
+
+
+def effects(places: Places, extent: Extent) -> list[Effect]:
+    """Return offsets of the rig's centre of mass and payloads, or inertia that changes."""
+    if not places.beam:
+        return _inertia(places)
+    return [*_offsets(places), payload(places, extent.spans_s or _parts(places.span_s))]
+
+
+def payload(places: Places, spans_s: Sequence[tuple[float, float]]) -> Effect:
+    """Return a payload, looked for in the middle of each span of time and of the platform.
+
+    It comes gently at first, or a first guess seconds away would not be drawn to when it came.
+    """
+    reach = float(np.abs(places.sensor_xy_m).max())
+    return Effect(
+        "payload",
+        "Payload",
+        "payload",
+        places.dof,
+        "force = -m s (g + s^T q'') from time on, within rise; s = [y, x, 1]",
+        (Quantity("m", "kg"),),
+        _payload,
+        (
+            Quantity("time", "s", *places.span_s),
+            Quantity("rise", "s", _SHORTEST_S, 60.0, log=True),
+            Quantity("x", "m", -2 * reach, 2 * reach),
+            Quantity("y", "m", -2 * reach, 2 * reach),
+        ),
+        tuple((0.5 * (begin + end), _RISE * (end - begin), 0.0, 0.0) for begin, end in spans_s),
+        absorbed_by="between records: the constant force of each, and masses",
+        told_apart_by="a record in which it changes",
+    )
+
+
+def _offsets(places: Places) -> list[Effect]:
+    _, _, z = places.dof
+    return [
+        Effect(
+            "centre_of_mass",
+            f"Centre of mass beside the middle, along {axis}",
+            "centre_of_mass",
+            (places.dof[tilt], z),
+            f"torque = -a z'', force = -a {places.dof[tilt]}''; a = mass times {axis}",
+            (Quantity("a", "kg m"),),
+            partial(_offset, tilt=tilt),
+            absorbed_by="along x: where the beam's zero is; its weight: constant torque",
+            told_apart_by="lift and tilt excited in one record",
+        )
+        for tilt, axis in ((0, "y"), (1, "x"))
+    ]
+
+
+def _parts(span_s: tuple[float, float]) -> list[tuple[float, float]]:
+    edges = np.linspace(*span_s, _TIMES + 1).tolist()
+    return list(pairwise(edges))
+
+
+def _inertia(places: Places) -> list[Effect]:
+    found = []
+    for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
+        force = places.force_unit(i)
+        for power, equation in (
+            (1, "force = -m1 (q q'' + q'^2 / 2)"),
+            (2, "force = -m2 (q^2 q'' + q q'^2)"),
+        ):
+            found.append(
+                Effect(
+                    ("inertia.linear", "inertia.quadratic")[power - 1],
+                    "Inertia that changes with the position"
+                    + (", both ways" if power == 2 else ""),
+                    "inertia",
+                    (dof,),
+                    equation,
+                    (Quantity(f"m{power}", f"{force} s^2/{unit}^{power + 1}"),),
+                    partial(_changing, dof=i, power=power),
+                    absorbed_by="what does not depend on the position is the declared mass",
+                    told_apart_by="excitation at low and at high frequencies",
+                )
+            )
+    return found
+
+
+def _offset(signals: Signals, _shape: Sequence[float], *, tilt: int) -> list[Term]:
+    force = np.zeros_like(signals.q)
+    force[:, tilt] = -signals.qdd[:, 2]
+    force[:, 2] = -signals.qdd[:, tilt]
+    return [Term(force=force)]
+
+
+def _payload(signals: Signals, shape: Sequence[float]) -> list[Term]:
+    time_s, rise_s, x, y = shape
+    s = np.array([y, x, 1.0])
+    there = 0.5 * (1 + np.tanh(2 * (signals.time_s - time_s) / rise_s))
+    acceleration = s[0] * signals.qdd[:, 0] + s[1] * signals.qdd[:, 1] + signals.qdd[:, 2]
+    weight: Array = -there * (signals.gravity_m_s2 + acceleration)
+    return [Term(force=weight[:, None] * s)]
+
+
+def _changing(signals: Signals, _shape: Sequence[float], *, dof: int, power: int) -> list[Term]:
+    q, qd, qdd = signals.q[:, dof], signals.qd[:, dof], signals.qdd[:, dof]
+    if power == 1:
+        return [on_dof(signals, dof, -(q * qdd + 0.5 * qd * qd))]
+    return [on_dof(signals, dof, -(q * q * qdd + q * qd * qd))]

@@ -1,0 +1,234 @@
+"""What remembers: lags, hysteresis, play and oscillators along samples, as compiled loops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_BEFORE_S = 4.0
+_STEP = 0.2
+"""Of the break-away displacement: Bouc and Wen's equation is solved in steps no longer."""
+
+
+def lagged(values: Array, tau_s: float, Ts_s: float) -> Array:
+    """Return samples (N,) behind a first-order lag, exact where they are straight in between.
+
+    It starts settled at the first of them.
+    """
+    return np.asarray(_lagged(np.ascontiguousarray(values), tau_s, Ts_s))
+
+
+def lagged_mean(held: Array, tau_s: float, Ts_s: float) -> Array:
+    """Return means (N,) over each period of commands, each held for a period, behind a lag."""
+    return np.asarray(_lagged_mean(np.ascontiguousarray(held), tau_s, Ts_s))
+
+
+def heat(power: Array, tau_s: float, Ts_s: float, start: float) -> Array:
+    """Return power (N,) behind a first-order lag that starts anywhere."""
+    return np.asarray(_heat(np.ascontiguousarray(power), tau_s, Ts_s, start))
+
+
+def dahl(x: Array, break_away: float, Ts_s: float) -> Array:
+    """Return Dahl's friction (N,), between -1 and 1: df = (1 - f sign dx) dx / break_away.
+
+    Exact for steps. What was before row 0 nobody knows: it has been through the first seconds once.
+    """
+    return _with_past(_dahl, x, break_away, Ts_s)
+
+
+def slip(x: Array, break_away: float, Ts_s: float) -> Array:
+    """Return a Maxwell-slip element's force (N,): a spring that slips at 1, at `break_away`.
+
+    What was before row 0 nobody knows: it has been through the first seconds once.
+    """
+    return _with_past(_slip, x, break_away, Ts_s)
+
+
+def bouc_wen(x: Array, break_away: float, sharpness: float, shape: float, Ts_s: float) -> Array:
+    """Return Bouc and Wen's hysteresis (N,): dz = (1 - |z|^n (b sign(z dx) + 1 - b)) dx / x_s.
+
+    n is `sharpness`, b is `shape`; n = 1, b = 1 is Dahl's. Within a step by the midpoint rule. What
+    was before row 0 nobody knows: it has been through the first seconds once.
+    """
+    before = _before(x, Ts_s)
+    path = np.concatenate([x[:before], x])
+    return np.asarray(_bouc_wen(path, break_away, sharpness, shape)[before:])
+
+
+def lugre(x: Array, v: Array, break_away: float, peak: float, slow: float, Ts_s: float) -> Array:
+    """Return LuGre's friction (N,) in units of Coulomb's: df = (1 - f sign dx / g) dx / x_s.
+
+    g = 1 + peak exp(-(v / slow)^2) is what it slips at; without damping of the bristles. What was
+    before row 0 nobody knows: it has been through the first seconds once.
+    """
+    before = _before(x, Ts_s)
+    level = 1 + peak * np.exp(-((v / slow) ** 2))
+    path = np.concatenate([x[:before], x])
+    return np.asarray(_lugre(path, np.concatenate([level[:before], level]), break_away)[before:])
+
+
+def play(x: Array, half_width: float, Ts_s: float) -> Array:
+    """Return what is pushed along (N,) by x with play: it moves when x is half_width away."""
+    return _with_past(_play, x, half_width, Ts_s)
+
+
+def jumping(x: Array, width: float, Ts_s: float) -> Array:
+    """Return a reading (N,) that stays until x is further than width away, then catches up."""
+    return _with_past(_jumping, x, width, Ts_s)
+
+
+def oscillator(force: Array, frequency_hz: float, damping: float, Ts_s: float) -> Array:
+    """Return (N, 2) position and velocity of eta'' + 2 zeta w eta' + w^2 eta = force.
+
+    Each sample of force (N,) is held from its row to the next: exact. It starts at rest where the
+    first sample would hold it.
+    """
+    w = 2 * math.pi * frequency_hz
+    wd = w * math.sqrt(max(1 - damping**2, 1e-12))
+    decay = math.exp(-damping * w * Ts_s)
+    c, s = decay * math.cos(wd * Ts_s), decay * math.sin(wd * Ts_s) / wd
+    a, b = c + damping * w * s, s
+    step = np.array([a, b, -(w**2) * s, c - damping * w * s, (1 - a) / w**2, b])
+    return np.asarray(_oscillator(np.ascontiguousarray(force), step, force[0] / w**2))
+
+
+def _before(x: Array, Ts_s: float) -> int:
+    return min(round(_BEFORE_S / Ts_s), len(x))
+
+
+def _with_past(
+    kernel: Callable[[Array, float], Array], x: Array, size: float, Ts_s: float
+) -> Array:
+    before = _before(x, Ts_s)
+    return np.asarray(kernel(np.concatenate([x[:before], x]), size)[before:])
+
+
+@njit(cache=True, nogil=True)
+def _lagged(x, tau_s, Ts_s):  # type: ignore[no-untyped-def]
+    decay = math.exp(-Ts_s / tau_s)
+    mean = tau_s / Ts_s * (1 - decay)
+    out = np.empty_like(x)
+    out[0] = x[0]
+    for k in range(len(x) - 1):
+        out[k + 1] = decay * out[k] + (mean - decay) * x[k] + (1 - mean) * x[k + 1]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _lagged_mean(held, tau_s, Ts_s):  # type: ignore[no-untyped-def]
+    decay = math.exp(-Ts_s / tau_s)
+    mean = tau_s / Ts_s * (1 - decay)
+    out = np.empty_like(held)
+    state = held[0]
+    for k in range(len(held)):
+        out[k] = held[k] + mean * (state - held[k])
+        state = held[k] + decay * (state - held[k])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _heat(power, tau_s, Ts_s, start):  # type: ignore[no-untyped-def]
+    decay = math.exp(-Ts_s / tau_s)
+    out = np.empty_like(power)
+    state = start
+    for k in range(len(power)):
+        out[k] = state
+        state = power[k] + decay * (state - power[k])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _dahl(x, break_away):  # type: ignore[no-untyped-def]
+    out = np.empty_like(x)
+    f = 0.0
+    out[0] = f
+    for k in range(1, len(x)):
+        dx = (x[k] - x[k - 1]) / break_away
+        end = 1.0 if dx > 0 else -1.0
+        f = end + (f - end) * math.exp(-abs(dx))
+        out[k] = f
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _bouc_wen(x, break_away, sharpness, shape):  # type: ignore[no-untyped-def]
+    out = np.empty_like(x)
+    z = 0.0
+    out[0] = z
+    for k in range(1, len(x)):
+        whole = (x[k] - x[k - 1]) / break_away
+        parts = 1 + int(abs(whole) / _STEP)
+        dx = whole / parts
+        for _ in range(parts):
+            half = z
+            for share in (0.5, 1.0):
+                turned = shape if half * dx > 0 else -shape
+                half = z + share * dx * (1 - abs(half) ** sharpness * (turned + 1 - shape))
+            z = half
+        out[k] = z
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _lugre(x, level, break_away):  # type: ignore[no-untyped-def]
+    out = np.empty_like(x)
+    f = 0.0
+    out[0] = f
+    for k in range(1, len(x)):
+        dx = x[k] - x[k - 1]
+        end = level[k] if dx > 0 else -level[k]
+        f = end + (f - end) * math.exp(-abs(dx) / (break_away * level[k]))
+        out[k] = f
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _slip(x, break_away):  # type: ignore[no-untyped-def]
+    out = np.empty_like(x)
+    f = 0.0
+    out[0] = f
+    for k in range(1, len(x)):
+        f = min(max(f + (x[k] - x[k - 1]) / break_away, -1.0), 1.0)
+        out[k] = f
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _play(x, half_width):  # type: ignore[no-untyped-def]
+    out = np.empty_like(x)
+    p = x[0]
+    for k in range(len(x)):
+        p = min(max(p, x[k] - half_width), x[k] + half_width)
+        out[k] = p
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _jumping(x, width):  # type: ignore[no-untyped-def]
+    out = np.empty_like(x)
+    shown = x[0]
+    for k in range(len(x)):
+        if abs(x[k] - shown) > width:
+            shown = x[k]
+        out[k] = shown
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _oscillator(force, step, start):  # type: ignore[no-untyped-def]
+    out = np.empty((len(force), 2))
+    eta, rate = start, 0.0
+    for k in range(len(force)):
+        out[k, 0] = eta
+        out[k, 1] = rate
+        eta, rate = (
+            step[0] * eta + step[1] * rate + step[4] * force[k],
+            step[2] * eta + step[3] * rate + step[5] * force[k],
+        )
+    return out

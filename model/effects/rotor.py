@@ -1,0 +1,84 @@
+"""The rotor on the beam: an unbalanced mass, its weight, and the torque that its bar takes.
+
+A mass m at radius e pushes with m e (phi'^2 cos phi + phi'' sin phi) along x and with
+m e (phi'^2 sin phi - phi'' cos phi) along y (Genta, *Dynamics of Rotating Systems*, 2005, ch. 2);
+at a height over the platform's centre these are torques about theta and psi, and its weight turns
+with phi. Signature: follows the rotor; imbalance grows with its speed squared, weight does not
+depend on the speed, the bar's torque follows the acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+
+_SPEEDS = "the rotor alone at several speeds"
+
+
+def effects(places: Places) -> list[Effect]:
+    """Return what the rotor does to every DOF; nothing where there is none."""
+    if not places.beam:
+        return []
+    weight = Effect(
+        "rotor.weight",
+        "Weight of the rotor beside its axis",
+        "rotor",
+        ("rotor", *places.dof[:2]),
+        "torque on theta = -a cos phi + b sin phi, on psi = -a sin phi - b cos phi",
+        (Quantity("a", "N m"), Quantity("b", "N m")),
+        _weight,
+        told_apart_by=_SPEEDS,
+    )
+    found = [weight]
+    for i, dof in enumerate(places.dof):
+        force, where = places.force_unit(i), ("rotor", dof)
+        found += [
+            Effect(
+                "rotor.imbalance",
+                "Imbalance of the rotor",
+                "rotor",
+                where,
+                "force = a (phi'^2 cos phi + phi'' sin phi) + b (phi'^2 sin phi - phi'' cos phi)",
+                (Quantity("a", f"{force} s^2"), Quantity("b", f"{force} s^2")),
+                partial(_imbalance, dof=i),
+                told_apart_by=_SPEEDS,
+            ),
+            Effect(
+                "rotor.bar",
+                "Torque of the rotor's bar",
+                "rotor",
+                where,
+                "force = -a phi''",
+                (Quantity("a", f"{force} s^2"),),
+                partial(_bar, dof=i),
+                told_apart_by=_SPEEDS,
+            ),
+        ]
+    return found
+
+
+def _weight(signals: Signals, _shape: Sequence[float]) -> list[Term]:
+    c, s = np.cos(signals.phi_rad), np.sin(signals.phi_rad)
+    nothing = np.zeros_like(c)
+    return [
+        Term(force=np.stack(columns, axis=1)) for columns in ((-s, -c, nothing), (-c, s, nothing))
+    ]
+
+
+def _imbalance(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [on_dof(signals, dof, push) for push in pushes(signals)]
+
+
+def _bar(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [on_dof(signals, dof, -signals.phi_rad_s2)]
+
+
+def pushes(signals: Signals) -> tuple[Array, Array]:
+    """Return (N,) forces along x and along y of a unit mass at unit radius."""
+    c, s = np.cos(signals.phi_rad), np.sin(signals.phi_rad)
+    square, change = signals.phi_rad_s**2, signals.phi_rad_s2
+    return square * c + change * s, square * s - change * c

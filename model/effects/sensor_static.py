@@ -1,0 +1,124 @@
+"""Sensors that show something else than the height: gain, offset, nonlinearity, a neighbour's gap.
+
+Inductive sensors are nonlinear in the gap, drift with temperature, and couple where their coils lie
+close (Fleming, *A review of nanometer resolution position sensors*, Sensors and Actuators A 190,
+2013). Signature: nine sensors for three DOFs; what one shows wrongly shows in the directions in
+which a rigid platform shows nothing, with that sensor's pattern. Coils and rods show nothing there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Effect, Places, Quantity, Signals, Term, on_sensor
+
+
+def effects(places: Places) -> list[Effect]:
+    """Return gain, offset, drift and nonlinearity of every sensor, and crosstalk of neighbours."""
+    unit, spare = places.sensor_unit, places.sensors > len(places.dof)
+    found = []
+    for s in range(places.sensors):
+        where = (f"sensor:{s}",)
+        for key, title, effect_class, equation, quantity, power in (
+            ("sensor_gain", "Gain of a sensor", "sensor_gain", "reading = (1 + gain) h",
+             Quantity("gain", "1", -1.0, 1.0), 1),
+            ("sensor_nonlinearity.quadratic", "Sensor that is not straight", "sensor_nonlinearity",
+             "reading = h + a h^2", Quantity("a", f"1/{unit}"), 2),
+            ("sensor_nonlinearity.cubic", "Sensor with a gain that changes to both sides",
+             "sensor_nonlinearity", "reading = h + b h^3", Quantity("b", f"1/{unit}^2"), 3),
+        ):  # fmt: skip
+            found.append(
+                Effect(
+                    key,
+                    title,
+                    effect_class,
+                    where,
+                    equation,
+                    (quantity,),
+                    partial(_power_of_gap, sensor=s, power=power),
+                    absorbed_by=_absorbed(spare, power),
+                    told_apart_by="all DOFs excited, at two amplitudes",
+                )
+            )
+        if spare:
+            # Without spare sensors a constant one is the free constant force.
+            found.append(
+                Effect(
+                    "sensor_offset.constant",
+                    "Offset of a sensor",
+                    "sensor_offset",
+                    where,
+                    "reading = h + offset",
+                    (Quantity("offset", unit),),
+                    partial(_constant, sensor=s),
+                    absorbed_by="offsets that are a pose: constant forces",
+                    told_apart_by="any record: a rigid platform shows no such pose",
+                )
+            )
+        found.append(
+            Effect(
+                "sensor_offset.drift",
+                "Offset of a sensor that drifts",
+                "sensor_offset",
+                where,
+                "reading = h + rate t, t from the session's begin",
+                (Quantity("rate", f"{unit}/s"),),
+                partial(_drift, sensor=s),
+                absorbed_by="drifts that are a pose: drifting forces",
+                told_apart_by="long records",
+            )
+        )
+    return found + _crosstalk(places)
+
+
+def _absorbed(spare: bool, power: int) -> str:
+    if not spare:
+        return "the model itself" if power == 1 else "as far as a platform may be nonlinear too"
+    return "all sensors alike: all of the model, by the same share" if power == 1 else ""
+
+
+def _crosstalk(places: Places) -> list[Effect]:
+    return [
+        Effect(
+            "sensor_crosstalk",
+            "Sensor that shows a part of its neighbour's gap",
+            "sensor_crosstalk",
+            (f"sensor:{s}", f"sensor:{other}"),
+            "reading = h + share h of the second",
+            (Quantity("share", "1", -1.0, 1.0),),
+            partial(_neighbour, sensor=s, other=other),
+            told_apart_by="all DOFs excited at once",
+        )
+        for s, other in neighbours(places.sensor_xy_m)
+    ]
+
+
+def neighbours(xy_m: np.ndarray) -> list[tuple[int, int]]:
+    """Return pairs (both ways) of points (S, 2) that lie as close as any do."""
+    if len(xy_m) < 2:
+        return []
+    apart = np.linalg.norm(xy_m[:, None] - xy_m[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return [(int(i), int(j)) for i, j in np.argwhere(apart < 1.01 * apart.min())]
+
+
+def _power_of_gap(
+    signals: Signals, _shape: Sequence[float], *, sensor: int, power: int
+) -> list[Term]:
+    h = signals.gap(sensor)
+    return [on_sensor(signals, sensor, (h, h * h, h * h * h)[power - 1])]
+
+
+def _constant(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
+    return [on_sensor(signals, sensor, np.ones(signals.rows))]
+
+
+def _drift(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
+    return [on_sensor(signals, sensor, signals.time_s - signals.places.span_s[0])]
+
+
+def _neighbour(signals: Signals, _shape: Sequence[float], *, sensor: int, other: int) -> list[Term]:
+    return [on_sensor(signals, sensor, signals.gap(other))]

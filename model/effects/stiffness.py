@@ -1,0 +1,79 @@
+"""Rods that are no linear springs: stiffness that changes with the pose.
+
+Clamped rods in bending stretch as they deflect and harden with the cube of the deflection (Duffing;
+Kovacic and Brennan, *The Duffing Equation*, 2011); buckled or one-sided ones differ up and down,
+which the square shows. Signature: depends on the pose alone, the same at every speed; odd lines
+answer to the cube, even lines and a shifted mean to the square. A sensor's own nonlinearity shows
+beyond the rigid platform too, and looks like a force that grows with frequency squared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .points import forces, heights
+
+_LINEAR = "what is linear in the pose is the declared stiffness"
+
+
+def effects(places: Places) -> list[Effect]:
+    """Return cubic and asymmetric stiffness of every DOF, and of the rods at the corners."""
+    effect_class = "rod_stiffness" if places.beam else "stiffness"
+    found = []
+    for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
+        force = places.force_unit(i)
+        for name, title, power in (
+            ("cubic", "Cubic stiffness", 3),
+            ("asymmetric", "Stiffness that differs between both sides", 2),
+        ):
+            found.append(
+                Effect(
+                    f"{effect_class}.{name}",
+                    title,
+                    effect_class,
+                    (dof,),
+                    f"force = -k{power} q^{power}",
+                    (Quantity(f"k{power}", f"{force}/{_power(unit, power)}"),),
+                    partial(_power_of_pose, dof=i, power=power),
+                    absorbed_by=_LINEAR,
+                    told_apart_by="two amplitudes of excitation, and the beam at several places",
+                )
+            )
+    if places.beam:
+        found.append(
+            Effect(
+                "rod_stiffness.corners",
+                "Cubic stiffness of the rods at the corners",
+                effect_class,
+                places.dof,
+                "force = -k3 sum over corners of s (s^T q)^3, s = [y, x, 1]",
+                (Quantity("k3", "N/m^3"),),
+                _corners,
+                absorbed_by=_LINEAR,
+                told_apart_by="all DOFs excited at once",
+            )
+        )
+    return found
+
+
+def _power_of_pose(
+    signals: Signals, _shape: Sequence[float], *, dof: int, power: int
+) -> list[Term]:
+    q = signals.q[:, dof]
+    return [on_dof(signals, dof, -q * q if power == 2 else -q * q * q)]
+
+
+def _corners(signals: Signals, _shape: Sequence[float]) -> list[Term]:
+    xy = signals.places.sensor_xy_m
+    far = np.sum((xy - xy.mean(axis=0)) ** 2, axis=1)
+    s = signals.places.sensor_shape[far > 0.99 * far.max()]
+    h = heights(signals.q, s)
+    return [Term(force=-forces(h * h * h, s))]
+
+
+def _power(unit: str, power: int) -> str:
+    return f"{unit}^{power}" if unit.isalpha() else f"({unit})^{power}"

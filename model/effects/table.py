@@ -1,0 +1,53 @@
+"""The table of candidate effects: everything that a plant may do and its model may lack."""
+
+from __future__ import annotations
+
+from . import (
+    beam,
+    coil_drift,
+    coil_gain,
+    coil_limits,
+    coil_timing,
+    damping,
+    drives,
+    field,
+    flexible,
+    friction,
+    mass,
+    rotor,
+    sensor_dynamic,
+    sensor_static,
+    stiffness,
+    vibration,
+)
+from .base import Effect, Places
+from .extent import Extent
+
+
+def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, ...]:
+    """Return every effect at every place, each with an identity of its own.
+
+    `extent` says where nonlinear parameters are looked for, by what the records cover; without one,
+    by what the rig is built for.
+    """
+    covered = Extent.typical(places) if extent is None else extent
+    found = [
+        *stiffness.effects(places),
+        *damping.effects(places),
+        *friction.effects(places, covered),
+        *flexible.effects(places),
+        *mass.effects(places, covered),
+        *beam.effects(places),
+        *drives.effects(places, covered),
+        *field.effects(places, covered),
+        *rotor.effects(places),
+        *coil_gain.effects(places),
+        *coil_timing.effects(places),
+        *coil_limits.effects(places, covered),
+        *coil_drift.effects(places),
+        *sensor_static.effects(places),
+        *sensor_dynamic.effects(places, covered),
+    ]
+    for f_hz in covered.tones_hz:
+        found += vibration.tone(places, f_hz)
+    return tuple(found)

@@ -1,0 +1,79 @@
+"""Lines: what the mains, a fan or a pump shake the platform by, and what they put on the readings.
+
+A line keeps its frequency and its phase over a whole session, whatever is excited. Signature: a
+peak in still records at a frequency that no excitation has; as a force it moves the rigid platform,
+as pick-up it shows beyond it in one sensor, or in all alike (Morrison, *Grounding and Shielding*,
+2016). What the floor shakes at random has no phase, so it is noise here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof, on_sensor
+
+_NEAR = 0.005
+"""A line is looked for within this share of where it is supposed to be."""
+
+
+def tone(places: Places, f_hz: float) -> list[Effect]:
+    """Return a line at f_hz as force on every DOF, on every sensor, and on all sensors alike."""
+    frequency = (Quantity("frequency", "Hz", (1 - _NEAR) * f_hz, (1 + _NEAR) * f_hz),)
+    grid, label = ((f_hz,),), f"{f_hz:.4g} Hz"
+    found = [
+        Effect(
+            f"vibration.force.{f_hz:.6g}hz",
+            f"Vibration at {label}",
+            "vibration",
+            (dof,),
+            "force = a cos(2 pi frequency t) + b sin(2 pi frequency t)",
+            _both(places.force_unit(i)),
+            partial(_force, dof=i),
+            frequency,
+            grid,
+            absorbed_by="where no line is: noise of the force",
+            told_apart_by="still records, long beside the line's period",
+        )
+        for i, dof in enumerate(places.dof)
+    ]
+    alone = [((f"sensor:{s}",), s) for s in range(places.sensors)]
+    together = [(tuple(f"sensor:{s}" for s in range(places.sensors)), None)]
+    found += [
+        Effect(
+            f"vibration.reading.{f_hz:.6g}hz",
+            f"Pick-up of {label}" + (", all sensors alike" if s is None else ""),
+            "vibration",
+            where,
+            "reading = h + a cos(2 pi frequency t) + b sin(2 pi frequency t)",
+            _both(places.sensor_unit),
+            partial(_reading, sensor=s),
+            frequency,
+            grid,
+            told_apart_by="still records",
+        )
+        for where, s in alone + (together if places.sensors > 1 else [])
+    ]
+    return found
+
+
+def _both(unit: str) -> tuple[Quantity, Quantity]:
+    return Quantity("a", unit), Quantity("b", unit)
+
+
+def _force(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [on_dof(signals, dof, wave) for wave in _waves(signals, shape[0])]
+
+
+def _reading(signals: Signals, shape: Sequence[float], *, sensor: int | None) -> list[Term]:
+    waves = _waves(signals, shape[0])
+    if sensor is not None:
+        return [on_sensor(signals, sensor, wave) for wave in waves]
+    return [Term(gap=np.repeat(wave[:, None], signals.places.sensors, axis=1)) for wave in waves]
+
+
+def _waves(signals: Signals, f_hz: float) -> tuple[Array, Array]:
+    angle = 2 * np.pi * f_hz * signals.time_s
+    return np.cos(angle), np.sin(angle)

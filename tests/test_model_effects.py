@@ -1,0 +1,469 @@
+"""The candidate effects: their equations along known trajectories, and the table as a whole."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from levid.model.effects import drives, flexible, sensor_static, vibration
+from levid.model.effects.base import Effect, Placed, Places, Signals
+from levid.model.effects.extent import Extent
+from levid.model.effects.table import all_effects
+from levid.model.geometry import shape_matrix
+
+TS = 1e-3
+R = 0.12
+CLASSES = {
+    "rod_stiffness", "air_damping", "friction", "flexible_mode", "centre_of_mass", "payload",
+    "beam_motion", "cogging", "rotor", "coil_gain", "force_constant", "actuator_lag", "delay",
+    "dead_zone", "force_offset", "thermal_drift", "saturation", "sensor_gain", "sensor_offset",
+    "sensor_nonlinearity", "sensor_crosstalk", "sensor_lag", "sensor_stuck", "vibration",
+    "external_field",
+}  # fmt: skip
+OTHERS = {"stiffness", "damping", "inertia"}
+WHERE = re.compile(r"psi|theta|z|beam|rotor|coil:[0-8]|sensor:[0-8]")
+
+
+def rig_places() -> Places:
+    x, y = R * np.repeat([1.0, 0.0, -1.0], 3), R * np.tile([1.0, 0.0, -1.0], 3)
+    shape, xy = shape_matrix(x, y), np.stack([x, y], axis=1)
+    return Places(
+        ("psi", "theta", "z"), ("rad", "rad", "m"), shape, shape, "N", ("N m", "N m", "N"), "m",
+        xy, xy, beam=True, span_s=(0.0, 60.0),
+    )  # fmt: skip
+
+
+def one_dof() -> Places:
+    one, nowhere = np.eye(1), np.zeros((0, 2))
+    return Places(("q",), ("m",), one, one, "N", ("N",), "m", nowhere, nowhere, beam=False)
+
+
+@cache
+def moving(places_of=rig_places, rows: int = 6000) -> Signals:
+    """A platform that tilts and lifts, whole periods of 6 s, with exact derivatives."""
+    places = places_of()
+    n, t = len(places.dof), np.arange(rows) * TS + 20.0
+    rng = np.random.default_rng(3)
+
+    def tones(count: int, low: int, high: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        w = 2 * np.pi * rng.integers(low, high, (4, count)) / 6.0
+        phase = rng.uniform(0, 2 * np.pi, (4, count))
+        angle = w * t[:, None, None] + phase
+        return tuple(
+            f.sum(axis=1) for f in (np.sin(angle), w * np.cos(angle), -w * w * np.sin(angle))
+        )
+
+    size = (2e-4 / np.abs(places.sensor_shape).max(axis=0))[:n]
+    q, qd, qdd = (size * part for part in tones(n, 3, 40))
+    (x_b, v_b, a_b), (phi, phid, phidd) = (
+        tuple(scale * part[:, 0] for part in tones(1, 1, 4)) for scale in (0.03, 5.0)
+    )
+    coil = 7.6 + 2.0 * rng.standard_normal((rows, places.coils))
+    return Signals(
+        TS, t, q, qd, qdd, coil, x_b, v_b, a_b, phi, phid, phidd, delay_cycles=1, places=places
+    )  # fmt: skip
+
+
+@cache
+def table(places_of=rig_places) -> dict[str, Effect]:
+    places = places_of()
+    return {e.identity: e for e in all_effects(places, Extent.measured([moving(places_of)]))}
+
+
+def term(identity: str, shape=None, signals: Signals | None = None, places_of=rig_places):
+    """The one term of an effect at the first row of its grid, or at another shape."""
+    effect = table(places_of)[identity]
+    (found,) = effect.build(
+        moving(places_of) if signals is None else signals,
+        effect.grid[0] if shape is None else shape,
+    )
+    return found
+
+
+def power(force: np.ndarray, s: Signals) -> np.ndarray:
+    return np.einsum("ni,ni->n", force, s.qd)
+
+
+BOTH = pytest.mark.parametrize("places_of", [rig_places, one_dof])
+
+
+# The table.
+
+
+@BOTH
+def test_every_effect_gives_a_term_for_each_amplitude_of_the_right_shape(places_of):
+    s = moving(places_of)
+    widths = (s.places.coil_shape.shape[1], len(s.places.dof), s.places.sensors)
+    for effect in table(places_of).values():
+        for row in effect.grid:
+            terms = effect.build(s, row)
+            assert len(terms) == len(effect.amplitudes), effect.identity
+            for found in terms:
+                assert any(part is not None for part in found.parts), effect.identity
+                for part, width in zip(found.parts, (*widths, None), strict=True):
+                    if part is not None:
+                        assert part.shape == ((s.rows,) if width is None else (s.rows, width))
+                        assert np.all(np.isfinite(part)), effect.identity
+
+
+@BOTH
+def test_no_two_effects_have_one_identity(places_of):
+    effects = all_effects(places_of())
+    assert len({e.identity for e in effects}) == len(effects)
+
+
+def test_rig_s_table_has_every_class_at_places_that_results_may_name():
+    effects = table().values()
+    assert {e.effect_class for e in effects} == CLASSES
+    for effect in effects:
+        assert all(WHERE.fullmatch(w) for w in effect.where), effect.identity
+
+
+def test_other_plants_have_their_own_classes_and_nothing_of_a_beam():
+    classes = {e.effect_class for e in table(one_dof).values()}
+    assert OTHERS | {"friction"} <= classes
+    assert not classes & {"beam_motion", "cogging", "rotor", "external_field", "payload"}
+
+
+@BOTH
+def test_effects_go_to_other_processes_and_give_the_same_there(places_of):
+    s = moving(places_of)
+    for effect in table(places_of).values():
+        there = pickle.loads(pickle.dumps(effect))
+        for a, b in zip(
+            effect.build(s, effect.grid[0]), there.build(s, effect.grid[0]), strict=True
+        ):
+            for one, other in zip(a.parts, b.parts, strict=True):
+                assert (one is None) == (other is None)
+                assert one is None or np.array_equal(one, other)
+
+
+def test_columns_to_screen_stay_few():
+    # What the drives' force is screened with is no column of the platform's filter. A line at a
+    # frequency is 3 forces, 9 readings and a common one, a cosine and a sine each: 26.
+    s, count = moving(), 0
+    for effect in all_effects(s.places, replace(Extent.typical(s.places), tones_hz=())):
+        for row in effect.grid:
+            count += sum(any(p is not None for p in t.parts[:3]) for t in effect.build(s, row))
+    assert count <= 360
+    assert sum(len(e.amplitudes) for e in vibration.tone(s.places, 50.0)) == 26
+
+
+@BOTH
+def test_quantities_have_units_and_shapes_lie_within_bounds(places_of):
+    for effect in table(places_of).values():
+        assert all(q.unit for q in (*effect.amplitudes, *effect.shape)), effect.identity
+        for row in effect.grid:
+            assert len(row) == len(effect.shape)
+            for value, q in zip(row, effect.shape, strict=True):
+                # A search steps by ratios, or else by shares of the range that there must be.
+                assert np.isfinite([q.low, q.high]).all(), (effect.identity, q.name)
+                assert q.low <= value <= q.high, (effect.identity, q.name)
+                assert not q.log or q.low > 0
+
+
+@BOTH
+def test_terms_are_smooth_in_their_shape(places_of):
+    s = moving(places_of)
+    for effect in table(places_of).values():
+        if effect.key == "sensor_stuck.jump":
+            continue  # It jumps at other times with another width, and no derivative says so.
+        row = effect.grid[0]
+        for i, q in enumerate(effect.shape):
+            nudge = 1e-3 * row[i] if q.log else 1e-6 * (q.high - q.low)
+            slopes = [_slope(effect, s, row, i, h) for h in (nudge, nudge / 2)]
+            # What clips turns a few rows from one branch to the other, which is less than a tenth
+            # of the slope's square; everything else differs by the square of the nudge.
+            apart = np.linalg.norm(slopes[0] - slopes[1])
+            assert apart <= 0.3 * np.linalg.norm(slopes[1]), (effect.identity, q.name)
+
+
+def _slope(effect: Effect, s: Signals, row, i: int, nudge: float) -> np.ndarray:
+    ends = []
+    for sign in (1, -1):
+        there = list(row)
+        there[i] += sign * nudge
+        terms = effect.build(s, there)
+        ends.append(np.concatenate([p.ravel() for t in terms for p in t.parts if p is not None]))
+    return (ends[0] - ends[1]) / (2 * nudge)
+
+
+def test_extent_is_what_records_cover():
+    s = moving()
+    slow = replace(s, q=0.5 * s.q, qd=0.5 * s.qd, time_s=s.time_s + 100)
+    extent = Extent.measured([slow, s])
+    np.testing.assert_allclose(extent.reach, s.q.std(axis=0))
+    np.testing.assert_allclose(extent.speed, s.qd.std(axis=0))
+    assert extent.spans_s == ((120.0, slow.time_s[-1]), (20.0, s.time_s[-1]))
+    assert extent.beam_m == np.ptp(s.x_b_m)
+
+
+# Energy: what a force does to a platform that comes back to where it was.
+
+
+def test_stiffness_gives_back_what_it_takes():
+    s = moving()
+    for identity, effect in table().items():
+        if effect.effect_class == "rod_stiffness":
+            p = power(term(identity).force, s)
+            # A periodic motion's sum over whole periods is its integral, but for rounding.
+            assert abs(p.sum()) < 1e-9 * np.abs(p).sum(), identity
+
+
+@BOTH
+def test_damping_and_friction_take_energy(places_of):
+    s = moving(places_of)
+    for effect in table(places_of).values():
+        if effect.where and effect.where[0] in s.places.dof and effect.key in {
+            "air_damping.linear", "air_damping.quadratic", "air_damping.drag", "damping.quadratic",
+            "damping.outward", "friction.coulomb", "friction.stribeck", "friction.dahl",
+            "friction.maxwell_slip", "friction.bouc_wen", "friction.lugre",
+        }:  # fmt: skip
+            for found in effect.build(s, effect.grid[0]):
+                assert power(found.force, s).sum() < 0, effect.identity
+
+
+def test_squeezed_air_resists_more_below_and_less_above_than_declared():
+    s = moving()
+    force = term("air_damping.squeeze_film_lift@z").force[:, 2]
+    z, zd = s.q[:, 2], s.qd[:, 2]
+    assert np.all(force * zd * np.sign(z) >= 0)
+    h0 = table()["air_damping.squeeze_film_lift@z"].grid[0][0]
+    np.testing.assert_allclose(force, -((1 + z / h0) ** -3 - 1) * zd, rtol=1e-9, atol=1e-18)
+
+
+@pytest.mark.parametrize(("name", "m"), [("linear", lambda q: q), ("quadratic", lambda q: q**2)])
+def test_inertia_that_changes_takes_what_its_kinetic_energy_gains(name, m):
+    s = moving(one_dof)
+    q, qd = s.q[:, 0], s.qd[:, 0]
+    p = power(term(f"inertia.{name}@q", places_of=one_dof).force, s)
+    _same_as_rate(-p, 0.5 * m(q) * qd**2)
+
+
+@pytest.mark.parametrize(("axis", "tilt"), [("psi", 0), ("theta", 1)])
+def test_centre_of_mass_takes_what_its_kinetic_energy_gains(axis, tilt):
+    s = moving()
+    p = power(term(f"centre_of_mass@{axis}+z").force, s)
+    _same_as_rate(-p, s.qd[:, tilt] * s.qd[:, 2])
+
+
+def test_payload_takes_what_its_kinetic_and_potential_energy_gain():
+    s, x, y = moving(), 0.05, -0.08
+    found = term("payload@psi+theta+z", (s.time_s[0] - 1.0, 0.01, x, y))
+    height, rise = (f @ [y, x, 1.0] for f in (s.q, s.qd))
+    _same_as_rate(-power(found.force, s), 0.5 * rise**2 + 9.81 * height)
+
+
+def test_payload_is_not_there_before_its_time():
+    s = moving()
+    force = term("payload@psi+theta+z", (s.time_s[3000], 0.1, 0.0, 0.0)).force
+    # Ten rises before it, tanh is 1 to the last digit; so it is after.
+    assert not np.any(force[:1900])
+    np.testing.assert_allclose(force[4100:, 2], -(9.81 + s.qdd[4100:, 2]))
+
+
+def _same_as_rate(power_w: np.ndarray, energy_j: np.ndarray) -> None:
+    # Central differences of fourth order leave (w Ts)^4 / 30 = 1e-4 at 40 Hz, which products reach.
+    rate = (8 * (energy_j[3:-1] - energy_j[1:-3]) - energy_j[4:] + energy_j[:-4]) / (12 * TS)
+    np.testing.assert_allclose(power_w[2:-2], rate, atol=1e-3 * np.abs(rate).max())
+
+
+# Coils.
+
+
+def coil_signals(F: np.ndarray) -> Signals:
+    s = moving()
+    coil = np.full((s.rows, 9), 7.6)
+    coil[:, 2] = F
+    return replace(s, coil=coil)
+
+
+def test_coil_s_gain_adds_its_share_at_its_arm():
+    s = moving()
+    held = term("coil_gain@coil:2").held
+    np.testing.assert_allclose(held, np.outer(s.coil[:, 2], [-R, R, 1.0]))
+
+
+def test_force_constant_takes_the_height_in_the_period_in_which_a_command_acts():
+    s = moving()
+    held = term("force_constant.linear@coil:2").held[:, 2]
+    h = s.q @ [-R, R, 1.0]
+    k = 100
+    # delay_cycles = 1: the command of row 100 acts from row 101 to row 102.
+    assert held[k] == pytest.approx(s.coil[k, 2] * (h[k + 1] + h[k + 2]) / 2)
+
+
+def test_all_coils_alike_are_the_sum_of_each():
+    for key in ("force_constant.linear", "force_constant.quadratic", "thermal_drift.time",
+                "thermal_drift.heat"):  # fmt: skip
+        alone = sum(term(f"{key}@coil:{c}").held for c in range(9))
+        together = term(f"{key}@{'+'.join(f'coil:{c}' for c in range(9))}").held
+        np.testing.assert_allclose(together, alone, atol=1e-9 * np.abs(alone).max())
+
+
+def test_dead_zone_gives_nothing_inside_and_less_by_its_width_outside():
+    s = moving()
+    F = np.linspace(-10, 10, s.rows)
+    given = F + term("dead_zone@coil:2", (3.0,), coil_signals(F)).held[:, 2]
+    np.testing.assert_allclose(given, np.sign(F) * np.maximum(np.abs(F) - 3, 0), atol=1e-12)
+
+
+def test_saturation_runs_from_soft_to_hard():
+    s = moving()
+    F = np.linspace(-30, 30, s.rows)
+    soft, hard = (
+        F + term("saturation@coil:2", (10.0, p), coil_signals(F)).held[:, 2] for p in (2.0, 40.0)
+    )
+    np.testing.assert_allclose(soft, F / np.sqrt(1 + (F / 10) ** 2), atol=1e-12)
+    # At the limit itself it gives 2^(-1/40) of it: 1.7 % less than a clip, and nowhere more.
+    np.testing.assert_allclose(hard, np.clip(F, -10, 10), atol=0.18)
+
+
+def test_delay_and_short_lag_are_one_and_a_long_lag_is_its_own():
+    s = moving()
+    t = s.time_s
+    F = 7.6 + np.sin(2 * np.pi * 5 * t)
+    signals = coil_signals(F)
+    delay, short = term("delay@coil:2", (), signals), term("actuator_lag@coil:2", (2e-4,), signals)
+    # At 5 Hz a lag of 0.2 ms has a tail of its own of w tau = 0.6 % beside the delay.
+    np.testing.assert_allclose(short.held[5:, 2], delay.held[5:, 2], atol=0.01 * 2 * np.pi * 5)
+    tau = 0.02
+    late = F + tau * term("actuator_lag@coil:2", (tau,), signals).held[:, 2]
+    w = 2 * np.pi * 5
+    # Held samples come half a period late, and the mean over the next takes it back.
+    expected = 7.6 + np.imag(np.exp(1j * w * t) / (1 + 1j * w * tau))
+    np.testing.assert_allclose(late[500:], expected[500:], atol=2e-3)
+
+
+def test_heat_rises_with_the_square_of_the_force_since_the_session_began():
+    s = coil_signals(np.full(moving().rows, 6.0))
+    tau = 30.0
+    held = term("thermal_drift.heat@coil:2", (tau,), s).held[:, 2]
+    np.testing.assert_allclose(held, -6.0 * 36.0 * (1 - np.exp(-s.time_s / tau)))
+
+
+# Sensors and the platform that bends.
+
+
+def test_sensor_s_lag_is_late_by_its_amplitude():
+    t = moving().time_s
+    w, tau = 2 * np.pi * 3.0, 0.01
+    q = np.zeros((len(t), 3))
+    q[:, 2] = 1e-4 * np.sin(w * t)
+    late = q[:, 2] + tau * term("sensor_lag@sensor:4", (tau,), replace(moving(), q=q)).gap[:, 4]
+    expected = 1e-4 * np.imag(np.exp(1j * w * t) / (1 + 1j * w * tau))
+    # Straight lines between samples leave (w Ts)^2 / 12.
+    np.testing.assert_allclose(late[500:], expected[500:], atol=1e-4 * 1e-4)
+
+
+def test_only_the_nearest_sensors_are_neighbours():
+    pairs = sensor_static.neighbours(rig_places().sensor_xy_m)
+    assert len(pairs) == 24
+    assert {j for i, j in pairs if i == 4} == {1, 3, 5, 7}
+    found = term("sensor_crosstalk@sensor:0+sensor:1").gap
+    np.testing.assert_allclose(found[:, 0], moving().gap(1))
+    assert not np.any(found[:, 1:])
+
+
+def test_patterns_are_orthogonal_to_rigid_motion_and_to_each_other():
+    places = rig_places()
+    names, over_sensors, over_coils = flexible.patterns(places)
+    assert len(names) == 9
+    np.testing.assert_allclose(over_sensors.T @ over_sensors, np.eye(9), atol=1e-12)
+    np.testing.assert_allclose(places.sensor_shape.T @ over_sensors[:, 3:], 0, atol=1e-12)
+    np.testing.assert_allclose(over_coils, over_sensors, atol=1e-12)  # they sit at one place
+
+
+def test_mode_is_deaf_to_a_wrench_and_unseen_in_the_pose():
+    s, mode = moving(), table()["flexible_mode.twist@"]
+    T = s.places.decoupling
+    (bent,) = mode.build(s, mode.grid[0])
+    assert np.abs(bent.gap).max() > 0
+    np.testing.assert_allclose(bent.gap @ T.T, 0, atol=1e-12 * np.abs(bent.gap).max())
+    wrench = np.random.default_rng(0).standard_normal((s.rows, 3))
+    (still,) = mode.build(replace(s, coil=wrench @ T), mode.grid[0])
+    assert np.abs(still.gap).max() < 1e-9 * np.abs(bent.gap).max()
+
+
+def test_mode_far_below_its_frequency_is_a_compliance():
+    s, mode = moving(), table()["flexible_mode.saddle@"]
+    F = 7.6 + np.outer(np.sin(2 * np.pi * 1.0 * s.time_s), np.eye(9)[0])
+    f = 300.0
+    (bent,) = mode.build(replace(s, coil=F), (f, 0.05, *mode.grid[0][2:]))
+    _, phi, _ = flexible.patterns(s.places)
+    saddle = phi[:, 4]
+    acting = np.roll(F - 7.6, 1, axis=0) @ saddle  # delay_cycles = 1
+    expected = np.outer(acting, saddle) / (2 * np.pi * f) ** 2
+    # A row shows the command of the period before it: w Ts = 0.6 % late at 1 Hz.
+    np.testing.assert_allclose(bent.gap[100:], expected[100:], atol=0.01 * np.abs(expected).max())
+
+
+def test_loose_mass_is_mass_below_its_frequency_and_gone_above():
+    t = moving().time_s
+    for f, wanted, within in ((2.0, 1.0, 0.02), (60.0, 0.0, 0.2)):
+        w = 2 * np.pi * f
+        q, qd = np.zeros((len(t), 3)), np.zeros((len(t), 3))
+        q[:, 2], qd[:, 2] = np.sin(w * t), w * np.cos(w * t)
+        (found,) = table()["flexible_mode.loose_mass@z"].build(
+            replace(moving(), q=q, qd=qd), (20.0, 0.3)
+        )
+        force = found.force[3000:, 2]  # after it has settled
+        share = 2 * np.mean(force * np.sin(w * t[3000:])) / (w * w)
+        # (f / 20 Hz)^2 = 1 % more than all of it at 2 Hz; (20 Hz / f)^2 = 11 % are left at 60 Hz.
+        assert share == pytest.approx(wanted, abs=within)
+
+
+# Beam, rotor, lines.
+
+
+def test_unbalanced_rotor_pushes_against_its_acceleration():
+    s = moving()
+    pushed = [t.force[:, 2] for t in table()["rotor.imbalance@rotor+z"].build(s, ())]
+    for found, place in zip(pushed, (np.cos(s.phi_rad), np.sin(s.phi_rad)), strict=True):
+        second = np.gradient(np.gradient(place, TS), TS)
+        inner = slice(5, -5)
+        # Second differences of what turns at up to 40 rad/s: (w Ts)^2 / 6, and more in products.
+        np.testing.assert_allclose(
+            found[inner], -second[inner], atol=2e-3 * np.abs(second[inner]).max()
+        )
+
+
+def test_rotor_s_weight_follows_from_where_it_hangs():
+    s = moving()
+    at = table()["rotor.weight@rotor+psi+theta"].build(s, ())
+    angle = s.phi_rad + 0.3
+    force = np.cos(0.3) * at[0].force + np.sin(0.3) * at[1].force
+    np.testing.assert_allclose(force[:, 0], -np.sin(angle), atol=1e-12)  # sum of y F
+    np.testing.assert_allclose(force[:, 1], -np.cos(angle), atol=1e-12)  # sum of x F
+
+
+def test_cogging_repeats_with_its_pitch_and_reaches_the_drives_alone():
+    s = moving()
+    effect = drives.cogging(0.024)
+    shifted = replace(s, x_b_m=s.x_b_m + 0.024)
+    for one, other in zip(effect.build(s, (0.024,)), effect.build(shifted, (0.024,)), strict=True):
+        assert one.parts[:3] == (None, None, None)
+        np.testing.assert_allclose(one.drive, other.drive, atol=1e-12)
+
+
+def test_pitches_lie_close_enough_to_miss_none():
+    (cogging,) = (e for e in all_effects(rig_places()) if e.key == "cogging")
+    lines = np.sort([1 / pitch for (pitch,) in cogging.grid])
+    # Over 0.2 m of travel, lines closer than 1 / 0.2 m look alike in part.
+    assert np.diff(lines).max() * 0.2 < 1.5
+
+
+def test_line_has_the_phase_of_the_session():
+    effect = vibration.tone(rig_places(), 50.0)[2]
+    placed = Placed(effect, (50.0,), (3.0, 4.0))
+    s = moving()
+    np.testing.assert_allclose(
+        placed.term(s).force[:, 2],
+        5.0 * np.cos(2 * np.pi * 50 * s.time_s - np.arctan2(4.0, 3.0)),
+        atol=1e-9,
+    )

@@ -1,7 +1,8 @@
-"""Ways to the plant P from the same records: levid's, and those of other packages.
+"""Ways to the plant P from the same flight: levid's, and those of other packages.
 
-Every contender takes the records of one beam position (each excites one input, the loop closed by
-a known controller; together they are one unbroken flight) and returns P at given frequencies.
+Every contender takes a flight at one beam position (each record excites one input, the loop closed
+by a known controller; together they are unbroken) and returns P at given frequencies. Multisines
+are an excitation of their own: a flight of the same length, at the same position.
 
 A peer has the settings and the preparation of its data that served it best on three flights; what
 was tried stands beside them. Those that identify the loop G from v to y go on by (14) with the
@@ -17,21 +18,28 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 from scipy.io import loadmat, savemat
 
+from levid.config.model import ModelConfig
 from levid.identification.data import PiController, Record
 from levid.identification.frequency import (
     plant_from_loop_response,
     plant_from_sensitivity,
     sensitivity,
 )
+from levid.identification.greybox.experiment import Experiment
+from levid.identification.greybox.result import identify_grey_box
 from levid.identification.ho_kalman import Scaling, decompose, realise
+from levid.identification.local_polynomial import plant_by_local_polynomial
 from levid.identification.loop import without_delay
 from levid.identification.markov import estimate_markov, markov_response
+from levid.identification.multisine import best_linear_approximation
+from levid.identification.periodic import PeriodicRecord
 from levid.identification.plant import Plant, plant_from_loop
 from levid.identification.subspace import plant_by_subspace
 from levid.model.second_order import StateSpace
@@ -45,17 +53,46 @@ ORDER = 12
 
 
 @dataclass(frozen=True)
+class Declared:
+    """The logs of `records` as the grey-box fit takes them, and the declared model it starts from.
+
+    The model is off: what is fitted must come from the logs.
+    """
+
+    experiments: tuple[Experiment, ...]
+    model: ModelConfig
+    beam_m: float
+
+
+@dataclass(frozen=True)
+class Flight:
+    """White noise at each input in turn, and multisines flown for the same time; one position."""
+
+    records: tuple[Record, ...]
+    declared: Declared
+    multisines: PeriodicRecord
+
+
+@dataclass(frozen=True)
 class Contender:
-    """One way from records to P: `identify` returns P (F, 3, 3) at freq_hz (F,)."""
+    """One way to P: `identify` returns P (F, 3, 3) at freq_hz (F,) from its part of a flight.
+
+    Which part, `takes` says; of multisines, freq_hz are the excited lines.
+    """
 
     key: str
     label: str
-    identify: Callable[[Sequence[Record], Array], Complex]
+    identify: Callable[..., Complex]
     package: str = ""  # to be imported; empty for levid's own
+    takes: Literal["records", "declared", "multisines"] = "records"
 
     @property
     def is_levid(self) -> bool:
         return self.key.startswith("levid")
+
+    @property
+    def on_equal_data(self) -> bool:
+        return self.takes != "multisines"
 
 
 def levid_ho_kalman(records: Sequence[Record], freq_hz: Array) -> Complex:
@@ -77,6 +114,23 @@ def levid_sensitivity(records: Sequence[Record], freq_hz: Array) -> Complex:
     """Sensitivity from v to u by correlating spectra of 10 s, and (15)."""
     S = sensitivity(records, freq_hz, 10.0)
     return plant_from_sensitivity(S, _controller(records)).H
+
+
+def levid_local_polynomial(records: Sequence[Record], freq_hz: Array) -> Complex:
+    """Joint input-output estimate by the local polynomial method, which has no leakage."""
+    return plant_by_local_polynomial(records, freq_hz).H
+
+
+def levid_grey_box(declared: Declared, freq_hz: Array) -> Complex:
+    """Maximum-likelihood fit of the declared model, with no row kept back."""
+    grey = identify_grey_box(declared.model, declared.experiments, 0.0)
+    return grey.response({"x_b": declared.beam_m}, freq_hz)
+
+
+def levid_multisine(multisines: PeriodicRecord, freq_hz: Array) -> Complex:
+    """Best linear approximation by the robust multisine method, at its own lines."""
+    bla = best_linear_approximation([multisines])
+    return bla.H[np.searchsorted(bla.freq_hz, freq_hz - 1e-6)]
 
 
 def control_markov(records: Sequence[Record], freq_hz: Array) -> Complex:
@@ -187,7 +241,10 @@ def octave_n4sid(records: Sequence[Record], freq_hz: Array) -> Complex:
 CONTENDERS = (
     Contender("levid_ho_kalman", "levid: Markov, Ho-Kalman", levid_ho_kalman),
     Contender("levid_subspace", "levid: subspace", levid_subspace),
+    Contender("levid_grey_box", "levid: grey box", levid_grey_box, takes="declared"),
     Contender("levid_sensitivity", "levid: sensitivity", levid_sensitivity),
+    Contender("levid_local_polynomial", "levid: local polynomial", levid_local_polynomial),
+    Contender("levid_multisine", "levid: multisine *", levid_multisine, takes="multisines"),
     Contender("control_era", "python-control: markov, ERA", control_realization, "control"),
     Contender("control_markov", "python-control: markov", control_markov, "control"),
     Contender("sippy_n4sid", "sippy-unipi: N4SID", sippy_n4sid, "sippy_unipi"),
@@ -196,7 +253,10 @@ CONTENDERS = (
     Contender("scipy_csd_direct", "scipy: csd from u to y", scipy_csd_direct, "scipy"),
     Contender("octave_n4sid", "Octave, SLICOT: n4sid", octave_n4sid, "scipy"),
 )
-"""Whoever joins the comparison stands here; levid's own have keys that begin with `levid`."""
+"""Whoever joins the comparison stands here; levid's own have keys that begin with `levid`.
+
+A star marks what flies an excitation of its own for the same time.
+"""
 
 
 def _lag_pole(records: Sequence[Record]) -> float:

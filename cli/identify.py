@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from .progress import progress
+from .progress import progress, say
 
 if TYPE_CHECKING:
     from ..config.model import ModelConfig
     from ..config.sim import SimConfig
+    from ..identification.results import Signals
     from ..identification.study import Study
     from ..log.reader import Log
     from ..report.closed_loop import Truth
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     help="SIM.yaml that flew the logs: its true response is drawn beneath, and never used.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the report.")
-@click.option("--mat", is_flag=True, help="Write identified.mat for MATLAB and Octave too.")
+@click.option("--mat", is_flag=True, help="Write what was found for MATLAB and Octave too.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 def command(
     logs: tuple[Path, ...],
@@ -56,11 +58,14 @@ def command(
     """
     found, page = identify_logs(logs, model, truth, out)
     if mat:
-        _write_mat(found, out / "identified.mat")
+        _write_mat(found, out)
+    for remark in _contradictions(found):
+        say(f"warning: {remark}")
     if as_json:
         from ..identification.summary import study_summary
 
-        click.echo(json.dumps({**study_summary(found), "report": str(page)}))
+        plain = {**_named(_signals(found)), **study_summary(found), "report": str(page)}
+        click.echo(json.dumps(plain))
         return 0
     for line in words(found):
         click.echo(line)
@@ -113,7 +118,7 @@ def identify_logs(
         )
     if found.grey is not None:
         (out / "model.yaml").write_text(to_yaml(found.grey.fitted))
-    return found, page
+    return replace(found, notes=(*found.notes, *_contradictions(found))), page
 
 
 def words(found: Study) -> list[str]:
@@ -136,9 +141,13 @@ def words(found: Study) -> list[str]:
             if p["se"] is not None
         ]
         lines += grey["unidentifiable"]
-    # Steps of a session that are no records are nobody's loss; what was refused is.
+    # Steps of a session that are no records are nobody's loss; what was refused is. Where model
+    # and records contradict each other a warning has said so.
+    warned = _contradictions(found)
     lines += [
-        f"note: {note}" for note in plain["notes"] if "only records are identified" not in note
+        f"note: {note}"
+        for note in plain["notes"]
+        if "only records are identified" not in note and note not in warned
     ]
     return lines
 
@@ -167,13 +176,47 @@ def _where(beam_m: float | None) -> str:
     return "all records" if beam_m is None else f"beam at {1e3 * beam_m:+.1f} mm"
 
 
-def _write_mat(found: Study, path: Path) -> None:
-    from ..identification.data import IdentificationError
-    from ..identification.export import write_mat
+def _write_mat(found: Study, out: Path) -> None:
+    """Write a file of each kind of result, the first of them under the name that users expect."""
+    from ..identification.export import write_fitted_mat, write_mat, write_multisine_mat
 
-    if found.points is None:
-        raise IdentificationError("--mat: expected records of white noise, found none")
-    write_mat(path, found.points)
+    first = out / "identified.mat"
+    if found.points is not None:
+        write_mat(first, found.points)
+        if found.multisine:
+            write_multisine_mat(out / "multisine.mat", found.multisine)
+    elif found.multisine:
+        write_multisine_mat(first, found.multisine)
+    elif found.grey is not None:
+        write_fitted_mat(first, found.grey)
+
+
+def _contradictions(found: Study) -> tuple[str, ...]:
+    return () if found.grey is None else found.grey.remarks
+
+
+def _signals(found: Study) -> Signals:
+    """Return names and units of what was identified."""
+    from ..identification.export import fitted_signals
+
+    if found.points is not None:
+        return found.points.signals
+    if found.multisine:
+        return found.multisine[0].signals
+    assert found.grey is not None  # a study that found nothing is an error
+    return fitted_signals(found.grey)
+
+
+def _named(signals: Signals) -> dict[str, Any]:
+    return {
+        "Ts_s": signals.Ts_s,
+        "inputs": _pairs(signals.input_names, signals.input_units),
+        "outputs": _pairs(signals.output_names, signals.output_units),
+    }
+
+
+def _pairs(names: Sequence[str], units: Sequence[str]) -> list[dict[str, str]]:
+    return [{"name": name, "unit": unit} for name, unit in zip(names, units, strict=True)]
 
 
 def _truth(config: SimConfig | None, found: Study) -> Truth | None:
@@ -181,8 +224,5 @@ def _truth(config: SimConfig | None, found: Study) -> Truth | None:
 
     if config is None:
         return None
-    if found.points is not None:
-        Ts_s = found.points.signals.Ts_s
-    else:
-        Ts_s = found.multisine[0].Ts_s if found.multisine else found.grey.Ts_s  # type: ignore[union-attr]
-    return lambda beam_m, freq_hz: frequency_response(config, beam_m or 0.0, freq_hz, 1.0 / Ts_s)
+    rate_hz = 1.0 / _signals(found).Ts_s
+    return lambda beam_m, freq_hz: frequency_response(config, beam_m or 0.0, freq_hz, rate_hz)

@@ -11,15 +11,14 @@ from ..model.second_order import StateSpace
 from . import frequency
 from .coverage import PoorExcitationError, check_excitation
 from .data import OperatingPoint, PiController, Record
-from .fit import nrmse_fit_percent
 from .ho_kalman import Decomposition, OrderChoice, Scaling, decompose, order_from_gap, realise
+from .hold_out import hold_out, settled_row
 from .loop import without_delay
 from .markov import ESTIMATORS, MarkovEstimate, estimate_markov, markov_response
 from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
 from .plant import Plant, closed_loop, plant_from_loop
 from .plausibility import HARMS, STATES_A_DOF, doubts, has_decayed, predicted_errors, settling_time
-from .results import ClosedLoopPoint, HoldOut
-from .simulate import simulate, spectral_radius
+from .results import ClosedLoopPoint
 
 Array = NDArray[np.float64]
 
@@ -70,7 +69,7 @@ def identify_closed_loop(
     )
     full_loop = closed_loop(plant.state_space(), controller)
     settled_s = settling_time(full_loop, SETTLED_S, LONGEST_SETTLING_S)
-    starts = [_settled_row(r, settled_s) for r in point.records]
+    starts = [settled_row(r, settled_s) for r in point.records]
     settled = [r.rows(row, len(r.y)) for r, row in zip(point.records, starts, strict=True)]
     segment_s = options.segment_s or _at_most(LOOP_SEGMENT_S, settled, 4)
 
@@ -83,7 +82,8 @@ def identify_closed_loop(
     progress(0.9)
     measured = markov_response(markov[options.markov].g, S.freq_hz, Ts_s)
     holdout = tuple(
-        _hold_out(r, full_loop, options, row) for r, row in zip(point.records, starts, strict=True)
+        hold_out(r, full_loop, options.holdout_rows(len(r.y)), row)
+        for r, row in zip(point.records, starts, strict=True)
     )
     return ClosedLoopPoint(
         beam_m=point.beam_m,
@@ -153,11 +153,6 @@ def _realise(
     return order, loop, Plant(plant_from_loop(loop, controller), delay, lag_pole)
 
 
-def _settled_row(record: Record, settled_s: float) -> int:
-    """Return the row from which on nothing rings from before; in a short record, a quarter in."""
-    return 0 if record.at_rest else min(round(settled_s / record.Ts_s), len(record.y) // 4)
-
-
 def _at_most(wanted_s: float, records: Sequence[Record], share: int) -> float:
     """Return `wanted_s`, or less where the shortest record is not `share` times as long."""
     return min(wanted_s, min(len(r.y) for r in records) // share * records[0].Ts_s)
@@ -181,22 +176,3 @@ def _length_remarks(
     if options.segment_s is None and segment_s < LOOP_SEGMENT_S:
         remarks.append(f"short records: spectra resolve only {1 / segment_s:.2g} Hz")
     return remarks
-
-
-def _hold_out(record: Record, loop: StateSpace, options: Options, settled: int) -> HoldOut:
-    rows = options.holdout_rows(len(record.y))
-    # An unstable loop simulates nothing; `doubts` tells of it.
-    stable = spectral_radius(loop.A) < 1.0
-    simulated = simulate(loop, record.v) if stable else np.full_like(record.y, np.nan)
-    start = len(record.y) - rows
-    # The level is not the model's to know: the loop rests at whatever offset the record has.
-    offset = (record.y - simulated)[settled:start].mean(axis=0)
-    measured, modelled = record.y[start:], np.asarray(simulated[start:] + offset)
-    time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
-    return HoldOut(
-        record.name,
-        time_s,
-        measured,
-        modelled,
-        nrmse_fit_percent(measured, modelled),
-    )

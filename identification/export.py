@@ -15,6 +15,8 @@ from scipy.io import savemat
 
 from ..model.second_order import StateSpace
 from .frequency import ResponseEstimate
+from .greybox.result import GreyBox
+from .multisine import BestLinearApproximation
 from .plant import Plant
 from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, Signals
 
@@ -76,26 +78,95 @@ def write_mat(path: Path, result: IdentificationResult) -> None:
     """
     models = [_model(point) for point in result.points]
     spectra = [_spectra(point) for point in result.points]
-    same_order = len({len(m.A) for m in models}) == 1
-    same_grid = all(np.array_equal(e.freq_hz, spectra[0].freq_hz) for e in spectra)
-    freq_hz = [e.freq_hz[:, None] for e in spectra]
-    signals = result.signals
+    measured = _measured(
+        [(e.freq_hz, e.H, e.standard_deviation) for e in spectra],
+        [p.beam_m for p in result.points],
+    )
+    contents = {**_matrices(models), **measured, **_signals(result.signals)}
+    savemat(path, contents, appendmat=False)
+
+
+def write_multisine_mat(path: Path, blas: Sequence[BestLinearApproximation]) -> None:
+    """Write the best linear approximations at K positions as write_mat writes responses.
+
+    frf, freq, Ts, beam_m and the names as there; frf_sd from all errors, frf_noise_sd from noise
+    alone, frf_distortion_sd what distortion adds to one realisation, nan where it is not known.
+    """
     contents = {
-        "A": _together([m.A for m in models], same_order),
-        "B": _together([m.B for m in models], same_order),
-        "C": _together([m.C for m in models], same_order),
-        "D": _together([m.D for m in models], same_order),
-        "Ts": signals.Ts_s,
-        "frf": _together([e.H.transpose(1, 2, 0) for e in spectra], same_grid),
-        "frf_sd": _together([e.standard_deviation.transpose(1, 2, 0) for e in spectra], same_grid),
+        **_measured(
+            [(b.freq_hz, b.H, b.standard_deviation) for b in blas], [b.beam_m for b in blas]
+        ),
+        **_signals(blas[0].signals),
+    }
+    same_grid = _alike([b.freq_hz for b in blas])
+    for name, values in (
+        ("frf_noise_sd", [b.noise_deviation for b in blas]),
+        ("frf_distortion_sd", [np.sqrt(b.distortion_variance) for b in blas]),
+    ):
+        contents[name] = _together([v.transpose(1, 2, 0) for v in values], same_grid)
+    savemat(path, contents, appendmat=False)
+
+
+def write_fitted_mat(path: Path, grey: GreyBox) -> None:
+    """Write the fitted model, sampled where its scheduling variables are as declared, as write_mat.
+
+    A, B, C, D, Ts and the names; parameters: a struct of the fitted values in SI units.
+    """
+    contents = {
+        **_matrices([grey.sampled({})]),
+        **_signals(fitted_signals(grey)),
+        "parameters": {name: p.value for name, p in grey.fitted.parameters.items()},
+    }
+    savemat(path, contents, appendmat=False)
+
+
+def fitted_signals(grey: GreyBox) -> Signals:
+    """Return names and units of a fitted model's inputs and outputs."""
+    inputs, dof = grey.declared.inputs, grey.declared.dof
+    return Signals(
+        tuple(q.name for q in inputs),
+        tuple(q.unit for q in inputs),
+        tuple(q.name for q in dof),
+        tuple(q.unit for q in dof),
+        grey.Ts_s,
+    )
+
+
+def _matrices(models: Sequence[StateSpace]) -> dict[str, Any]:
+    same_order = len({len(m.A) for m in models}) == 1
+    return {
+        name: _together([getattr(m, name) for m in models], same_order)
+        for name in ("A", "B", "C", "D")
+    }
+
+
+def _measured(
+    responses: Sequence[tuple[Array, NDArray[np.complex128], Array]],
+    beams_m: Sequence[float | None],
+) -> dict[str, Any]:
+    """Return frequencies, responses (F, m, p) and standard deviations of each point, and beam_m."""
+    same_grid = _alike([freq_hz for freq_hz, _, _ in responses])
+    freq_hz = [f[:, None] for f, _, _ in responses]
+    return {
+        "frf": _together([H.transpose(1, 2, 0) for _, H, _ in responses], same_grid),
+        "frf_sd": _together([sd.transpose(1, 2, 0) for _, _, sd in responses], same_grid),
         "freq": freq_hz[0] if same_grid else _cell(freq_hz),
-        "beam_m": np.array([[np.nan if p.beam_m is None else p.beam_m for p in result.points]]),
+        "beam_m": np.array([[np.nan if beam is None else beam for beam in beams_m]]),
+    }
+
+
+def _signals(signals: Signals) -> dict[str, Any]:
+    return {
+        "Ts": signals.Ts_s,
         "input_names": _cell(signals.input_names),
         "input_units": _cell(signals.input_units),
         "output_names": _cell(signals.output_names),
         "output_units": _cell(signals.output_units),
     }
-    savemat(path, contents, appendmat=False)
+
+
+def _alike(grids: Sequence[Array]) -> bool:
+    return all(np.array_equal(grid, grids[0]) for grid in grids)
 
 
 def _state_space(model: StateSpace | Plant) -> StateSpace:

@@ -7,8 +7,15 @@ from collections.abc import Callable, Sequence
 from threadpoolctl import threadpool_limits
 
 from .closed_loop import identify_closed_loop
+from .closed_loop_subspace import with_subspace
 from .coverage import PoorExcitationError
-from .data import IdentificationError, Record, describe_position, operating_points
+from .data import (
+    IdentificationError,
+    OperatingPoint,
+    Record,
+    describe_position,
+    operating_points,
+)
 from .open_loop import identify_open_loop
 from .options import Options
 from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, Signals
@@ -25,9 +32,10 @@ def identify(
 ) -> IdentificationResult:
     """Identify every operating point that the records cover.
 
-    Records under a known controller are treated as the paper does (closed_loop), others as plain
-    input and output (open_loop). `skipped` (reasons for logs left out) goes into the result, with
-    the reason for every position whose excitation does not suit, as long as another one's does.
+    Records under a known controller are treated as the paper does (closed_loop) and by the subspace
+    method (closed_loop_subspace), others as plain input and output (open_loop). `skipped` (reasons
+    for logs left out) goes into the result, with the reason for every position whose excitation
+    does not suit, as long as another one's does.
 
     Raises IdentificationError, which names position and records: no records, an input that none
     excites, signals or sampling that differ, records too short or too poor.
@@ -50,7 +58,7 @@ def identify(
                 progress(where, (number + share) / len(points))
 
         told(0.0)
-        method = identify_open_loop if first.controller is None else identify_closed_loop
+        method = identify_open_loop if first.controller is None else _in_its_loop
         try:
             # The matrices are small: threads of the BLAS would wait for each other, not compute.
             with threadpool_limits(1):
@@ -66,6 +74,13 @@ def identify(
         first.input_names, first.input_units, first.output_names, first.output_units, first.Ts_s
     )
     return IdentificationResult(signals, tuple(results), (*skipped, *poor))
+
+
+def _in_its_loop(
+    point: OperatingPoint, options: Options, progress: Callable[[float], None]
+) -> ClosedLoopPoint:
+    found = identify_closed_loop(point, options, progress)
+    return with_subspace(found, point.records, options)
 
 
 def _check_same_signals(first: Record, other: Record) -> None:

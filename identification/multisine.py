@@ -20,6 +20,7 @@ from .distortion import (
 )
 from .frequency import ResponseEstimate
 from .periodic import PeriodicRecord
+from .results import Signals
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -60,9 +61,20 @@ class BestLinearApproximation:
     even: DetectionLines
     odd: DetectionLines
     Ts_s: float
+    input_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
     beam_m: float | None
     records: tuple[str, ...]
     remarks: tuple[str, ...] = ()
+
+    @property
+    def signals(self) -> Signals:
+        """Names and units of inputs and outputs, and their sampling time."""
+        return Signals(
+            self.input_names, self.input_units, self.output_names, self.output_units, self.Ts_s
+        )
 
     @property
     def standard_deviation(self) -> Array:
@@ -146,6 +158,10 @@ def best_linear_approximation(records: Sequence[PeriodicRecord]) -> BestLinearAp
         even=even,
         odd=odd,
         Ts_s=first.Ts_s,
+        input_names=first.input_names,
+        input_units=first.input_units,
+        output_names=first.output_names,
+        output_units=first.output_units,
         beam_m=first.beam_m,
         records=tuple(r.name for r in records),
         remarks=_remarks(records, transient_test(of_period)),
@@ -283,8 +299,8 @@ def _check_alike(records: Sequence[PeriodicRecord]) -> None:
             ("sampling time", first.Ts_s, other.Ts_s),
             ("period and number of periods", first.v.shape[1:], other.v.shape[1:]),
             ("way of feedback", _loop(first), _loop(other)),
-            ("outputs", first.output_names, other.output_names),
-            ("inputs", first.input_names, other.input_names),
+            ("outputs", _named(first)[1], _named(other)[1]),
+            ("inputs", _named(first)[0], _named(other)[0]),
         ):
             if ours != theirs:
                 raise IdentificationError(
@@ -296,6 +312,19 @@ def _check_alike(records: Sequence[PeriodicRecord]) -> None:
                 f"expected records of one position, found {describe_position(first.beam_m)} in "
                 f"'{first.name}' and {describe_position(other.beam_m)} in '{other.name}'"
             )
+
+
+def _named(record: PeriodicRecord) -> tuple[str, str]:
+    """Return the inputs and the outputs with their units, in words."""
+    sides = (
+        (record.input_names, record.input_units),
+        (record.output_names, record.output_units),
+    )
+    inputs, outputs = (
+        ", ".join(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
+        for names, units in sides
+    )
+    return inputs, outputs
 
 
 def _loop(record: PeriodicRecord) -> str:

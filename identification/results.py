@@ -13,6 +13,7 @@ from .data import PiController
 from .frequency import ResponseEstimate
 from .ho_kalman import OrderChoice
 from .markov import MarkovEstimate
+from .model_response import ModelResponse, Modes
 from .plant import Plant
 from .simulate import InnovationModel
 
@@ -49,6 +50,34 @@ class HoldOut:
 
 
 @dataclass(frozen=True)
+class SubspacePoint:
+    """The plant at one operating point by the subspace method, with standard errors.
+
+    `singular_values` are of what the past says of the future, `order` their choice of the core's
+    states. `covariance` (n + m, n + p, n + m, n + p) is of the errors of [A B; C D] of plant.core,
+    `innovation_covariance` (m, m) of the one-step prediction error with a past of `past` samples.
+    `response` is P at the frequencies of the point, `modes` are the core's poles. `doubts` says why
+    none of it is to be trusted.
+    """
+
+    plant: Plant
+    order: OrderChoice
+    singular_values: Array
+    covariance: Array
+    innovation_covariance: Array
+    past: int
+    response: ModelResponse
+    modes: Modes
+    holdout: tuple[HoldOut, ...]
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing speaks against the model."""
+        return not self.doubts
+
+
+@dataclass(frozen=True)
 class ClosedLoopPoint:
     """The plant at one operating point, from records in a loop with a known controller.
 
@@ -57,7 +86,8 @@ class ClosedLoopPoint:
     `plant` what (14) leaves of it. The responses of P are all at freq_hz (F,): of `plant`, of (14)
     applied to the Markov parameters point by point, of (15), and of the joint estimate.
     `doubts` says why `loop`, `plant` and what is simulated with them are not to be trusted; the
-    other responses need no model and stand.
+    other responses need no model and stand. `subspace` is the plant by that method; None where
+    the records do not allow it, for a reason that `remarks` gives.
     """
 
     beam_m: float | None
@@ -78,11 +108,22 @@ class ClosedLoopPoint:
     holdout: tuple[HoldOut, ...]
     remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    subspace: SubspacePoint | None = None
 
     @property
     def trusted(self) -> bool:
         """Whether nothing speaks against the realised model."""
         return not self.doubts
+
+    @property
+    def recommended(self) -> Plant | None:
+        """The plant to use: by subspace where it can be trusted, else by Ho-Kalman, else None.
+
+        From the same records the subspace method errs less, and says by how much.
+        """
+        if self.subspace is not None and self.subspace.trusted:
+            return self.subspace.plant
+        return self.plant if self.trusted else None
 
 
 @dataclass(frozen=True)

@@ -132,12 +132,20 @@ def _read(
 
 
 def _distrusted(result: IdentificationResult) -> list[str]:
-    return [
-        f"{describe_position(point.beam_m)}: the model by Ho-Kalman is not to be trusted: "
-        f"{'; '.join(point.doubts)}"
-        for point in result.points
-        if isinstance(point, ClosedLoopPoint) and not point.trusted
-    ]
+    found = []
+    for point in result.points:
+        if not isinstance(point, ClosedLoopPoint):
+            continue
+        by_method = {"Ho-Kalman": point.doubts}
+        if point.subspace is not None:
+            by_method["subspace"] = point.subspace.doubts
+        found += [
+            f"{describe_position(point.beam_m)}: the model by {method} is not to be trusted: "
+            f"{'; '.join(doubts)}"
+            for method, doubts in by_method.items()
+            if doubts
+        ]
+    return found
 
 
 def _identity(log: Log) -> object:

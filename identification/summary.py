@@ -11,14 +11,25 @@ from ..model.second_order import StateSpace
 from .greybox.result import GreyBox
 from .markov import MarkovEstimate
 from .multisine import BestLinearApproximation
-from .results import ClosedLoopPoint, HoldOut, IdentificationResult, OpenLoopPoint
+from .plant import Plant
+from .results import (
+    ClosedLoopPoint,
+    HoldOut,
+    IdentificationResult,
+    OpenLoopPoint,
+    SubspacePoint,
+)
 from .study import Study
+
+_RESPONSES = 30
+"""Frequencies at which a response is told, out of those of the result: 11 a decade."""
 
 
 def summary(result: IdentificationResult) -> dict[str, Any]:
     """Return dicts, lists, finite numbers and words; None stands for what is not a number.
 
-    Responses are left to the arrays of the result; models are given in full.
+    Models are given in full. Responses are left to the arrays of the result, but for some
+    frequencies of the subspace method's, whose standard errors no matrices tell.
     """
     s = result.signals
     out = {
@@ -45,15 +56,60 @@ def _closed(point: ClosedLoopPoint) -> dict[str, Any]:
         "singular_values": point.singular_values,
         "markov": {name: _markov(m) for name, m in point.markov.items()},
         "loop": _model(point.loop),
-        "plant": {
-            **_model(point.plant.core),
-            "delay_steps": point.plant.delay_steps,
-            "lag_pole": point.plant.lag_pole,
-        },
+        "plant": _plant(point.plant),
         "holdout": [_holdout(h) for h in point.holdout],
         "remarks": point.remarks,
         "trusted": point.trusted,
         "doubts": point.doubts,
+        "subspace": None if point.subspace is None else _subspace(point.subspace),
+        "recommended": _recommended(point),
+    }
+
+
+def _recommended(point: ClosedLoopPoint) -> str | None:
+    if point.recommended is None:
+        return None
+    return "plant" if point.recommended is point.plant else "subspace"
+
+
+def _subspace(found: SubspacePoint) -> dict[str, Any]:
+    response, modes = found.response, found.modes
+    some = np.linspace(0, len(response.freq_hz) - 1, _RESPONSES).round().astype(int)
+    return {
+        "order": found.order.order,
+        "order_gap": found.order.gap,
+        "past": found.past,
+        "singular_values": found.singular_values,
+        "plant": _plant(found.plant),
+        "modes": [
+            {"frequency_hz": f, "frequency_se_hz": f_se, "damping": d, "damping_se": d_se}
+            for f, f_se, d, d_se in zip(
+                modes.frequency_hz,
+                modes.frequency_se_hz,
+                modes.damping,
+                modes.damping_se,
+                strict=True,
+            )
+        ],
+        "response": {
+            "freq_hz": response.freq_hz[some],
+            "magnitude": np.abs(response.H[some]),
+            "magnitude_se": response.magnitude_deviation[some],
+            "phase_rad": np.angle(response.H[some]),
+            "phase_se_rad": response.phase_deviation_rad[some],
+        },
+        "innovation_covariance": found.innovation_covariance,
+        "holdout": [_holdout(h) for h in found.holdout],
+        "trusted": found.trusted,
+        "doubts": found.doubts,
+    }
+
+
+def _plant(plant: Plant) -> dict[str, Any]:
+    return {
+        **_model(plant.core),
+        "delay_steps": plant.delay_steps,
+        "lag_pole": plant.lag_pole,
     }
 
 

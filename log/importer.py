@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from ..config.base import load_yaml
 from .errors import LogError
+from .matlab import read_mat
 from .signals_file import Format, SignalsFile
-from .tables import load_mat, load_npz, read_delimited, read_variables
+from .tables import load_npz, read_delimited, read_variables
 from .writer import LogWriter
 
 SCHEMA_NAME = "levid/msg/Signals"
@@ -88,7 +89,7 @@ def _raw_columns(path: Path, signals: SignalsFile) -> list[NDArray[np.float64]]:
     if kind == "npz":
         return read_variables(path, signals, load_npz(path))
     if kind == "mat":
-        return read_variables(path, signals, load_mat(path))
+        return read_mat(path, signals)
     return read_delimited(path, signals, whitespace=kind == "text")
 
 

@@ -63,8 +63,9 @@ def read_log(path: Path | str) -> Log:
     has a fixed size.
 
     Raises:
-        LogError: no such file, not MCAP, no such channel, no messages, or damaged before the first
-            whole chunk; with file, byte, what was expected and what was found.
+        LogError: no such file, not MCAP, no such channel, no messages, damaged before the first
+            whole chunk, or larger when unpacked than this computer's memory; with file, byte, what
+            was expected and what was found.
     """
     path = Path(path)
     try:
@@ -201,7 +202,14 @@ def _read_rows(
     unpacked: Mapping[int, memoryview],
 ) -> tuple[NDArray[np.void], NDArray[np.uint64], str | None]:
     """Return rows, times, and what is wrong with the first segment that could not be read."""
-    # A segment that claims too much will fail to unpack; no room is kept for it.
+    # A segment that claims too much will fail to unpack; no room is kept for it. All of them
+    # together may claim too much as well: a few zeros pack a chunk of any size.
+    claimed, memory = sum(s.size for s in segments if s.size <= MAX_CHUNK_BYTES), memory_bytes()
+    if claimed > memory:
+        raise LogError(
+            f"expected a log that this computer's memory of {_gib(memory)} holds, found one of "
+            f"{_gib(claimed)} when unpacked ({_gib(len(data))} as it is)"
+        )
     room = [s.size // stream.least if s.size <= MAX_CHUNK_BYTES else 0 for s in segments]
     starts = np.concatenate([[0], np.cumsum(room)]).tolist()
     try:
@@ -329,6 +337,15 @@ def _records(raw: memoryview, segment: Segment) -> Iterator[tuple[int, int, int]
 
 def _channel_of(raw: memoryview, begin: int) -> int:
     return int.from_bytes(raw[begin : begin + 2], "little")
+
+
+def memory_bytes() -> int:
+    """Return the memory of this computer."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def _gib(size: int) -> str:
+    return f"{size / 2**30:.3g} GiB"
 
 
 def _rate_hz(metadata: dict[str, str], times: NDArray[np.uint64]) -> float:

@@ -88,7 +88,10 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def load_mat(path: Path) -> dict[str, Any]:
-    """Return the variables of a MAT file by name, structs as dicts; LogError if it is none."""
+    """Return the variables of a MAT file by name, structs as dicts; LogError if it is none.
+
+    Some damaged files crash scipy's reader, and Python with it: see matlab.read_mat.
+    """
     try:
         loaded = scipy.io.loadmat(path, simplify_cells=True)
     except NotImplementedError:

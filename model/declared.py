@@ -67,7 +67,7 @@ class DeclaredModel:
 
         Raises:
             ModelError: a matrix of the wrong size, a name that is not declared, a formula that is
-                none; the message names the matrix and the place.
+                none, a lag below 0 or without a value; the message names the matrix and the place.
         """
         n, p = len(dof), len(inputs)
         known = set(values) | set(scheduling)
@@ -87,7 +87,7 @@ class DeclaredModel:
         }
         if force and len(force) != n:
             raise ModelError(f"force: expected {n} entries, one a DOF, found {len(force)}")
-        return cls(
+        model = cls(
             tuple(dof),
             tuple(inputs),
             dict(values),
@@ -97,6 +97,14 @@ class DeclaredModel:
             lag=_formula("lag", lag, known),
             delay=_formula("delay", delay, known),
         )
+        # Below 0 a lag would run ahead of its input. (A delay may: backends bring one of a cycle.)
+        try:
+            lag_s = model.lag({**model.values, **model.scheduling})
+        except ExpressionError as error:
+            raise ModelError(f"lag: {error}") from None
+        if lag_s < 0.0:
+            raise ModelError(f"lag: expected 0 s or more, found {lag_s:g} s by '{model.lag.text}'")
+        return model
 
     def at(self, scheduling: Mapping[str, float] | None = None) -> SecondOrder:
         """Return the matrices at one value of the scheduling variables (defaults: as declared)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,12 +12,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+
+def _power(base: Any, exponent: Any) -> Any:
+    """Return base ** exponent of real numbers, which Python may make complex."""
+    value = operator.pow(base, exponent)
+    if np.iscomplexobj(value):
+        raise ArithmeticError("a negative number has no real power that is no integer")
+    return value
+
+
 _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
+    ast.Pow: _power,
 }
 _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "sqrt": np.sqrt,
@@ -25,6 +35,7 @@ _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "exp": np.exp,
 }
 _DEEPEST = 50
+_SHOWN = 60
 
 
 class ExpressionError(ValueError):
@@ -41,12 +52,16 @@ class Expression:
 
     @classmethod
     def parse(cls, source: str | float) -> Expression:
-        """Parse numbers, names, + - * / **, sqrt, sin, cos, exp; raises ExpressionError."""
+        """Parse finite numbers, names, + - * / **, sqrt, sin, cos, exp; raises ExpressionError."""
+        if isinstance(source, float) and not math.isfinite(source):
+            raise ExpressionError(f"expected a finite number, found {source}")
         text = str(source).strip()
         try:
             tree = ast.parse(text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
-            raise ExpressionError(f"expected an arithmetic expression, found '{text}'") from None
+            raise ExpressionError(
+                f"expected an arithmetic expression, found '{_short(text)}'"
+            ) from None
         names: set[str] = set()
         _check(tree, names, text, 0)
         return cls(text, frozenset(names), tree)
@@ -56,20 +71,38 @@ class Expression:
         return float(self.over(values))
 
     def over(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
-        """Return the values where some of `values` are arrays (N,); raises ExpressionError."""
+        """Return the values where some of `values` are arrays (N,); raises ExpressionError.
+
+        They are real and finite: what is neither has no value.
+        """
         try:
             with np.errstate(all="raise", under="ignore"):
-                return np.asarray(_value(self._tree, values), np.float64)
+                found = np.asarray(_value(self._tree, values), np.float64)
+        except OverflowError:
+            raise ExpressionError(
+                f"'{_short(self.text)}' has no value: it is larger than any number"
+            ) from None
         except (ArithmeticError, ValueError, TypeError) as error:
-            raise ExpressionError(f"'{self.text}' has no value: {error}") from None
+            raise ExpressionError(f"'{_short(self.text)}' has no value: {error}") from None
+        if not np.all(np.isfinite(found)):
+            raise ExpressionError(
+                f"'{_short(self.text)}' has no value: expected finite numbers, found "
+                f"{found.flat[int(np.argmin(np.isfinite(found)))]:g}"
+            )
+        return found
 
 
 def _check(node: ast.expr, names: set[str], text: str, depth: int) -> None:
     if depth > _DEEPEST:
-        raise ExpressionError(f"expected at most {_DEEPEST} levels of brackets, found '{text}'")
+        raise ExpressionError(
+            f"expected at most {_DEEPEST} levels of brackets, found '{_short(text)}'"
+        )
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-            return
+            if not _is_finite(number):
+                raise ExpressionError(
+                    f"expected numbers of a finite size, found a larger one in '{_short(text)}'"
+                )
         case ast.Name(id=name):
             names.add(name)
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
@@ -83,8 +116,19 @@ def _check(node: ast.expr, names: set[str], text: str, depth: int) -> None:
             part = ast.unparse(node)
             raise ExpressionError(
                 f"expected numbers, names, + - * / ** and {', '.join(_FUNCTIONS)}, "
-                f"found '{part}' in '{text}'"
+                f"found '{_short(part)}' in '{_short(text)}'"
             )
+
+
+def _is_finite(number: int | float) -> bool:
+    try:
+        return math.isfinite(float(number))
+    except OverflowError:
+        return False
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
 
 
 def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:

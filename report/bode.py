@@ -49,7 +49,7 @@ def bode_magnitude(
                 _draw_magnitude(ax, curve, i, j)
             for curve in curves:
                 _draw_magnitude(ax, curve, i, j)
-        grid.finish_frequency(shown)
+        grid.finish_frequency(shown, curves)
     return grid.figure
 
 
@@ -79,7 +79,7 @@ def bode_phase(
                 _draw_phase(ax, curve, i, j)
             for curve in curves:
                 _draw_phase(ax, curve, i, j)
-        grid.finish_frequency(shown)
+        grid.finish_frequency(shown, curves)
     return grid.figure
 
 

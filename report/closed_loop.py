@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ..identification.results import ClosedLoopPoint
 from .curves import Curve, Range, Signals, ratio, rig_or
 from .deviation import AGREEMENT, Bounds, Worst, largest, worst_on_diagonal
-from .page import Number, Text
-from .style import TRUTH, line_of, position_label
+from .page import Number, Text, Verdict
+from .style import DOUBTFUL, TRUTH, line_of, position_label
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -32,6 +32,8 @@ class ClosedLoopReport:
     """The curves of all beam positions, from which figures, numbers and tables follow.
 
     ratios: by what is compared ('Ho-Kalman / truth'), one curve of ratios (F, m, p) a position.
+    Positions whose model by Ho-Kalman is not to be trusted are drawn as such, and judge nothing
+    unless there is no other.
     """
 
     points: tuple[ClosedLoopPoint, ...]
@@ -44,13 +46,31 @@ class ClosedLoopReport:
     ratios: dict[str, tuple[Curve, ...]]
     bounds: Bounds = AGREEMENT
 
+    @property
+    def doubted(self) -> tuple[tuple[str, str], ...]:
+        """The positions whose model by Ho-Kalman is not to be trusted, and why."""
+        pairs = zip(self.labels, self.points, strict=True)
+        return tuple((label, "; ".join(p.doubts)) for label, p in pairs if not p.trusted)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the model by Ho-Kalman is to be trusted at any position."""
+        return len(self.doubted) < len(self.points)
+
+    def judged(self, name: str) -> tuple[tuple[str, Curve], ...]:
+        """Return label and ratios of the positions that a comparison is judged by."""
+        pairs = tuple(zip(self.labels, self.ratios[name], strict=True))
+        if not rests_on_model(name) or not self.trusted:
+            return pairs
+        return tuple(pair for pair, p in zip(pairs, self.points, strict=True) if p.trusted)
+
     def worst(self, name: str) -> tuple[tuple[Worst, ...], ...]:
         """Return by position and DOF the largest errors of one comparison."""
         return tuple(worst_on_diagonal(curve, self.shown) for curve in self.ratios[name])
 
     def largest(self, name: str) -> tuple[float, float]:
-        """Return the largest error of all positions and axes in dB, and the largest in degrees."""
-        return largest(self.ratios[name], self.shown)
+        """Return the largest error of the positions judged, in dB, and the largest in degrees."""
+        return largest([curve for _, curve in self.judged(name)], self.shown)
 
 
 HO_KALMAN, SENSITIVITY = "Ho-Kalman", "sensitivity"
@@ -58,6 +78,11 @@ METHOD = {
     HO_KALMAN: "the model by Ho-Kalman's algorithm",
     SENSITIVITY: "the frequency response from the sensitivity",
 }
+
+
+def rests_on_model(name: str) -> bool:
+    """Say whether a comparison rests on the model by Ho-Kalman."""
+    return HO_KALMAN in name.split(" / ")
 
 
 def closed_loop_report(
@@ -69,7 +94,12 @@ def closed_loop_report(
     lines = [line_of(k) for k in range(len(points))]
     shown = rig_or(float(points[0].freq_hz[0]), float(points[0].freq_hz[-1]), signals)
     drawn = list(zip(points, labels, lines, strict=True))
-    ho_kalman = tuple(Curve(label, line, p.freq_hz, p.from_ho_kalman) for p, label, line in drawn)
+    ho_kalman = tuple(
+        Curve(label, line, p.freq_hz, p.from_ho_kalman)
+        if p.trusted
+        else Curve(f"{label}, not to be trusted", DOUBTFUL, p.freq_hz, p.from_ho_kalman)
+        for p, label, line in drawn
+    )
     measured = tuple(
         Curve(
             label,
@@ -109,7 +139,12 @@ def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
     )
     span = f"From {report.shown.low_hz:g} to {report.shown.top_hz:g} Hz on the diagonal of P"
     agreement = "; ".join(_comparison(report, name) for name in report.ratios)
-    texts = [Text(found), Text(f"{span}, {agreement}.")]
+    texts = [Text(found)]
+    for label, why in report.doubted:
+        texts.append(Text(f"The model by Ho-Kalman, beam {label}, is not to be trusted: {why}."))
+    if report.doubted and report.trusted:
+        texts.append(Text("What follows of this model holds at the other positions."))
+    texts.append(Text(f"{span}, {agreement}."))
     fits = _fits(report)
     if fits.size:
         kept_back = (
@@ -124,7 +159,12 @@ def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
     smallest = min(p.order.gap for p in report.points)
     orders = _numbers(p.order.order for p in report.points)
-    numbers = [Number(orders, f"main states, standing out by a factor of {factor(smallest)}")]
+    meaning = f"main states, standing out by a factor of {factor(smallest)}"
+    numbers = [Number(orders, meaning, "none" if report.trusted else "doubt")]
+    for label, why in report.doubted:
+        numbers.append(
+            Number("not to be trusted", f"model by Ho-Kalman, beam {label}: {why}", "doubt")
+        )
     for name in report.ratios:
         first, second = name.split(" / ")
         if second != "truth" and report.truth:
@@ -132,16 +172,19 @@ def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
         decibel, degree = report.largest(name)
         kept = decibel <= report.bounds.decibel and degree <= report.bounds.degree
         against = "the truth" if second == "truth" else second
-        numbers.append(
-            Number(
-                f"{decibel:.2f} dB, {degree:.1f}°",
-                f"{first} against {against} at worst, up to {report.shown.top_hz:g} Hz",
-                "good" if kept else "bad",
-            )
-        )
+        meaning = f"{first} against {against} at worst, up to {report.shown.top_hz:g} Hz"
+        verdict: Verdict = "good" if kept else "bad"
+        if rests_on_model(name) and report.doubted:
+            verdict = verdict if report.trusted else "doubt"
+            meaning += ", where it is to be trusted" if report.trusted else "; not to be trusted"
+        numbers.append(Number(f"{decibel:.2f} dB, {degree:.1f}°", meaning, verdict))
     fits = _fits(report)
     if fits.size:
-        numbers.append(Number(f"{fits.min():.1f} %", "least fit on data kept back"))
+        meaning = "least fit on data kept back"
+        if report.trusted:
+            numbers.append(Number(f"{fits.min():.1f} %", meaning))
+        else:
+            numbers.append(Number(f"{fits.min():.1f} %", f"{meaning}; not to be trusted", "doubt"))
     return tuple(numbers)
 
 
@@ -172,5 +215,6 @@ def _ratios(estimates: Sequence[Curve], references: Sequence[Curve]) -> tuple[Cu
 
 def _fits(report: ClosedLoopReport) -> Array:
     """Return the fit of the best explained output of each record: the one it excites."""
-    fits = [held.simulated_fit_percent for point in report.points for held in point.holdout]
+    points = [p for p in report.points if p.trusted] or report.points
+    fits = [held.simulated_fit_percent for point in points for held in point.holdout]
     return np.array([np.nanmax(f) for f in fits if np.isfinite(f).any()])

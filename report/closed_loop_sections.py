@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from .bode import bode_magnitude, bode_phase
-from .closed_loop import ESTIMATOR, METHOD, ClosedLoopReport, factor
+from .closed_loop import ESTIMATOR, METHOD, ClosedLoopReport, factor, rests_on_model
 from .coherence import coherence
 from .curves import Curve
-from .deviation import deviation
+from .deviation import bounds_told, deviation
 from .markov import Markov, markov_parameters
 from .page import Part, Section, Table
 from .singular_values import SingularValues, Spectrum, gap, singular_values
@@ -61,8 +61,8 @@ def _order_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
         (
             spectrum.title,
             position.label,
-            *(f"{position.values[n]:.3g}" for n in (0, order - 1) if n < len(position.values)),
-            f"{position.values[order]:.3g}" if order < len(position.values) else "—",
+            *(_digits(position.values[n]) for n in (0, order - 1) if n < len(position.values)),
+            _digits(position.values[order]) if order < len(position.values) else "—",
             factor(gap(position.values, order)),
         )
         for spectrum in spectra
@@ -85,13 +85,14 @@ def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
         "both diagonals: what lies low there couples little."
     )
     states = len(report.points[0].plant.core.A)
+    doubted = _doubted(report)
     parts: list[Part] = [
         Picture(
             "plant-ho-kalman",
             _magnitude(report, report.ho_kalman),
             "Bode magnitude of the identified plant, every input to every output.",
             f"Magnitude of P by Ho-Kalman's algorithm and (14), {states} states."
-            f"{moved}{scales}{beneath}",
+            f"{moved}{scales}{beneath}{doubted}",
             "Fig. 10",
         ),
         Picture(
@@ -110,7 +111,7 @@ def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
             ),
             "Phase of the identified plant, every input to every output.",
             "Phase of P by Ho-Kalman's algorithm. Beyond −180° it falls on by the delay of one "
-            f"cycle, the hold and the current loops, which belong to P here.{beneath}",
+            f"cycle, the hold and the current loops, which belong to P here.{beneath}{doubted}",
         ),
         _modes_table(report),
     ]
@@ -134,13 +135,15 @@ def _agreement_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
                 to_svg(deviation(curves, report.signals, bounds=report.bounds, shown=report.shown)),
                 f"Error of {first} against {second} in dB and degrees on the diagonal.",
                 f"{_upper(METHOD[first])} against {against}. Up to {report.shown.top_hz:g} Hz the "
-                f"largest difference is {decibel:.2f} dB and {degree:.1f}°; the dotted lines are "
-                f"at {report.bounds.decibel:g} dB and {report.bounds.degree:g}°.",
+                f"largest difference is {decibel:.2f} dB and {degree:.1f}°; "
+                f"{bounds_told(curves, report.bounds, report.shown)}."
+                + (_doubted(report) if rests_on_model(name) else ""),
             )
         )
     rows = []
     for name in report.ratios:
-        for label, worst in zip(report.labels, report.worst(name), strict=True):
+        labels = _marked(report) if rests_on_model(name) else report.labels
+        for label, worst in zip(labels, report.worst(name), strict=True):
             cells = (f"{w.decibel:.2f} dB, {w.degree:.1f}°" for w in worst)
             rows.append((name.replace(" / ", " against "), label, *cells))
     diagonal = [report.signals.path(i, i) for i in range(min(report.signals.shape))]
@@ -190,7 +193,7 @@ def _foundation_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
 
 def _modes_table(report: ClosedLoopReport) -> Table:
     rows = []
-    for point, label in zip(report.points, report.labels, strict=True):
+    for point, label in zip(report.points, _marked(report), strict=True):
         poles = np.linalg.eigvals(point.plant.core.A)
         with np.errstate(divide="ignore"):
             s = np.log(poles.astype(complex)) / point.plant.core.Ts_s
@@ -203,7 +206,7 @@ def _modes_table(report: ClosedLoopReport) -> Table:
 def _fits_table(report: ClosedLoopReport) -> Table:
     rows = [
         (held.record, label, *(_percent(fit) for fit in held.simulated_fit_percent))
-        for point, label in zip(report.points, report.labels, strict=True)
+        for point, label in zip(report.points, _marked(report), strict=True)
         for held in point.holdout
     ]
     outputs = (f"{name} %" for name in report.signals.output_symbols)
@@ -228,6 +231,23 @@ def _controller_table(report: ClosedLoopReport) -> Table:
     ]
     caption = f"Controller used; known of the plant: delay of {known}, the hold's own included"
     return Table(caption, ("axis", "Kp", "Ki"), tuple(rows))
+
+
+def _marked(report: ClosedLoopReport) -> tuple[str, ...]:
+    """Return the positions' labels, those of models that are not to be trusted marked."""
+    doubted = {label for label, _ in report.doubted}
+    return tuple(f"{x}, not to be trusted" if x in doubted else x for x in report.labels)
+
+
+def _doubted(report: ClosedLoopReport) -> str:
+    """Return which curves are not to be trusted, and why, as the end of a caption."""
+    told = "; ".join(f"{label}, since {why}" for label, why in report.doubted)
+    hatched = "" if report.trusted else ", in hatched panels"
+    return f" Not to be trusted, grey and dotted{hatched}: {told}." if told else ""
+
+
+def _digits(value: float) -> str:
+    return f"{value:#.3g}".removesuffix(".")
 
 
 def _upper(text: str) -> str:

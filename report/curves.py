@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .style import Line
+from .style import DOUBTFUL, Line
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -57,7 +57,7 @@ class Curve:
     """A frequency response (F, m, p) at freq_hz (F,), how it is called and drawn.
 
     `deviation` (F, m, p), when given, is the standard deviation of the complex entries; CONFIDENCE
-    times it is drawn as a band.
+    times it is drawn as a band. One in the line of what is not to be trusted is `doubtful`.
     """
 
     label: str
@@ -65,6 +65,11 @@ class Curve:
     freq_hz: Array
     response: Complex
     deviation: Array | None = None
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it is drawn as what is not to be trusted."""
+        return self.line == DOUBTFUL
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,9 @@ class Bounds:
     degree: float
 
 
+_FAR = 0.1
+"""Errors within this share of the bounds are drawn on a scale of their own."""
+
 AGREEMENT = Bounds(2.0, 15.0)
 """Within which both methods must agree with the simulated truth up to 64 Hz."""
 ACCURACY = Bounds(0.5, 3.0)
@@ -83,6 +86,21 @@ def told(error: tuple[float, float], joint: str = " and ") -> str:
     return f"{decibel} dB{joint}{degree}°"
 
 
+def bounds_told(ratios: Sequence[Curve], bounds: Bounds, shown: Range) -> str:
+    """Return in words where the bounds are in the figure of these ratios."""
+    values = f"{bounds.decibel:g} dB and {bounds.degree:g}°"
+    if _far_within(ratios, bounds, shown):
+        return f"the bounds, {values}, lie far outside of the panels"
+    return f"the dotted lines are at {values}"
+
+
+def _far_within(ratios: Sequence[Curve], bounds: Bounds, shown: Range) -> bool:
+    worst = [w for curve in ratios for w in worst_on_diagonal(curve, shown)]
+    return bool(worst) and all(
+        w.decibel < _FAR * bounds.decibel and w.degree < _FAR * bounds.degree for w in worst
+    )
+
+
 def deviation(
     ratios: Sequence[Curve],
     signals: Signals,
@@ -94,37 +112,40 @@ def deviation(
     """Draw ratios estimate / reference: dB in the upper row, degrees in the lower, a column a DOF.
 
     The response of each curve is the ratio itself. Panels reach a little beyond the bounds, or as
-    far as the errors within the valid range do, up to four times the bounds.
+    far as the errors within the valid range do, up to four times the bounds. Errors far within
+    them are drawn on a scale of their own, without the bounds.
     """
     columns = min(signals.shape)
     drawn = [inside(curve, shown) for curve in ratios]
     with drawing(sheet):
         legend: list[Artist] = [entry(c.label, c.line) for c in ratios]
-        legend.append(entry(f"±{bounds.decibel:g} dB, ±{bounds.degree:g}°", BOUND))
+        near = not _far_within(ratios, bounds, shown)
+        if near:
+            legend.append(entry(f"±{bounds.decibel:g} dB, ±{bounds.degree:g}°", BOUND))
         grid = new_grid((2, columns), sheet, 1.7, legend)
         worst = [w for c in ratios for w in worst_on_diagonal(c, shown)]
         for (row, j), ax in grid.panels():
             bound = (bounds.decibel, bounds.degree)[row]
             errors = [(w.decibel, w.degree)[row] for w in worst]
-            reach = min(
-                max([1.3 * bound, *(1.15 * e for e in errors if np.isfinite(e))]), 4 * bound
-            )
+            largest_error = max((e for e in errors if np.isfinite(e)), default=0.0)
+            reach = min(max(1.3 * bound, 1.15 * largest_error), 4 * bound)
+            if not near:
+                reach = max(1.3 * largest_error, 1e-6 * bound)
             frequency_axis(ax, (shown.low_hz, shown.high_hz))
             ax.set_ylim(-reach, reach)
-            _draw_bound(ax, bound, shown)
+            ax.axhline(0, color=colour("edge"), linewidth=0.8, zorder=1)
+            if near:
+                _draw_bound(ax, bound, shown)
             for curve in drawn:
                 H = curve.response[:, j, j]
                 values = decibels(H) if row == 0 else np.degrees(np.angle(H))
                 plot_curve(ax, curve, values)
-            if row == 0:
-                ax.set_title(signals.path(j, j))
-            if j == 0:
-                ax.set_ylabel(("magnitude [dB]", "phase [degrees]")[row])
-        grid.finish_frequency(shown)
+            ax.set_title(signals.path(j, j))
+            ax.set_title(("dB", "degrees")[row], loc="right", fontweight="normal")
+        grid.finish_frequency(shown, drawn)
     return grid.figure
 
 
 def _draw_bound(ax: Axes, bound: float, shown: Range) -> None:
     for sign in (-1, 1):
         ax.plot([shown.low_hz, shown.top_hz], [sign * bound] * 2, **BOUND.keywords())
-    ax.axhline(0, color=colour("edge"), linewidth=0.8, zorder=1)

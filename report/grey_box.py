@@ -89,6 +89,11 @@ class Cell:
         return float(self.validation.error_rms[self.index] / self.validation.floor_rms[self.index])
 
     @property
+    def spread(self) -> float:
+        """Standard deviation of what `over_noise` of a perfect model would be."""
+        return float(self.validation.floor_spread[self.index])
+
+    @property
     def stands_out(self) -> bool:
         """Whether the output moved by ten times the noise or more."""
         v = self.validation
@@ -106,12 +111,15 @@ def grey_box_report(
     signals: Signals,
     truth: Truth | None = None,
 ) -> GreyBoxReport:
-    """Compute the curves that the report on a fit shows, at the beam positions of `points`."""
+    """Compute the curves that the report on a fit shows, at the beam positions of `points`.
+
+    It is held against those of their models by Ho-Kalman that are to be trusted.
+    """
     places = places_of(grey, points)
     lowest = max((float(v.freq_hz[1]) for v in grey.validations if len(v.freq_hz) > 1), default=0.1)
     shown = rig_or(lowest, 0.4 / grey.Ts_s, signals)
     fitted = fitted_curves(grey, places, shown)
-    by_beam = {p.beam_m: p for p in points}
+    by_beam = {p.beam_m: p for p in points if p.trusted}
     beside = [by_beam.get(place.beam_m) for place in places]
     pale = tuple(
         Curve("", line_of(k), p.freq_hz, p.from_ho_kalman)
@@ -126,7 +134,7 @@ def grey_box_report(
             for c, place in zip(fitted, places, strict=True)
         )
         ratios[f"{FITTED} / truth"] = _ratios(fitted, truths)
-    if len(pale) == len(fitted):
+    if pale:
         # At Ho-Kalman's own frequencies: between them its sharp resonances cannot be interpolated.
         there = tuple(
             replace(
@@ -135,7 +143,12 @@ def grey_box_report(
                 response=grey.response(place.schedule, r.freq_hz),
                 deviation=None,
             )
-            for c, r, place in zip(fitted, pale, places, strict=True)
+            for c, r, place in zip(
+                (c for c, p in zip(fitted, beside, strict=True) if p is not None),
+                pale,
+                (place for place, p in zip(places, beside, strict=True) if p is not None),
+                strict=True,
+            )
         )
         ratios[f"{FITTED} / {HO_KALMAN}"] = _ratios(there, pale)
     return GreyBoxReport(grey, signals, places, shown, fitted, pale, truths, ratios)
@@ -154,6 +167,7 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
     if fixed:
         fitted += f"; {fixed} more {_were(fixed)} fixed by the model file"
     texts = [f"{fitted}. {_told(report)}"]
+    texts += [f"Model and records contradict each other: {r}." for r in report.grey.remarks]
     if fit.at_bound:
         texts.append(
             f"{', '.join(fit.at_bound)} ended at a bound of the model file: the standard error "
@@ -190,7 +204,8 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
         numbers.append(
             Number(
                 f"{times:.2f}",
-                "largest simulation error over what noise leaves",
+                f"largest simulation error over what noise leaves; a perfect model's 1 ± "
+                f"{report.worst.spread:.2f}",
                 _good(times <= NOISE_MOST),
             )
         )

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from ..config.model import ModelConfig, Parameter
 from ..identification.greybox.fit import Fit
@@ -16,13 +17,15 @@ from ..identification.greybox.validation import Validation
 from .bode import bode_magnitude
 from .closed_loop import HO_KALMAN
 from .curves import Curve
-from .deviation import deviation, largest, told
+from .deviation import bounds_told, deviation, largest, told
 from .grey_box import GreyBoxReport
 from .page import Part, Section, Table, Text
 from .residuals import Residuals, chance, residual_correlation, residual_spectra
 from .simulated import Simulated, Trace, simulated_outputs
 from .style import Line, signed
 from .svg import Picture, to_svg
+
+Array = NDArray[np.float64]
 
 _MOST_PICTURED = 3
 
@@ -139,8 +142,7 @@ def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
                 to_svg(deviation(curves, report.signals, bounds=bounds, shown=report.shown)),
                 f"Difference of the fitted model from {against} in dB and degrees.",
                 f"The fitted model against {against}: up to {report.shown.top_hz:.3g} Hz "
-                f"{error} at most; the dotted lines are at "
-                f"{bounds.decibel:g} dB and {bounds.degree:g}°.",
+                f"{error} at most; {bounds_told(curves, bounds, report.shown)}.",
             )
         )
     return tuple(parts)
@@ -219,9 +221,11 @@ def _fits_table(report: GreyBoxReport) -> Table:
         for v in report.grey.validations
     )
     head = ("record", *(h for name in names for h in (f"{name} fit %", "error / noise")))
+    spreads = np.concatenate([v.floor_spread for v in report.grey.validations])
     caption = (
-        "Fit of the simulation, and its error over what noise alone would leave; of an output that "
-        "a record hardly moves there is little to fit"
+        "Fit of the simulation, and its error over what noise alone would leave (a perfect model's "
+        f"scatters around 1 with a deviation of {_between(spreads)}); of an output that a record "
+        "hardly moves there is little to fit"
     )
     return Table(caption, head, rows)
 
@@ -277,6 +281,14 @@ def _pictured(report: GreyBoxReport) -> list[Validation]:
     first = report.grey.validations[0] if worst is None else worst.validation
     others = [v for v in report.moving if v is not first]
     return [first, *others][:_MOST_PICTURED]
+
+
+def _between(values: Array) -> str:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return "—"
+    low, high = f"{known.min():.2f}", f"{known.max():.2f}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _digits(value: float) -> str:

@@ -10,7 +10,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from .curves import Curve, Range
@@ -36,14 +36,20 @@ class Grid:
                 ax: Axes = self.axes[row, column]
                 yield (row, column), ax
 
-    def finish_frequency(self, shown: Range) -> None:
-        """Name the shared axis of frequency and mark where the rigid plant ends."""
+    def finish_frequency(self, shown: Range, curves: Sequence[Curve] = ()) -> None:
+        """Name the shared axis of frequency and mark where the rigid plant ends.
+
+        Panels of `curves` none of which is to be trusted are hatched.
+        """
+        hatched = bool(curves) and all(curve.doubtful for curve in curves)
         for (row, _), ax in self.panels():
             last = row == self.axes.shape[0] - 1
             ax.tick_params(labelbottom=last, length=2.5)
             if last:
                 ax.set_xlabel("frequency [Hz]")
             mark_validity(ax, shown)
+            if hatched:
+                _hatch(ax)
 
 
 def new_grid(
@@ -127,6 +133,23 @@ def plot_band(ax: Axes, curve: Curve, low: Array, high: Array) -> None:
     """Draw the band of a curve beneath all lines."""
     ax.fill_between(
         curve.freq_hz, low, high, color=curve.line.colour, alpha=0.16, linewidth=0, zorder=1.5
+    )
+
+
+def _hatch(ax: Axes) -> None:
+    """Hatch a panel beneath all that is drawn in it."""
+    ax.add_patch(
+        Rectangle(
+            (0.0, 0.0),
+            1.0,
+            1.0,
+            transform=ax.transAxes,
+            hatch="//",
+            fill=False,
+            linewidth=0,
+            edgecolor=colour("grid"),
+            zorder=0.5,
+        )
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,11 @@ from .closed_loop import (
     closed_loop_numbers,
     closed_loop_report,
     closed_loop_words,
+    rests_on_model,
 )
 from .closed_loop_sections import closed_loop_sections
-from .curves import RIG_SIGNALS, Signals
+from .curves import Signals
+from .deviation import worst_on_diagonal
 from .flown import Session
 from .grey_box import (
     NOISE_MOST,
@@ -41,6 +43,8 @@ from .open_loop import open_loop_numbers, open_loop_sections, open_loop_words
 from .page import Figures, Number, Part, Section, Steps, Table, Text, write_report
 from .session import listed, session_sections, session_words
 from .style import signed
+from .subspace import subspace_numbers, subspace_report, subspace_sections, subspace_words
+from .svg import Picture
 
 _POOR_FIT_PERCENT = 50.0
 _FAST_S = 2e-4
@@ -87,6 +91,8 @@ def identification_report(
     chapters: list[_Chapter] = []
     if closed:
         chapters.append(_closed_loop_chapter(closed, signals, truth, grey))
+    if any(p.subspace for p in closed):
+        chapters.append(_subspace_chapter(closed, signals, truth))
     for number, point in enumerate(others, start=1):
         chapters.append(_open_loop_chapter(point, signals, truth, number))
     if multisine:
@@ -98,16 +104,39 @@ def identification_report(
         summary += [*chapter.words, Figures(chapter.numbers)]
     if truth is None and (grey is not None or multisine or closed):
         summary.append(Text(_NO_TRUTH, "note"))
-    sections = [section for chapter in chapters for section in chapter.sections]
+    sections = _numbered_once([section for chapter in chapters for section in chapter.sections])
     details = _record_parts(result, grey, multisine, notes)
     if session is not None:
-        sections[:0] = session_sections(session)
+        taken = _paper_figures(sections)
+        sections[:0] = _numbered_once(session_sections(session), taken)
         details += _versions_parts(session)
     sections.append(Section("Records", details))
     steps = dict.fromkeys(step for chapter in chapters for step in chapter.steps)
     sections.append(Section("What next", (Steps(tuple(steps)),)))
     title = f"Identification of {_name(result, session, grey, multisine)}"
     return write_report(out_dir, title, [Section("Summary", tuple(summary)), *sections])
+
+
+def _paper_figures(sections: Sequence[Section]) -> set[str]:
+    return {p.paper for s in sections for p in s.parts if isinstance(p, Picture) and p.paper}
+
+
+def _numbered_once(sections: Sequence[Section], taken: Collection[str] = ()) -> list[Section]:
+    """Return the sections with each figure of the paper claimed by the first picture of it alone.
+
+    None of those that are `taken` already is claimed again.
+    """
+    claimed = set(taken)
+
+    def once(part: Part) -> Part:
+        if not isinstance(part, Picture) or not part.paper:
+            return part
+        if part.paper in claimed:
+            return replace(part, paper="")
+        claimed.add(part.paper)
+        return part
+
+    return [replace(s, parts=tuple(once(part) for part in s.parts)) for s in sections]
 
 
 @dataclass(frozen=True)
@@ -134,6 +163,13 @@ def _closed_loop_chapter(
         closed_loop_sections(report),
         _after_closed_loop(report, beam_moved),
     )
+
+
+def _subspace_chapter(
+    points: Sequence[ClosedLoopPoint], signals: Signals, truth: Truth | None
+) -> _Chapter:
+    report = subspace_report(points, signals, truth)
+    return _Chapter(subspace_words(report), subspace_numbers(report), subspace_sections(report), ())
 
 
 def _open_loop_chapter(
@@ -197,17 +233,11 @@ def _signals(
             tuple(q.name for q in dof),
             tuple(q.unit for q in dof),
         )
-    if result is not None:
-        s = result.signals
-        names = s.input_names
-        if names == s.output_names:
-            names = tuple(f"tau_{name}" for name in names)
-        return Signals(names, s.input_units, s.output_names, s.output_units)
-    m, p = multisine[0].H.shape[1:]
-    if (m, p) == RIG_SIGNALS.shape:
-        return RIG_SIGNALS
-    numbered = [tuple(f"{letter}{k + 1}" for k in range(n)) for letter, n in (("u", p), ("y", m))]
-    return Signals(numbered[0], ("",) * p, numbered[1], ("",) * m)
+    s = multisine[0].signals if result is None else result.signals
+    names = s.input_names
+    if names == s.output_names:
+        names = tuple(f"tau_{name}" for name in names)
+    return Signals(names, s.input_units, s.output_names, s.output_units)
 
 
 def _name(
@@ -235,15 +265,26 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
                 "",
             )
         )
+    if report.doubted:
+        where = listed([label for label, _ in report.doubted])
+        steps.append(
+            (
+                f"Do not use the model by Ho-Kalman, beam {where}: longer records, or stronger "
+                "ones, would make a better one. The response by (15) needs no model and stands.",
+                "",
+            )
+        )
     for name in report.ratios:
+        if rests_on_model(name) and not report.trusted:
+            continue
         decibel, degree = report.largest(name)
         if decibel <= report.bounds.decibel and degree <= report.bounds.degree:
             continue
         worst, path, label = max(
             (
                 (w, report.signals.path(i, i), label)
-                for label, position in zip(report.labels, report.worst(name), strict=True)
-                for i, w in enumerate(position)
+                for label, curve in report.judged(name)
+                for i, w in enumerate(worst_on_diagonal(curve, report.shown))
             ),
             key=lambda entry: np.nan_to_num(entry[0].decibel, nan=np.inf),
         )
@@ -351,7 +392,7 @@ def _record_parts(
     left_out = dict.fromkeys([*(result.skipped if result is not None else ()), *notes])
     if left_out:
         skipped = tuple(_log_and_reason(text) for text in left_out)
-        parts.append(Table("Left out", ("what", "reason"), skipped, 2))
+        parts.append(Table("Left out, and other notes", ("what", "why"), skipped, 2))
     return tuple(parts)
 
 

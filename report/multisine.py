@@ -13,7 +13,7 @@ from ..identification.multisine import BestLinearApproximation
 from .bode import bode_magnitude, bode_phase
 from .closed_loop import TRUTH_NAME, Truth
 from .curves import CONFIDENCE, Curve, Range, Signals, inside, ratio, rig_or
-from .deviation import ACCURACY, deviation, largest, told
+from .deviation import ACCURACY, bounds_told, deviation, largest, told
 from .distortion import OutputLevels, Response, detection_levels, response_with_distortion
 from .page import Number, Part, Section, Table, Text, Verdict
 from .residuals import chance
@@ -216,8 +216,8 @@ def _response_parts(report: MultisineReport) -> tuple[Part, ...]:
                 ),
                 "Error of the best linear approximation against the truth in dB and degrees.",
                 f"The best linear approximation against the simulator's truth: up to "
-                f"{report.shown.top_hz:.3g} Hz {told(error)} at most; the dotted "
-                f"lines are at {ACCURACY.decibel:g} dB and {ACCURACY.degree:g}°.",
+                f"{report.shown.top_hz:.3g} Hz {told(error)} at most; "
+                f"{bounds_told(report.ratios, ACCURACY, report.shown)}.",
             )
         )
     return tuple(parts)

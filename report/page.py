@@ -16,7 +16,8 @@ from .. import __version__
 from .style import COLOURS
 from .svg import Picture
 
-Verdict = Literal["good", "bad", "none"]
+Verdict = Literal["good", "bad", "none", "doubt"]
+"""As it should be, not as it should be, neither, or a number that is not to be trusted."""
 
 
 @dataclass(frozen=True)

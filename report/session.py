@@ -151,7 +151,7 @@ def _beam_pictures(session: Session) -> list[Picture]:
                 f"Record {name}: the beam moves, nothing else excites the platform. θ swings over "
                 f"{1e6 * theta:.0f} µrad and z over {1e6 * z:.1f} µm, as the beam's weight and its "
                 "acceleration act on the platform.",
-                "Fig. 14",
+                "" if number else "Fig. 14",
             )
         )
     return pictures

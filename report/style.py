@@ -85,6 +85,8 @@ DOF = {
 }
 """The platform's axes where they share a panel: other colours than the beam positions'."""
 TRUTH = Line(_LIGHT["truth"], width=2.6, alpha=0.55, zorder=2.0)
+DOUBTFUL = Line(_LIGHT["muted"], (1.0, 1.5), width=1.2, zorder=2.8)
+"""What is not to be trusted: grey and dotted, whatever it would else be."""
 BOUND = Line(_LIGHT["ink"], (2.0, 2.0), width=0.8, zorder=2.5)
 
 

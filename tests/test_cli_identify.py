@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 
 from levid.cli.main import main
 from levid.config.base import load_yaml
@@ -158,6 +159,84 @@ def test_data_of_others_are_imported_and_identified(
     assert point["order"] == 2
     # The noise is 1e-3 of an output of rms 0.5: 99.8 % is what any model could reach.
     assert point["holdout"][0]["simulated_fit_percent"][0] > 99.5
+
+
+MULTISINE = "signal: multisine, period_s: 2, band_hz: [1, 50], rise_hz: 10, lines: odd_random_grid"
+ORTHOGONAL = f"""
+levid: session
+name: orthogonal
+seed: 5
+excitations:
+  psi: {{input: psi, rms_n_m: 0.1, {MULTISINE}}}
+  theta: {{input: theta, rms_n_m: 0.1, {MULTISINE}}}
+  z: {{input: z, rms_n: 1.2, {MULTISINE}}}
+steps:
+  - levitate: {{settle_s: 1.0}}
+  - record: {{name: all, excite: [psi, theta, z], orthogonal: {{realisations: 2, periods: 3}}}}
+  - land: {{}}
+"""
+
+
+def test_multisines_keep_their_names_in_json_and_mat(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "session.yaml").write_text(ORTHOGONAL)
+    logs = tmp_path / "logs"
+    code, _, _ = call(capfd, "excite", tmp_path / "session.yaml", "--virtual", "--out", logs)
+    assert code == 0
+    out = tmp_path / "out"
+    log = logs / "01-all.mcap"
+    code, text, _ = call(capfd, "identify", log, "--out", out, "--json", "--mat")
+    assert code == 0
+    result = json.loads(text)
+    assert "points" not in result
+    assert result["inputs"][2] == {"name": "z", "unit": "N"}
+    assert result["outputs"][0] == {"name": "psi", "unit": "rad"}
+    assert result["Ts_s"] == 1e-3
+    mat = scipy.io.loadmat(out / "identified.mat")
+    assert mat["frf"].shape[:2] == (3, 3)
+    assert [str(unit.item()) for unit in mat["input_units"][0]] == ["N m", "N m", "N"]
+    assert "rad/(N m)" in Path(result["report"]).read_text()
+
+
+SPRING = """
+levid: model
+name: spring
+dof: [{name: y, unit: V}]
+inputs: [{name: u, unit: V}]
+parameters:
+  k: {value: 9.0, unit: V/V, min: 1, max: 100}
+  d: {value: 2.0, unit: s, min: 0.01, max: 10}
+M: [[1]]
+D: [[d]]
+K: [[k]]
+"""
+
+
+@pytest.mark.parametrize(("said", "warned"), [("band_limited", True), ("zoh", False)])
+def test_an_input_that_model_and_log_know_otherwise_is_warned_of(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], said: str, warned: bool
+) -> None:
+    rng = np.random.default_rng(1)
+    u, y = rng.standard_normal(1500), np.zeros(1500)
+    for k in range(2, 1500):  # 3 rad/s, damping 1 1/s, at 10 Hz
+        y[k] = 1.73 * y[k - 1] - 0.82 * y[k - 2] + 0.005 * (u[k - 1] + u[k - 2])
+    np.savetxt(tmp_path / "made.dat", np.stack([u, y + 1e-4 * rng.standard_normal(1500)], axis=1))
+    columns = COLUMNS.replace("rate_hz: 100\n", f"rate_hz: 10\ninput_hold: {said}\n")
+    (tmp_path / "signals.yaml").write_text(columns)
+    (tmp_path / "spring.yaml").write_text(SPRING)
+    log, out = tmp_path / "made.mcap", tmp_path / "out"
+    call(capfd, "import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log)
+    code, text, err = call(
+        capfd, "identify", log, "--model", tmp_path / "spring.yaml", "--out", out, "--json"
+    )
+    assert code == 0
+    sentence = "record 'made': its signals file says input_hold: band_limited, model 'spring'"
+    assert (f"warning: {sentence}" in err) == warned
+    assert any(note.startswith(sentence) for note in json.loads(text)["notes"]) == warned
+    page = (out / "index.html").read_text().replace("&#39;", "'")
+    assert (sentence in page) == warned
+    assert "\ninput: zoh\n" in (out / "model.yaml").read_text()
 
 
 def test_truth_is_for_the_rig_alone(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -114,6 +114,57 @@ def test_session_names_step_and_key(tmp_path: Path) -> None:
         load_session(path)
 
 
+def bomb(line: str, opening: str) -> str:
+    """Nine levels of ten aliases each: a few hundred bytes that stand for 10^9 values."""
+    levels = [f"levid: rig\na: &a {opening}"]
+    for name, inner in zip("bcdefghij", "abcdefghi", strict=True):
+        levels.append(f"{name}: &{name} {line.format(', '.join([f'*{inner}'] * 10))}")
+    return "\n".join(levels) + "\n"
+
+
+@pytest.mark.parametrize(
+    "text", [bomb("[{}]", "[x, x]"), bomb("{{<<: [{}]}}", "{x: 1}")], ids=["aliases", "merges"]
+)
+def test_aliases_of_aliases_are_refused_before_they_unfold(tmp_path: Path, text: str) -> None:
+    assert "expected at most 50000 keys and values" in error_of(tmp_path, text)
+
+
+def test_an_alias_used_twice_is_no_harm(tmp_path: Path) -> None:
+    text = rig_text(geometry__sensors_x_m=[0.1, 0.2])
+    assert "YAML" not in error_of(tmp_path, f"{text}\nx: &a [1, 2]\ny: *a\n")
+
+
+@pytest.mark.parametrize("number", ["9" * 6000, "0x" + "f" * 6000, "1" + ":59" * 3000])
+def test_integers_of_thousands_of_digits_are_refused_unread(tmp_path: Path, number: str) -> None:
+    text = rig_text().replace("rate_hz: 1000", f"rate_hz: {number}")
+    assert f"integer of at most 40 digits, found {len(number)}" in error_of(tmp_path, text)
+
+
+def test_a_file_of_any_size_is_refused_by_its_size(tmp_path: Path) -> None:
+    assert "expected a file of at most 256 KiB" in error_of(tmp_path, "#" * 300_000)
+
+
+@pytest.mark.parametrize("depth", [2000, 50_000])
+def test_brackets_without_end_are_refused(tmp_path: Path, depth: int) -> None:
+    assert "not valid YAML: nested too deeply" in error_of(tmp_path, "levid: " + "[" * depth)
+
+
+@pytest.mark.parametrize("word", ["yes", "on", "no", "off", "true"])
+def test_yes_is_no_number(tmp_path: Path, word: str) -> None:
+    text = rig_text().replace("rate_hz: 1000", f"rate_hz: {word}")
+    found = word in ("yes", "on", "true")
+    assert f"rate_hz: expected a number, found {found}" in error_of(tmp_path, text)
+
+
+def test_yes_is_no_number_in_a_list_either(tmp_path: Path) -> None:
+    text = rig_text(geometry__coil_x_m=[0.1, True, 0.0])
+    assert "geometry.coil_x_m: expected a number, found True" in error_of(tmp_path, text)
+    model = shipped("models/rig.yaml").read_text().replace("fixed: true", "fixed: yes")
+    path = tmp_path / "model.yaml"
+    path.write_text(model)
+    assert load_yaml(path, ModelConfig).parameters["g"].fixed  # where it belongs it is good
+
+
 def test_rig_of_any_number_of_coils() -> None:
     data = yaml.safe_load(rig_text())
     data["geometry"] = {"coil_x_m": [0.1, -0.1, 0.0, 0.1], "coil_y_m": [0.1, 0.1, -0.1, -0.1]}

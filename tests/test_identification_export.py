@@ -11,20 +11,29 @@ import pytest
 from scipy import signal
 from scipy.io import loadmat
 
+from levid.config.model import load_model
+from levid.config.shipped import shipped
 from levid.identification.data import PiController, Record
+from levid.identification.declared import declared_model
+from levid.identification.distortion import DetectionLines
 from levid.identification.export import (
     control_frd,
     control_state_space,
     scipy_state_space,
+    write_fitted_mat,
     write_mat,
+    write_multisine_mat,
 )
 from levid.identification.frequency import ResponseEstimate
+from levid.identification.greybox.experiment import Experiment
+from levid.identification.greybox.result import identify_grey_box
 from levid.identification.identify import identify
+from levid.identification.multisine import BestLinearApproximation
 from levid.identification.options import Options
 from levid.identification.plant import Plant
 from levid.identification.results import IdentificationResult, Signals
 from levid.identification.simulate import simulate
-from levid.model.second_order import StateSpace
+from levid.model.second_order import StateSpace, discretise
 
 FREQ_HZ = np.geomspace(0.5, 20.0, 15)
 # Both sides solve the same 4 x 4 equations in double precision, conditioned by 1e3 at most.
@@ -161,6 +170,69 @@ def test_mat_file_loads_in_octave(rig, tmp_path):
     np.testing.assert_allclose(model, point.plant.response(point.freq_hz[6:7])[0, 1, 2], rtol=1e-8)
     assert measured == point.from_sensitivity.H[6, 1, 2]
     assert (name, unit) == ("z", "rad")
+
+
+def _approximation(beam_m: float) -> BestLinearApproximation:
+    H = PLANT.response(FREQ_HZ)
+    F, m, p = H.shape
+    covariance = np.zeros((F, m, p, m, p), complex)
+    for i in range(m):
+        for j in range(p):
+            covariance[:, i, j, i, j] = 4e-6
+    rms = np.ones((F, m))
+    nothing = DetectionLines(np.empty(0), np.empty((0, m)), np.empty((0, m)), 1, 1)
+    return BestLinearApproximation(
+        freq_hz=FREQ_HZ,
+        H=H,
+        covariance=covariance,
+        noise_covariance=covariance / 4,
+        distortion_variance=np.full(H.shape, 9e-6),
+        freedom=6,
+        noise_freedom=6,
+        output_level=rms,
+        total_level=rms,
+        noise_level=rms,
+        even=nothing,
+        odd=nothing,
+        Ts_s=SIGNALS.Ts_s,
+        input_names=SIGNALS.input_names,
+        input_units=SIGNALS.input_units,
+        output_names=SIGNALS.output_names,
+        output_units=SIGNALS.output_units,
+        beam_m=beam_m,
+        records=("r",),
+    )
+
+
+def test_mat_file_of_multisines_has_response_errors_and_names(tmp_path):
+    write_multisine_mat(tmp_path / "m.mat", [_approximation(-0.1), _approximation(0.1)])
+    mat = loadmat(tmp_path / "m.mat")
+    np.testing.assert_array_equal(mat["frf"][..., 1].transpose(2, 0, 1), PLANT.response(FREQ_HZ))
+    assert mat["freq"].shape == (len(FREQ_HZ), 1)
+    for name, deviation in (("frf_sd", 2e-3), ("frf_noise_sd", 1e-3), ("frf_distortion_sd", 3e-3)):
+        np.testing.assert_allclose(mat[name], deviation)
+        assert mat[name].shape == mat["frf"].shape
+    np.testing.assert_allclose(mat["beam_m"], [[-0.1, 0.1]])
+    assert mat["Ts"].item() == SIGNALS.Ts_s
+    assert [name.item() for name in mat["input_names"][0]] == list(SIGNALS.input_names)
+    assert [unit.item() for unit in mat["output_units"][0]] == list(SIGNALS.output_units)
+
+
+def test_mat_file_of_a_fitted_model_is_its_sampled_plant(tmp_path):
+    config = load_model(shipped("models/silverbox.yaml"))
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=(3000, 1))
+    model = discretise(declared_model(config).at(), 1 / 610.35)
+    y = simulate(model, u) + 1e-4 * rng.normal(size=u.shape)
+    record = Experiment("made", 1 / 610.35, u, y, {}, frozenset(), False)
+    grey = identify_grey_box(config, [record], 0.25)
+    write_fitted_mat(tmp_path / "fitted.mat", grey)
+    mat = loadmat(tmp_path / "fitted.mat")
+    again = StateSpace(*(mat[name] for name in "ABCD"), mat["Ts"].item())
+    np.testing.assert_array_equal(again.response(FREQ_HZ), grey.response({}, FREQ_HZ))
+    assert mat["input_units"][0, 0].item() == config.inputs[0].unit
+    name, value = next(iter(grey.fitted.parameters.items()))
+    assert mat["parameters"][name].item().item() == value.value
 
 
 def _estimate() -> ResponseEstimate:

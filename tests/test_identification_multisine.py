@@ -29,6 +29,7 @@ from levid.identification.periodic import (
     periodic_record,
     periodic_records,
 )
+from levid.identification.results import Signals
 from levid.log.reader import Log, read_log
 from levid.sim.truth import frequency_response
 
@@ -188,6 +189,22 @@ def test_a_transient_in_the_periods_is_told() -> None:
     assert "transient" in best_linear_approximation([periodic(v, y, 1)]).remarks[0]
     fast = filtered(v, g[:50]) + 0.01 * np.random.default_rng(2).normal(size=v.shape)
     assert best_linear_approximation([periodic(v, fast, 1)]).remarks == ()
+
+
+def test_names_and_units_of_the_records_are_kept() -> None:
+    v = playing(2, 1, 1)
+    record = replace(
+        periodic(v, filtered(v, impulse_response(1, 2)), 2),
+        input_names=("left", "right"),
+        input_units=("V", "A"),
+        output_names=("tip",),
+        output_units=("m",),
+    )
+    signals = best_linear_approximation([record]).signals
+    assert signals == Signals(("left", "right"), ("V", "A"), ("tip",), ("m",), 1 / RATE_HZ)
+    other = replace(record, input_units=("V", "V"))
+    with pytest.raises(IdentificationError, match=r"one inputs, found left \[V\], right \[A\] in"):
+        best_linear_approximation([record, other])
 
 
 def test_records_that_do_not_fit_are_errors() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from levid.config.base import ConfigError, parse_text
+from levid.log import matlab
 from levid.log.errors import LogError
 from levid.log.importer import import_file
 from levid.log.reader import read_log
@@ -180,6 +182,35 @@ def test_arrays_that_do_not_fit_say_which(tmp_path, name, data, columns, said):
         run(tmp_path, data, HEAD + columns, name=name)
     assert said in str(caught.value)
     assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize("seed", [11, 212, 235])
+def test_a_damaged_mat_file_does_not_take_the_program_along(tmp_path, seed):
+    """One to three wrong bytes of these seeds crash the reader of scipy 1.17; others may err."""
+    scipy.io.savemat(
+        tmp_path / "a.mat",
+        {
+            "V1": np.arange(50.0),
+            "V2": np.arange(50.0),
+            "S": {"u": np.arange(4), "s": "hi", "c": np.array([1, "a"], object)},
+        },
+    )
+    data = bytearray((tmp_path / "a.mat").read_bytes())
+    rng = np.random.default_rng(seed)
+    for _ in range(rng.integers(1, 4)):
+        data[rng.integers(128, len(data))] = rng.integers(256)
+    with pytest.raises(LogError, match=r"a\.mat: (not a usable MAT file|.*expected)"):
+        run(tmp_path, lambda path: path.write_bytes(data), HEAD + BY_NAME, name="a.mat")
+
+
+@pytest.mark.parametrize(
+    ("code", "said"), [(-11, "was ended by SIGSEGV"), (-200, "by signal 200"), (1, "exit code 1")]
+)
+def test_how_the_reader_of_mat_files_ended_is_said(tmp_path, monkeypatch, code, said):
+    ended = subprocess.CompletedProcess([], code, b"", b"")
+    monkeypatch.setattr(matlab.subprocess, "run", lambda *_, **__: ended)
+    with pytest.raises(LogError, match=f"not a usable MAT file: its reader .*{said}"):
+        run(tmp_path, mat(V1=U, V2=Y), HEAD + BY_NAME, name="a.mat")
 
 
 def test_matlab_7_3_is_told_what_to_do(tmp_path):

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
+from levid.log import reader
+from levid.log.container import scan
 from levid.log.errors import LogError
 from levid.log.mcap_format import RECORD_HEAD, Op
 from levid.log.reader import read_log
@@ -167,6 +169,18 @@ def test_a_corrupt_length_asks_for_no_memory(path, rows, tmp_path, length, which
         tracemalloc.stop()
         # What the whole log takes; the least of these lengths is 40,000 times as much.
         assert peak < 10 * len(data), what
+
+
+def test_a_log_larger_than_the_memory_is_refused_before_it_is_unpacked(path, rows, monkeypatch):
+    """However little of a disk it takes: zstd packs zeros to nothing."""
+    claimed = sum(segment.size for segment in scan(memoryview(path.read_bytes())).segments)
+    monkeypatch.setattr(reader, "memory_bytes", lambda: claimed)
+    assert read_log(path).rows.tobytes() == rows.tobytes()
+    monkeypatch.setattr(reader, "memory_bytes", lambda: claimed - 1)
+    with pytest.raises(LogError, match=r"expected a log that this computer's memory of .* GiB"):
+        read_log(path)
+    monkeypatch.undo()
+    assert reader.memory_bytes() > 2**28
 
 
 @pytest.mark.parametrize("opcode", [Op.MESSAGE_INDEX, Op.SUMMARY_OFFSET, 0x86])

@@ -94,6 +94,42 @@ def test_formula_is_arithmetic_only(text: str) -> None:
         Expression.parse(text)
 
 
+@pytest.mark.parametrize("source", ["1e400", "9" * 4000, "9" * 6000, float("nan"), float("inf")])
+def test_a_number_in_a_formula_is_finite(source: str | float) -> None:
+    with pytest.raises(ExpressionError, match="expected") as caught:
+        Expression.parse(source)
+    assert len(str(caught.value)) < 200  # of thousands of digits the first will do
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("x**0.5", "no real power"),
+        ("sqrt(x**0.5)", "no real power"),
+        ("sqrt(x)", "invalid value"),
+        ("1e308*x*x", "finite"),
+        ("10**400", "larger than any number"),
+    ],
+)
+def test_a_formula_has_a_real_and_finite_value_or_none(text: str, why: str) -> None:
+    with pytest.raises(ExpressionError, match=f"has no value.*{why}"):
+        Expression.parse(text)({"x": -8.0})
+    along = np.array([1.0, -8.0])
+    with pytest.raises(ExpressionError, match="has no value"):
+        Expression.parse(text).over({"x": along})
+    assert Expression.parse("x**2")({"x": -8.0}) == 64.0
+
+
+@pytest.mark.parametrize("lag", [-1e-3, "tau - 2", "1/(tau - 1)"])
+def test_a_lag_is_not_negative(lag: str | float) -> None:
+    parts = {"M": [[1]], "D": [[0]], "K": [[1]]}
+    with pytest.raises(ModelError, match="lag: "):
+        DeclaredModel.build(["x"], ["f"], {"tau": 1.0}, {}, parts, lag=lag)
+    # A delay counts from the cycle that backends bring: it may take some of that back.
+    ahead = DeclaredModel.build(["x"], ["f"], {}, {}, parts, delay=-1e-4)
+    assert ahead.at().delay_s == -1e-4
+
+
 def test_formula_without_a_value_says_so() -> None:
     for text in ("1/x", "x**x**x"):
         with pytest.raises(ExpressionError, match="has no value"):

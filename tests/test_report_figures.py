@@ -11,13 +11,20 @@ import pytest
 from levid.report.bode import bode_magnitude, bode_phase
 from levid.report.coherence import coherence
 from levid.report.curves import RIG, Curve, Range, Signals, inside, ratio, symbol
-from levid.report.deviation import AGREEMENT, Bounds, deviation, worst_on_diagonal
+from levid.report.deviation import (
+    AGREEMENT,
+    Bounds,
+    bounds_told,
+    deviation,
+    worst_on_diagonal,
+)
 from levid.report.envelope import Envelope, envelope, over_time
 from levid.report.flown import Timing
 from levid.report.markov import Markov, markov_parameters
 from levid.report.outputs import HeldOut, held_out_outputs
 from levid.report.singular_values import SingularValues, Spectrum, gap, singular_values
 from levid.report.style import (
+    DOUBTFUL,
     PAPER,
     TRUTH,
     engineering,
@@ -151,10 +158,24 @@ def test_an_unknown_error_is_not_within_any_bounds():
     drawn(deviation([unknown, curve()], AXES))
 
 
-def test_deviation_draws_its_bounds():
-    response = np.ones((len(FREQ_HZ), 3, 3), complex)
-    svg = drawn(deviation([Curve("left", line_of(0), FREQ_HZ, response)], AXES))
-    assert "±2 dB, ±15°" in svg
+@pytest.mark.parametrize(("factor", "near"), [(1.1, True), (1.001, False)])
+def test_deviation_draws_its_bounds_unless_all_errors_are_far_within(factor, near):
+    """An error of 0.8 dB is held against the 2 dB; one of 0.009 dB would be a flat line there."""
+    response = factor * np.ones((len(FREQ_HZ), 3, 3), complex)
+    curves = [Curve("left", line_of(0), FREQ_HZ, response)]
+    figure = deviation(curves, AXES)
+    assert ("±2 dB, ±15°" in drawn(figure)) == near
+    assert ("dotted" in bounds_told(curves, AGREEMENT, RIG)) == near
+    assert (figure.axes[0].get_ylim()[1] > 2.0) == near
+
+
+def test_panels_without_a_curve_to_be_trusted_are_hatched():
+    doubtful = Curve("left, not to be trusted", DOUBTFUL, FREQ_HZ, resonances(FREQ_HZ))
+    for figure, hatched in (([doubtful], True), ([doubtful, curve()], False)):
+        for draw in (bode_magnitude, bode_phase, deviation):
+            drawing = draw(figure, AXES)
+            assert any(p.get_hatch() for p in drawing.axes[0].patches) == hatched
+            assert "not to be trusted" in drawn(drawing)
 
 
 def test_singular_values_mark_the_order_and_its_gap():

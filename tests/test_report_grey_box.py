@@ -107,6 +107,23 @@ def test_a_report_of_a_fitted_model_alone(grey, tmp_path):
     assert max(f.stat().st_size for f in (tmp_path / "figures").iterdir()) < 300_000
 
 
+def test_figure_14_is_the_first_moving_record_alone(grey, tmp_path):
+    again = replace(
+        grey,
+        validations=(*grey.validations, replace(grey.validations[1], record="moved again")),
+        fit=replace(grey.fit, predictions=(*grey.fit.predictions, grey.fit.predictions[1])),
+    )
+    page = identification_report(None, None, tmp_path, grey=again).read_text(encoding="utf-8")
+    assert page.count("Fig. 14 of the paper") == 1
+    assert (tmp_path / "figures" / "simulated-2.svg").exists()
+
+
+def test_contradictions_of_model_and_records_are_told(grey, tmp_path):
+    told = replace(grey, remarks=("record 'x': <held>",))
+    text = identification_report(None, None, tmp_path, grey=told).read_text(encoding="utf-8")
+    assert "contradict each other: record &#39;x&#39;: &lt;held&gt;." in text
+
+
 def test_names_from_files_are_escaped(grey, tmp_path):
     text = identification_report(None, None, tmp_path, grey=grey).read_text(encoding="utf-8")
     for hostile in ("<cart>", "<still>", "<b>cart", "<shook>"):

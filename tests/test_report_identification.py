@@ -13,7 +13,12 @@ from scipy import signal
 from levid.identification.data import PiController, Record
 from levid.identification.identify import identify
 from levid.identification.options import Options
-from levid.report.closed_loop import HO_KALMAN, SENSITIVITY, closed_loop_report
+from levid.report.closed_loop import (
+    HO_KALMAN,
+    SENSITIVITY,
+    closed_loop_numbers,
+    closed_loop_report,
+)
 from levid.report.curves import Signals
 from levid.report.identification import identification_report
 
@@ -105,10 +110,11 @@ def test_the_page_shows_the_figures_of_the_paper(result, with_truth):
         *("truth of the simulator", "rad/(N m)", f"{result.points[0].order.order} states"),
     ):
         assert expected in text
-    assert sorted(f.stem for f in (with_truth.parent / "figures").iterdir()) == [
+    drawn = {f.stem for f in (with_truth.parent / "figures").iterdir()}
+    assert {name for name in drawn if "subspace" not in name} == {
         *("agreement-1", "agreement-2", "agreement-3", "coherence", "markov-parameters"),
         *("plant-ho-kalman", "plant-phase", "plant-sensitivity", "singular-values"),
-    ]
+    }
 
 
 def test_every_figure_is_below_300_kb(with_truth):
@@ -166,6 +172,48 @@ def test_a_truth_that_is_not_known_is_not_taken_for_agreement(result, tmp_path):
     text = words(identification_report(result, None, tmp_path, unknown))
     assert 'class="bad"' in text
     assert 'class="good"' not in text
+
+
+def doubtful(result, *positions):
+    """The same result with models that are not to be trusted at these positions alone."""
+    points = [
+        replace(p, doubts=("it is <unstable>",) if k in positions else ())
+        for k, p in enumerate(result.points)
+    ]
+    return replace(result, points=tuple(points))
+
+
+def test_a_model_that_is_not_to_be_trusted_is_marked_and_judges_nothing(result, truth, tmp_path):
+    """Whatever it says: here of the first position 20 dB too much."""
+    worse = replace(result.points[0], from_ho_kalman=10.0 * result.points[0].from_ho_kalman)
+    one = doubtful(replace(result, points=(worse, *result.points[1:])), 0)
+    report = closed_loop_report(one.points, AXES, truth)
+    name = f"{HO_KALMAN} / truth"
+    others = closed_loop_report(one.points[1:], AXES, truth)
+    assert report.largest(name) == others.largest(name)
+    assert report.ho_kalman[0].doubtful
+    assert not report.sensitivity[0].doubtful  # which needs no model
+    text = words(identification_report(one, None, tmp_path, truth))
+    assert "beam left (−100 mm), is not to be trusted: it is &lt;unstable&gt;" in text
+    assert 'class="doubt"><dt>model by Ho-Kalman, beam left (−100 mm): it is' in text
+    assert "where it is to be trusted" in text
+    assert "Do not use the model by Ho-Kalman, beam left" in text
+    figure = (tmp_path / "figures" / "plant-ho-kalman.svg").read_text(encoding="utf-8")
+    assert "left (−100 mm), not to be trusted" in figure
+
+
+def test_numbers_of_models_none_of_which_is_to_be_trusted_are_marked(result, truth):
+    report = closed_loop_report(doubtful(result, 0, 1, 2).points, AXES, truth)
+    by_meaning = {n.meaning: n.verdict for n in closed_loop_numbers(report)}
+    for meaning, verdict in by_meaning.items():
+        of_model = not meaning.startswith(SENSITIVITY)
+        assert (verdict == "doubt") == of_model, meaning
+    assert f"{HO_KALMAN} against the truth at worst, up to 64 Hz; not to be trusted" in by_meaning
+
+
+def test_a_figure_of_the_paper_is_claimed_once(with_truth):
+    claimed = re.findall(r'class="paper">(Fig\. \d+)', words(with_truth))
+    assert len(claimed) == len(set(claimed)) >= 3
 
 
 def test_one_beam_position(rig, tmp_path):

@@ -64,6 +64,10 @@ def approximation(beam_m=0.0, distorted=1.0, m=3):
         even=lines(1.0),
         odd=lines(distorted),
         Ts_s=1e-3,
+        input_names=RIG_SIGNALS.input_names[:m],
+        input_units=RIG_SIGNALS.input_units[:m],
+        output_names=RIG_SIGNALS.output_names[:m],
+        output_units=RIG_SIGNALS.output_units[:m],
         beam_m=beam_m,
         records=(f"at {1e3 * beam_m:g} <mm>",),
         remarks=(f"at {1e3 * beam_m:g} <mm>: it <shook>", "one <transient>"),
@@ -125,9 +129,18 @@ def test_a_page_of_multisines_alone(tmp_path):
     assert max(f.stat().st_size for f in (tmp_path / "figures").iterdir()) < 300_000
 
 
-def test_another_number_of_inputs_has_numbered_names(tmp_path):
-    page = identification_report(None, None, tmp_path, multisine=[approximation(m=2)])
-    assert "u1 → y1" in page.read_text(encoding="utf-8").replace("\u00a0", " ")
+def test_names_and_units_are_those_of_the_records(tmp_path):
+    named = replace(
+        approximation(m=2),
+        input_names=("left", "right"),
+        input_units=("V", "A"),
+        output_names=("tip", "heel"),
+        output_units=("m", "rad"),
+    )
+    page = identification_report(None, None, tmp_path, multisine=[named])
+    text = page.read_text(encoding="utf-8").replace("\u00a0", " ")
+    assert "left → heel" in text
+    assert "rad/V" in text
 
 
 def test_notes_tell_what_was_left_out(tmp_path):

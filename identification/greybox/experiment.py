@@ -12,6 +12,7 @@ from ...config.base import parse_text
 from ...config.model import ModelConfig
 from ...config.rig import RigConfig
 from ...log.reader import Log
+from ...log.signals_file import SignalsFile
 from ...model.geometry import shape_matrix
 from ..data import IdentificationError, PiController
 from ..from_log import (
@@ -26,6 +27,7 @@ from ..from_log import (
     remarks_of,
 )
 from ..gaps import without_gaps
+from .inputs import Hold
 
 Array = NDArray[np.float64]
 
@@ -50,7 +52,7 @@ class Experiment:
     Schedule variables in `rates` are means over the period that follows a row, others are samples.
     The input acts `delay_cycles` whole periods after its row, beyond any delay of the model.
     `moving` says that the schedule changes during the record. `loop` is None where no controller is
-    known.
+    known. `hold` is what the input does between samples as the log says it, None where it does not.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Experiment:
     delay_cycles: int = 0
     loop: Loop | None = None
     remarks: tuple[str, ...] = ()
+    hold: Hold | None = None
 
     def rows(self, start: int, stop: int) -> Experiment:
         """Return the experiment cut to rows start .. stop."""
@@ -115,7 +118,19 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
 
 def _imported(log: Log) -> Experiment:
     record = from_log(log)
-    return Experiment(record.name, record.Ts_s, record.v, record.y, {}, frozenset(), False)
+    signals = parse_text(log.attachments["signals.yaml"], SignalsFile, "signals.yaml")
+    # A default says nothing of the measurement: only what was written down counts.
+    said = "input_hold" in signals.model_fields_set
+    return Experiment(
+        record.name,
+        record.Ts_s,
+        record.v,
+        record.y,
+        {},
+        frozenset(),
+        False,
+        hold=signals.input_hold if said else None,
+    )
 
 
 def _flown(log: Log) -> Experiment:
@@ -145,6 +160,7 @@ def _flown(log: Log) -> Experiment:
         1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
         loop,
         tuple(remarks_of(log)),
+        "zoh",
     )
 
 

@@ -115,7 +115,7 @@ class _Search:
         self.hold, self.experiments, self.progress = config.input, tuple(experiments), progress
         self.model = declared_model(config)
         self.parameters = free_parameters(config)
-        self.noise = _first_noise(experiments)
+        self.noise = first_noise(experiments)
         self.held: list[Unidentifiable] = []
         self.steps, self.damping = 0, 0.0
         self.last = np.zeros((0, 0))
@@ -296,7 +296,7 @@ def _shortened(e: Experiment) -> Experiment:
     return e.rows(0, max(len(e.y) // 8, min(len(e.y), rows)))
 
 
-def _first_noise(experiments: Sequence[Experiment]) -> Noise:
+def first_noise(experiments: Sequence[Experiment]) -> Noise:
     """Return a guess: measurement noise from the outputs' roughness, forces from the inputs."""
     # A third difference of white noise has 20 times its variance; smooth motion has next to none.
     rough = np.min([np.var(np.diff(e.y, 3, axis=0), axis=0) / 20.0 for e in experiments], axis=0)

@@ -11,7 +11,8 @@ import yaml
 from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
-from ...model.second_order import discretise
+from ...model.second_order import StateSpace, discretise
+from ..data import IdentificationError
 from .experiment import Experiment
 from .fit import Fit, fit_model
 from .validation import Validation, validate
@@ -25,7 +26,7 @@ class GreyBox:
     """The declared model as it was and as fitted, with the checks on rows that the fit never saw.
 
     `fitted` is a model file again, with values and standard errors. `validations` has one entry a
-    record, of its held-out end; `training` names the share of every record that was fitted to.
+    record, of its held-out end. `remarks` say where model and records contradict each other.
     """
 
     declared: ModelConfig
@@ -34,12 +35,17 @@ class GreyBox:
     validations: tuple[Validation, ...]
     Ts_s: float
     delay_cycles: int
+    remarks: tuple[str, ...] = ()
 
     def response(self, schedule: Mapping[str, float], freq_hz: Array) -> Complex:
         """Return the sampled plant (F, n, p) from command to output, delay and hold included."""
+        return np.asarray(self.sampled(schedule).response(freq_hz))
+
+    def sampled(self, schedule: Mapping[str, float]) -> StateSpace:
+        """Return the sampled plant from command to output, delay and hold as states."""
         at = self.fit.model.at(schedule)
         delayed = replace(at, delay_s=max(at.delay_s + self.delay_cycles * self.Ts_s, 0.0))
-        return np.asarray(discretise(delayed, self.Ts_s).response(freq_hz))
+        return discretise(delayed, self.Ts_s)
 
 
 def identify_grey_box(
@@ -50,8 +56,9 @@ def identify_grey_box(
 ) -> GreyBox:
     """Fit `config` to the first 1 - holdout of every record and validate on the rest.
 
-    Raises IdentificationError, see fit_model.
+    Raises IdentificationError: a loop whose input is not held by the model; see fit_model.
     """
+    remarks = _compare_holds(config, experiments)
     stops = [len(e.y) - round(holdout * len(e.y)) for e in experiments]
     fit = fit_model(
         config, [e.rows(0, stop) for e, stop in zip(experiments, stops, strict=True)], progress
@@ -61,7 +68,32 @@ def identify_grey_box(
         for e, stop in zip(experiments, stops, strict=True)
     )
     first = experiments[0]
-    return GreyBox(config, fitted_model(config, fit), fit, checks, first.Ts_s, first.delay_cycles)
+    return GreyBox(
+        config,
+        fitted_model(config, fit),
+        fit,
+        checks,
+        first.Ts_s,
+        first.delay_cycles,
+        remarks,
+    )
+
+
+def _compare_holds(config: ModelConfig, experiments: Sequence[Experiment]) -> tuple[str, ...]:
+    """Return where logs and model differ on what the input does between samples."""
+    looped = next((e for e in experiments if e.loop is not None), None)
+    if looped is not None and config.input != "zoh":
+        raise IdentificationError(
+            f"model '{config.name}': input: expected zoh, since record '{looped.name}' was flown "
+            f"by a controller, which holds its output between samples, found {config.input}"
+        )
+    return tuple(
+        f"record '{e.name}': its signals file says input_hold: {e.hold}, model '{config.name}' "
+        f"input: {config.input}; the fit follows the model, and its parameters are bent where it "
+        "is the model that is wrong"
+        for e in experiments
+        if e.hold not in (None, config.input)
+    )
 
 
 def fitted_model(config: ModelConfig, fit: Fit) -> ModelConfig:
@@ -77,8 +109,11 @@ def fitted_model(config: ModelConfig, fit: Fit) -> ModelConfig:
 def to_yaml(config: ModelConfig) -> str:
     """Return a model file's text; reading it gives the same model."""
     plain = config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    # What the input does between samples is never left to a default: the parameters hang on it.
+    kept = {key for key in plain if key != "levid"} | {"input"}
+    whole = {key: plain.get(key, config.input) for key in type(config).model_fields if key in kept}
     return yaml.dump(
-        {"levid": "model", **plain}, Dumper=_Flow, sort_keys=False, width=100, allow_unicode=True
+        {"levid": "model", **whole}, Dumper=_Flow, sort_keys=False, width=100, allow_unicode=True
     )
 
 

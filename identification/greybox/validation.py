@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from ...model.declared import DeclaredModel
 from ..fit import nrmse_fit_percent
 from .experiment import Experiment
+from .floor import floor_psd, noise_floor
 from .inputs import Hold
 from .noise import Noise
 from .prediction import predict
@@ -42,9 +43,10 @@ class Validation:
     """One record against its free-run simulation, rows from `time_s` on.
 
     measured, simulated (N, n); fit_percent (n,); error_rms (n,) of measured minus simulated;
-    floor_rms (n,): what the noise alone would leave of a perfect model, from the fitted noise in
-    the loop; freq_hz (F,), error_psd and floor_psd (F, n) one-sided spectra of error and floor;
-    schedule: the scheduling variables of the same rows (N,), SI.
+    floor_rms (n,): what the fitted noise alone is expected to leave of a perfect model in this
+    record's loop, and floor_spread (n,) the standard deviation, relative to it, with which one
+    record of this length scatters around it; freq_hz (F,), error_psd and floor_psd (F, n) one-sided
+    spectra of error and floor; schedule: the scheduling variables of the same rows (N,), SI.
     """
 
     record: str
@@ -54,6 +56,7 @@ class Validation:
     fit_percent: Array
     error_rms: Array
     floor_rms: Array
+    floor_spread: Array
     freq_hz: Array
     error_psd: Array
     floor_psd: Array
@@ -61,18 +64,15 @@ class Validation:
     schedule: Mapping[str, Array]
 
 
-def validate(
-    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise, seed: int = 1
-) -> Validation:
-    """Simulate a record and compare; the floor comes from a noise realisation through the loop."""
+def validate(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Validation:
+    """Simulate a record and compare it with what was measured, and with what noise would leave."""
     run = free_run(model, experiment, hold, noise)
     rows = slice(run.counts_from, None)
     measured, simulated = experiment.y[rows], run.y[rows]
     error = measured - simulated
-    floor = _floor(model, experiment, hold, noise, seed)[rows]
+    floor = noise_floor(model, experiment, hold, noise)
     segment = min(round(_SEGMENT_S / experiment.Ts_s), len(error))
     freq_hz, error_psd = welch(error, 1 / experiment.Ts_s, nperseg=segment, axis=0)
-    _, floor_psd = welch(floor, 1 / experiment.Ts_s, nperseg=segment, axis=0)
     errors = predict(model, experiment, hold, noise).errors[rows]
     time_s = np.asarray(np.arange(run.counts_from, len(experiment.y)) * experiment.Ts_s)
     return Validation(
@@ -82,10 +82,11 @@ def validate(
         simulated,
         nrmse_fit_percent(measured, simulated),
         error.std(axis=0),
-        floor.std(axis=0),
+        floor.rms,
+        floor.spread,
         freq_hz,
         error_psd,
-        floor_psd,
+        floor_psd(model, experiment, hold, noise, freq_hz),
         whiteness(errors),
         {name: values[rows] for name, values in experiment.schedule.items()},
     )
@@ -98,41 +99,6 @@ def whiteness(errors: Array, lags: int = _LAGS) -> Whiteness:
     rho = np.array([np.sum(centred[k:] * centred[:-k], axis=0) / power for k in range(1, lags + 1)])
     Q = n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1))[:, None], axis=0)
     return Whiteness(rho.T, 2.576 / np.sqrt(n), np.asarray(chi2.sf(Q, lags)))
-
-
-def _floor(
-    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise, seed: int
-) -> Array:
-    """Return one realisation (N, n) of what noise adds to the outputs in this record's loop.
-
-    Noise enters the simulation as a force that changes from period to period and as an error of
-    what the controller sees, both of the fitted sizes.
-    """
-    rng = np.random.default_rng(seed)
-    shape = experiment.y.shape
-    force = rng.standard_normal(shape) * np.sqrt(noise.force_psd / experiment.Ts_s)
-    seen = rng.standard_normal(shape) * np.sqrt(noise.output_variance)
-    return _added(model, experiment, hold, noise, force, seen) + seen
-
-
-def _added(
-    model: DeclaredModel,
-    experiment: Experiment,
-    hold: Hold,
-    noise: Noise,
-    force: Array,
-    seen: Array,
-) -> Array:
-    """Return the outputs (N, n) that forces and false readings add, by difference of two runs."""
-    loop, shaken = experiment.loop, experiment
-    if force.shape == experiment.u.shape:
-        # A force is an input that nobody recorded; a false reading is a false reference.
-        shaken = replace(experiment, u=experiment.u + force)
-        if loop is not None:
-            noisy = replace(loop, v=loop.v + force, reference=loop.reference - seen)
-            shaken = replace(experiment, loop=noisy)
-    quiet = free_run(model, experiment, hold, noise)
-    return np.asarray(free_run(model, shaken, hold, noise).y - quiet.y)
 
 
 def summary_lines(validations: Sequence[Validation], names: Sequence[str]) -> list[str]:

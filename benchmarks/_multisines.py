@@ -1,0 +1,57 @@
+"""Records of the nominal rig under orthogonal multisines, as long as white noise would take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+from _white_noise import RIG, SIM
+
+from levid.config.base import parse, read_mapping
+from levid.config.rig import load_rig
+from levid.config.session import SessionConfig
+from levid.config.shipped import shipped
+from levid.daemon.virtual import fly_virtually
+
+SESSION = shipped("sessions/multisine-1khz.yaml")
+PERIODS, PERIOD_S = 4, 5.0
+"""Of each experiment; the first period is lost to the transient. Three of these make a minute."""
+
+
+def fly_multisines(
+    out: Path, beams_m: Sequence[float], duration_s: float, seed: int
+) -> tuple[Path, ...]:
+    """Fly multisines at all inputs for `duration_s` an input at each position; return the logs.
+
+    As many realisations as the time allows, at least one. `seed` decides phases, lines and noise.
+    """
+    shipped_session = read_mapping(SESSION)
+    excitations = {
+        name: {**excitation, "period_s": PERIOD_S}
+        for name, excitation in shipped_session["excitations"].items()
+    }
+    realisations = max(int(duration_s / (PERIODS * PERIOD_S)), 1)
+    record = {
+        "excite": ["psi", "theta", "z"],
+        "orthogonal": {"realisations": realisations, "periods": PERIODS},
+    }
+    steps: list[dict[str, object]] = [{"levitate": {}}]
+    for beam_m in beams_m:
+        steps.append({"move": {"beam_m": beam_m}})
+        steps.append({"record": {"name": f"multisines-at-{1e3 * beam_m:.0f}mm", **record}})
+    steps += [{"move": {"beam_m": 0.0}}, {"land": {}}]
+    session = {**shipped_session, "seed": seed, "excitations": excitations, "steps": steps}
+    out.mkdir(parents=True, exist_ok=True)
+    sim_file = out / "sim.yaml"
+    sim_file.write_text(yaml.safe_dump({**read_mapping(SIM), "seed": seed}))
+    flown = fly_virtually(
+        load_rig(RIG).model_copy(update={"sim": str(sim_file)}),
+        RIG,
+        parse(session, SessionConfig, "multisine session"),
+        yaml.safe_dump(session).encode(),
+        out,
+        lambda *_: None,
+    )
+    sim_file.unlink()
+    return tuple(flown.records)

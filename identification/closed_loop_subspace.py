@@ -1,0 +1,64 @@
+"""One operating point in its loop by the subspace method, judged as the model by Ho-Kalman is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .closed_loop import LONGEST_SETTLING_S, SETTLED_S
+from .data import IdentificationError, Record
+from .hold_out import hold_out, settled_row
+from .model_response import modes, response_with_errors
+from .options import Options
+from .plant import closed_loop
+from .plausibility import STATES_A_DOF, doubts, predicted_errors, settling_time
+from .results import ClosedLoopPoint, SubspacePoint
+from .subspace import plant_by_subspace
+
+
+def with_subspace(
+    point: ClosedLoopPoint, records: Sequence[Record], options: Options
+) -> ClosedLoopPoint:
+    """Return the point with its plant by the subspace method, or a remark why there is none.
+
+    `records` are all of the point's; the same rows as from the other methods are kept from the
+    model. The response is at the point's frequencies. With a given `options.order` of the loop, the
+    plant has that without the controller's integrators.
+    """
+    try:
+        return replace(point, subspace=_identify(point, records, options))
+    except IdentificationError as error:
+        remarks = (*point.remarks, f"no model by subspace: {error}")
+        return replace(point, subspace=None, remarks=remarks)
+
+
+def _identify(point: ClosedLoopPoint, records: Sequence[Record], options: Options) -> SubspacePoint:
+    training = [r.rows(0, len(r.y) - options.holdout_rows(len(r.y))) for r in records]
+    integrators = int(np.sum(point.controller.ki > 0))
+    found = plant_by_subspace(
+        training,
+        None if options.order is None else options.order - integrators,
+        point.plant.lag_pole,
+        least_order=STATES_A_DOF * len(point.controller.ki),
+    )
+    loop = closed_loop(found.plant.state_space(), point.controller)
+    settled_s = settling_time(loop, SETTLED_S, LONGEST_SETTLING_S)
+    held = tuple(
+        hold_out(r, loop, options.holdout_rows(len(r.y)), settled_row(r, settled_s))
+        for r in records
+    )
+    expected = predicted_errors(records, held, next(iter(point.markov.values())))
+    return SubspacePoint(
+        plant=found.plant,
+        order=found.order,
+        singular_values=found.singular_values,
+        covariance=found.covariance,
+        innovation_covariance=found.innovation_covariance,
+        past=found.past,
+        response=response_with_errors(found.plant, found.covariance, point.freq_hz),
+        modes=modes(found.plant.core, found.covariance),
+        holdout=held,
+        doubts=doubts(found.plant, loop, held, expected),
+    )

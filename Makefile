@@ -11,11 +11,12 @@ DEV := $(VENV)/.installed-dev
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help demo test bench lint format lock clean
+.PHONY: help demo test test-rig bench lint format lock clean
 
 help:
 	@echo "make demo    fly the simulated rig, identify it, say where the report lies"
 	@echo "make test    run the tests"
+	@echo "make test-rig  boot a Linux with vcan and fly on it (Debian or Ubuntu, root)"
 	@echo "make bench   run every benchmark, quickly"
 	@echo "make lint    ruff, mypy and the import arrows"
 	@echo "make format  let ruff format and sort"
@@ -27,6 +28,9 @@ demo: $(RUNTIME)
 
 test: $(DEV)
 	@$(BIN)/python -m pytest
+
+test-rig: $(DEV)
+	@bash tests/rig_vm/boot.sh
 
 bench: $(DEV)
 	@set -e; for file in benchmarks/[a-z]*.py; do \

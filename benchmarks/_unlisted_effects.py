@@ -1,4 +1,4 @@
-"""Three effects that no table of levid's knows, for asking how it speaks of the unknown."""
+"""Effects that no table of levid's has in this form, for asking how it speaks of the unknown."""
 
 from __future__ import annotations
 
@@ -69,3 +69,26 @@ class Gyroscope:
     def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
         h = self.j_kg_m2 * beam.phi_rad_s
         return (h * float(qd[1]), -h * float(qd[0]), 0.0)
+
+
+class PassingBeam:
+    """A sensor also sees the magnets of the passing beam: h = h + y0 e^(-s^2), s = (x_b - x_0) / w.
+
+    Nothing acts on the platform, but the controller follows what it is shown.
+    """
+
+    def __init__(self, sensor: int, offset_m: float, at_m: float, width_m: float) -> None:
+        self.sensor, self.offset_m = sensor, offset_m
+        self.at_m, self.width_m = at_m, width_m
+
+    def reset(self, plant: Any) -> None:
+        self._seen_m = 0.0
+
+    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
+        s = (beam.x_m - self.at_m) / self.width_m
+        self._seen_m = self.offset_m * math.exp(-s * s)
+        return (0.0, 0.0, 0.0)
+
+    def gap(self, t_s: float, gap_m: Any) -> Any:
+        gap_m[self.sensor] += self._seen_m
+        return gap_m

@@ -242,7 +242,7 @@ def late_figures(seconds: float, rounds: int) -> list[Figure]:
                     n, missed = _timed(loop, seconds, begin)
                     begin += n + missed + 1000
                     cycles[name] += n
-                    late[name] += missed > 0 and missed
+                    late[name] += missed
                     if name in devices:
                         stale[name] += devices[name].stale - before
         finally:

@@ -11,6 +11,8 @@ import click
 from .excite import fly_here
 from .identify import identify_logs, words
 from .progress import progress, say
+from .trace import trace_logs
+from .trace import words as trace_words
 
 if TYPE_CHECKING:
     from ..daemon.flight import FlightResult
@@ -26,7 +28,8 @@ def command(out: Path | None) -> int:
     """Fly the paper's experiment on the simulated rig, identify it from its logs, show pictures.
 
     White noise at each input in turn at three beam positions, then a moving beam: ten minutes of
-    flight, flown in virtual time. Prints where the report lies.
+    flight, flown in virtual time. At the end a plant does what its model does not know, and is
+    traced from its logs. Prints where the reports lie.
 
     \b
     Examples:
@@ -54,16 +57,31 @@ def command(out: Path | None) -> int:
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
     click.echo(f"moving beam: {beam_page}")
     click.echo(f"report: {page}")
+    _trace(folder / "trace")
     return 0
 
 
-def _fly(name: str, out: Path) -> FlightResult:
+def _trace(folder: Path) -> None:
+    """Fly a plant with effects that no model knows, and trace them."""
+    from ..config.shipped import shipped
+
+    begin = time.perf_counter()
+    flown = _fly("sessions/trace-demo.yaml", folder, shipped("sims/undeclared.yaml"))
+    found, page = trace_logs(flown.logs, None, folder / "found")
+    click.echo("trace of a plant that does what its model does not know:")
+    for line in trace_words(found):
+        click.echo(line)
+    click.echo(f"took {time.perf_counter() - begin:.0f} s")
+    click.echo(f"report: {page}")
+
+
+def _fly(name: str, out: Path, sim: Path | None = None) -> FlightResult:
     from ..config.session import load_session
     from ..config.shipped import shipped
 
     session = shipped(name)
     config = load_session(session)
-    result = fly_here(config, session, None, None, out)
+    result = fly_here(config, session, None, sim, out)
     say(f"{config.name}: {result.cycles} cycles, {len(result.records)} records in {out}")
     return result
 

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from ..config.session import SessionConfig
     from ..daemon.flight import FlightResult
 
+_REPORTS = {"identify": "identification", "trace": "trace"}
+"""Folder of the report, by what a session's `then` names."""
+
 
 @click.command("excite")
 @click.argument("session", type=click.Path(path_type=Path))
@@ -128,7 +131,7 @@ def _on_daemon(session: Path, rig_path: Path | None, out: Path) -> FlightResult:
 
 def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> int:
     """Hand the logs over or draw the flight; return the exit code."""
-    from ..daemon.handover import identify_in_own_process
+    from ..daemon.handover import hand_over
     from ..report.session import session_report
 
     excited = any(step.record is not None and step.record.excite for step in config.steps)
@@ -136,8 +139,9 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> in
     if result.stopped:
         say(f"the session was asked to land before its end; to use what there is: {following}")
         return 1
-    if "identify" in config.then and result.records:
-        say(f"report: {identify_in_own_process(result.logs, out / 'identification')}")
+    if config.then and result.records:
+        for verb in config.then:
+            say(f"report: {hand_over(verb, result.logs, out / _REPORTS[verb])}")
         return 0
     with progress("drawing the flight") as report:
         report("", 0.5)

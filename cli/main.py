@@ -24,7 +24,7 @@ _VERBS = {
     "identify": ("identify:command", "Identify the plant from logs."),
     "trace": ("trace:command", "Trace what a model lacks to physical effects, with proof."),
     "import": ("importing:command", "Turn measured data of others into a log."),
-    "demo": ("demo:command", "Fly, log and identify the simulated rig, and show pictures."),
+    "demo": ("demo:command", "Fly, log, identify and trace the simulated rig, and show pictures."),
 }
 
 EXIT_FAILED = 1

@@ -113,7 +113,7 @@ def words(found: Trace) -> list[str]:
 
     result = outcome(found)
     lines = [
-        f"error on held-out records, in deviations of the sensor noise: {result.before:.3g} before, "
+        f"error on held-out records, times the sensors' noise: {result.before:.3g} before, "
         f"{result.after:.3g} after; noise alone leaves {result.floor:.3g}",
         result.verdict,
     ]
@@ -132,12 +132,15 @@ def words(found: Trace) -> list[str]:
 
 def _effect(found: FoundEffect) -> list[str]:
     effect, why = found.effect, found.evidence
-    lines = [f"  {effect.name}: {_values(found)}", f"    {effect.equation}"]
+    # Coefficients of a free form say nothing to people.
+    values = "" if found.unknown else f": {_values(found)}"
+    lines = [f"  {effect.name}{values}", f"    {effect.equation}"]
     if why is None:
         return lines
+    share = "" if why.share is None else f"explains {100 * why.share:.3g} % of what was left; "
     lines.append(
-        f"    explains {100 * why.share:.3g} % of what was left; on held-out records it agrees "
-        f"{why.statistic:.0f} standard deviations beyond chance"
+        f"    {share}on held-out records it agrees {why.statistic:.0f} standard deviations beyond "
+        "chance"
     )
     if why.alternatives:
         lines.append(
@@ -169,7 +172,8 @@ def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
     if result.significant:
         return f"see in the report ({out / 'index.html'}) on what the rest depends"
     if result.effects:
-        return f"levid identify {folder}/*.mcap --model {out / 'model.yaml'} --out {out / 'identification'}"
+        model, where = out / "model.yaml", out / "identification"
+        return f"levid identify {folder}/*.mcap --model {model} --out {where}"
     return "nothing: the model is as good as these records can tell"
 
 

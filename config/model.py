@@ -71,7 +71,7 @@ class ModelEffect(Strict):
 
 
 class ModelConfig(Strict):
-    """MODEL.yaml: M(p) q'' + D(p) q' + K(p) q = B(p) u + force(p) + effects; numbers or formulas."""
+    """MODEL.yaml: M(p) q'' + D(p) q' + K(p) q = B(p) u + force(p) + effects, in formulas."""
 
     levid: Literal["model"]
     name: str

@@ -65,6 +65,7 @@ class Loop:
         A landing goes on to its end whatever is requested: it is what a stop leads to.
         """
         stoppable = not segment.lands
+        self.detail = ""  # what an earlier fault said is no cause of the next
         self._controller.begin(segment)
         run = self._in_real_time if self._clock.real else self._in_virtual_time
         try:

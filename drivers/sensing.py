@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
+from ..config.rig import Geometry
+from ..model.geometry import decoupling_matrix, shape_matrix
 from .base import Array, DriveError, SensorError
 
 _FROZEN_CYCLES = 20
-"""How often a reading may repeat itself while the platform moves. With noise of 0.1 um rms and
-counts of 31 nm a channel repeats one with probability 0.09; twenty in a row are once in 1e20."""
-_MOVED_M = 3e-7
+"""How often a reading repeats itself before it is suspected. With noise of 0.1 um rms and counts of
+31 nm a channel repeats one with probability 0.09; twenty in a row are once in 1e20."""
+_OFF_M = 3e-7
+"""How far a suspected channel must leave the plane that all sensors together see: without noise a
+sound one repeats itself too, but then it stays in it."""
 
 
 class SensorWatch:
     """Looks for channels without a reading, at the end of their range, or frozen."""
 
-    def __init__(self, what: str, channels: int, range_m: float) -> None:
+    def __init__(self, what: str, geometry: Geometry, range_m: float) -> None:
         self._what, self._end_m = what, 0.9999 * range_m
-        self._last = np.full(channels, np.nan)
-        self._repeats = np.zeros(channels, np.int64)
-        self._mean_before = np.zeros(channels)
+        x, y = geometry.sensors_x_m, geometry.sensors_y_m
+        # What remains of readings once the pose that fits them best is taken out.
+        self._off_plane = np.eye(len(x)) - shape_matrix(x, y) @ decoupling_matrix(x, y)
+        self._last = np.full(len(x), np.nan)
+        self._repeats = np.zeros(len(x), np.int64)
+        self._off_before = np.zeros(len(x))
         self._told = False
 
     def judge(self, gap_m: Array) -> None:
@@ -31,7 +36,9 @@ class SensorWatch:
         Raises:
             SensorError: a channel is not to be trusted; raised once, until `reset`.
         """
-        bad = _judge(gap_m, self._last, self._repeats, self._mean_before, self._end_m)
+        bad = _judge(
+            gap_m, self._last, self._repeats, self._off_before, self._off_plane, self._end_m
+        )
         if bad and not self._told:
             self._told = True
             what = {1: "no reading", 2: "at the end of its range", 3: "frozen"}[bad % 4]
@@ -44,23 +51,27 @@ class SensorWatch:
 
 
 @njit(cache=True)
-def _judge(gap: Any, last: Any, repeats: Any, mean_before: Any, end: float) -> int:
+def _judge(  # type: ignore[no-untyped-def]
+    gap, last, repeats, off_before, off_plane, end
+) -> int:
     """Return 4 times the channel plus what is wrong with it, 0 if nothing is."""
-    bad, mean = 0, 0.0
+    bad = 0
     for i in range(gap.size):
         if np.isnan(gap[i]):
             bad = 4 * i + 1
             gap[i] = last[i]
-        mean += gap[i] / gap.size
     for i in range(gap.size):
+        off = 0.0
+        for j in range(gap.size):
+            off += off_plane[i, j] * gap[j]
         if abs(gap[i]) >= end and not bad:
             bad = 4 * i + 2
         if gap[i] != last[i]:
             repeats[i] = 0
-            mean_before[i] = mean
+            off_before[i] = off
         else:
             repeats[i] += 1
-            if repeats[i] >= _FROZEN_CYCLES and abs(mean - mean_before[i]) > _MOVED_M and not bad:
+            if repeats[i] >= _FROZEN_CYCLES and abs(off - off_before[i]) > _OFF_M and not bad:
                 bad = 4 * i + 3
         last[i] = gap[i]
     return bad

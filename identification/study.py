@@ -14,13 +14,14 @@ from .coverage import PoorExcitationError
 from .data import IdentificationError, Record, describe_position
 from .declared import declared_model
 from .from_log import NotARecordError, from_log
-from .greybox.experiment import Experiment, experiment_from_log
+from .greybox.experiment import Experiment
 from .greybox.result import GreyBox, identify_grey_box
 from .identify import identify
 from .multisine import BestLinearApproximation, at_every_position
 from .options import Options
 from .periodic import NotPeriodicError, PeriodicRecord, periodic_record
 from .results import ClosedLoopPoint, IdentificationResult
+from .trace.known import experiment_of
 
 _FIRST_ROWS = 1000
 """So many rows of two records are not equal by chance: the noise of every sensor differs."""
@@ -100,6 +101,7 @@ def study(
                 options.holdout,
                 lambda what, share: tell(f"fit, {what}", 0.5 + 0.5 * share),
             )
+            notes += _freed(model)
         except IdentificationError as error:
             if points is None and not multisine:
                 raise failed or error from None
@@ -129,6 +131,16 @@ def _read(
             continue
         _sort(log, model, found)
     return found, model
+
+
+def _freed(model: ModelConfig) -> list[str]:
+    if not model.effects:
+        return []
+    names = ", ".join(" ".join((e.effect, "at", *e.where)) for e in model.effects)
+    return [
+        f"the fit of the declared model: its effects ({names}) were taken out of the records at "
+        "the values of the model file, and are not fitted; a trace fits both"
+    ]
 
 
 def _distrusted(result: IdentificationResult) -> list[str]:
@@ -164,7 +176,7 @@ def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:
         reason = error
     if model is not None:
         try:
-            found.experiments.append(experiment_from_log(log, model))
+            found.experiments.append(experiment_of(log, model))
             return
         except NotARecordError as error:
             reason = error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,15 @@ import pytest
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context, DriveError, DriverError
+from levid.drivers.can.link import CanLink
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.rig import Electronics
 from levid.wire.cia402 import (
+    POSITION_M,
     SYNC_COUNTER,
     TOWARDS_OPERATION,
+    TPDO,
+    TPDO1_ID,
     DriveStates,
     Object,
     beam_limits,
@@ -125,12 +130,16 @@ def test_slower_drives_follow_in_between(rig: RigConfig, every: int) -> None:
     slow = with_drives(rig, every=every)
     with Electronics(slow, Path()) as electronics:
         devices = open_devices(Context(slow, 1 / RATE_HZ, Path()))
+        drives = devices.backends[0]._roles["drives"]
         beam, rotor, gap, coil = np.zeros(3), np.zeros(3), np.zeros(9), np.zeros(9)
         speed, cycles = 0.02, 60
         for k in range(cycles):
             for sync in devices.syncs:
                 sync(k)
             devices.sensors.read(gap)
+            # In real time the answers have four periods; here the host would not wait for them.
+            while drives._waiting:
+                assert drives._link.receive(time.perf_counter() + 10.0)
             devices.drives.read(beam, rotor)
             devices.amplifiers.read(coil)
             devices.amplifiers.write(np.zeros(9))
@@ -145,13 +154,45 @@ def test_slower_drives_follow_in_between(rig: RigConfig, every: int) -> None:
 
 
 def test_drive_that_falls_silent_is_a_fault(rig: RigConfig) -> None:
-    quick = with_drives(rig, heartbeat_s=0.01)
-    with Electronics(quick, Path()) as electronics:
-        devices = open_devices(Context(quick, 1 / RATE_HZ, Path()))
+    patient = with_drives(rig, heartbeat_s=10.0)  # the other two are not to be late
+    with Electronics(patient, Path()) as electronics:
+        devices = open_devices(Context(patient, 1 / RATE_HZ, Path()))
         drives = devices.backends[0]._roles["drives"]
-        drives._axes[2].heard_s -= 10.0
+        drives._axes[2].heard_s -= 31.0
         beam, rotor = np.zeros(3), np.zeros(3)
         with pytest.raises(DriveError, match=r"drive phi \(node 3\).*no heartbeat"):
             devices.drives.read(beam, rotor)
         devices.close()
         assert electronics.core.axes.shape == (3, 3)
+
+
+def test_positions_count_once_all_three_of_a_sync_have_come(rig: RigConfig) -> None:
+    """A beam at speed is not askew because X1 of this SYNC is read beside X2 of the last."""
+    slow = with_drives(rig, every=4)
+    with Electronics(slow, Path()):
+        devices = open_devices(Context(slow, 1 / RATE_HZ, Path()))
+        drives = devices.backends[0]._roles["drives"]
+        beam, rotor = np.zeros(3), np.zeros(3)
+        operating = DriveStates.OPERATION_ENABLED.value[1]
+        for node in (1, 2, 3):
+            drives._by_id[TPDO1_ID + node].came = False
+        drives._waiting, drives._cycle, drives._sync_cycle = 3, 4, 4
+        moved = round(1.2e-3 / POSITION_M)  # twelve times the skew that is allowed
+        drives._take(TPDO1_ID + 1, TPDO.pack(operating, moved, 0))
+        drives.read(beam, rotor)
+        assert beam[0] == pytest.approx(0.0, abs=1e-9)
+        drives._take(TPDO1_ID + 2, TPDO.pack(operating, moved, 0))
+        drives._take(TPDO1_ID + 3, TPDO.pack(operating, 0, 0))
+        drives.read(beam, rotor)
+        assert beam[0] == pytest.approx(1.2e-3, abs=1e-9)
+        devices.close()
+
+
+def test_stamps_of_the_interface_are_converted_to_the_loops_clock() -> None:
+    link = CanLink("main", load().can["main"])
+    before = time.perf_counter()
+    link._stamp_s = time.time() - 0.25  # a frame that hardware saw a quarter of a second ago
+    # The clocks are read one after the other; the process may be put to sleep in between.
+    assert link.received_s == pytest.approx(before - 0.25, abs=0.05)
+    link._stamp_s = 12.0  # an interface that counts from its own start: not a time of day
+    assert link.received_s >= before

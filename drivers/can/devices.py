@@ -77,8 +77,8 @@ class CanSensors(PositionSensors):
         self.readings = Readings("sensors", link, frames.gap, stale_cycles)
         self._deadline, self._limits = deadline, declared(rig, 0)
         self._questions = Questions(link, frames.sensor_request, frames.sensor_answer)
-        count, unit_m = frames.gap.channels, frames.gap.unit
-        self._watch = SensorWatch(self.readings.what, count, unit_m * LARGEST)
+        range_m = frames.gap.unit * LARGEST
+        self._watch = SensorWatch(self.readings.what, rig.geometry, range_m)
 
     def read(self, gap_m: Array) -> None:
         """Fill `gap_m` (S,) with the heights of this cycle, or of the last that came."""

@@ -158,9 +158,12 @@ class CanDrives(ManipulatorDrives):
         elif axis.came:
             self.watch.reject(Rejected.REPEATED)
         else:
-            axis.came = True
+            axis.came, axis.data = True, bytes(data)
             self._waiting -= 1
-            axis.take(data, self._sync_cycle)
+            if not self._waiting:
+                # Together or not at all: at speed, positions of two SYNCs would look like a skew.
+                for each in self._axes:
+                    each.take(self._sync_cycle)
 
     def _check(self) -> None:
         now_s = perf_counter()
@@ -185,7 +188,7 @@ class _Axis:
     def __init__(self, node: DriveNode, unit: float, every: int, sync_s: float) -> None:
         self.node, self.unit, self._every = node, unit, every
         self._differences = Differences(sync_s)
-        self.came = False
+        self.came, self.data = False, b""
         self.begin(0)
 
     def begin(self, counts: int) -> None:
@@ -195,9 +198,10 @@ class _Axis:
         self.cycle, self.heard_s = 0, perf_counter()
         self._differences.at_rest(self.position)
 
-    def take(self, data: bytes, cycle: int) -> None:
+    def take(self, cycle: int) -> None:
+        """Take over what came with the SYNC of `cycle`."""
         regular, self.cycle = cycle - self.cycle == self._every, cycle
-        self.status, counts, self.force = TPDO.unpack(data)
+        self.status, counts, self.force = TPDO.unpack(self.data)
         self.position = counts * self.unit
         differences = self._differences
         go_on = differences.push if regular else differences.resume

@@ -13,6 +13,7 @@ from ..base import LinkError
 Listener = Callable[[int, bytes], None]
 
 _CAN_ERR_BUSOFF = 0x40
+_OLDEST_STAMP_S = 1.0
 
 
 class CanLink:
@@ -24,9 +25,7 @@ class CanLink:
         self._listeners: dict[int, Listener] = {}
         self._bus: Any = None
         self._message: Any = None
-        self.received_s = 0.0
-        """When the last frame came, on the loop's clock (perf_counter): by the time stamp of the
-        interface where it gives one, which is free of this process's own delays."""
+        self._stamp_s = 0.0
 
     def open(self) -> None:
         """Open the bus, anew if it was open; raises LinkError."""
@@ -88,7 +87,8 @@ class CanLink:
         if self._bus is None:
             raise LinkError(f"{self.what}: gone")
         try:
-            message = self._bus.recv(max(deadline_s - perf_counter(), 0.0))
+            wait_s = deadline_s - perf_counter() if deadline_s else 0.0
+            message = self._bus.recv(max(wait_s, 0.0))
         except Exception as error:  # noqa: BLE001 - as above
             self._lost(f"receiving failed: {error}")
         if message is None:
@@ -99,11 +99,19 @@ class CanLink:
             return True
         listener = self._listeners.get(message.arbitration_id)
         if listener is not None and not message.is_extended_id and not message.is_remote_frame:
-            # Interfaces stamp with the time of day; what is not from the last second is no such.
-            age_s = time() - message.timestamp
-            self.received_s = perf_counter() - (age_s if 0.0 <= age_s < 1.0 else 0.0)
+            self._stamp_s = message.timestamp
             listener(message.arbitration_id, message.data)
         return True
+
+    @property
+    def received_s(self) -> float:
+        """When the last frame came, on the loop's clock (perf_counter); now, if that is not known.
+
+        By the stamp of hardware or kernel, where the interface gives one: it is free of the delays
+        of this process. Interfaces stamp with the time of day.
+        """
+        age_s = time() - self._stamp_s
+        return perf_counter() - (age_s if 0.0 <= age_s < _OLDEST_STAMP_S else 0.0)
 
     def drain(self) -> None:
         """Hand on all that has come; raises LinkError."""

@@ -159,8 +159,7 @@ class _Amplifiers(CoilAmplifiers):
 class _Sensors(PositionSensors):
     def __init__(self, port: TransactionPort, rig: RigConfig) -> None:
         self._port, self._limits = port, declared(rig, 0)
-        count = len(rig.geometry.sensors_x_m)
-        self._watch = SensorWatch(f"sensors on {port.what}", count, GAP_M * LARGEST)
+        self._watch = SensorWatch(f"sensors on {port.what}", rig.geometry, GAP_M * LARGEST)
 
     def read(self, gap_m: Array) -> None:
         self._port.collect()

@@ -44,6 +44,7 @@ class TransactionPort:
         self._deadline_s = 0.0
         self._cycle = 0
         self._collected = True
+        self._unasked = 0
         self._questions: list[tuple[Request, int, int]] = []
 
     def open(self) -> None:
@@ -51,6 +52,7 @@ class TransactionPort:
         self._line.open()
         self._stream.clear()
         self._questions.clear()
+        self._unasked = 0
         self._collected = True
         self.watch.reset()
 
@@ -74,6 +76,7 @@ class TransactionPort:
     def send_setpoints(self) -> None:
         """Send the setpoints at once, in the cycle at hand."""
         self._line.write(self._setpoints())
+        self._unasked += 1
 
     def ask(self, request: Request, index: int, value: int) -> None:
         """Ask with the next cycle; the answer goes to `amplifiers`."""
@@ -130,6 +133,8 @@ class TransactionPort:
         elif header.sequence != self._cycle:
             behind = (self._cycle - header.sequence) % CYCLES
             self.watch.reject(Rejected.COUNTER, behind)
+        elif self.fresh and self._unasked:
+            self._unasked -= 1  # the answer to setpoints that were sent at once
         elif self.fresh:
             self.watch.reject(Rejected.REPEATED)
         elif not self._collected:  # else it is too late, and was counted as missing

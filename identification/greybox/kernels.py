@@ -41,6 +41,44 @@ def innovations_fixed(  # type: ignore[no-untyped-def]
             x[i] = total
 
 
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def errors_and_unknowns(Phi, gain, forcing, steady, y, out):  # type: ignore[no-untyped-def]  # noqa: PLR0912
+    """Fill `out` (N, m, 1 + c + 2n): errors from a state of zero, and what unknowns add to them.
+
+    The filter of innovations_fixed, for many columns in one pass: first the record's errors, then c
+    constant inputs that add steady (2n, c) in each period, then a unit of each state at row 0.
+    """
+    rows, m = y.shape
+    size, constants = steady.shape
+    columns = 1 + constants + size
+    correction = Phi @ gain
+    x, following = np.zeros((size, columns)), np.empty((size, columns))
+    for i in range(size):
+        x[i, 1 + constants + i] = 1.0
+    for k in range(rows):
+        for i in range(m):
+            for c in range(columns):
+                out[k, i, c] = -x[i, c]
+            out[k, i, 0] += y[k, i]
+        for i in range(size):
+            following[i, 0] = forcing[k, i]
+            for c in range(constants):
+                following[i, 1 + c] = steady[i, c]
+            for c in range(size):
+                following[i, 1 + constants + c] = 0.0
+            for j in range(size):
+                factor = Phi[i, j]
+                for c in range(columns):
+                    following[i, c] += factor * x[j, c]
+            for j in range(m):
+                factor = correction[i, j]
+                for c in range(columns):
+                    following[i, c] += factor * out[k, j, c]
+        for i in range(size):
+            for c in range(columns):
+                x[i, c] = following[i, c]
+
+
 @njit(cache=True, nogil=True)
 def flow(K, D, B, x, moments, drift, scale, work, top):  # type: ignore[no-untyped-def]
     """Put the state after one period into `x` (2n,): Horner's scheme over the Taylor series.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,40 @@ class Motion:
     def fixed(self) -> bool:
         """Whether one set of matrices holds throughout."""
         return len(self.K) == 1
+
+    @cached_property
+    def flow(self) -> Array:
+        """Flow over one period (2n, 2n) of a fixed motion."""
+        return np.asarray(expm(self.continuous()[0] * self.Ts_s))
+
+    @cached_property
+    def forcing(self) -> Array:
+        """What inputs and drift add to the state in each period (N, 2n), a fixed motion's.
+
+        With moments m_j of the input and g_j of the drift it is sum_j A^j (B m_j + [0, g_j]).
+        """
+        A, B = self.continuous()
+        n, p = len(self.K[0]), B.shape[1]
+        power = np.hstack([B, np.vstack([np.zeros((n, n)), np.eye(n)])])
+        by_input, constant = [], np.zeros(2 * n)
+        for drift in self.drift[0]:
+            by_input.append(power[:, :p].T)
+            constant += power[:, p:] @ drift
+            power = A @ power
+        effect = self.inputs.reshape(len(self.inputs), -1) @ np.vstack(by_input)
+        return np.asarray(effect + constant)
+
+    @property
+    def steady(self) -> Array:
+        """What a unit of each constant generalised force adds in each period (2n, n)."""
+        A, _ = self.continuous()
+        n = len(self.K[0])
+        power = np.vstack([np.zeros((n, n)), self.mobility[0]])
+        total = np.zeros_like(power)
+        for scale in self.scale[1:]:
+            total += scale * power
+            power = A @ power
+        return total
 
     def continuous(self, row: int = 0) -> tuple[Array, Array]:
         """Return A (2n, 2n) and B (2n, p) of one period, states [q, q']."""
@@ -131,30 +166,12 @@ def run_filter(model: Motion, gain: Array, y: Array, x0: Array) -> tuple[Array, 
     """Return the innovations (N, n), and the state (2n,) predicted for the row after the last."""
     out, x = np.empty_like(y), np.array(x0, float)
     if model.fixed:
-        A, B = model.continuous()
-        Phi = expm(A * model.Ts_s)
-        kernels.innovations_fixed(Phi, gain[0], forcing(model, A, B)[: len(y)], y, x, out)
+        kernels.innovations_fixed(model.flow, gain[0], model.forcing[: len(y)], y, x, out)
     else:
         kernels.innovations_along(
             model.K, model.D, model.B, model.drift, gain, model.inputs, model.scale, y, x, out
         )
     return out, x
-
-
-def forcing(model: Motion, A: Array, B: Array) -> Array:
-    """Return what inputs and drift add to the state in each period (N, 2n), a fixed motion's.
-
-    With moments m_j of the input and g_j of the drift it is sum_j A^j (B m_j + [0, g_j]).
-    """
-    n, p = len(model.K[0]), B.shape[1]
-    power = np.hstack([B, np.vstack([np.zeros((n, n)), np.eye(n)])])
-    by_input, constant = [], np.zeros(2 * n)
-    for drift in model.drift[0]:
-        by_input.append(power[:, :p].T)
-        constant += power[:, p:] @ drift
-        power = A @ power
-    effect = model.inputs.reshape(len(model.inputs), -1) @ np.vstack(by_input)
-    return np.asarray(effect + constant)
 
 
 def process_covariance(model: Motion, psd: Array) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...model.declared import DeclaredModel
 from ..data import IdentificationError
+from . import kernels
 from .experiment import Experiment
 from .inputs import Hold
 from .motion import Motion, innovations, motion
@@ -58,12 +59,12 @@ def predict(
 
 def predict_along(at: Motion, experiment: Experiment, kalman: Filter) -> Prediction:
     """Return the experiment predicted by a filter along a motion, offset and start fitted."""
-    nowhere = np.zeros(2 * experiment.y.shape[1])
-    errors = errors_of(at, kalman, experiment, nowhere)
-    if not np.all(np.isfinite(errors)):
+    with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away is told apart below
+        both = kalman.whiten(_errors_and_unknowns(at, kalman, experiment))
+    if not np.all(np.isfinite(both[:, :, 0])):
         raise IdentificationError(f"record '{experiment.name}': this model runs away")
-    unknowns = kalman.whiten(_unknowns(at, kalman.gain, len(errors)))
-    unknowns[: at.blind] = 0.0
+    both[: at.blind] = 0.0
+    errors, unknowns = np.ascontiguousarray(both[:, :, 0]), both[:, :, 1:]
     flat = unknowns.reshape(-1, unknowns.shape[2])
     # Offsets and start differ by orders in what they move: scale before deciding what is singular.
     size = np.linalg.norm(flat, axis=0)
@@ -87,17 +88,25 @@ def settled(at: Motion, offset: Array) -> Motion:
     return replace(at, drift=at.drift + _steady(at, offset))
 
 
-def _unknowns(at: Motion, gain: Array, rows: int) -> Array:
-    n = at.K.shape[1]
+def _errors_and_unknowns(at: Motion, kalman: Filter, experiment: Experiment) -> Array:
+    """Return errors (N, n, 1 + 3n) from a state of zero, not whitened, then what unknowns add."""
+    n, rows = at.K.shape[1], len(experiment.y)
+    out = np.empty((rows, n, 1 + 3 * n))
+    if at.fixed:
+        kernels.errors_and_unknowns(
+            at.flow, kalman.gain[0], at.forcing[:rows], at.steady, experiment.y, out
+        )
+        return out
+    out[:, :, 0] = innovations(at, kalman.gain, experiment.y, np.zeros(2 * n))
     silent = replace(at, inputs=np.zeros((rows, len(at.scale) - 1, at.B.shape[2])))
     still = replace(silent, drift=np.zeros_like(at.drift))
     zero = np.zeros((rows, n))
-    columns = np.empty((rows, n, 3 * n))
     for i in range(n):
-        columns[:, :, i] = innovations(settled(still, np.eye(n)[i]), gain, zero, np.zeros(2 * n))
+        forced = settled(still, np.eye(n)[i])
+        out[:, :, 1 + i] = innovations(forced, kalman.gain, zero, np.zeros(2 * n))
     for i in range(2 * n):
-        columns[:, :, n + i] = innovations(still, gain, zero, np.eye(2 * n)[i])
-    return columns
+        out[:, :, 1 + n + i] = innovations(still, kalman.gain, zero, np.eye(2 * n)[i])
+    return out
 
 
 def _steady(at: Motion, force: Array) -> Array:

@@ -39,7 +39,9 @@ def dependence(signal: Array, values: Array, block: NDArray[np.int64]) -> Depend
     number = np.clip(np.searchsorted(edges, x, "right") - 1, 0, len(edges) - 2)
     bins, blocks = len(edges) - 1, int(b.max(initial=0)) + 1
     count, sums, places = (
-        np.bincount(number * blocks + b, weights, bins * blocks).reshape(bins, blocks)
+        np.asarray(np.bincount(number * blocks + b, weights, bins * blocks), float).reshape(
+            bins, blocks
+        )
         for weights in (np.ones(len(x)), y, x)
     )
     rows = count.sum(axis=1)

@@ -19,6 +19,7 @@ from ...model.effects.base import Term
 from ..greybox.inputs import Hold, held_step, lagged_input, moments
 from ..greybox.motion import Motion
 from ..greybox.noise import Filter
+from .forces import force_moments, polynomial_weights
 from .record import TraceRecord
 
 Array = NDArray[np.float64]
@@ -31,17 +32,17 @@ _BATCH = 16
 class FilterBank:
     """A record's innovations filter, ready for columns.
 
-    Phi, correction (R, 2n, 2n) and (R, 2n, n); `whitener` (R, n, n); `hold` (3 matrices (2n, p)):
-    what the new and the old command of a period and the lagged one add to the state; `straight`
-    (2, 2n, n): what a generalised force at the begin and at the end of a period adds, straight in
-    between; `mobility` (R, n, n) relative to its mean. All errors are in units of their standard
-    deviation; the mean of `every` rows becomes one, which keeps that.
+    Phi, correction (R, 2n, 2n) and (R, 2n, n); `whitener` (R, n, n). `smooth` (6, 2n, n): what a
+    generalised force at the rows around a period adds to the state, `powers` (J, 2n, n) what its
+    moments add; `relative` (R, n, n): the mobility over its mean. All errors are in units of their
+    standard deviation; the mean of `every` rows becomes one, which keeps that.
     """
 
     Phi: Array
     correction: Array
     whitener: Array
-    straight: Array
+    smooth: Array
+    powers: Array
     relative: Array
     motion: Motion
     model: DeclaredModel
@@ -66,12 +67,14 @@ class FilterBank:
         correction = Phi @ kalman.gain
         mean = at.mobility.mean(axis=0)
         relative = at.mobility @ np.linalg.inv(mean)
-        straight = _straight(at, mean)
+        powers = _powers(at, mean)
+        weights = polynomial_weights(at.Ts_s, len(powers))
+        smooth = np.einsum("js,jip->sip", weights, powers)
         whitener = np.linalg.inv(np.linalg.cholesky(kalman.covariance))
         if len(whitener) == 1 and len(Phi) > 1:
             whitener = np.broadcast_to(whitener, (len(Phi), n, n))
         return cls(
-            np.ascontiguousarray(Phi), np.ascontiguousarray(correction), whitener, straight,
+            np.ascontiguousarray(Phi), np.ascontiguousarray(correction), whitener, smooth, powers,
             relative, at, model, record, hold, every, at.blind,
         )  # fmt: skip
 
@@ -167,9 +170,17 @@ class FilterBank:
         return self._along(forcing)
 
     def force_forcing(self, force: Array) -> Array:
-        """Return what generalised forces (N, n), straight between rows, add to the state."""
-        following = np.vstack([force[1:], force[-1:]])
-        return self._along(force @ self.straight[0].T + following @ self.straight[1].T)
+        """Return what generalised forces (N, n) at the rows add to the state in each period."""
+        if self.hold == "band_limited":
+            order = len(self.motion.scale) - 1
+            m = force_moments(force, self.motion.Ts_s, order, self.hold)
+            return self._along(np.einsum("njp,jip->ni", m, self.powers, optimize=True))
+        rows = len(force)
+        padded = np.concatenate([np.repeat(force[:1], 2, 0), force, np.repeat(force[-1:], 3, 0)])
+        forcing = np.zeros((rows, self.smooth.shape[1]))
+        for s, matrix in enumerate(self.smooth):
+            forcing += padded[s : s + rows] @ matrix.T
+        return self._along(forcing)
 
     def _along(self, forcing: Array) -> Array:
         """Return forcing with each period's own mobility, where it changes."""
@@ -187,7 +198,7 @@ def thinned(errors: Array, every: int) -> Array:
     if every == 1:
         return errors
     rows = len(errors) // every * every
-    grouped = errors[:rows].reshape(-1, every, *errors.shape[1:])
+    grouped = errors[:rows].reshape(rows // every, every, *errors.shape[1:])
     return np.asarray(grouped.sum(axis=1) / np.sqrt(every))
 
 
@@ -203,21 +214,14 @@ def transitions(at: Motion) -> Array:
     return np.asarray(Phi)
 
 
-def _straight(at: Motion, mobility: Array) -> Array:
-    """Return (2, 2n, n): what a force at the begin and one at the end of a period add."""
-    n, Ts_s = at.K.shape[1], at.Ts_s
+def _powers(at: Motion, mobility: Array) -> Array:
+    """Return A^j [0, mobility] (J, 2n, n): what the moments of a force add to the state."""
+    n = at.K.shape[1]
     A, _ = at.continuous()
-    power = np.vstack([np.zeros((n, n)), mobility])
-    begin, end = np.zeros_like(power), np.zeros_like(power)
-    factorial = 1.0
-    for j in range(len(at.scale) - 1):
-        factorial *= max(j, 1)
-        whole = Ts_s ** (j + 1) / (factorial * (j + 1))
-        now = Ts_s ** (j + 1) / (factorial * (j + 2))
-        begin += now * power
-        end += (whole - now) * power
-        power = A @ power
-    return np.stack([begin, end])
+    powers = [np.vstack([np.zeros((n, n)), mobility])]
+    for _ in range(len(at.scale) - 2):
+        powers.append(A @ powers[-1])
+    return np.array(powers)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from ...model.effects.base import Signals, Term, total
 from ..greybox import kernels
-from ..greybox.inputs import held_step, lagged_input, moments
+from ..greybox.experiment import Loop
+from ..greybox.inputs import held_step, lagged_input
 from ..greybox.motion import Motion, innovations, motion, run_filter
-from ..greybox.noise import kalman_filter
 from ..greybox.prediction import predict_along, settled
-from .linearise import WorkingPoint, corrected_experiment, filtered
+from .forces import force_moments
+from .linearise import WorkingPoint, corrected_experiment, filter_of, filtered
 from .record import TraceRecord
-from .signals import trajectory
+from .signals import rate, trajectory
 
 Array = NDArray[np.float64]
 
@@ -65,36 +66,35 @@ def free_run(point: WorkingPoint, record: TraceRecord) -> FreeRun:
     _, added = filtered(point, record, at)
     offset, state = _start(point, record, added, first)
     q_given = e.y if added.gap is None else e.y - added.gap @ record.places.decoupling.T
-    last, change, ease = None, np.inf, 1.0
     at = settled(at, offset)
-    softer: Slopes | None = None
-    signals: Signals | None = None
-    for _ in range(_MOST_ROUNDS if point.placed else 1):
-        q, u = _simulate(point, record, at, added, first, state, q_given, softer)
+    change, ease = np.inf, 1.0
+    q, u = _simulate(point, record, at, added, first, state, q_given)
+    before: Signals | None = None
+    for _ in range(_MOST_ROUNDS if point.placed else 0):
+        if not np.all(np.isfinite(q)):
+            break
         coil = record.coil
         if e.loop is not None:
             coil = record.coil_excitation + _shared(record, u)
-        if not np.all(np.isfinite(q)):
-            return FreeRun(q @ record.places.sensor_shape.T, q, first, False, np.inf)
-        if signals is not None:
-            q_seen = signals.q + ease * (q - signals.q)
-            coil = signals.coil + ease * (coil - signals.coil)
-        else:
-            q_seen = q
-        before, signals = signals, trajectory(record, q_seen, coil, point.lag_s)
+        signals = trajectory(record, q, coil, point.lag_s)
         added = total([p.term(signals) for p in point.placed])
-        gap = q @ record.places.sensor_shape.T
-        if added.gap is not None:
-            gap = gap + added.gap
-        if last is not None:
-            slower = change
-            change = float(np.sqrt(np.mean((gap - last) ** 2))) / point.disturbance.sensor_sd
-            # Where it swings rather than settles, it goes half the way.
-            ease = max(0.5 * ease, _SHORTEST_STEP) if change > _SWINGS * slower else ease
-        if not point.placed or change < _SETTLED:
+        slopes = _slopes(point, signals, before, added)
+        next_q, next_u = _simulate(point, record, at, added, first, state, q_given)
+        if slopes is not None and np.all(np.isfinite(next_q)):
+            move = next_q - q
+            more_q, more_u = _bent(point, record, at, slopes, move, rate(move, e.Ts_s), first)
+            next_q, next_u = next_q + more_q, next_u + more_u
+        slower, step = change, next_q - q
+        change = float(np.sqrt(np.mean((step @ record.places.sensor_shape.T) ** 2)))
+        change /= point.disturbance.sensor_sd
+        # Where it swings rather than settles, it goes half the way.
+        ease = max(0.5 * ease, _SHORTEST_STEP) if change > _SWINGS * slower else ease
+        before, q, u = signals, q + ease * step, u + ease * (next_u - u)
+        if change < _SETTLED:
             break
-        softer = _slopes(point, signals, before, added)
-        last = gap
+    gap = q @ record.places.sensor_shape.T
+    if added.gap is not None:
+        gap = gap + added.gap
     return FreeRun(gap, q, first, not point.placed or change < _SETTLED, change)
 
 
@@ -138,7 +138,7 @@ def _start(
     part = Term(*(None if a is None else a[:first] for a in added.parts))
     own = motion(point.model, beginning.experiment, point.hold)
     experiment, acted = corrected_experiment(point, beginning, own, part)
-    kalman = kalman_filter(own, point.disturbance.noise)
+    kalman = filter_of(point, beginning, own)
     known = predict_along(acted, experiment, kalman)
     _, state = run_filter(settled(acted, known.offset), kalman.gain, experiment.y, known.start)
     return known.offset, state
@@ -159,42 +159,22 @@ def _simulate(
     first: int,
     state: Array,
     q_given: Array,
-    slopes: Slopes | None,
 ) -> tuple[Array, Array]:
     """Return pose (N, n) and command (N, p); rows before `first` as given."""
-    e, model = record.experiment, point.model
-    drift = at.drift
-    force = added.force
-    if force is not None and slopes is not None:
-        mobility = np.broadcast_to(at.mobility, slopes.stiffness.shape)
-        at = replace(at, K=at.K - mobility @ slopes.stiffness, D=at.D - mobility @ slopes.damping)
-        force = force - np.einsum("nij,nj->ni", slopes.stiffness, slopes.q)
-        force -= np.einsum("nij,nj->ni", slopes.damping, slopes.qd)
-    if force is not None:
-        outer = moments(force, e.Ts_s, len(at.scale) - 1, "foh", 0.0, 0.0)
-        drift = drift + np.einsum(
-            "nij,nkj->nki",
-            np.broadcast_to(at.mobility, (record.rows, *at.mobility.shape[1:])),
-            outer,
-            optimize=True,
-        )
-    if len(at.K) > 1:
-        at = replace(at, B=_each(at.B, record.rows), mobility=_each(at.mobility, record.rows))
+    e = record.experiment
+    if added.force is not None:
+        at = replace(at, drift=at.drift + _pushes(point, at, added.force))
     y, u = q_given.copy(), e.u.copy()
     if e.loop is None:
-        moved = replace(at, drift=drift)
         if added.held is not None:
-            acted = replace(e, u=e.u + added.held)
-            moved = replace(motion(model, acted, point.hold), drift=drift)
-        y[first:] = _open(moved, first, y, state)
+            acted = motion(point.model, replace(e, u=e.u + added.held), point.hold)
+            at = replace(at, inputs=acted.inputs)
+        y[first:] = _open(at, first, y, state)
         return y, u
-    loop = e.loop
-    kp, ki_Ts = loop.controller.kp, loop.controller.ki * e.Ts_s
-    values = {**model.values, **model.scheduling}
-    delay_s = max(e.delay_cycles * e.Ts_s + model.delay(values), 0.0)
-    step = held_step(e.Ts_s, len(at.scale) - 1, delay_s, max(model.lag(values), 0.0))
+    loop, n = e.loop, y.shape[1]
     error = loop.reference[first - 1] - e.y[first - 1]
-    integral = e.u[first - 1] - loop.v[first - 1] - loop.feedforward[first - 1] - kp * error
+    integral = e.u[first - 1] - loop.v[first - 1] - loop.feedforward[first - 1]
+    integral = integral - loop.controller.kp * error
     known, reference = loop.feedforward, loop.reference
     if added.held is not None:
         # It acts as a command does, and is none: the controller neither knows nor answers for it.
@@ -202,15 +182,90 @@ def _simulate(
         u[:first] += added.held[:first]
     if added.gap is not None:
         reference = reference - added.gap @ record.places.decoupling.T
+    x = state[: 2 * n].copy()
+    _closed(
+        point, record, at, Loop(loop.v, reference, known, loop.controller), first, x, integral, y, u
+    )
+    return y, u if added.held is None else u - added.held
+
+
+def _bent(
+    point: WorkingPoint,
+    record: TraceRecord,
+    at: Motion,
+    slopes: Slopes,
+    q: Array,
+    qd: Array,
+    first: int,
+) -> tuple[Array, Array]:
+    """Return by how much effects bend a trajectory (N, n) further that has moved by q, qd already.
+
+    What it has moved by changes the effects' forces, which move it again: the plant with the slopes
+    in it, driven by what they make of the move. It dies away with the move, so that where the
+    repetition settles does not depend on how well the slopes are known.
+    """
+    e, n = record.experiment, q.shape[1]
+    force = np.einsum("nij,nj->ni", slopes.stiffness, q)
+    force += np.einsum("nij,nj->ni", slopes.damping, qd)
+    force[:first] = 0.0
+    mobility = np.broadcast_to(at.mobility, slopes.stiffness.shape)
+    # Matrices hold in the middle of a period: a stiffness that came late would pump energy.
+    soft = replace(
+        at,
+        K=at.K - mobility @ _between(slopes.stiffness),
+        D=at.D - mobility @ _between(slopes.damping),
+        B=_each(at.B, record.rows),
+        mobility=np.ascontiguousarray(mobility),
+        inputs=np.zeros_like(at.inputs),
+        drift=_pushes(point, at, force),
+    )
+    y, u = np.zeros_like(q), np.zeros_like(e.u)
+    if e.loop is None:
+        y[first:] = _open(soft, first, y, np.zeros(2 * n))
+        return y, u
+    quiet = Loop(np.zeros_like(u), np.zeros_like(y), np.zeros_like(u), e.loop.controller)
+    _closed(point, record, soft, quiet, first, np.zeros(2 * n), np.zeros(u.shape[1]), y, u)
+    return y, u
+
+
+def _pushes(point: WorkingPoint, at: Motion, force: Array) -> Array:
+    """Return moments (N, J, n) of a generalised force (N, n), divided by M."""
+    outer = force_moments(force, at.Ts_s, len(at.scale) - 1, point.hold)
+    if len(at.mobility) == 1:
+        return np.asarray(outer @ at.mobility[0].T)
+    return np.asarray(outer @ np.swapaxes(at.mobility, 1, 2))
+
+
+def _closed(
+    point: WorkingPoint,
+    record: TraceRecord,
+    at: Motion,
+    loop: Loop,
+    first: int,
+    x: Array,
+    integral: Array,
+    y: Array,
+    u: Array,
+) -> None:
+    """Fill pose y and command u from row `first` on, in the loop."""
+    e, model = record.experiment, point.model
+    values = {**model.values, **model.scheduling}
+    delay_s = max(e.delay_cycles * e.Ts_s + model.delay(values), 0.0)
+    step = held_step(e.Ts_s, len(at.scale) - 1, delay_s, max(model.lag(values), 0.0))
     kernels.closed_loop_along(
-        np.ascontiguousarray(at.K), np.ascontiguousarray(at.D), at.B,
-        np.ascontiguousarray(drift), at.scale,
-        loop.v, reference, known, kp, ki_Ts, first, step.whole,
+        np.ascontiguousarray(at.K), np.ascontiguousarray(at.D), np.ascontiguousarray(at.B),
+        np.ascontiguousarray(at.drift), at.scale,
+        loop.v, loop.reference, loop.feedforward, loop.controller.kp,
+        loop.controller.ki * e.Ts_s, first, step.whole,
         step.from_old, step.from_new, step.from_lag,
         np.array([step.end_old, step.end_new, step.end_lag]),
-        state.copy(), integral, lagged_input(u, step)[first].copy(), y, u,
+        x, integral.copy(), lagged_input(u, step)[first].copy(), y, u,
     )  # fmt: skip
-    return y, u if added.held is None else u - added.held
+
+
+def _between(values: Array) -> Array:
+    """Return values (N, ...) in the middle of each period."""
+    return np.asarray(0.5 * (values + np.concatenate([values[1:], values[-1:]])))
 
 
 def _each(values: Array, rows: int) -> Array:

@@ -15,16 +15,19 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from ...model.declared import DeclaredModel
 from ...model.effects.base import Effect, Placed, Signals, Term, total
+from ..data import IdentificationError
 from ..greybox.experiment import Experiment
-from ..greybox.inputs import Hold, held_step, lagged_input, moments
+from ..greybox.inputs import Hold, held_step, lagged_input
 from ..greybox.motion import Motion, motion
-from ..greybox.noise import Filter, kalman_filter
+from ..greybox.noise import Filter, Noise, kalman_filter
 from ..greybox.parameters import FreeParameters
 from ..greybox.prediction import predict_along, settled
 from .filterbank import FilterBank, thinned
+from .forces import force_moments
 from .noise import Disturbance
 from .record import TraceRecord
 from .signals import measured_signals
@@ -36,6 +39,8 @@ _TO_HZ = 250.0
 """Errors are averaged down to this rate: what a platform answers lies below half of it."""
 _MOST_TRUST = 1e3
 _OUTLIER = 4.0
+_NOISE_REACH = 21.0
+_MOST_FILTERS = 8
 _PASSES = 2
 BLOCK_S = 4.0
 
@@ -51,6 +56,8 @@ class WorkingPoint:
     hold: Hold
     trust: float = 1e3
     """By how much more force noise than there is the trajectory follows what was measured."""
+    reference: DeclaredModel | None = None
+    """The model whose filters serve along moving schedules; this one's own where none is given."""
 
     @property
     def lag_s(self) -> float:
@@ -106,7 +113,7 @@ def along(point: WorkingPoint, record: TraceRecord) -> Along:
     """Return a record along the working point, its constant force and start fitted."""
     e = record.experiment
     at = motion(point.model, e, point.hold)
-    kalman = kalman_filter(at, point.disturbance.noise)
+    kalman = filter_of(point, record, at)
     signals, added = filtered(point, record, at)
     corrected, acted = corrected_experiment(point, record, at, added)
     prediction = predict_along(acted, corrected, kalman)
@@ -118,18 +125,41 @@ def along(point: WorkingPoint, record: TraceRecord) -> Along:
     )  # fmt: skip
 
 
+def filter_of(point: WorkingPoint, record: TraceRecord, at: Motion, trust: float = 1.0) -> Filter:
+    """Return the Kalman filter of a record, told `trust` times the force noise that there is.
+
+    Any filter's errors are noise where the model is right, so along a moving schedule that of the
+    reference model serves for all models like it: to find it takes longer than to use it.
+    """
+    noise = point.disturbance.noise
+    noise = Noise(noise.force_psd * trust, noise.output_variance)
+    if at.fixed:
+        return kalman_filter(at, noise)
+    model = point.model if point.reference is None else point.reference
+    values = np.array([*model.values.values(), *noise.force_psd, *noise.output_variance])
+    key = values.tobytes()
+    if key not in record.filters:
+        if len(record.filters) >= _MOST_FILTERS:
+            record.filters.clear()
+        reference = motion(model, record.experiment, point.hold)
+        record.filters[key] = kalman_filter(reference, noise)
+    return record.filters[key]
+
+
 def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Signals, Term]:
     """Return the trajectory of a record and what the effects found so far add along it.
 
     At first the filter does not know the effects, and follows the readings closely; then it knows
     them, and may believe its model as far as that explains the records.
     """
-    noise, added = point.disturbance.noise, Term()
-    signals = measured_signals(record, at, record.experiment.y, noise, _MOST_TRUST, point.lag_s)
+    added = Term()
+    closely = filter_of(point, record, at, _MOST_TRUST)
+    believing = filter_of(point, record, at, point.trust)
+    signals = measured_signals(record, at, record.experiment.y, closely, point.lag_s)
     for _ in range(_PASSES if point.placed else 0):
         added = total([p.term(signals) for p in point.placed])
         corrected, acted = corrected_experiment(point, record, at, added)
-        signals = measured_signals(record, acted, corrected.y, noise, point.trust, point.lag_s)
+        signals = measured_signals(record, acted, corrected.y, believing, point.lag_s)
     if point.placed:
         added = total([p.term(signals) for p in point.placed])
     return signals, added
@@ -177,6 +207,36 @@ def linearise(
     return _grams(record, channels, here.every)
 
 
+def with_likely_noise(point: WorkingPoint, records: Sequence[TraceRecord]) -> WorkingPoint:
+    """Return the point with the force noise under which records are likeliest, model as it is.
+
+    Where no record is still, the noise that drives the filter is all that the model lacks; it comes
+    down as effects are found.
+    """
+    if point.disturbance.measured:
+        return point
+    noise = point.disturbance.noise
+    parts = []
+    for record in records:
+        at = motion(point.model, record.experiment, point.hold)
+        _, added = filtered(point, record, at)
+        parts.append(corrected_experiment(point, record, at, added))
+
+    def cost(log_level: float) -> float:
+        tried = Noise(np.exp(log_level) * noise.force_psd, noise.output_variance)
+        try:
+            return sum(predict_along(at, e, kalman_filter(at, tried)).cost for e, at in parts)
+        except IdentificationError:
+            return np.inf
+
+    levels = np.linspace(-_NOISE_REACH, _NOISE_REACH, 15)
+    best = levels[np.argmin([cost(level) for level in levels])]
+    step = levels[1] - levels[0]
+    found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
+    likely = Noise(float(np.exp(found.x)) * noise.force_psd, noise.output_variance)
+    return replace(point, disturbance=replace(point.disturbance, noise=likely))
+
+
 def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
     """Return the terms of an effect's amplitudes, then what its shape does at its amplitudes."""
     terms = placed.effect.build(signals, placed.shape)
@@ -213,7 +273,7 @@ def corrected_experiment(
         at = motion(point.model, e, point.hold)
     if added.force is not None:
         order = len(at.scale) - 1
-        outer = moments(added.force, e.Ts_s, order, "foh", 0.0, 0.0)
+        outer = force_moments(added.force, e.Ts_s, order, point.hold)
         B = np.concatenate([at.B, at.mobility], axis=2)
         at = replace(at, B=B, inputs=np.concatenate([at.inputs, outer], axis=2))
     return e, at

@@ -55,12 +55,11 @@ def disturbance(
     places = records[0].places
     T = places.decoupling
     still = [r for r in records if r.still and r.experiment.loop is not None]
-    if not still:
-        # Where nothing was still the fit's own noise stands, undeclared effects and all.
-        share = np.sqrt(np.median(fallback.output_variance / np.diag(T @ T.T)))
-        return Disturbance(fallback, float(share), measured=False)
     sd = float(np.median(sensor_noise(records)))
     output = np.diag(T @ T.T) * sd**2
+    if not still:
+        # Unknown forces are the fit's own until something better explains them.
+        return Disturbance(Noise(fallback.force_psd, output), sd, measured=False)
     unit = np.diag(places.coil_shape.T @ places.coil_shape)
     first = float(np.median(fallback.force_psd / unit))
     levels = [_force_level(model, r.experiment, Noise(first * unit, output)) for r in still]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from ...model.effects.base import Places
 from ...model.geometry import shape_matrix
 from ..gaps import without_gaps
 from ..greybox.experiment import Experiment, experiment_from_log
+from ..greybox.noise import Filter
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,10 @@ class TraceRecord:
     rotor: Array
     drive_n: Array | None
     kind: str
+    filters: dict[bytes, Filter] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    """Filters along a moving schedule, by the noise they are for: they cost more than their use."""
 
     @property
     def name(self) -> str:

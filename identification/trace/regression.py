@@ -150,7 +150,7 @@ def score(evidence: Evidence, base: Indices, groups: Sequence[Indices]) -> Score
     before = cross_validated(evidence, base)
     base_list = list(base)
     gains = [before - cross_validated(evidence, [*base_list, *group]) for group in groups]
-    return Scores(before, np.array(gains).reshape(len(groups), -1))
+    return Scores(before, np.array(gains).reshape(len(groups), before.size))
 
 
 def chance(evidence: Evidence, base: Indices, group: Indices, coefficients: Array) -> float:

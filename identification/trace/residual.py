@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from ...model.effects.base import Placed, Term
+from ...model.second_order import discretise
 from ..greybox.motion import Motion, input_moments
+from .forces import force_moments
 from .linearise import Along, WorkingPoint, along, corrected_experiment
 from .record import TraceRecord
 
@@ -18,6 +20,8 @@ Array = NDArray[np.float64]
 _SEGMENT_S = 4.0
 _EDGE_ROWS = 3
 """Rows at both ends that central differences of sixth order do not reach."""
+_LOWEST = 1e-6
+_FADE_S = 0.5
 _OUTLIER = 5.0
 _THIRD = 2.0 ** (1 / 3)
 _PASSED = 1.3
@@ -32,9 +36,10 @@ class Missing:
     """What a working point leaves of a record.
 
     force (N, n): generalised force that the model lacks, the mean of the period after each row, its
-    own mean over the record taken out; good up to where the sensors' noise, differentiated twice,
-    is larger. reading (N, S): readings less their best rigid pose. drive (N,): force of the beam's
-    drives less what accelerations and tilt explain; None where nobody measured it.
+    own mean over the record taken out, faded at both ends; good up to where the sensors' noise,
+    differentiated twice, is larger. reading (N, S): readings less their best rigid pose. drive
+    (N,): force of the beam's drives less what accelerations and tilt explain; None where nobody
+    measured it.
     """
 
     here: Along
@@ -91,6 +96,31 @@ def noise_density(point: WorkingPoint, here: Along, freq_hz: Array) -> Array:
     return np.asarray(2 * at.Ts_s * seen + 2 * noise.force_psd)
 
 
+def floor_density(point: WorkingPoint, record: TraceRecord, freq_hz: Array) -> Array:
+    """Return the one-sided density (F, n) of what noise alone leaves of a free-running pose.
+
+    Of the measured pose, so with the sensors' own noise; the beam at its mean place.
+    """
+    e, noise = record.experiment, point.disturbance.noise
+    at = point.model.at({name: float(v.mean()) for name, v in e.schedule.items()})
+    n = len(at.M)
+    by_force = discretise(replace(at, B=np.eye(n), lag_s=0.0, delay_s=0.0), e.Ts_s)
+    # A controller that integrates has no gain at zero frequency.
+    freq_hz = np.maximum(freq_hz, _LOWEST * float(freq_hz.max()))
+    moved = by_force.response(freq_hz)
+    shown = np.broadcast_to(np.eye(n, dtype=complex), (len(freq_hz), n, n))
+    if e.loop is not None:
+        delay_s = max(at.delay_s + e.delay_cycles * e.Ts_s, 0.0)
+        P = discretise(replace(at, delay_s=delay_s), e.Ts_s).response(freq_hz)
+        C = e.loop.controller.response(freq_hz, e.Ts_s)
+        # What is measured is y = S (G d + n): the loop answers to both.
+        shown = np.linalg.inv(np.eye(n) + P * C[:, None, :])
+        moved = shown @ moved
+    force = np.einsum("fij,j->fi", np.abs(moved) ** 2, noise.force_psd)
+    sensor = e.Ts_s * np.einsum("fij,j->fi", np.abs(shown) ** 2, noise.output_variance)
+    return np.asarray(2 * (force + sensor))
+
+
 def standing_out(psd: Array, noise: Array, freq_hz: Array) -> Array:
     """Return the gain (F, .) of a filter that keeps what stands out of the noise; both (F, .).
 
@@ -130,7 +160,7 @@ def density(values: Array, Ts_s: float) -> tuple[Array, Array]:
 
 
 def _lacking(acted: Motion, y: Array) -> Array:
-    """Return M q'' + D q' + K q - B u around its mean, over each period (N, n), exact but for q'."""
+    """Return M q'' + D q' + K q - B u around its mean (N, n), of each period, exact but for q'."""
     Ts_s = acted.Ts_s
     qd = _rate(y, Ts_s)
     acceleration, velocity = (np.diff(x, axis=0) / Ts_s for x in (qd, y))
@@ -139,12 +169,16 @@ def _lacking(acted: Motion, y: Array) -> Array:
     lacking = acceleration + _times(acted.D, velocity) + _times(acted.K, place)
     lacking -= _times(acted.B, acted.inputs[:rows, 0]) / Ts_s
     lacking -= acted.drift[:rows, 0] / Ts_s if len(acted.drift) > 1 else acted.drift[0, 0] / Ts_s
-    mass = np.linalg.inv(acted.mobility)
-    force = _times(mass, lacking)
+    force = _times(_inverse(acted.mobility), lacking)
     # Where inputs from before the record still act, nothing is known.
     known = slice(max(acted.blind, _EDGE_ROWS), rows - _EDGE_ROWS)
     around_mean = np.zeros_like(y)
     around_mean[known] = force[known] - force[known].mean(axis=0)
+    # Noise differentiated twice and cut off sharply would leave a blow at either end.
+    ramp = min(max(round(_FADE_S / Ts_s), 1), rows // 4)
+    fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)
+    around_mean[known.start : known.start + ramp] *= fade[:, None]
+    around_mean[known.stop - ramp : known.stop] *= fade[::-1, None]
     return around_mean
 
 
@@ -154,19 +188,23 @@ def _force_of(point: WorkingPoint, here: Along, term: Term) -> Array | None:
         return None
     force = np.zeros_like(here.signals.q)
     if term.force is not None:
-        force += 0.5 * (term.force + np.vstack([term.force[1:], term.force[-1:]]))
+        force += force_moments(term.force, here.at.Ts_s, 1, point.hold)[:, 0] / here.at.Ts_s
     if term.held is not None:
         e = replace(here.record.experiment, u=term.held)
         acting = input_moments(point.model, e, point.hold, 1)[:, 0] / e.Ts_s
-        force += _times(np.linalg.inv(here.at.mobility) @ here.at.B, acting)
+        force += _times(_inverse(here.at.mobility) @ here.at.B, acting)
     return force
+
+
+def _inverse(matrices: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrices), np.float64)
 
 
 def _times(matrices: Array, values: Array) -> Array:
     """Return each row's matrix, or the one of all rows, times the row's vector."""
     if len(matrices) == 1:
         return np.asarray(values @ matrices[0].T)
-    return np.einsum("nij,nj->ni", matrices[: len(values)], values)
+    return np.asarray(np.einsum("nij,nj->ni", matrices[: len(values)], values))
 
 
 def _rate(values: Array, Ts_s: float) -> Array:

@@ -24,7 +24,8 @@ METRIC = (
 )
 NOISE_MOST = 1.15
 """Error over its floor up to which nothing is left: the floor itself is known to some percent."""
-_SQUARE_MOST = 1.05
+SQUARE_MOST = 1.05
+_NEXT_TO_NOTHING = 0.01
 _TOLD = 0.5
 """Of what was known before: a standard error above says that the records told nothing."""
 _BAND = (0.1, 0.9)
@@ -37,12 +38,13 @@ class Evidence:
 
     statistic: on held-out records, what the effect predicted from the others, against the errors,
     in standard deviations of chance. explained: squared errors that it took on blocks of time that
-    did not fit it, `share` of all that noise did not explain then. `alternatives` fit no worse.
+    did not fit it, `share` of all that noise did not explain then, None where that was next to
+    nothing. `alternatives` fit no worse.
     """
 
     statistic: float
     explained: float
-    share: float
+    share: float | None
     round: int
     alternatives: tuple[Effect, ...]
 
@@ -58,6 +60,11 @@ class FoundEffect:
     def effect(self) -> Effect:
         """The effect without values."""
         return self.placed.effect
+
+    @property
+    def unknown(self) -> bool:
+        """Whether it is no known effect, but a free-form force that describes what there is."""
+        return self.effect.effect_class == "unknown"
 
     def parameters(self) -> dict[str, EffectParameter]:
         """Return values, standard errors and units, amplitudes before shape."""
@@ -103,22 +110,23 @@ class Outcome:
     @property
     def significant(self) -> bool:
         """Whether more is left than noise."""
-        return self.mean_square > _SQUARE_MOST or not self.after <= NOISE_MOST * self.floor
+        return self.mean_square > SQUARE_MOST or not self.after <= NOISE_MOST * self.floor
 
     @property
     def verdict(self) -> str:
         """What was found, in a sentence."""
+        names = ", ".join(f.effect.name for f in self.effects if not f.unknown)
+        forms = ", ".join(f.effect.name for f in self.effects if f.unknown)
         if self.effects:
-            names = ", ".join(f.effect.name for f in self.effects)
-            return f"found: {names}; " + (
-                "more is left that no known effect explains"
-                if self.significant
-                else "what is left is noise"
-            )
+            parts = [f"found: {names}"] if names else []
+            if forms:
+                parts.append(f"unexplained by any known effect, and described freely: {forms}")
+            rest = "more than noise is left" if self.significant else "what is left is noise"
+            return "; ".join([*parts, rest])
         if self.significant:
             return (
-                "nothing found: there is more than noise left, and no known effect explains it "
-                "beyond chance"
+                "nothing found: more than noise is left, and no known effect explains it beyond "
+                "chance"
             )
         return "nothing found: the model explains the records down to the noise"
 
@@ -158,7 +166,7 @@ def summary(trace: Trace) -> dict[str, Any]:
     noise_floor, per_dof. unexplained: what is left. None stands for what is not a number.
     """
     found = outcome(trace)
-    return _plain(
+    plain: dict[str, Any] = _plain(
         {
             "effects": [_effect(f) for f in found.effects],
             "validation": {
@@ -194,6 +202,7 @@ def summary(trace: Trace) -> dict[str, Any]:
             },
         }
     )
+    return plain
 
 
 def model_after(trace: Trace) -> ModelConfig:
@@ -232,7 +241,7 @@ def _parameters(placed: Placed) -> dict[str, EffectParameter]:
 
 
 def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
+    return float(value) if value is not None and math.isfinite(value) else None
 
 
 def _evidence(rounds: Sequence[Round]) -> dict[str, Evidence]:
@@ -241,7 +250,7 @@ def _evidence(rounds: Sequence[Round]) -> dict[str, Evidence]:
         r.taken.effect.identity: Evidence(
             r.taken.chance,
             r.taken.gain,
-            r.taken.gain / max(r.excess, r.taken.gain),
+            min(r.taken.gain / r.excess, 1.0) if r.excess > _NEXT_TO_NOTHING * r.count else None,
             number,
             tuple(t.effect for t in r.alternatives),
         )
@@ -288,7 +297,7 @@ def _beyond(trace: Trace) -> float | None:
     squares = np.array(
         [sensors * e.squares - float(own @ e.pose_squares) / sd**2 for e in trace.after]
     )
-    return float(rows @ squares / rows.sum()) / (sensors - n)
+    return float((rows / rows.sum()) @ squares) / float(sensors - n)
 
 
 def _effect(found: FoundEffect) -> dict[str, Any]:

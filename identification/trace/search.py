@@ -31,6 +31,12 @@ class Records(Protocol):
     ) -> list[Linearised]:
         """Return the records to fit to, all or some of them by number."""
 
+    def held_error(self, point: WorkingPoint) -> float:
+        """Return the mean square error of the held-out records, simulated freely."""
+
+    def believed(self, point: WorkingPoint) -> WorkingPoint:
+        """Return the point with its noise as the records have it now."""
+
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
         """Return the records that choose nothing, and are asked only whether they agree."""
 
@@ -54,6 +60,14 @@ _PRICE = 4.0
 _TRUST = 1e3
 _TELLING = 0.8
 _SIFTING_STEPS = 4
+_LOWERS = 0.003
+"""Share of the held-out records' mean square error, simulated freely, that an effect must take."""
+_SAME = 1e-6
+_MOST_REFUSED = 3
+_MUCH = 0.05
+"""Squared errors beyond noise, as a share of noise, that free-form forces are tried on."""
+_GUESS = 0.3
+"""A name that takes less than this share of what is left beside a free form was a guess."""
 _STEPS = 8
 _CONVERGED = 0.3
 
@@ -94,53 +108,105 @@ class Found:
 
 
 def search(
-    point: WorkingPoint, effects: Sequence[Effect], records: Records, progress: Progress
+    point: WorkingPoint,
+    effects: Sequence[Effect],
+    unknown: Sequence[Effect],
+    records: Records,
+    progress: Progress,
 ) -> Found:
     """Add effects one by one while records that were not used to choose them agree.
 
     `point` is at its best already. Every round tries all candidates by regression, fits the few
-    that explain most, model and all, and takes the best of those.
+    that explain most, model and all, and takes the best of those. What is left in the end goes to
+    free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped.
     """
-    candidates = [(effect, tuple(shape)) for effect in effects for shape in effect.grid]
-    rounds: list[Round] = []
-    while True:
-        progress(f"screening {len(candidates)} candidates", _share(len(rounds)))
-        train = _gather(point, records.train(point, candidates))
-        held = _gather(point, records.held(point, candidates))
-        found = _round(point, candidates, train, held)
-        if not found.survivors or len(point.placed) >= _MOST_EFFECTS:
-            rounds.append(found)
-            break
-        progress(
-            f"fitting {', '.join(t.effect.name for t in found.survivors)}", _share(len(rounds))
-        )
-        found = _sifted(point, found, train, records)
-        rounds.append(found)
-        if found.taken is None:
-            break
-        progress(f"adding {found.taken.effect.name}", _share(len(rounds)))
-        better, squares = refine(_with(point, found.taken), records)
-        if not squares < train.squares:
-            rounds[-1] = replace(found, taken=None)
-            break
-        point = _without_idle(_believing(better, squares, train), records)
-        chosen = {p.effect.identity for p in point.placed}
-        candidates = [
-            (effect, tuple(shape))
-            for effect in effects
-            if effect.identity not in chosen
-            for shape in effect.grid
-        ]
+    error = records.held_error(point)
+    point, error, rounds = _grown(point, effects, error, records, progress)
+    if _much_is_left(point, records):
+        named = point
+        point, error, more = _grown(point, unknown, error, records, progress)
+        rounds += more
+        if point is not named:
+            point = _without_guesses(point, records)
     train, held = (_gather(point, part) for part in (records.train(point), records.held(point)))
     own = list(range(train.gram.shape[1] - 1))
     spread = covariance(train.whole, own) / np.outer(train.size[:-1], train.size[:-1])
     return Found(_with_errors(point, spread, train), tuple(rounds), spread, train, held)
 
 
+def _much_is_left(point: WorkingPoint, records: Records) -> bool:
+    """Return whether the errors are so much larger than noise that it is worth describing them."""
+    train = _gather(point, records.train(point))
+    return point.disturbance.measured and train.excess > _MUCH * float(train.count.sum())
+
+
+def _grown(
+    point: WorkingPoint,
+    effects: Sequence[Effect],
+    error: float,
+    records: Records,
+    progress: Progress,
+) -> tuple[WorkingPoint, float, list[Round]]:
+    """Return the point with effects added while that helps, its held-out error, and the rounds."""
+    candidates = [(effect, tuple(shape)) for effect in effects for shape in effect.grid]
+    rounds: list[Round] = []
+    barred = {p.effect.identity for p in point.placed}
+    refused = 0
+    while True:
+        progress(f"screening {len(candidates)} candidates", _share(len(rounds)))
+        train = _gather(point, records.train(point, candidates))
+        held = _gather(point, records.held(point, candidates))
+        found = _round(point, candidates, train, held)
+        if not found.survivors or len(point.placed) >= _MOST_EFFECTS or refused >= _MOST_REFUSED:
+            rounds.append(found)
+            break
+        progress(
+            f"fitting {', '.join(t.effect.name for t in found.survivors)}", _share(len(rounds))
+        )
+        found = _sifted(point, found, train, records)
+        taken = found.taken
+        assert taken is not None
+        progress(f"adding {taken.effect.name}", _share(len(rounds)))
+        better, squares = refine(_with(point, taken), records)
+        better = records.believed(_without_idle(_believing(better, squares, train), records))
+        after = records.held_error(better)
+        # What shows in the drives alone leaves the platform's motion as it was.
+        aside = abs(after - error) < _SAME * error
+        if squares < train.squares and (after < (1.0 - _LOWERS) * error or aside):
+            point, error = better, after
+            barred |= {p.effect.identity for p in point.placed}
+        else:
+            found = replace(found, taken=None)
+            barred.add(taken.effect.identity)
+            refused += 1
+        rounds.append(found)
+        candidates = [
+            (effect, tuple(shape))
+            for effect in effects
+            if effect.identity not in barred
+            for shape in effect.grid
+        ]
+    return point, error, rounds
+
+
+def _without_guesses(point: WorkingPoint, records: Records) -> WorkingPoint:
+    """Return the point without named effects that free-form forces make all but idle."""
+    named = [p for p in point.placed if p.effect.effect_class != "unknown"]
+    best = _gather(point, records.train(point))
+    for guess in named:
+        fewer = replace(point, placed=tuple(p for p in point.placed if p is not guess))
+        fewer, squares = refine(fewer, records)
+        if squares - best.squares < max(_GUESS * best.excess, _LEAST):
+            point, best = fewer, _gather(fewer, records.train(fewer))
+    return point
+
+
 def _believing(point: WorkingPoint, squares: float, evidence: Evidence) -> WorkingPoint:
     """Return the point with its trajectories as close to the model as the errors allow."""
     count = float(evidence.count.sum())
-    return replace(point, trust=float(np.clip(_TRUST * (squares / count - 1.0), 1.0, _TRUST)))
+    wanted = float(np.clip(_TRUST * (squares / count - 1.0), 1.0, _TRUST))
+    # In decades: filters are kept for each.
+    return replace(point, trust=float(10.0 ** np.ceil(np.log10(wanted))))
 
 
 def _share(rounds: int) -> float:

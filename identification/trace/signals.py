@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ...model.effects.base import Signals
 from ..greybox.motion import Motion, innovations
-from ..greybox.noise import Noise, kalman_filter
+from ..greybox.noise import Filter
 from ..greybox.prediction import settled
 from .record import TraceRecord
 
@@ -15,15 +15,13 @@ Array = NDArray[np.float64]
 
 
 def measured_signals(
-    record: TraceRecord, at: Motion, y: Array, noise: Noise, trust: float, lag_s: float
+    record: TraceRecord, at: Motion, y: Array, kalman: Filter, lag_s: float
 ) -> Signals:
     """Return the trajectory of a record: poses y (N, n) filtered along its motion.
 
-    `at` has the forces of the effects found so far in it, y is free of false readings. Where the
-    model lacks something still, the filter is to trust the readings more than the model: it is
-    told `trust` times the force noise that there is.
+    `at` has the forces of the effects found so far in it, y is free of false readings.
     """
-    gain = kalman_filter(at, Noise(noise.force_psd * trust, noise.output_variance)).gain
+    gain = kalman.gain
     start = np.concatenate([y[0], np.zeros_like(y[0])])
     at = settled(at, _mean_force(at, y))
     error = innovations(at, gain, y, start)

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from ...config.model import ModelConfig
 from ...log.reader import read_log
 from ...model.effects.base import Effect, Places
+from ...model.effects.declared import placed_effects
 from ...model.effects.extent import Extent
 from ..data import IdentificationError
 from ..declared import declared_model
@@ -21,9 +22,10 @@ from ..from_log import NotARecordError
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.noise import Noise
 from ..greybox.parameters import free_parameters
+from .freeform import freeform_effects
 from .hints import extent
-from .linearise import Linearised, WorkingPoint, linearise
-from .metric import RecordError, record_error
+from .linearise import Linearised, WorkingPoint, linearise, with_likely_noise
+from .metric import RecordError, pooled, record_error
 from .noise import Disturbance, disturbance
 from .record import TraceRecord, split, trace_record
 from .search import Candidate, Found, refine, search
@@ -41,8 +43,8 @@ _LOUDER = (1e6, 1e4, 1e2)
 class Trace:
     """What was found.
 
-    `declared`: the model refitted without effects; `found`: the end of the search. before, after:
-    errors of the held-out records, free-running, in the order of `held`.
+    `declared`: the model refitted with no effects but its own; `found`: the end of the search.
+    before, after: errors of the held-out records, free-running, in the order of `held`.
     """
 
     config: ModelConfig
@@ -85,6 +87,9 @@ def _trace(
         min(r.time_s[0] for r in records.values()),
         max(r.time_s[-1] for r in records.values()),
     )
+    records = {
+        path: replace(r, places=replace(r.places, span_s=span)) for path, r in records.items()
+    }
     train, held = split(list(records.values()))
     where = {r.name: path for path, r in records.items()}
     begin = {r.name: r.time_s[0] for r in records.values()}
@@ -97,16 +102,21 @@ def _trace(
         return found
 
     progress("fitting the declared model", 0.05)
-    point = _start(config, train, list(records.values()))
-    places = replace(train[0].places, span_s=span)
+    parts = _parts(train)
+    point = _start(config, parts, list(records.values()))
+    places = train[0].places
     covered = extent([*train, *held])
     train_sources, held_sources = sources(train), sources(held)
     names = tuple(r.name for r in train), tuple(r.name for r in held)
     del records, train, held
 
-    logged = _Logged(workers, tuple(train_sources), tuple(held_sources))
-    declared, _ = refine(point, logged)
-    found = search(declared, effects(places, covered), logged, progress)
+    logged = _Logged(workers, tuple(train_sources), tuple(held_sources), tuple(parts))
+    start = logged.believed(replace(point, reference=point.model))
+    declared, _ = refine(start, logged)
+    known = {p.effect.identity for p in point.placed}
+    others = [e for e in visible(effects(places, covered), places) if e.identity not in known]
+    unknown = freeform_effects(places, covered)
+    found = search(declared, others, unknown, logged, progress)
     progress("simulating held-out records", 0.9)
     before = workers.map(partial(record_error, declared), held_sources)
     after = workers.map(partial(record_error, found.point), held_sources)
@@ -120,6 +130,14 @@ class _Logged:
     workers: Workers
     fitted: tuple[Source, ...]
     kept: tuple[Source, ...]
+    parts: tuple[TraceRecord, ...]
+
+    def believed(self, point: WorkingPoint) -> WorkingPoint:
+        return with_likely_noise(point, self.parts)
+
+    def held_error(self, point: WorkingPoint) -> float:
+        errors = self.workers.map(partial(record_error, point), self.kept)
+        return pooled(errors)[0] ** 2 if errors else 0.0
 
     def train(
         self,
@@ -139,6 +157,12 @@ class _Loaded:
     """Records at hand, to fit to."""
 
     records: Sequence[TraceRecord]
+
+    def believed(self, point: WorkingPoint) -> WorkingPoint:
+        return with_likely_noise(point, self.records)
+
+    def held_error(self, point: WorkingPoint) -> float:  # noqa: ARG002
+        return 0.0
 
     def train(
         self,
@@ -174,30 +198,40 @@ def _read(
             f"expected records among the {len(logs)} logs, found none: {'; '.join(notes)}"
         )
     names = [r.name for r in records.values()]
-    double = sorted({name for name in names if names.count(name) > 1})
-    if double:
-        raise IdentificationError(
-            f"expected every record once, found several named {', '.join(double)}"
-        )
+    for path, record in records.items():
+        if names.count(record.name) > 1:
+            named = replace(record.experiment, name=f"{record.name} ({path.stem})")
+            records[path] = replace(record, experiment=named)
     return records, tuple(notes)
 
 
+def visible(effects: Sequence[Effect], places: Places) -> list[Effect]:
+    """Return the effects that records of a plant can show at all.
+
+    Without more sensors than DOF a reading that is false in proportion to itself is a change of
+    units: a fit would shrink the readings, and the errors with them.
+    """
+    if places.sensors > len(places.dof):
+        return list(effects)
+    return [e for e in effects if not any(w.startswith("sensor") for w in e.where)]
+
+
 def _start(
-    config: ModelConfig, train: Sequence[TraceRecord], records: Sequence[TraceRecord]
+    config: ModelConfig, parts: Sequence[TraceRecord], records: Sequence[TraceRecord]
 ) -> WorkingPoint:
     """Return a working point near the declared model's best, from parts of some records.
 
     With much force noise the filter follows a record whatever the parameters are, and the errors
     are nearly linear in them; so it is taken to be loud first, and comes down to what it is.
     """
-    parts = _parts(train)
     parameters, model = free_parameters(config), declared_model(config)
     if any(r.still and r.experiment.loop is not None for r in records):
         noise = disturbance(model, records, first_noise([r.experiment for r in parts]))
     else:
         fit = fit_model(config, [r.experiment for r in parts])
         model, noise = fit.model, disturbance(fit.model, records, fit.noise)
-    point = WorkingPoint(model, parameters, (), noise, config.input)
+    placed = placed_effects(config.effects, records[0].places)
+    point = WorkingPoint(model, parameters, placed, noise, config.input)
 
     for louder in _LOUDER if noise.measured else ():
         loud = Noise(louder * noise.noise.force_psd, noise.noise.output_variance)

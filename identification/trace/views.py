@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,16 @@ from ...model.effects.base import Placed, Signals
 from .linearise import BLOCK_S, Along, WorkingPoint
 from .noise import Disturbance
 from .record import TraceRecord
-from .residual import Missing, denoised, density, missing, noise_density, share, standing_out
+from .residual import (
+    Missing,
+    denoised,
+    density,
+    floor_density,
+    missing,
+    noise_density,
+    share,
+    standing_out,
+)
 from .study import Trace
 from .workers import Source, Workers
 
@@ -41,8 +50,9 @@ class Signal:
 class Aspect:
     """One part of an effect in one record, sampled: where it acts, fitted (K,) and measured (K,).
 
-    measured: fitted, and what the model with all effects leaves there. Both went through the same
-    filter, which keeps frequencies at which the effect stands out. block (K,) numbers blocks of
+    measured: fitted, and what the model with all effects leaves there; the mean over the record,
+    which a constant force hides, is as fitted. Both went through the same filter, which keeps
+    frequencies at which the effect stands out. block (K,) numbers blocks of
     time. `signals` are what it may depend on.
     """
 
@@ -82,6 +92,7 @@ class RecordView:
     stands_out_before: Array
     stands_out_after: Array
     aspects: tuple[Aspect, ...]
+    floor: Array | None
 
 
 @dataclass(frozen=True)
@@ -101,14 +112,18 @@ def views(found: Trace, logs: Sequence[Path], workers: Workers) -> Views:
         log = read_log(path)
         if (log.metadata.get("name") or path.stem) in names:
             sources.append(Source(path, 0, len(log.rows), found.places.span_s))
-    seen = workers.map(partial(_view, found.declared, found.found.point, found.held), sources)
+    held = {e.name: e.freq_hz for e in found.after}
+    seen = workers.map(partial(_view, found.declared, found.found.point, held), sources)
     places = found.places
     units = tuple(places.force_unit(i) for i in range(len(places.dof)))
     return Views(tuple(sorted(seen, key=lambda v: float(v.time_s[0]))), places.dof, units)
 
 
 def _view(
-    declared: WorkingPoint, found: WorkingPoint, held: Sequence[str], record: TraceRecord
+    declared: WorkingPoint,
+    found: WorkingPoint,
+    held: Mapping[str, Array],
+    record: TraceRecord,
 ) -> RecordView:
     before, after = missing(declared, record), missing(found, record)
     s = after.here.signals
@@ -120,10 +135,13 @@ def _view(
     time_s, squares_before = _block_squares(declared, before)
     _, squares_after = _block_squares(found, after)
     aspects = _aspects(found, after, every, block) if found.placed else ()
+    freq_hz = held.get(record.name)
+    floor = None if freq_hz is None else floor_density(found, record, freq_hz)
     return RecordView(
         record.name, record.name in held, time_s, squares_before, squares_after,
         _sensor_rms(declared.disturbance, before), _sensor_rms(found.disturbance, after),
         block, signals, force_before[::every], force_after[::every], out_before, out_after, aspects,
+        floor,
     )  # fmt: skip
 
 
@@ -242,13 +260,13 @@ def _parts(point: WorkingPoint, left: Missing, placed: Placed) -> Iterator[_Part
         # One coil's force shows in all DOFs in the ratio of its arms.
         arm = places.coil_shape[coils[0]]
         weight = arm / float(arm @ arm)
-        signals = (
+        driven = (
             Signal(f"command of coil {coils[0]}", places.coil_unit, s.acting(s.coil)[:, coils[0]]),
             Signal(f"height at coil {coils[0]}", places.sensor_unit, s.q @ arm),
         )
         yield _part(
             f"force of coil {coils[0]}", places.coil_unit, own.force @ weight,
-            left.force @ weight, here, signals,
+            left.force @ weight, here, driven,
         )  # fmt: skip
     elif own.force is not None:
         for i, dof in enumerate(places.dof):
@@ -258,7 +276,8 @@ def _parts(point: WorkingPoint, left: Missing, placed: Placed) -> Iterator[_Part
     if own.reading is not None:
         _, _, directions = np.linalg.svd(own.reading, full_matrices=False)
         direction = directions[0]
-        place, signals, scale = "readings, their common pattern", (), 1.0
+        place, scale = "readings, their common pattern", 1.0
+        signals: tuple[Signal, ...] = ()
         if len(sensors) == 1:
             sensor = sensors[0]
             direction = np.zeros(places.sensors)
@@ -285,14 +304,13 @@ def _parts(point: WorkingPoint, left: Missing, placed: Placed) -> Iterator[_Part
 def _part(
     place: str, unit: str, fitted: Array, left: Array, here: Along, signals: tuple[Signal, ...]
 ) -> _Part:
-    Ts_s = here.at.Ts_s
-    fitted = fitted - fitted.mean()
-    left = left - left.mean()
+    Ts_s, mean = here.at.Ts_s, fitted.mean()
+    fitted, left = fitted - mean, left - left.mean()
     freq_hz, psd = density(np.column_stack([fitted, left]), Ts_s)
     gain = psd[:, 0] / np.maximum(psd[:, 0] + psd[:, 1], 1e-300)
     size = float(np.sqrt(np.sum(gain * psd[:, 0]) / max(np.sum(gain * psd[:, 1]), 1e-300)))
     fitted, left = (denoised(v, gain, freq_hz, Ts_s) for v in (fitted, left))
-    return _Part(place, unit, fitted, left, size if np.any(fitted) else 0.0, signals)
+    return _Part(place, unit, fitted + mean, left, size if np.any(fitted) else 0.0, signals)
 
 
 def _sampled(

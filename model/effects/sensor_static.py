@@ -1,4 +1,4 @@
-"""Sensors that show something else than the height: gain, offset, nonlinearity, a neighbour's gap.
+"""Sensors that show something else than the height: gain, offset, nonlinearity, another's gap.
 
 Inductive sensors are nonlinear in the gap, drift with temperature, and couple where their coils lie
 close (Fleming, *A review of nanometer resolution position sensors*, Sensors and Actuators A 190,
@@ -17,7 +17,7 @@ from .base import Effect, Places, Quantity, Signals, Term, on_sensor
 
 
 def effects(places: Places) -> list[Effect]:
-    """Return gain, offset, drift and nonlinearity of every sensor, and crosstalk of neighbours."""
+    """Return gain, offset, drift, nonlinearity of every sensor, crosstalk between any two."""
     unit, spare = places.sensor_unit, places.sensors > len(places.dof)
     found = []
     for s in range(places.sensors):
@@ -84,25 +84,18 @@ def _crosstalk(places: Places) -> list[Effect]:
     return [
         Effect(
             "sensor_crosstalk",
-            "Sensor that shows a part of its neighbour's gap",
+            "Sensor that shows a part of another's gap",
             "sensor_crosstalk",
             (f"sensor:{s}", f"sensor:{other}"),
             "reading = h + share h of the second",
             (Quantity("share", "1", -1.0, 1.0),),
-            partial(_neighbour, sensor=s, other=other),
+            partial(_other, sensor=s, other=other),
             told_apart_by="all DOFs excited at once",
         )
-        for s, other in neighbours(places.sensor_xy_m)
+        for s in range(places.sensors)
+        for other in range(places.sensors)
+        if other != s
     ]
-
-
-def neighbours(xy_m: np.ndarray) -> list[tuple[int, int]]:
-    """Return pairs (both ways) of points (S, 2) that lie as close as any do."""
-    if len(xy_m) < 2:
-        return []
-    apart = np.linalg.norm(xy_m[:, None] - xy_m[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    return [(int(i), int(j)) for i, j in np.argwhere(apart < 1.01 * apart.min())]
 
 
 def _power_of_gap(
@@ -120,5 +113,5 @@ def _drift(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Te
     return [on_sensor(signals, sensor, signals.time_s - signals.places.span_s[0])]
 
 
-def _neighbour(signals: Signals, _shape: Sequence[float], *, sensor: int, other: int) -> list[Term]:
+def _other(signals: Signals, _shape: Sequence[float], *, sensor: int, other: int) -> list[Term]:
     return [on_sensor(signals, sensor, signals.gap(other))]

@@ -110,7 +110,7 @@ class CanElectronics:
             except Exception:  # noqa: BLE001 - an interface that is down comes back
                 time.sleep(patience_s)
                 message = None
-            if self._drives is not None and self._injector.hears:
+            if message is None and self._drives is not None and self._injector.hears:
                 self._drives.poll()
             if message is None or not self._injector.hears:
                 self._core.tick()
@@ -153,6 +153,7 @@ class CanElectronics:
         if len(data) != 1 or not 1 <= data[0] <= SYNC_COUNTER:
             return
         self._core.begin(data[0] - 1, SYNC_COUNTER)
+        self._drives.poll()
         for frame in self._drives.sync():
             self._send(*frame)
 

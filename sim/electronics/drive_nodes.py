@@ -90,6 +90,7 @@ class DriveNodes:
                 drive.setpoint(*RPDO.unpack(data))
                 self._plan_if_complete()
         else:
+            self.poll()
             self._network.notify(can_id, bytearray(data), 0.0)
             self._follow()
 

@@ -83,8 +83,7 @@ class SerialElectronics:
         if header.kind is Kind.CYCLE:
             with core.lock:
                 self._take_setpoints()
-                if not core.begin(header.sequence):
-                    return  # setpoints of the cycle at hand once more: zero force at once, say
+                core.begin(header.sequence)
                 readings = frames.readings(
                     header.sequence,
                     (core.amplifier_state, core.force_n),

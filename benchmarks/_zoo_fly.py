@@ -1,0 +1,147 @@
+"""One plant of the zoo: flown with its effects, and its logs traced, blind to what they are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from threadpoolctl import threadpool_limits
+
+import levid
+from levid.config.base import ConfigError, parse, read_mapping
+from levid.config.model import load_model
+from levid.config.rig import load_rig
+from levid.config.session import SessionConfig
+from levid.config.shipped import shipped
+from levid.daemon.faults import FlightFault
+from levid.daemon.virtual import fly_virtually
+from levid.identification.trace.result import model_after, summary
+from levid.identification.trace.study import Trace, trace
+from levid.identification.trace.workers import Alone
+from levid.log.reader import read_log
+from levid.model.effects.base import Effect, Places, Quantity, Signals, Term
+from levid.model.effects.extent import Extent
+from levid.model.effects.table import all_effects
+
+RIG = shipped("rigs/loopback.yaml")
+SIM = shipped("sims/nominal.yaml")
+MODEL = shipped("models/rig.yaml")
+SESSION = shipped("sessions/trace-short.yaml")
+HIGHEST_GAP_M = 0.85e-3
+"""Beyond, a corner would touch its stop at 0.9 mm or leave what the sensors read."""
+
+_CODE = ("config", "identification", "log", "model", "sim")
+"""What decides how a plant moves and what is found in its logs."""
+
+Entries = Sequence[dict[str, Any]]
+
+
+class TooLargeError(Exception):
+    """The plant cannot be flown with effects of this size: it meets its stops, or shuts down."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What `levid trace` says of a plant, and the seconds of processor time it all took.
+
+    `summary` is the object that `--json` prints, `placed` the effects of the model it ends with.
+    """
+
+    summary: dict[str, Any]
+    placed: list[dict[str, Any]]
+    highest_gap_m: float
+    flight_s: float
+    trace_s: float
+
+
+def fly_and_trace(effects: Entries, seed: int) -> Found:
+    """Fly the nominal plant with `effects` (entries of a SIM.yaml) and trace its logs.
+
+    Raises TooLargeError.
+    """
+    return _fly_and(effects, seed, all_effects)
+
+
+def fly_and_refit(effects: Entries, seed: int) -> Found:
+    """Do the same, but refit the declared model alone: how large its error is, and the floor.
+
+    Raises TooLargeError.
+    """
+    return _fly_and(effects, seed, _nothing)
+
+
+def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
+    """Fly into `folder`; return the records' logs, and how far a corner moved, m.
+
+    Raises TooLargeError.
+    """
+    sim = folder / "sim.yaml"
+    sim.write_text(
+        yaml.safe_dump({**read_mapping(SIM), "seed": seed, "effects": list(effects)}), "utf-8"
+    )
+    session = {**read_mapping(SESSION), "then": []}
+    try:
+        flown = fly_virtually(
+            load_rig(RIG).model_copy(update={"sim": str(sim)}),
+            RIG,
+            parse(session, SessionConfig, str(SESSION)),
+            yaml.safe_dump(session).encode(),
+            folder / "logs",
+            lambda *_: None,
+        )
+    except (FlightFault, ConfigError) as error:
+        raise TooLargeError(str(error)) from None
+    highest = max(float(np.abs(read_log(path).field("gap_m")).max()) for path in flown.records)
+    if highest > HIGHEST_GAP_M:
+        raise TooLargeError(f"a corner moves {1e3 * highest:.2f} mm")
+    return list(flown.records), highest
+
+
+def code_version() -> str:
+    """Return a digest of the code and of the plant, the model and the session."""
+    root = Path(levid.__file__).parent
+    digest = hashlib.sha256()
+    for room in _CODE:
+        for path in sorted((root / room).rglob("*.py")):
+            digest.update(path.read_bytes())
+    for path in (RIG, SIM, MODEL, SESSION):
+        digest.update(canonical(read_mapping(path)).encode())
+    return digest.hexdigest()[:12]
+
+
+def canonical(value: object) -> str:
+    """Return the text of plain data that does not depend on comments or on the order of keys."""
+    return json.dumps(value, sort_keys=True)
+
+
+def _fly_and(
+    effects: Entries, seed: int, table: Callable[[Places, Extent], Sequence[Effect]]
+) -> Found:
+    config = load_model(MODEL)
+    # One process is one core; it works on one plant.
+    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+        begin = time.process_time()
+        logs, highest_gap_m = fly(effects, seed, Path(folder))
+        flown = time.process_time()
+        found: Trace = trace(logs, config, table, Alone(config), lambda *_: None)
+        placed = [effect.model_dump() for effect in model_after(found).effects]
+        end = time.process_time()
+        return Found(summary(found), placed, highest_gap_m, flown - begin, end - flown)
+
+
+def _nothing(_places: Places, _covered: Extent) -> list[Effect]:
+    """Return a table of candidates that does nothing: the search has to have something to try."""
+    amplitude = Quantity("a", "1")
+    return [Effect("nothing", "Nothing", "unknown", (), "force = 0", (amplitude,), _no_term)]
+
+
+def _no_term(_signals: Signals, _shape: Sequence[float]) -> list[Term]:
+    return [Term()]

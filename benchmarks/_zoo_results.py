@@ -1,0 +1,221 @@
+"""Results of the zoo: kept as lines of JSON, and what they come to."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from _zoo_fly import canonical, code_version
+from _zoo_plan import Plant
+from _zoo_score import Score, median, score_plant
+from _zoo_sizes import Sizes
+from _zoo_truth import compared
+from rich import box
+from rich.table import Table
+
+_LARGE = 20.0
+_WITHIN = 0.05
+_NAN = math.nan
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of a plant: _zoo_fly.Found as plain data, or why there is none."""
+
+    plant: Plant
+    found: dict[str, Any] | None
+    failed: str = ""
+    entries: tuple[dict[str, Any], ...] = ()
+
+
+class Kept:
+    """The results in a folder, by plant, sizes, seed and version of the code."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / "results.jsonl"
+        self._version = code_version()
+        self._rows: dict[str, dict[str, Any]] = {}
+        if self._file.exists():
+            for line in self._file.read_text(encoding="utf-8").splitlines():
+                row = _row(line)
+                if row is not None:
+                    self._rows[row["key"]] = row
+
+    def has(self, plant: Plant, sizes: Mapping[str, Sizes]) -> bool:
+        """Return whether there is a result; one that failed is none."""
+        row = self._rows.get(self._key(plant, sizes))
+        return row is not None and row["found"] is not None
+
+    def add(self, result: Result, sizes: Mapping[str, Sizes]) -> None:
+        """Keep a result, at once."""
+        key = self._key(result.plant, sizes)
+        row = {
+            "key": key,
+            "plant": result.plant.name,
+            "code": self._version,
+            "effects": result.plant.entries(sizes),
+            "failed": result.failed,
+            "found": result.found,
+        }
+        self._rows[key] = row
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        with self._file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+
+    def of(self, plants: Sequence[Plant], sizes: Mapping[str, Sizes]) -> list[Result]:
+        """Return the results of plants, in their order; those that there are none of fail."""
+        results = []
+        for plant in plants:
+            row = self._rows.get(self._key(plant, sizes))
+            entries = tuple(plant.entries(sizes))
+            results.append(
+                Result(plant, None, "not flown", entries)
+                if row is None
+                else Result(plant, row["found"], row["failed"], entries)
+            )
+        return results
+
+    def _key(self, plant: Plant, sizes: Mapping[str, Sizes]) -> str:
+        text = canonical([plant.entries(sizes), plant.seed, self._version])
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def figures(results: Sequence[Result]) -> dict[str, float]:
+    """Return every number by name, of all plants and of each group, as far as there are numbers."""
+    out: dict[str, float] = {}
+    groups = {"all": results, **_groups(results)}
+    for name, some in groups.items():
+        prefix = "" if name == "all" else name.replace(" ", "_").replace(".", "_") + "_"
+        out |= {f"{prefix}{key}": value for key, value in _Total(some).figures().items()}
+    return {key: value for key, value in out.items() if math.isfinite(value)}
+
+
+def verdicts_table(results: Sequence[Result]) -> Table:
+    """Return a line for every plant: how large, what was said of it, how well it is explained."""
+    grid = Table(title="Plants", title_justify="left", box=box.SIMPLE)
+    grid.add_column("plant")
+    grid.add_column("verdict")
+    grid.add_column("said")
+    for column in ("before", "after", "parameters", "s"):
+        grid.add_column(column, justify="right")
+    for result in sorted(results, key=lambda r: (r.plant.kind, r.plant.times, r.plant.name)):
+        if result.found is None:
+            grid.add_row(result.plant.name, "failed", result.failed, "", "", "", "")
+            continue
+        score = _score(result)
+        error = _parameter_error(result)
+        seconds = result.found["flight_s"] + result.found["trace_s"]
+        grid.add_row(
+            result.plant.name, _verdict(score), score.said or "nothing",
+            _number(score.before_over_floor), _number(score.after_over_floor),
+            "" if math.isnan(error) else f"{100 * error:.2g} %", f"{seconds:.0f}",
+        )  # fmt: skip
+    grid.caption = (
+        "before, after: error of the model refitted, without and with what was found, over the "
+        "noise floor; parameters: the worst of those that compare; s of one processor"
+    )
+    return grid
+
+
+def summary_table(results: Sequence[Result]) -> Table:
+    """Return what it comes to: a line a group, and all."""
+    grid = Table(title="The zoo", title_justify="left", box=box.SIMPLE)
+    grid.add_column("plants")
+    columns = ("count", "right", "as a set", "family", "missed", "false alarms")
+    for column in (*columns, "parameters", "after / floor", "failed", "before / floor"):
+        grid.add_column(column, justify="right")
+    for name, some in [*_groups(results).items(), ("all", results)]:
+        f = _Total(some).figures()
+        share = 100 * f["right"] / max(f["plants"], 1)
+        grid.add_row(
+            name, f"{f['plants']:.0f}", f"{f['right']:.0f} ({share:.0f} %)", f"{f['as_a_set']:.0f}",
+            f"{f['family_right']:.0f}", f"{f['missed']:.0f}", f"{f['false_alarms']:.0f}",
+            "" if math.isnan(f["parameter_error"]) else f"{100 * f['parameter_error']:.2g} %",
+            _number(f["after_over_floor"]), f"{f['failed']:.0f}", _number(f["before_over_floor"]),
+        )  # fmt: skip
+    grid.caption = "medians: parameters and after / floor of those that are right, before of all"
+    return grid
+
+
+@dataclass(frozen=True)
+class _Total:
+    """Counts and medians of some results; a failed one is not right, and missed all."""
+
+    results: Sequence[Result]
+
+    def figures(self) -> dict[str, float]:
+        scored = [(r, _score(r)) for r in self.results if r.found is not None]
+        right = [(r, s) for r, s in scored if s.right]
+        failed = [r for r in self.results if r.found is None]
+        errors = [e for r, _ in right if not math.isnan(e := _parameter_error(r))]
+        afters = [s.after_over_floor for r, s in right if r.plant.cases]
+        out = {
+            "plants": float(len(self.results)),
+            "right": float(len(right)),
+            "right_percent": 100.0 * len(right) / len(self.results) if self.results else _NAN,
+            "as_a_set": float(sum(s.in_a_set for _, s in right)),
+            "family_right": float(sum(s.family for _, s in scored)),
+            "missed": float(
+                sum(s.missed for _, s in scored) + sum(len(r.plant.cases) for r in failed)
+            ),
+            "false_alarms": float(sum(s.false_alarms for _, s in scored)),
+            "parameter_error": median(errors),
+            "within_5_percent": sum(e <= _WITHIN for e in errors) / len(errors) if errors else _NAN,
+            "after_over_floor": median(afters),
+            "before_over_floor": median([s.before_over_floor for _, s in scored]),
+            "failed": float(len(failed)),
+            "seconds": float(
+                sum(r.found["flight_s"] + r.found["trace_s"] for r, _ in scored if r.found)
+            ),
+        }
+        unlisted = [s for r, s in scored if r.plant.kind == "unlisted"]
+        if unlisted:
+            for key in ("misnamed", "described", "halved"):
+                out[key] = float(sum(getattr(s, key) for s in unlisted))
+        return out
+
+
+def _groups(results: Sequence[Result]) -> dict[str, list[Result]]:
+    in_order = sorted(results, key=lambda r: (r.plant.kind, r.plant.times))
+    names = dict.fromkeys(r.plant.group for r in in_order)
+    return {name: [r for r in results if r.plant.group == name] for name in names}
+
+
+def _score(result: Result) -> Score:
+    assert result.found is not None
+    return score_plant(result.plant.cases, result.found["summary"])
+
+
+def _parameter_error(result: Result) -> float:
+    """Return the largest relative error of the parameters that compare, nan without any."""
+    if result.found is None:
+        return _NAN
+    numbers = compared(result.entries, result.found["placed"])
+    return max((number.error for number in numbers), default=_NAN)
+
+
+def _verdict(score: Score) -> str:
+    if score.right:
+        return "right, as a set" if score.in_a_set else "right"
+    words = ["family right"] if score.family else ["wrong"]
+    words += [f"{score.missed} missed"] if score.missed else []
+    words += [f"{score.false_alarms} false"] if score.false_alarms else []
+    return ", ".join(words)
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.3g}"
+
+
+def _row(line: str) -> dict[str, Any] | None:
+    """Return a line's result; None for one that was cut off when the run was stopped."""
+    try:
+        row: dict[str, Any] = json.loads(line)
+    except ValueError:
+        return None
+    return row

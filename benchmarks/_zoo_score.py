@@ -1,0 +1,237 @@
+"""Whether what a trace says of a plant of the zoo is right.
+
+An effect in the plant is *spoken of* by a reported one that has its class and shares a place with
+it, or names such a one among its alternatives. It is *right* if, besides,
+
+- its places and those of all that speaks of it have half or more in common (in common over named
+  or true); `beam` and `rotor`, which a class implies, do not count where other places are named;
+- nothing speaks of it only together with more than two other things (class and place): whoever
+  says that four may be it has named none.
+
+A plant is right if all its effects are, and nothing reported speaks of none of them: that is a
+*false alarm*, be it of the right class at a wrong place; classes that the case says to be alike
+raise none. Where a refit of the declared model absorbs the effect, saying nothing is right too
+('not visible'). With nothing undeclared in the plant, to report nothing is right.
+
+*Family* right: for every effect something reported, or an alternative of it, is of the same family
+(FAMILIES) and shares a place with it. *Missed*: there is no such thing. Alternatives count as much
+as what they stand beside, since the data decide no further; a class that fits the data as well but
+is reported alone is wrong.
+
+A plant with an unlisted effect is right if nothing is *misnamed* (a known class is reported that
+the case does not allow, and no alternative of another class beside it), if something `unknown`
+is reported that shares half or more of its places with the truth and names one of the signals that
+the effect depends on, and if the error is at least halved.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from _zoo_cases import ZooCase
+
+FAMILIES = (
+    {"rod_stiffness"},
+    {"air_damping", "friction"},
+    {"flexible_mode"},
+    {"centre_of_mass", "payload"},
+    {"beam_motion", "external_field", "rotor", "cogging"},
+    {"coil_gain", "force_constant", "saturation", "dead_zone", "thermal_drift", "force_offset"},
+    {"actuator_lag", "delay"},
+    {"sensor_gain", "sensor_nonlinearity", "sensor_crosstalk"},
+    {"sensor_offset", "sensor_lag", "sensor_stuck"},
+    {"vibration"},
+)
+SIGNALS = {
+    "hung-plug": {"psi", "z", "psi'", "z'", "psi''", "z''"},
+    "eddy-brake": {"x_b", "theta'", "z'"},
+    "gyroscope": {"phi'", "psi'", "theta'"},
+    "passing-beam": {"x_b"},
+}
+"""What the unlisted effects depend on, as the report of a trace calls its signals.
+
+An unknown effect names them in its evidence, under `signals`.
+"""
+_CARRIERS = {"beam", "rotor"}
+_IN_COMMON = 0.5
+_MOST_IN_A_SET = 3
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a result is worth; parameter_error (relative) and after over floor where right.
+
+    in_a_set: right as one of several that the data do not tell apart. `said` in words.
+    """
+
+    right: bool
+    family: bool
+    missed: int
+    false_alarms: int
+    in_a_set: bool
+    said: str
+    before_over_floor: float
+    after_over_floor: float
+    misnamed: bool = False
+    described: bool = False
+    halved: bool = False
+
+
+@dataclass(frozen=True)
+class Named:
+    """A class at places, as reported."""
+
+    kind: str
+    where: frozenset[str]
+
+    def like(self, case: ZooCase) -> bool:
+        return self.kind == case.kind and self.near(case)
+
+    def akin(self, case: ZooCase) -> bool:
+        return bool(_family(self.kind) & {case.kind, *case.alike}) and self.near(case)
+
+    def near(self, case: ZooCase) -> bool:
+        return bool(self.where & set(case.where))
+
+
+@dataclass(frozen=True)
+class Reported:
+    """One reported effect: itself first, then what the data do not tell from it."""
+
+    options: tuple[Named, ...]
+    signals: frozenset[str]
+
+    def speaks_of(self, case: ZooCase) -> Named | None:
+        return next((option for option in self.options if option.like(case)), None)
+
+    def fits(self, case: ZooCase) -> bool:
+        kinds = {case.kind, *case.alike}
+        return any(option.kind in kinds and option.near(case) for option in self.options)
+
+
+def score_plant(cases: Sequence[ZooCase], summary: Mapping[str, Any]) -> Score:
+    """Return the score of a result (`levid trace --json`) for a plant with these effects."""
+    if len(cases) == 1 and cases[0].kind == "unknown":
+        return _score_unlisted(cases[0], summary)
+    return _score_listed(cases, summary)
+
+
+def _score_listed(cases: Sequence[ZooCase], summary: Mapping[str, Any]) -> Score:
+    reported = _reported(summary)
+    absorbed = [case for case in cases if case.absorbed is not None]
+    alarms = [r for r in reported if not any(r.fits(case) for case in cases)]
+    right = not alarms and all(
+        _right(case, reported) or (case in absorbed and not _akin(case, reported)) for case in cases
+    )
+    in_a_set = any(
+        r.speaks_of(case) not in (None, r.options[0]) for case in cases for r in reported
+    )
+    return Score(
+        right,
+        right or all(_akin(case, reported) or case in absorbed for case in cases),
+        sum(not _akin(case, reported) and case not in absorbed for case in cases),
+        len(alarms),
+        right and in_a_set,
+        _said(reported),
+        *_errors(summary),
+    )
+
+
+def _score_unlisted(case: ZooCase, summary: Mapping[str, Any]) -> Score:
+    reported = _reported(summary)
+    allowed = {"unknown", *case.alike}
+    wrong = [
+        r
+        for r in reported
+        if r.options[0].kind not in allowed and len({o.kind for o in r.options}) == 1
+    ]
+    unknown = [r for r in reported if r.options[0].kind in allowed]
+    there = frozenset().union(*(r.options[0].where for r in unknown))
+    signals = frozenset().union(*(r.signals for r in unknown))
+    described = _in_common(there, case) >= _IN_COMMON and bool(signals & SIGNALS[case.name])
+    before, after = _errors(summary)
+    halved = after <= 0.5 * before
+    return Score(
+        not wrong and described and halved,
+        not wrong and bool(there & set(case.where)),
+        int(not unknown),
+        len(wrong),
+        False,
+        _said(reported),
+        before,
+        after,
+        bool(wrong),
+        described,
+        halved,
+    )
+
+
+def median(values: Sequence[float]) -> float:
+    """Return the median, nan of nothing."""
+    return statistics.median(values) if values else math.nan
+
+
+def _right(case: ZooCase, reported: Sequence[Reported]) -> bool:
+    speaking = [(r, option) for r in reported if (option := r.speaks_of(case)) is not None]
+    if not speaking:
+        return False
+    # Other forms of the same class at the same place are no other thing.
+    if any(len(set(r.options)) > _MOST_IN_A_SET for r, _ in speaking):
+        return False
+    there = frozenset().union(*(option.where for _, option in speaking))
+    return _in_common(there, case) >= _IN_COMMON
+
+
+def _in_common(there: frozenset[str], case: ZooCase) -> float:
+    """Return how much of all places, named or true, is both."""
+    true = set(case.where)
+    named = set(there)
+    if true - _CARRIERS and named - _CARRIERS:
+        true, named = true - _CARRIERS, named - _CARRIERS
+    return len(true & named) / max(len(true | named), 1)
+
+
+def _akin(case: ZooCase, reported: Sequence[Reported]) -> bool:
+    return any(option.akin(case) for r in reported for option in r.options)
+
+
+def _family(kind: str) -> set[str]:
+    return next((family for family in FAMILIES if kind in family), {kind})
+
+
+def _reported(summary: Mapping[str, Any]) -> list[Reported]:
+    found = []
+    for effect in summary["effects"]:
+        evidence = effect.get("evidence", {})
+        options = [effect, *evidence.get("alternatives", [])]
+        found.append(
+            Reported(
+                tuple(Named(o["class"], frozenset(o["where"])) for o in options),
+                frozenset(evidence.get("signals", [])),
+            )
+        )
+    return found
+
+
+def _errors(summary: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the error before and after over the floor; nan for a model that ran away."""
+    told = summary["validation"]
+    before, after = (math.nan if told[k] is None else float(told[k]) for k in ("before", "after"))
+    floor = float(told["noise_floor"])
+    return before / floor, after / floor
+
+
+def _said(reported: Sequence[Reported]) -> str:
+    return "; ".join(
+        " or ".join(dict.fromkeys(_words(option) for option in r.options)) for r in reported
+    )
+
+
+def _words(named: Named) -> str:
+    where = sorted(named.where)
+    places = ", ".join(where) if len(where) <= 3 else f"{where[0]} .. {where[-1]}"
+    return f"{named.kind} {places}".strip()

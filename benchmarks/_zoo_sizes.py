@@ -1,0 +1,258 @@
+"""How large each effect of the zoo has to be: sized by flying it, kept in zoo-sizes.yaml.
+
+The size that counts is what the effect leaves of error, not what it does: the declared model is
+refitted to a flight with the effect, and its free-running error on held-out records is compared
+with the noise floor. Noise and effect add up in squares, so what an effect of the scale s adds is
+sqrt(ratio^2 - 1), and between two flights that is taken to go with a power of s.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from _zoo_cases import ZooCase
+from _zoo_fly import SESSION, SIM, Found, TooLargeError, canonical, fly_and_refit
+from _zoo_pool import run_apart
+
+from levid.config.base import read_mapping
+
+SIZES = Path(__file__).with_name("zoo-sizes.yaml")
+TARGETS = (5.0, 20.0)
+"""Error of the declared model, refitted, over the noise floor."""
+SEED = 1
+
+_HEAD = (
+    "# Sizes of the zoo's effects, flown by benchmarks/zoo.py, which flies what is missing here or"
+    "\n# was sized for another case, session or plant (`of`). flown: [scale, error over floor].\n"
+)
+_LONGEST_S = 5400.0
+_MOST_FLIGHTS = 3
+_NEAR = 1.4
+"""A scale within this factor of one that was flown is known well enough."""
+_FARTHEST = 16.0
+_FAINT = 0.3
+"""What adds less than this is lost in the spread of the floor."""
+_ABSORBED = 4.0
+"""Where a refit leaves nothing, the larger of the two sizes is this many times the nominal one."""
+_BOUNDS: dict[str, tuple[float, float]] = {
+    "excess": (0.0, 1.0),  # no coil, no sensor, no Coriolis' force at all; or twice as much
+    "loss": (0.0, 0.5),
+    "share": (0.0, 0.5),
+    "film_m": (1e-3, math.inf),  # the platform moves 0.9 mm
+    "distance_m": (2e-3, math.inf),
+    "limit_n": (10.0, math.inf),  # each coil carries 8 N
+    "width_n": (0.0, 8.0),
+    "stuck_s": (0.0, 1.0),
+    "lag_s": (0.0, 5e-3),
+    "delay_s": (0.0, 5e-3),
+}
+"""Between which magnitudes a value makes sense."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Scales of a case that make its error 5 and 20 times the floor, or as large as can be.
+
+    flown: (scale, error over floor) of the flights that tell. `limited` says what allows no more.
+    """
+
+    of: str
+    at: dict[float, float]
+    flown: tuple[tuple[float, float], ...] = ()
+    limited: str = ""
+
+    def scale(self, times: float) -> float:
+        """Return the scale for an error of `times` the floor, one of TARGETS or between them."""
+        if times in self.at:
+            return self.at[times]
+        if not self.flown:
+            return min(self.at.values())
+        return min(_interpolated(self.flown, times), max(self.at.values()))
+
+
+def sizes_of(
+    cases: Sequence[ZooCase], processes: int, say: Callable[[str], None]
+) -> dict[str, Sizes]:
+    """Return the sizes of cases: those of the file, and the rest flown now and put there.
+
+    A case that cannot be sized keeps its nominal size, and is tried again the next time.
+    """
+    sizes = _read()
+    missing = {
+        case.name: case
+        for case in cases
+        if case.name not in sizes or sizes[case.name].of != _fingerprint(case)
+    }
+    if missing:
+        say(f"flying {len(missing)} cases for their sizes")
+    for done in run_apart(_sized, missing.values(), processes, _LONGEST_S):
+        if done.answer is None:
+            # It is flown as it is all the same, so that it does not drop out of the count.
+            sizes[done.item.name] = _as_it_is(done.item, done.failed)
+            say(f"size of {done.item.name}: {done.failed}")
+            continue
+        sizes[done.item.name] = done.answer
+        _write({name: s for name, s in sizes.items() if s.flown or not s.limited})
+        flown = ", ".join(f"{ratio:.3g} at {scale:.3g}" for scale, ratio in done.answer.flown)
+        say(f"size of {done.item.name}: {flown or 'absorbed'} {done.answer.limited}".rstrip())
+    return sizes
+
+
+def _sized(case: ZooCase) -> Sizes:
+    """Return the sizes of a case, flown where the model does not absorb it.
+
+    Raises TooLargeError if not even the nominal size can be flown.
+    """
+    if case.absorbed is not None:
+        return _as_it_is(case, "")
+    return _Search(case, fly_and_refit).run()
+
+
+def _as_it_is(case: ZooCase, limited: str) -> Sizes:
+    scales = dict(zip(TARGETS, (1.0, _ABSORBED), strict=True))
+    return Sizes(_fingerprint(case), scales, (), limited)
+
+
+def _fingerprint(case: ZooCase) -> str:
+    """Return a digest of all that the sizes of a case depend on."""
+    what = [case.use, dict(case.values), dict(case.size), case.absorbed]
+    text = canonical([what, read_mapping(SESSION), read_mapping(SIM)])
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _read() -> dict[str, Sizes]:
+    """Return what is known of all cases, by name."""
+    if not SIZES.exists():
+        return {}
+    rows: dict[str, dict[str, Any]] = yaml.safe_load(SIZES.read_text(encoding="utf-8")) or {}
+    return {
+        name: Sizes(
+            row["of"],
+            {times: float(row[_key(times)]) for times in TARGETS},
+            tuple((float(scale), float(ratio)) for scale, ratio in row.get("flown", [])),
+            row.get("limited", ""),
+        )
+        for name, row in rows.items()
+    }
+
+
+def _write(sizes: dict[str, Sizes]) -> None:
+    """Keep sizes, all of them, for the next time."""
+    lines = [_HEAD]
+    for name in sorted(sizes):
+        s = sizes[name]
+        row: dict[str, Any] = {"of": s.of, **{_key(t): v for t, v in s.at.items()}}
+        if s.flown:
+            row["flown"] = [list(point) for point in s.flown]
+        if s.limited:
+            row["limited"] = s.limited
+        flow = yaml.safe_dump(row, default_flow_style=True, sort_keys=False, width=math.inf)
+        lines.append(f"{name}: {flow}")
+    beside = SIZES.with_suffix(".part")
+    beside.write_text("".join(lines), encoding="utf-8")
+    beside.replace(SIZES)
+
+
+@dataclass
+class _Search:
+    """Flights at two or three scales, chosen as it goes."""
+
+    case: ZooCase
+    fly: Callable[[Sequence[dict[str, Any]], int], Found]
+    flown: dict[float, float] = field(default_factory=dict)
+    failed: bool = False
+
+    def run(self) -> Sizes:
+        largest = _largest(self.case)
+        if largest is not None and largest[0] < 1.0:
+            raise TooLargeError(f"{self.case.name}: at its nominal size, {largest[1]}")
+        self._try(1.0)
+        for _ in range(_MOST_FLIGHTS - 1):
+            wanted = [self._wanted(times, largest) for times in reversed(TARGETS)]
+            far = next((scale for scale in wanted if self._distance(scale) > _NEAR), None)
+            if far is None:
+                break
+            try:
+                self._try(far)
+            except TooLargeError as error:
+                # Halfway to what flies; if that is not flown either, no more than what flies.
+                largest = (math.sqrt(far * max(self.flown)), str(error))
+                self.failed = True
+        if self.failed and largest is not None and largest[0] not in self.flown:
+            largest = (max(self.flown), largest[1])
+        # As they are written, or a plant flown today would not be the one of the file tomorrow.
+        at = {times: _short(self._wanted(times, largest)) for times in TARGETS}
+        free = {times: _short(self._wanted(times, None)) for times in TARGETS}
+        return Sizes(
+            _fingerprint(self.case),
+            at,
+            tuple((_short(scale), _short(ratio)) for scale, ratio in self._points),
+            "" if largest is None or at == free else largest[1],
+        )
+
+    @property
+    def _points(self) -> tuple[tuple[float, float], ...]:
+        return tuple(sorted(self.flown.items()))
+
+    def _try(self, scale: float) -> None:
+        told = self.fly([self.case.effect(scale)], SEED).summary["validation"]
+        if told["before"] is None:
+            raise TooLargeError("the refitted model runs away")
+        self.flown[scale] = told["before"] / told["noise_floor"]
+
+    def _wanted(self, times: float, largest: tuple[float, str] | None) -> float:
+        scale = _interpolated(self._points, times)
+        scale = min(scale, _FARTHEST * max(self.flown))
+        return min(scale, math.inf if largest is None else largest[0])
+
+    def _distance(self, scale: float) -> float:
+        return min(max(scale / s, s / scale) for s in self.flown)
+
+
+def _largest(case: ZooCase) -> tuple[float, str] | None:
+    """Return the largest scale at which all values make sense, and which one says so."""
+    found = []
+    for key, power in case.size.items():
+        low, high = _BOUNDS.get(key, (0.0, math.inf))
+        value = case.values[key]
+        sizes = [abs(float(v)) for v in (value if isinstance(value, list) else [value]) if v]
+        for size in sizes:
+            bound = high if power > 0 else low
+            if 0.0 < bound < math.inf:
+                found.append(((bound / size) ** (1 / power), f"{key} {bound:g} at most"))
+                if power < 0:
+                    found[-1] = (found[-1][0], f"{key} {bound:g} at least")
+    return min(found, default=None)
+
+
+def _interpolated(points: Sequence[tuple[float, float]], times: float) -> float:
+    """Return the scale at which the error is `times` the floor, on a power law between flights."""
+    wanted = math.log(math.sqrt(times**2 - 1.0))
+    known = [(math.log(scale), math.log(_added(ratio))) for scale, ratio in sorted(points)]
+    loud = [(s, e) for s, e in known if e > math.log(_FAINT)] or known[-1:]
+    slope = 1.0
+    if len(loud) > 1:
+        # The two flights around the target, or the two nearest to it.
+        above = next((i for i, (_, e) in enumerate(loud) if e > wanted), len(loud) - 1)
+        (s0, e0), (s1, e1) = loud[max(above, 1) - 1], loud[max(above, 1)]
+        slope = min(max((e1 - e0) / max(s1 - s0, 1e-9), 0.3), 4.0)
+    near = min(loud, key=lambda point: abs(point[1] - wanted))
+    return math.exp(near[0] + (wanted - near[1]) / slope)
+
+
+def _added(ratio: float) -> float:
+    return math.sqrt(max(ratio**2 - 1.0, 1e-4))
+
+
+def _key(times: float) -> str:
+    return f"x{times:g}"
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")

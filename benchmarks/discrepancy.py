@@ -1,0 +1,283 @@
+"""levid against PySINDy and SysIdentPy: what each makes of what a declared model lacks.
+
+A plant is flown with an effect that nobody declared, 20 times the noise floor; the declared model
+is refitted to the logs. From there levid goes its way (levid trace), while the others get the
+generalised force that the model lacks along the records that levid fits to, freed of noise as far
+as it stands out of it, with pose, velocity and the beam's position, velocity and acceleration at
+the same times. PySINDy makes a sparse sum of their products up to the third power (sequentially
+thresholded least squares, the threshold of least error on a fifth of the data), SysIdentPy takes
+the same products one by one by error reduction ratio (FROLS, as many as BIC allows). Their force is
+put into the model as an effect, and everyone is judged by the free-running error on the records
+that nobody fitted, and by how much of the missing force is left on those.
+
+The others are not to blame for what they are not made for: they have no refit of the model beside,
+no single coils and sensors, and no memory. `pip install pysindy sysidentpy` brings them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from _discrepancy_peers import PEERS, Polynomial, Sample
+from _zoo_cases import CASES, UNLISTED, ZooCase
+from _zoo_fly import MODEL, fly
+from _zoo_sizes import Sizes, sizes_of
+from numpy.typing import NDArray
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from levid.config.model import load_model
+from levid.identification.trace.linearise import WorkingPoint
+from levid.identification.trace.metric import pooled, record_error
+from levid.identification.trace.record import TraceRecord, split, trace_record
+from levid.identification.trace.residual import (
+    Missing,
+    denoised,
+    density,
+    missing,
+    noise_density,
+    standing_out,
+)
+from levid.identification.trace.study import Trace, trace
+from levid.identification.trace.workers import Alone
+from levid.log.reader import read_log
+from levid.model.effects.base import Effect, Placed, Quantity, Signals, Term
+from levid.model.effects.table import all_effects
+
+Array = NDArray[np.float64]
+
+QUICK = ("cubic-z",)
+FULL = ("cubic-z", "coulomb-z", "bouc-wen-psi", "eddy-brake")
+"""What products describe, friction without and with memory, and an effect that levid has not."""
+TIMES = 20.0
+SEED = 77
+REGRESSORS = ("psi", "theta", "z", "psi'", "theta'", "z'", "x_b", "v_b", "a_b")
+_EDGE_S = 0.6
+"""The missing force fades at the ends of a record."""
+_SAMPLE_HZ = 125.0
+_BLOCK_S = 4.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one contender makes of a plant.
+
+    error, floor: free-running, in noise deviations; `left`: share of the missing force that is
+    still missing; `seconds` of processor time from the refitted declared model on.
+    """
+
+    case: str
+    who: str
+    error: float
+    floor: float
+    left: float
+    seconds: float
+    what: str
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="levid against PySINDy and SysIdentPy")
+    parser.add_argument("--quick", action="store_true", help="one plant")
+    parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
+    arguments = parser.parse_args()
+    by_name = {case.name: case for case in CASES + UNLISTED}
+    cases = [by_name[name] for name in (QUICK if arguments.quick else FULL)]
+    sizes = sizes_of(cases, 2, lambda text: print(text, file=sys.stderr))
+    rows = [row for case in cases for row in compare(case, sizes[case.name])]
+    if arguments.json:
+        json.dump({"figures": figures(rows)}, sys.stdout)
+        sys.stdout.write("\n")
+    else:
+        Console().print(table(rows))
+
+
+def compare(case: ZooCase, sizes: Sizes) -> list[Row]:
+    """Return what levid and the others make of a plant with this effect."""
+    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+        logs, _ = fly([case.effect(sizes.scale(TIMES))], SEED, Path(folder))
+        config = load_model(MODEL)
+        watch = _Watch()
+        found = trace(logs, config, all_effects, Alone(config), watch)
+        seconds = time.process_time() - watch.refitted
+        declared, better = found.declared, found.found.point
+        train, held = split([trace_record(read_log(path), config) for path in logs])
+        known = [_along(declared, record) for record in held]
+        rest = [_along(better, r, like).force for r, like in zip(held, known, strict=True)]
+        left = _left(declared, known, rest)
+        rows = [
+            Row(case.name, "declared", *pooled(found.before), 1.0, math.nan, ""),
+            Row(case.name, "levid", *pooled(found.after), left, seconds, _names(found)),
+        ]
+        begin = time.process_time()
+        sample = _sample(declared, [_along(declared, record) for record in train])
+        shared = time.process_time() - begin
+        for who, fit in PEERS.items():
+            rows.append(_judged(case.name, who, fit, sample, shared, declared, held, known))
+        return rows
+
+
+def figures(rows: Sequence[Row]) -> dict[str, float]:
+    """Return every number by contender and plant; those that are none are left out."""
+    out: dict[str, float] = {}
+    for row in rows:
+        key = f"{row.who}_{row.case}".lower().replace("-", "_")
+        out |= {
+            f"error_{key}": row.error,
+            f"error_over_floor_{key}": row.error / row.floor,
+            f"force_left_{key}": row.left,
+            f"time_{key}_s": row.seconds,
+        }
+    return {key: value for key, value in out.items() if math.isfinite(value)}
+
+
+def table(rows: Sequence[Row]) -> Table:
+    """Return a line for every plant and contender."""
+    grid = Table(title="What the declared model lacks", title_justify="left", box=box.SIMPLE)
+    for column in ("plant", "who"):
+        grid.add_column(column, no_wrap=True)
+    for column in ("error", "/ floor", "force left", "s"):
+        grid.add_column(column, justify="right", no_wrap=True)
+    grid.add_column("what")
+    for row in rows:
+        grid.add_row(
+            row.case, row.who, _number(row.error), _number(row.error / row.floor),
+            "" if math.isnan(row.left) else f"{100 * row.left:.3g} %",
+            "" if math.isnan(row.seconds) else f"{row.seconds:.1f}", row.what,
+        )  # fmt: skip
+    grid.caption = (
+        "error: free-running, held-out records, in standard deviations of the sensor noise; force "
+        "left: of the missing force there, rms; s: of one processor, from the refitted model on"
+    )
+    return grid
+
+
+class _Watch:
+    """Progress that notes when the declared model was refitted."""
+
+    def __init__(self) -> None:
+        self.refitted = math.nan
+
+    def __call__(self, what: str, share: float) -> None:  # noqa: ARG002
+        if what.startswith("screening") and math.isnan(self.refitted):
+            self.refitted = time.process_time()
+
+
+@dataclass(frozen=True)
+class _Along:
+    """A record's regressors (N, R), and the force (N, n) that is missing as far as it is seen."""
+
+    regressors: Array
+    force: Array
+    gain: Array
+    freq_hz: Array
+    time_s: Array
+    Ts_s: float
+
+
+def _along(point: WorkingPoint, record: TraceRecord, like: _Along | None = None) -> _Along:
+    """Return what is missing of a record, through the filter of `like` if there is one."""
+    left: Missing = missing(point, record)
+    Ts_s = record.experiment.Ts_s
+    if like is None:
+        freq_hz, psd = density(left.force, Ts_s)
+        gain = standing_out(psd, noise_density(point, left.here, freq_hz), freq_hz)
+    else:
+        freq_hz, gain = like.freq_hz, like.gain
+    force = np.column_stack(
+        [denoised(f, g, freq_hz, Ts_s) for f, g in zip(left.force.T, gain.T, strict=True)]
+    )
+    # The force is the mean over the period after a row.
+    at = _regressors(left.here.signals)
+    at = 0.5 * (at + np.vstack([at[1:], at[-1:]]))
+    edge, every = round(_EDGE_S / Ts_s), max(round(1 / (_SAMPLE_HZ * Ts_s)), 1)
+    rows = slice(edge, -edge, every)
+    return _Along(at[rows], force[rows], gain, freq_hz, record.time_s[rows], Ts_s)
+
+
+def _regressors(s: Signals) -> Array:
+    """Return the columns of REGRESSORS (N, 9)."""
+    return np.column_stack([s.q, s.qd, s.x_b_m, s.v_b_m_s, s.a_b_m_s2])
+
+
+def _sample(point: WorkingPoint, records: Sequence[_Along]) -> Sample:
+    """Return all rows: regressors of unit size, forces in units of noise, the largest of unit size.
+
+    A DOF in which nothing but noise is missing then stays small.
+    """
+    at, force = (np.vstack([getattr(r, k) for r in records]) for k in ("regressors", "force"))
+    block = np.concatenate([np.floor(r.time_s / _BLOCK_S).astype(np.int64) for r in records])
+    scale = np.maximum(at.std(axis=0), 1e-300)
+    size = np.sqrt(point.disturbance.noise.force_psd)
+    size = size * float(np.max(force.std(axis=0) / size))
+    return Sample(at / scale, force / size, scale, size, block)
+
+
+def _judged(
+    case: str,
+    who: str,
+    fit: Callable[[Sample], Polynomial],
+    sample: Sample,
+    shared: float,
+    declared: WorkingPoint,
+    held: Sequence[TraceRecord],
+    known: Sequence[_Along],
+) -> Row:
+    """Return how well a contender's force does, put into the model."""
+    begin = time.process_time()
+    try:
+        force = fit(sample)
+    except ModuleNotFoundError as absent:
+        nothing = (math.nan,) * 4
+        return Row(case, who, *nothing, f"{absent.name} is not installed")
+    seconds = shared + time.process_time() - begin
+    point = replace(declared, placed=(_placed(who, force),))
+    errors = [record_error(point, record) for record in held]
+    error, floor = pooled(errors)
+    left = _left(declared, known, [r.force - force.at(r.regressors) for r in known])
+    unsettled = sum(not e.settled for e in errors)
+    what = f"{force.terms} terms" + (f", {unsettled} records do not settle" if unsettled else "")
+    return Row(case, who, error, floor, left, seconds, what)
+
+
+def _placed(who: str, force: Polynomial) -> Placed:
+    places: tuple[str, ...] = ()
+    effect = Effect(
+        who, who, "unknown", places, "force = f(q, q', x_b, v_b, a_b)", (Quantity("share", "1"),),
+        partial(_term, force=force),
+    )  # fmt: skip
+    return Placed(effect, (), (1.0,))
+
+
+def _term(signals: Signals, _shape: Sequence[float], *, force: Polynomial) -> list[Term]:
+    return [Term(force=force.at(_regressors(signals)))]
+
+
+def _left(point: WorkingPoint, known: Sequence[_Along], rest: Sequence[Array]) -> float:
+    """Return the rms of what is left of the missing force over its own, in units of its noise."""
+    unit = np.sqrt(point.disturbance.noise.force_psd)
+    whole = np.vstack([k.force for k in known]) / unit
+    return float(np.sqrt(np.sum((np.vstack(rest) / unit) ** 2) / np.sum(whole**2)))
+
+
+def _names(found: Trace) -> str:
+    return ", ".join(p.effect.name for p in found.found.point.placed) or "nothing"
+
+
+def _number(value: float) -> str:
+    return "diverges" if math.isinf(value) else "" if math.isnan(value) else f"{value:.3g}"
+
+
+if __name__ == "__main__":
+    main()

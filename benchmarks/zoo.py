@@ -1,0 +1,113 @@
+"""The zoo: plants with effects that nobody declared, and whether a trace names them.
+
+Every effect that the simulator knows, alone, so large that the error of the declared model,
+refitted, is 5 and 20 times the noise floor (or as large as physics allows); pairs of them; plants
+with nothing undeclared; and effects that no table knows. Each is flown by config/sessions/
+trace-short.yaml, and its logs are traced without a word of what is in the plant. What counts as
+right is said in _zoo_score.py.
+
+Results are kept as they come, one line each, in OUT/results.jsonl; what is there already, of the
+same plant, size, seed and code, is not flown again. Rows, lines and figures are made from what is
+kept, so that a change of the scoring flies nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from _zoo_cases import CASES, UNLISTED
+from _zoo_fly import Found, fly_and_trace
+from _zoo_plan import Plant, plan
+from _zoo_pool import run_apart
+from _zoo_results import Kept, Result, figures, summary_table, verdicts_table
+from _zoo_score import score_plant
+from _zoo_sizes import Sizes, sizes_of
+from rich.console import Console
+
+PROCESSES = 2
+LONGEST_S = 1800.0
+"""On a machine that does much else; alone it takes about a minute and a half."""
+DEFAULT = Path(__file__).resolve().parents[1] / "build" / "zoo"
+
+
+def main() -> None:
+    arguments = _parser().parse_args()
+    known = {case.name: case for case in CASES + UNLISTED}
+    unknown = sorted(set(arguments.only or ()) - set(known) - {"nothing", "pair"})
+    if unknown:
+        raise SystemExit(f"error: --only: expected names of zoo-cases.yaml, found {unknown}")
+    plants = plan(arguments.quick, arguments.full)
+    if arguments.only:
+        plants = [p for p in plants if set(arguments.only) & {p.kind, *(c.name for c in p.cases)}]
+    sizes = sizes_of([case for plant in plants for case in plant.cases], PROCESSES, _say)
+    kept = Kept(arguments.out)
+    _fly_all(plants, sizes, kept)
+    results = kept.of(plants, sizes)
+    if arguments.json:
+        json.dump({"figures": figures(results)}, sys.stdout)
+        sys.stdout.write("\n")
+    else:
+        console = Console(width=None if sys.stdout.isatty() else 160)
+        console.print(verdicts_table(results))
+        console.print(summary_table(results))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description="The zoo: which effects a trace finds")
+    much = parser.add_mutually_exclusive_group()
+    much.add_argument("--quick", action="store_true", help="eight named cases")
+    much.add_argument(
+        "--full", action="store_true", help="1.5 times the floor too, three seeds, more pairs"
+    )
+    parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
+    parser.add_argument("--out", type=Path, default=DEFAULT, help="where results are kept")
+    parser.add_argument(
+        "--only", nargs="+", metavar="NAME", help="cases by name, or nothing, or pair"
+    )
+    return parser
+
+
+def _fly_all(plants: Sequence[Plant], sizes: dict[str, Sizes], kept: Kept) -> None:
+    """Fly and trace the plants that there is no result of."""
+    missing = [plant for plant in plants if not kept.has(plant, sizes)]
+    begun = [_Task(plant, tuple(plant.entries(sizes))) for plant in missing]
+    for count, done in enumerate(run_apart(_Task.fly, begun, PROCESSES, LONGEST_S), 1):
+        result = Result(
+            done.item.plant, None if done.answer is None else asdict(done.answer), done.failed
+        )
+        kept.add(result, sizes)
+        _say(f"{count}/{len(missing)} {_line(result)} ({done.seconds:.0f} s)")
+
+
+class _Task:
+    """A plant to be flown in another process."""
+
+    def __init__(self, plant: Plant, entries: Sequence[dict[str, object]]) -> None:
+        self.plant, self.entries = plant, entries
+
+    def fly(self) -> Found:
+        return fly_and_trace(self.entries, self.plant.seed)
+
+
+def _line(result: Result) -> str:
+    if result.found is None:
+        return f"{result.plant.name}: failed: {result.failed}"
+    score = score_plant(result.plant.cases, result.found["summary"])
+    after = score.after_over_floor
+    ending = "" if math.isnan(after) else f", after {after:.2f} x floor"
+    verdict = "right" if score.right else "wrong"
+    return f"{result.plant.name}: {verdict}: {score.said or 'nothing'}{ending}"
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(text + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,203 @@
+"""The page on a trace: how good the model was, what it lacked, how good it is, and the proof."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..config.model import EffectParameter
+from ..identification.trace.result import NOISE_MOST, SQUARE_MOST, FoundEffect, Outcome, outcome
+from ..identification.trace.study import Trace
+from ..identification.trace.views import Views
+from .curves import symbol
+from .page import Figures, Number, Section, Steps, Text, write_report
+from .session import listed
+from .trace_effects import effect_sections, sizes
+from .trace_left import left_section
+from .trace_sections import (
+    error_section,
+    model_section,
+    records_section,
+    search_section,
+)
+from .trace_words import amount, share_text, times_text, with_interval
+
+_MOST_NAMED = 2
+
+
+def trace_report(found: Trace, views: Views, out_dir: Path) -> Path:
+    """Write the page on a trace into `out_dir` and return its path.
+
+    Raises OSError: the page cannot be written.
+    """
+    result = outcome(found)
+    sections = [
+        Section("Summary", (*_words(result, views), Figures(_numbers(result)))),
+        error_section(found, result, views),
+        *effect_sections(result, views),
+        search_section(found),
+        left_section(found, result, views),
+        model_section(found),
+        records_section(found),
+        Section("What next", (Steps(tuple(_steps(result, out_dir))),)),
+    ]
+    return write_report(out_dir, f"Trace of {found.config.name}: {_title(result)}", sections)
+
+
+def _title(result: Outcome) -> str:
+    if len(result.effects) > _MOST_NAMED:
+        return f"{len(result.effects)} effects found"
+    if result.effects:
+        return listed([f.effect.name for f in result.effects])
+    return "nothing found" if not result.significant else "something unexplained"
+
+
+def _words(result: Outcome, views: Views) -> list[Text]:
+    texts = [Text(_headline(result), "lead")]
+    texts += [Text(_sentence(f, views)) for f in result.effects]
+    if result.declared:
+        names = listed([f.effect.name for f in result.declared])
+        texts.append(Text(f"Declared in the model already, and refitted: {names}."))
+    if result.gone:
+        texts.append(
+            Text(f"Given up, since others explain what it did: {listed(list(result.gone))}.")
+        )
+    if result.effects:
+        texts.append(Text(_rest(result)))
+    return texts
+
+
+def _headline(result: Outcome) -> str:
+    before, after, floor = (f"{v:.3g}" for v in (result.before, result.after, result.floor))
+    measure = "times the sensors' noise (RMS, free-running, on records that were not fitted)"
+    if result.effects:
+        return (
+            f"The declared model misses these records by {before} {measure}; with "
+            f"{_count(len(result.effects))} that the records tell of it misses them by {after}. "
+            f"Noise alone leaves {floor}."
+        )
+    if result.significant:
+        return (
+            f"The model misses these records by {after} {measure}, where noise alone would leave "
+            f"{floor}. More than noise is left, and no effect of the table explains it beyond "
+            "chance: what it depends on is drawn below."
+        )
+    return (
+        f"Nothing found. The model misses these records by {after} {measure}; noise alone leaves "
+        f"{floor}. No effect of the table explains anything beyond chance."
+    )
+
+
+def _count(number: int) -> str:
+    return "one effect" if number == 1 else f"{number} effects"
+
+
+def _sentence(found: FoundEffect, views: Views) -> str:
+    effect, why = found.effect, found.evidence
+    told = listed([f"{name} = {with_interval(p)}" for name, p in _shown(found)])
+    text = f"{effect.name}: {told} (95 %)."
+    if found.unknown:
+        text = f"No known effect: {effect.name}, described by a free form."
+    size = sizes(found, views)
+    if size is not None:
+        place, unit, rms, most = size
+        text += f" It is {amount(rms, unit)} RMS {place}, {amount(most, unit)} at most."
+    if why is not None:
+        share = "" if why.share is None else f"explains {share_text(why.share)} and "
+        text += (
+            f" It {share}agrees with held-out records {why.statistic:.0f} standard deviations "
+            "beyond chance."
+        )
+        if why.alternatives:
+            names = listed([e.name for e in why.alternatives])
+            text += f" These records do not tell it from: {names}."
+    return text
+
+
+def _shown(found: FoundEffect) -> list[tuple[str, EffectParameter]]:
+    """Return the parameters that say something: shares of zero do not."""
+    return [(n, p) for n, p in found.parameters().items() if p.value != 0.0 or p.se]
+
+
+def _rest(result: Outcome) -> str:
+    if not result.significant:
+        return "What is left is noise: no other effect of the table explains anything of it."
+    worst = max(result.dof, key=lambda d: d.after / d.floor)
+    if result.after <= NOISE_MOST * result.floor:
+        return (
+            "One step ahead a little more than noise is left (mean square "
+            f"{result.mean_square:.3f}), and no other effect of the table explains it beyond "
+            "chance."
+        )
+    return (
+        "More is left than noise, and no other effect of the table explains it beyond chance: "
+        f"most on {symbol(worst.name)}, {times_text(worst.after / worst.floor)} times the noise, "
+        f"between {worst.band_hz[0]:.3g} and {worst.band_hz[1]:.3g} Hz."
+    )
+
+
+def _numbers(result: Outcome) -> tuple[Number, ...]:
+    ratio = result.after / result.floor
+    without = Number(
+        f"{result.before / result.floor:.3g}", "times the noise: error without effects"
+    )
+    numbers = [
+        *([without] if result.effects else []),
+        Number(
+            f"{ratio:.3g}",
+            "times the noise: error" + (" with effects" if result.effects else ""),
+            "good" if ratio <= NOISE_MOST else "bad",
+        ),
+        Number(str(len(result.effects)), "effects found that were not declared"),
+        Number(
+            f"{result.mean_square:.3f}",
+            "mean square of held-out one-step errors, 1 for noise",
+            "bad" if result.mean_square > SQUARE_MOST else "good",
+        ),
+    ]
+    doubtful = sum(bool(f.evidence and f.evidence.alternatives) for f in result.effects)
+    if doubtful:
+        numbers.append(
+            Number(str(doubtful), "of them that these records do not tell from others", "doubt")
+        )
+    return tuple(numbers)
+
+
+def _steps(result: Outcome, out_dir: Path) -> Sequence[tuple[str, str]]:
+    model = out_dir / "model.yaml"
+    steps = []
+    for f in result.effects:
+        if f.evidence is not None and f.evidence.alternatives:
+            names = listed([e.name for e in f.evidence.alternatives])
+            how = f.effect.told_apart_by or "another excitation"
+            steps.append((f"Tell {f.effect.name} from {names}: {how}.", ""))
+    if result.significant:
+        steps.append(
+            (
+                "Look at what the rest depends on, and write the effect that would do it into the "
+                "table: docs/trace.md says how.",
+                "",
+            )
+        )
+    if result.effects or result.declared:
+        steps.append(
+            (
+                "Identify with the effects in the model: they are taken out of the records first.",
+                f"levid identify LOG... --model {model} --out DIR",
+            )
+        )
+        steps.append(
+            (
+                "Fly again on another day and trace with this model: nothing should be found.",
+                f"levid trace LOG... --model {model} --out DIR",
+            )
+        )
+    if not steps:
+        steps.append(
+            (
+                "Nothing: the model is as good as these records can tell. Larger or longer "
+                "excitation would show smaller effects.",
+                "",
+            )
+        )
+    return steps

@@ -1,0 +1,276 @@
+"""Sections on a trace that are not of one effect: errors, search, what is left, the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.model import Parameter
+from ..identification.trace.result import Outcome, model_after
+from ..identification.trace.search import Round
+from ..identification.trace.study import Trace
+from ..identification.trace.views import Views
+from .curves import symbol
+from .page import Part, Section, Table, Text
+from .style import engineering
+from .svg import Picture, to_svg
+from .trace_figures import (
+    Bar,
+    candidates,
+    error_spectra,
+    errors_by_record,
+)
+from .trace_words import CONFIDENCE, amount, change_text, plain, times_text, unit_text
+
+Array = NDArray[np.float64]
+
+_OF_EXCESS = "explained, % of what noise does not explain"
+_OF_NOISE = "explained, squared errors in variances of the noise"
+_MOST_BARS = 8
+_NOISE = 0.01
+
+
+def error_section(found: Trace, result: Outcome, views: Views) -> Section:
+    """Return errors per DOF and record, in physical units, percent and multiples of the noise."""
+    names = [symbol(d.name) for d in result.dof]
+    floor = np.array([e.pose_floor for e in found.after])
+    over_before, over_after = (
+        np.sqrt(np.array([e.pose_squares for e in errors]) / floor)
+        for errors in (found.before, found.after)
+    )
+    labels = [e.name for e in found.after]
+    dof = [d.name for d in result.dof]
+    freq_hz, densities = _pooled_spectra(found, views)
+    parts: list[Part] = [
+        Text(
+            "Held-out records, simulated freely from the excitation and the beam's motion alone; "
+            "their first 5 s give the state to start from and do not count. The declared model was "
+            "fitted to the other records before, so what effects gain is not what fitting gains."
+        ),
+        _dof_table(result),
+        Picture(
+            "trace-records",
+            to_svg(
+                errors_by_record(labels, dof, over_before if result.effects else None, over_after)
+            ),
+            "Error over noise of every held-out record and DOF, without and with effects.",
+            "Error of every held-out record over what noise alone would leave of it.",
+        ),
+        _record_table(found, result, names),
+        Picture(
+            "trace-spectrum",
+            to_svg(
+                error_spectra(
+                    freq_hz,
+                    densities if result.effects else (None, *densities[1:]),
+                    dof,
+                    [d.unit for d in result.dof],
+                )
+            ),
+            "Spectra of the free-running error without and with effects, and of the noise.",
+            "Where in frequency the error sits: spectra over all held-out records.",
+        ),
+    ]
+    if result.unsettled:
+        parts.append(
+            Text(
+                f"The simulation with effects found no end in {', '.join(result.unsettled)}: the "
+                "error there is not to be trusted."
+            )
+        )
+    return Section("Error before and after", tuple(parts))
+
+
+def _dof_table(result: Outcome) -> Table:
+    caption = "RMS error of each DOF over all held-out records"
+    if not result.effects:
+        alone = tuple(
+            (
+                symbol(d.name),
+                amount(d.after, d.unit),
+                amount(d.floor, d.unit),
+                times_text(d.after / d.floor),
+            )
+            for d in result.dof
+        )
+        return Table(caption, ("", "error", "noise alone", "error / noise"), alone)
+    rows = tuple(
+        (
+            symbol(d.name),
+            amount(d.before, d.unit),
+            amount(d.after, d.unit),
+            amount(d.floor, d.unit),
+            change_text(d.before, d.after),
+            times_text(d.before / d.floor),
+            times_text(d.after / d.floor),
+        )
+        for d in result.dof
+    )
+    head = ("without effects", "with effects", "noise alone", "change")
+    return Table(caption, ("", *head, "without / noise", "with / noise"), rows)
+
+
+def _record_table(found: Trace, result: Outcome, names: Sequence[str]) -> Table:
+    rows = []
+    for b, a in zip(found.before, found.after, strict=True):
+        cells = [b.name]
+        for i, unit in enumerate(found.places.dof_units):
+            before, after = (amount(float(np.sqrt(e.pose_squares[i])), unit) for e in (b, a))
+            floor = float(np.sqrt(a.pose_floor[i]))
+            cells += [
+                f"{before} → {after}" if result.effects else after,
+                times_text(float(np.sqrt(a.pose_squares[i])) / floor),
+            ]
+        rows.append(tuple(cells))
+    what = ": without → with" if result.effects else ""
+    head = ("record", *(h for n in names for h in (f"{n}{what}", "/ noise")))
+    return Table("RMS error of each held-out record", head, tuple(rows))
+
+
+def _pooled_spectra(found: Trace, views: Views) -> tuple[Array, tuple[Array, Array, Array]]:
+    """Return frequencies (F,) and densities (F, n) before, after and of noise, over all records."""
+    floors = {v.name: v.floor for v in views.records}
+    freq_hz = max((e.freq_hz for e in found.after), key=len)
+    n = found.after[0].psd.shape[1]
+    sums = [np.zeros((len(freq_hz), n)) for _ in range(3)]
+    weight = 0.0
+    for b, a in zip(found.before, found.after, strict=True):
+        floor = floors.get(a.name)
+        if floor is None or len(a.freq_hz) != len(freq_hz):
+            continue  # too short for these frequencies
+        for number, psd in enumerate((b.psd, a.psd, floor)):
+            sums[number] += a.rows * psd
+        weight += a.rows
+    before, after, floor = (total / max(weight, 1.0) for total in sums)
+    return freq_hz, (before, after, floor)
+
+
+def search_section(found: Trace) -> Section:
+    """Return the candidates of every round."""
+    parts: list[Part] = [
+        Text(
+            "Every round tries all effects of the table, each beside the model and the effects "
+            "found so far; blocks of time that did not fit it tell what it explains. Those that "
+            "explain most are fitted, model and all, and the best of them is taken if held-out "
+            "records agree by more than six standard deviations of chance."
+        )
+    ]
+    for number, r in enumerate(found.found.rounds, start=1):
+        bars = _bars(r)
+        if not bars:
+            continue
+        parts.append(
+            Picture(
+                f"trace-round-{number}",
+                to_svg(candidates(bars, _OF_NOISE if _is_noise(r) else _OF_EXCESS)),
+                f"What the best candidates of round {number} explain of what was left.",
+                f"Round {number}: {_told(r)} Beside each bar how far held-out records agree with "
+                "it, in standard deviations of chance.",
+            )
+        )
+    return Section(
+        "How it was found" if found.found.point.placed else "What was tried", tuple(parts)
+    )
+
+
+def _bars(r: Round) -> list[Bar]:
+    fitted = {t.effect.identity for t in r.survivors}
+    taken = None if r.taken is None else r.taken.effect.identity
+    whole = 1.0 if _is_noise(r) else 0.01 * r.excess
+    shown = [t for t in r.ranking if t.gain > 0][:_MOST_BARS]
+    return [
+        Bar(
+            t.effect.name,
+            t.gain / whole,
+            f"{t.chance:.1f} σ".replace("-", "−"),
+            t.effect.identity in fitted,
+            t.effect.identity == taken,
+        )
+        for t in shown
+    ]
+
+
+def _is_noise(r: Round) -> bool:
+    """Return whether so little is left that shares of it mean nothing."""
+    return r.excess <= _NOISE * r.count
+
+
+def _told(r: Round) -> str:
+    left = r.excess / r.count
+    said = f"the mean square of the errors is {1 + left:.3f}, 1 being noise."
+    if r.taken is not None:
+        said += f" {r.taken.effect.name} was taken"
+        if r.alternatives:
+            said += ", though " + ", ".join(t.effect.name for t in r.alternatives) + " fit no worse"
+        return said + "."
+    return said + " None was taken: none explains enough, beyond chance."
+
+
+def model_section(found: Trace) -> Section:
+    """Return the model's parameters as declared, fitted without and with effects."""
+    after = model_after(found)
+    without = dict(zip(found.declared.parameters.names, found.declared.values, strict=True))
+    rows = tuple(
+        (
+            name,
+            unit_text(declared.unit),
+            plain(declared.value),
+            plain(float(without[name])),
+            *_with_error(after.parameters[name]),
+        )
+        for name, declared in found.config.parameters.items()
+        if not declared.fixed
+    )
+    head = ("parameter", "unit", "declared", "fitted without effects", "with effects", "± 95 %")
+    return Section(
+        "The model's own parameters",
+        (
+            Text(
+                "Fitted anew with every effect: what effects take from them is no longer bent into "
+                "them."
+            ),
+            Table("Free parameters of the declared model, SI units", head, rows, labels=2),
+        ),
+    )
+
+
+def _with_error(parameter: Parameter) -> tuple[str, str]:
+    if parameter.se is None:
+        return plain(parameter.value), "not told"
+    return plain(parameter.value), plain(CONFIDENCE * parameter.se, 2)
+
+
+def records_section(found: Trace) -> Section:
+    """Return which records were fitted, which held out, and what was left aside."""
+    noise = found.found.point.disturbance
+    unit = found.places.sensor_unit
+    factor, prefix = engineering(noise.sensor_sd, unit)
+    rows = [(name, "fitted") for name in found.fitted]
+    rows += [(name, "held out") for name in found.held]
+    parts: list[Part] = [
+        Text(
+            f"Noise of a sensor: {factor * noise.sensor_sd:.3g} {prefix}{unit} RMS, "
+            + (
+                "and of the force, both from still records."
+                if noise.measured
+                else "as the fit has it, undeclared effects and all: no record is still."
+            )
+        ),
+        Table(
+            "Records; one that is the only one of its kind is cut, and its end held out",
+            ("record", "use"),
+            tuple(dict.fromkeys(rows)),
+            2,
+        ),
+    ]
+    notes = [n for n in found.notes if "only records are identified" not in n]
+    if notes:
+        parts.append(Table("Left out", ("what", "why"), tuple(_split(n) for n in notes), 2))
+    return Section("Records", tuple(parts))
+
+
+def _split(note: str) -> tuple[str, str]:
+    log, _, reason = note.partition(": ")
+    return log, reason

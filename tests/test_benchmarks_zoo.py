@@ -1,0 +1,291 @@
+"""The zoo's rules: what counts as right, how large effects are, what is compared with truth."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from levid.config.base import load_yaml
+from levid.config.model import ModelConfig
+from levid.config.rig import RigConfig
+from levid.config.shipped import shipped
+from levid.model.effects.base import Places
+from levid.model.effects.extent import Extent
+from levid.model.effects.table import all_effects
+from levid.model.geometry import shape_matrix
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+cases, scoring, sizes, truth, plan, results = (
+    importlib.import_module(f"_zoo_{name}")
+    for name in ("cases", "score", "sizes", "truth", "plan", "results")
+)
+CASE = {case.name: case for case in cases.CASES + cases.UNLISTED}
+
+
+def said(*effects, before=6.0, after=1.2, floor=1.2):
+    """Return what `levid trace --json` prints for (class, where, alternatives, signals)."""
+    found = []
+    for kind, where, *rest in effects:
+        others = [{"class": k, "where": w.split()} for k, w in (rest[0] if rest else [])]
+        evidence = {"alternatives": others, "signals": rest[1] if len(rest) > 1 else []}
+        found.append({"class": kind, "where": where.split(), "evidence": evidence})
+    validation = {"before": before, "after": after, "noise_floor": floor}
+    return {"effects": found, "validation": validation}
+
+
+def score(names, *effects, **errors):
+    return scoring.score_plant([CASE[name] for name in names.split()], said(*effects, **errors))
+
+
+def test_class_and_place_make_it_right() -> None:
+    right = score("cubic-z", ("rod_stiffness", "z"))
+    assert (right.right, right.family, right.missed, right.false_alarms) == (True, True, 0, 0)
+    assert right.before_over_floor == pytest.approx(5.0)
+    assert right.after_over_floor == pytest.approx(1.0)
+
+
+def test_two_forms_of_one_effect_are_one() -> None:
+    assert score("cubic-z", ("rod_stiffness", "z"), ("rod_stiffness", "z")).right
+
+
+@pytest.mark.parametrize(
+    ("effects", "family", "missed", "alarms"),
+    [
+        ([], False, 1, 0),
+        ([("rod_stiffness", "psi")], False, 1, 1),
+        ([("rod_stiffness", "psi theta z")], True, 0, 0),  # a third of the places is true
+        ([("rod_stiffness", "z"), ("rod_stiffness", "psi")], True, 0, 1),
+        ([("rod_stiffness", "z"), ("coil_gain", "coil:3")], True, 0, 1),
+        ([("air_damping", "z")], False, 1, 1),
+    ],
+)
+def test_what_is_not_right(effects, family, missed, alarms) -> None:
+    found = score("cubic-z", *effects)
+    assert not found.right
+    assert (found.family, found.missed, found.false_alarms) == (family, missed, alarms)
+
+
+def test_neighbour_in_the_family_is_no_more_than_that() -> None:
+    found = score("coulomb-z", ("air_damping", "z"))
+    assert (found.right, found.family, found.missed, found.false_alarms) == (False, True, 0, 1)
+
+
+def test_set_that_holds_the_truth_is_right_unless_it_holds_everything() -> None:
+    lag = score("lag-coil-5", ("delay", "coil:5", [("actuator_lag", "coil:5")]))
+    assert lag.right
+    assert lag.in_a_set
+    alone = score("lag-coil-5", ("delay", "coil:5"))  # says more than the data do
+    assert (alone.right, alone.family, alone.false_alarms) == (False, True, 0)
+    others = [("coil_gain", "coil:5"), ("friction", "z"), ("actuator_lag", "coil:5")]
+    assert not score("lag-coil-5", ("delay", "coil:5", others)).right
+
+
+def test_beam_and_rotor_are_implied_by_a_class() -> None:
+    assert score("beam-gravity", ("beam_motion", "theta")).right
+    assert score("imbalance", ("rotor", "rotor psi"), ("rotor", "rotor theta")).right
+    assert score("presliding-along", ("friction", "theta")).right
+    assert not score("beam-gravity", ("beam_motion", "psi")).right
+
+
+def test_absorbed_effect_may_be_unseen_but_not_called_another() -> None:
+    assert score("delay-all").right
+    assert not score("delay-all", ("coil_gain", "coil:1")).right
+
+
+def test_pair_needs_both() -> None:
+    both = ("rod_stiffness", "z"), ("coil_gain", "coil:3")
+    assert score("cubic-z gain-coil-3", *both).right
+    half = score("cubic-z gain-coil-3", both[0])
+    assert (half.right, half.family, half.missed) == (False, False, 1)
+
+
+def test_nothing_is_right_where_nothing_is() -> None:
+    assert score("").right
+    assert score("", ("coil_gain", "coil:1")).false_alarms == 1
+
+
+def test_unlisted_effect_is_to_be_described_not_named() -> None:
+    described = ("unknown", "theta z", [], ["z'", "x_b"])
+    assert score("eddy-brake", described).right
+    assert not score("eddy-brake", described, after=4.0).right
+    assert score("eddy-brake", ("air_damping", "z")).misnamed
+    vague = score("eddy-brake", ("air_damping", "z", [("friction", "z")]))
+    assert not vague.misnamed
+    assert not vague.right
+
+
+def test_result_without_numbers_is_scored() -> None:
+    """A model that runs away has no error after; that is a null in JSON."""
+    assert math.isnan(score("cubic-z", ("rod_stiffness", "z"), after=None).after_over_floor)
+
+
+class Flown:
+    """Flights whose effect adds (gain scale)^power to the floor, in squares, up to `largest`."""
+
+    def __init__(self, gain: float, power: float, largest: float = math.inf) -> None:
+        self.gain, self.power, self.largest, self.scales = gain, power, largest, []
+
+    def __call__(self, effects, seed):
+        (entry,) = effects
+        scale = entry["k3_n_m3"] / CASE["cubic-z"].values["k3_n_m3"]
+        self.scales.append(scale)
+        if scale > self.largest:
+            raise sizes.TooLargeError("it meets its stops")
+        ratio = math.sqrt(1 + (self.gain * scale) ** (2 * self.power))
+        return SimpleNamespace(summary={"validation": {"before": ratio, "noise_floor": 1.0}})
+
+
+@pytest.mark.parametrize(("gain", "power"), [(4.0, 1.0), (4.0, 0.7), (40.0, 1.3), (0.5, 1.0)])
+def test_size_is_found_in_three_flights(gain, power) -> None:
+    """A power law is interpolated exactly between two flights, to the four digits that are kept."""
+    flown = Flown(gain, power)
+    found = sizes._Search(CASE["cubic-z"], flown).run()
+    assert len(flown.scales) <= 3
+    for times in (5.0, 20.0):
+        true = (times**2 - 1) ** (0.5 / power) / gain
+        assert found.scale(times) == pytest.approx(true, rel=2e-3)
+    assert found.scale(1.5) == pytest.approx((1.5**2 - 1) ** (0.5 / power) / gain, rel=2e-3)
+    assert found.limited == ""
+
+
+def test_size_ends_where_the_plant_does() -> None:
+    flown = Flown(4.0, 1.0, largest=3.0)
+    found = sizes._Search(CASE["cubic-z"], flown).run()
+    assert found.scale(5.0) == pytest.approx(math.sqrt(24) / 4, rel=1e-3)
+    assert found.scale(20.0) == pytest.approx(max(s for s in flown.scales if s <= 3.0), rel=1e-3)
+    assert found.limited == "it meets its stops"
+
+
+def test_size_keeps_to_what_makes_sense() -> None:
+    """Minus all of Coriolis' force is the most that can be missing."""
+    assert sizes._largest(CASE["beam-coriolis"]) == (1.0, "excess 1 at most")
+    film = CASE["squeeze-film"]
+    assert sizes._largest(film)[0] == pytest.approx(film.values["film_m"] / 1e-3)
+
+
+def test_case_that_cannot_be_sized_is_flown_as_it_is(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(sizes, "SIZES", tmp_path / "sizes.yaml")
+    case = CASE["cubic-z"]
+    failed = SimpleNamespace(item=case, answer=None, failed="it meets its stops")
+    monkeypatch.setattr(sizes, "run_apart", lambda *_: [failed])
+    said_of: list[str] = []
+    found = sizes.sizes_of([case], 1, said_of.append)
+    assert found["cubic-z"].scale(5.0) == found["cubic-z"].scale(1.5) == 1.0
+    assert "it meets its stops" in said_of[-1]
+    assert not sizes.SIZES.exists()
+
+
+def test_sizes_survive_their_file(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(sizes, "SIZES", tmp_path / "sizes.yaml")
+    known = {"a": sizes.Sizes("0a", {5.0: 1.5, 20.0: 6.5}, ((1.0, 3.3), (6.3, 19.0)), "stops")}
+    sizes._write(known)
+    assert sizes._read() == known
+
+
+def rig_places() -> Places:
+    rig = load_yaml(shipped("rigs/loopback.yaml"), RigConfig).geometry
+    model = load_yaml(shipped("models/rig.yaml"), ModelConfig)
+    xy_m = np.stack([rig.coil_x_m, rig.coil_y_m], axis=1)
+    shape = shape_matrix(rig.coil_x_m, rig.coil_y_m)
+    return Places(
+        tuple(q.name for q in model.dof),
+        tuple(q.unit for q in model.dof),
+        shape,
+        shape,
+        "N",
+        tuple(q.unit for q in model.inputs),
+        "m",
+        xy_m,
+        xy_m,
+        beam=True,
+    )
+
+
+def test_every_known_number_can_be_read_from_a_candidate() -> None:
+    """Keys, places and parameters of the truth are those of the table of candidates."""
+    places = rig_places()
+    tones = (17.3, 50.0, 100.0, 150.0)
+    extent = Extent(**{**vars(Extent.typical(places)), "tones_hz": tones})
+    table = all_effects(places, extent)
+    missing = set()
+    for case in cases.CASES:
+        entry = case.effect(1.0)
+        for known in truth._KNOWN.get(entry["use"].rpartition(":")[2], truth._nothing)(entry):
+            fit = [
+                {q.name: 1.0 for q in (*e.amplitudes, *e.shape)} | _shape(e)
+                for e in table
+                if e.key.startswith(known.key)
+                and (known.where is None or set(e.where) == known.where)
+            ]
+            # Some have no candidate of all coils alike: then nothing compares.
+            alike = known.where is not None and len(known.where) == 9
+            if not alike and not any(known.of(values) is not None for values in fit):
+                missing.add(case.name)
+    # The table's crosstalk is that of neighbours.
+    assert missing <= {"crosstalk-1-7"}
+
+
+def _shape(effect) -> dict[str, float]:
+    return dict(zip((q.name for q in effect.shape), effect.grid[0], strict=True))
+
+
+def test_parameters_compare_in_the_units_of_the_candidates() -> None:
+    entry = CASE["cubic-psi"].effect(1.0)
+    k3 = entry["k3_n_m3"] * 0.12**4
+    placed = [
+        {
+            "effect": "rod_stiffness.cubic",
+            "where": ["psi"],
+            "parameters": {"k3": {"value": 1.1 * k3}},
+        }
+    ]
+    (number,) = truth.compared([entry], placed)
+    assert number.error == pytest.approx(0.1)
+    assert truth.compared([entry], [{**placed[0], "where": ["z"]}]) == []
+
+
+def test_plans_are_as_large_as_they_say() -> None:
+    quick, usual, full = plan.plan(True, False), plan.plan(False, False), plan.plan(False, True)
+    assert len(quick) == 8
+    assert len({(p.name, p.seed) for p in full}) == len(full)
+    visible = 2 * (len(cases.CASES) + len(cases.UNLISTED))
+    assert len(usual) == visible + 20
+    assert len(full) == 3 * visible // 2 * 3 + 40
+    for p in usual:
+        if p.kind == "pair":
+            assert p.cases[0].kind != p.cases[1].kind
+            assert all(case.absorbed is None for case in p.cases)
+
+
+def test_results_are_kept_and_a_line_cut_off_is_no_result(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(results, "code_version", lambda: "a")
+    some = {"cubic-z": sizes.Sizes("0a", {5.0: 1.0, 20.0: 4.0})}
+    plants = [plan.Plant("alone", (CASE["cubic-z"],), t, 1) for t in (5.0, 20.0)]
+    kept = results.Kept(tmp_path)
+    found = {"summary": said(("rod_stiffness", "z")), "placed": [], "flight_s": 1.0, "trace_s": 2.0}
+    kept.add(results.Result(plants[0], found), some)
+    with (tmp_path / "results.jsonl").open("a") as file:
+        file.write('{"key": "cut o')
+    again = results.Kept(tmp_path)
+    assert [again.has(p, some) for p in plants] == [True, False]
+    numbers = results.figures(again.of(plants, some))
+    assert (numbers["plants"], numbers["right"], numbers["failed"]) == (2, 1, 1)
+    assert numbers["alone_5x_right_percent"] == 100
+    monkeypatch.setattr(results, "code_version", lambda: "b")
+    assert not results.Kept(tmp_path).has(plants[0], some)
+
+
+def test_passing_beam_shows_on_its_sensor_alone() -> None:
+    unlisted = importlib.import_module("_unlisted_effects")
+    beam = unlisted.PassingBeam(4, 3e-6, at_m=0.03, width_m=0.02)
+    beam.reset(None)
+    assert beam.wrench(0.0, np.zeros(3), np.zeros(3), SimpleNamespace(x_m=0.05)) == (0.0, 0.0, 0.0)
+    seen = beam.gap(0.0, np.zeros(9))
+    assert seen[4] == pytest.approx(3e-6 * math.exp(-1))
+    assert np.count_nonzero(seen) == 1

@@ -7,8 +7,11 @@ lie in ../shared/data.
 
 from __future__ import annotations
 
+import json
 import math
 import tempfile
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 
@@ -16,6 +19,7 @@ import _table
 import numpy as np
 import yaml
 from _table import Figure
+from threadpoolctl import threadpool_limits
 
 from levid.config.base import load_yaml, parse_text
 from levid.config.model import ModelConfig, load_model
@@ -35,6 +39,7 @@ from levid.log.reader import read_log
 from levid.sim.truth import frequency_response
 
 RIG_FILE = shipped("rigs/loopback.yaml")
+KEPT = Path(__file__).resolve().parent.parent / "build" / "greybox"
 DATA = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
 # Lag and delay move the response almost alike: what a record can tell of either is in its standard
 # error, some 0.4 % of the lag after nine minutes, and no estimator does better.
@@ -92,23 +97,45 @@ def accuracy(duration_s: float) -> list[Figure]:
 
 
 def coverage(seeds: int, duration_s: float) -> list[Figure]:
-    """How often 95 % intervals hold the truth, all parameters together; how wide errors spread."""
-    truth = load_model(shipped("models/rig.yaml"))
-    z: list[float] = []
-    for seed in range(seeds):
-        start = off_by_a_tenth(100 + seed)
-        with tempfile.TemporaryDirectory() as folder:
-            logs = fly(Path(folder) / "logs", duration_s, 12.0, 100 + seed, 1000.0)
-            fit = fit_model(start, [experiment_from_log(read_log(path), start) for path in logs])
-        z += [
-            (fit.values[name] - truth.parameters[name].value) / fit.standard_errors[name]
-            for name in fit.free
-        ]
+    """How often 95 % intervals hold the truth, all parameters together; how wide errors spread.
+
+    Seeds are kept as they come, so that a run that was stopped carries on.
+    """
+    kept = KEPT / f"coverage-{duration_s:g}s.jsonl"
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    known: dict[int, list[float]] = {}
+    if kept.exists():
+        known = {r["seed"]: r["z"] for r in map(json.loads, kept.read_text().splitlines())}
+    missing = [seed for seed in range(100, 100 + seeds) if seed not in known]
+    with (
+        ProcessPoolExecutor(mp_context=get_context("forkserver")) as pool,
+        kept.open("a") as out,
+    ):
+        futures = {pool.submit(errors_in_se, seed, duration_s): seed for seed in missing}
+        for done in as_completed(futures):
+            known[futures[done]] = done.result()
+            out.write(json.dumps({"seed": futures[done], "z": done.result()}) + "\n")
+            out.flush()
+    z = [value for seed in range(100, 100 + seeds) for value in known[seed]]
     inside = float(np.mean(np.abs(z) < 1.96))
     return [
         Figure("coverage_seeds", seeds, "", f"flights of nine records of {duration_s:g} s"),
         Figure("coverage_percent", 100 * inside, "%", "of 95 % intervals hold the truth"),
         Figure("spread", float(np.sqrt(np.mean(np.square(z)))), "SE", "rms error (1: the bound)"),
+    ]
+
+
+def errors_in_se(seed: int, duration_s: float) -> list[float]:
+    """Return each parameter's error in its standard errors, of a fit to a flight of this seed."""
+    truth, start = load_model(shipped("models/rig.yaml")), off_by_a_tenth(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        logs = fly(Path(folder) / "logs", duration_s, 12.0, seed, 1000.0)
+        experiments = [experiment_from_log(read_log(path), start) for path in logs]
+    with threadpool_limits(1):
+        fit = fit_model(start, experiments)
+    return [
+        float(fit.values[name] - truth.parameters[name].value) / fit.standard_errors[name]
+        for name in fit.free
     ]
 
 

@@ -37,8 +37,3 @@ def hand_over(verb: str, records: Sequence[Path], out: Path) -> Path:
             f"the logs are in {records[0].parent}"
         )
     return out / "index.html"
-
-
-def identify_in_own_process(records: Sequence[Path], out: Path) -> Path:
-    """Hand over to `levid identify`."""
-    return hand_over("identify", records, out)

@@ -121,7 +121,7 @@ def test_a_cluster_gives_the_same_to_the_last_digit(
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="levid[cluster] is not installed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"
     ) as cluster:
         code, _, err = call(
             capfd, "trace", *logs(flown), "--out", tmp_path, "--dask", cluster.scheduler_address

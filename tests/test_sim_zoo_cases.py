@@ -87,13 +87,17 @@ def test_names_are_unique_and_classes_all_there() -> None:
     assert {case.kind for case in ZOO.UNLISTED} == {"unknown"}
 
 
+# The contract and its loader; and whatever a model file declares, which is no effect of its own.
+_NO_EFFECTS = ("contract", "declared", "loader")
+
+
 def test_every_shipped_effect_is_in_the_zoo() -> None:
     classes = {}
     for module in pkgutil.iter_modules(effects.__path__):
         name = f"{effects.__name__}.{module.name}"
         for cls in vars(importlib.import_module(name)).values():
             hooked = inspect.isclass(cls) and any(hasattr(cls, hook) for hook in HOOKS)
-            if hooked and cls.__module__ == name and module.name not in ("contract", "loader"):
+            if hooked and cls.__module__ == name and module.name not in _NO_EFFECTS:
                 classes[f"{name}:{cls.__name__}"] = cls
     bases = {base for cls in classes.values() for base in cls.__mro__[1:]}
     assert {use for use, cls in classes.items() if cls not in bases} == {

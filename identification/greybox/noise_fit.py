@@ -47,7 +47,7 @@ def estimate_noise(
         np.zeros(2 * n),
         method="L-BFGS-B",
         bounds=[(-12.0, 12.0)] * (2 * n),
-        options={"maxiter": 40, "eps": 1e-4, "ftol": 1e-9},
+        options={"maxiter": 40, "eps": 1e-4, "ftol": 1e-7},
     )
     sizes = np.exp(found.x)
     return Noise(first.force_psd * sizes[:n], first.output_variance * sizes[n:])

@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
+from scipy.signal import welch
 
 from ...model.declared import DeclaredModel
 from ...model.effects.base import Effect, Placed, Signals, Term, total
@@ -39,6 +40,7 @@ _TO_HZ = 250.0
 """Errors are averaged down to this rate: what a platform answers lies below half of it."""
 _MOST_TRUST = 1e3
 _OUTLIER = 4.0
+_SLOW_HZ = 15.0
 _NOISE_REACH = 21.0
 _MOST_FILTERS = 8
 _PASSES = 2
@@ -398,6 +400,11 @@ def _drive_channel(here: Along, shown: Sequence[Array | None]) -> list[Channel]:
     sd = float(np.std(rest[calm]))
     if sd <= 0.0:
         return []
+    # It is not white: what few independent values it has is what its low frequencies say.
+    every_s = here.every * here.record.experiment.Ts_s
+    freq_hz, power = welch(np.where(calm, rest, 0.0), 1 / every_s, nperseg=min(512, len(rest)))
+    slow = power[(freq_hz > 0) & (freq_hz < _SLOW_HZ)]
+    sd *= float(np.sqrt(max(slow.mean() / power[1:].mean(), 1.0)))
     return [Channel((columns * calm[:, None] / sd)[:, None, :], seen)]
 
 
@@ -415,6 +422,9 @@ def _accelerations(here: Along) -> Array:
     moved = np.einsum("nij,nj->ni", K, s.q) + np.einsum("nij,nj->ni", D, s.qd)
     own = np.broadcast_to(at.drift[:, 0] / e.Ts_s, s.q.shape)  # means over the period that follows
     now = 0.5 * (own + np.vstack([own[:1], own[:-1]]))
+    if here.added.force is not None:
+        mobility = np.broadcast_to(at.mobility, each)
+        now = now + np.einsum("nij,nj->ni", mobility, here.added.force)
     return np.asarray(pushed - moved + now)
 
 

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.model import EffectParameter, ModelConfig, ModelEffect
-from ...model.effects.base import Effect, Placed
+from ...model.effects.base import Effect, Placed, Places
+from ...model.effects.flexible import sites
+from ...model.effects.freeform import depends_on
 from .metric import RecordError, pooled, pooled_pose
 from .search import Round, Tried
 from .study import Trace
@@ -168,7 +170,7 @@ def summary(trace: Trace) -> dict[str, Any]:
     found = outcome(trace)
     plain: dict[str, Any] = _plain(
         {
-            "effects": [_effect(f) for f in found.effects],
+            "effects": [_effect(f, trace.places) for f in found.effects],
             "validation": {
                 "metric": METRIC,
                 "before": found.before,
@@ -300,9 +302,11 @@ def _beyond(trace: Trace) -> float | None:
     return float((rows / rows.sum()) @ squares) / float(sensors - n)
 
 
-def _effect(found: FoundEffect) -> dict[str, Any]:
+def _effect(found: FoundEffect, places: Places) -> dict[str, Any]:
     effect, why = found.effect, found.evidence
     evidence: dict[str, Any] = {"equation": effect.equation}
+    if found.unknown:
+        evidence["signals"] = list(depends_on(effect))
     if why is not None:
         evidence |= {
             "statistic_sd": why.statistic,
@@ -316,7 +320,8 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
         name: {"value": p.value, "se": p.se, "unit": p.unit}
         for name, p in found.parameters().items()
     }
-    return {**_named(effect), "parameters": parameters, "evidence": evidence}
+    where = sites(found.placed, places)
+    return {**_named(effect), "where": list(where), "parameters": parameters, "evidence": evidence}
 
 
 def _named(effect: Effect) -> dict[str, Any]:

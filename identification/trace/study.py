@@ -16,13 +16,13 @@ from ...log.reader import read_log
 from ...model.effects.base import Effect, Places
 from ...model.effects.declared import placed_effects
 from ...model.effects.extent import Extent
+from ...model.effects.freeform import freeform_effects
 from ..data import IdentificationError
 from ..declared import declared_model
 from ..from_log import NotARecordError
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.noise import Noise
 from ..greybox.parameters import free_parameters
-from .freeform import freeform_effects
 from .hints import extent
 from .linearise import Linearised, WorkingPoint, linearise, with_likely_noise
 from .metric import RecordError, pooled, record_error

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from ..declared import ModelError
 from .base import Effect, Placed, Places
+from .freeform import freeform_effect
 from .table import all_effects
 from .vibration import tone
 
@@ -50,6 +51,9 @@ def placed_effects(declared: Sequence[DeclaredEffect], places: Places) -> tuple[
         found = _TONE.fullmatch(entry.effect)
         if found is not None:
             table |= {e.identity: e for e in tone(places, float(found[1]))}
+        described = freeform_effect(places, entry.effect, entry.where)
+        if described is not None:
+            table[described.identity] = described
     placed: list[Placed] = []
     for i, entry in enumerate(declared):
         where = f"effects[{i}]"

@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+from .base import Array, Effect, Placed, Places, Quantity, Signals, Term, on_dof
 from .points import forces
 from .recursions import lagged_mean, oscillator
 
@@ -50,6 +50,20 @@ def effects(places: Places) -> list[Effect]:
         )
         for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
     ]
+
+
+def sites(placed: Placed, places: Places) -> tuple[str, ...]:
+    """Return the coils and sensors that move with a bending mode at least half as far as any."""
+    names, over_sensors, over_coils = patterns(places)
+    name = placed.effect.key.removeprefix("flexible_mode.")
+    if name not in names:
+        return placed.effect.where
+    shares = np.insert(np.asarray(placed.shape[2:], float), names.index(name), 1.0)
+    found: list[str] = []
+    for kind, over in (("coil", over_coils), ("sensor", over_sensors)):
+        moves = np.abs(over @ shares)
+        found += [f"{kind}:{i}" for i in np.flatnonzero(moves > 0.5 * moves.max()).tolist()]
+    return tuple(found)
 
 
 def patterns(places: Places) -> tuple[tuple[str, ...], Array, Array]:

@@ -204,7 +204,9 @@ class _Search:
                 if self.squares(after) <= before * (1 + 1e-12):
                     self.damping = 0.0 if self.damping < 1e-3 else self.damping / 10
                     moved = np.abs(values - self.values(start)) / p.scale / errors
-                    return float(np.max(moved[errors > 0])), self.predict_all(self.model)
+                    return float(np.max(moved[errors > 0], initial=0.0)), self.predict_all(
+                        self.model
+                    )
             except (ModelError, IdentificationError, np.linalg.LinAlgError):
                 pass  # values that give no model: a shorter step
             self.damping = max(10 * self.damping, 1e-4)

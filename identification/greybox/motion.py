@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -84,6 +84,25 @@ class Motion:
             total += scale * power
             power = A @ power
         return total
+
+    def rows(self, start: int, stop: int) -> Motion:
+        """Return rows `start` up to `stop`; inputs keep what they do between them.
+
+        Cut before they are interpolated, they would ring at the cut.
+        """
+        cut = slice(start, stop)
+        drift = self.drift if len(self.drift) == 1 else self.drift[cut]
+        if self.fixed:
+            return replace(self, inputs=self.inputs[cut], drift=drift)
+        return replace(
+            self,
+            K=self.K[cut],
+            D=self.D[cut],
+            B=self.B[cut],
+            mobility=self.mobility[cut],
+            inputs=self.inputs[cut],
+            drift=drift,
+        )
 
     def continuous(self, row: int = 0) -> tuple[Array, Array]:
         """Return A (2n, 2n) and B (2n, p) of one period, states [q, q']."""

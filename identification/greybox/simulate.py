@@ -13,8 +13,8 @@ from . import kernels
 from .experiment import Experiment
 from .inputs import Hold, held_step, lagged_input
 from .motion import Motion, innovations, motion, run_filter
-from .noise import Noise
-from .prediction import predict, settled
+from .noise import Noise, kalman_filter
+from .prediction import predict_along, settled
 
 Array = NDArray[np.float64]
 
@@ -43,15 +43,17 @@ def free_run(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: No
     if experiment.loop is not None and hold != "zoh":
         raise IdentificationError(f"expected a held input in a loop, found '{hold}'")
     first = min(round(START_S / experiment.Ts_s), len(experiment.y) // 3)
+    whole = motion(model, experiment, hold)
+    begin = replace(whole.rows(0, first), blind=min(whole.blind, first // 4))
     beginning = experiment.rows(0, first)
-    known = predict(model, beginning, hold, noise)
+    known = predict_along(begin, beginning, kalman_filter(begin, noise))
     _, state = run_filter(
         settled(known.motion, known.offset), known.filter.gain, beginning.y, known.start
     )
-    at = settled(motion(model, experiment, hold), known.offset)
+    at = settled(whole, known.offset)
     y, u = experiment.y.copy(), experiment.u.copy()
     if experiment.loop is None:
-        rest = _from_row(at, first)
+        rest = at.rows(first, len(y))
         n = y.shape[1]
         gain = np.zeros((len(rest.K), 2 * n, n))
         y[first:] = -innovations(rest, gain, np.zeros((len(y) - first, n)), state)
@@ -86,17 +88,3 @@ def _close_loop(
         np.array([step.end_old, step.end_new, step.end_lag]),
         state.copy(), integral, lagged_input(experiment.u, step)[first].copy(), y, u,
     )  # fmt: skip
-
-
-def _from_row(at: Motion, first: int) -> Motion:
-    if at.fixed:
-        return replace(at, inputs=at.inputs[first:])
-    return replace(
-        at,
-        K=at.K[first:],
-        D=at.D[first:],
-        B=at.B[first:],
-        mobility=at.mobility[first:],
-        drift=at.drift[first:],
-        inputs=at.inputs[first:],
-    )

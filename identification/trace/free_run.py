@@ -17,6 +17,7 @@ from ..greybox import kernels
 from ..greybox.experiment import Loop
 from ..greybox.inputs import held_step, lagged_input
 from ..greybox.motion import Motion, innovations, motion, run_filter
+from ..greybox.noise import Filter
 from ..greybox.prediction import predict_along, settled
 from .forces import force_moments
 from .linearise import WorkingPoint, corrected_experiment, filter_of, filtered
@@ -134,11 +135,13 @@ def _start(
     point: WorkingPoint, record: TraceRecord, added: Term, first: int
 ) -> tuple[Array, Array]:
     """Return the constant force (n,) and the state (2n,) at row `first`, from the rows before."""
-    beginning = record.cut(0, first)
-    part = Term(*(None if a is None else a[:first] for a in added.parts))
-    own = motion(point.model, beginning.experiment, point.hold)
-    experiment, acted = corrected_experiment(point, beginning, own, part)
-    kalman = filter_of(point, beginning, own)
+    own = motion(point.model, record.experiment, point.hold)
+    corrected, whole = corrected_experiment(point, record, own, added)
+    acted = replace(whole.rows(0, first), blind=min(whole.blind, first // 4))
+    experiment = corrected.rows(0, first)
+    kalman = filter_of(point, record, own)
+    if not own.fixed:
+        kalman = Filter(kalman.gain[:first], kalman.covariance[:first])
     known = predict_along(acted, experiment, kalman)
     _, state = run_filter(settled(acted, known.offset), kalman.gain, experiment.y, known.start)
     return known.offset, state

@@ -15,9 +15,10 @@ from .signals import trajectory
 Array = NDArray[np.float64]
 
 _MOST_TONES = 5
-_STANDS_OUT = 30.0
-"""A line's power over the mean of 26 bins around it: noise reaches that once in 10^8 bins."""
+_STANDS_OUT = 50.0
+"""A line's power over the mean of its surroundings: what a loop's own resonance never reaches."""
 _AROUND = np.array([1.0] * 13 + [0.0] * 5 + [1.0] * 13)
+_NEAR = np.array([1.0] * 5 + [0.0] * 5 + [1.0] * 5)
 """Bins around one that count as its surroundings: not the nearest, which a window leaks into."""
 _LOWEST_HZ = 1.0
 _APART_HZ = 0.5
@@ -47,6 +48,8 @@ def tones(records: Sequence[TraceRecord]) -> tuple[float, ...]:
 def _lines(record: TraceRecord) -> list[tuple[float, float]]:
     Ts_s = record.experiment.Ts_s
     rows = record.gap[round(_SETTLE_S / Ts_s) :]
+    if len(rows) < 4 * len(_AROUND):
+        return []
     rows = rows - rows.mean(axis=0)
     window = np.hanning(len(rows))[:, None]
     spectra = np.abs(np.fft.rfft(rows * window, axis=0)) ** 2
@@ -54,7 +57,10 @@ def _lines(record: TraceRecord) -> list[tuple[float, float]]:
     lines = []
     # Each sensor by itself, since one may be disturbed alone; and all together, for what is small.
     for power in (*spectra.T, spectra.sum(axis=1)):
-        level = convolve1d(power, _AROUND / _AROUND.sum(), mode="reflect")
+        # A resonance is narrow too, but not as narrow as a line: it fills the nearer bins.
+        level = np.maximum(
+            *(convolve1d(power, bins / bins.sum(), mode="reflect") for bins in (_AROUND, _NEAR))
+        )
         stands = power / np.maximum(level, 1e-300)
         first, last = round(_LOWEST_HZ / step_hz), len(power) - len(_AROUND)
         for k in (np.flatnonzero(stands[first:last] > _STANDS_OUT) + first).tolist():

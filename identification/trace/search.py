@@ -42,6 +42,7 @@ class Records(Protocol):
 
 
 _MOST_EFFECTS = 6
+_MOST_UNKNOWN = 2
 _BEYOND_CHANCE = 6.0
 """Standard deviations by which held-out records must agree: one in 10^9 for a candidate."""
 _WORTH = 0.004
@@ -121,10 +122,10 @@ def search(
     free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped.
     """
     error = records.held_error(point)
-    point, error, rounds = _grown(point, effects, error, records, progress)
+    point, error, rounds = _grown(point, effects, _MOST_EFFECTS, error, records, progress)
     if _much_is_left(point, records):
         named = point
-        point, error, more = _grown(point, unknown, error, records, progress)
+        point, error, more = _grown(point, unknown, _MOST_UNKNOWN, error, records, progress)
         rounds += more
         if point is not named:
             point = _without_guesses(point, records)
@@ -143,6 +144,7 @@ def _much_is_left(point: WorkingPoint, records: Records) -> bool:
 def _grown(
     point: WorkingPoint,
     effects: Sequence[Effect],
+    most: int,
     error: float,
     records: Records,
     progress: Progress,
@@ -151,13 +153,13 @@ def _grown(
     candidates = [(effect, tuple(shape)) for effect in effects for shape in effect.grid]
     rounds: list[Round] = []
     barred = {p.effect.identity for p in point.placed}
-    refused = 0
+    refused, most = 0, most + len(point.placed)
     while True:
         progress(f"screening {len(candidates)} candidates", _share(len(rounds)))
         train = _gather(point, records.train(point, candidates))
         held = _gather(point, records.held(point, candidates))
         found = _round(point, candidates, train, held)
-        if not found.survivors or len(point.placed) >= _MOST_EFFECTS or refused >= _MOST_REFUSED:
+        if not found.survivors or len(point.placed) >= most or refused >= _MOST_REFUSED:
             rounds.append(found)
             break
         progress(
@@ -225,8 +227,14 @@ def _sifted(point: WorkingPoint, found: Round, train: Evidence, records: Records
     A candidate that fits at a shape of the grid may fit better in between, so the fits decide. They
     use the records that tell most of the survivors.
     """
+    best_tried = found.survivors[0]
+    if not any(tried.shape for tried in found.survivors):
+        # What has no shape to move is where a fit would leave it already.
+        near = max(_ALIKE * best_tried.gain, _NEAR)
+        alike = tuple(t for t in found.survivors[1:] if best_tried.gain - t.gain < near)
+        return replace(found, taken=best_tried, alternatives=alike)
     if len(found.survivors) == 1:
-        return replace(found, taken=found.survivors[0])
+        return replace(found, taken=best_tried)
     only = _telling(found.survivors, train)
     before = _gather(point, records.train(point, only=only)).squares
     fitted: list[tuple[float, Tried]] = []
@@ -390,6 +398,9 @@ def _round(
         coefficients = solve(whole, [*base, *groups[i]])
         amplitudes = coefficients[len(base) :] / train.size[groups[i]]
         there = coefficients / train.size[[*base, *groups[i]]] * held.size[[*base, *groups[i]]]
+        quantities = zip(amplitudes.tolist(), effect.amplitudes, strict=True)
+        if not all(q.low <= value <= q.high for value, q in quantities):
+            continue  # a friction that drives is none
         ranking.append(
             Tried(
                 effect, shape, float(scores.total[i]), scores.gain[i],

@@ -91,6 +91,11 @@ def _trace(
         path: replace(r, places=replace(r.places, span_s=span)) for path, r in records.items()
     }
     train, held = split(list(records.values()))
+    if not held:
+        raise IdentificationError(
+            "expected records long enough to hold a part of them out, found "
+            f"{', '.join(f'{r.rows} rows of {r.name}' for r in records.values())}"
+        )
     where = {r.name: path for path, r in records.items()}
     begin = {r.name: r.time_s[0] for r in records.values()}
 
@@ -98,7 +103,7 @@ def _trace(
         found = []
         for part in parts:
             first = round((part.time_s[0] - begin[part.name]) / part.experiment.Ts_s)
-            found.append(Source(where[part.name], first, first + part.rows, span))
+            found.append(Source.of(where[part.name], first, first + part.rows, span))
         return found
 
     progress("fitting the declared model", 0.05)
@@ -200,7 +205,7 @@ def _read(
     names = [r.name for r in records.values()]
     for path, record in records.items():
         if names.count(record.name) > 1:
-            named = replace(record.experiment, name=f"{record.name} ({path.stem})")
+            named = replace(record.experiment, name=f"{record.name} ({path})")
             records[path] = replace(record, experiment=named)
     return records, tuple(notes)
 

@@ -30,12 +30,20 @@ _KEPT = 256
 
 @dataclass(frozen=True)
 class Source:
-    """Where a record comes from: rows of a log, and the span of its session."""
+    """Where a record comes from: rows of a log as it was written then, and its session's span."""
 
     path: Path
     start: int
     stop: int
     span_s: tuple[float, float]
+    written_ns: int
+    size: int
+
+    @classmethod
+    def of(cls, path: Path, start: int, stop: int, span_s: tuple[float, float]) -> Source:
+        """Return rows of the log that is at `path` now."""
+        now = path.stat()
+        return cls(path, start, stop, span_s, now.st_mtime_ns, now.st_size)
 
 
 class Workers(Protocol):

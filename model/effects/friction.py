@@ -35,7 +35,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
         force, reach, speed = places.force_unit(i), extent.reach[i], extent.speed[i]
-        amplitude = (Quantity("friction", force),)
+        amplitude = (Quantity("friction", force, 0.0),)
         v_s = Quantity("v_s", f"{unit}/s", speed / _WIDE, 3 * speed, log=True)
         x_s = Quantity("x_s", unit, reach / _WIDE, 10 * reach, log=True)
         found += [

@@ -1,0 +1,302 @@
+"""Columns of a record around a working point: each is the change of the errors that it stands for.
+
+The records are made from the rig's declared model itself, in open loop, so that the truth is known;
+a beam that stands or that moves gives a fixed or a moving schedule.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from levid.config.model import load_model
+from levid.config.shipped import shipped
+from levid.identification.declared import declared_model
+from levid.identification.greybox.experiment import Experiment
+from levid.identification.greybox.motion import innovations, motion
+from levid.identification.greybox.noise import Noise, kalman_filter
+from levid.identification.greybox.parameters import free_parameters
+from levid.identification.greybox.prediction import predict, settled
+from levid.identification.trace.filterbank import FilterBank, thinned, transitions
+from levid.identification.trace.linearise import (
+    WorkingPoint,
+    along,
+    corrected_experiment,
+    effect_terms,
+    filtered,
+    linearise,
+    redundancy_basis,
+)
+from levid.identification.trace.linearise import _parameter_columns as parameter_columns
+from levid.identification.trace.noise import Disturbance
+from levid.identification.trace.record import TraceRecord
+from levid.model.effects.base import Placed, Places, Term, on_dof
+from levid.model.effects.table import all_effects
+from levid.model.geometry import shape_matrix
+
+TS = 1e-3
+GRID = np.array([(x, y) for x in (0.12, 0.0, -0.12) for y in (0.12, 0.0, -0.12)])
+SHAPE = shape_matrix(GRID[:, 0], GRID[:, 1])
+CONFIG = load_model(shipped("models/rig.yaml"))
+PLACES = Places(
+    ("psi", "theta", "z"), ("rad", "rad", "m"), SHAPE, SHAPE, "N", ("N m", "N m", "N"), "m",
+    GRID, GRID, beam=True, span_s=(0.0, 20.0),
+)  # fmt: skip
+SENSOR_SD = 1e-7
+NOISE = Noise(np.diag(SHAPE.T @ SHAPE) * 1e-10, np.diag(np.linalg.pinv(SHAPE.T @ SHAPE)) * 1e-14)
+KINDS = ("fixed", "moving")
+
+
+def smooth(rng: np.random.Generator, rows: int, columns: int, highest_hz: float) -> np.ndarray:
+    """Return sums of twelve sines, as smooth as what a platform does."""
+    t, freq_hz = np.arange(rows) * TS, rng.uniform(0.5, highest_hz, (12, columns))
+    phase = rng.uniform(0, 2 * np.pi, freq_hz.shape)
+    return np.sin(2 * np.pi * freq_hz * t[:, None, None] + phase).sum(axis=1) / np.sqrt(6)
+
+
+@cache
+def record(kind: str, rows: int = 3000) -> TraceRecord:
+    """Return a record of the declared model, weight held, on a beam that stands or moves."""
+    rng = np.random.default_rng(len(kind))
+    t = np.arange(rows) * TS
+    beam = np.full((rows, 3), [0.05, 0.0, 0.0])
+    if kind == "moving":
+        w = 2 * np.pi * 0.4
+        beam = 0.07 * np.stack([np.sin(w * t), w * np.cos(w * t), -w * w * np.sin(w * t)], axis=1)
+    coil = smooth(rng, rows, 9, 40.0)
+    derivative = np.append(np.diff(beam[:, 1]), 0.0) / TS
+    schedule = {"x_b": beam[:, 0], "v_b": beam[:, 1], "a_b": derivative}
+    e = Experiment(
+        kind, TS, coil @ SHAPE, np.zeros((rows, 3)), schedule, frozenset({"a_b"}),
+        kind == "moving", 1, hold="zoh",
+    )  # fmt: skip
+    at = motion(declared_model(CONFIG), e, "zoh")
+    # A filter without gain simulates: what it leaves of a pose of nothing is minus the pose.
+    q = -innovations(at, np.zeros((len(at.K), 6, 3)), e.y, np.zeros(6))
+    gap = q @ SHAPE.T + SENSOR_SD * rng.standard_normal((rows, 9))
+    return TraceRecord(
+        replace(e, y=gap @ PLACES.decoupling.T), PLACES, t, gap, coil, np.zeros_like(coil), beam,
+        np.zeros((rows, 3)), None, "made",
+    )  # fmt: skip
+
+
+def point(**values: float) -> WorkingPoint:
+    model = declared_model(CONFIG).with_values(values)
+    known = Disturbance(NOISE, SENSOR_SD, measured=True)
+    return WorkingPoint(model, free_parameters(CONFIG), (), known, "zoh")
+
+
+def bank_of(record: TraceRecord, every: int = 1) -> FilterBank:
+    here = point()
+    at = motion(here.model, record.experiment, "zoh")
+    kalman = kalman_filter(at, NOISE)
+    return FilterBank.build(here.model, record, at, kalman, "zoh", every)
+
+
+def whitened(record: TraceRecord, added: Term) -> np.ndarray:
+    """Return the errors by the fit's own filter, of a record with a term taken into account."""
+    here = point()
+    at = motion(here.model, record.experiment, "zoh")
+    kalman = kalman_filter(at, NOISE)
+    e, at = corrected_experiment(here, record, at, added)
+    errors = kalman.whiten(innovations(at, kalman.gain, e.y, np.zeros(6)))
+    errors[: at.blind] = 0.0
+    return errors
+
+
+def terms(record: TraceRecord) -> dict[str, Term]:
+    rng = np.random.default_rng(5)
+    rows = record.rows
+    return {
+        "held": Term(held=rng.normal(size=(rows, 3))),  # commands may jump
+        "force": Term(force=smooth(rng, rows, 3, 60.0)),
+        "gap": Term(gap=1e-5 * rng.normal(size=(rows, 9))),
+    }
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_flow_of_every_period_is_the_matrix_exponential(kind: str) -> None:
+    from scipy.linalg import expm
+
+    at = motion(declared_model(CONFIG), record(kind).experiment, "zoh")
+    Phi = transitions(at)
+    for row in range(0, len(Phi), 700):
+        # The series is long enough for 1e-12 of the state, in units where speeds are as large.
+        scale = np.diag([1.0] * 3 + [TS] * 3)
+        A, _ = at.continuous(row)
+        exact = scale @ expm(A * TS) @ np.linalg.inv(scale)
+        np.testing.assert_allclose(scale @ Phi[row] @ np.linalg.inv(scale), exact, atol=1e-11)
+
+
+@pytest.mark.parametrize("what", ["held", "force", "gap"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_column_is_what_a_term_adds_to_the_errors_of_the_filter(kind: str, what: str) -> None:
+    made = record(kind)
+    term = terms(made)[what]
+    column = bank_of(made).columns([term], 1)[:, :, 0]
+    # A command that adds to the model lowers the errors as much as the same force outside raises
+    # them: a column is what a unit of the effect in the model does to them.
+    change = whitened(made, term) - whitened(made, Term())
+    size = np.abs(change).max()
+    # Along a schedule each period has its own mobility and flow, but within a period the force
+    # meets one damping for all: half of what damping changes by, 2 m_b v_b / (J or m), times Ts.
+    tolerance = 1e-9 if kind == "fixed" or what == "gap" else 1e-3
+    assert np.abs(column - change).max() < tolerance * size
+
+
+def test_columns_do_not_depend_on_their_neighbours() -> None:
+    made = record("fixed", 1200)
+    some = list(terms(made).values())
+    bank = bank_of(made, 4)
+    many = bank.columns([*some * 7, Term()], 22)  # more than go through at once
+    np.testing.assert_array_equal(many[:, :, 21], 0.0)
+    for i in range(21):
+        alone = bank.columns([some[i % 3]], 1)[:, :, 0]
+        # Sums in another order, of numbers that the filter forgets within a few hundred rows.
+        np.testing.assert_allclose(many[:, :, i], alone, atol=1e-10 * np.abs(alone).max())
+
+
+def test_unknowns_are_those_of_the_prediction() -> None:
+    made = record("moving", 1500)
+    here = point()
+    kalman = kalman_filter(motion(here.model, made.experiment, "zoh"), NOISE)
+    expected = predict(here.model, made.experiment, "zoh", kalman).unknowns
+    found = bank_of(made).unknowns()
+    size = np.abs(expected).max(axis=(0, 1))
+    # As above: within a period constant forces meet one damping for all.
+    assert np.max(np.abs(found - expected) / size) < 1e-3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_parameter_columns_are_finite_differences_of_the_errors(kind: str) -> None:
+    made, here = record(kind), point()
+    at = motion(here.model, made.experiment, "zoh")
+    kalman = kalman_filter(at, NOISE)
+    start = predict(here.model, made.experiment, "zoh", kalman).start
+    signals, _ = filtered(here, made, at)
+    columns = parameter_columns(here, bank_of(made), signals)
+
+    def errors(name: str, by: float) -> np.ndarray:
+        model = here.model.with_values({name: here.model.values[name] + by})
+        moved = motion(model, made.experiment, "zoh")
+        found = kalman.whiten(innovations(moved, kalman.gain, made.experiment.y, start))
+        found[: at.blind] = 0.0
+        return found
+
+    unknowns = bank_of(made).unknowns().reshape(-1, 9)
+    basis, _ = np.linalg.qr(unknowns / np.linalg.norm(unknowns, axis=0))
+
+    def free(values: np.ndarray) -> np.ndarray:
+        flat = values.reshape(-1)
+        return flat - basis @ (basis.T @ flat)
+
+    worst = {}
+    for i, (name, scale) in enumerate(
+        zip(here.parameters.names, here.parameters.scale, strict=True)
+    ):
+        by = 1e-4 * scale
+        low = errors(name, 0.0 if name == "delay" else -by)  # a delay may not turn negative here
+        difference = (errors(name, by) - low) / (by if name == "delay" else 2 * by) * scale
+        own, expected = free(columns[:, :, i]), free(difference)
+        worst[name] = np.linalg.norm(own - expected) / np.linalg.norm(expected)
+    # Along the readings' own noise (0.1 um of some 100) rather than along the filter's path, and
+    # with accelerations by differences of fourth order: about a percent at most.
+    assert max(worst.values()) < 0.03, worst
+
+
+@pytest.mark.parametrize("key", ["friction.stribeck", "rod_stiffness.cubic"])
+def test_columns_of_a_shape_are_differences_of_its_terms(key: str) -> None:
+    made = record("fixed")
+    here = point()
+    s, _ = filtered(here, made, motion(here.model, made.experiment, "zoh"))
+    effect = next(e for e in all_effects(PLACES) if e.key == key and e.where == ("z",))
+    placed = Placed(effect, effect.grid[0], (2.0,) * len(effect.amplitudes))
+    found = effect_terms(placed, s)
+    assert len(found) == len(effect.amplitudes) + len(effect.shape)
+    for i, value in enumerate(effect.grid[0]):
+
+        def force(by: float, i: int = i) -> np.ndarray:
+            shape = list(effect.grid[0])
+            shape[i] += by
+            moved = placed.with_values(shape, placed.amplitudes).term(s).force
+            assert moved is not None
+            return moved
+
+        by = 1e-5 * value
+        expected = (force(by) - force(-by)) / (2 * by)
+        column = found[len(effect.amplitudes) + i].force
+        # Central differences a thousandth apart: that squared, times a third derivative.
+        np.testing.assert_allclose(column, expected, atol=1e-4 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("rows", [3000, 21_000])
+def test_blocks_of_time_sum_to_the_whole(rows: int) -> None:
+    made, here = record("fixed", rows), point()
+    found = linearise(here, made, [])
+    near = along(here, made)
+    # Offset and start were fitted to single rows; to means of four they may be fitted once more.
+    unknowns = near.unknowns.reshape(-1, 9)
+    flat = near.errors.reshape(-1)
+    flat = flat - unknowns @ np.linalg.lstsq(unknowns, flat, rcond=1e-14)[0]
+    pose = float(np.sum(flat**2))
+    beyond = made.gap @ redundancy_basis(SHAPE) / SENSOR_SD
+    total = pose + float(np.sum(thinned(beyond, near.every) ** 2))
+    # Rounding, of unknowns that are hard to tell apart.
+    assert found.gram[:, -1, -1].sum() == pytest.approx(total, rel=1e-7)
+    assert found.count.sum() == rows // near.every * 9
+    assert len(found.gram) == max(round(rows * TS / 4.0), 1)
+    for gram in found.gram:  # each is a Gram matrix by itself
+        np.testing.assert_allclose(gram, gram.T, atol=1e-12 * np.abs(gram).max())
+        assert np.linalg.eigvalsh(gram).min() > -1e-9 * np.linalg.norm(gram)
+
+
+def test_a_true_model_leaves_unit_errors_per_sensor() -> None:
+    # Nine errors a row: three of the pose, six that no rigid platform can show. No force noise was
+    # made, so that the pose's lie below one; the six are pure noise.
+    made = record("fixed", 21_000)
+    found = linearise(point(), made, [])
+    rows = found.count.sum() / 9
+    squares = found.gram[:, -1, -1].sum() - np.sum(along(point(), made).errors ** 2)
+    # A sum of 6 rows squared normal numbers: four standard deviations of it.
+    assert squares / (6 * rows) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (6 * rows)))
+
+
+def test_thinned_white_errors_stay_white_and_of_unit_size() -> None:
+    errors = np.random.default_rng(1).normal(size=(40_003, 2))
+    found = thinned(errors, 4)
+    assert found.shape == (10_000, 2)
+    assert found.var() == pytest.approx(1.0, abs=4 * np.sqrt(2 / found.size))
+
+
+def test_effects_found_are_in_the_errors_with_their_forces_and_readings() -> None:
+    # A force that the record does not hold, taken out and put back in, leaves what was there.
+    made, here = record("fixed"), point()
+    s, _ = filtered(here, made, motion(here.model, made.experiment, "zoh"))
+    cubic = next(e for e in all_effects(PLACES) if e.key == "rod_stiffness.cubic")
+    force = on_dof(s, 0, -1e3 * s.q[:, 0] ** 3).force
+    one = Placed(cubic, (), (1e3,))
+    np.testing.assert_allclose(one.term(s).force, force, rtol=1e-12, atol=1e-300)
+    two = replace(here, placed=(one, replace(one, amplitudes=(-1e3,))))
+    np.testing.assert_allclose(
+        along(two, made).errors,
+        along(here, made).errors,
+        atol=1e-6 * np.abs(along(here, made).errors).max(),
+    )
+
+
+def test_a_start_of_the_filter_is_forgotten_as_the_fit_has_it() -> None:
+    made = record("fixed", 1500)
+    here = point()
+    at = motion(here.model, made.experiment, "zoh")
+    kalman = kalman_filter(at, NOISE)
+    start = np.array([1e-4, -1e-4, 2e-4, 0.01, 0.0, 0.02])
+    silent = settled(replace(at, inputs=np.zeros_like(at.inputs)), np.zeros(3))
+    expected = kalman.whiten(innovations(silent, kalman.gain, np.zeros((1500, 3)), start))
+    expected[: at.blind] = 0.0
+    found = bank_of(made).errors(np.zeros((1500, 6, 1)), np.zeros((1500, 3, 1)), start[:, None])[
+        :, :, 0
+    ]
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())

@@ -1,0 +1,32 @@
+#!/bin/bash
+# Electronics and daemon on vcan0: a session is flown, an amplifier trips in the next, and frames are checked.
+set -euo pipefail
+out=$WORK/out
+export NUMBA_CACHE_DIR=$WORK/numba MPLCONFIGDIR=/tmp XDG_RUNTIME_DIR=/run/levid HOME=/tmp
+export PYTHONDONTWRITEBYTECODE=1
+mkdir -p "$XDG_RUNTIME_DIR"
+levid=$ROOT/.venv/bin/levid
+
+# It says so where it loses frames: a Sync that it missed must not look like one that was never sent.
+candump -L -d -r 8388608 vcan0 > "$out/candump.txt" &
+dump=$!
+mkfifo /tmp/faults
+"$levid" electronics "$HERE/rig.yaml" < /tmp/faults > "$out/electronics.txt" 2> "$out/electronics.log" &
+electronics=$!
+exec 3> /tmp/faults # held open: a line is a command
+until grep -q answer "$out/electronics.log"; do sleep 0.2; kill -0 $electronics; done
+"$levid" run "$HERE/rig.yaml" 2> "$out/daemon.log" &
+daemon=$!
+until [ -S "$XDG_RUNTIME_DIR/levid.sock" ]; do sleep 0.2; kill -0 $daemon; done
+
+python=$ROOT/.venv/bin/python
+"$python" "$HERE/flights.py" "$HERE/session.yaml" "$out" /tmp/faults "$XDG_RUNTIME_DIR/levid.sock"
+
+kill -TERM $daemon
+wait $daemon
+kill -TERM $electronics
+wait $electronics
+kill -INT $dump
+wait $dump || true
+"$python" "$HERE/check_frames.py" "$out/candump.txt" > "$out/report.txt"
+"$python" "$HERE/check_logs.py" "$out" >> "$out/report.txt"

@@ -1,0 +1,28 @@
+"""Compiles everything that a flight compiles, into NUMBA_CACHE_DIR."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from levid.config.rig import load_rig
+from levid.daemon.clock import VirtualClock
+from levid.daemon.flight import Flight
+from levid.drivers.sensing import SensorWatch
+from levid.wire.can_frames import load_frames
+
+HERE = Path(__file__).parent
+
+rig = load_rig(HERE / "rig.yaml")
+loopback = rig.amplifiers.model_validate({"backend": "loopback"})
+roles = dict.fromkeys(("amplifiers", "sensors", "drives"), loopback)
+with Flight(rig.model_copy(update=roles), HERE, rig.rate_hz, VirtualClock()) as flight:
+    flight.idle(2)
+values = np.zeros(9)
+for fd in (False, True):
+    frames = load_frames(None, 9, 9, fd)
+    for can_id, data in frames.gap.encode(values, 0, 0):
+        frames.gap.accept(can_id, data, 0)
+    frames.gap.finish(values)
+SensorWatch("", rig.geometry, 1e-3).judge(values)

@@ -130,7 +130,7 @@ def shipped_classes() -> set[str]:
     """Return module:Class of everything in the package that has a hook and is no base of others."""
     found = {}
     for module in pkgutil.iter_modules(effects.__path__):
-        if module.name in ("contract", "loader"):
+        if module.name in ("contract", "declared", "loader"):
             continue
         for name, cls in vars(importlib.import_module(f"{effects.__name__}.{module.name}")).items():
             hooked = inspect.isclass(cls) and any(hasattr(cls, hook) for hook in HOOKS)

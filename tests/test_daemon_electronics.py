@@ -58,6 +58,18 @@ class Rig:
             return client.excite(session, out, news)
 
 
+def wait_for_daemon(path: Path, thread: threading.Thread) -> None:
+    """Return once the daemon answers: its socket is there a moment before it listens."""
+    while True:
+        assert thread.is_alive()
+        try:
+            with Client(path) as client:
+                client.request("status")
+                return
+        except DaemonError:
+            time.sleep(0.02)
+
+
 @pytest.fixture(params=["canfd", "serial"])
 def rig(request, rig_on, tmp_path: Path) -> Iterator[Rig]:
     # 100 Hz, and half a second of patience: what this asserts is what happens, not when.
@@ -78,8 +90,7 @@ def rig(request, rig_on, tmp_path: Path) -> Iterator[Rig]:
         thread = threading.Thread(target=service.run)
         thread.start()
         try:
-            while not path.exists():
-                assert thread.is_alive()
+            wait_for_daemon(path, thread)
             yield Rig(path, electronics)
         finally:
             electronics.injector.clear()

@@ -27,6 +27,16 @@ steps:
 """
 
 
+def answers(path: Path) -> bool:
+    """Return whether a daemon listens there: its socket's file is there a moment before."""
+    try:
+        with Client(path) as client:
+            client.request("status")
+    except DaemonError:
+        return False
+    return True
+
+
 @pytest.fixture(scope="module")
 def socket_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     path = tmp_path_factory.mktemp("run") / "levid.sock"
@@ -35,8 +45,9 @@ def socket_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     service = Service(rig, RIG_FILE, path)
     thread = threading.Thread(target=service.run)
     thread.start()
-    while not path.exists():
+    while not answers(path):
         assert thread.is_alive()
+        time.sleep(0.02)
     yield path
     service.stop()
     thread.join()

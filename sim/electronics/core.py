@@ -124,6 +124,11 @@ class Core:
         """The forces (C,) in N that the amplifiers drive in this period."""
         return self._acting_n
 
+    @property
+    def pending_n(self) -> Array:
+        """The forces (C,) in N that came last and act from the next cycle on."""
+        return self._pending_n
+
     def begin(self, cycle: int, modulus: int = CYCLES) -> bool:
         """Begin a cycle: the plant moves there, setpoints are taken over, readings are sampled.
 

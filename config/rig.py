@@ -97,6 +97,10 @@ class Limits(Strict):
     beam_acceleration_m_s2: Positive
     rotor_velocity_rad_s: Positive = 20.0
     rotor_acceleration_rad_s2: Positive = 200.0
+    late_cycles: Annotated[int, Field(ge=1, le=10_000)] = 20
+    """Cycles that may be late by a period or more; every ten in time take one of them back."""
+    stall_s: Positive = 0.5
+    """For how long the loop may stand still, once, and still go on."""
 
 
 class Role(BaseModel):

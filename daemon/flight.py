@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import platform
 import sys
@@ -76,11 +77,16 @@ class Flight:
             self._ring,
             period_s,
             self._recorder.wait_for_room,
+            rig.limits,
         )
 
     def __enter__(self) -> Flight:
         """Compile the cycle, read the manipulator's place once, start clock and recorder."""
         self._warm_up()
+        if self._clock.real:
+            # A collection of all that was ever imported stalls the loop by many periods.
+            gc.collect()
+            gc.freeze()
         self._clock.start()
         self._recorder.start(self._clock.epoch_ns)
         return self
@@ -92,6 +98,8 @@ class Flight:
             self.devices.close()
         finally:
             self._recorder.close()
+            if self._clock.real:
+                gc.unfreeze()
 
     @property
     def beam_m(self) -> float:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from ..config.base import ConfigError
+from ..config.rig import Limits
 from ..drivers.base import (
     AmplifierError,
     Devices,
@@ -22,10 +23,8 @@ from .ring import Ring
 from .segment import Segment
 from .states import State
 
-_LATE_SCORE = 20.0
-"""Late cycles that are too many; a cycle in time takes _LATE_FORGIVEN of them back."""
 _LATE_FORGIVEN = 0.1
-_LONGEST_STALL_S = 0.5
+"""What a cycle in time takes back of the late cycles that are counted against their limit."""
 _BLOCK = 4096
 _FAULT_OF = {
     LinkError: Fault.LINK,
@@ -51,9 +50,11 @@ class Loop:
         ring: Ring,
         period_s: float,
         make_room: Callable[[int], None],
+        limits: Limits,
     ) -> None:
         self._controller, self._devices, self._clock = controller, devices, clock
         self._ring, self._period_s, self._make_room = ring, period_s, make_room
+        self._most_late, self._longest_stall = limits.late_cycles, limits.stall_s / period_s
         self.cycle = -1
         self.late = 0
         self.stop_requested = False
@@ -149,7 +150,7 @@ class Loop:
         lateness, execution, skips = rows["lateness_s"], rows["execution_s"], rows["skipped"]
         period_s, wait, now = self._period_s, clock.wait, time.perf_counter_ns
         fault, late_score, k = 0, 0.0, -1
-        longest_stall = _LONGEST_STALL_S / period_s
+        most_late, longest_stall = self._most_late, self._longest_stall
         while k < cycles - 1:
             late_s = wait()
             begin = now()
@@ -168,7 +169,7 @@ class Loop:
             if skipped:
                 self.late += 1
                 late_score += 1.0
-                if (late_score > _LATE_SCORE or skipped > longest_stall) and not fault:
+                if (late_score > most_late or skipped > longest_stall) and not fault:
                     fault = int(Fault.LATE)
                     control.halt()
                     rows["fault"][slot] = fault

@@ -78,6 +78,7 @@ def rig(request, rig_on, tmp_path: Path) -> Iterator[Rig]:
     patient = getattr(config, bus)["main"].model_copy(update={"stale_cycles": 50})
     config = config.model_copy(update={bus: {"main": patient}})
     plain = config.model_dump(mode="json")
+    plain["limits"] |= {"late_cycles": 200, "stall_s": 5.0}
     if bus == "can":
         # Electronics and daemon share one interpreter here: compiling for one silences the other.
         plain["drives"]["heartbeat_s"] = 5.0

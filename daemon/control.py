@@ -220,4 +220,5 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     row.fault = fault if fault != 0 else memory[_MODE, 3]
     row.saturated = min(saturated, 255)
     row.skipped = 0
+    row.stale = 0
     return fault

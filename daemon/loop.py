@@ -89,6 +89,7 @@ class Loop:
             control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
             ring.rows["fault"][slot] = fault
             ring.rows["state"][slot] = State.FAULT
+            ring.rows["stale"][slot] = self._devices.stale_roles
             ring.head += 1
         return fault
 
@@ -119,7 +120,7 @@ class Loop:
         beam, rotor, beam_ref, rotor_ref = (
             control.beam, control.rotor, control.beam_ref, control.rotor_ref,
         )  # fmt: skip
-        cycle, head, period_s = self.cycle, ring.head, self._period_s
+        cycle, head, period_s, stales = self.cycle, ring.head, self._period_s, rows["stale"]
         fault = 0
         try:
             for k in range(begin, end):
@@ -130,6 +131,8 @@ class Loop:
                 drives.read(beam, rotor)
                 amplifiers.read(readback)
                 fault = step(rows, head % capacity, cycle, cycle * period_s, k)
+                if sensors.stale or drives.stale or amplifiers.stale:
+                    stales[head % capacity] = devices.stale_roles
                 amplifiers.write(coil)
                 drives.write(beam_ref, rotor_ref)
                 head += 1
@@ -148,6 +151,7 @@ class Loop:
             control.beam, control.rotor, control.beam_ref, control.rotor_ref,
         )  # fmt: skip
         lateness, execution, skips = rows["lateness_s"], rows["execution_s"], rows["skipped"]
+        stales = rows["stale"]
         period_s, wait, now = self._period_s, clock.wait, time.perf_counter_ns
         fault, late_score, k = 0, 0.0, -1
         most_late, longest_stall = self._most_late, self._longest_stall
@@ -179,6 +183,8 @@ class Loop:
             drives.write(beam_ref, rotor_ref)
             lateness[slot] = late_s
             skips[slot] = min(skipped, 255)
+            if sensors.stale or drives.stale or amplifiers.stale:
+                stales[slot] = devices.stale_roles
             execution[slot] = (now() - begin) * 1e-9
             if full:
                 ring.lost += 1

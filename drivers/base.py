@@ -12,9 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
+from ..log.signals import Stale
 
 Array = NDArray[np.float64]
 Sync = Callable[[int], None]
+
+# Plain numbers: the flags themselves take a microsecond to combine.
+_SENSORS, _AMPLIFIERS, _DRIVES = int(Stale.SENSORS), int(Stale.AMPLIFIERS), int(Stale.DRIVES)
 
 
 class DriverError(Exception):
@@ -44,6 +48,9 @@ class DriveError(DriverError):
 class CoilAmplifiers(ABC):
     """Nine (or as many) coil amplifiers that take forces and tell the forces they drive."""
 
+    stale = False
+    """Whether what `read` filled in last is an earlier cycle's, as this one's did not come."""
+
     @abstractmethod
     def write(self, coil_n: Array) -> None:
         """Command coil forces (C,) in N; they act from the next cycle on."""
@@ -60,6 +67,9 @@ class CoilAmplifiers(ABC):
 class PositionSensors(ABC):
     """Position sensors that tell the platform's height at their places."""
 
+    stale = False
+    """As in CoilAmplifiers."""
+
     @abstractmethod
     def read(self, gap_m: Array) -> None:
         """Fill `gap_m` (S,) with heights above the working point, up positive, in m."""
@@ -67,6 +77,9 @@ class PositionSensors(ABC):
 
 class ManipulatorDrives(ABC):
     """The beam's gantry (X1 and X2 as one) and the rotor on it."""
+
+    stale = False
+    """As in CoilAmplifiers."""
 
     @abstractmethod
     def write(self, beam: Array, rotor: Array) -> None:
@@ -150,6 +163,15 @@ class Devices:
     def stale(self) -> int:
         """Cycles with a reading that came too late, of all backends."""
         return sum(backend.stale for backend in self.backends)
+
+    @property
+    def stale_roles(self) -> int:
+        """Bits of Stale: the roles whose last reading is an earlier cycle's."""
+        return (
+            (_SENSORS if self.sensors.stale else 0)
+            | (_AMPLIFIERS if self.amplifiers.stale else 0)
+            | (_DRIVES if self.drives.stale else 0)
+        )
 
     def recover(self) -> None:
         """Recover every backend after a fault; raises DriverError where one cannot."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import IntFlag
 from typing import Literal
 
 import numpy as np
@@ -23,6 +24,14 @@ class Signal:
     type: str
     shape: Shape
     description: str
+
+
+class Stale(IntFlag):
+    """Bits of the field `stale`: whose values in the row are those of an earlier cycle."""
+
+    SENSORS = 1
+    AMPLIFIERS = 2
+    DRIVES = 4
 
 
 # Fields of 8 bytes first, then 4, then 1: CDR then needs no padding anywhere, whatever the number
@@ -65,6 +74,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("fault", "1", "uint8", "scalar", "fault, a code; 0 is none"),
     Signal("saturated", "1", "uint8", "scalar", "number of coils at a limit"),
     Signal("skipped", "1", "uint8", "scalar", "periods skipped before this cycle, at most 255"),
+    Signal("stale", "1", "uint8", "scalar", "readings that are an earlier cycle's, bits"),
 )
 
 _NUMPY_TYPES = {

@@ -1,4 +1,4 @@
-"""A session flown over a bus is the one flown on loopback, but for rounding on the wire."""
+"""A session flown over a bus is that of loopback, but for rounding; what is stale is marked."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from levid.config.session import SessionConfig
 from levid.daemon.clock import VirtualClock
 from levid.daemon.flight import Flight
 from levid.daemon.plan import plan_session
+from levid.drivers.base import Devices
 from levid.log.reader import read_log
+from levid.log.signals import Stale
 from levid.sim.electronics.rig import Electronics
 
 RATE_HZ = 250.0
@@ -65,3 +67,34 @@ def test_session_over_a_bus_is_that_of_loopback(
     # add 0.07 um at a corner. Three times that allows for damping that the loop's delay takes.
     assert off_m < 3 * 0.15e-6
     assert moved_m > 50e-6  # it did move: the comparison says something
+
+
+@pytest.mark.parametrize("bus", ["canfd", "serial"])
+def test_rows_with_an_earlier_reading_say_so(bus: str, rig_on, quiet_sim, tmp_path) -> None:
+    rig = rig_on(bus, RATE_HZ, quiet_sim)
+    dropped = [70, 90, 91]
+    with Electronics(rig, tmp_path) as electronics:
+        flight = Flight(rig, tmp_path, RATE_HZ, VirtualClock())
+        (backend,) = flight.devices.backends
+
+        class Dropping(Devices):
+            @property
+            def syncs(self):  # type: ignore[no-untyped-def]
+                return (sync,)
+
+        def sync(cycle: int) -> None:
+            lost = cycle in dropped
+            electronics.injector.command("drop" if lost else "clear")
+            # Only where nothing is to come is the wait a short one.
+            for waiting in getattr(backend, "_ports", {"": backend}).values():
+                waiting._wait_s = 0.1 if lost else 30.0
+            backend.sync(cycle)
+
+        flight.loop._devices = Dropping(*vars(flight.devices).values())
+        with flight:
+            flight.idle(120)
+            rows = flight._ring.rows[:120].copy()
+    everything = Stale.SENSORS | Stale.AMPLIFIERS | Stale.DRIVES
+    assert np.flatnonzero(rows["stale"]).tolist() == dropped
+    assert set(rows["stale"][dropped]) == {everything}
+    np.testing.assert_array_equal(rows["gap_m"][dropped], rows["gap_m"][[69, 89, 89]])

@@ -81,6 +81,8 @@ class CanBackend(Backend):
 
     def sync(self, cycle: int) -> None:
         """Begin a cycle on every bus."""
+        for role in self._roles.values():
+            role.stale = True
         for link in self._links.values():
             link.drain()
         number = cycle % CYCLES

@@ -53,6 +53,7 @@ class CanAmplifiers(CoilAmplifiers):
         """Fill `coil_n` (C,) with the forces of this cycle, or of the last that came."""
         self.readings.collect(self._deadline(), coil_n)
         if self.readings.fresh:
+            self.stale = False
             self._watch.judge(self.readings.state, coil_n)
 
     def recover(self) -> None:
@@ -84,6 +85,7 @@ class CanSensors(PositionSensors):
         """Fill `gap_m` (S,) with the heights of this cycle, or of the last that came."""
         self.readings.collect(self._deadline(), gap_m)
         if self.readings.fresh:
+            self.stale = False
             self._watch.judge(gap_m)
 
     def recover(self) -> None:

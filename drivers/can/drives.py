@@ -58,7 +58,7 @@ class CanDrives(ManipulatorDrives):
         self._link, self._options, self._deadline = link, options, deadline
         self._limits, self._period_s = rig.limits, 1.0 / rig.rate_hz
         self._sync_s = self._period_s * options.every
-        self._cycle, self._sync_cycle = 0, -options.every
+        self._cycle, self._sync_cycle, self._answer_due = 0, -options.every, 0
         eds = folder / options.eds if options.eds else None
         numbers = options.nodes.model_dump()
         self._nodes = [DriveNode(name, number, eds, link) for name, number in numbers.items()]
@@ -87,6 +87,8 @@ class CanDrives(ManipulatorDrives):
         self._waiting = len(self._axes)
         for axis in self._axes:
             axis.came = False
+        # Slower drives have until the next SYNC to answer.
+        self._answer_due = cycle if self._options.every == 1 else self._sync_cycle
         self._judged, self._sync_cycle = False, cycle
         self._link.send(SYNC_ID, bytes((sync_counter(cycle),)))
 
@@ -116,6 +118,7 @@ class CanDrives(ManipulatorDrives):
                 pass
             self._judge()
         x1, x2, phi = self._axes
+        self.stale = x1.cycle < self._answer_due
         # Slower drives are not waited for: between their readings position goes on at its speed.
         since_s = (self._cycle - x1.cycle) * self._period_s
         beam[0] = 0.5 * (x1.position + x2.position + since_s * (x1.velocity + x2.velocity))

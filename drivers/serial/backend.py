@@ -75,6 +75,8 @@ class SerialBackend(Backend):
 
     def sync(self, cycle: int) -> None:
         """Begin a cycle on every port: setpoints out, samples in."""
+        for role in self._roles.values():
+            role.stale = True
         for port in self._ports.values():
             port.sync(cycle)
 
@@ -146,6 +148,7 @@ class _Amplifiers(CoilAmplifiers):
         self.port.collect()
         state = self.port.frames.amplifier_readings(coil_n)
         if self.port.fresh:
+            self.stale = False
             self._watch.judge(state, coil_n)
 
     def recover(self) -> None:
@@ -165,6 +168,7 @@ class _Sensors(PositionSensors):
         self._port.collect()
         self._port.frames.sensor_readings(gap_m)
         if self._port.fresh:
+            self.stale = False
             self._watch.judge(gap_m)
 
     def recover(self) -> None:
@@ -191,6 +195,7 @@ class _Drives(ManipulatorDrives):
         beam[:] = 0.5 * (axes[0] + axes[1])
         beam[2] = axes[0, 2] + axes[1, 2]
         rotor[:] = axes[2]
+        self.stale = not port.fresh
         if self._told or not port.fresh:
             return
         self._told = True

@@ -210,7 +210,7 @@ def test_rows_of_another_kind_and_writes_after_close_are_refused(tmp_path, rows)
         tmp_path / "a.mcap", DTYPE, rate_hz=1000, chunk_s=0.5, metadata={}, attachments={}
     )
     other = np.zeros(3, cycle_dtype(4, 4))
-    with pytest.raises(LogError, match=r"272 bytes .*found 192 bytes"):
+    with pytest.raises(LogError, match=r"273 bytes .*found 193 bytes"):
         log.write(other, times_of(3))
     with pytest.raises(LogError, match=r"times \(n,\)"):
         log.write(rows[:3], times_of(2))

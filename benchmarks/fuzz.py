@@ -173,7 +173,7 @@ def _mutated(good: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _can_is_right(can_id: int, data: bytes, cycle: int) -> bool:
-    expected = crc8(struct.pack(">H", can_id) + data[:-1])
+    expected = crc8(struct.pack(">HH", can_id, cycle >> 4) + data[:-1])
     return len(data) in (8, 20) and data[-1] == expected and (data[-2] ^ cycle) & 0xF == 0
 
 

@@ -16,7 +16,8 @@ from .base import Array, Backend, CoilAmplifiers, Context, ManipulatorDrives, Po
 class LoopbackBackend(Backend):
     """One simulated plant behind amplifiers, sensors and drives.
 
-    A command written in cycle k acts over [t(k+1), t(k+2)), as on every backend.
+    A command written in cycle k acts over [t(k+1), t(k+2)), as on every backend: it takes over as
+    the next cycle begins. Where periods are skipped before that, the command before it acts on.
     """
 
     @classmethod
@@ -44,8 +45,8 @@ class LoopbackBackend(Backend):
             self._cycle = cycle
         while self._cycle < cycle:
             plant.advance(acting.coil_n, acting.beam, acting.rotor)
-            acting.all[:] = self._pending.all
             self._cycle += 1
+        acting.all[:] = self._pending.all
         plant.sample()
 
     def amplifiers(self) -> CoilAmplifiers:

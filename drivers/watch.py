@@ -40,8 +40,7 @@ class Watch:
         A reading of the cycles that were just missed is merely late: it is no disorder unless it
         comes after that of this cycle.
         """
-        late = 0 < behind <= self._missed_before and not self._fresh
-        if reason is Rejected.COUNTER and late:
+        if 0 < behind <= self._missed_before and not self._fresh:
             self._reasons["too late"] += 1
             return
         self._reasons[reason.value] += 1

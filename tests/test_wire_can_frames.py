@@ -38,12 +38,14 @@ def test_checksum_two_bytes_a_step_is_that_of_one(length: int) -> None:
     data = np.random.default_rng(length).bytes(length)
     expected = crc8(struct.pack(">H", 0x123) + data[:-1])
     assert FrameCrc(0x123, length).of(data) == expected
+    of_cycle = crc8(struct.pack(">HH", 0x123, 0xABC) + data[:-1])
+    assert FrameCrc(0x123, length).of(data, 0xABCD) == of_cycle
 
 
 def test_payloads_are_those_of_cantools(frames: CanFrames) -> None:
     rng = np.random.default_rng(1)
     for group in groups(frames):
-        for cycle in range(20):
+        for cycle in (*range(20), 61_439):
             values = rng.uniform(-32000, 32000, 9) * group.unit
             decoded: dict[str, float] = {}
             for can_id, data in group.encode(values, cycle, cycle % 16):
@@ -51,7 +53,8 @@ def test_payloads_are_those_of_cantools(frames: CanFrames) -> None:
                 signals = message.decode(data, decode_choices=False)
                 assert message.encode(signals) == data
                 assert (signals["counter"], signals["state"]) == (cycle % 16, cycle % 16)
-                assert signals["crc"] == crc8(struct.pack(">H", can_id) + data[:-1])
+                covered = struct.pack(">HH", can_id, cycle >> 4) + data[:-1]
+                assert signals["crc"] == crc8(covered)
                 decoded |= signals
             found = [v for k, v in decoded.items() if k.startswith(group.kind)]
             np.testing.assert_allclose(found, values, atol=0.51 * group.unit)
@@ -115,6 +118,23 @@ def test_frames_that_do_not_count_say_why(frames: CanFrames) -> None:
     assert group.accept(can_id, data, 5) is Rejected.REPEATED
     assert frames.sync.decode(b"\0\0\0") is Rejected.CHECKSUM
     assert frames.sync.decode(b"") is Rejected.LENGTH
+
+
+@pytest.mark.parametrize("late", [1, 15, 16, 17, 32, 63])
+def test_frames_of_earlier_cycles_do_not_count_though_their_counter_fits(
+    frames: CanFrames, late: int
+) -> None:
+    """The counter has four bits: of a frame that is 16 cycles late it says what it should."""
+    group, out, cycle = frames.gap, np.full(9, 7.0), 5  # and the cycle has just gone round
+    sent = group.encode(np.linspace(-9e-4, 9e-4, 9), (cycle - late) % 61_440, 0)
+    reasons = [group.accept(can_id, data, cycle) for can_id, data in sent]
+    if late % 16:
+        assert set(reasons) == {Rejected.COUNTER}
+    else:
+        assert group.finish(out) is Rejected.CHECKSUM
+        assert group.behind == late
+    assert [group.age(can_id, data, cycle) for can_id, data in sent] == [late] * len(sent)
+    assert (out == 7.0).all()
 
 
 def test_frame_under_another_id_does_not_count() -> None:

@@ -17,6 +17,7 @@ from numba import njit
 from ..config.base import ConfigError
 from ..config.shipped import shipped
 from .crc import CRC_TABLE, FrameCrc
+from .device import CYCLES
 from .rejected import Rejected
 from .values import LARGEST, NO_VALUE, Array
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 COUNTER_MASK = 0xF
+_OLDEST = 64
 _BYTES = [bytes((i,)) for i in range(256)]
 Kind = Literal["setpoint", "force", "gap"]
 UNITS: dict[Kind, str] = {"setpoint": "n", "force": "n", "gap": "m"}
@@ -33,8 +35,8 @@ class ValueFrames:
     """The frames that carry one quantity of all channels, 16 bits each, in a cycle.
 
     A frame is: values of consecutive channels, little endian; a byte with the cycle's counter in
-    its low and a state in its high half; a checksum (see crc.FrameCrc). A cycle's frames count
-    together or not at all.
+    its low and a state in its high half; a checksum (see crc.FrameCrc), which covers the rest of
+    the cycle too. A cycle's frames count together or not at all.
     """
 
     def __init__(self, kind: Kind, frames: tuple[Frame, ...], channels: int, unit: float) -> None:
@@ -59,6 +61,7 @@ class ValueFrames:
             for span, frame in zip(self._spans, frames, strict=True)
         }
         self._missing = set(self.ids)
+        self._cycle = 0
 
     @property
     def state(self) -> int:
@@ -66,9 +69,12 @@ class ValueFrames:
         return self._received[self._spans[0][1] - 2] >> 4
 
     def encode(self, values: Array, cycle: int, state: int) -> list[tuple[int, bytes]]:
-        """Return (ID, payload) of every frame; of `values` (C,) what is not finite goes as none."""
+        """Return (ID, payload) of every frame of `cycle`, which is below CYCLES.
+
+        Of `values` (C,) what is not finite goes as none.
+        """
         tag = (cycle & COUNTER_MASK) | (state << 4)
-        _pack(values, self._per_unit, tag, self._layout, self._sent_bytes)
+        _pack(values, self._per_unit, cycle >> 4, tag, self._layout, self._sent_bytes)
         raw = self._sent_bytes.tobytes()
         return [(can_id, raw[begin:end]) for can_id, begin, end in self._cuts]
 
@@ -90,10 +96,11 @@ class ValueFrames:
         if len(data) != length:
             return Rejected.LENGTH
         if (data[-2] ^ cycle) & COUNTER_MASK:
-            return Rejected.COUNTER if crc.of(data) == data[-1] else Rejected.CHECKSUM
+            return Rejected.COUNTER if self.age(can_id, data, cycle) else Rejected.CHECKSUM
         if can_id not in self._missing:
-            return Rejected.REPEATED if crc.of(data) == data[-1] else Rejected.CHECKSUM
+            return Rejected.REPEATED if crc.of(data, cycle) == data[-1] else Rejected.CHECKSUM
         self._missing.discard(can_id)
+        self._cycle = cycle
         self._received[begin:end] = data
         return None
 
@@ -102,9 +109,27 @@ class ValueFrames:
 
         Returns why not, with `out` as it was, None if all is well.
         """
-        if _unpack(self._received_bytes, self._layout, self.unit, out):
+        if _unpack(self._received_bytes, self._cycle >> 4, self._layout, self.unit, out):
             return None
         return Rejected.CHECKSUM
+
+    @property
+    def behind(self) -> int:
+        """How many cycles old a complete reading is that failed its checksum; 0 if none says so."""
+        parts = [bytes(self._received[begin:end]) for begin, end in self._spans]
+        return min(self.age(i, p, self._cycle) for i, p in zip(self.ids, parts, strict=True))
+
+    def age(self, can_id: int, data: bytes, cycle: int) -> int:
+        """Return how many cycles ago one of these frames was sent, as counter and checksum tell.
+
+        0 for one of this cycle, of none of the last 64, or of a wrong checksum.
+        """
+        crc = self._place[can_id][3]
+        behind = (cycle - data[-2]) & COUNTER_MASK
+        for age in range(behind, _OLDEST, COUNTER_MASK + 1):
+            if crc.of(data, (cycle - age) % CYCLES) == data[-1]:
+                return age
+        return 0
 
 
 @dataclass(frozen=True)
@@ -124,7 +149,7 @@ class Frame:
 
 
 @njit(cache=True)
-def _pack(values: Any, per_unit: float, tag: int, layout: Any, out: Any) -> None:
+def _pack(values: Any, per_unit: float, high: int, tag: int, layout: Any, out: Any) -> None:
     for begin, first, count, start in layout:
         at = begin
         for i in range(first, first + count):
@@ -138,17 +163,17 @@ def _pack(values: Any, per_unit: float, tag: int, layout: Any, out: Any) -> None
             out[at + 1] = (counts >> 8) & 0xFF
             at += 2
         out[at] = tag
-        crc = start
+        crc = CRC_TABLE[CRC_TABLE[start ^ (high >> 8)] ^ (high & 0xFF)]
         for j in range(begin, at + 1):
             crc = CRC_TABLE[crc ^ out[j]]
         out[at + 1] = crc ^ 0xFF
 
 
 @njit(cache=True)
-def _unpack(data: Any, layout: Any, unit: float, values: Any) -> bool:
+def _unpack(data: Any, high: int, layout: Any, unit: float, values: Any) -> bool:
     for begin, _, count, start in layout:
         end = begin + 2 * count + 1
-        crc = start
+        crc = CRC_TABLE[CRC_TABLE[start ^ (high >> 8)] ^ (high & 0xFF)]
         for j in range(begin, end):
             crc = CRC_TABLE[crc ^ data[j]]
         if crc ^ 0xFF != data[end]:

@@ -41,6 +41,9 @@ class FrameCrc:
 
     It covers the ID, high byte first, and then the payload but for its last byte, where it stands:
     a frame that arrives under another ID does not pass (AUTOSAR E2E profile 2 calls it data ID).
+    Where a frame carries the low four bits of a cycle, the checksum covers the bits above too,
+    after the ID, high byte first: they are not sent, both ends know them from Sync. So a frame that
+    comes 16 cycles late is not taken for one of the cycle at hand.
     """
 
     start: int
@@ -52,10 +55,12 @@ class FrameCrc:
         self.start = crc8(struct.pack(">H", can_id & 0xFFFF)) ^ _XOR_OUT
         self._last = length - 2
 
-    def of(self, data: bytes | bytearray) -> int:
-        """Return the checksum of a frame; its last byte does not count."""
+    def of(self, data: bytes | bytearray, cycle: int | None = None) -> int:
+        """Return the checksum of a frame, of `cycle` if it has one; its last byte does not count."""
         crc = self.start
         word = _WORD
+        if cycle is not None:
+            crc = word[(crc << 8) ^ (cycle >> 4)]
         for value in self._words(data):
             crc = word[(crc << 8) ^ value]
         if self._odd:

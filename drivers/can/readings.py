@@ -54,7 +54,8 @@ class Readings:
                 self.fresh = True
                 self.watch.fresh()
                 return
-            self.watch.reject(wrong)
+            # Its counter is right; but after so many missed cycles it may be one of sixteen ago.
+            self.watch.reject(wrong, self._frames.behind)
         self.watch.missing()
 
     def reset(self) -> None:
@@ -65,5 +66,6 @@ class Readings:
     def _take(self, can_id: int, data: bytes) -> None:
         reason = self._frames.accept(can_id, data, self._cycle)
         if reason is not None:
-            behind = (self._cycle - data[-2]) & COUNTER_MASK if len(data) > 1 else 0
-            self.watch.reject(reason, behind if reason is Rejected.COUNTER else 0)
+            late = reason is Rejected.COUNTER
+            behind = self._frames.age(can_id, data, self._cycle) if late else 0
+            self.watch.reject(reason, behind)

@@ -105,15 +105,16 @@ class CanElectronics:
     def _run(self) -> None:
         patience_s = min(1.5 * self._core.period_s, 0.1)
         while not self._stopping.is_set():
+            silent_s = time.monotonic() + patience_s
             try:
                 message = self._bus.recv(patience_s)
             except Exception:  # noqa: BLE001 - an interface that is down comes back
-                time.sleep(patience_s)
+                time.sleep(max(silent_s - time.monotonic(), 0.0))
                 message = None
             if message is None and self._drives is not None and self._injector.hears:
                 self._drives.poll()
             if message is None or not self._injector.hears:
-                self._core.tick()
+                self._core.tick(min(silent_s, time.monotonic()))
                 continue
             if message.is_extended_id or message.is_error_frame or message.is_remote_frame:
                 continue

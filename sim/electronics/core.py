@@ -147,21 +147,29 @@ class Core:
             if modulus - periods <= _BEHIND:
                 return False  # another bus was quicker: that cycle is over
             if periods > min(_NEW_COUNT, modulus // 2):
-                periods = 1
+                periods, self._ahead = 1, 0
                 self._cycle = cycle if modulus == CYCLES else self._cycle + 1
             else:
                 self._cycle = (self._cycle + periods) % CYCLES
-            # Periods that went by without a host are not gone through twice.
-            for _ in range(periods - min(periods, self._ahead)):
-                self._period()
-            self._ahead = 0
+            # Periods that went by without a host are not gone through twice. In flight those of
+            # them that the host has still to come to are not forgotten either: the plant would be
+            # ahead for ever. At zero force a host may begin to count whenever it likes.
+            gone = min(periods, self._ahead)
+            enabled = self.amplifier_state is AmplifierState.ENABLED
+            self._ahead = self._ahead - gone if enabled else 0
+            for left in reversed(range(periods - gone)):
+                self._period(setpoints_next=not left)
+            self._take_over()
             self._sample()
             return True
 
-    def tick(self) -> None:
-        """Let time go on without a host: to be called about once a period when nothing comes."""
+    def tick(self, now: float) -> None:
+        """Let time go on without a host: to be called about once a period when nothing comes.
+
+        `now` (monotonic): up to when nothing came for certain. What came since, while this process
+        had to wait for its turn, is no silence.
+        """
         with self.lock:
-            now = time.monotonic()
             if now - self._last_s < _SILENT_PERIODS * self.period_s:
                 return
             self._period()
@@ -257,24 +265,18 @@ class Core:
             self.amplifier_state = AmplifierState.OFF
         return Parameter.TRIPPED_COILS, self._tripped
 
-    def _period(self) -> None:
-        """One period with what acts; then what is pending takes over."""
+    def _period(self, setpoints_next: bool = False) -> None:
+        """One period with what acts; `setpoints_next`: what came since acts from its end on."""
         plant, acting = self._plant, self._acting_n
         plant.advance(acting, self._motion[0], self._motion[1])
         self._look_at_injected()
         if self.amplifier_state is AmplifierState.ENABLED:
-            if self._fresh:
-                self._missed = 0
-                low = np.maximum(acting - self._step_n - _TOLERANCE_N, -self._limit_n)
-                high = np.minimum(acting + self._step_n + _TOLERANCE_N, self._limit_n)
-                np.clip(self._pending_n, low, high, out=acting)
-            else:
+            if not (setpoints_next and self._fresh):
                 self._missed += 1
                 if self._missed >= self._expire:
                     self.amplifier_state = AmplifierState.EXPIRED
         if self.amplifier_state is not AmplifierState.ENABLED:
             acting[:] = 0.0
-        self._fresh = False
         if self._plan:
             self._motion[:] = self._plan.pop(0)
             self._drives_missed = 0
@@ -282,6 +284,16 @@ class Core:
             self._drives_missed += 1
             if self._drives_missed > self._expire:
                 self._hold_drives()
+
+    def _take_over(self) -> None:
+        """Let the forces act that came last, within the limits; a cycle begins with that alone."""
+        if self.amplifier_state is AmplifierState.ENABLED and self._fresh:
+            self._missed = 0
+            acting = self._acting_n
+            low = np.maximum(acting - self._step_n - _TOLERANCE_N, -self._limit_n)
+            high = np.minimum(acting + self._step_n + _TOLERANCE_N, self._limit_n)
+            np.clip(self._pending_n, low, high, out=acting)
+        self._fresh = False
 
     def _hold_drives(self) -> None:
         self._plan.clear()

@@ -7,6 +7,7 @@ import os
 import select
 import socket
 import threading
+import time
 import tty
 from pathlib import Path
 from urllib.parse import urlparse
@@ -59,21 +60,22 @@ class SerialElectronics:
     def _run(self) -> None:
         patience_s = min(1.5 * self._core.period_s, 0.1)
         while not self._stopping.is_set():
+            silent_s = time.monotonic() + patience_s
             if "disconnect" in self.injector.wire:
                 self._line.close()
-                self._stopping.wait(self._core.period_s)
-                self._core.tick()
+                self._stopping.wait(patience_s)
+                self._core.tick(min(silent_s, time.monotonic()))
                 continue
             self._line.open()
             data = self._line.read(patience_s)
             if not data:
-                self._core.tick()
+                self._core.tick(min(silent_s, time.monotonic()))
                 continue
             if self.injector.hears:
                 for block in self._stream.feed(data):
                     self._answer(block)
             else:
-                self._core.tick()
+                self._core.tick(time.monotonic())
 
     def _answer(self, block: bytes) -> None:
         frames, core = self._frames, self._core

@@ -11,6 +11,7 @@ import cantools
 
 from levid.config.shipped import shipped
 from levid.wire.crc import FrameCrc
+from levid.wire.device import CYCLES
 
 LINE = re.compile(r"\(\d+\.\d+\) vcan0 ([0-9A-F]{3})(?:#([0-9A-F]*)|##([0-9A-F])([0-9A-F]*))")
 DATABASE = cantools.database.load_file(str(shipped("levid.dbc")))
@@ -34,20 +35,25 @@ for line in Path(sys.argv[1]).read_text().splitlines():
     seen[message.name] += 1
     assert fd == message.is_fd, f"{message.name}: {line}"
     assert len(data) == message.length, f"{message.name}: {line}"
-    assert FrameCrc(can_id, len(data)).of(data) == data[-1], f"{message.name}: {line}"
     signals = message.decode(data, decode_choices=False)
+    of_cycle = None
+    if "counter" in signals:
+        # A frame is of the last Sync, or of one before where somebody is late: by its counter.
+        late = (syncs[-1] - int(signals["counter"])) % 16
+        of_cycle = (syncs[-1] - late) % CYCLES
+    assert FrameCrc(can_id, len(data)).of(data, of_cycle) == data[-1], f"{message.name}: {line}"
     if message.name == "Sync":
-        syncs.append(int(signals["cycle"]) % 16)
+        syncs.append(int(signals["cycle"]))
     elif message.name in answers:
         answers[message.name].append(int(signals["counter"]))
     elif message.name == "SetpointsFd":
         # The host sends them between one Sync and the next, however late it is.
-        assert signals["counter"] == syncs[-1], f"setpoints of another cycle: {line}"
+        assert signals["counter"] == syncs[-1] % 16, f"setpoints of another cycle: {line}"
 
 for name in ("Sync", "GapsFd", "ForcesFd", "SetpointsFd", "CANopen", "Request", "Answer"):
     assert seen[name], f"expected {name}, found {dict(seen)}"
 for name, counters in answers.items():
     # Each Sync is answered once and in order; the last may have come too late for candump.
-    assert counters == syncs[: len(counters)], f"{name}: not the counters of the Syncs, in order"
+    assert counters == [s % 16 for s in syncs[: len(counters)]], f"{name}: not the counters of the Syncs, in order"
     assert len(syncs) - len(counters) <= 1, f"{name}: {len(counters)} for {len(syncs)} Syncs"
 print(f"{sum(seen.values())} frames, all well-formed, every Sync answered in order: {dict(seen)}")

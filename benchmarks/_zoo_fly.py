@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,11 @@ from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.faults import FlightFault
 from levid.daemon.virtual import fly_virtually
+from levid.identification.trace.metric import pooled
 from levid.identification.trace.result import model_after, summary
-from levid.identification.trace.study import Trace, trace
+from levid.identification.trace.study import refit, trace
 from levid.identification.trace.workers import Alone
 from levid.log.reader import read_log
-from levid.model.effects.base import Effect, Places, Quantity, Signals, Term
-from levid.model.effects.extent import Extent
 from levid.model.effects.table import all_effects
 
 RIG = shipped("rigs/loopback.yaml")
@@ -67,15 +67,29 @@ def fly_and_trace(effects: Entries, seed: int) -> Found:
 
     Raises TooLargeError.
     """
-    return _fly_and(effects, seed, all_effects)
+    config = load_model(MODEL)
+    # One process is one core; it works on one plant.
+    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+        begin = time.process_time()
+        logs, highest_gap_m = fly(effects, seed, Path(folder))
+        flown = time.process_time()
+        found = trace(logs, config, all_effects, Alone(config), lambda *_: None)
+        placed = [effect.model_dump() for effect in model_after(found).effects]
+        end = time.process_time()
+        return Found(summary(found), placed, highest_gap_m, flown - begin, end - flown)
 
 
-def fly_and_refit(effects: Entries, seed: int) -> Found:
-    """Do the same, but refit the declared model alone: how large its error is, and the floor.
+def fly_and_refit(effects: Entries, seed: int) -> float:
+    """Fly the same; return the error of the declared model, refitted, over the noise floor.
 
-    Raises TooLargeError.
+    Infinite where the refitted model runs away. Raises TooLargeError.
     """
-    return _fly_and(effects, seed, _nothing)
+    config = load_model(MODEL)
+    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+        logs, _ = fly(effects, seed, Path(folder))
+        _, errors = refit(logs, config, Alone(config), lambda *_: None)
+    error, floor = pooled(errors)
+    return error / floor if math.isfinite(error) else math.inf
 
 
 def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
@@ -120,28 +134,3 @@ def code_version() -> str:
 def canonical(value: object) -> str:
     """Return the text of plain data that does not depend on comments or on the order of keys."""
     return json.dumps(value, sort_keys=True)
-
-
-def _fly_and(
-    effects: Entries, seed: int, table: Callable[[Places, Extent], Sequence[Effect]]
-) -> Found:
-    config = load_model(MODEL)
-    # One process is one core; it works on one plant.
-    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
-        begin = time.process_time()
-        logs, highest_gap_m = fly(effects, seed, Path(folder))
-        flown = time.process_time()
-        found: Trace = trace(logs, config, table, Alone(config), lambda *_: None)
-        placed = [effect.model_dump() for effect in model_after(found).effects]
-        end = time.process_time()
-        return Found(summary(found), placed, highest_gap_m, flown - begin, end - flown)
-
-
-def _nothing(_places: Places, _covered: Extent) -> list[Effect]:
-    """Return a table of candidates that does nothing: the search has to have something to try."""
-    amplitude = Quantity("a", "1")
-    return [Effect("nothing", "Nothing", "unknown", (), "force = 0", (amplitude,), _no_term)]
-
-
-def _no_term(_signals: Signals, _shape: Sequence[float]) -> list[Term]:
-    return [Term()]

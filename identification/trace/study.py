@@ -26,7 +26,7 @@ from ..greybox.parameters import free_parameters
 from .hints import extent
 from .linearise import Linearised, WorkingPoint, linearise, with_likely_noise
 from .metric import RecordError, pooled, record_error
-from .noise import Disturbance, disturbance
+from .noise import disturbance
 from .record import TraceRecord, split, trace_record
 from .search import Candidate, Found, refine, search
 from .workers import Source, Workers
@@ -74,6 +74,32 @@ def trace(
         return _trace(logs, config, effects, workers, progress)
 
 
+def refit(
+    logs: Sequence[Path], config: ModelConfig, workers: Workers, progress: Progress
+) -> tuple[WorkingPoint, tuple[RecordError, ...]]:
+    """Return the declared model refitted, and its errors on the records held out.
+
+    It is where a trace begins: how much there is to explain. Raises IdentificationError.
+    """
+    with threadpool_limits(1):
+        begun = _begin(logs, config, workers, progress)
+        errors = workers.map(partial(record_error, begun.declared), begun.logged.kept)
+        return begun.declared, tuple(errors)
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """Records split, and the declared model fitted to those that are not held out."""
+
+    logged: _Logged
+    declared: WorkingPoint
+    places: Places
+    covered: Extent
+    fitted: tuple[str, ...]
+    held: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
 def _trace(
     logs: Sequence[Path],
     config: ModelConfig,
@@ -81,6 +107,25 @@ def _trace(
     workers: Workers,
     progress: Progress,
 ) -> Trace:
+    begun = _begin(logs, config, workers, progress)
+    declared, logged, places = begun.declared, begun.logged, begun.places
+    known = {p.effect.identity for p in declared.placed}
+    listed = visible(effects(places, begun.covered), places)
+    others = [e for e in listed if e.identity not in known]
+    unknown = freeform_effects(places, begun.covered)
+    found = search(declared, others, unknown, logged, progress)
+    progress("simulating held-out records", 0.9)
+    before = workers.map(partial(record_error, declared), logged.kept)
+    after = workers.map(partial(record_error, found.point), logged.kept)
+    return Trace(
+        config, places, declared, found, begun.fitted, begun.held,
+        tuple(before), tuple(after), begun.notes,
+    )  # fmt: skip
+
+
+def _begin(
+    logs: Sequence[Path], config: ModelConfig, workers: Workers, progress: Progress
+) -> _Begun:
     progress("reading logs", 0.0)
     records, notes = _read(logs, config)
     span = (
@@ -99,33 +144,24 @@ def _trace(
     where = {r.name: path for path, r in records.items()}
     begin = {r.name: r.time_s[0] for r in records.values()}
 
-    def sources(parts: Sequence[TraceRecord]) -> list[Source]:
+    def sources(parts: Sequence[TraceRecord]) -> tuple[Source, ...]:
         found = []
         for part in parts:
             first = round((part.time_s[0] - begin[part.name]) / part.experiment.Ts_s)
             found.append(Source.of(where[part.name], first, first + part.rows, span))
-        return found
+        return tuple(found)
 
     progress("fitting the declared model", 0.05)
     parts = _parts(train)
     point = _start(config, parts, list(records.values()))
-    places = train[0].places
-    covered = extent([*train, *held])
-    train_sources, held_sources = sources(train), sources(held)
+    logged = _Logged(workers, sources(train), sources(held), tuple(parts))
     names = tuple(r.name for r in train), tuple(r.name for r in held)
-    del records, train, held
+    places, covered = train[0].places, extent([*train, *held])
+    del records, train, held  # workers read them anew
 
-    logged = _Logged(workers, tuple(train_sources), tuple(held_sources), tuple(parts))
     start = logged.believed(replace(point, reference=point.model))
     declared, _ = refine(start, logged)
-    known = {p.effect.identity for p in point.placed}
-    others = [e for e in visible(effects(places, covered), places) if e.identity not in known]
-    unknown = freeform_effects(places, covered)
-    found = search(declared, others, unknown, logged, progress)
-    progress("simulating held-out records", 0.9)
-    before = workers.map(partial(record_error, declared), held_sources)
-    after = workers.map(partial(record_error, found.point), held_sources)
-    return Trace(config, places, declared, found, *names, tuple(before), tuple(after), notes)
+    return _Begun(logged, declared, places, covered, *names, notes)
 
 
 @dataclass(frozen=True)
@@ -257,6 +293,3 @@ def _parts(records: Sequence[TraceRecord]) -> list[TraceRecord]:
         first = max((record.rows - _FIRST_ROWS) // 2, 0)
         parts.append(record.cut(first, min(first + _FIRST_ROWS, record.rows)))
     return parts
-
-
-__all__ = ["Disturbance", "Trace", "trace"]

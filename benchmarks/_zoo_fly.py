@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shutil
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +42,7 @@ HIGHEST_GAP_M = 0.85e-3
 
 _CODE = ("config", "identification", "log", "model", "sim")
 """What decides how a plant moves and what is found in its logs."""
+_FLYING_CODE = ("daemon", "drivers", "log", "sim")
 
 Entries = Sequence[dict[str, Any]]
 
@@ -62,16 +65,16 @@ class Found:
     trace_s: float
 
 
-def fly_and_trace(effects: Entries, seed: int) -> Found:
+def fly_and_trace(effects: Entries, seed: int, flights: Path | None = None) -> Found:
     """Fly the nominal plant with `effects` (entries of a SIM.yaml) and trace its logs.
 
-    Raises TooLargeError.
+    Logs stay in `flights`, if given, and are not flown again by the same code. Raises TooLargeError.
     """
     config = load_model(MODEL)
     # One process is one core; it works on one plant.
-    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+    with _folder(effects, seed, flights) as folder, threadpool_limits(1):
         begin = time.process_time()
-        logs, highest_gap_m = fly(effects, seed, Path(folder))
+        logs, highest_gap_m = _flown(effects, seed, folder)
         flown = time.process_time()
         found = trace(logs, config, all_effects, Alone(config), lambda *_: None)
         placed = [effect.model_dump() for effect in model_after(found).effects]
@@ -119,11 +122,11 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
     return list(flown.records), highest
 
 
-def code_version() -> str:
-    """Return a digest of the code and of the plant, the model and the session."""
+def code_version(rooms: Sequence[str] = _CODE) -> str:
+    """Return a digest of the code in rooms, and of the plant, the model and the session."""
     root = Path(levid.__file__).parent
     digest = hashlib.sha256()
-    for room in _CODE:
+    for room in rooms:
         for path in sorted((root / room).rglob("*.py")):
             digest.update(path.read_bytes())
     for path in (RIG, SIM, MODEL, SESSION):
@@ -134,3 +137,27 @@ def code_version() -> str:
 def canonical(value: object) -> str:
     """Return the text of plain data that does not depend on comments or on the order of keys."""
     return json.dumps(value, sort_keys=True)
+
+
+@contextmanager
+def _folder(effects: Entries, seed: int, flights: Path | None) -> Iterator[Path]:
+    if flights is None:
+        with tempfile.TemporaryDirectory() as name:
+            yield Path(name)
+    else:
+        text = canonical([list(effects), seed, code_version(_FLYING_CODE)])
+        yield flights / hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _flown(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
+    """Return what `fly` returns, from a flight that ended here before, or a new one."""
+    done = folder / "flown.json"
+    if done.exists():
+        told = json.loads(done.read_text(encoding="utf-8"))
+        return [folder / "logs" / name for name in told["records"]], told["highest_gap_m"]
+    shutil.rmtree(folder / "logs", ignore_errors=True)  # of a flight that was cut off
+    folder.mkdir(parents=True, exist_ok=True)
+    records, highest_gap_m = fly(effects, seed, folder)
+    told = {"records": [path.name for path in records], "highest_gap_m": highest_gap_m}
+    done.write_text(json.dumps(told), encoding="utf-8")
+    return records, highest_gap_m

@@ -68,7 +68,7 @@ class Found:
 def fly_and_trace(effects: Entries, seed: int, flights: Path | None = None) -> Found:
     """Fly the nominal plant with `effects` (entries of a SIM.yaml) and trace its logs.
 
-    Logs stay in `flights`, if given, and are not flown again by the same code. Raises TooLargeError.
+    Logs stay in `flights`, if given; the same code does not fly them again. Raises TooLargeError.
     """
     config = load_model(MODEL)
     # One process is one core; it works on one plant.

@@ -42,7 +42,7 @@ class Records(Protocol):
 
 
 _MOST_EFFECTS = 6
-_MOST_UNKNOWN = 2
+_MOST_UNKNOWN = 4
 _BEYOND_CHANCE = 6.0
 """Standard deviations by which held-out records must agree: one in 10^9 for a candidate."""
 _WORTH = 0.004

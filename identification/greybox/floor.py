@@ -21,7 +21,7 @@ from .simulate import START_S
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_BLOCKS = 2048
+_BLOCKS = 1024
 """Into so many blocks at least a record is cut: over one of them the covariance hardly changes."""
 _LINES = 8192
 """Frequencies, 0.15 % apart over five decades, that a spectrum is integrated over."""
@@ -48,7 +48,30 @@ class Floor:
 
 def floor_rms(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Array:
     """Return Floor.rms (n,) alone."""
-    return _rms(_motion_covariance(model, experiment, hold, noise), noise)
+    return _rms(motion_covariance(model, experiment, hold, noise), noise)
+
+
+def motion_covariance(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise
+) -> Array:
+    """Return Floor.motion (n, n) alone: the mean over the rows that a free run counts."""
+    n = experiment.y.shape[1]
+    counted = experiment.rows(_first_row(experiment), len(experiment.y))
+    # Blocks of 2^d rows: A^(2^d) by squaring, the covariance only from block to block.
+    doublings = max(int(np.log2(len(counted.y) / _BLOCKS)), 0) if len(counted.y) > _BLOCKS else 0
+    at = _thinned(model, counted, hold, 2**doublings)
+    A, W = _error_system(model, counted, at, noise)
+    for _ in range(doublings):
+        W = W + A @ W @ np.swapaxes(A, 1, 2)
+        A = A @ A
+    blocks = len(counted.y) // 2**doublings
+    P, total = np.zeros_like(W[0]), np.zeros((n, n))
+    for k in range(blocks):
+        row = min(k, len(A) - 1)
+        after = A[row] @ P @ A[row].T + W[row]
+        total += P[:n, :n] if doublings == 0 else 0.5 * (P[:n, :n] + after[:n, :n])
+        P = after
+    return np.asarray(total / max(blocks, 1))
 
 
 def noise_floor(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Floor:
@@ -59,7 +82,7 @@ def noise_floor(model: DeclaredModel, experiment: Experiment, hold: Hold, noise:
     along a moving schedule each have their own matrices. The spread follows from the spectrum,
     var(rms^2) = integral of S(f)^2 df / T for a one-sided S (Bendat and Piersol 2010, 8.2).
     """
-    covariance = _motion_covariance(model, experiment, hold, noise)
+    covariance = motion_covariance(model, experiment, hold, noise)
     duration_s = (len(experiment.y) - _first_row(experiment)) * experiment.Ts_s
     freq_hz = np.geomspace(0.5 / duration_s, 0.5 / experiment.Ts_s, _LINES)
     psd = _spectra(model, experiment, hold, noise, freq_hz)
@@ -97,29 +120,6 @@ def _rms(covariance: Array, noise: Noise) -> Array:
 
 def _first_row(experiment: Experiment) -> int:
     return min(round(START_S / experiment.Ts_s), len(experiment.y) // 3)
-
-
-def _motion_covariance(
-    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise
-) -> Array:
-    """Return the mean covariance (n, n) of what noise moves, over the rows that count."""
-    n = experiment.y.shape[1]
-    counted = experiment.rows(_first_row(experiment), len(experiment.y))
-    # Blocks of 2^d rows: A^(2^d) by squaring, the covariance only from block to block.
-    doublings = max(int(np.log2(len(counted.y) / _BLOCKS)), 0) if len(counted.y) > _BLOCKS else 0
-    at = _thinned(model, counted, hold, 2**doublings)
-    A, W = _error_system(model, counted, at, noise)
-    for _ in range(doublings):
-        W = W + A @ W @ np.swapaxes(A, 1, 2)
-        A = A @ A
-    blocks = len(counted.y) // 2**doublings
-    P, total = np.zeros_like(W[0]), np.zeros((n, n))
-    for k in range(blocks):
-        row = min(k, len(A) - 1)
-        after = A[row] @ P @ A[row].T + W[row]
-        total += P[:n, :n] if doublings == 0 else 0.5 * (P[:n, :n] + after[:n, :n])
-        P = after
-    return np.asarray(total / max(blocks, 1))
 
 
 def _thinned(model: DeclaredModel, experiment: Experiment, hold: Hold, step: int) -> Motion:

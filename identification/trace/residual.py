@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from ...model.effects.base import Placed, Term
-from ...model.second_order import discretise
 from ..greybox.motion import Motion, input_moments
 from .forces import force_moments
 from .linearise import Along, WorkingPoint, along, corrected_experiment
@@ -20,7 +19,6 @@ Array = NDArray[np.float64]
 _SEGMENT_S = 4.0
 _EDGE_ROWS = 3
 """Rows at both ends that central differences of sixth order do not reach."""
-_LOWEST = 1e-6
 _FADE_S = 0.5
 _OUTLIER = 5.0
 _THIRD = 2.0 ** (1 / 3)
@@ -94,31 +92,6 @@ def noise_density(point: WorkingPoint, here: Along, freq_hz: Array) -> Array:
     Z = M @ (s * s * np.eye(len(M)) + s * at.D.mean(axis=0) + at.K.mean(axis=0))
     seen = np.einsum("fij,j->fi", np.abs(Z) ** 2, noise.output_variance)
     return np.asarray(2 * at.Ts_s * seen + 2 * noise.force_psd)
-
-
-def floor_density(point: WorkingPoint, record: TraceRecord, freq_hz: Array) -> Array:
-    """Return the one-sided density (F, n) of what noise alone leaves of a free-running pose.
-
-    Of the measured pose, so with the sensors' own noise; the beam at its mean place.
-    """
-    e, noise = record.experiment, point.disturbance.noise
-    at = point.model.at({name: float(v.mean()) for name, v in e.schedule.items()})
-    n = len(at.M)
-    by_force = discretise(replace(at, B=np.eye(n), lag_s=0.0, delay_s=0.0), e.Ts_s)
-    # A controller that integrates has no gain at zero frequency.
-    freq_hz = np.maximum(freq_hz, _LOWEST * float(freq_hz.max()))
-    moved = by_force.response(freq_hz)
-    shown = np.broadcast_to(np.eye(n, dtype=complex), (len(freq_hz), n, n))
-    if e.loop is not None:
-        delay_s = max(at.delay_s + e.delay_cycles * e.Ts_s, 0.0)
-        P = discretise(replace(at, delay_s=delay_s), e.Ts_s).response(freq_hz)
-        C = e.loop.controller.response(freq_hz, e.Ts_s)
-        # What is measured is y = S (G d + n): the loop answers to both.
-        shown = np.linalg.inv(np.eye(n) + P * C[:, None, :])
-        moved = shown @ moved
-    force = np.einsum("fij,j->fi", np.abs(moved) ** 2, noise.force_psd)
-    sensor = e.Ts_s * np.einsum("fij,j->fi", np.abs(shown) ** 2, noise.output_variance)
-    return np.asarray(2 * (force + sensor))
 
 
 def standing_out(psd: Array, noise: Array, freq_hz: Array) -> Array:

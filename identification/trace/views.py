@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...log.reader import read_log
 from ...model.effects.base import Placed, Signals
+from ..greybox.floor import floor_psd
 from .linearise import BLOCK_S, Along, WorkingPoint
 from .noise import Disturbance
 from .record import TraceRecord
@@ -19,7 +20,6 @@ from .residual import (
     Missing,
     denoised,
     density,
-    floor_density,
     missing,
     noise_density,
     share,
@@ -136,7 +136,10 @@ def _view(
     _, squares_after = _block_squares(found, after)
     aspects = _aspects(found, after, every, block) if found.placed else ()
     freq_hz = held.get(record.name)
-    floor = None if freq_hz is None else floor_density(found, record, freq_hz)
+    floor = None
+    if freq_hz is not None:
+        noise = found.disturbance.noise
+        floor = floor_psd(found.model, record.experiment, found.hold, noise, freq_hz)
     return RecordView(
         record.name, record.name in held, time_s, squares_before, squares_after,
         _sensor_rms(declared.disturbance, before), _sensor_rms(found.disturbance, after),

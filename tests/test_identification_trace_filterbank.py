@@ -22,17 +22,19 @@ from levid.identification.greybox.parameters import free_parameters
 from levid.identification.greybox.prediction import predict, settled
 from levid.identification.trace.filterbank import FilterBank, thinned, transitions
 from levid.identification.trace.linearise import (
+    effect_terms,
+    linearise,
+    parameter_columns,
+    redundancy_basis,
+)
+from levid.identification.trace.noise import Disturbance
+from levid.identification.trace.record import TraceRecord
+from levid.identification.trace.working_point import (
     WorkingPoint,
     along,
     corrected_experiment,
-    effect_terms,
     filtered,
-    linearise,
-    redundancy_basis,
 )
-from levid.identification.trace.linearise import _parameter_columns as parameter_columns
-from levid.identification.trace.noise import Disturbance
-from levid.identification.trace.record import TraceRecord
 from levid.model.effects.base import Placed, Places, Term, on_dof
 from levid.model.effects.table import all_effects
 from levid.model.geometry import shape_matrix

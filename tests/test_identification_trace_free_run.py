@@ -17,10 +17,10 @@ from levid.identification.greybox.experiment import Experiment, Loop
 from levid.identification.greybox.noise import Noise
 from levid.identification.greybox.parameters import free_parameters
 from levid.identification.trace.free_run import FreeRun, free_run
-from levid.identification.trace.linearise import WorkingPoint
 from levid.identification.trace.metric import pooled, record_error
 from levid.identification.trace.noise import Disturbance
 from levid.identification.trace.record import TraceRecord
+from levid.identification.trace.working_point import WorkingPoint
 from levid.model.effects.base import Placed, Places
 from levid.model.effects.extent import Extent
 from levid.model.effects.table import all_effects

@@ -29,9 +29,9 @@ from ..greybox.simulate import (
     run_open,
 )
 from .forces import force_moments
-from .linearise import WorkingPoint, corrected_experiment, filter_of, filtered
 from .record import TraceRecord
 from .signals import rate, trajectory
+from .working_point import WorkingPoint, corrected_experiment, filter_of, filtered
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from scipy.signal import welch
 
 from ..greybox.floor import motion_covariance
 from .free_run import free_run
-from .linearise import WorkingPoint
 from .record import TraceRecord
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 

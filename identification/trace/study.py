@@ -24,12 +24,14 @@ from ..greybox.fit import first_noise, fit_model
 from ..greybox.noise import Noise
 from ..greybox.parameters import free_parameters
 from .hints import extent
-from .linearise import Linearised, WorkingPoint, linearise, with_likely_noise
+from .linearise import Linearised, linearise
 from .metric import RecordError, pooled, record_error
 from .noise import Disturbance, disturbance
 from .record import TraceRecord, split, trace_record
-from .search import Candidate, Found, refine, search
+from .refine import Candidate, refine
+from .search import Found, search
 from .workers import Source, Workers
+from .working_point import WorkingPoint, with_likely_noise
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

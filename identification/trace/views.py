@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...log.reader import read_log
 from ...model.effects.base import Placed, Signals
 from ..greybox.floor import floor_psd
-from .linearise import BLOCK_S, Along, WorkingPoint
+from .linearise import BLOCK_S
 from .noise import Disturbance
 from .record import TraceRecord
 from .residual import (
@@ -27,6 +27,7 @@ from .residual import (
 )
 from .study import Trace
 from .workers import Source, Workers
+from .working_point import Along, WorkingPoint
 
 Array = NDArray[np.float64]
 

@@ -12,24 +12,25 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ...config.model import ModelConfig
-from ...log.reader import read_log
 from ...model.effects.base import Effect, Places
 from ...model.effects.declared import placed_effects
 from ...model.effects.extent import Extent
 from ...model.effects.freeform import freeform_effects
 from ..data import IdentificationError
 from ..declared import declared_model
-from ..from_log import NotARecordError
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.noise import Noise
 from ..greybox.parameters import free_parameters
 from .hints import extent
-from .linearise import Linearised, WorkingPoint, linearise, with_likely_noise
+from .linearise import Linearised, linearise
 from .metric import RecordError, pooled, record_error
 from .noise import disturbance
-from .record import TraceRecord, split, trace_record
-from .search import Candidate, Found, refine, search
+from .reading import read_records
+from .record import TraceRecord, split
+from .refine import Candidate, refine
+from .search import Found, search
 from .workers import Source, Workers
+from .working_point import WorkingPoint, with_likely_noise
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -110,7 +111,7 @@ def _trace(
     begun = _begin(logs, config, workers, progress)
     declared, logged, places = begun.declared, begun.logged, begun.places
     known = {p.effect.identity for p in declared.placed}
-    listed = visible(effects(places, begun.covered), places)
+    listed = _visible(effects(places, begun.covered), places)
     others = [e for e in listed if e.identity not in known]
     unknown = freeform_effects(places, begun.covered)
     found = search(declared, others, unknown, logged, progress)
@@ -127,7 +128,7 @@ def _begin(
     logs: Sequence[Path], config: ModelConfig, workers: Workers, progress: Progress
 ) -> _Begun:
     progress("reading logs", 0.0)
-    records, notes = _read(logs, config)
+    records, notes = read_records(logs, config)
     span = (
         min(r.time_s[0] for r in records.values()),
         max(r.time_s[-1] for r in records.values()),
@@ -187,10 +188,10 @@ class _Logged:
         only: Sequence[int] | None = None,
     ) -> list[Linearised]:
         chosen = self.fitted if only is None else [self.fitted[i] for i in only]
-        return self.workers.map(partial(_linearise, point, tuple(candidates)), chosen)
+        return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), chosen)
 
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
-        return self.workers.map(partial(_linearise, point, tuple(candidates)), self.kept)
+        return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), self.kept)
 
 
 @dataclass(frozen=True)
@@ -218,35 +219,7 @@ class _Loaded:
         return []
 
 
-def _linearise(
-    point: WorkingPoint, candidates: Sequence[Candidate], record: TraceRecord
-) -> Linearised:
-    return linearise(point, record, candidates)
-
-
-def _read(
-    logs: Sequence[Path], config: ModelConfig
-) -> tuple[dict[Path, TraceRecord], tuple[str, ...]]:
-    records: dict[Path, TraceRecord] = {}
-    notes = []
-    for path in logs:
-        try:
-            records[path] = trace_record(read_log(path), config)
-        except NotARecordError as reason:
-            notes.append(str(reason))
-    if not records:
-        raise IdentificationError(
-            f"expected records among the {len(logs)} logs, found none: {'; '.join(notes)}"
-        )
-    names = [r.name for r in records.values()]
-    for path, record in records.items():
-        if names.count(record.name) > 1:
-            named = replace(record.experiment, name=f"{record.name} ({path})")
-            records[path] = replace(record, experiment=named)
-    return records, tuple(notes)
-
-
-def visible(effects: Sequence[Effect], places: Places) -> list[Effect]:
+def _visible(effects: Sequence[Effect], places: Places) -> list[Effect]:
     """Return the effects that records of a plant can show at all.
 
     Without more sensors than DOF a reading that is false in proportion to itself is a change of

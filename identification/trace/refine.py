@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +23,14 @@ _STEPS = 8
 _CONVERGED = 0.3
 
 
+@dataclass(frozen=True)
+class HeldError:
+    """Mean square errors of a free simulation, and what noise alone leaves of that."""
+
+    squares: float
+    floor: float
+
+
 class Records(Protocol):
     """Records to fit to, and records held out, linearised around a working point on demand."""
 
@@ -34,8 +42,8 @@ class Records(Protocol):
     ) -> list[Linearised]:
         """Return the records to fit to, all or some of them by number."""
 
-    def held_error(self, point: WorkingPoint) -> float:
-        """Return the mean square error of the held-out records, simulated freely."""
+    def held_error(self, point: WorkingPoint) -> HeldError:
+        """Return how well the held-out records are simulated freely."""
 
     def believed(self, point: WorkingPoint) -> WorkingPoint:
         """Return the point with its noise as the records have it now."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.effects.base import Effect, Placed
-from .refine import Candidate, Records, gather, refine
+from .refine import Candidate, HeldError, Records, gather, refine
 from .regression import Evidence, chance, covariance, cross_validated, score, solve
 from .working_point import WorkingPoint
 
@@ -41,8 +41,9 @@ _LOWERS = 0.003
 """Share of the held-out records' mean square error, simulated freely, that an effect must take."""
 _SAME = 1e-6
 _MOST_REFUSED = 3
-_MUCH = 0.05
-"""Squared errors beyond noise, as a share of noise, that free-form forces are tried on."""
+_MUCH = 1.7
+"""Mean square errors of the free simulation, over what noise leaves, that free forms are tried on:
+1.3 times the floor."""
 _GUESS = 0.3
 """A name that takes less than this share of what is left beside a free form was a guess."""
 
@@ -96,10 +97,10 @@ def search(
     free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped.
     """
     error = records.held_error(point)
-    point, error, rounds = _grown(point, effects, _MOST_EFFECTS, error, records, progress)
-    if _much_is_left(point, records):
+    point, error, rounds = _grown(point, effects, _MOST_EFFECTS, 0.0, error, records, progress)
+    if point.disturbance.measured and error.squares > _MUCH * error.floor:
         named = point
-        point, error, more = _grown(point, unknown, _MOST_UNKNOWN, error, records, progress)
+        point, error, more = _grown(point, unknown, _MOST_UNKNOWN, _MUCH, error, records, progress)
         rounds += more
         if point is not named:
             point = _without_guesses(point, records)
@@ -109,26 +110,24 @@ def search(
     return Found(_with_errors(point, spread, train), tuple(rounds), spread, train, held)
 
 
-def _much_is_left(point: WorkingPoint, records: Records) -> bool:
-    """Return whether the errors are so much larger than noise that it is worth describing them."""
-    train = gather(point, records.train(point))
-    return point.disturbance.measured and train.excess > _MUCH * float(train.count.sum())
-
-
 def _grown(
     point: WorkingPoint,
     effects: Sequence[Effect],
     most: int,
-    error: float,
+    enough: float,
+    error: HeldError,
     records: Records,
     progress: Progress,
-) -> tuple[WorkingPoint, float, list[Round]]:
-    """Return the point with effects added while that helps, its held-out error, and the rounds."""
+) -> tuple[WorkingPoint, HeldError, list[Round]]:
+    """Return the point with effects added while that helps, its held-out error, and the rounds.
+
+    It ends with `most` effects, or with held-out errors of `enough` times what noise leaves.
+    """
     candidates = [(effect, tuple(shape)) for effect in effects for shape in effect.grid]
     rounds: list[Round] = []
     barred = {p.effect.identity for p in point.placed}
     refused, most = 0, most + len(point.placed)
-    while True:
+    while error.squares > enough * error.floor:
         progress(f"screening {len(candidates)} candidates", _share(len(rounds)))
         train = gather(point, records.train(point, candidates))
         held = gather(point, records.held(point, candidates))
@@ -147,8 +146,9 @@ def _grown(
         better = records.believed(_without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
         # What shows in the drives alone leaves the platform's motion as it was.
-        aside = abs(after - error) < _SAME * error
-        if squares < train.squares and (after < (1.0 - _LOWERS) * error or aside):
+        aside = abs(after.squares - error.squares) < _SAME * error.squares
+        helps = after.squares < (1.0 - _LOWERS) * error.squares
+        if squares < train.squares and (helps or aside):
             point, error = better, after
             barred |= {p.effect.identity for p in point.placed}
         else:

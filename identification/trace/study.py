@@ -27,7 +27,7 @@ from .metric import RecordError, pooled, record_error
 from .noise import disturbance
 from .reading import read_records
 from .record import TraceRecord, split
-from .refine import Candidate, refine
+from .refine import Candidate, HeldError, refine
 from .search import Found, search
 from .workers import Source, Workers
 from .working_point import WorkingPoint, with_likely_noise
@@ -177,9 +177,9 @@ class _Logged:
     def believed(self, point: WorkingPoint) -> WorkingPoint:
         return with_likely_noise(point, self.parts)
 
-    def held_error(self, point: WorkingPoint) -> float:
-        errors = self.workers.map(partial(record_error, point), self.kept)
-        return pooled(errors)[0] ** 2 if errors else 0.0
+    def held_error(self, point: WorkingPoint) -> HeldError:
+        error, floor = pooled(self.workers.map(partial(record_error, point), self.kept))
+        return HeldError(error**2, floor**2)
 
     def train(
         self,
@@ -203,8 +203,8 @@ class _Loaded:
     def believed(self, point: WorkingPoint) -> WorkingPoint:
         return with_likely_noise(point, self.records)
 
-    def held_error(self, point: WorkingPoint) -> float:  # noqa: ARG002
-        return 0.0
+    def held_error(self, point: WorkingPoint) -> HeldError:  # noqa: ARG002
+        return HeldError(0.0, 0.0)
 
     def train(
         self,

@@ -22,13 +22,15 @@ from ..greybox.fit import first_noise, fit_model
 from ..greybox.noise import Noise
 from ..greybox.parameters import free_parameters
 from .hints import extent
-from .linearise import Linearised, linearise
+from .linearise import BLOCK_S, Linearised, blocks_in, linearise
 from .metric import RecordError, pooled, record_error
-from .noise import disturbance
+from .noise import disturbance, require_noise
 from .reading import read_records
 from .record import TraceRecord, split
 from .refine import Candidate, refine
+from .regression import FOLDS
 from .search import Found, search
+from .session_time import overlap, require_timeless, timeless
 from .workers import Source, Workers
 from .working_point import WorkingPoint, with_likely_noise
 
@@ -68,7 +70,8 @@ def trace(
 ) -> Trace:
     """Return what records lack in the model of `config`, and the model with it.
 
-    Raises IdentificationError: no records, or records that the model does not fit.
+    Raises IdentificationError: no records, too little of them, without noise, or records that the
+    model does not fit.
     """
     # Every worker is one core, this process too: threads of the linear algebra would only fight.
     with threadpool_limits(1):
@@ -97,6 +100,8 @@ def _trace(
             "expected records long enough to hold a part of them out, found "
             f"{', '.join(f'{r.rows} rows of {r.name}' for r in records.values())}"
         )
+    require_noise(train)
+    _require_enough(train)
     where = {r.name: path for path, r in records.items()}
     begin = {r.name: r.time_s[0] for r in records.values()}
 
@@ -107,11 +112,15 @@ def _trace(
             found.append(Source.of(where[part.name], first, first + part.rows, span))
         return found
 
+    places = train[0].places
+    covered = extent([*train, *held])
+    overlapping = overlap(list(records.values()))
+    if overlapping:
+        declared_effects = placed_effects(config.effects, places)
+        require_timeless(declared_effects, places, covered, overlapping)
     progress("fitting the declared model", 0.05)
     parts = _parts(train)
     point = _start(config, parts, list(records.values()))
-    places = train[0].places
-    covered = extent([*train, *held])
     train_sources, held_sources = sources(train), sources(held)
     names = tuple(r.name for r in train), tuple(r.name for r in held)
     del records, train, held
@@ -122,6 +131,13 @@ def _trace(
     known = {p.effect.identity for p in point.placed}
     others = [e for e in _visible(effects(places, covered), places) if e.identity not in known]
     unknown = freeform_effects(places, covered)
+    if overlapping:
+        others, timed = timeless(others, places, covered)
+        unknown, _ = timeless(unknown, places, covered)
+        if timed:
+            kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
+            told = f"{overlapping} overlap: effects that depend on a session's time are not looked"
+            notes = (*notes, f"{told} for ({kinds})")
     found = search(declared, others, unknown, logged, progress)
     progress("simulating held-out records", 0.9)
     before = workers.map(partial(record_error, declared), held_sources)
@@ -181,6 +197,18 @@ class _Loaded:
 
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:  # noqa: ARG002
         return []
+
+
+def _require_enough(train: Sequence[TraceRecord]) -> None:
+    """Raise IdentificationError for too few blocks of time to judge an effect by."""
+    blocks = sum(blocks_in(r) for r in train)
+    if blocks < FOLDS:
+        found = sum(r.rows * r.experiment.Ts_s for r in train)
+        raise IdentificationError(
+            f"expected at least {FOLDS * BLOCK_S:.0f} s of records to fit to ({FOLDS} blocks of "
+            f"{BLOCK_S:.0f} s, by which effects are judged) beside those held out, found "
+            f"{found:.3g} s in {len(train)} record{'s' if len(train) > 1 else ''}"
+        )
 
 
 def _visible(effects: Sequence[Effect], places: Places) -> list[Effect]:

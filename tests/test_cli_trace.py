@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import yaml
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
+from levid.identification.data import IdentificationError
 from levid.identification.greybox.result import identify_grey_box
 from levid.identification.trace.known import experiment_of
 from levid.log.reader import read_log
@@ -149,6 +151,17 @@ def test_identify_takes_the_effects_out_of_the_records(flown: Path) -> None:
     # The RMS of 2.5 s of noise that rings for 0.7 s scatters by about a quarter.
     assert with_effects < 1.8
     assert without > 2 * with_effects
+
+
+def test_a_reading_of_a_flight_that_is_none_is_told_with_its_place(flown: Path) -> None:
+    log, config = read_log(next(flown.glob("*-first.mcap"))), load_model(shipped("models/rig.yaml"))
+    rows = log.rows.copy()
+    rows["gap_m"][1200, 4] = np.nan
+    with pytest.raises(
+        IdentificationError,
+        match=r"-first.mcap: gap_m\[4\]: expected finite values, found nan in row 1200 of record",
+    ):
+        experiment_of(replace(log, rows=rows), config)
 
 
 def test_errors_are_one_line(flown: Path, tmp_path: Path, levid: Command) -> None:

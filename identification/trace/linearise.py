@@ -21,12 +21,13 @@ from ...model.effects.base import Effect, Placed, Signals, Term, total
 from .drive import drive_channel, drive_errors
 from .filterbank import FilterBank, thinned
 from .record import TraceRecord
-from .working_point import Along, WorkingPoint, along
+from .working_point import Along, WorkingPoint, along, thinning
 
 Array = NDArray[np.float64]
 
 _NUDGE = 1e-5
 BLOCK_S = 4.0
+"""Errors of one block stand and fall together: longer than what a platform remembers."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,12 @@ def linearise(
         if drive is not None:
             channels.append(Channel(drive[:, None, :], shown_in_drive))
     return _grams(record, channels, here.every)
+
+
+def blocks_in(record: TraceRecord) -> int:
+    """Return how many blocks of time `linearise` makes of a record."""
+    every = thinning(record.experiment.Ts_s)
+    return len(_edges(record.rows // every, every * record.experiment.Ts_s)) - 1
 
 
 def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
@@ -213,10 +220,15 @@ def _beyond(here: Along, readings: Array) -> Array:
     return thinned(readings @ (basis / here.sd), here.every)
 
 
+def _edges(rows: int, row_s: float) -> NDArray[np.int64]:
+    """Return where blocks begin, and the end of the last: none is shorter than half a block."""
+    block = max(round(BLOCK_S / row_s), 1)
+    return np.append(np.arange(0, max(rows - block // 2, 1), block), rows)
+
+
 def _grams(record: TraceRecord, channels: Sequence[Channel], every: int) -> Linearised:
     rows, columns = len(channels[0].errors), channels[0].errors.shape[2]
-    block = max(round(BLOCK_S / (every * record.experiment.Ts_s)), 1)
-    edges = np.append(np.arange(0, max(rows - block // 2, 1), block), rows)
+    edges = _edges(rows, every * record.experiment.Ts_s)
     squares = np.zeros(columns)
     for channel in channels:
         squares[channel.columns] += np.einsum("nic,nic->c", channel.errors, channel.errors)

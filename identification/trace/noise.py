@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from ...model.declared import DeclaredModel
 from ...model.second_order import discretise
+from ..data import IdentificationError
 from ..greybox.experiment import Experiment
 from ..greybox.noise import Noise
 from .record import TraceRecord
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 
 _MEDIAN_OF_CHI2 = np.log(2.0)
 """Median over mean of a periodogram's value."""
+_LEAST_NOISE = 1e-7
+"""Of a motion's rms: 23 bits, which no sensor resolves, but rounded arithmetic does."""
 _QUIET_FROM = 0.5
 """Sensor noise is read above this share of the Nyquist frequency."""
 _LONGEST_S = 60.0
@@ -63,6 +66,19 @@ def disturbance(
     first = float(np.median(fallback.force_psd / unit))
     levels = [_force_level(model, r.experiment, Noise(first * unit, output)) for r in still]
     return Disturbance(Noise(float(np.median(levels)) * first * unit, output), sd, measured=True)
+
+
+def require_noise(records: Sequence[TraceRecord]) -> None:
+    """Raise IdentificationError where readings have no noise that errors could be measured by."""
+    sd = float(np.median(sensor_noise(records)))
+    spread = max(float(np.std(r.gap, axis=0).max()) for r in records)
+    if not sd > _LEAST_NOISE * spread:
+        unit = records[0].places.sensor_unit
+        raise IdentificationError(
+            f"expected readings with the noise of a sensor, which all errors are measured by, "
+            f"found {sd:.2g} {unit} on readings that move by {spread:.2g} {unit} rms: give "
+            "simulated readings the noise that a sensor has"
+        )
 
 
 def sensor_noise(records: Sequence[TraceRecord]) -> Array:

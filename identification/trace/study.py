@@ -22,13 +22,15 @@ from ..greybox.fit import first_noise, fit_model
 from ..greybox.noise import Noise
 from ..greybox.parameters import free_parameters
 from .hints import extent
-from .linearise import Linearised, linearise
+from .linearise import BLOCK_S, Linearised, blocks_in, linearise
 from .metric import RecordError, pooled, record_error
-from .noise import disturbance
+from .noise import disturbance, require_noise
 from .reading import read_records
 from .record import TraceRecord, split
 from .refine import Candidate, HeldError, refine
+from .regression import FOLDS
 from .search import Found, search
+from .session_time import overlap, require_timeless, timeless
 from .workers import Source, Workers
 from .working_point import WorkingPoint, with_likely_noise
 
@@ -68,7 +70,8 @@ def trace(
 ) -> Trace:
     """Return what records lack in the model of `config`, and the model with it.
 
-    Raises IdentificationError: no records, or records that the model does not fit.
+    Raises IdentificationError: no records, too little of them, without noise, or records that the
+    model does not fit.
     """
     # Every worker is one core, this process too: threads of the linear algebra would only fight.
     with threadpool_limits(1):
@@ -98,6 +101,7 @@ class _Begun:
     covered: Extent
     fitted: tuple[str, ...]
     held: tuple[str, ...]
+    overlapping: str
     notes: tuple[str, ...]
 
 
@@ -109,18 +113,25 @@ def _trace(
     progress: Progress,
 ) -> Trace:
     begun = _begin(logs, config, workers, progress)
-    declared, logged, places = begun.declared, begun.logged, begun.places
+    declared, logged, places, notes = begun.declared, begun.logged, begun.places, begun.notes
     known = {p.effect.identity for p in declared.placed}
     listed = _visible(effects(places, begun.covered), places)
     others = [e for e in listed if e.identity not in known]
     unknown = freeform_effects(places, begun.covered)
+    if begun.overlapping:
+        others, timed = timeless(others, places, begun.covered)
+        unknown, _ = timeless(unknown, places, begun.covered)
+        if timed:
+            kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
+            told = f"{begun.overlapping} overlap: effects that depend on a session's time"
+            notes = (*notes, f"{told} are not looked for ({kinds})")
     found = search(declared, others, unknown, logged, progress)
     progress("simulating held-out records", 0.9)
     before = workers.map(partial(record_error, declared), logged.kept)
     after = workers.map(partial(record_error, found.point), logged.kept)
     return Trace(
         config, places, declared, found, begun.fitted, begun.held,
-        tuple(before), tuple(after), begun.notes,
+        tuple(before), tuple(after), notes,
     )  # fmt: skip
 
 
@@ -142,6 +153,8 @@ def _begin(
             "expected records long enough to hold a part of them out, found "
             f"{', '.join(f'{r.rows} rows of {r.name}' for r in records.values())}"
         )
+    require_noise(train)
+    _require_enough(train)
     where = {r.name: path for path, r in records.items()}
     begin = {r.name: r.time_s[0] for r in records.values()}
 
@@ -152,17 +165,22 @@ def _begin(
             found.append(Source.of(where[part.name], first, first + part.rows, span))
         return tuple(found)
 
+    places = train[0].places
+    covered = extent([*train, *held])
+    overlapping = overlap(list(records.values()))
+    if overlapping:
+        declared_effects = placed_effects(config.effects, places)
+        require_timeless(declared_effects, places, covered, overlapping)
     progress("fitting the declared model", 0.05)
     parts = _parts(train)
     point = _start(config, parts, list(records.values()))
     logged = _Logged(workers, sources(train), sources(held), tuple(parts))
     names = tuple(r.name for r in train), tuple(r.name for r in held)
-    places, covered = train[0].places, extent([*train, *held])
     del records, train, held  # workers read them anew
 
     start = logged.believed(replace(point, reference=point.model))
     declared, _ = refine(start, logged)
-    return _Begun(logged, declared, places, covered, *names, notes)
+    return _Begun(logged, declared, places, covered, *names, overlapping, notes)
 
 
 @dataclass(frozen=True)
@@ -217,6 +235,18 @@ class _Loaded:
 
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:  # noqa: ARG002
         return []
+
+
+def _require_enough(train: Sequence[TraceRecord]) -> None:
+    """Raise IdentificationError for too few blocks of time to judge an effect by."""
+    blocks = sum(blocks_in(r) for r in train)
+    if blocks < FOLDS:
+        found = sum(r.rows * r.experiment.Ts_s for r in train)
+        raise IdentificationError(
+            f"expected at least {FOLDS * BLOCK_S:.0f} s of records to fit to ({FOLDS} blocks of "
+            f"{BLOCK_S:.0f} s, by which effects are judged) beside those held out, found "
+            f"{found:.3g} s in {len(train)} record{'s' if len(train) > 1 else ''}"
+        )
 
 
 def _visible(effects: Sequence[Effect], places: Places) -> list[Effect]:

@@ -74,6 +74,11 @@ class Along:
     sd: float
 
 
+def thinning(Ts_s: float) -> int:
+    """Return how many rows become one error."""
+    return max(round(1 / (_TO_HZ * Ts_s)), 1)
+
+
 def along(point: WorkingPoint, record: TraceRecord) -> Along:
     """Return a record along the working point, its constant force and start fitted."""
     e = record.experiment
@@ -82,7 +87,7 @@ def along(point: WorkingPoint, record: TraceRecord) -> Along:
     signals, added = filtered(point, record, at)
     corrected, acted = corrected_experiment(point, record, at, added)
     prediction = predict_along(acted, corrected, kalman)
-    every = max(round(1 / (_TO_HZ * e.Ts_s)), 1)
+    every = thinning(e.Ts_s)
     return Along(
         record, settled(at, prediction.offset), kalman, signals, added,
         thinned(prediction.errors, every), thinned(prediction.unknowns, every), every,

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 DEGREE = 6
 """Of a polynomial in a signal by itself."""
 _PRODUCT_DEGREE = 2
-_SPLINES = 8
+_SPLINES = 12
 """Cubic pieces along the beam's way or a session: one end says nothing of the other."""
 _WIDE = 3.0
 """Standard deviations that a polynomial covers; beyond, it stays at its end."""

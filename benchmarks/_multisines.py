@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-from _white_noise import RIG, SIM
+from _flight import fly_session
 
-from levid.config.base import parse, read_mapping
-from levid.config.rig import load_rig
-from levid.config.session import SessionConfig
+from levid.config.base import read_mapping
 from levid.config.shipped import shipped
-from levid.daemon.virtual import fly_virtually
 
 SESSION = shipped("sessions/multisine-1khz.yaml")
 PERIODS, PERIOD_S = 4, 5.0
@@ -42,16 +38,4 @@ def fly_multisines(
         steps.append({"record": {"name": f"multisines-at-{1e3 * beam_m:.0f}mm", **record}})
     steps += [{"move": {"beam_m": 0.0}}, {"land": {}}]
     session = {**shipped_session, "seed": seed, "excitations": excitations, "steps": steps}
-    out.mkdir(parents=True, exist_ok=True)
-    sim_file = out / "sim.yaml"
-    sim_file.write_text(yaml.safe_dump({**read_mapping(SIM), "seed": seed}))
-    flown = fly_virtually(
-        load_rig(RIG).model_copy(update={"sim": str(sim_file)}),
-        RIG,
-        parse(session, SessionConfig, "multisine session"),
-        yaml.safe_dump(session).encode(),
-        out,
-        lambda *_: None,
-    )
-    sim_file.unlink()
-    return tuple(flown.records)
+    return fly_session(session, out)

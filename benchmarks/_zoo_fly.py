@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,12 +26,11 @@ from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.faults import FlightFault
 from levid.daemon.virtual import fly_virtually
+from levid.identification.trace.metric import pooled
 from levid.identification.trace.result import model_after, summary
-from levid.identification.trace.study import Trace, trace
+from levid.identification.trace.study import refit, trace
 from levid.identification.trace.workers import Alone
 from levid.log.reader import read_log
-from levid.model.effects.base import Effect, Places, Quantity, Signals, Term
-from levid.model.effects.extent import Extent
 from levid.model.effects.table import all_effects
 
 RIG = shipped("rigs/loopback.yaml")
@@ -40,6 +42,7 @@ HIGHEST_GAP_M = 0.85e-3
 
 _CODE = ("config", "identification", "log", "model", "sim")
 """What decides how a plant moves and what is found in its logs."""
+_FLYING_CODE = ("daemon", "drivers", "log", "sim")
 
 Entries = Sequence[dict[str, Any]]
 
@@ -62,20 +65,34 @@ class Found:
     trace_s: float
 
 
-def fly_and_trace(effects: Entries, seed: int) -> Found:
+def fly_and_trace(effects: Entries, seed: int, flights: Path | None = None) -> Found:
     """Fly the nominal plant with `effects` (entries of a SIM.yaml) and trace its logs.
 
-    Raises TooLargeError.
+    Logs stay in `flights`, if given; the same code does not fly them again. Raises TooLargeError.
     """
-    return _fly_and(effects, seed, all_effects)
+    config = load_model(MODEL)
+    # One process is one core; it works on one plant.
+    with _folder(effects, seed, flights) as folder, threadpool_limits(1):
+        begin = time.process_time()
+        logs, highest_gap_m = _flown(effects, seed, folder)
+        flown = time.process_time()
+        found = trace(logs, config, all_effects, Alone(config), lambda *_: None)
+        placed = [effect.model_dump() for effect in model_after(found).effects]
+        end = time.process_time()
+        return Found(summary(found), placed, highest_gap_m, flown - begin, end - flown)
 
 
-def fly_and_refit(effects: Entries, seed: int) -> Found:
-    """Do the same, but refit the declared model alone: how large its error is, and the floor.
+def fly_and_refit(effects: Entries, seed: int) -> float:
+    """Fly the same; return the error of the declared model, refitted, over the noise floor.
 
-    Raises TooLargeError.
+    Infinite where the refitted model runs away. Raises TooLargeError.
     """
-    return _fly_and(effects, seed, _nothing)
+    config = load_model(MODEL)
+    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+        logs, _ = fly(effects, seed, Path(folder))
+        _, errors = refit(logs, config, Alone(config), lambda *_: None)
+    error, floor = pooled(errors)
+    return error / floor if math.isfinite(error) else math.inf
 
 
 def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
@@ -105,11 +122,11 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
     return list(flown.records), highest
 
 
-def code_version() -> str:
-    """Return a digest of the code and of the plant, the model and the session."""
+def code_version(rooms: Sequence[str] = _CODE) -> str:
+    """Return a digest of the code in rooms, and of the plant, the model and the session."""
     root = Path(levid.__file__).parent
     digest = hashlib.sha256()
-    for room in _CODE:
+    for room in rooms:
         for path in sorted((root / room).rglob("*.py")):
             digest.update(path.read_bytes())
     for path in (RIG, SIM, MODEL, SESSION):
@@ -122,26 +139,25 @@ def canonical(value: object) -> str:
     return json.dumps(value, sort_keys=True)
 
 
-def _fly_and(
-    effects: Entries, seed: int, table: Callable[[Places, Extent], Sequence[Effect]]
-) -> Found:
-    config = load_model(MODEL)
-    # One process is one core; it works on one plant.
-    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
-        begin = time.process_time()
-        logs, highest_gap_m = fly(effects, seed, Path(folder))
-        flown = time.process_time()
-        found: Trace = trace(logs, config, table, Alone(config), lambda *_: None)
-        placed = [effect.model_dump() for effect in model_after(found).effects]
-        end = time.process_time()
-        return Found(summary(found), placed, highest_gap_m, flown - begin, end - flown)
+@contextmanager
+def _folder(effects: Entries, seed: int, flights: Path | None) -> Iterator[Path]:
+    if flights is None:
+        with tempfile.TemporaryDirectory() as name:
+            yield Path(name)
+    else:
+        text = canonical([list(effects), seed, code_version(_FLYING_CODE)])
+        yield flights / hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _nothing(_places: Places, _covered: Extent) -> list[Effect]:
-    """Return a table of candidates that does nothing: the search has to have something to try."""
-    amplitude = Quantity("a", "1")
-    return [Effect("nothing", "Nothing", "unknown", (), "force = 0", (amplitude,), _no_term)]
-
-
-def _no_term(_signals: Signals, _shape: Sequence[float]) -> list[Term]:
-    return [Term()]
+def _flown(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
+    """Return what `fly` returns, from a flight that ended here before, or a new one."""
+    done = folder / "flown.json"
+    if done.exists():
+        told = json.loads(done.read_text(encoding="utf-8"))
+        return [folder / "logs" / name for name in told["records"]], told["highest_gap_m"]
+    shutil.rmtree(folder / "logs", ignore_errors=True)  # of a flight that was cut off
+    folder.mkdir(parents=True, exist_ok=True)
+    records, highest_gap_m = fly(effects, seed, folder)
+    told = {"records": [path.name for path in records], "highest_gap_m": highest_gap_m}
+    done.write_text(json.dumps(told), encoding="utf-8")
+    return records, highest_gap_m

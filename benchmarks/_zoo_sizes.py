@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 from _zoo_cases import ZooCase
-from _zoo_fly import SESSION, SIM, Found, TooLargeError, canonical, fly_and_refit
+from _zoo_fly import SESSION, SIM, TooLargeError, canonical, fly_and_refit
 from _zoo_pool import run_apart
 
 from levid.config.base import read_mapping
@@ -164,7 +164,7 @@ class _Search:
     """Flights at two or three scales, chosen as it goes."""
 
     case: ZooCase
-    fly: Callable[[Sequence[dict[str, Any]], int], Found]
+    fly: Callable[[Sequence[dict[str, Any]], int], float]
     flown: dict[float, float] = field(default_factory=dict)
     failed: bool = False
 
@@ -201,10 +201,10 @@ class _Search:
         return tuple(sorted(self.flown.items()))
 
     def _try(self, scale: float) -> None:
-        told = self.fly([self.case.effect(scale)], SEED).summary["validation"]
-        if told["before"] is None:
+        ratio = self.fly([self.case.effect(scale)], SEED)
+        if math.isinf(ratio):
             raise TooLargeError("the refitted model runs away")
-        self.flown[scale] = told["before"] / told["noise_floor"]
+        self.flown[scale] = ratio
 
     def _wanted(self, times: float, largest: tuple[float, str] | None) -> float:
         scale = _interpolated(self._points, times)

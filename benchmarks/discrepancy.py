@@ -39,7 +39,6 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from levid.config.model import load_model
-from levid.identification.trace.linearise import WorkingPoint
 from levid.identification.trace.metric import pooled, record_error
 from levid.identification.trace.record import TraceRecord, split, trace_record
 from levid.identification.trace.residual import (
@@ -52,6 +51,7 @@ from levid.identification.trace.residual import (
 )
 from levid.identification.trace.study import Trace, trace
 from levid.identification.trace.workers import Alone
+from levid.identification.trace.working_point import WorkingPoint
 from levid.log.reader import read_log
 from levid.model.effects.base import Effect, Placed, Quantity, Signals, Term
 from levid.model.effects.table import all_effects

@@ -18,16 +18,14 @@ from time import perf_counter
 import _table
 import numpy as np
 import yaml
+from _flight import fly_session
 from _table import Figure
 from threadpoolctl import threadpool_limits
 
-from levid.config.base import load_yaml, parse_text
+from levid.config.base import load_yaml
 from levid.config.model import ModelConfig, load_model
-from levid.config.rig import load_rig
-from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
-from levid.daemon.virtual import fly_virtually
 from levid.identification.data import IdentificationError
 from levid.identification.greybox.experiment import experiment_from_log
 from levid.identification.greybox.fit import Fit, fit_model
@@ -38,7 +36,6 @@ from levid.log.importer import import_file
 from levid.log.reader import read_log
 from levid.sim.truth import frequency_response
 
-RIG_FILE = shipped("rigs/loopback.yaml")
 KEPT = Path(__file__).resolve().parent.parent / "build" / "greybox"
 DATA = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
 # Lag and delay move the response almost alike: what a record can tell of either is in its standard
@@ -190,12 +187,7 @@ def fly(out: Path, duration_s: float, sweep_s: float, seed: int, rate_hz: float)
         "excitations": {name: {"input": name, **level} for name, level in levels.items()},
         "steps": steps,
     }
-    sim = out.parent / "sim.yaml"
-    nominal = yaml.safe_load(shipped("sims/nominal.yaml").read_text())
-    sim.write_text(yaml.safe_dump({**nominal, "seed": seed}))
-    rig = load_rig(RIG_FILE).model_copy(update={"sim": str(sim)})
-    config = parse_text(yaml.safe_dump(session), SessionConfig, "benchmark")
-    return list(fly_virtually(rig, RIG_FILE, config, b"", out).records)
+    return list(fly_session(session, out))
 
 
 def off_by_a_tenth(seed: int) -> ModelConfig:

@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 from _contenders import LAG_S, impulse_taps
+from _flight import truth
 from _isolated import Outcome, measure_apart
 from _table import Figure, run
-from _white_noise import fly, truth
+from _white_noise import fly
 from numpy.typing import NDArray
 
 from levid.identification.data import operating_points

@@ -47,7 +47,7 @@ def main() -> None:
         plants = [p for p in plants if set(arguments.only) & {p.kind, *(c.name for c in p.cases)}]
     sizes = sizes_of([case for plant in plants for case in plant.cases], PROCESSES, _say)
     kept = Kept(arguments.out)
-    _fly_all(plants, sizes, kept)
+    _fly_all(plants, sizes, kept, arguments.out / "flights" if arguments.keep_flights else None)
     results = kept.of(plants, sizes)
     if arguments.json:
         json.dump({"figures": figures(results)}, sys.stdout)
@@ -68,15 +68,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
     parser.add_argument("--out", type=Path, default=DEFAULT, help="where results are kept")
     parser.add_argument(
+        "--keep-flights", action="store_true", help="keep logs too, 50 MB a plant, to trace again"
+    )
+    parser.add_argument(
         "--only", nargs="+", metavar="NAME", help="cases by name, or nothing, or pair"
     )
     return parser
 
 
-def _fly_all(plants: Sequence[Plant], sizes: dict[str, Sizes], kept: Kept) -> None:
-    """Fly and trace the plants that there is no result of."""
+def _fly_all(
+    plants: Sequence[Plant], sizes: dict[str, Sizes], kept: Kept, flights: Path | None
+) -> None:
+    """Fly and trace the plants that there is no result of; logs stay in `flights`, if given."""
     missing = [plant for plant in plants if not kept.has(plant, sizes)]
-    begun = [_Task(plant, tuple(plant.entries(sizes))) for plant in missing]
+    begun = [_Task(plant, tuple(plant.entries(sizes)), flights) for plant in missing]
     for count, done in enumerate(run_apart(_Task.fly, begun, PROCESSES, LONGEST_S), 1):
         result = Result(
             done.item.plant, None if done.answer is None else asdict(done.answer), done.failed
@@ -88,11 +93,13 @@ def _fly_all(plants: Sequence[Plant], sizes: dict[str, Sizes], kept: Kept) -> No
 class _Task:
     """A plant to be flown in another process."""
 
-    def __init__(self, plant: Plant, entries: Sequence[dict[str, object]]) -> None:
-        self.plant, self.entries = plant, entries
+    def __init__(
+        self, plant: Plant, entries: Sequence[dict[str, object]], flights: Path | None
+    ) -> None:
+        self.plant, self.entries, self.flights = plant, entries, flights
 
     def fly(self) -> Found:
-        return fly_and_trace(self.entries, self.plant.seed)
+        return fly_and_trace(self.entries, self.plant.seed, self.flights)
 
 
 def _line(result: Result) -> str:

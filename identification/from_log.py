@@ -182,8 +182,7 @@ def _require(log: Log, names: Sequence[str]) -> None:
             raise IdentificationError(
                 f"{log.path}: {name}: expected one value a row, found several"
             )
-        if not np.all(np.isfinite(log.rows[name])):
-            raise IdentificationError(f"{log.path}: {name}: expected finite values, found others")
+    require_finite(log, names)
     if len(log.rows) < _SHORTEST_ROWS:
         raise IdentificationError(
             f"{log.path}: expected at least {_SHORTEST_ROWS} rows, found {len(log.rows)}"
@@ -194,6 +193,22 @@ def _require(log: Log, names: Sequence[str]) -> None:
             f"{log.path}: rate_hz: expected what the log times say, a row every {period_s:g} s, "
             f"found {log.rate_hz:g} Hz"
         )
+
+
+def require_finite(log: Log, names: Sequence[str]) -> None:
+    """Raise IdentificationError for values that are none, with file, field, row and record."""
+    for name in names:
+        values = log.rows[name].astype(float)
+        wrong = np.argwhere(~np.isfinite(values))
+        if len(wrong):
+            row, *column = wrong[0].tolist()
+            rows = len(np.unique(wrong[:, 0]))
+            more = f" and in {rows - 1} rows after it" if rows > 1 else ""
+            raise IdentificationError(
+                f"{log.path}: {name}{column or ''}: expected finite values, found "
+                f"{values[tuple(wrong[0])]} in row {row}{more} of record "
+                f"'{log.metadata.get('name') or log.path.stem}'"
+            )
 
 
 def columns(log: Log, names: Sequence[str]) -> Array:

@@ -7,9 +7,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 import pytest
 
+from levid.cli.main import main
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
@@ -26,6 +28,43 @@ def rig() -> ModuleType:
     sys.modules[spec.name] = module  # where its dataclasses look for it
     spec.loader.exec_module(module)
     return module
+
+
+class Outcome(NamedTuple):
+    """What a command left: its exit code and what it printed."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture(scope="session")
+def run_levid() -> Callable[..., int]:
+    """A function that runs a command in this process and returns its exit code."""
+
+    def run_levid(*arguments: object) -> int:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", ["levid", *map(str, arguments)])
+            with pytest.raises(SystemExit) as ended:
+                main()
+        return int(ended.value.code or 0)
+
+    return run_levid
+
+
+@pytest.fixture
+def levid(
+    run_levid: Callable[..., int], capfd: pytest.CaptureFixture[str]
+) -> Callable[..., Outcome]:
+    """A function that runs a command and returns its outcome; no traceback ever reaches a user."""
+
+    def levid(*arguments: object) -> Outcome:
+        code = run_levid(*arguments)
+        captured = capfd.readouterr()
+        assert "Traceback" not in captured.err
+        return Outcome(code, captured.out, captured.err)
+
+    return levid
 
 
 BUSES = {

@@ -1,13 +1,11 @@
 """The commands as a person meets them: help, exit codes, a line instead of a traceback."""
 
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from levid.cli.main import main
 from levid.config.shipped import shipped
 from levid.log.reader import read_log
 
@@ -22,24 +20,6 @@ steps:
   - land: {}
 """
 VERBS = ["check", "run", "excite", "status", "land", "clear", "identify", "import", "demo"]
-
-
-class Outcome:
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-
-@pytest.fixture
-def levid(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
-    def call(*arguments: object) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["levid", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        captured = capfd.readouterr()
-        assert "Traceback" not in captured.err
-        return Outcome(int(ended.value.code or 0), captured.out, captured.err)
-
-    return call
 
 
 @pytest.fixture

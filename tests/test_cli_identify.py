@@ -1,19 +1,19 @@
 """From a session to its report and JSON, and from bad logs to one line."""
 
 import json
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
 
-from levid.cli.main import main
 from levid.config.base import load_yaml
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
 from levid.sim.truth import frequency_response
 
+Command = Callable[..., tuple[int, str, str]]
 SESSION = """
 levid: session
 name: short
@@ -36,37 +36,19 @@ COLUMNS = "levid: signals\nname: made\nrate_hz: 100\ncolumns:\n" + "".join(
 )
 
 
-def call(capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    sys.argv = ["levid", *map(str, arguments)]
-    with pytest.raises(SystemExit) as ended:
-        main()
-    captured = capfd.readouterr()
-    assert "Traceback" not in captured.err
-    return int(ended.value.code or 0), captured.out, captured.err
-
-
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def flown(tmp_path_factory: pytest.TempPathFactory, run_levid: Callable[..., int]) -> list[Path]:
     folder = tmp_path_factory.mktemp("identify")
     (folder / "session.yaml").write_text(SESSION)
-    sys.argv = [
-        "levid",
-        "excite",
-        str(folder / "session.yaml"),
-        "--virtual",
-        "--out",
-        str(folder / "logs"),
-    ]
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    return sorted((folder / "logs").glob("*.mcap"))
+    logs = folder / "logs"
+    assert run_levid("excite", folder / "session.yaml", "--virtual", "--out", logs) == 0
+    return sorted(logs.glob("*.mcap"))
 
 
 def test_identify_prints_one_json_object_and_leaves_a_report(
-    flown: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    flown: list[Path], tmp_path: Path, levid: Command
 ) -> None:
-    code, out, _ = call(capfd, "identify", *flown, "--out", tmp_path / "out", "--json")
+    code, out, _ = levid("identify", *flown, "--out", tmp_path / "out", "--json")
     assert code == 0
     result = json.loads(out)
     (point,) = result["points"]
@@ -94,51 +76,45 @@ def test_identify_prints_one_json_object_and_leaves_a_report(
 
 
 def test_identify_says_which_input_is_missing(
-    flown: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    flown: list[Path], tmp_path: Path, levid: Command
 ) -> None:
-    code, _, err = call(capfd, "identify", *flown[:3], "--out", tmp_path / "out")
+    code, _, err = levid("identify", *flown[:3], "--out", tmp_path / "out")
     assert code == 1
     assert "theta" in err
 
 
-def test_logs_without_a_record_are_named(
-    flown: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    code, _, err = call(capfd, "identify", flown[0], "--out", tmp_path / "out")
+def test_logs_without_a_record_are_named(flown: list[Path], tmp_path: Path, levid: Command) -> None:
+    code, _, err = levid("identify", flown[0], "--out", tmp_path / "out")
     assert code == 1
     assert "levitate" in err
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"hello", bytes(1000)])
-def test_what_is_no_log_is_one_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], content: bytes
-) -> None:
+def test_what_is_no_log_is_one_line(tmp_path: Path, levid: Command, content: bytes) -> None:
     path = tmp_path / "bad.mcap"
     path.write_bytes(content)
-    code, _, err = call(capfd, "identify", path, "--out", tmp_path / "out")
+    code, _, err = levid("identify", path, "--out", tmp_path / "out")
     assert code == 1
     assert err.startswith("error:")
     assert "bad.mcap" in err
-    code, _, err = call(capfd, "identify", tmp_path / "none.mcap", "--out", tmp_path / "out")
+    code, _, err = levid("identify", tmp_path / "none.mcap", "--out", tmp_path / "out")
     assert code == 1
     assert "none.mcap" in err
 
 
 def test_cut_log_identifies_what_is_left_and_says_so(
-    flown: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    flown: list[Path], tmp_path: Path, levid: Command
 ) -> None:
     cut = tmp_path / flown[2].name
     data = flown[2].read_bytes()
     cut.write_bytes(data[: len(data) * 9 // 10])
-    code, out, _ = call(capfd, "identify", cut, *flown[3:], "--out", tmp_path / "out", "--json")
+    code, out, _ = levid("identify", cut, *flown[3:], "--out", tmp_path / "out", "--json")
     assert code == 0
     assert any("not complete" in remark for remark in json.loads(out)["points"][0]["remarks"])
 
 
-def test_data_of_others_are_imported_and_identified(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_data_of_others_are_imported_and_identified(tmp_path: Path, levid: Command) -> None:
     rng = np.random.default_rng(1)
     u = rng.standard_normal(3000)
     y = np.zeros(3000)
@@ -148,12 +124,12 @@ def test_data_of_others_are_imported_and_identified(
     np.savetxt(tmp_path / "made.dat", np.stack([u, y], axis=1))
     (tmp_path / "signals.yaml").write_text(COLUMNS)
     log = tmp_path / "made.mcap"
-    code, out, _ = call(
-        capfd, "import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log
+    code, out, _ = levid(
+        "import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log
     )
     assert code == 0
     assert "3000 samples" in out
-    code, out, _ = call(capfd, "identify", log, "--out", tmp_path / "out", "--json")
+    code, out, _ = levid("identify", log, "--out", tmp_path / "out", "--json")
     assert code == 0
     (point,) = json.loads(out)["points"]
     assert point["order"] == 2
@@ -177,16 +153,14 @@ steps:
 """
 
 
-def test_multisines_keep_their_names_in_json_and_mat(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_multisines_keep_their_names_in_json_and_mat(tmp_path: Path, levid: Command) -> None:
     (tmp_path / "session.yaml").write_text(ORTHOGONAL)
     logs = tmp_path / "logs"
-    code, _, _ = call(capfd, "excite", tmp_path / "session.yaml", "--virtual", "--out", logs)
+    code, _, _ = levid("excite", tmp_path / "session.yaml", "--virtual", "--out", logs)
     assert code == 0
     out = tmp_path / "out"
     log = logs / "01-all.mcap"
-    code, text, _ = call(capfd, "identify", log, "--out", out, "--json", "--mat")
+    code, text, _ = levid("identify", log, "--out", out, "--json", "--mat")
     assert code == 0
     result = json.loads(text)
     assert "points" not in result
@@ -215,7 +189,7 @@ K: [[k]]
 
 @pytest.mark.parametrize(("said", "warned"), [("band_limited", True), ("zoh", False)])
 def test_an_input_that_model_and_log_know_otherwise_is_warned_of(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], said: str, warned: bool
+    tmp_path: Path, levid: Command, said: str, warned: bool
 ) -> None:
     rng = np.random.default_rng(1)
     u, y = rng.standard_normal(1500), np.zeros(1500)
@@ -226,9 +200,9 @@ def test_an_input_that_model_and_log_know_otherwise_is_warned_of(
     (tmp_path / "signals.yaml").write_text(columns)
     (tmp_path / "spring.yaml").write_text(SPRING)
     log, out = tmp_path / "made.mcap", tmp_path / "out"
-    call(capfd, "import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log)
-    code, text, err = call(
-        capfd, "identify", log, "--model", tmp_path / "spring.yaml", "--out", out, "--json"
+    levid("import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log)
+    code, text, err = levid(
+        "identify", log, "--model", tmp_path / "spring.yaml", "--out", out, "--json"
     )
     assert code == 0
     sentence = "record 'made': its signals file says input_hold: band_limited, model 'spring'"
@@ -239,13 +213,13 @@ def test_an_input_that_model_and_log_know_otherwise_is_warned_of(
     assert "\ninput: zoh\n" in (out / "model.yaml").read_text()
 
 
-def test_truth_is_for_the_rig_alone(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_truth_is_for_the_rig_alone(tmp_path: Path, levid: Command) -> None:
     np.savetxt(tmp_path / "made.dat", np.random.default_rng(1).standard_normal((500, 2)))
     (tmp_path / "signals.yaml").write_text(COLUMNS)
     log = tmp_path / "made.mcap"
-    call(capfd, "import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log)
-    code, _, err = call(
-        capfd, "identify", log, "--truth", shipped("sims/nominal.yaml"), "--out", tmp_path / "out"
+    levid("import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log)
+    code, _, err = levid(
+        "identify", log, "--truth", shipped("sims/nominal.yaml"), "--out", tmp_path / "out"
     )
     assert code == 1
     assert "--truth" in err

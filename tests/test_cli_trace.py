@@ -1,20 +1,22 @@
 """From a flight on a plant with an undeclared effect to the effect, the proof, a better model."""
 
 import json
-import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from levid.cli.main import main
 from levid.config.model import load_model
 from levid.config.shipped import shipped
+from levid.identification.data import IdentificationError
 from levid.identification.greybox.result import identify_grey_box
 from levid.identification.trace.known import experiment_of
 from levid.log.reader import read_log
 
+Command = Callable[..., tuple[int, str, str]]
 K3_N_M3 = 6e8
 SESSION = """
 levid: session
@@ -34,17 +36,8 @@ then: [trace]
 """
 
 
-def call(capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    sys.argv = ["levid", *map(str, arguments)]
-    with pytest.raises(SystemExit) as ended:
-        main()
-    captured = capfd.readouterr()
-    assert "Traceback" not in captured.err
-    return int(ended.value.code or 0), captured.out, captured.err
-
-
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def flown(tmp_path_factory: pytest.TempPathFactory, run_levid: Callable[..., int]) -> Path:
     """Logs of a plant with cubic rods, and beside them in trace/ what `then: [trace]` found."""
     folder = tmp_path_factory.mktemp("trace")
     (folder / "session.yaml").write_text(SESSION)
@@ -53,11 +46,8 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
         {"use": "levid.sim.effects.stiffness:CubicRods", "dof": "z", "k3_n_m3": K3_N_M3}
     ]
     (folder / "sim.yaml").write_text(yaml.safe_dump(sim))
-    session, plant, out = (str(folder / name) for name in ("session.yaml", "sim.yaml", "logs"))
-    sys.argv = ["levid", "excite", session, "--sim", plant, "--virtual", "--out", out]
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
+    session, plant, out = (folder / name for name in ("session.yaml", "sim.yaml", "logs"))
+    assert run_levid("excite", session, "--sim", plant, "--virtual", "--out", out) == 0
     return folder / "logs"
 
 
@@ -82,12 +72,8 @@ def test_a_session_ends_with_a_trace_that_names_the_effect(flown: Path) -> None:
     assert not any(ord(c) < 32 and c not in "\n\t" for c in page)
 
 
-def test_json_is_the_contract(
-    flown: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    code, out, _ = call(
-        capfd, "trace", *logs(flown), "--out", tmp_path / "out", "--json", "--workers", 1
-    )
+def test_json_is_the_contract(flown: Path, tmp_path: Path, levid: Command) -> None:
+    code, out, _ = levid("trace", *logs(flown), "--out", tmp_path / "out", "--json", "--workers", 1)
     assert code == 0
     # Whatever is no number is null: NaN would not be JSON.
     result = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
@@ -117,14 +103,14 @@ def test_json_is_the_contract(
 
 
 def test_a_cluster_gives_the_same_to_the_last_digit(
-    flown: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    flown: Path, tmp_path: Path, levid: Command
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="levid[cluster] is not installed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"
     ) as cluster:
-        code, _, err = call(
-            capfd, "trace", *logs(flown), "--out", tmp_path, "--dask", cluster.scheduler_address
+        code, _, err = levid(
+            "trace", *logs(flown), "--out", tmp_path, "--dask", cluster.scheduler_address
         )
     assert code == 0
     assert f"working on {cluster.scheduler_address}" in err
@@ -132,11 +118,11 @@ def test_a_cluster_gives_the_same_to_the_last_digit(
 
 
 def test_with_the_effect_in_the_model_nothing_is_found(
-    flown: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    flown: Path, tmp_path: Path, levid: Command
 ) -> None:
     found = flown / "trace" / "model.yaml"
-    code, out, _ = call(
-        capfd, "trace", *logs(flown), "--model", found, "--out", tmp_path / "again", "--workers", 1
+    code, out, _ = levid(
+        "trace", *logs(flown), "--model", found, "--out", tmp_path / "again", "--workers", 1
     )
     assert code == 0
     assert "nothing found: the model explains the records down to the noise" in out
@@ -167,9 +153,18 @@ def test_identify_takes_the_effects_out_of_the_records(flown: Path) -> None:
     assert without > 2 * with_effects
 
 
-def test_errors_are_one_line(
-    flown: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_reading_of_a_flight_that_is_none_is_told_with_its_place(flown: Path) -> None:
+    log, config = read_log(next(flown.glob("*-first.mcap"))), load_model(shipped("models/rig.yaml"))
+    rows = log.rows.copy()
+    rows["gap_m"][1200, 4] = np.nan
+    with pytest.raises(
+        IdentificationError,
+        match=r"-first.mcap: gap_m\[4\]: expected finite values, found nan in row 1200 of record",
+    ):
+        experiment_of(replace(log, rows=rows), config)
+
+
+def test_errors_are_one_line(flown: Path, tmp_path: Path, levid: Command) -> None:
     some = logs(flown)
     file = tmp_path / "file"
     file.write_text("")
@@ -182,13 +177,13 @@ def test_errors_are_one_line(
         ),
         ([tmp_path / "none.mcap", "--out", tmp_path / "o"], "none.mcap"),
     ):
-        code, out, err = call(capfd, "trace", *arguments)
+        code, out, err = levid("trace", *arguments)
         assert code != 0
         assert out == ""
         assert said in err
 
 
-def test_logs_of_others_need_a_model(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_logs_of_others_need_a_model(tmp_path: Path, levid: Command) -> None:
     t = np.arange(600) / 100
     np.savetxt(tmp_path / "data.csv", np.stack([np.sin(t), np.cos(t)], axis=1), delimiter=",")
     (tmp_path / "signals.yaml").write_text(
@@ -197,20 +192,20 @@ def test_logs_of_others_need_a_model(tmp_path: Path, capfd: pytest.CaptureFixtur
         "  - {column: 1, name: y, unit: V, role: output}\n"
     )
     log = tmp_path / "log.mcap"
-    call(capfd, "import", tmp_path / "data.csv", "--signals", tmp_path / "signals.yaml", "-o", log)
-    code, _, err = call(capfd, "trace", log, "--out", tmp_path / "out")
+    levid("import", tmp_path / "data.csv", "--signals", tmp_path / "signals.yaml", "-o", log)
+    code, _, err = levid("trace", log, "--out", tmp_path / "out")
     assert code == 1
     assert "expected --model MODEL.yaml" in err
 
 
 def test_an_effect_that_the_table_lacks_is_named(
-    flown: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    flown: Path, tmp_path: Path, levid: Command
 ) -> None:
     text = (flown / "trace" / "model.yaml").read_text()
     wrong = tmp_path / "model.yaml"
     wrong.write_text(text.replace("rod_stiffness.cubic", "rod_stiffness.kubic"))
-    code, _, err = call(
-        capfd, "trace", *logs(flown), "--model", wrong, "--out", tmp_path / "o", "--workers", 1
+    code, _, err = levid(
+        "trace", *logs(flown), "--model", wrong, "--out", tmp_path / "o", "--workers", 1
     )
     assert code == 1
     assert "effects[0]: effect: expected a name of the table of effects" in err

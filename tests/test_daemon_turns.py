@@ -158,4 +158,4 @@ def test_trace_sessions_hold_what_tracing_needs(name: str) -> None:
     assert still[-1]
     assert session.then == ("identify", "trace")
     minutes = flight.cycles / flight.rate_hz / 60
-    assert minutes < {"trace": 20, "trace-short": 5}[name]
+    assert minutes < {"trace": 20, "trace-short": 6}[name]

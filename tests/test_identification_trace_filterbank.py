@@ -22,17 +22,19 @@ from levid.identification.greybox.parameters import free_parameters
 from levid.identification.greybox.prediction import predict, settled
 from levid.identification.trace.filterbank import FilterBank, thinned, transitions
 from levid.identification.trace.linearise import (
+    effect_terms,
+    linearise,
+    parameter_columns,
+    redundancy_basis,
+)
+from levid.identification.trace.noise import Disturbance
+from levid.identification.trace.record import TraceRecord
+from levid.identification.trace.working_point import (
     WorkingPoint,
     along,
     corrected_experiment,
-    effect_terms,
     filtered,
-    linearise,
-    redundancy_basis,
 )
-from levid.identification.trace.linearise import _parameter_columns as parameter_columns
-from levid.identification.trace.noise import Disturbance
-from levid.identification.trace.record import TraceRecord
 from levid.model.effects.base import Placed, Places, Term, on_dof
 from levid.model.effects.table import all_effects
 from levid.model.geometry import shape_matrix
@@ -205,6 +207,9 @@ def test_parameter_columns_are_finite_differences_of_the_errors(kind: str) -> No
     # Along the readings' own noise (0.1 um of some 100) rather than along the filter's path, and
     # with accelerations by differences of fourth order: about a percent at most.
     assert max(worst.values()) < 0.03, worst
+    # These know commands exactly; along a schedule they are taken to meet row 0's stiffness and
+    # damping within a period (FilterBank.held_forcing).
+    assert max(worst["lag"], worst["delay"]) < 0.002, worst
 
 
 @pytest.mark.parametrize("key", ["friction.stribeck", "rod_stiffness.cubic"])

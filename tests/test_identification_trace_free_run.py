@@ -11,16 +11,16 @@ from scipy.integrate import solve_ivp
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.data import PiController
+from levid.identification.data import IdentificationError, PiController
 from levid.identification.declared import declared_model
 from levid.identification.greybox.experiment import Experiment, Loop
 from levid.identification.greybox.noise import Noise
 from levid.identification.greybox.parameters import free_parameters
 from levid.identification.trace.free_run import FreeRun, free_run
-from levid.identification.trace.linearise import WorkingPoint
 from levid.identification.trace.metric import pooled, record_error
 from levid.identification.trace.noise import Disturbance
 from levid.identification.trace.record import TraceRecord
+from levid.identification.trace.working_point import WorkingPoint
 from levid.model.effects.base import Placed, Places
 from levid.model.effects.extent import Extent
 from levid.model.effects.table import all_effects
@@ -218,3 +218,9 @@ def test_error_of_the_truth_is_the_floor_and_of_a_wrong_model_its_bias() -> None
     error, floor = pooled([right, right])
     assert error == pytest.approx(np.sqrt(right.squares))
     assert floor == pytest.approx(np.sqrt(right.floor))
+
+
+def test_a_loop_whose_input_is_not_held_is_refused() -> None:
+    record = made("none", 2.0, loop=True)
+    with pytest.raises(IdentificationError, match="'made': expected a held input in a loop, found"):
+        free_run(point("band_limited"), record)

@@ -16,9 +16,10 @@ from levid.config.shipped import shipped
 from levid.identification.data import PiController
 from levid.identification.declared import declared_model
 from levid.identification.greybox.experiment import Experiment, Loop
+from levid.identification.greybox.floor import motion_covariance
 from levid.identification.greybox.noise import Noise
 from levid.identification.trace.hints import tones
-from levid.identification.trace.noise import disturbance, floor_covariance, sensor_noise
+from levid.identification.trace.noise import disturbance, sensor_noise
 from levid.identification.trace.record import TraceRecord, split
 from levid.model.effects.base import Places
 from levid.model.geometry import shape_matrix
@@ -141,8 +142,8 @@ def test_floor_is_what_a_long_flight_in_noise_shows(rig: ModuleType) -> None:
     noise = Noise(
         force_noise(rig), np.diag(T @ T.T) * (rig.SENSOR_NOISE_M**2 + rig.SENSOR_STEP_M**2 / 12)
     )
-    short = still(rig, 1, 2.0)
-    floor = floor_covariance(MODEL, short.experiment, noise)
+    # 60 s, so that the start, where the state is known, is next to nothing of it.
+    floor = motion_covariance(MODEL, still(rig, 1, 60.0).experiment, "zoh", noise)
     # A reading's own noise is independent of where the platform is when it is read.
     seen = np.cov(y[5000:].T) - np.diag(noise.output_variance)
     size = np.sqrt(np.diag(floor))

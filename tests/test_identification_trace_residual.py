@@ -12,7 +12,6 @@ from levid.identification.greybox.experiment import Experiment
 from levid.identification.greybox.noise import Noise
 from levid.identification.greybox.parameters import free_parameters
 from levid.identification.trace.dependence import dependence
-from levid.identification.trace.linearise import WorkingPoint
 from levid.identification.trace.noise import Disturbance
 from levid.identification.trace.record import TraceRecord
 from levid.identification.trace.residual import (
@@ -23,6 +22,7 @@ from levid.identification.trace.residual import (
     noise_density,
     standing_out,
 )
+from levid.identification.trace.working_point import WorkingPoint
 from levid.model.effects.base import Places
 from levid.model.geometry import shape_matrix
 

@@ -15,8 +15,10 @@ import pytest
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.data import IdentificationError
+from levid.identification.trace.linearise import linearise
 from levid.identification.trace.metric import pooled, record_error
-from levid.identification.trace.study import Trace, _linearise, _read, trace
+from levid.identification.trace.reading import read_records
+from levid.identification.trace.study import Trace, trace
 from levid.identification.trace.workers import (
     Alone,
     Source,
@@ -178,7 +180,9 @@ def same(found: Trace, logs: list[Path], others: Workers) -> None:
     alone, point, parts = Alone(CONFIG), found.found.point, sources(logs)
     assert point.placed  # else there would be little to compare
     some = [(e, e.grid[0]) for e in all_effects(found.places)[:6]]
-    here, there = (w.map(partial(_linearise, point, some), parts) for w in (alone, others))
+    here, there = (
+        w.map(partial(linearise, point, candidates=some), parts) for w in (alone, others)
+    )
     for one, other in zip(here, there, strict=True):
         np.testing.assert_array_equal(one.gram, other.gram)
         np.testing.assert_array_equal(one.size, other.size)
@@ -227,7 +231,7 @@ def test_records_of_one_name_in_two_folders_stay_two(
         table = log.with_suffix(".csv")
         (tmp_path / "still.csv").write_bytes(table.read_bytes())
         import_file(tmp_path / "still.csv", table.parent / "signals.yaml", paths[-1])
-    records, _ = _read(paths, CONFIG)
+    records, _ = read_records(paths, CONFIG)
     assert len({r.name for r in records.values()}) == 2
 
 

@@ -11,10 +11,10 @@ import pytest
 from levid.config.model import load_model
 from levid.config.shipped import shipped
 from levid.identification.trace.free_run import free_run
-from levid.identification.trace.linearise import WorkingPoint
 from levid.identification.trace.record import trace_record
 from levid.identification.trace.study import trace
 from levid.identification.trace.workers import Alone
+from levid.identification.trace.working_point import WorkingPoint
 from levid.log.importer import import_file
 from levid.log.reader import read_log
 from levid.model.effects.table import all_effects

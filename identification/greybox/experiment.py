@@ -25,12 +25,19 @@ from ..from_log import (
     controller_of,
     from_log,
     remarks_of,
+    require_finite,
 )
 from ..gaps import without_gaps
 from .inputs import Hold
 
 Array = NDArray[np.float64]
 
+_USED = (
+    *(*EXCITATION, *FEED_FORWARD, *REFERENCE, *POSE),
+    *("time_s", "gap_m", "coil_n", "coil_excitation_n", "beam_m", "beam_m_s", "beam_force_n"),
+    *("rotor_rad", "rotor_rad_s"),
+)
+"""Fields of a flight that a fit or a trace reads."""
 _STILL = 1e-3
 """A scheduling variable whose spread is below this share of its range counts as constant."""
 
@@ -85,8 +92,12 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
 
     Raises:
         NotARecordError: the log is of a step that is not to be identified.
-        IdentificationError: signals that the model names are not in the log, or do not fit it.
+        IdentificationError: signals that the model names are not in the log, or do not fit it; or
+            a value is not finite.
     """
+    if log.metadata.get("kind") == "record":
+        known = log.rows.dtype.names or ()
+        require_finite(log, [name for name in _USED if name in known])
     log, gaps = without_gaps(log)  # every column alike, the schedule's too
     base = _imported(log) if "signals.yaml" in log.attachments else _flown(log)
     if (base.u.shape[1], base.y.shape[1]) != (len(model.inputs), len(model.dof)):

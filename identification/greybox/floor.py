@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from ...model.declared import DeclaredModel
 from .experiment import Experiment
-from .inputs import HeldStep, Hold, held_step
+from .inputs import HeldStep, Hold
 from .motion import Motion, motion, process_covariance
 from .noise import Noise
-from .simulate import START_S
+from .simulate import first_row, input_step
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_BLOCKS = 2048
+_BLOCKS = 1024
 """Into so many blocks at least a record is cut: over one of them the covariance hardly changes."""
 _LINES = 8192
 """Frequencies, 0.15 % apart over five decades, that a spectrum is integrated over."""
@@ -48,7 +48,30 @@ class Floor:
 
 def floor_rms(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Array:
     """Return Floor.rms (n,) alone."""
-    return _rms(_motion_covariance(model, experiment, hold, noise), noise)
+    return _rms(motion_covariance(model, experiment, hold, noise), noise)
+
+
+def motion_covariance(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise
+) -> Array:
+    """Return Floor.motion (n, n) alone: the mean over the rows that a free run counts."""
+    n = experiment.y.shape[1]
+    counted = experiment.rows(first_row(experiment), len(experiment.y))
+    # Blocks of 2^d rows: A^(2^d) by squaring, the covariance only from block to block.
+    doublings = max(int(np.log2(len(counted.y) / _BLOCKS)), 0) if len(counted.y) > _BLOCKS else 0
+    at = _thinned(model, counted, hold, 2**doublings)
+    A, W = _error_system(model, counted, at, noise)
+    for _ in range(doublings):
+        W = W + A @ W @ np.swapaxes(A, 1, 2)
+        A = A @ A
+    blocks = len(counted.y) // 2**doublings
+    P, total = np.zeros_like(W[0]), np.zeros((n, n))
+    for k in range(blocks):
+        row = min(k, len(A) - 1)
+        after = A[row] @ P @ A[row].T + W[row]
+        total += P[:n, :n] if doublings == 0 else 0.5 * (P[:n, :n] + after[:n, :n])
+        P = after
+    return np.asarray(total / max(blocks, 1))
 
 
 def noise_floor(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Floor:
@@ -59,8 +82,8 @@ def noise_floor(model: DeclaredModel, experiment: Experiment, hold: Hold, noise:
     along a moving schedule each have their own matrices. The spread follows from the spectrum,
     var(rms^2) = integral of S(f)^2 df / T for a one-sided S (Bendat and Piersol 2010, 8.2).
     """
-    covariance = _motion_covariance(model, experiment, hold, noise)
-    duration_s = (len(experiment.y) - _first_row(experiment)) * experiment.Ts_s
+    covariance = motion_covariance(model, experiment, hold, noise)
+    duration_s = (len(experiment.y) - first_row(experiment)) * experiment.Ts_s
     freq_hz = np.geomspace(0.5 / duration_s, 0.5 / experiment.Ts_s, _LINES)
     psd = _spectra(model, experiment, hold, noise, freq_hz)
     # Along a schedule a record is as many short ones, one after the other.
@@ -95,33 +118,6 @@ def _rms(covariance: Array, noise: Noise) -> Array:
     return np.asarray(np.sqrt(np.diag(covariance) + noise.output_variance))
 
 
-def _first_row(experiment: Experiment) -> int:
-    return min(round(START_S / experiment.Ts_s), len(experiment.y) // 3)
-
-
-def _motion_covariance(
-    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise
-) -> Array:
-    """Return the mean covariance (n, n) of what noise moves, over the rows that count."""
-    n = experiment.y.shape[1]
-    counted = experiment.rows(_first_row(experiment), len(experiment.y))
-    # Blocks of 2^d rows: A^(2^d) by squaring, the covariance only from block to block.
-    doublings = max(int(np.log2(len(counted.y) / _BLOCKS)), 0) if len(counted.y) > _BLOCKS else 0
-    at = _thinned(model, counted, hold, 2**doublings)
-    A, W = _error_system(model, counted, at, noise)
-    for _ in range(doublings):
-        W = W + A @ W @ np.swapaxes(A, 1, 2)
-        A = A @ A
-    blocks = len(counted.y) // 2**doublings
-    P, total = np.zeros_like(W[0]), np.zeros((n, n))
-    for k in range(blocks):
-        row = min(k, len(A) - 1)
-        after = A[row] @ P @ A[row].T + W[row]
-        total += P[:n, :n] if doublings == 0 else 0.5 * (P[:n, :n] + after[:n, :n])
-        P = after
-    return np.asarray(total / max(blocks, 1))
-
-
 def _thinned(model: DeclaredModel, experiment: Experiment, hold: Hold, step: int) -> Motion:
     """Return the matrices in the middle of every `step` rows; inputs and drift mean nothing."""
     thin = replace(
@@ -146,7 +142,7 @@ def _error_system(
     if experiment.loop is None:
         return Phi, Q
     controller = experiment.loop.controller
-    step = _held_step(model, experiment, at)
+    step = input_step(model, experiment, at)
     R, n, p = len(Phi), at.K.shape[1], at.B.shape[2]
     lag, integral, before = 2 * n, 2 * n + p, 2 * n + 2 * p
     size = before + (step.whole + 1) * p
@@ -182,7 +178,7 @@ def _spectra(
     model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise, freq_hz: Array
 ) -> Array:
     """Return the one-sided spectra (R, F, n) of the errors that noise leaves, R places' each."""
-    counted = experiment.rows(_first_row(experiment), len(experiment.y))
+    counted = experiment.rows(first_row(experiment), len(experiment.y))
     at = _thinned(model, counted, hold, max(len(counted.y) // _PLACES, 1))
     Q, (Phi, powers) = process_covariance(at, noise.force_psd), _flow(at)
     n = at.K.shape[1]
@@ -193,7 +189,7 @@ def _spectra(
         by_force = free
         sensitivity = np.tile(np.eye(n, dtype=np.complex128), (len(z), 1, 1))
         if counted.loop is not None:
-            step = _held_step(model, counted, at)
+            step = input_step(model, counted, at)
             C = counted.loop.controller.response(freq_hz, at.Ts_s)
             inputs = _input_effect(powers[row], step, z)
             sensitivity = np.asarray(np.linalg.inv(np.eye(n) + (free @ inputs) * C[:, None, :]))
@@ -228,9 +224,3 @@ def _flow(at: Motion) -> tuple[Array, Array]:
         power = A @ power
         Phi = Phi + at.scale[j + 1] * power
     return Phi, powers
-
-
-def _held_step(model: DeclaredModel, experiment: Experiment, at: Motion) -> HeldStep:
-    values = {**model.values, **model.scheduling}
-    delay_s = max(experiment.delay_cycles * at.Ts_s + model.delay(values), 0.0)
-    return held_step(at.Ts_s, len(at.scale) - 1, delay_s, max(model.lag(values), 0.0))

@@ -142,7 +142,11 @@ class FilterBank:
         return np.concatenate([self.columns(constant, n), free], axis=2)
 
     def held_forcing(self, held: Array, extra_lag_s: float = 0.0, extra_s: float = 0.0) -> Array:
-        """Return what commands (N, p) add to the state in each period (N, 2n)."""
+        """Return what commands (N, p) add to the state in each period (N, 2n).
+
+        Along a schedule each period has its own mobility, but the first one's stiffness and damping
+        act within it: at 1 kHz less than 0.1 % of the columns of lag and delay.
+        """
         e, values = self.record.experiment, {**self.model.values, **self.model.scheduling}
         delay_s = max(e.delay_cycles * e.Ts_s + self.model.delay(values) + extra_s, 0.0)
         lag_s = max(self.model.lag(values) + extra_lag_s, 0.0)

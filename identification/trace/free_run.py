@@ -13,26 +13,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.effects.base import Signals, Term, total
-from ..greybox import kernels
 from ..greybox.experiment import Loop
-from ..greybox.inputs import held_step, lagged_input
-from ..greybox.motion import Motion, innovations, motion, run_filter
+from ..greybox.motion import Motion, motion
 from ..greybox.noise import Filter
-from ..greybox.prediction import predict_along, settled
+from ..greybox.prediction import settled
+from ..greybox.simulate import (
+    Start,
+    beginning,
+    first_row,
+    input_step,
+    integral_before,
+    known_after,
+    require_held,
+    run_loop,
+    run_open,
+)
 from .forces import force_moments
-from .linearise import WorkingPoint, corrected_experiment, filter_of, filtered
 from .record import TraceRecord
 from .signals import rate, trajectory
+from .working_point import WorkingPoint, corrected_experiment, filter_of, filtered
 
 Array = NDArray[np.float64]
 
-START_S = 5.0
-"""The beginning of a record may tell its state and its constant force, and does not count."""
 _MOST_ROUNDS = 40
 _SETTLED = 1e-2
+"""Change of the readings in units of the sensor noise below which the trajectory is found."""
 _SWINGS = 0.7
 _SHORTEST_STEP = 0.1
-"""Change of the readings in units of the sensor noise below which the trajectory is found."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +67,14 @@ class Slopes:
 
 
 def free_run(point: WorkingPoint, record: TraceRecord) -> FreeRun:
-    """Simulate a record freely; constant force and state come from its first 5 s."""
+    """Simulate a record freely; constant force and state come from its first 5 s.
+
+    Raises IdentificationError: a loop whose input is not held from sample to sample.
+    """
     e = record.experiment
+    require_held(e, point.hold)
     at = motion(point.model, e, point.hold)
-    first = min(round(START_S / e.Ts_s), record.rows // 3)
+    first = first_row(e)
     _, added = filtered(point, record, at)
     offset, state = _start(point, record, added, first)
     q_given = e.y if added.gap is None else e.y - added.gap @ record.places.decoupling.T
@@ -137,14 +148,10 @@ def _start(
     """Return the constant force (n,) and the state (2n,) at row `first`, from the rows before."""
     own = motion(point.model, record.experiment, point.hold)
     corrected, whole = corrected_experiment(point, record, own, added)
-    acted = replace(whole.rows(0, first), blind=min(whole.blind, first // 4))
-    experiment = corrected.rows(0, first)
     kalman = filter_of(point, record, own)
     if not own.fixed:
         kalman = Filter(kalman.gain[:first], kalman.covariance[:first])
-    known = predict_along(acted, experiment, kalman)
-    _, state = run_filter(settled(acted, known.offset), kalman.gain, experiment.y, known.start)
-    return known.offset, state
+    return known_after(beginning(whole, first), corrected.rows(0, first), kalman)
 
 
 def _shared(record: TraceRecord, u: Array) -> Array:
@@ -172,23 +179,18 @@ def _simulate(
         if added.held is not None:
             acted = motion(point.model, replace(e, u=e.u + added.held), point.hold)
             at = replace(at, inputs=acted.inputs)
-        y[first:] = _open(at, first, y, state)
+        y[first:] = run_open(at.rows(first, len(y)), state)
         return y, u
-    loop, n = e.loop, y.shape[1]
-    error = loop.reference[first - 1] - e.y[first - 1]
-    integral = e.u[first - 1] - loop.v[first - 1] - loop.feedforward[first - 1]
-    integral = integral - loop.controller.kp * error
-    known, reference = loop.feedforward, loop.reference
+    known, reference = e.loop.feedforward, e.loop.reference
     if added.held is not None:
         # It acts as a command does, and is none: the controller neither knows nor answers for it.
         known = known + added.held
         u[:first] += added.held[:first]
     if added.gap is not None:
         reference = reference - added.gap @ record.places.decoupling.T
-    x = state[: 2 * n].copy()
-    _closed(
-        point, record, at, Loop(loop.v, reference, known, loop.controller), first, x, integral, y, u
-    )
+    loop = Loop(e.loop.v, reference, known, e.loop.controller)
+    start = Start(first, state, integral_before(e, first))
+    run_loop(at, input_step(point.model, e, at), loop, start, y, u)
     return y, u if added.held is None else u - added.held
 
 
@@ -224,10 +226,11 @@ def _bent(
     )
     y, u = np.zeros_like(q), np.zeros_like(e.u)
     if e.loop is None:
-        y[first:] = _open(soft, first, y, np.zeros(2 * n))
+        y[first:] = run_open(soft.rows(first, len(y)), np.zeros(2 * n))
         return y, u
     quiet = Loop(np.zeros_like(u), np.zeros_like(y), np.zeros_like(u), e.loop.controller)
-    _closed(point, record, soft, quiet, first, np.zeros(2 * n), np.zeros(u.shape[1]), y, u)
+    start = Start(first, np.zeros(2 * n), np.zeros(u.shape[1]))
+    run_loop(soft, input_step(point.model, e, soft), quiet, start, y, u)
     return y, u
 
 
@@ -239,33 +242,6 @@ def _pushes(point: WorkingPoint, at: Motion, force: Array) -> Array:
     return np.asarray(outer @ np.swapaxes(at.mobility, 1, 2))
 
 
-def _closed(
-    point: WorkingPoint,
-    record: TraceRecord,
-    at: Motion,
-    loop: Loop,
-    first: int,
-    x: Array,
-    integral: Array,
-    y: Array,
-    u: Array,
-) -> None:
-    """Fill pose y and command u from row `first` on, in the loop."""
-    e, model = record.experiment, point.model
-    values = {**model.values, **model.scheduling}
-    delay_s = max(e.delay_cycles * e.Ts_s + model.delay(values), 0.0)
-    step = held_step(e.Ts_s, len(at.scale) - 1, delay_s, max(model.lag(values), 0.0))
-    kernels.closed_loop_along(
-        np.ascontiguousarray(at.K), np.ascontiguousarray(at.D), np.ascontiguousarray(at.B),
-        np.ascontiguousarray(at.drift), at.scale,
-        loop.v, loop.reference, loop.feedforward, loop.controller.kp,
-        loop.controller.ki * e.Ts_s, first, step.whole,
-        step.from_old, step.from_new, step.from_lag,
-        np.array([step.end_old, step.end_new, step.end_lag]),
-        x, integral.copy(), lagged_input(u, step)[first].copy(), y, u,
-    )  # fmt: skip
-
-
 def _between(values: Array) -> Array:
     """Return values (N, ...) in the middle of each period."""
     return np.asarray(0.5 * (values + np.concatenate([values[1:], values[-1:]])))
@@ -274,26 +250,3 @@ def _between(values: Array) -> Array:
 def _each(values: Array, rows: int) -> Array:
     """Return a set of matrices for every row where there is one for all."""
     return np.ascontiguousarray(np.broadcast_to(values, (rows, *values.shape[1:])))
-
-
-def _open(at: Motion, first: int, y: Array, state: Array) -> Array:
-    """Return the pose from row `first` on of a plant without a loop."""
-    cut = slice(first, None)
-    drift = at.drift[cut] if len(at.drift) > 1 else at.drift
-    if not at.fixed:
-        drift = _each(drift, len(y) - first)
-    n = y.shape[1]
-    if at.fixed and len(drift) > 1:
-        # The kernel for a fixed motion takes one drift: what changes goes in as an input.
-        B = np.concatenate([at.B, np.eye(n)[None]], axis=2)
-        inputs = np.concatenate([at.inputs[cut], drift], axis=2)
-        rest = replace(at, B=B, inputs=inputs, drift=np.zeros_like(at.drift[:1]))
-    elif at.fixed:
-        rest = replace(at, inputs=at.inputs[cut])
-    else:
-        rest = replace(
-            at, K=at.K[cut], D=at.D[cut], B=at.B[cut], mobility=at.mobility[cut], drift=drift,
-            inputs=at.inputs[cut],
-        )  # fmt: skip
-    gain = np.zeros((len(rest.K), 2 * n, n))
-    return -innovations(rest, gain, np.zeros((len(y) - first, n)), state)

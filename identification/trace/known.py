@@ -22,9 +22,9 @@ from ..greybox.experiment import Experiment, Loop, experiment_from_log
 from ..greybox.fit import first_noise
 from ..greybox.motion import motion
 from ..greybox.parameters import free_parameters
-from .linearise import WorkingPoint, filtered
 from .noise import Disturbance
 from .record import trace_record
+from .working_point import WorkingPoint, filtered
 
 Array = NDArray[np.float64]
 

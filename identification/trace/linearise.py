@@ -10,66 +10,24 @@ that did not choose it, is answered from those without going back to the record.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
-from scipy.signal import welch
 
 from ...model.declared import DeclaredModel
 from ...model.effects.base import Effect, Placed, Signals, Term, total
-from ..data import IdentificationError
-from ..greybox.experiment import Experiment
-from ..greybox.inputs import Hold, held_step, lagged_input
-from ..greybox.motion import Motion, motion
-from ..greybox.noise import Filter, Noise, kalman_filter
-from ..greybox.parameters import FreeParameters
-from ..greybox.prediction import predict_along, settled
+from .drive import drive_channel, drive_errors
 from .filterbank import FilterBank, thinned
-from .forces import force_moments
-from .noise import Disturbance
 from .record import TraceRecord
-from .signals import measured_signals
+from .working_point import Along, WorkingPoint, along, thinning
 
 Array = NDArray[np.float64]
 
 _NUDGE = 1e-5
-_TO_HZ = 250.0
-"""Errors are averaged down to this rate: what a platform answers lies below half of it."""
-_MOST_TRUST = 1e3
-_OUTLIER = 4.0
-_SLOW_HZ = 15.0
-_NOISE_REACH = 21.0
-_MOST_FILTERS = 8
-_PASSES = 2
 BLOCK_S = 4.0
-
-
-@dataclass(frozen=True)
-class WorkingPoint:
-    """A model with the effects found so far; `parameters` are those of it that may change."""
-
-    model: DeclaredModel
-    parameters: FreeParameters
-    placed: tuple[Placed, ...]
-    disturbance: Disturbance
-    hold: Hold
-    trust: float = 1e3
-    """By how much more force noise than there is the trajectory follows what was measured."""
-    reference: DeclaredModel | None = None
-    """The model whose filters serve along moving schedules; this one's own where none is given."""
-
-    @property
-    def lag_s(self) -> float:
-        """Lag of the model's inputs, s."""
-        return max(self.model.lag({**self.model.values, **self.model.scheduling}), 0.0)
-
-    @property
-    def values(self) -> Array:
-        """Values of the free parameters (F,), SI."""
-        return np.array([self.model.values[name] for name in self.parameters.names])
+"""Errors of one block stand and fall together: longer than what a platform remembers."""
 
 
 @dataclass(frozen=True)
@@ -96,77 +54,6 @@ class Channel:
     columns: list[int]
 
 
-@dataclass(frozen=True)
-class Along:
-    """A record with its motion, filter and signals at a working point."""
-
-    record: TraceRecord
-    at: Motion
-    kalman: Filter
-    signals: Signals
-    added: Term
-    errors: Array
-    unknowns: Array
-    every: int
-    sd: float
-
-
-def along(point: WorkingPoint, record: TraceRecord) -> Along:
-    """Return a record along the working point, its constant force and start fitted."""
-    e = record.experiment
-    at = motion(point.model, e, point.hold)
-    kalman = filter_of(point, record, at)
-    signals, added = filtered(point, record, at)
-    corrected, acted = corrected_experiment(point, record, at, added)
-    prediction = predict_along(acted, corrected, kalman)
-    every = max(round(1 / (_TO_HZ * e.Ts_s)), 1)
-    return Along(
-        record, settled(at, prediction.offset), kalman, signals, added,
-        thinned(prediction.errors, every), thinned(prediction.unknowns, every), every,
-        point.disturbance.sensor_sd,
-    )  # fmt: skip
-
-
-def filter_of(point: WorkingPoint, record: TraceRecord, at: Motion, trust: float = 1.0) -> Filter:
-    """Return the Kalman filter of a record, told `trust` times the force noise that there is.
-
-    Any filter's errors are noise where the model is right, so along a moving schedule that of the
-    reference model serves for all models like it: to find it takes longer than to use it.
-    """
-    noise = point.disturbance.noise
-    noise = Noise(noise.force_psd * trust, noise.output_variance)
-    if at.fixed:
-        return kalman_filter(at, noise)
-    model = point.model if point.reference is None else point.reference
-    values = np.array([*model.values.values(), *noise.force_psd, *noise.output_variance])
-    key = values.tobytes()
-    if key not in record.filters:
-        if len(record.filters) >= _MOST_FILTERS:
-            record.filters.clear()
-        reference = motion(model, record.experiment, point.hold)
-        record.filters[key] = kalman_filter(reference, noise)
-    return record.filters[key]
-
-
-def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Signals, Term]:
-    """Return the trajectory of a record and what the effects found so far add along it.
-
-    At first the filter does not know the effects, and follows the readings closely; then it knows
-    them, and may believe its model as far as that explains the records.
-    """
-    added = Term()
-    closely = filter_of(point, record, at, _MOST_TRUST)
-    believing = filter_of(point, record, at, point.trust)
-    signals = measured_signals(record, at, record.experiment.y, closely, point.lag_s)
-    for _ in range(_PASSES if point.placed else 0):
-        added = total([p.term(signals) for p in point.placed])
-        corrected, acted = corrected_experiment(point, record, at, added)
-        signals = measured_signals(record, acted, corrected.y, believing, point.lag_s)
-    if point.placed:
-        added = total([p.term(signals) for p in point.placed])
-    return signals, added
-
-
 def linearise(
     point: WorkingPoint, record: TraceRecord, candidates: Sequence[tuple[Effect, tuple[float, ...]]]
 ) -> Linearised:
@@ -191,10 +78,11 @@ def linearise(
             shown_drive.append(None if term.drive is None else -thinned(term.drive, here.every))
             yield term
 
-    own = _parameter_columns(point, bank, s)
+    own = parameter_columns(point, bank, s)
     pose = np.concatenate([own, bank.columns(watched(), count), here.errors[:, :, None]], axis=2)
     shown.append(_beyond(here, _readings(here)))
-    shown_drive.append(_drive_errors(here))
+    drive_n = drive_errors(here)
+    shown_drive.append(None if drive_n is None else thinned(drive_n, here.every))
     unknowns = here.unknowns.reshape(-1, here.unknowns.shape[2])
     basis, _ = np.linalg.qr(unknowns / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
     flat = pose.reshape(-1, pose.shape[2])
@@ -204,39 +92,20 @@ def linearise(
     channels = [
         Channel(pose, list(range(pose.shape[2]))),
         Channel(beyond, seen),
-        *_drive_channel(here, shown_drive),
     ]
+    shown_in_drive = [j for j, column in enumerate(shown_drive) if column is not None]
+    if shown_in_drive:
+        forces = np.stack([column for column in shown_drive if column is not None], axis=1)
+        drive = drive_channel(here, forces)
+        if drive is not None:
+            channels.append(Channel(drive[:, None, :], shown_in_drive))
     return _grams(record, channels, here.every)
 
 
-def with_likely_noise(point: WorkingPoint, records: Sequence[TraceRecord]) -> WorkingPoint:
-    """Return the point with the force noise under which records are likeliest, model as it is.
-
-    Where no record is still, the noise that drives the filter is all that the model lacks; it comes
-    down as effects are found.
-    """
-    if point.disturbance.measured:
-        return point
-    noise = point.disturbance.noise
-    parts = []
-    for record in records:
-        at = motion(point.model, record.experiment, point.hold)
-        _, added = filtered(point, record, at)
-        parts.append(corrected_experiment(point, record, at, added))
-
-    def cost(log_level: float) -> float:
-        tried = Noise(np.exp(log_level) * noise.force_psd, noise.output_variance)
-        try:
-            return sum(predict_along(at, e, kalman_filter(at, tried)).cost for e, at in parts)
-        except IdentificationError:
-            return np.inf
-
-    levels = np.linspace(-_NOISE_REACH, _NOISE_REACH, 15)
-    best = levels[np.argmin([cost(level) for level in levels])]
-    step = levels[1] - levels[0]
-    found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
-    likely = Noise(float(np.exp(found.x)) * noise.force_psd, noise.output_variance)
-    return replace(point, disturbance=replace(point.disturbance, noise=likely))
+def blocks_in(record: TraceRecord) -> int:
+    """Return how many blocks of time `linearise` makes of a record."""
+    every = thinning(record.experiment.Ts_s)
+    return len(_edges(record.rows // every, every * record.experiment.Ts_s)) - 1
 
 
 def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
@@ -263,25 +132,7 @@ def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
     return terms
 
 
-def corrected_experiment(
-    point: WorkingPoint, record: TraceRecord, at: Motion, added: Term
-) -> tuple[Experiment, Motion]:
-    """Return the experiment without false readings, and the motion with the effects' forces."""
-    e = record.experiment
-    if added.gap is not None:
-        e = replace(e, y=e.y - added.gap @ record.places.decoupling.T)
-    if added.held is not None:
-        e = replace(e, u=e.u + added.held)
-        at = motion(point.model, e, point.hold)
-    if added.force is not None:
-        order = len(at.scale) - 1
-        outer = force_moments(added.force, e.Ts_s, order, point.hold)
-        B = np.concatenate([at.B, at.mobility], axis=2)
-        at = replace(at, B=B, inputs=np.concatenate([at.inputs, outer], axis=2))
-    return e, at
-
-
-def _parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Array:
+def parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Array:
     """Return what the model's parameters do, each in units of its scale."""
     columns = []
     for name, scale in zip(point.parameters.names, point.parameters.scale, strict=True):
@@ -300,6 +151,12 @@ def _parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Arr
         seen = np.zeros((s.rows, s.q.shape[1], 1))
         columns.append(bank.errors(forcing[:, :, None] / (2 * _NUDGE), seen))
     return np.concatenate(columns, axis=2) if columns else _no_columns(bank)
+
+
+def redundancy_basis(sensor_shape: Array) -> Array:
+    """Return an orthonormal basis (S, S - n) of readings that a rigid platform cannot show."""
+    left, _, _ = np.linalg.svd(sensor_shape, full_matrices=True)
+    return np.asarray(left[:, sensor_shape.shape[1] :])
 
 
 def _no_columns(bank: FilterBank) -> Array:
@@ -363,75 +220,15 @@ def _beyond(here: Along, readings: Array) -> Array:
     return thinned(readings @ (basis / here.sd), here.every)
 
 
-def redundancy_basis(sensor_shape: Array) -> Array:
-    """Return an orthonormal basis (S, S - n) of readings that a rigid platform cannot show."""
-    left, _, _ = np.linalg.svd(sensor_shape, full_matrices=True)
-    return np.asarray(left[:, sensor_shape.shape[1] :])
-
-
-def _drive_errors(here: Along) -> Array | None:
-    """Return the force (N',) of the beam's drives less what the effects found add to it."""
-    drive, added = here.record.drive_n, here.added.drive
-    if drive is None:
-        return None
-    return thinned(drive if added is None else drive - added, here.every)
-
-
-def _drive_channel(here: Along, shown: Sequence[Array | None]) -> list[Channel]:
-    """Return the drives' force as a channel of its own, none where there are no drives.
-
-    The drives move the beam's mass on a platform that tilts and jerks: what is proportional to
-    accelerations and to the tilt is no effect, and is taken out. Its noise is unknown; the spread
-    of what remains stands for it, so that no more is concluded from it than from its shape.
-    """
-    raw, s = here.record.drive_n, here.signals
-    if raw is None:
-        return []
-    seen = [j for j, column in enumerate(shown) if column is not None]
-    # What is proportional to speed is not told from a reading that comes half a period late.
-    own = np.column_stack([np.ones(s.rows), s.v_b_m_s, s.a_b_m_s2, s.q, _accelerations(here)])
-    basis, _ = np.linalg.qr(thinned(own / np.maximum(np.abs(own).max(axis=0), 1e-300), here.every))
-    columns = np.stack([column for column in shown if column is not None], axis=1)
-    columns -= basis @ (basis.T @ columns)
-    rest = thinned(raw, here.every)
-    rest = rest - basis @ (basis.T @ rest)
-    # Where a profile jerks the beam its acceleration is not known between the samples.
-    calm = np.abs(rest) <= _OUTLIER * float(np.std(rest))
-    sd = float(np.std(rest[calm]))
-    if sd <= 0.0:
-        return []
-    # It is not white: what few independent values it has is what its low frequencies say.
-    every_s = here.every * here.record.experiment.Ts_s
-    freq_hz, power = welch(np.where(calm, rest, 0.0), 1 / every_s, nperseg=min(512, len(rest)))
-    slow = power[(freq_hz > 0) & (freq_hz < _SLOW_HZ)]
-    sd *= float(np.sqrt(max(slow.mean() / power[1:].mean(), 1.0)))
-    return [Channel((columns * calm[:, None] / sd)[:, None, :], seen)]
-
-
-def _accelerations(here: Along) -> Array:
-    """Return the pose's accelerations (N, n) at the rows, from the forces that act there.
-
-    Twice differentiated readings would bury a friction of millinewtons.
-    """
-    e, at, s, n = here.record.experiment, here.at, here.signals, here.at.K.shape[1]
-    step = held_step(e.Ts_s, 1, e.delay_cycles * e.Ts_s, s.lag_s)
-    acting = lagged_input(e.u, step) if s.lag_s > 0.0 else s.acting(e.u)
-    each = (s.rows, n, n)
-    K, D = np.broadcast_to(at.K, each), np.broadcast_to(at.D, each)
-    pushed = np.einsum("nip,np->ni", np.broadcast_to(at.B, (s.rows, *at.B.shape[1:])), acting)
-    moved = np.einsum("nij,nj->ni", K, s.q) + np.einsum("nij,nj->ni", D, s.qd)
-    own = np.broadcast_to(at.drift[:, 0] / e.Ts_s, s.q.shape)  # means over the period that follows
-    now = 0.5 * (own + np.vstack([own[:1], own[:-1]]))
-    if here.added.force is not None:
-        mobility = np.broadcast_to(at.mobility, each)
-        now = now + np.einsum("nij,nj->ni", mobility, here.added.force)
-    return np.asarray(pushed - moved + now)
+def _edges(rows: int, row_s: float) -> NDArray[np.int64]:
+    """Return where blocks begin, and the end of the last: none is shorter than half a block."""
+    block = max(round(BLOCK_S / row_s), 1)
+    return np.append(np.arange(0, max(rows - block // 2, 1), block), rows)
 
 
 def _grams(record: TraceRecord, channels: Sequence[Channel], every: int) -> Linearised:
     rows, columns = len(channels[0].errors), channels[0].errors.shape[2]
-    block = max(round(BLOCK_S / (every * record.experiment.Ts_s)), 1)
-    edges = np.append(np.arange(0, max(rows - block // 2, 1), block), rows)
+    edges = _edges(rows, every * record.experiment.Ts_s)
     squares = np.zeros(columns)
     for channel in channels:
         squares[channel.columns] += np.einsum("nic,nic->c", channel.errors, channel.errors)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from ..greybox.floor import motion_covariance
 from .free_run import free_run
-from .linearise import WorkingPoint
-from .noise import floor_covariance
 from .record import TraceRecord
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
     error = record.gap[run.counts_from :] - run.gap[run.counts_from :]
     T, sd = places.decoupling, point.disturbance.sensor_sd
     pose = error @ T.T
-    moved = floor_covariance(point.model, e, point.disturbance.noise)
+    moved = motion_covariance(point.model, e, point.hold, point.disturbance.noise)
     shown = np.diag(places.sensor_shape @ moved @ places.sensor_shape.T)
     segment = min(round(_SEGMENT_S / e.Ts_s), len(error))
     freq_hz, psd = welch(pose, 1 / e.Ts_s, nperseg=segment, axis=0)

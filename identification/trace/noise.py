@@ -2,7 +2,7 @@
 
 Sensor noise is read where a platform cannot follow, force noise in records in which nothing is
 excited, both by medians over frequencies: a line of the mains, a resonance that nobody declared or
-a hum of the floor moves a median little. What remains of a perfect model follows from both.
+a hum of the floor moves a median little.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from ...model.declared import DeclaredModel
 from ...model.second_order import discretise
+from ..data import IdentificationError
 from ..greybox.experiment import Experiment
 from ..greybox.noise import Noise
 from .record import TraceRecord
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 
 _MEDIAN_OF_CHI2 = np.log(2.0)
 """Median over mean of a periodogram's value."""
+_LEAST_NOISE = 1e-7
+"""Of a motion's rms: 23 bits, which no sensor resolves, but rounded arithmetic does."""
 _QUIET_FROM = 0.5
 """Sensor noise is read above this share of the Nyquist frequency."""
 _LONGEST_S = 60.0
@@ -33,7 +36,6 @@ _BAND_HZ = (0.4, 80.0)
 _SEGMENT_S = 5.0
 _WIDEST = 1e3
 """Force noise is looked for within this factor of what the fit took it to be."""
-_FREQUENCIES = 4000
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,19 @@ def disturbance(
     return Disturbance(Noise(float(np.median(levels)) * first * unit, output), sd, measured=True)
 
 
+def require_noise(records: Sequence[TraceRecord]) -> None:
+    """Raise IdentificationError where readings have no noise that errors could be measured by."""
+    sd = float(np.median(sensor_noise(records)))
+    spread = max(float(np.std(r.gap, axis=0).max()) for r in records)
+    if not sd > _LEAST_NOISE * spread:
+        unit = records[0].places.sensor_unit
+        raise IdentificationError(
+            f"expected readings with the noise of a sensor, which all errors are measured by, "
+            f"found {sd:.2g} {unit} on readings that move by {spread:.2g} {unit} rms: give "
+            "simulated readings the noise that a sensor has"
+        )
+
+
 def sensor_noise(records: Sequence[TraceRecord]) -> Array:
     """Return the standard deviation (S,) of each sensor's white noise, as most records show it."""
     found = []
@@ -76,23 +91,6 @@ def sensor_noise(records: Sequence[TraceRecord]) -> Array:
         quiet = power[round(_QUIET_FROM * len(power)) :]
         found.append(np.sqrt(np.median(quiet, axis=0) / _MEDIAN_OF_CHI2))
     return np.asarray(np.median(found, axis=0))
-
-
-def floor_covariance(model: DeclaredModel, experiment: Experiment, noise: Noise) -> Array:
-    """Return the covariance (n, n) of what noise moves the pose by, in the record's loop.
-
-    It is the integral of the closed loop's spectrum, the beam at its mean place.
-    """
-    nyquist = 0.5 / experiment.Ts_s
-    edges = np.concatenate([[0.0], np.geomspace(1e-3, nyquist, _FREQUENCIES)])
-    freq_hz = 0.5 * (edges[1:] + edges[:-1])
-    by_force, by_sensor = _responses(model, experiment, freq_hz)
-    density = np.einsum("fij,j,fkj->fik", by_force, noise.force_psd, by_force.conj())
-    density += (
-        np.einsum("fij,j,fkj->fik", by_sensor, noise.output_variance, by_sensor.conj())
-        * experiment.Ts_s
-    )
-    return np.asarray(2 * np.einsum("fik,f->ik", density.real, np.diff(edges)))
 
 
 def _force_level(model: DeclaredModel, experiment: Experiment, noise: Noise) -> float:

@@ -9,20 +9,18 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from ...model.effects.base import Placed, Term
-from ...model.second_order import discretise
 from ..greybox.motion import Motion, input_moments
+from .drive import beside_motion, calm, drive_errors
 from .forces import force_moments
-from .linearise import Along, WorkingPoint, along, corrected_experiment
 from .record import TraceRecord
+from .working_point import Along, WorkingPoint, along, corrected_experiment
 
 Array = NDArray[np.float64]
 
 _SEGMENT_S = 4.0
 _EDGE_ROWS = 3
 """Rows at both ends that central differences of sixth order do not reach."""
-_LOWEST = 1e-6
 _FADE_S = 0.5
-_OUTLIER = 5.0
 _THIRD = 2.0 ** (1 / 3)
 _PASSED = 1.3
 """Times the noise's density that a residual must have to be kept."""
@@ -38,8 +36,8 @@ class Missing:
     force (N, n): generalised force that the model lacks, the mean of the period after each row, its
     own mean over the record taken out, faded at both ends; good up to where the sensors' noise,
     differentiated twice, is larger. reading (N, S): readings less their best rigid pose. drive
-    (N,): force of the beam's drives less what accelerations and tilt explain; None where nobody
-    measured it.
+    (N,): force of the beam's drives less what accelerations, speed and tilt explain; None where
+    nobody measured it.
     """
 
     here: Along
@@ -63,11 +61,10 @@ def missing(point: WorkingPoint, record: TraceRecord) -> Missing:
     e, acted = corrected_experiment(point, record, here.at, here.added)
     force = _lacking(acted, e.y)
     gap = record.gap if here.added.gap is None else record.gap - here.added.gap
-    drive = record.drive_n
+    drive = drive_errors(here)
     if drive is not None:
-        if here.added.drive is not None:
-            drive = drive - here.added.drive
-        drive = _calm(_beside(here, drive))
+        drive = beside_motion(here, drive)
+        drive = np.where(calm(drive), drive, 0.0)
     return Missing(here, force, beyond_rigid(record, gap), drive)
 
 
@@ -76,7 +73,7 @@ def share(point: WorkingPoint, here: Along, placed: Placed) -> Share:
     term = placed.term(here.signals)
     record = here.record
     gap = None if term.gap is None else beyond_rigid(record, term.gap)
-    drive = None if term.drive is None else _beside(here, term.drive)
+    drive = None if term.drive is None else beside_motion(here, term.drive)
     return Share(_force_of(point, here, term), gap, drive)
 
 
@@ -94,31 +91,6 @@ def noise_density(point: WorkingPoint, here: Along, freq_hz: Array) -> Array:
     Z = M @ (s * s * np.eye(len(M)) + s * at.D.mean(axis=0) + at.K.mean(axis=0))
     seen = np.einsum("fij,j->fi", np.abs(Z) ** 2, noise.output_variance)
     return np.asarray(2 * at.Ts_s * seen + 2 * noise.force_psd)
-
-
-def floor_density(point: WorkingPoint, record: TraceRecord, freq_hz: Array) -> Array:
-    """Return the one-sided density (F, n) of what noise alone leaves of a free-running pose.
-
-    Of the measured pose, so with the sensors' own noise; the beam at its mean place.
-    """
-    e, noise = record.experiment, point.disturbance.noise
-    at = point.model.at({name: float(v.mean()) for name, v in e.schedule.items()})
-    n = len(at.M)
-    by_force = discretise(replace(at, B=np.eye(n), lag_s=0.0, delay_s=0.0), e.Ts_s)
-    # A controller that integrates has no gain at zero frequency.
-    freq_hz = np.maximum(freq_hz, _LOWEST * float(freq_hz.max()))
-    moved = by_force.response(freq_hz)
-    shown = np.broadcast_to(np.eye(n, dtype=complex), (len(freq_hz), n, n))
-    if e.loop is not None:
-        delay_s = max(at.delay_s + e.delay_cycles * e.Ts_s, 0.0)
-        P = discretise(replace(at, delay_s=delay_s), e.Ts_s).response(freq_hz)
-        C = e.loop.controller.response(freq_hz, e.Ts_s)
-        # What is measured is y = S (G d + n): the loop answers to both.
-        shown = np.linalg.inv(np.eye(n) + P * C[:, None, :])
-        moved = shown @ moved
-    force = np.einsum("fij,j->fi", np.abs(moved) ** 2, noise.force_psd)
-    sensor = e.Ts_s * np.einsum("fij,j->fi", np.abs(shown) ** 2, noise.output_variance)
-    return np.asarray(2 * (force + sensor))
 
 
 def standing_out(psd: Array, noise: Array, freq_hz: Array) -> Array:
@@ -215,16 +187,3 @@ def _rate(values: Array, Ts_s: float) -> Array:
     )
     result[3:-3] = (45 * one - 9 * two + three) / (60 * Ts_s)
     return np.asarray(result)
-
-
-def _beside(here: Along, drive: Array) -> Array:
-    """Return a force of the drives (N,) less what accelerations and the tilt explain of it."""
-    s = here.signals
-    own = np.column_stack([np.ones(s.rows), s.a_b_m_s2, s.q, s.qdd])
-    basis, _ = np.linalg.qr(own / np.maximum(np.abs(own).max(axis=0), 1e-300))
-    return np.asarray(drive - basis @ (basis.T @ drive))
-
-
-def _calm(drive: Array) -> Array:
-    """Return the force without the moments at which a profile jerks the beam."""
-    return np.where(np.abs(drive) <= _OUTLIER * float(np.std(drive)), drive, 0.0)

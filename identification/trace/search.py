@@ -4,45 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.declared import ModelError
-from ...model.effects.base import Effect, Placed, Quantity
-from ..data import IdentificationError
-from .linearise import Linearised, WorkingPoint
+from ...model.effects.base import Effect, Placed
+from .refine import Candidate, HeldError, Records, gather, refine
 from .regression import Evidence, chance, covariance, cross_validated, score, solve
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
-Candidate = tuple[Effect, tuple[float, ...]]
 Progress = Callable[[str, float], None]
 
 
-class Records(Protocol):
-    """Records to fit to, and records held out, linearised around a working point on demand."""
-
-    def train(
-        self,
-        point: WorkingPoint,
-        candidates: Sequence[Candidate] = (),
-        only: Sequence[int] | None = None,
-    ) -> list[Linearised]:
-        """Return the records to fit to, all or some of them by number."""
-
-    def held_error(self, point: WorkingPoint) -> float:
-        """Return the mean square error of the held-out records, simulated freely."""
-
-    def believed(self, point: WorkingPoint) -> WorkingPoint:
-        """Return the point with its noise as the records have it now."""
-
-    def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
-        """Return the records that choose nothing, and are asked only whether they agree."""
-
-
 _MOST_EFFECTS = 6
-_MOST_UNKNOWN = 2
+_MOST_UNKNOWN = 4
 _BEYOND_CHANCE = 6.0
 """Standard deviations by which held-out records must agree: one in 10^9 for a candidate."""
 _WORTH = 0.004
@@ -65,12 +41,11 @@ _LOWERS = 0.003
 """Share of the held-out records' mean square error, simulated freely, that an effect must take."""
 _SAME = 1e-6
 _MOST_REFUSED = 3
-_MUCH = 0.05
-"""Squared errors beyond noise, as a share of noise, that free-form forces are tried on."""
+_MUCH = 1.7
+"""Mean square errors of the free simulation, over what noise leaves, that free forms are tried on:
+1.3 times the floor."""
 _GUESS = 0.3
 """A name that takes less than this share of what is left beside a free form was a guess."""
-_STEPS = 8
-_CONVERGED = 0.3
 
 
 @dataclass(frozen=True)
@@ -122,42 +97,40 @@ def search(
     free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped.
     """
     error = records.held_error(point)
-    point, error, rounds = _grown(point, effects, _MOST_EFFECTS, error, records, progress)
-    if _much_is_left(point, records):
+    point, error, rounds = _grown(point, effects, _MOST_EFFECTS, 0.0, error, records, progress)
+    if point.disturbance.measured and error.squares > _MUCH * error.floor:
         named = point
-        point, error, more = _grown(point, unknown, _MOST_UNKNOWN, error, records, progress)
+        point, error, more = _grown(point, unknown, _MOST_UNKNOWN, _MUCH, error, records, progress)
         rounds += more
         if point is not named:
             point = _without_guesses(point, records)
-    train, held = (_gather(point, part) for part in (records.train(point), records.held(point)))
+    train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
     own = list(range(train.gram.shape[1] - 1))
     spread = covariance(train.whole, own) / np.outer(train.size[:-1], train.size[:-1])
     return Found(_with_errors(point, spread, train), tuple(rounds), spread, train, held)
-
-
-def _much_is_left(point: WorkingPoint, records: Records) -> bool:
-    """Return whether the errors are so much larger than noise that it is worth describing them."""
-    train = _gather(point, records.train(point))
-    return point.disturbance.measured and train.excess > _MUCH * float(train.count.sum())
 
 
 def _grown(
     point: WorkingPoint,
     effects: Sequence[Effect],
     most: int,
-    error: float,
+    enough: float,
+    error: HeldError,
     records: Records,
     progress: Progress,
-) -> tuple[WorkingPoint, float, list[Round]]:
-    """Return the point with effects added while that helps, its held-out error, and the rounds."""
+) -> tuple[WorkingPoint, HeldError, list[Round]]:
+    """Return the point with effects added while that helps, its held-out error, and the rounds.
+
+    It ends with `most` effects, or with held-out errors of `enough` times what noise leaves.
+    """
     candidates = [(effect, tuple(shape)) for effect in effects for shape in effect.grid]
     rounds: list[Round] = []
     barred = {p.effect.identity for p in point.placed}
     refused, most = 0, most + len(point.placed)
-    while True:
+    while error.squares > enough * error.floor:
         progress(f"screening {len(candidates)} candidates", _share(len(rounds)))
-        train = _gather(point, records.train(point, candidates))
-        held = _gather(point, records.held(point, candidates))
+        train = gather(point, records.train(point, candidates))
+        held = gather(point, records.held(point, candidates))
         found = _round(point, candidates, train, held)
         if not found.survivors or len(point.placed) >= most or refused >= _MOST_REFUSED:
             rounds.append(found)
@@ -173,8 +146,9 @@ def _grown(
         better = records.believed(_without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
         # What shows in the drives alone leaves the platform's motion as it was.
-        aside = abs(after - error) < _SAME * error
-        if squares < train.squares and (after < (1.0 - _LOWERS) * error or aside):
+        aside = abs(after.squares - error.squares) < _SAME * error.squares
+        helps = after.squares < (1.0 - _LOWERS) * error.squares
+        if squares < train.squares and (helps or aside):
             point, error = better, after
             barred |= {p.effect.identity for p in point.placed}
         else:
@@ -194,12 +168,12 @@ def _grown(
 def _without_guesses(point: WorkingPoint, records: Records) -> WorkingPoint:
     """Return the point without named effects that free-form forces make all but idle."""
     named = [p for p in point.placed if p.effect.effect_class != "unknown"]
-    best = _gather(point, records.train(point))
+    best = gather(point, records.train(point))
     for guess in named:
         fewer = replace(point, placed=tuple(p for p in point.placed if p is not guess))
         fewer, squares = refine(fewer, records)
         if squares - best.squares < max(_GUESS * best.excess, _LEAST):
-            point, best = fewer, _gather(fewer, records.train(fewer))
+            point, best = fewer, gather(fewer, records.train(fewer))
     return point
 
 
@@ -236,7 +210,7 @@ def _sifted(point: WorkingPoint, found: Round, train: Evidence, records: Records
     if len(found.survivors) == 1:
         return replace(found, taken=best_tried)
     only = _telling(found.survivors, train)
-    before = _gather(point, records.train(point, only=only)).squares
+    before = gather(point, records.train(point, only=only)).squares
     fitted: list[tuple[float, Tried]] = []
     for tried in found.survivors:
         at, squares = refine(_with(point, tried), records, only, _SIFTING_STEPS)
@@ -269,7 +243,7 @@ def _without_idle(point: WorkingPoint, records: Records) -> WorkingPoint:
     """Return the point without effects that those found after them have made idle."""
     if len(point.placed) < 2:
         return point
-    train = _gather(point, records.train(point))
+    train = gather(point, records.train(point))
     at, base = len(point.parameters.names), list(range(train.gram.shape[1] - 1))
     full = cross_validated(train, base).sum()
     idle = []
@@ -296,84 +270,6 @@ def _restored(evidence: Evidence, placed: Placed, own: Sequence[int], amplitudes
     take[columns, -1] = -np.array(placed.amplitudes) * evidence.size[columns]
     gram = np.einsum("ji,bjk,kl->bil", take, evidence.gram, take, optimize=True)
     return replace(evidence, gram=gram, prior=take.T @ evidence.prior @ take)
-
-
-def refine(
-    point: WorkingPoint,
-    records: Records,
-    only: Sequence[int] | None = None,
-    steps: int = _STEPS,
-) -> tuple[WorkingPoint, float]:
-    """Return the point of least squares nearby, and its squared errors, by Gauss-Newton steps."""
-    train = _gather(point, records.train(point, only=only))
-    damping = 0.0
-    for _ in range(steps):
-        gram = train.whole
-        own = np.arange(len(gram) - 1)
-        damped = gram.copy()
-        damped[own, own] *= 1 + damping
-        step = solve(damped, own) / train.size[:-1]
-        errors = np.sqrt(np.diag(covariance(gram, own))) / train.size[:-1]
-        small = float(np.max(np.abs(step) / errors)) if len(step) else 0.0
-        if small < _CONVERGED:
-            break
-        moved = stepped(point, step)
-        try:
-            after = _gather(moved, records.train(moved, only=only))
-        except (ModelError, IdentificationError, np.linalg.LinAlgError):
-            after = None
-        if after is not None and _cost(after) < _cost(train) * (1 + 1e-9):
-            gained = _cost(train) - _cost(after)
-            point, train, damping = moved, after, damping / 10 if damping > 1e-3 else 0.0
-            if gained < 0.1:
-                break
-        else:
-            damping = max(10 * damping, 1e-2)
-            if damping > 1e4:
-                break
-    return point, train.squares
-
-
-def _gather(point: WorkingPoint, records: Sequence[Linearised]) -> Evidence:
-    """Return records as evidence, with what the model file says of the parameters beside it.
-
-    A parameter that records tell nothing of stays where it was declared: to know it worse than its
-    worth is to know nothing of it.
-    """
-    p = point.parameters
-    sd = np.minimum(p.worth, p.prior_sd)
-    rows = np.zeros((len(sd), len(sd) + 1))
-    np.fill_diagonal(rows, p.scale / sd)
-    rows[:, -1] = (point.values - p.prior_mean) / sd
-    return Evidence.gather(records, rows)
-
-
-def _cost(evidence: Evidence) -> float:
-    return float(evidence.whole[-1, -1])
-
-
-def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
-    """Return the working point after a step in [parameters over scale, amplitudes, shapes]."""
-    p = point.parameters
-    at, placed = len(p.names), []
-    moved = np.clip(point.values + step[:at] * p.scale, p.low, p.high)
-    values = dict(zip(p.names, moved.tolist(), strict=True))
-    for one in point.placed:
-        a, k = len(one.amplitudes), len(one.shape)
-        moves = step[at + a : at + a + k]
-        shape = [
-            float(np.clip(value + _leash(move, value, q), q.low, q.high))
-            for value, move, q in zip(one.shape, moves, one.effect.shape, strict=True)
-        ]
-        placed.append(one.with_values(shape, np.add(one.amplitudes, step[at : at + a]).tolist()))
-        at += a + k
-    return replace(point, model=point.model.with_values(values), placed=tuple(placed))
-
-
-def _leash(move: float, value: float, quantity: Quantity) -> float:
-    """Return a step of a shape as far as terms are about linear."""
-    reach = abs(value) / 3 if quantity.log else 0.1 * (quantity.high - quantity.low)
-    return float(np.clip(move, -reach, reach))
 
 
 def _round(

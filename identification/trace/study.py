@@ -12,24 +12,27 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ...config.model import ModelConfig
-from ...log.reader import read_log
 from ...model.effects.base import Effect, Places
 from ...model.effects.declared import placed_effects
 from ...model.effects.extent import Extent
 from ...model.effects.freeform import freeform_effects
 from ..data import IdentificationError
 from ..declared import declared_model
-from ..from_log import NotARecordError
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.noise import Noise
 from ..greybox.parameters import free_parameters
 from .hints import extent
-from .linearise import Linearised, WorkingPoint, linearise, with_likely_noise
+from .linearise import BLOCK_S, Linearised, blocks_in, linearise
 from .metric import RecordError, pooled, record_error
-from .noise import Disturbance, disturbance
-from .record import TraceRecord, split, trace_record
-from .search import Candidate, Found, refine, search
+from .noise import disturbance, require_noise
+from .reading import read_records
+from .record import TraceRecord, split
+from .refine import Candidate, HeldError, refine
+from .regression import FOLDS
+from .search import Found, search
+from .session_time import overlap, require_timeless, timeless
 from .workers import Source, Workers
+from .working_point import WorkingPoint, with_likely_noise
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -67,11 +70,39 @@ def trace(
 ) -> Trace:
     """Return what records lack in the model of `config`, and the model with it.
 
-    Raises IdentificationError: no records, or records that the model does not fit.
+    Raises IdentificationError: no records, too little of them, without noise, or records that the
+    model does not fit.
     """
     # Every worker is one core, this process too: threads of the linear algebra would only fight.
     with threadpool_limits(1):
         return _trace(logs, config, effects, workers, progress)
+
+
+def refit(
+    logs: Sequence[Path], config: ModelConfig, workers: Workers, progress: Progress
+) -> tuple[WorkingPoint, tuple[RecordError, ...]]:
+    """Return the declared model refitted, and its errors on the records held out.
+
+    It is where a trace begins: how much there is to explain. Raises IdentificationError.
+    """
+    with threadpool_limits(1):
+        begun = _begin(logs, config, workers, progress)
+        errors = workers.map(partial(record_error, begun.declared), begun.logged.kept)
+        return begun.declared, tuple(errors)
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """Records split, and the declared model fitted to those that are not held out."""
+
+    logged: _Logged
+    declared: WorkingPoint
+    places: Places
+    covered: Extent
+    fitted: tuple[str, ...]
+    held: tuple[str, ...]
+    overlapping: str
+    notes: tuple[str, ...]
 
 
 def _trace(
@@ -81,8 +112,34 @@ def _trace(
     workers: Workers,
     progress: Progress,
 ) -> Trace:
+    begun = _begin(logs, config, workers, progress)
+    declared, logged, places, notes = begun.declared, begun.logged, begun.places, begun.notes
+    known = {p.effect.identity for p in declared.placed}
+    listed = _visible(effects(places, begun.covered), places)
+    others = [e for e in listed if e.identity not in known]
+    unknown = freeform_effects(places, begun.covered)
+    if begun.overlapping:
+        others, timed = timeless(others, places, begun.covered)
+        unknown, _ = timeless(unknown, places, begun.covered)
+        if timed:
+            kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
+            told = f"{begun.overlapping} overlap: effects that depend on a session's time"
+            notes = (*notes, f"{told} are not looked for ({kinds})")
+    found = search(declared, others, unknown, logged, progress)
+    progress("simulating held-out records", 0.9)
+    before = workers.map(partial(record_error, declared), logged.kept)
+    after = workers.map(partial(record_error, found.point), logged.kept)
+    return Trace(
+        config, places, declared, found, begun.fitted, begun.held,
+        tuple(before), tuple(after), notes,
+    )  # fmt: skip
+
+
+def _begin(
+    logs: Sequence[Path], config: ModelConfig, workers: Workers, progress: Progress
+) -> _Begun:
     progress("reading logs", 0.0)
-    records, notes = _read(logs, config)
+    records, notes = read_records(logs, config)
     span = (
         min(r.time_s[0] for r in records.values()),
         max(r.time_s[-1] for r in records.values()),
@@ -96,36 +153,34 @@ def _trace(
             "expected records long enough to hold a part of them out, found "
             f"{', '.join(f'{r.rows} rows of {r.name}' for r in records.values())}"
         )
+    require_noise(train)
+    _require_enough(train)
     where = {r.name: path for path, r in records.items()}
     begin = {r.name: r.time_s[0] for r in records.values()}
 
-    def sources(parts: Sequence[TraceRecord]) -> list[Source]:
+    def sources(parts: Sequence[TraceRecord]) -> tuple[Source, ...]:
         found = []
         for part in parts:
             first = round((part.time_s[0] - begin[part.name]) / part.experiment.Ts_s)
             found.append(Source.of(where[part.name], first, first + part.rows, span))
-        return found
+        return tuple(found)
 
+    places = train[0].places
+    covered = extent([*train, *held])
+    overlapping = overlap(list(records.values()))
+    if overlapping:
+        declared_effects = placed_effects(config.effects, places)
+        require_timeless(declared_effects, places, covered, overlapping)
     progress("fitting the declared model", 0.05)
     parts = _parts(train)
     point = _start(config, parts, list(records.values()))
-    places = train[0].places
-    covered = extent([*train, *held])
-    train_sources, held_sources = sources(train), sources(held)
+    logged = _Logged(workers, sources(train), sources(held), tuple(parts))
     names = tuple(r.name for r in train), tuple(r.name for r in held)
-    del records, train, held
+    del records, train, held  # workers read them anew
 
-    logged = _Logged(workers, tuple(train_sources), tuple(held_sources), tuple(parts))
     start = logged.believed(replace(point, reference=point.model))
     declared, _ = refine(start, logged)
-    known = {p.effect.identity for p in point.placed}
-    others = [e for e in visible(effects(places, covered), places) if e.identity not in known]
-    unknown = freeform_effects(places, covered)
-    found = search(declared, others, unknown, logged, progress)
-    progress("simulating held-out records", 0.9)
-    before = workers.map(partial(record_error, declared), held_sources)
-    after = workers.map(partial(record_error, found.point), held_sources)
-    return Trace(config, places, declared, found, *names, tuple(before), tuple(after), notes)
+    return _Begun(logged, declared, places, covered, *names, overlapping, notes)
 
 
 @dataclass(frozen=True)
@@ -140,9 +195,9 @@ class _Logged:
     def believed(self, point: WorkingPoint) -> WorkingPoint:
         return with_likely_noise(point, self.parts)
 
-    def held_error(self, point: WorkingPoint) -> float:
-        errors = self.workers.map(partial(record_error, point), self.kept)
-        return pooled(errors)[0] ** 2 if errors else 0.0
+    def held_error(self, point: WorkingPoint) -> HeldError:
+        error, floor = pooled(self.workers.map(partial(record_error, point), self.kept))
+        return HeldError(error**2, floor**2)
 
     def train(
         self,
@@ -151,10 +206,10 @@ class _Logged:
         only: Sequence[int] | None = None,
     ) -> list[Linearised]:
         chosen = self.fitted if only is None else [self.fitted[i] for i in only]
-        return self.workers.map(partial(_linearise, point, tuple(candidates)), chosen)
+        return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), chosen)
 
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
-        return self.workers.map(partial(_linearise, point, tuple(candidates)), self.kept)
+        return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), self.kept)
 
 
 @dataclass(frozen=True)
@@ -166,8 +221,8 @@ class _Loaded:
     def believed(self, point: WorkingPoint) -> WorkingPoint:
         return with_likely_noise(point, self.records)
 
-    def held_error(self, point: WorkingPoint) -> float:  # noqa: ARG002
-        return 0.0
+    def held_error(self, point: WorkingPoint) -> HeldError:  # noqa: ARG002
+        return HeldError(0.0, 0.0)
 
     def train(
         self,
@@ -182,35 +237,19 @@ class _Loaded:
         return []
 
 
-def _linearise(
-    point: WorkingPoint, candidates: Sequence[Candidate], record: TraceRecord
-) -> Linearised:
-    return linearise(point, record, candidates)
-
-
-def _read(
-    logs: Sequence[Path], config: ModelConfig
-) -> tuple[dict[Path, TraceRecord], tuple[str, ...]]:
-    records: dict[Path, TraceRecord] = {}
-    notes = []
-    for path in logs:
-        try:
-            records[path] = trace_record(read_log(path), config)
-        except NotARecordError as reason:
-            notes.append(str(reason))
-    if not records:
+def _require_enough(train: Sequence[TraceRecord]) -> None:
+    """Raise IdentificationError for too few blocks of time to judge an effect by."""
+    blocks = sum(blocks_in(r) for r in train)
+    if blocks < FOLDS:
+        found = sum(r.rows * r.experiment.Ts_s for r in train)
         raise IdentificationError(
-            f"expected records among the {len(logs)} logs, found none: {'; '.join(notes)}"
+            f"expected at least {FOLDS * BLOCK_S:.0f} s of records to fit to ({FOLDS} blocks of "
+            f"{BLOCK_S:.0f} s, by which effects are judged) beside those held out, found "
+            f"{found:.3g} s in {len(train)} record{'s' if len(train) > 1 else ''}"
         )
-    names = [r.name for r in records.values()]
-    for path, record in records.items():
-        if names.count(record.name) > 1:
-            named = replace(record.experiment, name=f"{record.name} ({path})")
-            records[path] = replace(record, experiment=named)
-    return records, tuple(notes)
 
 
-def visible(effects: Sequence[Effect], places: Places) -> list[Effect]:
+def _visible(effects: Sequence[Effect], places: Places) -> list[Effect]:
     """Return the effects that records of a plant can show at all.
 
     Without more sensors than DOF a reading that is false in proportion to itself is a change of
@@ -257,6 +296,3 @@ def _parts(records: Sequence[TraceRecord]) -> list[TraceRecord]:
         first = max((record.rows - _FIRST_ROWS) // 2, 0)
         parts.append(record.cut(first, min(first + _FIRST_ROWS, record.rows)))
     return parts
-
-
-__all__ = ["Disturbance", "Trace", "trace"]

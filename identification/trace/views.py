@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from ...log.reader import read_log
 from ...model.effects.base import Placed, Signals
-from .linearise import BLOCK_S, Along, WorkingPoint
+from ..greybox.floor import floor_psd
+from .linearise import BLOCK_S
 from .noise import Disturbance
 from .record import TraceRecord
 from .residual import (
     Missing,
     denoised,
     density,
-    floor_density,
     missing,
     noise_density,
     share,
@@ -27,6 +27,7 @@ from .residual import (
 )
 from .study import Trace
 from .workers import Source, Workers
+from .working_point import Along, WorkingPoint
 
 Array = NDArray[np.float64]
 
@@ -136,7 +137,10 @@ def _view(
     _, squares_after = _block_squares(found, after)
     aspects = _aspects(found, after, every, block) if found.placed else ()
     freq_hz = held.get(record.name)
-    floor = None if freq_hz is None else floor_density(found, record, freq_hz)
+    floor = None
+    if freq_hz is not None:
+        noise = found.disturbance.noise
+        floor = floor_psd(found.model, record.experiment, found.hold, noise, freq_hz)
     return RecordView(
         record.name, record.name in held, time_s, squares_before, squares_after,
         _sensor_rms(declared.disturbance, before), _sensor_rms(found.disturbance, after),

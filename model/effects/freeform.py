@@ -1,220 +1,237 @@
 """A residual that no known effect explains, as a smooth function of what it depends on.
 
-Each is a force on one DOF: a polynomial in one signal, or one signal times a polynomial in another.
-They name nothing. They say where the force acts, on what it depends and how it looks, and leave a
-model that is better after than before.
+Each is a force on one DOF or a false reading of one sensor: a function of one signal, or one signal
+times a function of another. They name nothing. They say where something acts, on what it depends
+and how it looks, and leave a model that is better after than before.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 
-from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .base import Effect, Places, Quantity, Signals, Term, on_dof, on_sensor
 from .extent import Extent
 
 Array = NDArray[np.float64]
 
 DEGREE = 6
+"""Of a polynomial in a signal by itself."""
 _PRODUCT_DEGREE = 2
+_SPLINES = 12
+"""Cubic pieces along the beam's way or a session: one end says nothing of the other."""
 _WIDE = 3.0
 """Standard deviations that a polynomial covers; beyond, it stays at its end."""
+_LONG = ("x_b", "time")
+"""Signals that are somewhere for long: functions of them are splines, of all others polynomials."""
+_TURN = "phi"
+"""The rotor's angle: functions of it are its first two harmonics."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """`factor` times a function of `by`; without a factor, the function alone.
+
+    Signals are in the words of the key, each with what it is measured by.
+    """
+
+    by: str
+    scale: float
+    factor: str = ""
+    unit: float = 1.0
+
+    @property
+    def key(self) -> str:
+        """The name in a model file, which says all that there is to know."""
+        by = self.by if self.by == _TURN else f"{self.by}[{self.scale:g}]"
+        return f"unknown.{self.factor}[{self.unit:g}]*{by}" if self.factor else f"unknown.{by}"
+
+    @classmethod
+    def of(cls, key: str) -> Form | None:
+        """Return what a key says; None if it is none."""
+        found = _KEY.fullmatch(key)
+        if found is None or (found["scale"] is None) != (found["by"] == _TURN):
+            return None
+        scale, unit = float(found["scale"] or 1.0), float(found["unit"] or 1.0)
+        if not (scale > 0.0 and unit > 0.0 and np.isfinite([scale, unit]).all()):
+            return None
+        return cls(found["by"], scale, found["factor"] or "", unit)
+
+    def functions(self, signals: Signals) -> Array:
+        """Return what one unit of each amplitude is along a trajectory (N, columns)."""
+        s = _read(signals, self.by) / self.scale
+        if not self.factor:
+            return _shapes(self.by, s, DEGREE)
+        driven = _read(signals, self.factor) / self.unit
+        whole = _shapes(self.by, s, _PRODUCT_DEGREE)
+        if _constant_is_new(self.factor):
+            whole = np.column_stack([np.ones(len(s)), whole])
+        return np.asarray(driven[:, None] * whole)
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        """Names of the amplitudes."""
+        if self.by == _TURN:
+            return ("sin", "cos", "sin2", "cos2")
+        polynomial = _PRODUCT_DEGREE if self.factor else DEGREE
+        count = _SPLINES - 1 if self.by in _LONG else polynomial
+        first = 0 if self.factor and _constant_is_new(self.factor) else 1
+        return tuple(f"c{k}" for k in range(first, count + 1))
+
+    @property
+    def words(self) -> str:
+        """The function in words."""
+        kind = "a curve" if self.by in _LONG else "a polynomial"
+        if self.by == _TURN:
+            kind = "two harmonics"
+        return f"{self.factor} f({self.by}), f {kind}" if self.factor else f"f({self.by}), {kind}"
 
 
 def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return the free-form forces of a plant, one for every DOF and signal it may depend on."""
-    n, scale = len(places.dof), partial(_scale, places, extent)
+    """Return the free forms of a plant: at every DOF and sensor, by every signal there is."""
+    n = len(places.dof)
     found = []
     for i in range(n):
-        alone = [("position", i), ("speed", i)]
-        others = [(kind, j) for j in range(n) if j != i for kind in ("position", "speed")]
-        beam = [(kind, 0) for kind in ("x_b", "v_b", "a_b", "phi_speed")] if places.beam else []
-        found += [_single(places, i, s, scale(s)) for s in (*alone, *others, *beam, ("time", 0))]
-        if places.beam:
-            found.append(_turning(places, i))
-        moving = [("v_b", 0), ("phi_speed", 0)] if places.beam else []
-        places_of = [alone[0], *(o for o in others if o[0] == "position")]
-        where = [*places_of, ("x_b", 0)] if places.beam else places_of
-        for factor in (*alone, *others, *moving):
-            found += [
-                _product(
-                    places,
-                    i,
-                    factor,
-                    _scale(places, extent, factor),
-                    by,
-                    _scale(places, extent, by),
-                )
-                for by in where
-                if by != factor and (factor[0] != "position" or factor < by)
-            ]
+        forms = [Form(by, _scale(places, extent, by)) for by in _signals(places)]
+        forms += [
+            Form(by, _scale(places, extent, by), factor, _scale(places, extent, factor))
+            for factor, by in _products(places)
+        ]
+        found += [_effect(places, places.dof[i], form) for form in forms]
+    if places.beam:
+        # What a reading depends on beside the height under it: what passes by, and what turns.
+        for form in (Form("x_b", _scale(places, extent, "x_b")), Form(_TURN, 1.0)):
+            found += [_effect(places, f"sensor:{s}", form) for s in range(places.sensors)]
     return found
 
 
 def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
-    """Return the free-form force that a model file names by key and DOF; None if it is none."""
-    found = _KEY.fullmatch(key)
-    if found is None or len(where) != 1 or where[0] not in places.dof:
+    """Return the free form that a model file names by key and place; None if it is none."""
+    form = Form.of(key)
+    known = _signals(places)
+    sites = [*places.dof, *(f"sensor:{s}" for s in range(places.sensors))]
+    if form is None or len(where) != 1 or where[0] not in sites:
         return None
-    dof = places.dof.index(where[0])
-    if key == _TURNING:
-        return _turning(places, dof) if places.beam else None
-    signals = {_words(places, s): s for s in _signals(places)}
-    words, scales = [found["what"], found["by"]], [found["unit"], found["scale"]]
-    if any(word is not None and word not in signals for word in words):
+    if form.by not in known or (form.factor and form.factor not in known):
         return None
-    first = (signals[words[0]], float(scales[0]))
-    if words[1] is None:
-        return _single(places, dof, *first)
-    return _product(places, dof, *first, signals[words[1]], float(scales[1]))
+    return _effect(places, where[0], form)
 
 
 def depends_on(effect: Effect) -> tuple[str, ...]:
-    """Return the signals that a free-form force depends on: x_b, theta, theta' for its rate."""
-    found = _KEY.fullmatch(effect.key)
-    if found is None:
+    """Return the signals that a free form depends on: x_b, theta, theta' for its rate."""
+    form = Form.of(effect.key)
+    if form is None:
         return ()
-    if effect.key == _TURNING:
-        return ("phi",)
-    words = [word for word in (found["what"], found["by"]) if word is not None]
+    words = [word for word in (form.factor, form.by) if word]
     return tuple("phi'" if w == "phi_speed" else w.replace("_rate", "'") for w in words)
 
 
-_TURNING = "unknown.phi"
 _KEY = re.compile(
-    r"unknown\.(?:phi|(?P<what>\w+)\[(?P<unit>[0-9.e+-]+)\]"
-    r"(?:\*(?P<by>\w+)\[(?P<scale>[0-9.e+-]+)\])?)"
+    r"unknown\.(?:(?P<factor>\w+)\[(?P<unit>[0-9.e+-]+)\]\*)?"
+    r"(?P<by>\w+)(?:\[(?P<scale>[0-9.e+-]+)\])?"
 )
+_BEAM = ("x_b", "v_b", "a_b", "phi_speed")
 
 
-def _signals(places: Places) -> list[tuple[str, int]]:
-    own = [(kind, i) for i in range(len(places.dof)) for kind in ("position", "speed")]
-    beam = [(kind, 0) for kind in ("x_b", "v_b", "a_b", "phi_speed")] if places.beam else []
-    return [*own, *beam, ("time", 0)]
+def _signals(places: Places) -> list[str]:
+    motion = [word for name in places.dof for word in (name, f"{name}_rate")]
+    return [*motion, *((*_BEAM, _TURN) if places.beam else ()), "time"]
 
 
-def _single(places: Places, dof: int, signal: tuple[str, int], scale: float) -> Effect:
-    what = _words(places, signal)
-    return Effect(
-        f"unknown.{what}[{scale:g}]",
-        f"Force that depends on {what}",
-        "unknown",
-        (places.dof[dof],),
-        f"f({what}), a polynomial of degree {DEGREE}",
-        tuple(Quantity(f"c{k}", places.force_unit(dof)) for k in range(1, DEGREE + 1)),
-        partial(_polynomial, dof=dof, signal=signal, scale=scale),
-    )
+def _products(places: Places) -> list[tuple[str, str]]:
+    """Return pairs (factor, what it is multiplied by a function of)."""
+    speeds = [f"{name}_rate" for name in places.dof]
+    pairs = [(a, b) for k, a in enumerate(places.dof) for b in places.dof[k + 1 :]]
+    pairs += [(speed, name) for speed in speeds for name in places.dof]
+    if places.beam:
+        pairs += [(factor, "x_b") for factor in (*places.dof, *speeds, "v_b", "phi_speed")]
+        pairs += [(factor, name) for factor in ("v_b", "phi_speed") for name in places.dof]
+        # Whatever turns or runs meets a velocity with a force across it.
+        pairs += [(speed, by) for speed in speeds for by in ("phi_speed", "v_b")]
+    return pairs
 
 
-def _product(
-    places: Places,
-    dof: int,
-    factor: tuple[str, int],
-    unit: float,
-    by: tuple[str, int],
-    scale: float,
-) -> Effect:
-    what, on = _words(places, factor), _words(places, by)
-    return Effect(
-        f"unknown.{what}[{unit:g}]*{on}[{scale:g}]",
-        f"Force that depends on {what} times a function of {on}",
-        "unknown",
-        (places.dof[dof],),
-        f"{what} f({on}), f a polynomial of degree {_PRODUCT_DEGREE}",
-        tuple(Quantity(f"c{k}", places.force_unit(dof)) for k in range(1, _PRODUCT_DEGREE + 1)),
-        partial(
-            _factored,
-            dof=dof,
-            factor=factor,
-            unit=unit,
-            by=by,
-            scale=scale,
-        ),
-    )
+def _constant_is_new(factor: str) -> bool:
+    """Return whether a model may lack the factor by itself: a stiffness it has, between all DOF."""
+    return factor.endswith("_rate") or factor in _BEAM
 
 
-def _turning(places: Places, dof: int) -> Effect:
-    names = ("sin", "cos", "sin2", "cos2")
-    return Effect(
-        _TURNING,
-        "Force that depends on the rotor's angle",
-        "unknown",
-        (places.dof[dof],),
-        "a sin phi + b cos phi + c sin 2 phi + d cos 2 phi",
-        tuple(Quantity(name, places.force_unit(dof)) for name in names),
-        partial(_angle, dof=dof),
-    )
+def _effect(places: Places, where: str, form: Form) -> Effect:
+    if where in places.dof:
+        dof = places.dof.index(where)
+        what, unit = "Force", places.force_unit(dof)
+        build = partial(_forces, form=form, dof=dof)
+    else:
+        sensor = int(where.partition(":")[2])
+        what, unit = "Reading", places.sensor_unit
+        build = partial(_readings, form=form, sensor=sensor)
+    by = "the rotor's angle" if form.by == _TURN else form.by
+    title = f"{what} that depends on {by}"
+    if form.factor:
+        title = f"{what} that depends on {form.factor} times a function of {by}"
+    amplitudes = tuple(Quantity(name, unit) for name in form.amplitudes)
+    return Effect(form.key, title, "unknown", (where,), form.words, amplitudes, build)
 
 
-def _polynomial(
-    signals: Signals, _shape: Sequence[float], *, dof: int, signal: tuple[str, int], scale: float
-) -> list[Term]:
-    s = np.clip(_read(signals, signal) / scale, -1.0, 1.0)
-    basis = chebyshev.chebvander(s, DEGREE)
-    return [on_dof(signals, dof, np.asarray(basis[:, k], float)) for k in range(1, DEGREE + 1)]
+def _forces(signals: Signals, _shape: Sequence[float], *, form: Form, dof: int) -> list[Term]:
+    return [on_dof(signals, dof, column) for column in form.functions(signals).T]
 
 
-def _factored(
-    signals: Signals,
-    _shape: Sequence[float],
-    *,
-    dof: int,
-    factor: tuple[str, int],
-    unit: float,
-    by: tuple[str, int],
-    scale: float,
-) -> list[Term]:
-    basis = chebyshev.chebvander(np.clip(_read(signals, by) / scale, -1.0, 1.0), _PRODUCT_DEGREE)
-    driven = _read(signals, factor) / unit
-    return [
-        on_dof(signals, dof, np.asarray(driven * basis[:, k], float))
-        for k in range(1, _PRODUCT_DEGREE + 1)
-    ]
+def _readings(signals: Signals, _shape: Sequence[float], *, form: Form, sensor: int) -> list[Term]:
+    return [on_sensor(signals, sensor, column) for column in form.functions(signals).T]
 
 
-def _angle(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:
-    phi = signals.phi_rad
-    waves: tuple[Callable[[Array], Array], ...] = (np.sin, np.cos)
-    return [on_dof(signals, dof, wave(k * phi)) for k in (1, 2) for wave in waves]
+def _shapes(by: str, s: Array, degree: int) -> Array:
+    """Return functions (N, columns) of a signal over its scale, none of them constant."""
+    if by == _TURN:
+        return np.column_stack([wave(k * s) for k in (1, 2) for wave in (np.sin, np.cos)])
+    s = np.clip(s, -1.0, 1.0)
+    if by not in _LONG:
+        return np.asarray(chebyshev.chebvander(s, degree)[:, 1:], float)
+    knots = np.concatenate([[-1.0] * 3, np.linspace(-1.0, 1.0, _SPLINES - 2), [1.0] * 3])
+    pieces = BSpline.design_matrix(s, knots, 3).toarray()
+    # All of them add up to one: without the one in the middle none of their sums is constant.
+    return np.delete(pieces, _SPLINES // 2, axis=1)
 
 
-def _read(signals: Signals, signal: tuple[str, int]) -> Array:
-    kind, i = signal
-    if kind == "position":
-        return np.asarray(signals.q[:, i])
-    if kind == "speed":
-        return np.asarray(signals.qd[:, i])
-    if kind == "time":
-        first, last = signals.places.span_s
+def _read(signals: Signals, word: str) -> Array:
+    places = signals.places
+    if word in places.dof:
+        return np.asarray(signals.q[:, places.dof.index(word)])
+    if word.endswith("_rate"):
+        return np.asarray(signals.qd[:, places.dof.index(word.removesuffix("_rate"))])
+    if word == "time":
+        first, last = places.span_s
         return np.asarray(signals.time_s - 0.5 * (first + last))
     return {
         "x_b": signals.x_b_m,
         "v_b": signals.v_b_m_s,
         "a_b": signals.a_b_m_s2,
         "phi_speed": signals.phi_rad_s,
-    }[kind]
+        _TURN: signals.phi_rad,
+    }[word]
 
 
-def _words(places: Places, signal: tuple[str, int]) -> str:
-    kind, i = signal
-    return {"position": places.dof[i], "speed": f"{places.dof[i]}_rate"}.get(kind, kind)
-
-
-def _scale(places: Places, extent: Extent, signal: tuple[str, int]) -> float:
+def _scale(places: Places, extent: Extent, word: str) -> float:
     """Return what a signal is measured by, to three digits, as it stands in the key."""
-    kind, i = signal
-    if kind == "position":
-        scale = _WIDE * extent.reach[i]
-    elif kind == "speed":
-        scale = _WIDE * extent.speed[i]
-    elif kind == "time":
+    if word in places.dof:
+        scale = _WIDE * extent.reach[places.dof.index(word)]
+    elif word.endswith("_rate"):
+        scale = _WIDE * extent.speed[places.dof.index(word.removesuffix("_rate"))]
+    elif word == "time":
         scale = 0.5 * (places.span_s[1] - places.span_s[0]) or 1.0
+    elif word == _TURN:
+        scale = 1.0
     else:
         beam = max(0.5 * extent.beam_m, 1e-3)
-        scale = {"x_b": beam, "v_b": 4 * beam, "a_b": 40 * beam, "phi_speed": 40.0}[kind]
+        scale = {"x_b": beam, "v_b": 4 * beam, "a_b": 40 * beam, "phi_speed": 40.0, _TURN: 1.0}[
+            word
+        ]
     return float(f"{scale:.3g}")

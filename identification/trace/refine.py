@@ -1,0 +1,130 @@
+"""The best working point nearby, by Gauss-Newton steps on records linearised around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.declared import ModelError
+from ...model.effects.base import Effect, Quantity
+from ..data import IdentificationError
+from .linearise import Linearised
+from .regression import Evidence, covariance, solve
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+Candidate = tuple[Effect, tuple[float, ...]]
+
+_STEPS = 8
+_CONVERGED = 0.3
+
+
+@dataclass(frozen=True)
+class HeldError:
+    """Mean square errors of a free simulation, and what noise alone leaves of that."""
+
+    squares: float
+    floor: float
+
+
+class Records(Protocol):
+    """Records to fit to, and records held out, linearised around a working point on demand."""
+
+    def train(
+        self,
+        point: WorkingPoint,
+        candidates: Sequence[Candidate] = (),
+        only: Sequence[int] | None = None,
+    ) -> list[Linearised]:
+        """Return the records to fit to, all or some of them by number."""
+
+    def held_error(self, point: WorkingPoint) -> HeldError:
+        """Return how well the held-out records are simulated freely."""
+
+    def believed(self, point: WorkingPoint) -> WorkingPoint:
+        """Return the point with its noise as the records have it now."""
+
+    def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
+        """Return the records that choose nothing, and are asked only whether they agree."""
+
+
+def refine(
+    point: WorkingPoint,
+    records: Records,
+    only: Sequence[int] | None = None,
+    steps: int = _STEPS,
+) -> tuple[WorkingPoint, float]:
+    """Return the point of least squares nearby, and its squared errors, by Gauss-Newton steps."""
+    train = gather(point, records.train(point, only=only))
+    damping = 0.0
+    for _ in range(steps):
+        gram = train.whole
+        own = np.arange(len(gram) - 1)
+        damped = gram.copy()
+        damped[own, own] *= 1 + damping
+        step = solve(damped, own) / train.size[:-1]
+        errors = np.sqrt(np.diag(covariance(gram, own))) / train.size[:-1]
+        small = float(np.max(np.abs(step) / errors)) if len(step) else 0.0
+        if small < _CONVERGED:
+            break
+        moved = stepped(point, step)
+        try:
+            after = gather(moved, records.train(moved, only=only))
+        except (ModelError, IdentificationError, np.linalg.LinAlgError):
+            after = None
+        if after is not None and _cost(after) < _cost(train) * (1 + 1e-9):
+            gained = _cost(train) - _cost(after)
+            point, train, damping = moved, after, damping / 10 if damping > 1e-3 else 0.0
+            if gained < 0.1:
+                break
+        else:
+            damping = max(10 * damping, 1e-2)
+            if damping > 1e4:
+                break
+    return point, train.squares
+
+
+def gather(point: WorkingPoint, records: Sequence[Linearised]) -> Evidence:
+    """Return records as evidence, with what the model file says of the parameters beside it.
+
+    A parameter that records tell nothing of stays where it was declared: to know it worse than its
+    worth is to know nothing of it.
+    """
+    p = point.parameters
+    sd = np.minimum(p.worth, p.prior_sd)
+    rows = np.zeros((len(sd), len(sd) + 1))
+    np.fill_diagonal(rows, p.scale / sd)
+    rows[:, -1] = (point.values - p.prior_mean) / sd
+    return Evidence.gather(records, rows)
+
+
+def _cost(evidence: Evidence) -> float:
+    return float(evidence.whole[-1, -1])
+
+
+def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
+    """Return the working point after a step in [parameters over scale, amplitudes, shapes]."""
+    p = point.parameters
+    at, placed = len(p.names), []
+    moved = np.clip(point.values + step[:at] * p.scale, p.low, p.high)
+    values = dict(zip(p.names, moved.tolist(), strict=True))
+    for one in point.placed:
+        a, k = len(one.amplitudes), len(one.shape)
+        moves = step[at + a : at + a + k]
+        shape = [
+            float(np.clip(value + _leash(move, value, q), q.low, q.high))
+            for value, move, q in zip(one.shape, moves, one.effect.shape, strict=True)
+        ]
+        placed.append(one.with_values(shape, np.add(one.amplitudes, step[at : at + a]).tolist()))
+        at += a + k
+    return replace(point, model=point.model.with_values(values), placed=tuple(placed))
+
+
+def _leash(move: float, value: float, quantity: Quantity) -> float:
+    """Return a step of a shape as far as terms are about linear."""
+    reach = abs(value) / 3 if quantity.log else 0.1 * (quantity.high - quantity.low)
+    return float(np.clip(move, -reach, reach))

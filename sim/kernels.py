@@ -188,6 +188,20 @@ def settle_currents(par: Array, coils: Array) -> None:
 
 
 @compiled
+def move_declared(
+    par: Array, st: Array, coils: Array, sensors: Array, noise: Array, i: int, n_steps: int
+) -> bool:
+    """Advance by internal step i, to accelerations and heights at its end; return if all finite."""
+    step_declared(par, st, coils, noise, i, n_steps)
+    accelerations_declared(par, st, coils)
+    gaps_declared(st, sensors)
+    total = 0.0
+    for j in range(A + 5):
+        total += st[j]
+    return math.isfinite(total)
+
+
+@compiled
 def step_declared(par: Array, st: Array, coils: Array, noise: Array, i: int, n_steps: int) -> None:
     """Advance pose and currents by internal step i of n_steps (classical Runge-Kutta)."""
     draw_noise(par, coils, noise, i)
@@ -318,6 +332,20 @@ def measure_declared(
 
 
 # --- level `nonlinear` ---
+
+
+@compiled
+def move_nonlinear(
+    par: Array, st: Array, coils: Array, sensors: Array, noise: Array, i: int, n_steps: int
+) -> bool:
+    """Advance by internal step i, to accelerations and heights at its end; return if all finite."""
+    step_nonlinear(par, st, coils, noise, i, n_steps)
+    accelerations_nonlinear(par, st, coils)
+    gaps_nonlinear(st, sensors)
+    total = 0.0
+    for j in range(A + 5):
+        total += st[j]
+    return math.isfinite(total)
 
 
 @compiled

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from ..config.sim import SimConfig
 from . import kernels as k
 from .arrays import Arrays
-from .effects import BeamState, EffectError, Effects
+from .effects import HOOKS, BeamState, EffectError, Effects
 from .kernels import Array
 
 
@@ -120,32 +119,37 @@ class Plant:
 
     def _advance_by_steps(self, coil_n: Array, beam_ref: Array, rotor_ref: Array) -> None:
         """Integrate one period phase by phase, asking the effects."""
-        a, effects, level = self._a, self._effects, self._level
-        st, coils = a.st, a.coils
+        a, effects, move = self._a, self._effects, self._level.move
+        st, coils, sensors = a.st, a.coils, a.sensors
+        coil_force, wrench, mass, beam_force, gap = map(effects.uses, HOOKS[1:])
         k.begin(a.par, st, coils, coil_n, beam_ref, rotor_ref)
-        for i in range(a.n_steps):
-            t_s = self.time_s + i * self._dt_s
-            q, qd, beam = self.pose, self.pose_rate, self.beam_state
-            if effects.uses("coil_force"):
+        begin_s, dt_s, n_steps = self.time_s, self._dt_s, a.n_steps
+        beam = self.beam_state
+        for i in range(n_steps):
+            t_s = begin_s + i * dt_s
+            # Views: the hooks get copies.
+            q, qd = st[k.Q : k.Q + 3], st[k.V : k.V + 3]
+            if coil_force:
                 k.mean_forces(a.par, st, coils, a.noise, i)
                 mean = coils[k.MEAN]
                 coils[k.DELTA] = effects.coil_force(t_s, q, mean) - mean
-            if effects.uses("wrench"):
+            if wrench or beam_force:
+                beam = self.beam_state
+            if wrench:
                 st[k.WRENCH : k.WRENCH + 3] = effects.wrench(t_s, q, qd, beam)
-            if effects.uses("mass"):
+            if mass:
                 st[k.MASS : k.MASS + 9] = effects.mass(t_s).ravel()
-            if effects.uses("beam_force"):
+            if beam_force:
                 st[k.BEAM_FORCE] = effects.beam_force(t_s, beam, q, qd)
-            level.step(a.par, st, coils, a.noise, i, a.n_steps)
-            level.accelerations(a.par, st, coils)
-            if not math.isfinite(st[: k.A + 5].sum()):
+            if not move(a.par, st, coils, sensors, a.noise, i, n_steps):
                 raise EffectError(
                     f"{effects.source}: the plant's motion is not finite after {t_s} s: with the "
                     "effects' mass the mass matrix is not positive definite, or a force grew "
                     "without bound"
                 )
-            self._look(t_s + self._dt_s)
-        level.measure(a.par, st, coils, a.sensors, a.noise, a.out)
+            if gap:
+                sensors[k.GAP] = effects.gap(t_s + dt_s, sensors[k.GAP])
+        self._level.measure(a.par, st, coils, sensors, a.noise, a.out)
 
     def _look(self, t_s: float) -> None:
         """Set what the sensors see of the platform, through the effects."""
@@ -160,7 +164,7 @@ class Level:
     """The compiled functions of one plant level; see kernels."""
 
     advance: Callable[..., None]
-    step: Callable[..., None]
+    move: Callable[..., bool]
     accelerations: Callable[..., None]
     gaps: Callable[..., None]
     measure: Callable[..., None]
@@ -172,8 +176,7 @@ class Level:
         if by_steps:
             k.begin(a.par, a.st, a.coils, command, ref, ref)
             k.mean_forces(a.par, a.st, a.coils, a.noise, 0)
-            self.step(a.par, a.st, a.coils, a.noise, 0, a.n_steps)
-            self.accelerations(a.par, a.st, a.coils)
+            self.move(a.par, a.st, a.coils, a.sensors, a.noise, 0, a.n_steps)
         else:
             self.advance(a.par, a.st, a.coils, a.sensors, a.noise, a.out, command, ref, ref)
 
@@ -181,14 +184,14 @@ class Level:
 LEVELS = {
     "declared": Level(
         k.advance_declared,
-        k.step_declared,
+        k.move_declared,
         k.accelerations_declared,
         k.gaps_declared,
         k.measure_declared,
     ),
     "nonlinear": Level(
         k.advance_nonlinear,
-        k.step_nonlinear,
+        k.move_nonlinear,
         k.accelerations_nonlinear,
         k.gaps_nonlinear,
         k.measure_nonlinear,

@@ -301,7 +301,5 @@ def test_a_start_of_the_filter_is_forgotten_as_the_fit_has_it() -> None:
     silent = settled(replace(at, inputs=np.zeros_like(at.inputs)), np.zeros(3))
     expected = kalman.whiten(innovations(silent, kalman.gain, np.zeros((1500, 3)), start))
     expected[: at.blind] = 0.0
-    found = bank_of(made).errors(np.zeros((1500, 6, 1)), np.zeros((1500, 3, 1)), start[:, None])[
-        :, :, 0
-    ]
+    found = bank_of(made).errors(np.zeros((1, 1500, 6)), None, start[:, None])[:, :, 0]
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())

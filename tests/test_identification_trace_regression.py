@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from levid.identification.trace.linearise import Linearised
+from levid.identification.trace.grams import Beside, Linearised
 from levid.identification.trace.regression import (
     FOLDS,
     Evidence,
     chance,
     covariance,
     cross_validated,
+    gains,
     remaining,
-    score,
     solve,
 )
 
@@ -28,15 +28,23 @@ def drawn(seed: int, effect: float = 0.0, noise: float = 1.0) -> tuple[np.ndarra
     return X, e
 
 
-def evidence(X: np.ndarray, e: np.ndarray, prior: np.ndarray = NOTHING_KNOWN) -> Evidence:
-    """Return blocks as linearise gives them: Gram matrices of columns over their size."""
-    wide = np.concatenate([X, e[:, :, None]], axis=2)
-    squares = np.sum(wide**2, axis=(0, 1))
+def gram(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.einsum("bri,brj->bij", one, other)
+
+
+def evidence(
+    X: np.ndarray, e: np.ndarray, prior: np.ndarray = NOTHING_KNOWN, base: int = COLUMNS
+) -> Evidence:
+    """Return blocks as linearise gives them; columns from `base` on are candidates, one each."""
+    squares = np.sum(X**2, axis=(0, 1))
     size = np.where(squares > 0, np.sqrt(squares), 1.0)
-    size[-1] = 1.0
-    gram = np.einsum("bri,brj->bij", wide, wide) / size / size[:, None]
-    count = np.full(len(X), float(X.shape[1]))
-    record = Linearised("made", gram, size, count, np.arange(len(X), dtype=float))
+    wide = np.concatenate([X[:, :, :base] / size[:base], e[:, :, None]], axis=2)
+    others = [(X[:, :, j : j + 1] / size[j], size[j : j + 1]) for j in range(base, COLUMNS)]
+    record = Linearised(
+        "made", gram(wide, wide), np.append(size[:base], 1.0),
+        np.full(len(X), float(X.shape[1])), np.arange(len(X), dtype=float),
+        tuple(Beside(gram(wide, x), gram(x, x), own) for x, own in others),
+    )  # fmt: skip
     return Evidence.gather([record], prior)
 
 
@@ -81,23 +89,31 @@ def test_no_column_at_all_leaves_the_errors_as_they_are() -> None:
     )
 
 
+def test_a_candidate_joins_the_columns_as_if_it_had_been_there() -> None:
+    X, e = drawn(9, 0.3)
+    row = np.array([[2.0, 0.0, 1.0]])
+    whole, joined = evidence(X, e, row), evidence(X, e, row, COLUMNS - 1).joined(0)
+    np.testing.assert_allclose(joined.gram, whole.gram, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(joined.size, whole.size, rtol=1e-12)
+    np.testing.assert_allclose(joined.prior, whole.prior, rtol=1e-12)
+
+
 def test_a_column_of_nothing_changes_nothing() -> None:
     X, e = drawn(5, 0.3)
     X[:, :, 3] = 0.0
     with np.errstate(all="raise", under="ignore"):
-        found = evidence(X, e)
-        gain = score(found, [0, 1], [[3], [2]])
-    assert gain.total[0] == pytest.approx(0.0, abs=1e-6)
-    assert gain.total[1] > 0.0
+        there, nothing = gains(evidence(X, e, base=2))
+    assert nothing.sum() == pytest.approx(0.0, abs=1e-6)
+    assert there.sum() > 0.0
 
 
 def test_a_column_that_is_there_gains_what_it_explains_and_noise_costs_a_little() -> None:
     X, e = drawn(6, 0.3)
-    gain = score(evidence(X, e), [0, 1], [[2], [3]]).total
+    there, idle = (found.sum() for found in gains(evidence(X, e, base=2)))
     # Column 2 free of column 1 keeps 1 / 1.25 of its square: 0.3^2 * 0.8 a row of 900, within
     # its own chance, 2 sqrt(65) = 16; an idle column loses about one, at most 15 by chance.
-    assert gain[0] == pytest.approx(0.09 * 0.8 * BLOCKS * ROWS, abs=4 * 16)
-    assert -15.0 < gain[1] < 15.0
+    assert there == pytest.approx(0.09 * 0.8 * BLOCKS * ROWS, abs=4 * 16)
+    assert -15.0 < idle < 15.0
 
 
 def test_gathered_records_are_as_one() -> None:
@@ -107,9 +123,9 @@ def test_gathered_records_are_as_one() -> None:
     for i, part in enumerate(parts):
         wide = np.concatenate([X[part], e[part, :, None]], axis=2)
         size = np.append(np.sqrt(np.sum(X[part] ** 2, axis=(0, 1))), 1.0)
-        gram = np.einsum("bri,brj->bij", wide, wide) / size / size[:, None]
-        count = np.full(len(gram), float(ROWS))
-        lines.append(Linearised(str(i), gram, size, count, np.arange(len(gram), dtype=float)))
+        count, time_s = np.full(len(wide), float(ROWS)), np.arange(len(wide), dtype=float)
+        scaled = gram(wide, wide) / size / size[:, None]
+        lines.append(Linearised(str(i), scaled, size, count, time_s))
     both, one = Evidence.gather(lines, NOTHING_KNOWN), evidence(X, e)
     both_physical = both.whole * both.size * both.size[:, None]
     one_physical = one.whole * one.size * one.size[:, None]

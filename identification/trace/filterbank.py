@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -85,60 +86,71 @@ class FilterBank:
         """
         n, rows = self.motion.K.shape[1], self.record.rows
         out = np.zeros((rows // self.every, n, count))
+        most = min(_BATCH, count)
+        forcing, seen = np.empty((most, rows, 2 * n)), np.empty((most, rows, n))
         batch: list[int] = []
-        forcing = np.empty((rows, 2 * n, min(_BATCH, count)))
-        seen = np.empty((rows, n, min(_BATCH, count)))
-        for j, term in enumerate(terms):
-            if self._driven(term, forcing[:, :, len(batch)], seen[:, :, len(batch)]):
-                batch.append(j)
-            if len(batch) == forcing.shape[2]:
-                out[:, :, batch] = self.errors(forcing, seen)
-                batch = []
-        if batch:
+        false = False
+
+        def flush() -> None:
             k = len(batch)
-            out[:, :, batch] = self.errors(
-                np.ascontiguousarray(forcing[:, :, :k]), np.ascontiguousarray(seen[:, :, :k])
-            )
+            out[:, :, batch] = self.errors(forcing[:k], seen[:k] if false else None)
+
+        for j, term in enumerate(terms):
+            held, force, gap = (_something(part) for part in (term.held, term.force, term.gap))
+            if held is None and force is None and gap is None:
+                continue
+            k = len(batch)
+            self._drive(held, force, forcing[k])
+            # The model explains what is measured less the false part of it.
+            if gap is not None:
+                if not false:
+                    seen[:k] = 0.0
+                seen[k] = -(gap @ self.record.places.decoupling.T)
+                false = True
+            elif false:
+                seen[k] = 0.0
+            batch.append(j)
+            if len(batch) == most:
+                flush()
+                batch, false = [], False
+        if batch:
+            flush()
         return out
 
-    def _driven(self, term: Term, forcing: Array, seen: Array) -> bool:
-        """Put what a term drives the filter with into forcing and seen; False if it is nothing."""
-        held = term.held if term.held is not None and np.any(term.held) else None
-        force = term.force if term.force is not None and np.any(term.force) else None
-        gap = term.gap if term.gap is not None and np.any(term.gap) else None
-        if held is None and force is None and gap is None:
-            return False
-        forcing[:] = 0.0
+    def _drive(self, held: Array | None, force: Array | None, forcing: Array) -> None:
+        """Put what commands (N, p) and forces (N, n) add to the state into forcing (N, 2n)."""
         if held is not None:
-            forcing += self.held_forcing(held)
-        if force is not None:
-            forcing += self.force_forcing(force)
-        # The model explains what is measured less the false part of it.
-        seen[:] = 0.0 if gap is None else -(gap @ self.record.places.decoupling.T)
-        return True
-
-    def errors(self, forcing: Array, seen: Array, start: Array | None = None) -> Array:
-        """Return whitened errors (N // every, n, c) of forcing (N, 2n, c) and readings (N, n, c).
-
-        `start` (2n, c) is the state at row 0, zero unless given.
-        """
-        n = seen.shape[1]
-        x = np.zeros((2 * n, seen.shape[2])) if start is None else np.array(start, float)
-        out = np.empty_like(seen)
-        filter_columns(self.Phi, self.correction, forcing, seen, x, out)
-        if len(self.whitener) == 1:
-            out = np.einsum("ij,njc->nic", self.whitener[0], out, optimize=True)
+            forcing[:] = self.held_forcing(held)
+            if force is not None:
+                forcing += self.force_forcing(force)
+        elif force is not None:
+            forcing[:] = self.force_forcing(force)
         else:
-            out = self.whitener @ out
-        out[: self.blind] = 0.0
-        return thinned(out, self.every)
+            forcing[:] = 0.0
+
+    def errors(
+        self, forcing: Array, seen: Array | None = None, start: Array | None = None
+    ) -> Array:
+        """Return whitened errors (N // every, n, c) of forcing (c, N, 2n) and readings (c, N, n).
+
+        Readings are zero unless given; `start` (2n, c), the state at row 0, too.
+        """
+        columns, rows, size = forcing.shape
+        x = np.zeros((size, columns)) if start is None else np.array(start, float)
+        out = np.zeros((rows // self.every, size // 2, columns))
+        filter_columns(
+            self.Phi, self.correction, self.whitener, np.ascontiguousarray(forcing),
+            np.zeros((0, rows, size // 2)) if seen is None else np.ascontiguousarray(seen),
+            x, self.blind, self.every, out,
+        )  # fmt: skip
+        return out
 
     def unknowns(self) -> Array:
         """Return the columns (N // every, n, 3n) of constant forces and of the state at row 0."""
         n, rows = self.motion.K.shape[1], self.record.rows
         constant = [Term(force=np.broadcast_to(np.eye(n)[i], (rows, n))) for i in range(n)]
         start = np.hstack([np.zeros((2 * n, 0)), np.eye(2 * n)])
-        free = self.errors(np.zeros((rows, 2 * n, 2 * n)), np.zeros((rows, n, 2 * n)), start)
+        free = self.errors(np.zeros((2 * n, rows, 2 * n)), None, start)
         return np.concatenate([self.columns(constant, n), free], axis=2)
 
     def held_forcing(self, held: Array, extra_lag_s: float = 0.0, extra_s: float = 0.0) -> Array:
@@ -150,12 +162,8 @@ class FilterBank:
         e, values = self.record.experiment, {**self.model.values, **self.model.scheduling}
         delay_s = max(e.delay_cycles * e.Ts_s + self.model.delay(values) + extra_s, 0.0)
         lag_s = max(self.model.lag(values) + extra_lag_s, 0.0)
-        order = len(self.motion.scale) - 1
-        A, B = self.motion.continuous()
-        B = np.vstack([np.zeros_like(self.motion.B[0]), self.motion.B.mean(axis=0)])
-        powers = [B]
-        for _ in range(order - 1):
-            powers.append(A @ powers[-1])
+        powers = self._input_powers
+        order = len(powers)
         if self.hold == "zoh":
             step = held_step(e.Ts_s, order, delay_s, lag_s)
             rows = np.arange(len(held))
@@ -164,14 +172,23 @@ class FilterBank:
                 held[np.maximum(rows - step.whole, 0)],
             )
             G_old, G_new, G_lag = (
-                np.tensordot(weights, np.array(powers), 1)
+                np.tensordot(weights, powers, 1)
                 for weights in (step.from_old, step.from_new, step.from_lag)
             )
             forcing = old @ G_old.T + new @ G_new.T + lagged_input(held, step) @ G_lag.T
         else:
             m = moments(held, e.Ts_s, order, self.hold, delay_s, lag_s)
-            forcing = np.einsum("njp,jip->ni", m, np.array(powers), optimize=True)
+            forcing = np.einsum("njp,jip->ni", m, powers, optimize=True)
         return self._along(forcing)
+
+    @cached_property
+    def _input_powers(self) -> Array:
+        """A^j B (J, 2n, p): what the moments of a command add to the state."""
+        A, _ = self.motion.continuous()
+        powers = [np.vstack([np.zeros_like(self.motion.B[0]), self.motion.B.mean(axis=0)])]
+        for _ in range(len(self.motion.scale) - 2):
+            powers.append(A @ powers[-1])
+        return np.array(powers)
 
     def force_forcing(self, force: Array) -> Array:
         """Return what generalised forces (N, n) at the rows add to the state in each period."""
@@ -202,8 +219,11 @@ def thinned(errors: Array, every: int) -> Array:
     if every == 1:
         return errors
     rows = len(errors) // every * every
-    grouped = errors[:rows].reshape(rows // every, every, *errors.shape[1:])
-    return np.asarray(grouped.sum(axis=1) / np.sqrt(every))
+    # Slice by slice: a sum over so short an axis takes numpy ten times as long.
+    total = errors[0:rows:every] + errors[1:rows:every]
+    for k in range(2, every):
+        total += errors[k:rows:every]
+    return np.asarray(total / np.sqrt(every))
 
 
 def transitions(at: Motion) -> Array:
@@ -228,22 +248,38 @@ def _powers(at: Motion, mobility: Array) -> Array:
     return np.array(powers)
 
 
+def _something(values: Array | None) -> Array | None:
+    return values if values is not None and values.any() else None
+
+
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def filter_columns(Phi, correction, forcing, seen, x, out):  # type: ignore[no-untyped-def]
-    """Fill out (N, n, c): errors of x(k+1) = Phi x + correction e + forcing, e = seen - C x."""
-    rows, n, columns = seen.shape
-    size = 2 * n
-    following = np.empty((size, columns))
-    fixed = len(Phi) == 1
-    for k in range(rows):
+def filter_columns(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one pass over the rows
+    Phi, correction, whitener, forcing, seen, x, blind, every, out
+):
+    """Add to out (N // every, n, c) the errors of x(k+1) = Phi x + correction e + forcing.
+
+    e = seen - C x, whitened, summed over `every` rows and over its root; none before row `blind`.
+    What comes in lies column by column as it is computed, what goes out side by side.
+    """
+    columns, rows, size = forcing.shape
+    n = size // 2
+    following, e = np.empty((size, columns)), np.zeros((n, columns))
+    reads, fixed, root = len(seen) > 0, len(Phi) == 1, 1.0 / np.sqrt(every)
+    for k in range(rows // every * every):
         at = 0 if fixed else k
         gain = at if len(correction) > 1 else 0
+        white = at if len(whitener) > 1 else 0
+        for c in range(columns):
+            for i in range(size):
+                following[i, c] = forcing[c, k, i]
         for i in range(n):
             for c in range(columns):
-                out[k, i, c] = seen[k, i, c] - x[i, c]
-        for i in range(size):
+                e[i, c] = -x[i, c]
+        if reads:
             for c in range(columns):
-                following[i, c] = forcing[k, i, c]
+                for i in range(n):
+                    e[i, c] += seen[c, k, i]
+        for i in range(size):
             for j in range(size):
                 factor = Phi[at, i, j]
                 for c in range(columns):
@@ -251,7 +287,13 @@ def filter_columns(Phi, correction, forcing, seen, x, out):  # type: ignore[no-u
             for j in range(n):
                 factor = correction[gain, i, j]
                 for c in range(columns):
-                    following[i, c] += factor * out[k, j, c]
+                    following[i, c] += factor * e[j, c]
+        if k >= blind:
+            for i in range(n):
+                for j in range(n):
+                    factor = whitener[white, i, j] * root
+                    for c in range(columns):
+                        out[k // every, i, c] += factor * e[j, c]
         for i in range(size):
             for c in range(columns):
                 x[i, c] = following[i, c]

@@ -10,8 +10,6 @@ that did not choose it, is answered from those without going back to the record.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,38 +18,13 @@ from ...model.declared import DeclaredModel
 from ...model.effects.base import Effect, Placed, Signals, Term, total
 from .drive import drive_channel, drive_errors
 from .filterbank import FilterBank, thinned
+from .grams import Channel, Linearised, block_edges, grams
 from .record import TraceRecord
 from .working_point import Along, WorkingPoint, along, thinning
 
 Array = NDArray[np.float64]
 
 _NUDGE = 1e-5
-BLOCK_S = 4.0
-"""Errors of one block stand and fall together: longer than what a platform remembers."""
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """One record around a working point.
-
-    gram (blocks, Q, Q): of [model's parameters over scale, amplitudes and shapes of the effects
-    found, candidates' terms, errors], each column over `size` (Q,), that of the errors 1. count
-    (blocks,) of errors.
-    """
-
-    name: str
-    gram: Array
-    size: Array
-    count: Array
-    time_s: Array
-
-
-@dataclass(frozen=True)
-class Channel:
-    """Errors (N', i, c) of some of the columns, by number; the last column is the error itself."""
-
-    errors: Array
-    columns: list[int]
 
 
 def linearise(
@@ -61,8 +34,9 @@ def linearise(
     here = along(point, record)
     bank = FilterBank.build(point.model, record, here.at, here.kalman, point.hold, here.every)
     s = here.signals
-    count = sum(len(p.amplitudes) + len(p.shape) for p in point.placed)
-    count += sum(len(effect.amplitudes) for effect, _ in candidates)
+    placed = sum(len(p.amplitudes) + len(p.shape) for p in point.placed)
+    widths = [len(effect.amplitudes) for effect, _ in candidates]
+    count = placed + sum(widths)
     shown: list[Array | None] = [None] * len(point.parameters.names)
     shown_drive: list[Array | None] = [None] * len(point.parameters.names)
 
@@ -99,13 +73,14 @@ def linearise(
         drive = drive_channel(here, forces)
         if drive is not None:
             channels.append(Channel(drive[:, None, :], shown_in_drive))
-    return _grams(record, channels, here.every)
+    base = len(point.parameters.names) + placed
+    return grams(record, channels, base, widths, here.every * record.experiment.Ts_s)
 
 
 def blocks_in(record: TraceRecord) -> int:
     """Return how many blocks of time `linearise` makes of a record."""
     every = thinning(record.experiment.Ts_s)
-    return len(_edges(record.rows // every, every * record.experiment.Ts_s)) - 1
+    return len(block_edges(record.rows // every, every * record.experiment.Ts_s)) - 1
 
 
 def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
@@ -148,9 +123,8 @@ def parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Arra
             forcing += bank.force_forcing(force)
         if np.any(held):
             forcing += bank.held_forcing(held)
-        seen = np.zeros((s.rows, s.q.shape[1], 1))
-        columns.append(bank.errors(forcing[:, :, None] / (2 * _NUDGE), seen))
-    return np.concatenate(columns, axis=2) if columns else _no_columns(bank)
+        columns.append(forcing / (2 * _NUDGE))
+    return bank.errors(np.stack(columns)) if columns else _no_columns(bank)
 
 
 def redundancy_basis(sensor_shape: Array) -> Array:
@@ -218,28 +192,3 @@ def _beyond(here: Along, readings: Array) -> Array:
     """Return what of readings (N, S) a rigid platform cannot show (N', S - n), in noise units."""
     basis = redundancy_basis(here.record.places.sensor_shape)
     return thinned(readings @ (basis / here.sd), here.every)
-
-
-def _edges(rows: int, row_s: float) -> NDArray[np.int64]:
-    """Return where blocks begin, and the end of the last: none is shorter than half a block."""
-    block = max(round(BLOCK_S / row_s), 1)
-    return np.append(np.arange(0, max(rows - block // 2, 1), block), rows)
-
-
-def _grams(record: TraceRecord, channels: Sequence[Channel], every: int) -> Linearised:
-    rows, columns = len(channels[0].errors), channels[0].errors.shape[2]
-    edges = _edges(rows, every * record.experiment.Ts_s)
-    squares = np.zeros(columns)
-    for channel in channels:
-        squares[channel.columns] += np.einsum("nic,nic->c", channel.errors, channel.errors)
-    size = np.where(squares > 0, np.sqrt(squares), 1.0)
-    size[-1] = 1.0
-    grams = np.zeros((len(edges) - 1, columns, columns))
-    for i, (first, last) in enumerate(pairwise(edges.tolist())):
-        for channel in channels:
-            part = channel.errors[first:last].reshape(-1, len(channel.columns))
-            grams[i][np.ix_(channel.columns, channel.columns)] += part.T @ part
-    grams /= size[:, None] * size
-    width = sum(channel.errors.shape[1] for channel in channels)
-    middle = record.time_s[np.minimum((edges[:-1] + edges[1:]) // 2 * every, record.rows - 1)]
-    return Linearised(record.name, grams, size, np.diff(edges) * width, middle)

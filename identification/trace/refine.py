@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...model.declared import ModelError
 from ...model.effects.base import Effect, Quantity
 from ..data import IdentificationError
-from .linearise import Linearised
+from .grams import Linearised
 from .regression import Evidence, covariance, solve
 from .working_point import WorkingPoint
 

@@ -7,13 +7,13 @@ not fit it: coefficients come from four fifths of the blocks, and are tried on t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .linearise import Linearised
+from .grams import Beside, Linearised
 
 Array = NDArray[np.float64]
 Indices = Sequence[int] | NDArray[np.intp]
@@ -27,7 +27,8 @@ _RIDGE = 1e-11
 class Evidence:
     """Blocks of several records: gram (blocks, Q, Q) with errors last, count (blocks,) of errors.
 
-    Columns are in units of `size` (Q,), common to all records.
+    Columns are in units of `size` (Q,), common to all records. `beside`: candidates, each by
+    itself.
     """
 
     gram: Array
@@ -36,6 +37,7 @@ class Evidence:
     time_s: Array
     record: NDArray[np.int64]
     prior: Array
+    beside: tuple[Beside, ...] = ()
 
     @classmethod
     def gather(cls, records: Sequence[Linearised], prior_rows: Array) -> Evidence:
@@ -58,6 +60,27 @@ class Evidence:
             np.concatenate([r.time_s for r in records]),
             np.concatenate([np.full(len(r.gram), i) for i, r in enumerate(records)]),
             rows.T @ rows,
+            tuple(_gathered(records, size, i) for i in range(len(records[0].beside))),
+        )
+
+    def joined(self, candidate: int) -> Evidence:
+        """Return the evidence with one candidate's columns among the others, before the errors."""
+        b = self.beside[candidate]
+        own, width = len(self.size) - 1, len(b.size)
+        order = np.append(np.delete(np.arange(own + 1 + width), own), own)
+        gram = np.zeros((self.blocks, own + 1 + width, own + 1 + width))
+        gram[:, : own + 1, : own + 1] = self.gram
+        gram[:, : own + 1, own + 1 :] = b.cross
+        gram[:, own + 1 :, : own + 1] = np.swapaxes(b.cross, 1, 2)
+        gram[:, own + 1 :, own + 1 :] = b.inner
+        prior = np.zeros(gram.shape[1:])
+        prior[: own + 1, : own + 1] = self.prior
+        return replace(
+            self,
+            gram=gram[:, order][:, :, order],
+            size=np.concatenate([self.size, b.size])[order],
+            prior=prior[np.ix_(order, order)],
+            beside=(),
         )
 
     @cached_property
@@ -85,6 +108,18 @@ class Evidence:
     def excess(self) -> float:
         """Sum of squared errors over what noise alone leaves."""
         return self.squares - float(self.count.sum())
+
+
+def _gathered(records: Sequence[Linearised], size: Array, i: int) -> Beside:
+    """Return candidate `i` of all records, scaled alike."""
+    parts = [r.beside[i] for r in records]
+    own = np.sqrt(np.mean([p.size**2 for p in parts], axis=0))
+    cross = [
+        p.cross * ((r.size / size)[:, None] * (p.size / own))
+        for r, p in zip(records, parts, strict=True)
+    ]
+    inner = [p.inner * np.outer(p.size / own, p.size / own) for p in parts]
+    return Beside(np.concatenate(cross), np.concatenate(inner), own)
 
 
 def solve(gram: Array, columns: Indices) -> Array:
@@ -132,25 +167,14 @@ def cross_validated(evidence: Evidence, columns: Indices) -> Array:
     return left
 
 
-@dataclass(frozen=True)
-class Scores:
-    """Groups of columns tried one by one beside a base: gain (groups, blocks) in squared errors."""
-
-    base: Array
-    gain: Array
-
-    @property
-    def total(self) -> Array:
-        """Sum over blocks (groups,)."""
-        return np.asarray(self.gain.sum(axis=1))
-
-
-def score(evidence: Evidence, base: Indices, groups: Sequence[Indices]) -> Scores:
-    """Return by how much each group of columns lowers the cross-validated squared errors."""
-    before = cross_validated(evidence, base)
-    base_list = list(base)
-    gains = [before - cross_validated(evidence, [*base_list, *group]) for group in groups]
-    return Scores(before, np.array(gains).reshape(len(groups), before.size))
+def gains(evidence: Evidence) -> list[Array]:
+    """Return by how much each candidate lowers the cross-validated squared errors (blocks,)."""
+    before = cross_validated(evidence, range(len(evidence.size) - 1))
+    found = []
+    for i in range(len(evidence.beside)):
+        joined = evidence.joined(i)
+        found.append(before - cross_validated(joined, range(len(joined.size) - 1)))
+    return found
 
 
 def chance(evidence: Evidence, base: Indices, group: Indices, coefficients: Array) -> float:

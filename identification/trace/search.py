@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...model.effects.base import Effect, Placed
 from .refine import Candidate, HeldError, Records, gather, refine
-from .regression import Evidence, chance, covariance, cross_validated, score, solve
+from .regression import Evidence, chance, covariance, cross_validated, gains, solve
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -275,34 +275,27 @@ def _restored(evidence: Evidence, placed: Placed, own: Sequence[int], amplitudes
 def _round(
     point: WorkingPoint, candidates: Sequence[Candidate], train: Evidence, held: Evidence
 ) -> Round:
-    base = list(range(len(point.parameters.names) + sum(_width(p) for p in point.placed)))
-    groups, at = [], len(base)
-    for effect, _ in candidates:
-        groups.append(list(range(at, at + len(effect.amplitudes))))
-        at += len(effect.amplitudes)
-    scores = score(train, base, groups)
-    order = np.argsort(-scores.total)
-    whole = train.whole
+    own = list(range(len(point.parameters.names) + sum(_width(p) for p in point.placed)))
     excess, count = train.excess, float(train.count.sum())
+    gained = gains(train)
     ranking: list[Tried] = []
     seen: set[str] = set()
-    for i in order.tolist():
+    for i in sorted(range(len(candidates)), key=lambda i: -float(gained[i].sum())):
         effect, shape = candidates[i]
         if effect.identity in seen:
             continue
         seen.add(effect.identity)
-        coefficients = solve(whole, [*base, *groups[i]])
-        amplitudes = coefficients[len(base) :] / train.size[groups[i]]
-        there = coefficients / train.size[[*base, *groups[i]]] * held.size[[*base, *groups[i]]]
+        joined = train.joined(i)
+        columns = list(range(len(joined.size) - 1))
+        coefficients = solve(joined.whole, columns) / joined.size[:-1]
+        amplitudes = coefficients[len(own) :]
         quantities = zip(amplitudes.tolist(), effect.amplitudes, strict=True)
         if not all(q.low <= value <= q.high for value, q in quantities):
             continue  # a friction that drives is none
-        ranking.append(
-            Tried(
-                effect, shape, float(scores.total[i]), scores.gain[i],
-                tuple(amplitudes.tolist()), chance(held, base, groups[i], there),
-            )
-        )  # fmt: skip
+        other = held.joined(i)
+        agrees = chance(other, own, columns[len(own) :], coefficients * other.size[:-1])
+        gain = float(gained[i].sum())
+        ranking.append(Tried(effect, shape, gain, gained[i], tuple(amplitudes.tolist()), agrees))
         if len(ranking) >= 40:
             break
     convincing = [t for t in ranking if _convinces(t, excess)]

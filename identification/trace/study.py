@@ -21,8 +21,9 @@ from ..declared import declared_model
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.noise import Noise
 from ..greybox.parameters import free_parameters
+from .grams import BLOCK_S, Linearised
 from .hints import extent
-from .linearise import BLOCK_S, Linearised, blocks_in, linearise
+from .linearise import blocks_in, linearise
 from .metric import RecordError, pooled, record_error
 from .noise import disturbance, require_noise
 from .reading import read_records

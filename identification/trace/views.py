@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...log.reader import read_log
 from ...model.effects.base import Placed, Signals
 from ..greybox.floor import floor_psd
-from .linearise import BLOCK_S
+from .grams import BLOCK_S
 from .noise import Disturbance
 from .record import TraceRecord
 from .residual import (

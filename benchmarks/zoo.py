@@ -44,7 +44,9 @@ def main() -> None:
         raise SystemExit(f"error: --only: expected names of zoo-cases.yaml, found {unknown}")
     plants = plan(arguments.quick, arguments.full)
     if arguments.only:
-        plants = [p for p in plants if set(arguments.only) & {p.kind, *(c.name for c in p.cases)}]
+        only = set(arguments.only)
+        plants = [p for p in plants if p.kind in only or {c.name for c in p.cases} <= only]
+        plants = [p for p in plants if p.cases or p.kind in only]
     sizes = sizes_of([case for plant in plants for case in plant.cases], PROCESSES, _say)
     kept = Kept(arguments.out)
     _fly_all(plants, sizes, kept, arguments.out / "flights" if arguments.keep_flights else None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import yaml
@@ -23,14 +23,17 @@ def truth() -> SimConfig:
     return parse(read_mapping(SIM), SimConfig, str(SIM))
 
 
-def fly_session(session: Mapping[str, object], out: Path) -> tuple[Path, ...]:
+def fly_session(
+    session: Mapping[str, object], out: Path, effects: Sequence[Mapping[str, object]] = ()
+) -> tuple[Path, ...]:
     """Fly a session, its seed the plant's too; return the records' logs.
 
-    The logs go into `out`, and nothing else does.
+    `effects` as in a SIM.yaml. The logs go into `out`, and nothing else does.
     """
     out.mkdir(parents=True, exist_ok=True)
     sim_file = out / "sim.yaml"
-    sim_file.write_text(yaml.safe_dump({**read_mapping(SIM), "seed": session["seed"]}))
+    plant = {**read_mapping(SIM), "seed": session["seed"], "effects": [dict(e) for e in effects]}
+    sim_file.write_text(yaml.safe_dump(plant))
     flown = fly_virtually(
         load_rig(RIG).model_copy(update={"sim": str(sim_file)}),
         RIG,

@@ -6,12 +6,15 @@ a server that has imported levid once. One that hangs, crashes or raises is that
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import multiprocessing
 import pkgutil
+import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
@@ -29,6 +32,7 @@ _PACKAGES = (
     "levid.model",
     "levid.sim",
 )
+_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,7 @@ def _received(
 
 
 def _answer(pipe: Connection, task: Callable[[Item], Answer], item: Item) -> None:
+    _die_with_the_parent()
     try:
         answer: Answer | None = task(item)
     except Exception as error:  # noqa: BLE001 - whatever is raised is this task's entry in the table
@@ -119,3 +124,9 @@ def _answer(pipe: Connection, task: Callable[[Item], Answer], item: Item) -> Non
     else:
         pipe.send((answer, ""))
     pipe.close()
+
+
+def _die_with_the_parent() -> None:
+    """A benchmark that is killed leaves nothing behind: its server ends with it, and so do we."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)

@@ -19,7 +19,7 @@ from .working_point import WorkingPoint
 Array = NDArray[np.float64]
 Candidate = tuple[Effect, tuple[float, ...]]
 
-_STEPS = 8
+_STEPS = 16
 _CONVERGED = 0.3
 
 

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 Indices = Sequence[int] | NDArray[np.intp]
 
 FOLDS = 5
+_HELD = 30.0
 _RIDGE = 1e-11
 """Of each column's own square: directions that differ by rounding alone are held."""
 
@@ -110,6 +111,12 @@ class Evidence:
         return self.squares - float(self.count.sum())
 
 
+def _scale(gram: Array) -> Array:
+    """Return the roots of the diagonal; 1 for a column that is nothing here, and stays so."""
+    diagonal = np.diag(gram)
+    return np.asarray(np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
+
+
 def _gathered(records: Sequence[Linearised], size: Array, i: int) -> Beside:
     """Return candidate `i` of all records, scaled alike."""
     parts = [r.beside[i] for r in records]
@@ -127,7 +134,7 @@ def solve(gram: Array, columns: Indices) -> Array:
     pick = np.asarray(columns, int)
     A = gram[np.ix_(pick, pick)]
     b = gram[pick, -1]
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scale = _scale(A)
     scaled = A / scale[:, None] / scale + _RIDGE * np.eye(len(pick))
     return np.asarray(-np.linalg.solve(scaled, b / scale) / scale)
 
@@ -136,7 +143,7 @@ def covariance(gram: Array, columns: Indices) -> Array:
     """Return the covariance of those coefficients for errors of unit variance."""
     pick = np.asarray(columns, int)
     A = gram[np.ix_(pick, pick)]
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scale = _scale(A)
     scaled = A / scale[:, None] / scale + _RIDGE * np.eye(len(pick))
     return np.asarray(np.linalg.inv(scaled) / scale[:, None] / scale)
 
@@ -167,8 +174,22 @@ def cross_validated(evidence: Evidence, columns: Indices) -> Array:
     return left
 
 
+def steadied(evidence: Evidence) -> Evidence:
+    """Return the evidence with its columns held to some thirty of their own standard errors.
+
+    The moment at which something came is told by one block alone; a fit without that block would
+    put it anywhere, and every question about anything else would be answered by that.
+    """
+    own = np.arange(len(evidence.size) - 1)
+    variance = np.diag(covariance(evidence.whole, own))
+    prior = evidence.prior.copy()
+    prior[own, own] += 1.0 / (_HELD**2 * np.maximum(variance, 1e-300))
+    return replace(evidence, prior=prior)
+
+
 def gains(evidence: Evidence) -> list[Array]:
     """Return by how much each candidate lowers the cross-validated squared errors (blocks,)."""
+    evidence = steadied(evidence)
     before = cross_validated(evidence, range(len(evidence.size) - 1))
     found = []
     for i in range(len(evidence.beside)):
@@ -188,7 +209,7 @@ def chance(evidence: Evidence, base: Indices, group: Indices, coefficients: Arra
     base_list, group_list = list(base), list(group)
     b = np.asarray(coefficients)[len(base_list) :]
     A = gram[np.ix_(base_list, base_list)]
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scale = _scale(A)
     inverse = np.linalg.inv(A / scale[:, None] / scale + _RIDGE * np.eye(len(A)))
     inverse = inverse / scale[:, None] / scale
     cross = gram[np.ix_(base_list, group_list)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...model.effects.base import Effect, Placed
 from .refine import Candidate, HeldError, Records, gather, refine
-from .regression import Evidence, chance, covariance, cross_validated, gains, solve
+from .regression import Evidence, chance, covariance, cross_validated, gains, solve, steadied
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -21,6 +21,8 @@ _MOST_EFFECTS = 6
 _MOST_UNKNOWN = 4
 _BEYOND_CHANCE = 6.0
 """Standard deviations by which held-out records must agree: one in 10^9 for a candidate."""
+_PROMISING = 2.0
+"""The same for an effect whose shape is a first guess: it is asked again once that is fitted."""
 _WORTH = 0.004
 """An effect is worth naming if it takes this share of what noise does not explain."""
 _LEAST = 40.0
@@ -143,12 +145,13 @@ def _grown(
         assert taken is not None
         progress(f"adding {taken.effect.name}", _share(len(rounds)))
         better, squares = refine(_with(point, taken), records)
+        agrees = _agrees(point, better.placed[-1], records)
         better = records.believed(_without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
         # What shows in the drives alone leaves the platform's motion as it was.
         aside = abs(after.squares - error.squares) < _SAME * error.squares
         helps = after.squares < (1.0 - _LOWERS) * error.squares
-        if squares < train.squares and (helps or aside):
+        if agrees and squares < train.squares and (helps or aside):
             point, error = better, after
             barred |= {p.effect.identity for p in point.placed}
         else:
@@ -243,7 +246,7 @@ def _without_idle(point: WorkingPoint, records: Records) -> WorkingPoint:
     """Return the point without effects that those found after them have made idle."""
     if len(point.placed) < 2:
         return point
-    train = gather(point, records.train(point))
+    train = steadied(gather(point, records.train(point)))
     at, base = len(point.parameters.names), list(range(train.gram.shape[1] - 1))
     full = cross_validated(train, base).sum()
     idle = []
@@ -304,7 +307,21 @@ def _round(
 
 
 def _convinces(tried: Tried, excess: float) -> bool:
-    return tried.chance > _BEYOND_CHANCE and tried.gain > max(_WORTH * excess, _LEAST)
+    least = _PROMISING if tried.shape else _BEYOND_CHANCE
+    return tried.chance > least and tried.gain > max(_WORTH * excess, _LEAST)
+
+
+def _agrees(point: WorkingPoint, fitted: Placed, records: Records) -> bool:
+    """Return whether held-out records agree with an effect at its fitted shape, beyond chance."""
+    if not fitted.shape:
+        return True  # they did
+    candidate = [(fitted.effect, fitted.shape)]
+    train = gather(point, records.train(point, candidate)).joined(0)
+    held = gather(point, records.held(point, candidate)).joined(0)
+    columns = list(range(len(train.size) - 1))
+    there = solve(train.whole, columns) / train.size[:-1] * held.size[:-1]
+    own = len(columns) - len(fitted.amplitudes)
+    return chance(held, columns[:own], columns[own:], there) > _BEYOND_CHANCE
 
 
 def _width(placed: Placed) -> int:

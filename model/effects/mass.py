@@ -19,8 +19,12 @@ from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .extent import Extent
 
 _TIMES = 9
-_RISE = 0.08
-"""Of a record, or of the time between two of the grid: how long the first guess takes."""
+_MOST_TIMES = 48
+_APART_S = 6.0
+"""A first guess farther from the truth is not drawn to it: a weight that steps is felt at once, and
+what a guess seconds away explains is the wrong force for as long."""
+_RISE = 0.5
+"""Of the time between two guesses: how long the first guess takes."""
 _SHORTEST_S = 0.01
 
 
@@ -28,7 +32,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return offsets of the rig's centre of mass and payloads, or inertia that changes."""
     if not places.beam:
         return _inertia(places)
-    return [*_offsets(places), payload(places, extent.spans_s or _parts(places.span_s))]
+    return [*_offsets(places), payload(places, _cut(extent.spans_s or _parts(places.span_s)))]
 
 
 def payload(places: Places, spans_s: Sequence[tuple[float, float]]) -> Effect:
@@ -78,6 +82,16 @@ def _offsets(places: Places) -> list[Effect]:
 def _parts(span_s: tuple[float, float]) -> list[tuple[float, float]]:
     edges = np.linspace(*span_s, _TIMES + 1).tolist()
     return list(pairwise(edges))
+
+
+def _cut(spans_s: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return spans cut into equal parts, short ones while there are not too many."""
+    apart_s = max(_APART_S, sum(end - begin for begin, end in spans_s) / _MOST_TIMES)
+    parts = []
+    for begin, end in spans_s:
+        edges = np.linspace(begin, end, max(round((end - begin) / apart_s), 1) + 1)
+        parts += list(pairwise(edges.tolist()))
+    return parts
 
 
 def _inertia(places: Places) -> list[Effect]:

@@ -81,6 +81,8 @@ class CanBackend(Backend):
 
     def sync(self, cycle: int) -> None:
         """Begin a cycle on every bus."""
+        # From the first moment on: what answers a Sync that went out late is of a later moment.
+        self._deadline_s = perf_counter() + self._wait_s
         for role in self._roles.values():
             role.stale = True
         for link in self._links.values():
@@ -91,7 +93,6 @@ class CanBackend(Backend):
                 role.readings.begin(number)
         if self._amplifiers is not None:
             self._amplifiers.cycle = number
-        self._deadline_s = perf_counter() + self._wait_s
         for link, frames in self._syncs:
             link.send(*frames.sync.encode(number))
         drives = self._roles.get("drives")

@@ -12,6 +12,7 @@ from ...wire.rejected import Rejected
 from ...wire.values import LARGEST
 from ..base import Array, CoilAmplifiers, LinkError, PositionSensors
 from ..enabling import AmplifierWatch, compare_limits
+from ..rounding import CarriedRounding
 from ..sensing import SensorWatch
 from .link import CanLink
 from .readings import Readings
@@ -37,6 +38,7 @@ class CanAmplifiers(CoilAmplifiers):
         self.readings = Readings("amplifiers", link, frames.force, stale_cycles)
         self.cycle = 0
         self._link, self._setpoint, self._deadline = link, frames.setpoint, deadline
+        self._in_steps = CarriedRounding(frames.setpoint.unit, len(rig.geometry.coil_x_m))
         self._limits = declared(rig, expire_cycles)
         self._questions = Questions(link, frames.request, frames.answer)
         self._watch = AmplifierWatch(self.readings.what, self._limits, self._questions.ask)
@@ -46,7 +48,7 @@ class CanAmplifiers(CoilAmplifiers):
         """Send setpoints (C,) in N; the amplifiers take them over at the next Sync."""
         self._watch.commanding(coil_n)
         send = self._link.send
-        for can_id, data in self._setpoint.encode(coil_n, self.cycle, 0):
+        for can_id, data in self._setpoint.encode(self._in_steps(coil_n), self.cycle, 0):
             send(can_id, data)
 
     def read(self, coil_n: Array) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...wire.can_frames import COUNTER_MASK, ValueFrames
+from ...wire.can_frames import ValueFrames
 from ...wire.rejected import Rejected
 from ..base import Array
 from ..watch import Watch

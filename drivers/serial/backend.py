@@ -31,6 +31,7 @@ from ..base import (
     PositionSensors,
 )
 from ..enabling import AmplifierWatch, compare_limits
+from ..rounding import CarriedRounding
 from ..sensing import SensorWatch, check_skew
 from .port import TransactionPort
 
@@ -132,13 +133,14 @@ def contents(rig: RigConfig, roles: set[str]) -> Contents:
 class _Amplifiers(CoilAmplifiers):
     def __init__(self, port: TransactionPort, rig: RigConfig, expire_cycles: int) -> None:
         self.port, self.open = port, False
+        self._in_steps = CarriedRounding(FORCE_N, len(rig.geometry.coil_x_m))
         self._limits = declared(rig, expire_cycles)
         self._watch = AmplifierWatch(f"amplifiers on {port.what}", self._limits, port.ask)
         port.amplifiers = self._watch
 
     def write(self, coil_n: Array) -> None:
         self._watch.commanding(coil_n)
-        self.port.coil_n[:] = coil_n
+        self.port.coil_n[:] = self._in_steps(coil_n)
 
     def release(self, zero_n: Array) -> None:
         self.write(zero_n)

@@ -62,11 +62,12 @@ class TransactionPort:
 
     def sync(self, cycle: int) -> None:
         """Begin a cycle: send setpoints, at which the device samples and answers."""
+        # From the first moment on: what answers a late CYCLE is of a later moment.
+        self._deadline_s = perf_counter() + self._wait_s
         self._drain()
         self.watch.begin()
         self._cycle = cycle % CYCLES
         self._collected, self.fresh = False, False
-        self._deadline_s = perf_counter() + self._wait_s
         self._line.write(self._setpoints())
         if self._questions:
             for question in self._questions:

@@ -270,11 +270,11 @@ class Core:
         plant, acting = self._plant, self._acting_n
         plant.advance(acting, self._motion[0], self._motion[1])
         self._look_at_injected()
-        if self.amplifier_state is AmplifierState.ENABLED:
-            if not (setpoints_next and self._fresh):
-                self._missed += 1
-                if self._missed >= self._expire:
-                    self.amplifier_state = AmplifierState.EXPIRED
+        heard = setpoints_next and self._fresh
+        if self.amplifier_state is AmplifierState.ENABLED and not heard:
+            self._missed += 1
+            if self._missed >= self._expire:
+                self.amplifier_state = AmplifierState.EXPIRED
         if self.amplifier_state is not AmplifierState.ENABLED:
             acting[:] = 0.0
         if self._plan:

@@ -24,7 +24,7 @@ NUMBA_CACHE_DIR=$work/numba "$root/.venv/bin/python" "$here/warm_up.py"
 
 cat > "$work/init.sh" <<EOF
 #!/bin/bash
-export HERE=$here ROOT=$root WORK=$work
+export HERE=$here ROOT=$root WORK=$work PYTHONPATH=${PYTHONPATH:-}
 exec /bin/bash "$here/init.sh"
 EOF
 chmod +x "$work/init.sh"

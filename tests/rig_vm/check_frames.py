@@ -11,7 +11,6 @@ import cantools
 
 from levid.config.shipped import shipped
 from levid.wire.crc import FrameCrc
-from levid.wire.device import CYCLES
 
 LINE = re.compile(r"\(\d+\.\d+\) vcan0 ([0-9A-F]{3})(?:#([0-9A-F]*)|##([0-9A-F])([0-9A-F]*))")
 DATABASE = cantools.database.load_file(str(shipped("levid.dbc")))
@@ -37,10 +36,11 @@ for line in Path(sys.argv[1]).read_text().splitlines():
     assert len(data) == message.length, f"{message.name}: {line}"
     signals = message.decode(data, decode_choices=False)
     of_cycle = None
-    if "counter" in signals:
-        # A frame is of the last Sync, or of one before where somebody is late: by its counter.
-        late = (syncs[-1] - int(signals["counter"])) % 16
-        of_cycle = (syncs[-1] - late) % CYCLES
+    if message.name in answers:
+        # Each Sync is answered once and in order, however late.
+        of_cycle = syncs[len(answers[message.name])]
+    elif "counter" in signals:
+        of_cycle = syncs[-1]
     assert FrameCrc(can_id, len(data)).of(data, of_cycle) == data[-1], f"{message.name}: {line}"
     if message.name == "Sync":
         syncs.append(int(signals["cycle"]))
@@ -54,6 +54,8 @@ for name in ("Sync", "GapsFd", "ForcesFd", "SetpointsFd", "CANopen", "Request", 
     assert seen[name], f"expected {name}, found {dict(seen)}"
 for name, counters in answers.items():
     # Each Sync is answered once and in order; the last may have come too late for candump.
-    assert counters == [s % 16 for s in syncs[: len(counters)]], f"{name}: not the counters of the Syncs, in order"
+    assert counters == [s % 16 for s in syncs[: len(counters)]], (
+        f"{name}: not the counters of the Syncs, in order"
+    )
     assert len(syncs) - len(counters) <= 1, f"{name}: {len(counters)} for {len(syncs)} Syncs"
 print(f"{sum(seen.values())} frames, all well-formed, every Sync answered in order: {dict(seen)}")

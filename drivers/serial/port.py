@@ -34,6 +34,7 @@ class TransactionPort:
         self.frames = SerialFrames(contents)
         self.coil_n = np.zeros(contents.coils)
         self.beam, self.rotor = np.zeros(3), np.zeros(3)
+        self.stale_cycles = bus.stale_cycles
         self.watch = Watch(self.what, bus.stale_cycles)
         self.amplifiers: AmplifierWatch | None = None
         self.fresh = False

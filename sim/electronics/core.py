@@ -115,6 +115,13 @@ class Core:
         return self._cycle or 0
 
     @property
+    def answered_state(self) -> AmplifierState:
+        """What the amplifiers say of themselves: UNHEARD where setpoints are missing."""
+        if self.amplifier_state is AmplifierState.ENABLED and self._missed:
+            return AmplifierState.UNHEARD
+        return self.amplifier_state
+
+    @property
     def motion(self) -> Array:
         """Position, velocity, acceleration (2, 3) that beam and rotor are told for this period."""
         return self._motion

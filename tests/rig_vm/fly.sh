@@ -8,14 +8,15 @@ mkdir -p "$XDG_RUNTIME_DIR"
 levid=$ROOT/.venv/bin/levid
 
 # It says so where it loses frames: a Sync that it missed must not look like one that was never sent.
-candump -L -d -r 8388608 vcan0 > "$out/candump.txt" &
+# Who listens and who plays hardware go first: a frame that waits for them keeps the sender's queue full.
+nice -n -15 candump -L -d -r 8388608 vcan0 > "$out/candump.txt" &
 dump=$!
 mkfifo /run/faults
-"$levid" electronics "$HERE/rig.yaml" < /run/faults > "$out/electronics.txt" 2> "$out/electronics.log" &
+nice -n -10 "$levid" electronics "$HERE/rig.yaml" < /run/faults > "$out/electronics.txt" 2> "$out/electronics.log" &
 electronics=$!
 exec 3> /run/faults # held open: a line is a command
 until grep -q answer "$out/electronics.log"; do sleep 0.2; kill -0 $electronics; done
-"$levid" run "$HERE/rig.yaml" 2> "$out/daemon.log" &
+nice -n -5 "$levid" run "$HERE/rig.yaml" 2> "$out/daemon.log" &
 daemon=$!
 until [ -S "$XDG_RUNTIME_DIR/levid.sock" ]; do sleep 0.2; kill -0 $daemon; done
 

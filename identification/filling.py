@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,11 @@ _WINDOWS = 20
 """Windows without a gap that it takes, at least, to learn what a force does."""
 
 
+_STRAINED = 3.0
+"""How many times the usual mean square what a curve leaves around a gap may be. With nine sensors
+and 24 rows chance alone spreads it by a tenth."""
+
+
 def bridged(missing: Mask, longest: int) -> Mask:
     """Return which `missing` rows (N,) can be filled in: in short gaps with enough around them."""
     found = np.zeros(len(missing), bool)
@@ -26,7 +33,19 @@ def bridged(missing: Mask, longest: int) -> Mask:
     return found
 
 
-def filled(values: Array, missing: Mask, force: Array) -> Array:
+@dataclass(frozen=True)
+class Filled:
+    """Values (N, S) with those of missing rows filled in.
+
+    `strained` (N,): rows of gaps whose two sides do not fit together, as if a force in between were
+    not what it is taken for.
+    """
+
+    values: Array
+    strained: Mask
+
+
+def filled(values: Array, missing: Mask, force: Array) -> Filled:
     """Return values (N, S), all in one unit, with `missing` rows (N,) filled in; all are `bridged`.
 
     force (N, C): that of row k acts over the period that begins with row k + 1. What a body does
@@ -34,12 +53,14 @@ def filled(values: Array, missing: Mask, force: Array) -> Array:
     tells, plus what rods, damping and the state at the start do, which is smooth: a polynomial. So
     a white force of known values makes a gap no less certain.
     """
+    strained = np.zeros(len(values), bool)
     if not missing.any():
-        return values
+        return Filled(values, strained)
     acting = np.vstack([np.zeros_like(force[:1]), force[:-1]])
     # A constant is part of the curve, and would make long sums large.
     sums = _double_sums(acting - acting.mean(axis=0))
     by_force = _by_force(values, missing, sums)
+    usual = _usual_misfit(values, missing, sums, by_force)
     out = values.copy()
     for begin, end in _gaps(missing):
         rows = _around(begin, end, len(values))
@@ -47,9 +68,12 @@ def filled(values: Array, missing: Mask, force: Array) -> Array:
         gap = (rows >= begin) & (rows < end)
         pushed = _from_start(sums, rows) @ by_force
         curve = np.vander(np.linspace(-1.0, 1.0, len(rows)), _ORDER + 1)
-        smooth = np.linalg.lstsq(curve[there], (values[rows] - pushed)[there], rcond=None)[0]
+        seen = (values[rows] - pushed)[there]
+        smooth = np.linalg.lstsq(curve[there], seen, rcond=None)[0]
         out[rows[gap]] = (curve @ smooth + pushed)[gap]
-    return out
+        left = np.sum(np.square(seen - curve[there] @ smooth)) / (len(seen) - _ORDER - 1)
+        strained[begin:end] = left > usual
+    return Filled(out, strained)
 
 
 def _gaps(missing: Mask) -> list[tuple[int, int]]:
@@ -83,19 +107,39 @@ def _from_start(sums: tuple[Array, Array], rows: NDArray[np.int64]) -> Array:
     return np.concatenate([twice_here, once_here], axis=1)
 
 
+def _whole_windows(missing: Mask) -> list[NDArray[np.int64]]:
+    """Return the rows of windows that have no gap."""
+    length = 2 * _AROUND
+    starts = range(0, len(missing) - length + 1, length)
+    return [np.arange(s, s + length) for s in starts if not missing[s : s + length].any()]
+
+
+def _usual_misfit(
+    values: Array, missing: Mask, sums: tuple[Array, Array], by_force: Array
+) -> float:
+    """Return the misfit, as a mean square, that a window without a gap does not reach."""
+    windows = _whole_windows(missing)
+    if len(windows) < _WINDOWS:
+        return np.inf
+    rough = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, 2 * _AROUND), _ORDER + 1))[0]
+    found = []
+    for rows in windows:
+        seen = values[rows] - _from_start(sums, rows) @ by_force
+        left = seen - rough @ (rough.T @ seen)
+        found.append(float(np.sum(left * left)) / (2 * _AROUND - _ORDER - 1))
+    return max(_STRAINED * float(np.median(found)), 1.5 * float(np.quantile(found, 0.999)))
+
+
 def _by_force(values: Array, missing: Mask, sums: tuple[Array, Array]) -> Array:
     """Return what the sums of forces do to the values, (2 C, S); zeros if nobody can tell."""
-    length = 2 * _AROUND
-    all_starts = range(0, len(values) - length + 1, length)
-    starts = [s for s in all_starts if not missing[s : s + length].any()]
+    length, windows = 2 * _AROUND, _whole_windows(missing)
     columns, sensors = 2 * sums[0].shape[1], values.shape[1]
-    if len(starts) < _WINDOWS or not columns:
+    if len(windows) < _WINDOWS or not columns:
         return np.zeros((columns, sensors))
     smooth = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), _ORDER + 1))[0]
     gram, right = np.zeros((columns, columns)), np.zeros((columns, sensors))
     squares = 0.0
-    for start in starts:
-        rows = np.arange(start, start + length)
+    for rows in windows:
         pushed, seen = _from_start(sums, rows), values[rows]
         pushed = pushed - smooth @ (smooth.T @ pushed)
         gram += pushed.T @ pushed
@@ -106,7 +150,7 @@ def _by_force(values: Array, missing: Mask, sums: tuple[Array, Array]) -> Array:
     # or take what the force does that occurs most. Its size and the noise are told by the record.
     energy, axes = np.linalg.eigh(gram)
     main = axes[:, -1] @ right / max(energy[-1], 1e-300)
-    variance = (squares - energy[-1] * float(main @ main)) / (len(starts) * length * sensors)
+    variance = (squares - energy[-1] * float(main @ main)) / (len(windows) * length * sensors)
     usual = float(main @ main) / sensors
     ridge = max(variance, 0.0) / max(usual, 1e-300) + 1e-12 * energy[-1]
     return np.asarray(axes @ ((axes.T @ right) / (energy + ridge)[:, None]))

@@ -23,6 +23,8 @@ LEAST_LEFT = 0.1
 MOST_UNEXPLAINED = 0.001
 """Share of the rows whose readback may fit no command: each is a force that nobody knows."""
 
+_FEWEST = 50
+
 _POSE = ("psi_rad", "theta_rad", "z_m")
 _HEIGHTS = ("gap_m", *_POSE)
 _READBACK = ("coil_readback_n",)
@@ -40,8 +42,8 @@ def without_gaps(log: Log) -> tuple[Log, tuple[str, ...]]:
 
     - Readings that are an earlier cycle's (`stale`), those of skipped periods, and those of cycles
       that took longer than a period, of which nobody knows when they were taken, are missing. They
-      are filled in from those around (see `filled`); where too many in a row are missing the record
-      is cut, and its longest part returned.
+      are filled in from those around (see `filled`); where too many in a row are missing, or both
+      sides contradict each other, the record is cut, and its longest part returned.
     - Commands (and everything else) of a row are those that acted when its own should have (see
       `acted`): where a period was skipped or a command came too late, an earlier row's.
 
@@ -55,10 +57,10 @@ def without_gaps(log: Log) -> tuple[Log, tuple[str, ...]]:
     periods = _Periods.of(log)
     if not periods.imperfect:
         return log, ()
-    left = _longest_part(log, periods)
     command, told = _acting(log, periods)
-    first, end = left
-    rows = log.rows[periods.held[command]]
+    acting = log.rows[periods.held[command]]
+    first, end = _longest_part(log, periods, _matrix(acting, "coil_n"))
+    rows = acting
     rows["cycle"] = periods.cycle
     if "time_s" in names:
         rows["time_s"] = np.interp(periods.cycle, log.rows["cycle"], log.rows["time_s"])
@@ -131,7 +133,7 @@ class _Periods:
         if n < len(self.cycle):
             found.append(
                 f"cut to its {n} rows from {first} on, of {len(self.cycle)}: around them readings "
-                f"are missing for longer than {1e3 * LONGEST_S:g} ms"
+                f"are missing for longer than {1e3 * LONGEST_S:g} ms, or fit no known forces"
             )
         for missing, what in (
             (self.absent, "periods were skipped"),
@@ -143,19 +145,31 @@ class _Periods:
         return found
 
 
-def _longest_part(log: Log, periods: _Periods) -> tuple[int, int]:
+def _longest_part(log: Log, periods: _Periods, force: Array) -> tuple[int, int]:
     """Return first and end of the longest stretch in which every gap can be filled in."""
-    missing, n = periods.no_heights, len(periods.cycle)
-    cut = missing & ~bridged(missing, max(round(LONGEST_S * log.rate_hz), 1))
-    edges = np.concatenate([[-1], np.flatnonzero(cut), [n]])
-    at = int(np.argmax(np.diff(edges)))
-    first, end = int(edges[at]) + 1, int(edges[at + 1])
+    missing = periods.no_heights
+    possible = bridged(missing, max(round(LONGEST_S * log.rate_hz), 1))
+    first, end = _longest_between(missing & ~possible)
+    gap = _matrix(log.rows, "gap_m")[periods.held]
+    while gap.shape[1] and end - first >= _FEWEST:
+        strained = filled(gap[first:end], missing[first:end], force[first:end]).strained
+        if not strained.any():
+            break
+        possible[first:end] &= ~strained
+        first, end = _longest_between(missing & ~possible)
+    n = len(missing)
     if end - first < LEAST_LEFT * n:
         raise _too_much(log, f"{end - first} of {n} rows between one stall and the next")
     count = int(np.count_nonzero(missing[first:end]))
     if count > MOST_MISSING * (end - first):
         raise _too_much(log, f"no heights in {count} of {end - first} rows")
     return first, end
+
+
+def _longest_between(cut: Mask) -> tuple[int, int]:
+    edges = np.concatenate([[-1], np.flatnonzero(cut), [len(cut)]])
+    at = int(np.argmax(np.diff(edges)))
+    return int(edges[at]) + 1, int(edges[at + 1])
 
 
 def _acting(log: Log, periods: _Periods) -> tuple[NDArray[np.int64], list[str]]:
@@ -200,10 +214,10 @@ def _fill_heights(measured: dict[str, Array], missing: Mask, force: Array) -> No
     """Fill in the heights, and the pose as what it is of them in all other rows: T times them."""
     gap = measured.get("gap_m")
     if gap is not None:
-        measured["gap_m"] = filled(gap, missing, force)
+        measured["gap_m"] = filled(gap, missing, force).values
     for name in measured.keys() & set(_POSE):
         if gap is None:
-            measured[name] = filled(measured[name], missing, force)
+            measured[name] = filled(measured[name], missing, force).values
             continue
         T = np.linalg.lstsq(gap[~missing], measured[name][~missing], rcond=1e-6)[0]
         measured[name][missing] = measured["gap_m"][missing] @ T

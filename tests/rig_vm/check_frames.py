@@ -13,7 +13,7 @@ from levid.config.shipped import shipped
 from levid.wire.crc import FrameCrc
 
 LINE = re.compile(r"\(\d+\.\d+\) vcan0 ([0-9A-F]{3})(?:#([0-9A-F]*)|##([0-9A-F])([0-9A-F]*))")
-# A socket's queue holds some 270 frames, a cycle is three and more: who is so far behind loses some.
+# A socket's queue holds some 270 frames, a cycle is three: who is further behind loses some.
 FULL = 50
 DATABASE = cantools.database.load_file(str(shipped("levid.dbc")))
 

@@ -37,12 +37,17 @@ def bridged(missing: Mask, longest: int) -> Mask:
 class Filled:
     """Values (N, S) with those of missing rows filled in.
 
-    `strained` (N,): rows of gaps whose two sides do not fit together, as if a force in between were
-    not what it is taken for.
+    `misfit` (N,): in the rows of a gap, how badly its two sides fit together, as a mean square over
+    what that may be; 0 elsewhere. Beyond 1 a force was not what it is taken for (`strained`).
     """
 
     values: Array
-    strained: Mask
+    misfit: Array
+
+    @property
+    def strained(self) -> Mask:
+        """Rows (N,) of gaps whose misfit no gap has by chance."""
+        return np.asarray(self.misfit > 1.0)
 
 
 def filled(values: Array, missing: Mask, force: Array) -> Filled:
@@ -53,9 +58,9 @@ def filled(values: Array, missing: Mask, force: Array) -> Filled:
     tells, plus what rods, damping and the state at the start do, which is smooth: a polynomial. So
     a white force of known values makes a gap no less certain.
     """
-    strained = np.zeros(len(values), bool)
+    misfit = np.zeros(len(values))
     if not missing.any():
-        return Filled(values, strained)
+        return Filled(values, misfit)
     acting = np.vstack([np.zeros_like(force[:1]), force[:-1]])
     # A constant is part of the curve, and would make long sums large.
     sums = _double_sums(acting - acting.mean(axis=0))
@@ -69,11 +74,13 @@ def filled(values: Array, missing: Mask, force: Array) -> Filled:
         pushed = _from_start(sums, rows) @ by_force
         curve = np.vander(np.linspace(-1.0, 1.0, len(rows)), _ORDER + 1)
         seen = (values[rows] - pushed)[there]
+        if len(seen) <= _ORDER + 1:
+            continue
         smooth = np.linalg.lstsq(curve[there], seen, rcond=None)[0]
         out[rows[gap]] = (curve @ smooth + pushed)[gap]
         left = np.sum(np.square(seen - curve[there] @ smooth)) / (len(seen) - _ORDER - 1)
-        strained[begin:end] = left > usual
-    return Filled(out, strained)
+        misfit[begin:end] = left / usual
+    return Filled(out, misfit)
 
 
 def _gaps(missing: Mask) -> list[tuple[int, int]]:
@@ -127,7 +134,7 @@ def _usual_misfit(
         seen = values[rows] - _from_start(sums, rows) @ by_force
         left = seen - rough @ (rough.T @ seen)
         found.append(float(np.sum(left * left)) / (2 * _AROUND - _ORDER - 1))
-    return max(_STRAINED * float(np.median(found)), 1.5 * float(np.quantile(found, 0.999)))
+    return max(_STRAINED * float(np.median(found)), 2.0 * float(np.quantile(found, 0.9)))
 
 
 def _by_force(values: Array, missing: Mask, sums: tuple[Array, Array]) -> Array:

@@ -57,6 +57,7 @@ def without_gaps(log: Log) -> tuple[Log, tuple[str, ...]]:
     periods = _Periods.of(log)
     if not periods.imperfect:
         return log, ()
+    periods = _with_stalls_told_apart(log, periods)
     command, told = _acting(log, periods)
     acting = log.rows[periods.held[command]]
     first, end = _longest_part(log, periods, _matrix(acting, "coil_n"))
@@ -93,6 +94,7 @@ class _Periods:
     no_heights: Mask
     no_forces: Mask
     no_drives: Mask
+    untimed: Mask
     begun_late: Mask
 
     @classmethod
@@ -119,6 +121,7 @@ class _Periods:
             absent | untimed | no_gap,
             absent | ((stale & Stale.AMPLIFIERS) > 0),
             absent | ((stale & Stale.DRIVES) > 0),
+            untimed,
             # Its answers came after a stall, not before it: so did its question.
             untimed & no_gap & ~absent,
         )
@@ -143,6 +146,26 @@ class _Periods:
             if count:
                 found.append(f"{count} of {n} {what} ({count / n:.2%})")
         return found
+
+
+def _with_stalls_told_apart(log: Log, periods: _Periods) -> _Periods:
+    """Return the periods with `begun_late` as the motion around each gap says.
+
+    Before a gap a cycle that took long either began late, or everything stood still behind its
+    begin: then other commands acted. Nothing but what the platform did then tells which.
+    """
+    doubtful = periods.untimed & ~periods.absent & np.append(periods.absent[1:], False)
+    if not doubtful.any() or "gap_m" not in (log.rows.dtype.names or ()):
+        return periods
+    other = replace(periods, begun_late=periods.begun_late ^ doubtful)
+    better = doubtful & (_misfit(log, other) < _misfit(log, periods))
+    return replace(periods, begun_late=periods.begun_late ^ better)
+
+
+def _misfit(log: Log, periods: _Periods) -> Array:
+    force = _matrix(log.rows[periods.held[_acting(log, periods)[0]]], "coil_n")
+    gap = _matrix(log.rows, "gap_m")[periods.held]
+    return filled(gap, periods.no_heights, force).misfit
 
 
 def _longest_part(log: Log, periods: _Periods, force: Array) -> tuple[int, int]:

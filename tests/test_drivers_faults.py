@@ -72,8 +72,7 @@ class Bench:
 def patience(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """The host sets the pace; what does not come is waited for 50 ms, whatever the load."""
     monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.can.backend._ANSWER_SHARE", 1e4)
-    monkeypatch.setattr("levid.drivers.serial.port._ANSWER_SHARE", 1e4)
+    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 1e4)
     return monkeypatch
 
 

@@ -15,13 +15,10 @@ from ...wire.can_frames import CanFrames, load_frames
 from ...wire.device import CYCLES
 from ...wire.values import LARGEST
 from ..base import Context, LinkError
-from ..on_bus import BusBackend
+from ..on_bus import BusBackend, answer_wait_s
 from .devices import CanAmplifiers, CanSensors
 from .drives import CanDrives
 from .link import CanLink
-
-_ANSWER_SHARE = 0.7
-"""Share of the period after which a reading is too late: the rest is for control and setpoints."""
 
 
 class CanBackend(BusBackend):
@@ -44,7 +41,7 @@ class CanBackend(BusBackend):
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the buses, compare limits with the devices', home and enable the drives."""
         rig = context.rig
-        self._wait_s = _ANSWER_SHARE * context.period_s
+        self._wait_s = answer_wait_s(context)
         self._deadline_s = 0.0
         self._links: dict[str, CanLink] = {}
         self._syncs: list[tuple[CanLink, CanFrames]] = []

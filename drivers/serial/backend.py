@@ -32,7 +32,7 @@ from ..base import (
     PositionSensors,
 )
 from ..enabling import AmplifierWatch, compare_limits
-from ..on_bus import BusBackend
+from ..on_bus import BusBackend, answer_wait_s
 from ..rounding import CarriedRounding
 from ..sensing import SensorWatch, check_skew
 from .port import TransactionPort
@@ -59,8 +59,9 @@ class SerialBackend(BusBackend):
         options = {role: found[1] for role in roles if (found := rig.on_bus(role)) is not None}
         names = dict.fromkeys(option.bus for option in options.values())
         on = {name: {r for r, o in options.items() if o.bus == name} for name in names}
+        wait_s = answer_wait_s(context)
         self._ports = {
-            name: TransactionPort(name, rig.serial[name], contents(rig, on[name]), context.period_s)
+            name: TransactionPort(name, rig.serial[name], contents(rig, on[name]), wait_s)
             for name in names
         }
         played: dict[str, _Amplifiers | _Sensors | _Drives] = {}

@@ -19,17 +19,19 @@ DATABASE = cantools.database.load_file(str(shipped("levid.dbc")))
 
 
 def answered(crc: FrameCrc, data: bytes, before: list[int], line: str) -> int:
-    """Return which Sync this answers: the next that fits, and a later one only if much waited."""
+    """Return which Sync this answers: the next, or one behind those that a full queue lost."""
     first = before[-1] + 1 if before else 0
     for at in range(first, len(syncs)):
         if (syncs[at] ^ data[-2]) & 0xF == 0 and crc.of(data, syncs[at]) == data[-1]:
-            assert at == first or len(syncs) - first > FULL, f"Sync {first} not answered: {line}"
+            lost = [i for i in range(first, at) if waiting[i] <= FULL]
+            assert not lost, f"Sync {lost[0]} not answered, {waiting[lost[0]]} waited: {line}"
             return at
     raise AssertionError(f"an answer to no Sync from {first} on, of {len(syncs)}: {line}")
 
 
 seen: Counter[str] = Counter()
 syncs: list[int] = []
+waiting: list[int] = []  # Syncs that were not answered yet when each was sent
 answers: dict[str, list[int]] = {"GapsFd": [], "ForcesFd": []}
 for line in Path(sys.argv[1]).read_text().splitlines():
     assert not line.startswith("DROPCOUNT"), f"candump lost frames, nothing can be said: {line}"
@@ -56,6 +58,8 @@ for line in Path(sys.argv[1]).read_text().splitlines():
     of_cycle = syncs[-1] if "counter" in signals else None
     assert crc.of(data, of_cycle) == data[-1], f"{message.name}: {line}"
     if message.name == "Sync":
+        done = answers["ForcesFd"]
+        waiting.append(len(syncs) - (done[-1] + 1 if done else 0))
         syncs.append(int(signals["cycle"]))
     elif message.name == "SetpointsFd":
         # The host sends them between one Sync and the next, however late it is.

@@ -117,6 +117,9 @@ def test_fault_ends_in_zero_force_is_named_and_mended(bench: Bench, line: str) -
     for _ in range(WITHIN_CYCLES):
         try:
             bench.run(7.0)
+            time.sleep(
+                0.01
+            )  # what comes behind an answer comes within the cycle: no verdict on time
         except DriverError as error:
             raised = error
             break

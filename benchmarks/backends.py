@@ -1,7 +1,8 @@
 """Cost of a cycle on each backend, its parts, and how punctual 1 kHz on it is.
 
 `late` compares whole loops with an empty timed one, in turns in the same run: the share of cycles
-that are late by a period, and the upper end of the 95 % interval of the ratio.
+that are late by a period, and the upper end of the 95 % interval of the ratio. Sessions flown in
+real time are identified and compared with loopback's: see _bus_flights.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from collections.abc import Callable
 from math import exp, log, sqrt
 from pathlib import Path
 
+import _real_time
 import _table
 import cantools
 import numpy as np
 import serial
+from _bus_flights import flight_figures
 from _table import Figure
 
 from levid.config.base import parse_text
@@ -37,6 +40,7 @@ from levid.wire.serial_frames import Contents, SerialFrames
 from levid.wire.stream import FrameStream
 
 RATE_HZ = 1000.0
+UDP = ("udp_multicast", "239.74.163.17")
 DBC = shipped("levid.dbc")
 HEAD = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
 CAN = "{backend: can, bus: main"
@@ -63,6 +67,14 @@ def measure(quick: bool) -> list[Figure]:
         *serial_figures(300 if quick else 3_000),
         *cycle_figures(500 if quick else 5_000),
         *late_figures(2.0 if quick else 10.0, 2 if quick else 6),
+        *flight_figures(
+            {
+                name: rig_text(name, Path(tempfile.gettempdir()) / "levid-flights", *UDP)
+                for name in ("loopback", "canfd", "serial")
+            },
+            _electronics,
+            4.0 if quick else 20.0,
+        ),
     ]
 
 
@@ -218,7 +230,10 @@ def cycle_figures(n: int) -> list[Figure]:
 
 
 def late_figures(seconds: float, rounds: int) -> list[Figure]:
-    """Timed loops at 1 kHz in turns: empty, CAN FD on udp_multicast, serial on a pty."""
+    """Timed loops at 1 kHz in turns: empty, CAN FD on udp_multicast, serial on a pty.
+
+    Loops and electronics run at real-time priority where that may be had, the empty one too.
+    """
     late = {"empty": 0, "canfd": 0, "serial": 0}
     cycles = dict.fromkeys(late, 0)
     stale = dict.fromkeys(late, 0)
@@ -228,11 +243,13 @@ def late_figures(seconds: float, rounds: int) -> list[Figure]:
         devices: dict[str, Devices] = {}
         try:
             for name in ("canfd", "serial"):
-                rig = rig_on(name, folder, "udp_multicast", "239.74.163.17")
+                rig = rig_on(name, folder, *UDP)
                 path = folder / f"{name}.yaml"
-                path.write_text(rig_text(name, folder, "udp_multicast", "239.74.163.17"))
+                path.write_text(rig_text(name, folder, *UDP))
                 started.append(_electronics(path))
                 devices[name] = _opened(rig, folder)
+                _real_time.hurry(_real_time.ELECTRONICS, started[-1].pid)
+            _real_time.hurry(_real_time.LOOP)
             loops: dict[str, Callable[[int], None]] = {"empty": lambda _: None}
             loops |= {name: cycle_of(found) for name, found in devices.items()}
             begin = 0
@@ -246,6 +263,7 @@ def late_figures(seconds: float, rounds: int) -> list[Figure]:
                     if name in devices:
                         stale[name] += devices[name].stale - before
         finally:
+            _real_time.relax()
             for found in devices.values():
                 found.close()
             for process in started:

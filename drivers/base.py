@@ -17,9 +17,6 @@ from ..log.signals import Stale
 Array = NDArray[np.float64]
 Sync = Callable[[int], None]
 
-# Plain numbers: the flags themselves take a microsecond to combine.
-_SENSORS, _AMPLIFIERS, _DRIVES = int(Stale.SENSORS), int(Stale.AMPLIFIERS), int(Stale.DRIVES)
-
 
 class DriverError(Exception):
     """A device or bus that cannot be used; the message says which, and what it did."""
@@ -48,8 +45,10 @@ class DriveError(DriverError):
 class CoilAmplifiers(ABC):
     """Nine (or as many) coil amplifiers that take forces and tell the forces they drive."""
 
-    stale = False
-    """Whether what `read` filled in last is an earlier cycle's, as this one's did not come."""
+    # Plain numbers: the flags themselves take a microsecond to combine.
+    STALE = int(Stale.AMPLIFIERS)
+    stale: int = 0
+    """Bits of the log's `stale` after `read`: STALE where it filled in an earlier reading."""
 
     @abstractmethod
     def write(self, coil_n: Array) -> None:
@@ -67,7 +66,8 @@ class CoilAmplifiers(ABC):
 class PositionSensors(ABC):
     """Position sensors that tell the platform's height at their places."""
 
-    stale = False
+    STALE = int(Stale.SENSORS)
+    stale: int = 0
     """As in CoilAmplifiers."""
 
     @abstractmethod
@@ -78,7 +78,8 @@ class PositionSensors(ABC):
 class ManipulatorDrives(ABC):
     """The beam's gantry (X1 and X2 as one) and the rotor on it."""
 
-    stale = False
+    STALE = int(Stale.DRIVES)
+    stale: int = 0
     """As in CoilAmplifiers."""
 
     @abstractmethod
@@ -166,12 +167,8 @@ class Devices:
 
     @property
     def stale_roles(self) -> int:
-        """Bits of Stale: the roles whose last reading is an earlier cycle's."""
-        return (
-            (_SENSORS if self.sensors.stale else 0)
-            | (_AMPLIFIERS if self.amplifiers.stale else 0)
-            | (_DRIVES if self.drives.stale else 0)
-        )
+        """The log's `stale` for the readings at hand."""
+        return self.sensors.stale | self.amplifiers.stale | self.drives.stale
 
     def recover(self) -> None:
         """Recover every backend after a fault; raises DriverError where one cannot."""

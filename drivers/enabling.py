@@ -40,8 +40,11 @@ def compare_limits(
 class AmplifierWatch:
     """Keeps amplifiers enabled while zero force is asked, and says when they are not in flight."""
 
-    def __init__(self, what: str, limits: Mapping[Parameter, int], ask: Ask) -> None:
+    def __init__(
+        self, what: str, limits: Mapping[Parameter, int], ask: Ask, tolerated: int
+    ) -> None:
         self._what, self._ask = what, ask
+        self._tolerated, self._lost_in_a_row = tolerated, 0
         self._limits = {p: limits[p] for p in AMPLIFIER_LIMITS}
         self._commanded = False
         self._state = AmplifierState.OFF
@@ -59,8 +62,18 @@ class AmplifierWatch:
         nan becomes 0, and an error is raised once only: the loop goes on reading in the fault.
 
         Raises:
-            AmplifierError: the amplifiers tripped, or are not enabled although force is asked.
+            AmplifierError: the amplifiers tripped, or are not enabled although force is asked, or
+                more setpoints than `tolerated` did not come through in a row.
         """
+        if state == AmplifierState.UNHEARD:
+            self._lost_in_a_row += 1
+            if self._lost_in_a_row > self._tolerated and self._commanded and not self._told:
+                self._told = True
+                raise AmplifierError(
+                    f"{self._what}: setpoints did not come through in {self._lost_in_a_row} cycles"
+                )
+            return
+        self._lost_in_a_row = 0
         if state == AmplifierState.ENABLED:
             self._state, self._refused, self._told = AmplifierState.ENABLED, "", False
             self._patience = 0  # should it switch off, it is asked at once

@@ -17,6 +17,12 @@ _OFF_M = 3e-7
 sound one repeats itself too, but then it stays in it."""
 
 
+_HELD_CYCLES = 3
+_FAR_OFF_M = 1e-6
+"""So far off the plane a channel is frozen after three repeats: a sound one that moves so far does
+not repeat itself at all, let alone, with that noise, once in 1e3 at rest and so far off."""
+
+
 class SensorWatch:
     """Looks for channels without a reading, at the end of their range, or frozen."""
 
@@ -71,7 +77,11 @@ def _judge(  # type: ignore[no-untyped-def]
             off_before[i] = off
         else:
             repeats[i] += 1
-            if repeats[i] >= _FROZEN_CYCLES and abs(off - off_before[i]) > _OFF_M and not bad:
+            moved = abs(off - off_before[i])
+            frozen = (repeats[i] >= _FROZEN_CYCLES and moved > _OFF_M) or (
+                repeats[i] >= _HELD_CYCLES and moved > _FAR_OFF_M
+            )
+            if frozen and not bad:
                 bad = 4 * i + 3
         last[i] = gap[i]
     return bad

@@ -46,6 +46,10 @@ class Watch:
         self._reasons[reason.value] += 1
         self._unclean = True
 
+    def late(self) -> None:
+        """Note that this cycle's reading came after its deadline."""
+        self._reasons["too late"] += 1
+
     def arrived(self) -> None:
         """Note that this cycle's reading came: what comes after it is out of order."""
         self._fresh = True

@@ -39,14 +39,15 @@ class Acted:
     unexplained: int
 
 
-def acted(command: Array, readback: Array, known: Mask, absent: Mask) -> Acted:
+def acted(command: Array, readback: Array, known: Mask, absent: Mask, begun_late: Mask) -> Acted:
     """Return which commands acted, of evenly spaced rows.
 
     command (N, C) N as sent, readback (N, C) N of rows that are `known` (N,); rows that are
     `absent` (N,) are periods that were skipped: they have neither. An amplifier takes a command
     over as the next cycle begins, so that before skipped periods the command before it acts on; one
     with a clock of its own takes it over in time. What the readback behind them shows decides. Else
-    a command acted in time unless the readback shows an earlier one.
+    a command acted in time unless the readback shows an earlier one. Rows that were `begun_late`
+    (N,) stand before skipped periods, but their cycle really began at the end of these.
 
     The readback follows a command by a first-order lag, with a gain and an offset for each coil;
     where it does not, it decides nothing.
@@ -58,6 +59,8 @@ def acted(command: Array, readback: Array, known: Mask, absent: Mask) -> Acted:
     gaps = _gaps(absent)
     for first, end in gaps:
         taken[first - 1 : end - 1] = max(first - 2, 0)
+        if begun_late[first - 1] and first > 2:
+            taken[first - 2 : end - 2] = first - 3
     lag = _Lag.fit(command, readback, known, absent)
     if lag is None:
         return Acted(taken, 0, 0)
@@ -73,6 +76,7 @@ def acted(command: Array, readback: Array, known: Mask, absent: Mask) -> Acted:
         if first < 2 or k + _AGE >= n or not known[k + _AGE]:
             continue
         if misfit(k, first - 1) < misfit(k, first - 2):
+            taken[first - 2] = row[first - 2]
             taken[first - 1 : end - 1] = first - 1
     late = unexplained = 0
     strange = np.zeros(n, bool)
@@ -98,7 +102,7 @@ def _gaps(absent: Mask) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class _Lag:
-    """now = gain command + rest before + offset for each coil, with the `spread` of what is left."""
+    """now = gain command + rest before + offset for each coil; `spread` is that of what is left."""
 
     gain: Array
     rest: Array

@@ -27,11 +27,15 @@ class Signal:
 
 
 class Stale(IntFlag):
-    """Bits of the field `stale`: whose values in the row are those of an earlier cycle."""
+    """Bits of the field `stale`: whose values in the row are those of an earlier cycle.
+
+    SETPOINTS: not the reading, but the force is: the amplifiers say that no setpoints came for it.
+    """
 
     SENSORS = 1
     AMPLIFIERS = 2
     DRIVES = 4
+    SETPOINTS = 8
 
 
 # Fields of 8 bytes first, then 4, then 1: CDR then needs no padding anywhere, whatever the number
@@ -74,7 +78,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("fault", "1", "uint8", "scalar", "fault, a code; 0 is none"),
     Signal("saturated", "1", "uint8", "scalar", "number of coils at a limit"),
     Signal("skipped", "1", "uint8", "scalar", "periods skipped before this cycle, at most 255"),
-    Signal("stale", "1", "uint8", "scalar", "readings that are an earlier cycle's, bits"),
+    Signal("stale", "1", "uint8", "scalar", "what is an earlier cycle's, bits"),
 )
 
 _NUMPY_TYPES = {

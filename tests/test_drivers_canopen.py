@@ -35,7 +35,7 @@ RATE_HZ = 100.0
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.can.backend._ANSWER_SHARE", 1e4)
+    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 1e4)
 
 
 @pytest.fixture

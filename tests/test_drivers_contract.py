@@ -30,8 +30,7 @@ BEAM_TOLERANCE_M = 2e-8
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """The host alone sets the pace, however slow the machine is: no test waits on the clock."""
     monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.can.backend._ANSWER_SHARE", 1e4)
-    monkeypatch.setattr("levid.drivers.serial.port._ANSWER_SHARE", 1e4)
+    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 1e4)
 
 
 @dataclass

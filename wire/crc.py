@@ -56,7 +56,7 @@ class FrameCrc:
         self._last = length - 2
 
     def of(self, data: bytes | bytearray, cycle: int | None = None) -> int:
-        """Return the checksum of a frame, of `cycle` if it has one; its last byte does not count."""
+        """Return the checksum of a frame (of `cycle`, if it has one); its last byte is left out."""
         crc = self.start
         word = _WORD
         if cycle is not None:

@@ -23,6 +23,8 @@ class AmplifierState(IntEnum):
     ENABLED = 1
     EXPIRED = 2
     TRIPPED = 3
+    UNHEARD = 4
+    """Enabled, but no setpoints came for this cycle: those before act on, until they expire."""
 
 
 class SensorState(IntEnum):

@@ -14,16 +14,14 @@ from ...config.rig import RigConfig
 from ...wire.can_frames import CanFrames, load_frames
 from ...wire.device import CYCLES
 from ...wire.values import LARGEST
-from ..base import Backend, CoilAmplifiers, Context, LinkError, ManipulatorDrives, PositionSensors
+from ..base import Context, LinkError
+from ..on_bus import BusBackend, answer_wait_s
 from .devices import CanAmplifiers, CanSensors
 from .drives import CanDrives
 from .link import CanLink
 
-_ANSWER_SHARE = 0.7
-"""Share of the period after which a reading is too late: the rest is for control and setpoints."""
 
-
-class CanBackend(Backend):
+class CanBackend(BusBackend):
     """Opens each bus once for all the roles on it."""
 
     @classmethod
@@ -43,11 +41,13 @@ class CanBackend(Backend):
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the buses, compare limits with the devices', home and enable the drives."""
         rig = context.rig
-        self._wait_s = _ANSWER_SHARE * context.period_s
+        self._wait_s = answer_wait_s(context)
         self._deadline_s = 0.0
         self._links: dict[str, CanLink] = {}
         self._syncs: list[tuple[CanLink, CanFrames]] = []
-        self._roles: dict[str, CanAmplifiers | CanSensors | CanDrives] = {}
+        self._roles = {}
+        self._dbc_roles: list[CanAmplifiers | CanSensors] = []
+        self._drives: CanDrives | None = None
         self._amplifiers: CanAmplifiers | None = None
         for role in roles:
             found = rig.on_bus(role)
@@ -56,7 +56,7 @@ class CanBackend(Backend):
             bus = rig.can[option.bus]
             link = self._links.setdefault(option.bus, CanLink(option.bus, bus))
             if isinstance(option, CanDriveOptions):
-                self._roles[role] = CanDrives(
+                self._roles[role] = self._drives = CanDrives(
                     link, rig, option, context.folder, bus.stale_cycles, self._deadline
                 )
                 continue
@@ -68,9 +68,12 @@ class CanBackend(Backend):
                 self._amplifiers = CanAmplifiers(
                     link, frames, rig, option.expire_cycles, bus.stale_cycles, self._deadline
                 )
-                self._roles[role] = self._amplifiers
+                self._dbc_roles.append(self._amplifiers)
             else:
-                self._roles[role] = CanSensors(link, frames, rig, bus.stale_cycles, self._deadline)
+                self._dbc_roles.append(
+                    CanSensors(link, frames, rig, bus.stale_cycles, self._deadline)
+                )
+            self._roles[role] = self._dbc_roles[-1]
         self._coils = len(rig.geometry.coil_x_m)
         self._ready = False
         try:
@@ -81,54 +84,37 @@ class CanBackend(Backend):
 
     def sync(self, cycle: int) -> None:
         """Begin a cycle on every bus."""
-        for role in self._roles.values():
-            role.stale = True
+        # From the first moment on: what answers a Sync that went out late is of a later moment.
+        self._deadline_s = perf_counter() + self._wait_s
+        self._nothing_came()
         for link in self._links.values():
             link.drain()
         number = cycle % CYCLES
-        for role in self._roles.values():
-            if not isinstance(role, CanDrives):
-                role.readings.begin(number)
+        for role in self._dbc_roles:
+            role.readings.begin(number)
         if self._amplifiers is not None:
             self._amplifiers.cycle = number
-        self._deadline_s = perf_counter() + self._wait_s
         for link, frames in self._syncs:
             link.send(*frames.sync.encode(number))
-        drives = self._roles.get("drives")
-        if isinstance(drives, CanDrives):
-            drives.sync(cycle)
-
-    def amplifiers(self) -> CoilAmplifiers:
-        """Return the amplifiers."""
-        return self._amplifiers if self._amplifiers is not None else super().amplifiers()
-
-    def sensors(self) -> PositionSensors:
-        """Return the sensors."""
-        found = self._roles.get("sensors")
-        return found if isinstance(found, CanSensors) else super().sensors()
-
-    def drives(self) -> ManipulatorDrives:
-        """Return the drives."""
-        found = self._roles.get("drives")
-        return found if isinstance(found, CanDrives) else super().drives()
+        if self._drives is not None:
+            self._drives.sync(cycle)
 
     def recover(self) -> None:
         """Open all buses anew, compare limits, reset trips, home drives; raises DriverError."""
         self._ready = False
         for link in self._links.values():
             link.open()
-        for role in self._roles.values():
+        for role in self._dbc_roles:
             role.recover()
+        if self._drives is not None:
+            self._drives.recover()
         self._ready = True
 
     @property
     def stale(self) -> int:
         """Readings that did not come in time, of all devices."""
-        watches = (
-            role.watch if isinstance(role, CanDrives) else role.readings.watch
-            for role in self._roles.values()
-        )
-        return sum(watch.stale for watch in watches)
+        of_drives = self._drives.watch.stale if self._drives is not None else 0
+        return of_drives + sum(role.readings.watch.stale for role in self._dbc_roles)
 
     def close(self) -> None:
         """Send zero force and let go of the buses; after expire_cycles the device is off."""

@@ -6,16 +6,19 @@ from collections.abc import Callable
 from time import perf_counter
 
 from ...config.rig import RigConfig
+from ...log.signals import Stale
 from ...wire.can_frames import CanFrames, Fields
-from ...wire.device import AMPLIFIER_LIMITS, SENSOR_LIMITS, Request, declared
+from ...wire.device import AMPLIFIER_LIMITS, SENSOR_LIMITS, AmplifierState, Request, declared
 from ...wire.rejected import Rejected
 from ...wire.values import LARGEST
 from ..base import Array, CoilAmplifiers, LinkError, PositionSensors
 from ..enabling import AmplifierWatch, compare_limits
+from ..rounding import CarriedRounding
 from ..sensing import SensorWatch
 from .link import CanLink
 from .readings import Readings
 
+_UNHEARD = int(Stale.SETPOINTS)
 _EXCHANGE_S = 0.1
 _TRIES = 5
 
@@ -37,24 +40,28 @@ class CanAmplifiers(CoilAmplifiers):
         self.readings = Readings("amplifiers", link, frames.force, stale_cycles)
         self.cycle = 0
         self._link, self._setpoint, self._deadline = link, frames.setpoint, deadline
+        self._in_steps = CarriedRounding(frames.setpoint.unit, len(rig.geometry.coil_x_m))
         self._limits = declared(rig, expire_cycles)
         self._questions = Questions(link, frames.request, frames.answer)
-        self._watch = AmplifierWatch(self.readings.what, self._limits, self._questions.ask)
+        self._watch = AmplifierWatch(
+            self.readings.what, self._limits, self._questions.ask, stale_cycles
+        )
         self._questions.answered = self._watch.answered
 
     def write(self, coil_n: Array) -> None:
         """Send setpoints (C,) in N; the amplifiers take them over at the next Sync."""
         self._watch.commanding(coil_n)
         send = self._link.send
-        for can_id, data in self._setpoint.encode(coil_n, self.cycle, 0):
+        for can_id, data in self._setpoint.encode(self._in_steps(coil_n), self.cycle, 0):
             send(can_id, data)
 
     def read(self, coil_n: Array) -> None:
         """Fill `coil_n` (C,) with the forces of this cycle, or of the last that came."""
         self.readings.collect(self._deadline(), coil_n)
         if self.readings.fresh:
-            self.stale = False
-            self._watch.judge(self.readings.state, coil_n)
+            state = self.readings.state
+            self.stale = _UNHEARD if state == AmplifierState.UNHEARD else 0
+            self._watch.judge(state, coil_n)
 
     def recover(self) -> None:
         """Compare limits and reset trips; raises DriverError."""
@@ -85,7 +92,7 @@ class CanSensors(PositionSensors):
         """Fill `gap_m` (S,) with the heights of this cycle, or of the last that came."""
         self.readings.collect(self._deadline(), gap_m)
         if self.readings.fresh:
-            self.stale = False
+            self.stale = 0
             self._watch.judge(gap_m)
 
     def recover(self) -> None:

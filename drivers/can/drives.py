@@ -118,7 +118,7 @@ class CanDrives(ManipulatorDrives):
                 pass
             self._judge()
         x1, x2, phi = self._axes
-        self.stale = x1.cycle < self._answer_due
+        self.stale = self.STALE if x1.cycle < self._answer_due else 0
         # Slower drives are not waited for: between their readings position goes on at its speed.
         since_s = (self._cycle - x1.cycle) * self._period_s
         beam[0] = 0.5 * (x1.position + x2.position + since_s * (x1.velocity + x2.velocity))

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from time import perf_counter, time
-from typing import Any
+from typing import NoReturn
 
 from ...config.buses import CanBus
+from ...wire.can_bus import BusOffError, FrameBus, open_bus
 from ..base import LinkError
 
 Listener = Callable[[int, bytes], None]
 
-_CAN_ERR_BUSOFF = 0x40
 _OLDEST_STAMP_S = 1.0
 
 
@@ -23,39 +22,22 @@ class CanLink:
         self.what = f"can {name} ({bus.interface} {bus.channel})"
         self._config = bus
         self._listeners: dict[int, Listener] = {}
-        self._bus: Any = None
-        self._message: Any = None
+        self._bus: FrameBus | None = None
         self._stamp_s = 0.0
 
     def open(self) -> None:
         """Open the bus, anew if it was open; raises LinkError."""
-        import can
-
         self.close()
-        config = self._config
-        more: dict[str, Any] = dict(config.options)
-        if config.fd:
-            more |= {"fd": True, "data_bitrate": config.data_bitrate}
-        elif config.interface == "udp_multicast":
-            more |= {"fd": False}  # it would send CAN FD unless told otherwise
         try:
-            self._bus = can.Bus(
-                interface=config.interface,
-                channel=config.channel,
-                bitrate=config.bitrate,
-                receive_own_messages=False,
-                **more,
-            )
+            self._bus = open_bus(self._config)
         except Exception as error:  # noqa: BLE001 - interfaces raise whatever they meet
             raise LinkError(f"{self.what}: cannot be opened: {error}") from None
-        self._message = can.Message
 
     def close(self) -> None:
         """Let go of the bus; safe to call twice."""
         bus, self._bus = self._bus, None
         if bus is not None:
-            with contextlib.suppress(Exception):
-                bus.shutdown()
+            bus.shutdown()
 
     def listen(self, can_id: int, listener: Listener) -> None:
         """Hand every frame of this ID to `listener`; frames of other IDs are nobody's."""
@@ -65,17 +47,8 @@ class CanLink:
         """Send a frame; raises LinkError."""
         if self._bus is None:
             raise LinkError(f"{self.what}: gone")
-        fd = self._config.fd and len(data) > 8
         try:
-            self._bus.send(
-                self._message(
-                    arbitration_id=can_id,
-                    is_extended_id=False,
-                    data=data,
-                    is_fd=fd,
-                    bitrate_switch=fd,
-                )
-            )
+            self._bus.send(can_id, data)
         except Exception as error:  # noqa: BLE001 - as above
             self._lost(f"sending failed: {error}")
 
@@ -88,19 +61,17 @@ class CanLink:
             raise LinkError(f"{self.what}: gone")
         try:
             wait_s = deadline_s - perf_counter() if deadline_s else 0.0
-            message = self._bus.recv(max(wait_s, 0.0))
+            frame = self._bus.receive(max(wait_s, 0.0))
+        except BusOffError:
+            self._lost("the controller is bus-off")
         except Exception as error:  # noqa: BLE001 - as above
             self._lost(f"receiving failed: {error}")
-        if message is None:
+        if frame is None:
             return False
-        if message.is_error_frame:
-            if message.arbitration_id & _CAN_ERR_BUSOFF:
-                self._lost("the controller is bus-off")
-            return True
-        listener = self._listeners.get(message.arbitration_id)
-        if listener is not None and not message.is_extended_id and not message.is_remote_frame:
-            self._stamp_s = message.timestamp
-            listener(message.arbitration_id, message.data)
+        can_id, data, self._stamp_s = frame
+        listener = self._listeners.get(can_id)
+        if listener is not None:
+            listener(can_id, data)
         return True
 
     @property
@@ -118,6 +89,6 @@ class CanLink:
         while self.receive(0.0):
             pass
 
-    def _lost(self, why: str) -> None:
+    def _lost(self, why: str) -> NoReturn:
         self.close()
         raise LinkError(f"{self.what}: lost: {why}") from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...wire.can_frames import COUNTER_MASK, ValueFrames
+from ...wire.can_frames import ValueFrames
 from ...wire.rejected import Rejected
 from ..base import Array
 from ..watch import Watch
@@ -48,7 +48,11 @@ class Readings:
                     break
         finally:
             self._collected = True
-        if self._frames.complete:
+        if self._frames.complete and self._link.received_s > deadline_s:
+            # This process may look late at what came in time, and the other way round: the stamp
+            # says when it came. After the deadline nobody knows when it was sampled.
+            self.watch.late()
+        elif self._frames.complete:
             wrong = self._frames.finish(out)
             if wrong is None:
                 self.fresh = True

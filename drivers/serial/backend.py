@@ -10,10 +10,12 @@ import numpy as np
 from ...config.base import ConfigError
 from ...config.buses import AmplifierOptions, SerialDriveOptions
 from ...config.rig import RigConfig
+from ...log.signals import Stale
 from ...wire.device import (
     AMPLIFIER_LIMITS,
     DRIVE_LIMITS,
     SENSOR_LIMITS,
+    AmplifierState,
     DriveState,
     Request,
     declared,
@@ -22,7 +24,6 @@ from ...wire.serial_frames import FORCE_N, GAP_M, Contents
 from ...wire.values import LARGEST
 from ..base import (
     Array,
-    Backend,
     CoilAmplifiers,
     Context,
     DriveError,
@@ -31,11 +32,15 @@ from ..base import (
     PositionSensors,
 )
 from ..enabling import AmplifierWatch, compare_limits
+from ..on_bus import BusBackend, answer_wait_s
+from ..rounding import CarriedRounding
 from ..sensing import SensorWatch, check_skew
 from .port import TransactionPort
 
+_UNHEARD = int(Stale.SETPOINTS)
 
-class SerialBackend(Backend):
+
+class SerialBackend(BusBackend):
     """Opens each port once for all the roles on it."""
 
     @classmethod
@@ -54,19 +59,21 @@ class SerialBackend(Backend):
         options = {role: found[1] for role in roles if (found := rig.on_bus(role)) is not None}
         names = dict.fromkeys(option.bus for option in options.values())
         on = {name: {r for r, o in options.items() if o.bus == name} for name in names}
+        wait_s = answer_wait_s(context)
         self._ports = {
-            name: TransactionPort(name, rig.serial[name], contents(rig, on[name]), context.period_s)
+            name: TransactionPort(name, rig.serial[name], contents(rig, on[name]), wait_s)
             for name in names
         }
-        self._roles: dict[str, _Amplifiers | _Sensors | _Drives] = {}
+        played: dict[str, _Amplifiers | _Sensors | _Drives] = {}
         for role, option in options.items():
             port = self._ports[option.bus]
             if isinstance(option, AmplifierOptions):
-                self._roles[role] = _Amplifiers(port, rig, option.expire_cycles)
+                played[role] = _Amplifiers(port, rig, option.expire_cycles)
             elif isinstance(option, SerialDriveOptions):
-                self._roles[role] = _Drives(port, rig, option)
+                played[role] = _Drives(port, rig, option)
             else:
-                self._roles[role] = _Sensors(port, rig)
+                played[role] = _Sensors(port, rig)
+        self._roles, self._recovering = {**played}, tuple(played.values())
         try:
             self.recover()
         except BaseException:
@@ -75,31 +82,15 @@ class SerialBackend(Backend):
 
     def sync(self, cycle: int) -> None:
         """Begin a cycle on every port: setpoints out, samples in."""
-        for role in self._roles.values():
-            role.stale = True
+        self._nothing_came()
         for port in self._ports.values():
             port.sync(cycle)
-
-    def amplifiers(self) -> CoilAmplifiers:
-        """Return the amplifiers."""
-        found = self._roles.get("amplifiers")
-        return found if isinstance(found, _Amplifiers) else super().amplifiers()
-
-    def sensors(self) -> PositionSensors:
-        """Return the sensors."""
-        found = self._roles.get("sensors")
-        return found if isinstance(found, _Sensors) else super().sensors()
-
-    def drives(self) -> ManipulatorDrives:
-        """Return the drives."""
-        found = self._roles.get("drives")
-        return found if isinstance(found, _Drives) else super().drives()
 
     def recover(self) -> None:
         """Open all ports anew, compare limits, reset trips, enable drives; raises DriverError."""
         for port in self._ports.values():
             port.open()
-        for role in self._roles.values():
+        for role in self._recovering:
             role.recover()
 
     @property
@@ -132,13 +123,16 @@ def contents(rig: RigConfig, roles: set[str]) -> Contents:
 class _Amplifiers(CoilAmplifiers):
     def __init__(self, port: TransactionPort, rig: RigConfig, expire_cycles: int) -> None:
         self.port, self.open = port, False
+        self._in_steps = CarriedRounding(FORCE_N, len(rig.geometry.coil_x_m))
         self._limits = declared(rig, expire_cycles)
-        self._watch = AmplifierWatch(f"amplifiers on {port.what}", self._limits, port.ask)
+        self._watch = AmplifierWatch(
+            f"amplifiers on {port.what}", self._limits, port.ask, port.stale_cycles
+        )
         port.amplifiers = self._watch
 
     def write(self, coil_n: Array) -> None:
         self._watch.commanding(coil_n)
-        self.port.coil_n[:] = coil_n
+        self.port.coil_n[:] = self._in_steps(coil_n)
 
     def release(self, zero_n: Array) -> None:
         self.write(zero_n)
@@ -148,7 +142,7 @@ class _Amplifiers(CoilAmplifiers):
         self.port.collect()
         state = self.port.frames.amplifier_readings(coil_n)
         if self.port.fresh:
-            self.stale = False
+            self.stale = _UNHEARD if state == AmplifierState.UNHEARD else 0
             self._watch.judge(state, coil_n)
 
     def recover(self) -> None:
@@ -168,7 +162,7 @@ class _Sensors(PositionSensors):
         self._port.collect()
         self._port.frames.sensor_readings(gap_m)
         if self._port.fresh:
-            self.stale = False
+            self.stale = 0
             self._watch.judge(gap_m)
 
     def recover(self) -> None:
@@ -195,7 +189,7 @@ class _Drives(ManipulatorDrives):
         beam[:] = 0.5 * (axes[0] + axes[1])
         beam[2] = axes[0, 2] + axes[1, 2]
         rotor[:] = axes[2]
-        self.stale = not port.fresh
+        self.stale = 0 if port.fresh else self.STALE
         if self._told or not port.fresh:
             return
         self._told = True

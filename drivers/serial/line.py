@@ -22,7 +22,7 @@ class SerialLine:
         self._bus = bus
         self._port: Any = None
         self._fd = -1
-        self._poll: Any = None
+        self._waiting = [-1]
 
     def open(self) -> None:
         """Open the port, anew if it was open; raises LinkError."""
@@ -43,9 +43,7 @@ class SerialLine:
             self._fd = port.fileno()
         except (OSError, AttributeError, ValueError):
             self._fd = -1  # rfc2217://, say: pyserial's own reading has to do
-        if self._fd >= 0:
-            self._poll = select.poll()
-            self._poll.register(self._fd, select.POLLIN)
+        self._waiting = [self._fd]
 
     def close(self) -> None:
         """Let go of the port; safe to call twice."""
@@ -80,8 +78,9 @@ class SerialLine:
                 self._port.timeout = max(deadline_s - perf_counter(), 0.0)
                 first: bytes = self._port.read(1)
                 return first + self._port.read(self._port.in_waiting) if first else b""
-            wait_ms = (deadline_s - perf_counter()) * 1e3
-            if not self._poll.poll(max(wait_ms, 0.0)):
+            wait_s = deadline_s - perf_counter() if deadline_s else 0.0
+            # Not poll: its timeout is in whole milliseconds, rounded up.
+            if not select.select(self._waiting, (), (), max(wait_s, 0.0))[0]:
                 return b""
             data = os.read(self._fd, _CHUNK)
         except BlockingIOError:

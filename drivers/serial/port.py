@@ -16,8 +16,6 @@ from ..enabling import AmplifierWatch
 from ..watch import Watch
 from .line import SerialLine
 
-_ANSWER_SHARE = 0.7
-"""Share of the period after which a reading is too late: the rest is for control and writing."""
 _EXCHANGE_S = 0.1
 _TRIES = 5
 
@@ -29,18 +27,19 @@ class TransactionPort:
     readings of this cycle, or where they are stale those of an earlier one.
     """
 
-    def __init__(self, name: str, bus: SerialBus, contents: Contents, period_s: float) -> None:
+    def __init__(self, name: str, bus: SerialBus, contents: Contents, wait_s: float) -> None:
         self.what = f"serial {name} ({bus.port})"
         self.frames = SerialFrames(contents)
         self.coil_n = np.zeros(contents.coils)
         self.beam, self.rotor = np.zeros(3), np.zeros(3)
+        self.stale_cycles = bus.stale_cycles
         self.watch = Watch(self.what, bus.stale_cycles)
         self.amplifiers: AmplifierWatch | None = None
         self.fresh = False
         self._line = SerialLine(name, bus)
         self._stream = FrameStream(self.frames.longest)
         self._reading = SerialFrames(contents)
-        self._wait_s = _ANSWER_SHARE * period_s
+        self._wait_s = wait_s
         self._deadline_s = 0.0
         self._cycle = 0
         self._collected = True
@@ -62,11 +61,12 @@ class TransactionPort:
 
     def sync(self, cycle: int) -> None:
         """Begin a cycle: send setpoints, at which the device samples and answers."""
+        # From the first moment on: what answers a late CYCLE is of a later moment.
+        self._deadline_s = perf_counter() + self._wait_s
         self._drain()
         self.watch.begin()
         self._cycle = cycle % CYCLES
         self._collected, self.fresh = False, False
-        self._deadline_s = perf_counter() + self._wait_s
         self._line.write(self._setpoints())
         if self._questions:
             for question in self._questions:

@@ -14,6 +14,7 @@ import numpy as np
 from ...config.base import ConfigError
 from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
+from ...wire.can_bus import FrameBus, open_bus
 from ...wire.can_frames import Fields, load_frames
 from ...wire.cia402 import SYNC_COUNTER, SYNC_ID
 from ...wire.rejected import Rejected
@@ -63,7 +64,7 @@ class CanElectronics:
             self._handlers[SYNC_ID] = self._drives_sync
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"levid-{name}", daemon=True)
-        self._bus: Any = None
+        self._bus: FrameBus | None = None
 
     def start(self) -> None:
         """Open the bus and answer from now on; raises ConfigError."""
@@ -80,58 +81,43 @@ class CanElectronics:
         self._close()
 
     def _open(self) -> None:
-        import can
-
         config = self._config
-        more: dict[str, Any] = dict(config.options)
-        if config.fd:
-            more |= {"fd": True, "data_bitrate": config.data_bitrate}
-        elif config.interface == "udp_multicast":
-            more |= {"fd": False}
         try:
-            self._bus = can.Bus(
-                interface=config.interface, channel=config.channel, bitrate=config.bitrate, **more
-            )
+            self._bus = open_bus(config)
         except Exception as error:  # noqa: BLE001 - interfaces raise whatever they meet
             raise ConfigError(f"can: {config.interface} {config.channel}: {error}") from None
-        self._message = can.Message
 
     def _close(self) -> None:
         bus, self._bus = self._bus, None
         if bus is not None:
-            with contextlib.suppress(Exception):
-                bus.shutdown()
+            bus.shutdown()
 
     def _run(self) -> None:
         patience_s = min(1.5 * self._core.period_s, 0.1)
         while not self._stopping.is_set():
             silent_s = time.monotonic() + patience_s
+            assert self._bus is not None
             try:
-                message = self._bus.recv(patience_s)
+                frame = self._bus.receive(patience_s)
             except Exception:  # noqa: BLE001 - an interface that is down comes back
                 time.sleep(max(silent_s - time.monotonic(), 0.0))
-                message = None
-            if message is None and self._drives is not None and self._injector.hears:
+                frame = None
+            if frame is None and self._drives is not None and self._injector.hears:
                 self._drives.poll()
-            if message is None or not self._injector.hears:
+            if frame is None or not self._injector.hears:
                 self._core.tick(min(silent_s, time.monotonic()))
                 continue
-            if message.is_extended_id or message.is_error_frame or message.is_remote_frame:
-                continue
-            can_id = message.arbitration_id
+            can_id, data, _ = frame
             handler = self._handlers.get(can_id)
             if handler is not None:
-                handler(can_id, bytes(message.data))
-            elif self._drives is not None:
-                self._drives.take(can_id, bytes(message.data))
+                handler(can_id, data)
+            elif self._drives is not None and can_id >= 0:
+                self._drives.take(can_id, data)
 
     def _send(self, can_id: int, data: bytes) -> None:
-        fd = self._config.fd and len(data) > 8
-        message = self._message(
-            arbitration_id=can_id, is_extended_id=False, data=data, is_fd=fd, bitrate_switch=fd
-        )
-        with contextlib.suppress(Exception):  # nobody on the bus: as on a wire
-            self._bus.send(message)
+        if self._bus is not None:
+            with contextlib.suppress(Exception):  # nobody on the bus: as on a wire
+                self._bus.send(can_id, data)
 
     def _sync(self, _: int, data: bytes) -> None:
         numbers = self._frames.sync.decode(data)
@@ -145,7 +131,7 @@ class CanElectronics:
             if self._sensors:
                 batch += frames.gap.encode(core.gap_m, self._cycle, core.sensor_state)
             if self._amplifiers:
-                batch += frames.force.encode(core.force_n, self._cycle, core.amplifier_state)
+                batch += frames.force.encode(core.force_n, self._cycle, core.answered_state)
         frames.setpoint.begin()
         for frame in self._outgoing.through(batch):
             self._send(*frame)

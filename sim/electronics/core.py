@@ -115,6 +115,13 @@ class Core:
         return self._cycle or 0
 
     @property
+    def answered_state(self) -> AmplifierState:
+        """What the amplifiers say of themselves: UNHEARD where setpoints are missing."""
+        if self.amplifier_state is AmplifierState.ENABLED and self._missed:
+            return AmplifierState.UNHEARD
+        return self.amplifier_state
+
+    @property
     def motion(self) -> Array:
         """Position, velocity, acceleration (2, 3) that beam and rotor are told for this period."""
         return self._motion
@@ -270,11 +277,11 @@ class Core:
         plant, acting = self._plant, self._acting_n
         plant.advance(acting, self._motion[0], self._motion[1])
         self._look_at_injected()
-        if self.amplifier_state is AmplifierState.ENABLED:
-            if not (setpoints_next and self._fresh):
-                self._missed += 1
-                if self._missed >= self._expire:
-                    self.amplifier_state = AmplifierState.EXPIRED
+        heard = setpoints_next and self._fresh
+        if self.amplifier_state is AmplifierState.ENABLED and not heard:
+            self._missed += 1
+            if self._missed >= self._expire:
+                self.amplifier_state = AmplifierState.EXPIRED
         if self.amplifier_state is not AmplifierState.ENABLED:
             acting[:] = 0.0
         if self._plan:

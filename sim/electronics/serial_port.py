@@ -88,7 +88,7 @@ class SerialElectronics:
                 core.begin(header.sequence)
                 readings = frames.readings(
                     header.sequence,
-                    (core.amplifier_state, core.force_n),
+                    (core.answered_state, core.force_n),
                     (core.sensor_state, core.gap_m),
                     (core.drive_state, core.drive_error, core.axes),
                 )

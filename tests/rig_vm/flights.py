@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 from levid.daemon.client import Client, DaemonError
@@ -30,6 +31,21 @@ def say(line: str) -> None:
         pipe.write(f"{line}\n")
 
 
+def wait_for_daemon() -> None:
+    """Return once it answers: its socket is there a moment before it listens."""
+    give_up_s = time.monotonic() + 60.0
+    while True:
+        try:
+            with Client(socket) as client:
+                client.request("status")
+                return
+        except DaemonError:
+            if time.monotonic() > give_up_s:
+                raise
+            time.sleep(0.2)
+
+
+wait_for_daemon()
 fly(TEXT, "first")
 ended = ""
 try:

@@ -2,25 +2,26 @@
 # Electronics and daemon on vcan0: a session is flown, an amplifier trips in the next, and frames are checked.
 set -euo pipefail
 out=$WORK/out
-export NUMBA_CACHE_DIR=$WORK/numba MPLCONFIGDIR=/tmp XDG_RUNTIME_DIR=/run/levid HOME=/tmp
+export NUMBA_CACHE_DIR=$WORK/numba MPLCONFIGDIR=/run XDG_RUNTIME_DIR=/run/levid HOME=/run TMPDIR=/run
 export PYTHONDONTWRITEBYTECODE=1
 mkdir -p "$XDG_RUNTIME_DIR"
 levid=$ROOT/.venv/bin/levid
 
 # It says so where it loses frames: a Sync that it missed must not look like one that was never sent.
-candump -L -d -r 8388608 vcan0 > "$out/candump.txt" &
+# Who listens and who plays hardware go first: a frame that waits for them keeps the sender's queue full.
+nice -n -15 candump -L -d -r 8388608 vcan0 > "$out/candump.txt" &
 dump=$!
-mkfifo /tmp/faults
-"$levid" electronics "$HERE/rig.yaml" < /tmp/faults > "$out/electronics.txt" 2> "$out/electronics.log" &
+mkfifo /run/faults
+nice -n -10 "$levid" electronics "$HERE/rig.yaml" < /run/faults > "$out/electronics.txt" 2> "$out/electronics.log" &
 electronics=$!
-exec 3> /tmp/faults # held open: a line is a command
+exec 3> /run/faults # held open: a line is a command
 until grep -q answer "$out/electronics.log"; do sleep 0.2; kill -0 $electronics; done
-"$levid" run "$HERE/rig.yaml" 2> "$out/daemon.log" &
+nice -n -5 "$levid" run "$HERE/rig.yaml" 2> "$out/daemon.log" &
 daemon=$!
 until [ -S "$XDG_RUNTIME_DIR/levid.sock" ]; do sleep 0.2; kill -0 $daemon; done
 
 python=$ROOT/.venv/bin/python
-"$python" "$HERE/flights.py" "$HERE/session.yaml" "$out" /tmp/faults "$XDG_RUNTIME_DIR/levid.sock"
+"$python" "$HERE/flights.py" "$HERE/session.yaml" "$out" /run/faults "$XDG_RUNTIME_DIR/levid.sock"
 
 kill -TERM $daemon
 wait $daemon

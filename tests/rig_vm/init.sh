@@ -4,8 +4,7 @@ export PATH=/usr/sbin:/usr/bin:/sbin:/bin:$WORK/system/usr/bin:$WORK/system/bin:
 mount -t proc proc /proc
 mount -t sysfs sysfs /sys
 mountpoint -q /dev || mount -t devtmpfs dev /dev
-mount -t tmpfs tmpfs /tmp
-mount -t tmpfs tmpfs /run
+mount -t tmpfs tmpfs /run # not over /tmp: the clone may lie there
 mount -t hostfs -o "$WORK" none "$WORK" # writable, and nothing else is
 out=$WORK/out
 

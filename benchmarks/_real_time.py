@@ -1,0 +1,27 @@
+"""Real-time priority where it may be had, as on the rig, for loops and emulated electronics."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+LOOP, ELECTRONICS = 50, 45
+
+
+def hurry(priority: int, pid: int | None = None) -> bool:
+    """Run this thread, or all threads of a process, first in, first out; return whether it may."""
+    tasks = [0] if pid is None else [int(p.name) for p in Path(f"/proc/{pid}/task").iterdir()]
+    try:
+        for task in tasks:
+            # What this thread starts is no part of the loop.
+            policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(task, policy, os.sched_param(priority))
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+def relax() -> None:
+    """Run this thread as any other again."""
+    if hasattr(os, "SCHED_OTHER"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

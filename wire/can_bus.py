@@ -1,0 +1,153 @@
+"""A bus of python-can as plain frames: a number and bytes in, a number, bytes and a stamp out.
+
+Any interface goes through python-can's own Message. For socketcan, the interface of the rig, frames
+are read and written as the kernel lays them out: a Message, its checks and copies take longer than
+the frame takes on the wire. The bus is opened, configured and closed by python-can all the same.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+from typing import Any, NamedTuple, Protocol
+
+from ..config.buses import CanBus
+
+_CAN_ERR_BUSOFF = 0x40
+_NOT_PLAIN = 0xE000_0000
+_ERROR = 0x2000_0000
+_FD_FRAME = 72
+_FULL_S = 0.001
+_BRS = 0x01
+# struct canfd_frame of linux/can.h: ID with flags, length, flags, and the data behind two bytes;
+# struct can_frame is the same but for its 16 bytes and no flags.
+_HEAD = struct.Struct("=IBB2x")
+_CLASSIC = struct.Struct("=IBB2x8s")
+_FD = struct.Struct("=IBB2x64s")
+_TIMESPEC = struct.Struct("@ll")
+_ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size)
+
+
+class BusOffError(Exception):
+    """The controller has left the bus."""
+
+
+class Frame(NamedTuple):
+    """What came: an 11-bit ID (-1 for frames that are no data of ours), and when, by time()."""
+
+    can_id: int
+    data: bytes
+    stamp_s: float
+
+
+OTHER = Frame(-1, b"", 0.0)
+
+
+class FrameBus(Protocol):
+    """An open bus."""
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame, CAN FD with bit rate switch beyond 8 bytes; raises what the bus raises."""
+
+    def receive(self, wait_s: float) -> Frame | None:
+        """Return the next frame, None if none comes within `wait_s`; raises BusOffError too."""
+
+    def shutdown(self) -> None:
+        """Close the bus."""
+
+
+def open_bus(config: CanBus) -> FrameBus:
+    """Open the bus that a rig names; raises whatever the interface raises."""
+    import can
+
+    more: dict[str, Any] = dict(config.options)
+    if config.fd:
+        more |= {"fd": True, "data_bitrate": config.data_bitrate}
+    elif config.interface == "udp_multicast":
+        more |= {"fd": False}  # it would send CAN FD unless told otherwise
+    bus: Any = can.Bus(
+        interface=config.interface,
+        channel=config.channel,
+        bitrate=config.bitrate,
+        receive_own_messages=False,
+        **more,
+    )
+    if config.interface == "socketcan" and isinstance(getattr(bus, "socket", None), socket.socket):
+        return _KernelBus(bus, bus.socket)
+    return _MessageBus(bus, can.Message)
+
+
+class _MessageBus:
+    """Any interface, by its Messages."""
+
+    def __init__(self, bus: Any, message: Any) -> None:
+        self._bus, self._message = bus, message
+
+    def send(self, can_id: int, data: bytes) -> None:
+        fd = len(data) > 8
+        self._bus.send(
+            self._message(
+                arbitration_id=can_id,
+                is_extended_id=False,
+                data=data,
+                is_fd=fd,
+                bitrate_switch=fd,
+            )
+        )
+
+    def receive(self, wait_s: float) -> Frame | None:
+        message = self._bus.recv(wait_s)
+        if message is None:
+            return None
+        if message.is_error_frame:
+            if message.arbitration_id & _CAN_ERR_BUSOFF:
+                raise BusOffError
+            return OTHER
+        if message.is_extended_id or message.is_remote_frame:
+            return OTHER
+        return Frame(message.arbitration_id, bytes(message.data), message.timestamp)
+
+    def shutdown(self) -> None:
+        with contextlib.suppress(Exception):
+            self._bus.shutdown()
+
+
+class _KernelBus:
+    """socketcan, on the socket that python-can opened, with the stamps that it asked for."""
+
+    def __init__(self, bus: Any, raw: socket.socket) -> None:
+        self._bus, self._socket = bus, raw
+        self._waiting = [raw]
+
+    def send(self, can_id: int, data: bytes) -> None:
+        length = len(data)
+        if length > 8:
+            frame = _FD.pack(can_id, length, _BRS, data)
+        else:
+            frame = _CLASSIC.pack(can_id, length, 0, data)
+        try:
+            self._socket.send(frame, socket.MSG_DONTWAIT)
+        except BlockingIOError:  # the queue is full, and may stay so: nobody acknowledges, say
+            select.select((), self._waiting, (), _FULL_S)
+            self._socket.send(frame, socket.MSG_DONTWAIT)
+
+    def receive(self, wait_s: float) -> Frame | None:
+        try:  # mostly it is there already, and need not be waited for
+            raw, extra, _, _ = self._socket.recvmsg(_FD_FRAME, _ANCILLARY, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            if wait_s <= 0.0 or not select.select(self._waiting, (), (), wait_s)[0]:
+                return None
+            raw, extra, _, _ = self._socket.recvmsg(_FD_FRAME, _ANCILLARY)
+        can_id, length, _ = _HEAD.unpack_from(raw)
+        if can_id & _NOT_PLAIN:
+            if can_id & _ERROR and can_id & _CAN_ERR_BUSOFF:
+                raise BusOffError
+            return OTHER
+        seconds, nanoseconds = _TIMESPEC.unpack(extra[0][2]) if extra else (0, 0)
+        return Frame(can_id, raw[8 : 8 + length], seconds + 1e-9 * nanoseconds)
+
+    def shutdown(self) -> None:
+        with contextlib.suppress(Exception):
+            self._bus.shutdown()

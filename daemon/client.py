@@ -10,10 +10,11 @@ from types import TracebackType
 from typing import Any, Self
 
 from ..config.rig import RigConfig
-from .flight import FlightResult
+from .result import FlightResult
 from .server import default_socket
 
 _TIMEOUT_S = 30.0
+_CLEARING_S = 150.0  # opening buses anew and homing drives takes its time
 
 
 class DaemonError(Exception):
@@ -59,6 +60,7 @@ class Client:
         self, op: str, on_line: Callable[[Mapping[str, Any]], None] | None = None, **more: Any
     ) -> dict[str, Any]:
         """Send one request; lines before the answer go to `on_line`."""
+        self._socket.settimeout(_CLEARING_S if op == "clear" else _TIMEOUT_S)
         try:
             self._stream.write(json.dumps({"op": op, **more}).encode() + b"\n")
             self._stream.flush()
@@ -81,10 +83,12 @@ class Client:
         out: Path,
         report: Callable[[str, float], None],
         rig: str | None = None,
+        client_gone: str | None = None,
     ) -> FlightResult:
         """Fly the session of this YAML text, logging into `out` on the daemon's machine.
 
-        With `rig` (YAML text) the daemon refuses unless it runs that very rig.
+        With `rig` (YAML text) the daemon refuses unless it runs that very rig. `client_gone` says
+        what the flight does if this client dies: go_on or land; as the rig says unless given.
         """
         answer = self.request(
             "excite",
@@ -92,6 +96,7 @@ class Client:
             session=session,
             out=str(out),
             rig=rig,
+            client_gone=client_gone,
         )
         return FlightResult(
             tuple(map(Path, answer["logs"])),

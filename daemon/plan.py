@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -69,6 +69,26 @@ def plan_session(
             level that would saturate the coils; the message names session, step and key.
     """
     return _Planner(session, rig, beam_m, rotor_rad, source).plan()
+
+
+def plan_steps(
+    steps: Sequence[Step],
+    name: str,
+    rig: RigConfig,
+    beam_m: float,
+    rotor_rad: float,
+) -> Plan:
+    """Lay out single steps, flown by hand, from a manipulator at rest; raises as plan_session."""
+    session = SessionConfig.model_construct(
+        levid="session",
+        name=name,
+        rate_hz=None,
+        seed=1,
+        excitations={},
+        steps=tuple(steps),
+        then=(),
+    )
+    return _Planner(session, rig, beam_m, rotor_rad, name).plan()
 
 
 class _Planner:

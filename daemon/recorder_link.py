@@ -166,8 +166,10 @@ class RecorderLink:
             self._say(f"flight recording of {message['fault']}: {what}")
             return
         tag, path = int(message["log"]), Path(message["path"])
-        if message["event"] == Event.OPENED and tag in self.files:
-            self.files[tag].append(path)
+        if message["event"] == Event.OPENED:
+            files = self.files.get(tag, [])
+            if path not in files:  # one that held no row was begun anew
+                files.append(path)
         elif message["event"] == Event.FAILED:
             self.failed.setdefault(tag, str(message["why"]))
             self._say(f"recording stopped, the flight goes on: {message['why']}")

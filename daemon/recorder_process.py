@@ -13,10 +13,13 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ..config.rig import RigConfig
+from ..log.container import scan
+from ..log.errors import LogError
 from .board import Word
 from .fault_log import FaultLog
 from .faults import Fault
@@ -114,9 +117,10 @@ class RecorderProcess:
         if "head" in message:
             self._head = {name: base64.b64decode(data) for name, data in message["head"].items()}
         if "log" in message:
-            self._logs[int(message["log"])] = LogFile(
+            file = LogFile(
                 Path(message["path"]), message["metadata"], self._head, int(message["part"])
             )
+            self._logs[int(message["log"])] = without_empty_part(file)
         if "forget" in message:
             self._logs = {t: log for t, log in self._logs.items() if t > int(message["forget"])}
             self._scribe.forget_errors()
@@ -144,6 +148,20 @@ class RecorderProcess:
     def _say(self, message: Mapping[str, Any]) -> None:
         with contextlib.suppress(Closed):
             self._lines.put(message)
+
+
+def without_empty_part(file: LogFile) -> LogFile:
+    """Take away the part before, if its recorder died before it held a row: it is no log."""
+    if file.part == 1:
+        return file
+    before = file.path_of(file.part - 1)
+    with contextlib.suppress(OSError, LogError):
+        if before.stat().st_size > _MOST_BYTES:
+            return file
+        if not scan(memoryview(before.read_bytes())).segments:
+            before.unlink()
+            return replace(file, part=file.part - 1)
+    return file
 
 
 class _Syncer:

@@ -106,8 +106,11 @@ class Scribe:
             if begin < end:
                 if tags[begin] != self._tag:
                     self._switch(int(tags[begin]))
+                    ring.durable = taken.first + begin
                 self._write(taken.rows[begin:end])
-        ring.durable = ring.tail - (self._writer.buffered if self._writer is not None else 0)
+                # At once: what a recorder that follows a dead one writes again stands twice.
+                buffered = self._writer.buffered if self._writer is not None else 0
+                ring.durable = taken.first + end - buffered
         return taken
 
     def finish(self) -> None:

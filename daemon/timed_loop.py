@@ -384,6 +384,8 @@ class TimedLoop:
         self._clear_seen = request
         words = self._words
         if self._fault:
+            if self._tagged_left < _FOREVER:
+                self._end_plan()  # its story ends here
             words[Word.BUSY] = 1
             try:
                 self._recover()

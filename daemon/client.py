@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +15,7 @@ from .result import FlightResult
 from .server import default_socket
 
 _TIMEOUT_S = 30.0
+_AGAIN_S = 0.01
 _CLEARING_S = 150.0  # opening buses anew and homing drives takes its time
 
 
@@ -37,7 +39,7 @@ class Client:
     def __enter__(self) -> Self:
         """Connect; raises DaemonError when no daemon answers."""
         try:
-            self._socket.connect(str(self._path))
+            self._connect()
         except OSError as error:
             self._socket.close()
             raise DaemonError(
@@ -55,6 +57,18 @@ class Client:
     ) -> None:
         """Disconnect."""
         self._socket.close()
+
+    def _connect(self) -> None:
+        give_up_s = time.monotonic() + _TIMEOUT_S
+        while True:
+            try:
+                self._socket.connect(str(self._path))
+            except BlockingIOError:  # others are in front: with a timeout the kernel does not wait
+                if time.monotonic() > give_up_s:
+                    raise
+                time.sleep(_AGAIN_S)
+            else:
+                return
 
     def request(
         self, op: str, on_line: Callable[[Mapping[str, Any]], None] | None = None, **more: Any

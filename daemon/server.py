@@ -130,7 +130,7 @@ class Server:
         while not self._ending:
             for key, events in self._selector.select(0.0 if self._ready else None):
                 if key.fileobj is self._socket:
-                    self._accept()
+                    self._accept_all()
                 elif key.fileobj == self._woken:
                     with contextlib.suppress(BlockingIOError):
                         os.read(self._woken, 4096)
@@ -146,13 +146,17 @@ class Server:
         os.close(self._woken)
         os.close(self._wake)
 
-    def _accept(self) -> None:
-        try:
-            accepted, _ = self._socket.accept()
-        except OSError as error:
-            if error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOMEM):
-                time.sleep(_BACK_OFF_S)  # it passes
-            return
+    def _accept_all(self) -> None:
+        for _ in range(_WAITING_CLIENTS):
+            try:
+                accepted, _ = self._socket.accept()
+            except OSError as error:
+                if error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOMEM):
+                    time.sleep(_BACK_OFF_S)  # it passes
+                return
+            self._accept(accepted)
+
+    def _accept(self, accepted: socket.socket) -> None:
         if len(self._connections) >= _MOST_CLIENTS:
             self._make_room()
         connection = _Connection(Lines(accepted, LONGEST_LINE, _MOST_UNREAD))

@@ -81,18 +81,23 @@ def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
 @_RIG
 @_JSON
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a log of the flight.")
+@click.option("--check-coils", is_flag=True, help="Push each coil, once up, and see what it moves.")
 @_GONE
-def levitate(rig_path: Path | None, as_json: bool, out: Path | None, if_gone: str | None) -> int:
+def levitate(
+    rig_path: Path | None, as_json: bool, out: Path | None, check_coils: bool, if_gone: str | None
+) -> int:
     """Lift off and hold the working point until `levid land`.
 
     \b
     Examples:
       levid levitate
-      levid levitate --out out/by-hand
+      levid levitate --check-coils --out out/by-hand
     """
     more: dict[str, Any] = {"out": str(out.resolve())} if out else {}
     if if_gone:
         more["client_gone"] = if_gone
+    if check_coils:
+        more["levitate"] = {"check_coils": {}}
     answer = _ask("levitate", rig_path, **more)
     _tell(answer, as_json, "landed before it was up" if answer["stopped"] else "levitating")
     return 1 if answer["stopped"] else 0

@@ -94,9 +94,11 @@ class Board:
         data = text.encode()[: _TEXT_BYTES - 1]
         self._text[:] = data.ljust(_TEXT_BYTES, b"\0")
 
-    def stop(self, fault: Fault = Fault.STOPPED) -> None:
+    def stop(self, fault: Fault = Fault.STOPPED, detail: str = "") -> None:
         """Ask for zero force at once, with this fault as the cause unless there is one already."""
         if not self.words[Word.ZERO]:
+            if detail:
+                self.detail = detail
             self.words[Word.ZERO] = fault
 
     def land(self) -> None:

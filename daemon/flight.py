@@ -12,6 +12,7 @@ from ..drivers.registry import open_devices
 from ..log.signals import cycle_dtype
 from . import trajectory
 from .clock import VirtualClock
+from .coil_check import coil_check
 from .control import Controller
 from .faults import Fault, FlightFault
 from .loop import Loop
@@ -154,7 +155,7 @@ class Flight:
     ) -> None:
         self._record(file)
         for segment in segments:
-            fault = self.loop.fly(segment)
+            fault = self.loop.fly(segment) or self._check(segment)
             tell(step.name)
             if fault:
                 at_s, detail = self.loop.cycle / self._rate_hz, self._detail(fault)
@@ -163,6 +164,17 @@ class Flight:
                 raise FlightFault(fault, at_s, step.name, detail)
             if self.loop.stop_requested and not segment.lands:
                 return
+
+    def _check(self, segment: Segment) -> Fault:
+        """Judge what a segment that checks coils has shown."""
+        if segment.checks is None or self.loop.stop_requested:
+            return Fault.NONE
+        rows = self._ring.last(segment.cycles).rows
+        self.loop.detail = coil_check(rows, segment.checks, self._rig.geometry)
+        if not self.loop.detail:
+            return Fault.NONE
+        self.loop.zero()
+        return Fault.COIL_CHECK
 
     def _record(self, file: LogFile | None) -> None:
         """Log into `file` from here on; without one, wait until all is in its files."""

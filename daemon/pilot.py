@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..config.rig import RigConfig
 from .board import Board, Word
+from .coil_check import coil_check
 from .faults import Fault, FlightFault
 from .plan import Plan, PlannedStep
 from .program import Feeder, Logged
@@ -22,6 +23,8 @@ from .shared import Shared
 from .states import IN_FLIGHT, State
 
 _PROGRESS_S = 0.5
+_TICKS_ROWS = 64
+"""Rows to look back further: the loop goes on while one looks. They are flown without pushes."""
 _WRITING_S = 60.0
 """How long the recorder may take to bring the last rows into their files."""
 
@@ -116,6 +119,7 @@ class Pilot:
             return
         assert self._feeder is not None
         self._feeder.feed()
+        self._check_coils(self._feeder)
         now_s = time.monotonic()
         if job.over_s is None:
             if board[Word.PLAN_DONE] >= job.number:
@@ -158,6 +162,21 @@ class Pilot:
     @property
     def _lost(self) -> int:
         return self._ring.lost + self._board[Word.DROPPED]
+
+    def _check_coils(self, feeder: Feeder) -> None:
+        """Judge a check of coils once it is flown; meanwhile the platform settles."""
+        board = self._board
+        if feeder.check is None:
+            return
+        pushes, cycles, last = feeder.check
+        if board[Word.ROWS_TAIL] <= last or board[Word.PLAN] != feeder.plan:
+            return
+        feeder.check = None
+        since = board[Word.ROWS_TAIL] - last
+        rows = self._ring.last(cycles + since + _TICKS_ROWS).rows
+        wrong = coil_check(rows, pushes, self._rig.geometry)
+        if wrong:
+            board.stop(Fault.COIL_CHECK, wrong)
 
     def _written(self, job: Job) -> bool:
         return self._board[Word.WRITING] not in job.tags and (

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .board import Board, Word
+from .coil_check import Pushes
 from .segment import Segment
 from .states import State
 
@@ -130,6 +131,8 @@ class Feeder:
         self._waiting = [logged for logged in segments if logged.segment.cycles]
         self._at = 0  # of the segments: which one is being streamed
         self._written = 0  # rows of it
+        self.check: tuple[Pushes, int, int] | None = None
+        """A check of coils that is streamed: its pushes, its cycles, and its last row."""
         # What an earlier plan left unflown is of no use to anyone.
         self._base = self._words[Word.ROWS_HEAD]
 
@@ -151,6 +154,8 @@ class Feeder:
         if n <= 0 or not program.room_in_queue:
             return False
         program.write(segment, self._written, n)
+        if segment.checks is not None and not self._written:
+            self.check = segment.checks, segment.cycles, first + segment.cycles - 1
         if not self._written:  # only now: the loop may begin it at once
             program.announce(
                 Announced(

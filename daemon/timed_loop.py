@@ -165,7 +165,7 @@ class TimedLoop:
             self._orphan = True
             self._abandoned("it is dead")
         if words[_ZERO] and not self._fault:
-            self._fail(Fault(words[_ZERO]))
+            self._fail(Fault(words[_ZERO]), None)  # who asks has said why
         if words[_LAND] != self._land_seen:
             self._land_seen = words[_LAND]
             self._land()
@@ -337,7 +337,7 @@ class TimedLoop:
         elif self._controller.engaged or self._orphan:
             self._fail(Fault.SUPERVISOR, why)
 
-    def _fail(self, fault: Fault, detail: str = "") -> None:
+    def _fail(self, fault: Fault, detail: str | None = "") -> None:
         """Zero force from here on; what came first is the cause."""
         control, words = self._controller, self._words
         control.halt()
@@ -345,7 +345,8 @@ class TimedLoop:
             return
         self._fault = fault
         control.latch(fault)
-        self._board.detail = detail
+        if detail is not None:
+            self._board.detail = detail
         words[Word.FAULT_CYCLE] = self.cycle
         words[Word.FAULT_PLAN] = words[Word.PLAN]
         words[Word.FAULT_LOG] = self._tag

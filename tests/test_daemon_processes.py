@@ -207,11 +207,14 @@ def test_fault_is_on_disk_though_nothing_was_recorded(ready: Daemon) -> None:
 
 
 def test_states_follow_each_other_as_the_table_says(ready: Daemon, tmp_path: Path) -> None:
-    ready.ask("levitate", out=str(tmp_path / "out"), levitate={"ramp_s": 0.4, "settle_s": 0.1})
+    step = {"ramp_s": 0.4, "settle_s": 0.1, "check_coils": {}}
+    ready.ask("levitate", out=str(tmp_path / "out"), levitate=step)
     ready.ask("move", move={"beam_m": 0.005, "settle_s": 0.1})
     ready.ask("land")
     ready.until(lambda s: s["state"] == "IDLE")
-    states = read_log(tmp_path / "out" / "flight.mcap").rows["state"]
+    rows = read_log(tmp_path / "out" / "flight.mcap").rows
+    assert rows["coil_excitation_n"].any(axis=0).all()  # every coil was pushed
+    states = rows["state"]
     changes = [State(int(s)) for s in states[np.flatnonzero(np.diff(states)) + 1]]
     assert changes == [State.LEVITATING, State.MOVING, State.LEVITATING, State.LANDING]
     for before, after in zip([State.IDLE, *changes], changes, strict=False):

@@ -43,6 +43,15 @@ def status(rig_path: Path | None, as_json: bool) -> int:
     click.echo(f"{answer['rig']} at {answer['rate_hz']:g} Hz: {_doing(answer)}")
     lost = f", {answer['lost']} rows lost" if answer["lost"] else ""
     click.echo(f"cycle {answer['cycle']}, {answer['late']} late{lost}")
+    for what in ("lateness", "execution"):
+        us = answer["timing"][f"{what}_us"]
+        shares = ", ".join(f"{name} {us[name]:.0f}" for name in ("p50", "p99", "p99.9", "max"))
+        click.echo(f"{what} in us: {shares}")
+    if answer["late"]:
+        by = ", ".join(
+            f"{n} by {k.replace('_', '-')}" for k, n in answer["timing"]["late_by"].items()
+        )
+        click.echo(f"late: {by}")
     if answer["recording"]:
         click.echo(f"not recording: {answer['recording']}")
     if answer["fault_log"]:

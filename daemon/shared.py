@@ -16,6 +16,7 @@ from ..log.signals import cycle_dtype
 from .board import Board
 from .program import Program
 from .ring import Ring
+from .timing import Timing
 
 _AHEAD_S = 4.0
 """How far the program is streamed ahead of the loop."""
@@ -38,6 +39,7 @@ class Shared:
             Board.SIZE,
             Ring.size(self.dtype, ring_rows),
             Program.size(coils, program_rows),
+            Timing.SIZE,
         )
         ends = np.cumsum([-(-size // _PAGE) * _PAGE for size in sizes]).tolist()
         if fd is None:
@@ -47,7 +49,8 @@ class Shared:
         memory = memoryview(mmap.mmap(fd, ends[-1]))
         self.board = Board(memory[: ends[0]])
         self.ring = Ring(self.dtype, ring_rows, memory[ends[0] : ends[1]])
-        self.program = Program(coils, program_rows, memory[ends[1] :], self.board)
+        self.program = Program(coils, program_rows, memory[ends[1] : ends[2]], self.board)
+        self.timing = Timing(memory[ends[2] :])
 
     def close(self) -> None:
         """Let go of the descriptor; the mapping goes with the process."""

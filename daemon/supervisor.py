@@ -179,6 +179,7 @@ class Supervisor:
                 "recorder": self._recorder.pid,
             },
             **pose,
+            "timing": self._shared.timing.figures(),
         }
 
     def _tick(self) -> None:

@@ -30,6 +30,7 @@ from .segment import Segment
 from .self_test import self_test
 from .shared import Shared
 from .states import State
+from .timing import account, memory_of
 from .warm_up import resting_segment
 
 _AFTER_FAULT_S = 0.5
@@ -73,6 +74,7 @@ class TimedLoop:
         self._controller, self._devices, self._clock = controller, devices, clock
         self._board, self._ring, self._program = shared.board, shared.ring, shared.program
         self._words, self._recover, self._parent = shared.board.words, recover, parent
+        self._counts, self._before = shared.timing.counts, memory_of(1e9 / rig.rate_hz)
         self._lateness = Lateness(rig.limits, rig.rate_hz)
         self._landing = Landing(controller, rig.limits, self._period_s)
         self._test_cycles = max(round(rig.self_test.duration_s * rig.rate_hz), 2)
@@ -118,6 +120,7 @@ class TimedLoop:
         lateness, execution, skips = rows["lateness_s"], rows["execution_s"], rows["skipped"]
         tags, words, clock, period_s = ring.tags, self._words, self._clock, self._period_s
         wait, now, look, late = clock.wait, time.perf_counter_ns, self._look, self._lateness
+        counts, before = self._counts, self._before
         head = ring.head
         while not self._ended:
             late_s = wait()
@@ -132,20 +135,27 @@ class TimedLoop:
             sensors.read(gap)
             drives.read(beam, rotor)
             amplifiers.read(readback)
+            read = now()
             slot = head % capacity
             fault = step(rows, slot, cycle, cycle * period_s, k)
             if late.too_much(skipped) and not fault and control.engaged:
                 fault = int(Fault.LATE)
                 control.halt()
                 rows["fault"][slot] = fault
+            computed = now()
             amplifiers.write(coil)
             drives.write(beam_ref, rotor_ref)
             tags[slot] = self._tag
             lateness[slot] = late_s
             skips[slot] = min(skipped, 255)
-            execution[slot] = (now() - begin) * 1e-9
+            ended = now()
+            execution[slot] = (ended - begin) * 1e-9
             head += 1
             ring.head = head
+            account(
+                counts, late_s * 1e9, read - begin, computed - read, ended - computed, skipped,
+                before,
+            )  # fmt: skip
             if fault:
                 self._fail(Fault(fault), control.detail(Fault(fault)))
             if not cycle & _COUNT_EVERY:

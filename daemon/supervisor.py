@@ -19,6 +19,7 @@ from .access import Access
 from .board import Word
 from .children import Child, module_of
 from .faults import Fault
+from .metrics import serve_metrics
 from .pilot import Pilot
 from .recorder_link import RecorderLink
 from .requests import Requests
@@ -110,10 +111,13 @@ class Supervisor:
         """Supervise until stopped; all processes have ended on return, whatever happened.
 
         `ready` is called when requests are answered and the self-test is over. Raises ServerError
-        before any device is touched.
+        or MetricsError before any device is touched.
         """
         self._server.start()
+        close_metrics = None
         try:
+            if self.rig.service.metrics_port is not None:
+                close_metrics = serve_metrics(self.rig.service.metrics_port, self.status)
             self._requests.start()
             self._recorder.watch()
             self._start_loop()
@@ -129,6 +133,8 @@ class Supervisor:
             self._loop.kill()
             self._recorder.end(_RECORDER_S)
             self._server.close()
+            if close_metrics is not None:
+                close_metrics()
             self._shared.close()
 
     def clear(self, reply: Reply) -> None:

@@ -33,6 +33,7 @@ def command(rig: Path) -> int:
     supervisor = Supervisor(config, rig, path, say)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: supervisor.stop())
+    signal.signal(signal.SIGHUP, lambda *_: supervisor.reload())
     supervisor.run(
         lambda: say(f"{config.name} at {config.rate_hz:g} Hz, socket {path}; Ctrl-C lands")
     )

@@ -57,6 +57,7 @@ class Job:
     tags: dict[int, PlannedStep] = field(default_factory=dict)
     told_s: float = 0.0
     over_s: float | None = None
+    end: int = 0
     error: Exception | None = None
 
     def step_of(self, tag: int) -> str:
@@ -108,8 +109,8 @@ class Pilot:
         job.misses = board[Word.LATE], self._lost
         board[Word.LAND_LOG] = tag  # the last step's: that is the landing, if there is one
         board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
-        self.job = job
         self._feeder = Feeder(self._program, board, job.number, logged)
+        self.job = job
         self._feeder.feed()
 
     def tick(self) -> None:
@@ -123,7 +124,7 @@ class Pilot:
         now_s = time.monotonic()
         if job.over_s is None:
             if board[Word.PLAN_DONE] >= job.number:
-                job.over_s = now_s
+                job.over_s, job.end = now_s, self._ring.head
             elif now_s - job.told_s >= _PROGRESS_S:
                 job.told_s = now_s
                 job.reply.send({"step": self.step, "share": self.share})
@@ -131,6 +132,7 @@ class Pilot:
                 job.land_when_gone = False
                 board.land()
         elif job.holds or self._written(job) or now_s - job.over_s > _WRITING_S:
+            self._recorder.hear()  # what it said before its last row was on disk
             self.job = self._feeder = None
             job.over()
             self._tell(job)
@@ -144,7 +146,7 @@ class Pilot:
         if job is not None and job.over_s is None:
             at_s = board[Word.CYCLE] / self._rig.rate_hz
             job.error = FlightFault(fault, at_s, self.step, detail)
-            job.over_s = time.monotonic()
+            job.over_s, job.end = time.monotonic(), self._ring.head
 
     @property
     def step(self) -> str:
@@ -179,9 +181,7 @@ class Pilot:
             board.stop(Fault.COIL_CHECK, wrong)
 
     def _written(self, job: Job) -> bool:
-        return self._board[Word.WRITING] not in job.tags and (
-            self._ring.tail >= self._ring.head - self._ring.capacity // 2
-        )
+        return self._ring.durable >= job.end and self._board[Word.WRITING] not in job.tags
 
     def _tell(self, job: Job) -> None:
         """Answer whoever waits for this job."""

@@ -80,7 +80,7 @@ class RecorderLink:
 
     def watch(self) -> None:
         """Hear what it has to say; start it, or start it anew, where it is not there."""
-        self._hear()
+        self.hear()
         now_s = time.monotonic()
         if not self._child.running:
             if now_s >= self._again_s:
@@ -99,9 +99,9 @@ class RecorderLink:
         self._send({"end": True})
         give_up_s = time.monotonic() + patience_s
         while self._child.running and time.monotonic() < give_up_s:
-            self._hear()
+            self.hear()
             self._child.wait(0.02)
-        self._hear()
+        self.hear()
         if self._child.running:
             self._say(f"the recorder did not end within {patience_s:g} s: it is killed")
         self._child.kill()
@@ -148,7 +148,8 @@ class RecorderLink:
         except Closed:
             return  # it is dead: the next one is told all that still matters
 
-    def _hear(self) -> None:
+    def hear(self) -> None:
+        """Take in what the recorder has told."""
         if self._lines is None:
             return
         try:

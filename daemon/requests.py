@@ -36,11 +36,14 @@ class Requests:
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
-        self._rig = supervisor.rig
         self._busy = threading.Lock()
         self._plans: queue.Queue[tuple[Planner, Request, Reply]]
         self._plans = queue.Queue(maxsize=1)
         self.watchers: list[Watcher] = []
+
+    @property
+    def _rig(self) -> RigConfig:
+        return self._supervisor.rig
 
     @property
     def handlers(self) -> Mapping[str, Handler]:
@@ -111,9 +114,9 @@ class Requests:
             if self._supervisor.stopping:
                 raise RefusedError("the daemon is ending")
             self._supervisor.pilot.begin(job)
-        except RefusedError as error:
+        except Exception as error:  # noqa: BLE001 - as above
             job.over()
-            job.reply.refuse(str(error))
+            job.reply.refuse(str(error) or type(error).__name__)
 
     def _wait_until_ready(self) -> None:
         give_up_s = time.monotonic() + _READY_S

@@ -79,7 +79,7 @@ class Server:
     """
 
     def __init__(self, path: Path, handlers: Mapping[str, Handler], access: Access) -> None:
-        self._path, self._handlers, self._access = path, dict(handlers), access
+        self._path, self._handlers, self.access = path, dict(handlers), access
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._selector = selectors.DefaultSelector()
         self._connections: list[_Connection] = []
@@ -100,7 +100,7 @@ class Server:
                     raise ServerError(f"{self._path}: another daemon answers here already")
                 self._path.unlink()
             self._socket.bind(str(self._path))
-            self._path.chmod(self._access.mode)
+            self._path.chmod(self.access.mode)
             self._socket.listen(_WAITING_CLIENTS)
         except OSError as error:
             raise ServerError(f"{self._path}: cannot open the control socket: {error}") from None
@@ -163,7 +163,7 @@ class Server:
         self._connections.append(connection)
         self._selector.register(accepted, selectors.EVENT_READ, connection)
         try:
-            refused = self._access.refuses(peer_of(accepted))
+            refused = self.access.refuses(peer_of(accepted))
         except OSError as error:
             refused = f"cannot tell who asks: {error}"
         if refused:

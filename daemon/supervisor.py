@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..config.rig import RigConfig
+from ..config.base import ConfigError
+from ..config.rig import RigConfig, load_rig
 from ..config.session import Land
 from ..drivers.base import Context
 from ..drivers.registry import check_backends
@@ -20,6 +21,7 @@ from .board import Word
 from .children import Child, module_of
 from .faults import Fault
 from .metrics import serve_metrics
+from .notify import Notify
 from .pilot import Pilot
 from .recorder_link import RecorderLink
 from .requests import Requests
@@ -28,10 +30,13 @@ from .shared import Shared
 from .states import IN_FLIGHT, State
 
 _TICK_S = 0.01
+_RELOADED = ("allow_users", "allow_groups", "client_gone")
+"""Keys of `service` that may change while the daemon runs."""
 _OPENING_S = 120.0
 """How long devices may take to open, compare limits and home."""
 _STOP_S = 0.25
 """How long a loop that runs may take to see that it is to stop; it takes one cycle."""
+_STOPPING_S = 2.0
 _LANDING_S = 10.0
 _RECORDER_S = 30.0
 
@@ -85,6 +90,8 @@ class Supervisor:
         self._loop_beat, self._loop_beat_s, self._busy_s = -1, 0.0, 0.0
         self._stop_s: float | None = None
         self._told = Fault.NONE
+        self._notify = Notify()
+        self._reload = threading.Event()
 
     @property
     def stopping(self) -> bool:
@@ -107,6 +114,10 @@ class Supervisor:
         """Land if in flight, then return from `run`; may be called from a signal handler."""
         self._stopping.set()
 
+    def reload(self) -> None:
+        """Read RIG.yaml again, soon; may be called from a signal handler."""
+        self._reload.set()
+
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Supervise until stopped; all processes have ended on return, whatever happened.
 
@@ -126,11 +137,13 @@ class Supervisor:
                 self._tick()
                 if waiting and self.board.state not in (State.OFF, State.SELF_TEST):
                     waiting = False
+                    self._notify.ready()
                     ready()
                 self._stopping.wait(_TICK_S)
             self._land_and_end()
         finally:
-            self._loop.kill()
+            self._notify.stopping()
+            self._end_loop_at_once()
             self._recorder.end(_RECORDER_S)
             self._server.close()
             if close_metrics is not None:
@@ -198,6 +211,9 @@ class Supervisor:
         self.pilot.tick()
         self._answer_clearings()
         self._say_faults()
+        if self._reload.is_set():
+            self._reload.clear()
+            self._reload_rig()
         now_s = time.monotonic()
         watchers = self._requests.watchers
         watchers[:] = [w for w in watchers if w.tick(now_s, self.status)]
@@ -218,12 +234,12 @@ class Supervisor:
                 self._loop_is_gone(self._loop.end)
             return
         beat = board[Word.CYCLE] + board[Word.WAITING]
-        if beat != self._loop_beat:
+        if beat != self._loop_beat or board[Word.BUSY]:
             self._loop_beat, self._loop_beat_s = beat, now_s
+            self._notify.alive()
         if board[Word.BUSY]:
             if now_s - self._busy_s > _OPENING_S:
                 self._end_loop(f"its devices did not open within {_OPENING_S:g} s")
-            self._loop_beat_s = now_s
             return
         self._busy_s = now_s
         if now_s - self._loop_beat_s > self.rig.service.loop_s:
@@ -234,6 +250,14 @@ class Supervisor:
                 self._end_loop("it did not stop when told to")
         else:
             self._stop_s = None
+
+    def _end_loop_at_once(self) -> None:
+        """Whatever brought the supervisor here: a loop that still runs goes to zero, then ends."""
+        if self._loop.running:
+            self.board.stop(Fault.SUPERVISOR, "it ends")
+            self.board[Word.END] = 1
+            self._loop.wait(_STOPPING_S)
+        self._loop.kill()
 
     def _end_loop(self, why: str) -> None:
         self._loop.kill()
@@ -269,6 +293,30 @@ class Supervisor:
             self._told = fault
             detail = f": {self.board.detail}" if self.board.detail else ""
             self._say(f"fault {fault.name}{detail}" if fault is not Fault.NONE else "fault cleared")
+        self._notify.status(fault.name if fault is not Fault.NONE else self.board.state.name)
+
+    def _reload_rig(self) -> None:
+        """Take over what can change while it runs: who may ask, and what a client's end means."""
+        try:
+            new = load_rig(self.rig_file)
+            access = Access(new.service)
+        except ConfigError as error:
+            self._say(f"RIG.yaml is not taken over: {error}")
+            return
+        same = {key: getattr(self.rig.service, key) for key in type(new.service).model_fields}
+        changed = {key: getattr(new.service, key) for key in _RELOADED}
+        service = self.rig.service.model_copy(update=same | changed)
+        others = [
+            key
+            for key in type(new).model_fields
+            if getattr(new, key) != (service if key == "service" else getattr(self.rig, key))
+        ]
+        self.rig = self.rig.model_copy(update={"service": service})
+        self._server.access = access
+        taken = ", ".join(f"service.{key}" for key in _RELOADED)
+        self._say(f"RIG.yaml: {taken} are taken over")
+        if others:
+            self._say(f"RIG.yaml: changes of {', '.join(others)} need a new start")
 
     def _land_and_end(self) -> None:
         """Land, whatever further signals come; then let every process end."""

@@ -83,11 +83,11 @@ class Rig:
         self.path = folder / "levid.sock"
         self.file = folder / "rig.yaml"
         self.file.write_text(yaml.safe_dump(_rig(bus, folder)))
-        # Real electronics do not wait for a processor: with the right to it, neither do these.
-        chrt = shutil.which("chrt") if os.geteuid() == 0 else None
+        # Real electronics do not wait for a processor: with the right to it, these do not for long.
+        nice = shutil.which("nice") if os.geteuid() == 0 else None
         self.electronics = subprocess.Popen(
             [
-                *([chrt, "-f", "70"] if chrt else []),
+                *([nice, "-n", "-15"] if nice else []),
                 sys.executable,
                 "-m",
                 "levid.cli.main",

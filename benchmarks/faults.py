@@ -71,7 +71,7 @@ class Tally:
     told: int = 0
     usable: int = 0
     unreadable: int = 0
-    within_s: list[float] = field(default_factory=list)
+    within_s: list[tuple[float, str]] = field(default_factory=list)
     wrong: Counter[str] = field(default_factory=Counter)
 
 
@@ -183,7 +183,8 @@ def measure(quick: bool) -> list[Figure]:
     for what, count in tally.wrong.most_common():
         print(f"{count} x {what}", file=sys.stderr)
     n = tally.stops + tally.others
-    slowest = max(tally.within_s, default=0.0)
+    slowest, what = max(tally.within_s, default=(0.0, "nothing"))
+    print(f"slowest to stop: {what}", file=sys.stderr)
     return [
         Figure("faults", n, "", "faults injected in flight"),
         Figure("stopped", tally.stopped / max(tally.stops, 1), "", "that must stop: zero force"),
@@ -220,7 +221,7 @@ def _trial(rig: Rig, rng: random.Random, tally: Tally) -> None:
         tally.wrong[f"{rig.bus}: {name}: force after {_GIVE_UP_S:g} s"] += 1
     else:
         tally.stopped += 1
-        tally.within_s.append(time.monotonic() - began)
+        tally.within_s.append((time.monotonic() - began, f"{rig.bus}: {name}"))
     found = _name(rig)
     if found in expected:
         tally.named += 1

@@ -30,8 +30,10 @@ from _table import Figure
 
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig
+from levid.config.service import Realtime
 from levid.config.shipped import shipped
 from levid.daemon.clock import RealClock
+from levid.daemon.realtime import be_punctual
 from levid.drivers.base import Context, Devices
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.rig import Electronics
@@ -345,6 +347,7 @@ def cycle_of(devices: Devices) -> Callable[[int], None]:
 
 def _timed(loop: Callable[[int], None], seconds: float, begin: int) -> tuple[int, int]:
     """Run `loop` at 1 kHz; return cycles run and how many of them were late by a period."""
+    be_punctual(Realtime(priority=0, lock_memory=False, cpu_latency_us=None))
     clock = RealClock(1 / RATE_HZ)
     clock.start()
     cycle, late = begin, 0

@@ -1,12 +1,15 @@
-"""`levid status`, `levid land`, `levid clear`: ask the running daemon."""
+"""`levid status`, `levitate`, `move`, `land`, `stop`, `clear`, `watch`: ask the running daemon."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
+
+from .progress import say
 
 _RIG = click.option(
     "--rig",
@@ -14,11 +17,17 @@ _RIG = click.option(
     type=click.Path(path_type=Path),
     help="RIG.yaml whose socket to use; the default socket unless given.",
 )
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+_GONE = click.option(
+    "--if-gone",
+    type=click.Choice(["go_on", "land"]),
+    help="What the flight does if this command is interrupted; as the rig says unless given.",
+)
 
 
 @click.command("status")
 @_RIG
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@_JSON
 def status(rig_path: Path | None, as_json: bool) -> int:
     """Say what the daemon is doing.
 
@@ -31,47 +40,177 @@ def status(rig_path: Path | None, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps(answer))
         return 0
-    doing = "idle, zero force"
-    if answer["session"]:
-        doing = f"session {answer['session']}, {answer['step']}, {100 * answer['share']:.0f} %"
-    if answer["fault"] != "NONE":
-        doing = f"fault {answer['fault']} ({answer['detail']}); 'levid clear' when it is mended"
-    click.echo(f"{answer['rig']} at {answer['rate_hz']:g} Hz: {doing}")
-    click.echo(f"cycle {answer['cycle']}, {answer['late']} late")
+    click.echo(f"{answer['rig']} at {answer['rate_hz']:g} Hz: {_doing(answer)}")
+    lost = f", {answer['lost']} rows lost" if answer["lost"] else ""
+    click.echo(f"cycle {answer['cycle']}, {answer['late']} late{lost}")
+    for what in ("lateness", "execution"):
+        us = answer["timing"][f"{what}_us"]
+        shares = ", ".join(f"{name} {us[name]:.0f}" for name in ("p50", "p99", "p99.9", "max"))
+        click.echo(f"{what} in us: {shares}")
+    if answer["late"]:
+        by = ", ".join(
+            f"{n} by {k.replace('_', '-')}" for k, n in answer["timing"]["late_by"].items()
+        )
+        click.echo(f"late: {by}")
+    if answer["recording"]:
+        click.echo(f"not recording: {answer['recording']}")
+    if answer["fault_log"]:
+        click.echo(f"last flight recording: {answer['fault_log']}")
     return 0
+
+
+@click.command("watch")
+@_RIG
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
+@click.option(
+    "--every", "every_s", type=click.FloatRange(0.05, 3600), default=0.5, help="Seconds between."
+)
+def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
+    """Say what the daemon is doing, again and again, until Ctrl-C.
+
+    \b
+    Examples:
+      levid watch
+      levid watch --every 5 --json >> flights.jsonl
+    """
+
+    def show(answer: Mapping[str, Any]) -> None:
+        if as_json:
+            click.echo(json.dumps(answer))
+            return
+        z_m, beam_m = answer["z_m"], answer["beam_m"]
+        where = "" if z_m is None else f"  z {1e6 * z_m:7.1f} um  beam {1e3 * beam_m:7.2f} mm"
+        click.echo(f"{answer['cycle']:>12d}  {answer['late']:>6d} late{where}  {_doing(answer)}")
+
+    _ask("watch", rig_path, show, every_s=every_s)
+    return 0
+
+
+@click.command("levitate")
+@_RIG
+@_JSON
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for a log of the flight.")
+@click.option("--check-coils", is_flag=True, help="Push each coil, once up, and see what it moves.")
+@_GONE
+def levitate(
+    rig_path: Path | None, as_json: bool, out: Path | None, check_coils: bool, if_gone: str | None
+) -> int:
+    """Lift off and hold the working point until `levid land`.
+
+    \b
+    Examples:
+      levid levitate
+      levid levitate --check-coils --out out/by-hand
+    """
+    more: dict[str, Any] = {"out": str(out.resolve())} if out else {}
+    if if_gone:
+        more["client_gone"] = if_gone
+    if check_coils:
+        more["levitate"] = {"check_coils": {}}
+    answer = _ask("levitate", rig_path, **more)
+    _tell(answer, as_json, "landed before it was up" if answer["stopped"] else "levitating")
+    return 1 if answer["stopped"] else 0
+
+
+@click.command("move")
+@click.option("--beam", "beam_m", type=float, help="Where the beam is to go, in m.")
+@click.option("--rotor", "rotor_rad", type=float, help="Where the rotor is to go, in rad.")
+@_RIG
+@_JSON
+def move(
+    beam_m: float | None, rotor_rad: float | None, rig_path: Path | None, as_json: bool
+) -> int:
+    """Move beam, rotor or both while levitating, and wait until they are there.
+
+    \b
+    Examples:
+      levid move --beam 0.05
+      levid move --beam -0.02 --rotor 1.57
+    """
+    wanted = {"beam_m": beam_m, "rotor_rad": rotor_rad}
+    given = {key: value for key, value in wanted.items() if value is not None}
+    if not given:
+        raise click.UsageError("expected --beam, --rotor or both")
+    answer = _ask("move", rig_path, move=given)
+    _tell(answer, as_json, "landed before it was there" if answer["stopped"] else "there")
+    return 1 if answer["stopped"] else 0
 
 
 @click.command("land")
 @_RIG
-def land(rig_path: Path | None) -> int:
+@_JSON
+def land(rig_path: Path | None, as_json: bool) -> int:
     """End the session at hand: the platform lands at once.
 
     \b
     Examples:
       levid land
     """
-    landing = _ask("land", rig_path)["landing"]
-    click.echo("landing" if landing else "nothing is flying")
+    answer = _ask("land", rig_path)
+    _tell(answer, as_json, "landing" if answer["landing"] else "nothing is flying")
+    return 0
+
+
+@click.command("stop")
+@_RIG
+@_JSON
+def stop(rig_path: Path | None, as_json: bool) -> int:
+    """Zero force at once: the platform drops onto its stops, and the daemon is in fault STOPPED.
+
+    It works whatever else the daemon is doing. `levid clear` takes it back.
+
+    \b
+    Examples:
+      levid stop
+    """
+    _tell(_ask("stop", rig_path), as_json, "zero force; 'levid clear' to go on")
     return 0
 
 
 @click.command("clear")
 @_RIG
-def clear(rig_path: Path | None) -> int:
+@_JSON
+def clear(rig_path: Path | None, as_json: bool) -> int:
     """Clear a fault, once its cause is gone: the daemon takes sessions again.
 
     \b
     Examples:
       levid clear
     """
-    cleared = _ask("clear", rig_path)["cleared"]
-    click.echo("there was no fault" if cleared == "NONE" else f"cleared {cleared}")
+    answer = _ask("clear", rig_path)
+    cleared = answer["cleared"]
+    _tell(answer, as_json, "there was no fault" if cleared == "NONE" else f"cleared {cleared}")
     return 0
 
 
-def _ask(op: str, rig_path: Path | None) -> dict[str, Any]:
+def _doing(answer: Mapping[str, Any]) -> str:
+    if answer["fault"] != "NONE":
+        detail = f" ({answer['detail']})" if answer["detail"] else ""
+        return f"fault {answer['fault']}{detail}; 'levid clear' when it is mended"
+    if answer["session"]:
+        return f"session {answer['session']}, {answer['step']}, {100 * answer['share']:.0f} %"
+    return {"IDLE": "idle, zero force", "LEVITATING": "levitating"}.get(
+        answer["state"], str(answer["state"]).lower().replace("_", "-")
+    )
+
+
+def _tell(answer: Mapping[str, Any], as_json: bool, words: str) -> None:
+    click.echo(json.dumps(answer) if as_json else words)
+
+
+def _ask(
+    op: str,
+    rig_path: Path | None,
+    on_line: Callable[[Mapping[str, Any]], None] | None = None,
+    **more: Any,
+) -> dict[str, Any]:
     from ..config.rig import load_rig
     from ..daemon.client import Client, socket_path
 
     with Client(socket_path(load_rig(rig_path) if rig_path else None)) as client:
-        return client.request(op)
+        try:
+            return client.request(op, on_line, **more)
+        except KeyboardInterrupt:
+            if op in ("levitate", "move"):
+                say("the daemon goes on as it is configured; 'levid land' lands")
+            raise

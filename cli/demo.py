@@ -15,7 +15,7 @@ from .trace import trace_logs
 from .trace import words as trace_words
 
 if TYPE_CHECKING:
-    from ..daemon.flight import FlightResult
+    from ..daemon.result import FlightResult
 
 
 @click.command("demo")

@@ -11,7 +11,7 @@ from .progress import progress, say
 
 if TYPE_CHECKING:
     from ..config.session import SessionConfig
-    from ..daemon.flight import FlightResult
+    from ..daemon.result import FlightResult
 
 _REPORTS = {"identify": "identification", "trace": "trace"}
 """Folder of the report, by what a session's `then` names."""
@@ -39,13 +39,24 @@ _REPORTS = {"identify": "identification", "trace": "trace"}
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path), help="Folder for logs, new or empty."
 )
+@click.option(
+    "--if-gone",
+    type=click.Choice(["go_on", "land"]),
+    help="What the daemon does if this command is interrupted; as its rig says unless given.",
+)
 def command(
-    session: Path, rig_path: Path | None, sim_path: Path | None, virtual: bool, out: Path
+    session: Path,
+    rig_path: Path | None,
+    sim_path: Path | None,
+    virtual: bool,
+    out: Path,
+    if_gone: str | None,
 ) -> int:
     """Fly SESSION.yaml and write one log a step into --out, and a page on the flight.
 
     With --virtual it flies here, as fast as the code runs; without it, the daemon that `levid run`
-    started flies, in real time, and goes on flying if this command is interrupted.
+    started flies, in real time. What that does if this command is interrupted, --if-gone says, or
+    its rig's service.client_gone.
 
     \b
     Examples:
@@ -62,7 +73,7 @@ def command(
     elif sim_path is not None:
         raise click.UsageError("--sim needs --virtual: the daemon's rig names its simulator")
     else:
-        result = _on_daemon(session, rig_path, out)
+        result = _on_daemon(session, rig_path, out, if_gone)
     late = f", {result.late} late cycles" if result.late else ""
     lost = f", {result.lost} rows lost" if result.lost else ""
     say(
@@ -115,7 +126,9 @@ def refuse_used_folder(out: Path) -> None:
         )
 
 
-def _on_daemon(session: Path, rig_path: Path | None, out: Path) -> FlightResult:
+def _on_daemon(
+    session: Path, rig_path: Path | None, out: Path, if_gone: str | None
+) -> FlightResult:
     from ..config.rig import load_rig
     from ..daemon.client import Client, socket_path
 
@@ -123,9 +136,10 @@ def _on_daemon(session: Path, rig_path: Path | None, out: Path) -> FlightResult:
     rig_text = rig_path.read_text() if rig_path is not None else None
     with Client(socket_path(rig)) as client, progress("flying on the daemon") as report:
         try:
-            return client.excite(session.read_text(), out.resolve(), report, rig_text)
+            return client.excite(session.read_text(), out.resolve(), report, rig_text, if_gone)
         except KeyboardInterrupt:
-            say("the daemon goes on flying; 'levid land' ends the session")
+            if if_gone != "land":
+                say("unless its rig says otherwise the daemon goes on; 'levid land' ends it")
             raise
 
 

@@ -15,7 +15,8 @@ from .progress import say
 def command(rig: Path) -> int:
     """Run the daemon on RIG.yaml: zero force until a session is flown, landing on exit.
 
-    Ctrl-C or SIGTERM lands the platform and ends the daemon.
+    Three processes: this one supervises and answers the control socket, one flies, one records.
+    Ctrl-C or SIGTERM lands the platform and ends them.
 
     \b
     Examples:
@@ -25,13 +26,16 @@ def command(rig: Path) -> int:
     """
     from ..config.rig import load_rig
     from ..daemon.client import socket_path
-    from ..daemon.service import Service
+    from ..daemon.supervisor import Supervisor
 
     config = load_rig(rig)
     path = socket_path(config)
-    service = Service(config, rig, path)
+    supervisor = Supervisor(config, rig, path, say)
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: service.stop())
-    service.run(lambda: say(f"{config.name} at {config.rate_hz:g} Hz, socket {path}; Ctrl-C lands"))
+        signal.signal(number, lambda *_: supervisor.stop())
+    signal.signal(signal.SIGHUP, lambda *_: supervisor.reload())
+    supervisor.run(
+        lambda: say(f"{config.name} at {config.rate_hz:g} Hz, socket {path}; Ctrl-C lands")
+    )
     say("stopped, coils at zero force")
     return 0

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from .base import ConfigError, Finite, NonNegative, Positive, Strict, load_yaml
 from .buses import CanBus, RoleOptions, SerialBus, role_options
+from .service import Realtime, Recording, SelfTest, Service
 
 Rate = Annotated[float, Field(ge=10.0, le=20_000.0)]
 BusName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
@@ -101,6 +102,15 @@ class Limits(Strict):
     """Cycles that may be late by a period or more; every ten in time take one of them back."""
     stall_s: Positive = 0.5
     """For how long the loop may stand still, once, and still go on."""
+    late_in_window: Annotated[int, Field(ge=1, le=1_000_000)] = 500
+    """Late cycles within `late_window_s`, whether in a row or not."""
+    late_window_s: Annotated[float, Field(gt=0, le=3600.0)] = 60.0
+    total_n: Positive | None = None
+    """Sum of all coils' forces, signs left out; all are scaled down to it."""
+    tilt_rad: Positive | None = None
+    gap_m_s: Positive | None = None
+    coil_rms_n: Positive | None = None
+    coil_time_constant_s: Positive = 60.0
 
 
 class Role(BaseModel):
@@ -137,6 +147,10 @@ class RigConfig(Strict):
     """SIM.yaml of the loopback backend and of emulated electronics, relative to this file."""
     socket: str | None = None
     """Path of the daemon's control socket; a runtime directory of the user's unless given."""
+    realtime: Realtime = Realtime()
+    service: Service = Service()
+    recording: Recording = Recording()
+    self_test: SelfTest = SelfTest()
 
     def on_bus(self, role: str) -> tuple[str, RoleOptions] | None:
         """Return backend and options of a role that is on a bus, None where it is on none.

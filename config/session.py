@@ -80,11 +80,24 @@ class RotorWaypoint(Strict):
     dwell_s: Pause = 0.0
 
 
+class CoilCheck(Strict):
+    """A small push of each coil in turn, just after lift-off: forth, back twice, forth."""
+
+    push_n: Annotated[float, Field(gt=0, le=10.0)] = 1.0
+    push_s: Annotated[float, Field(gt=0, le=0.1)] = 0.008
+    pause_s: Annotated[float, Field(gt=0, le=5.0)] = 0.05
+
+
 class Levitate(Strict):
-    """Take the weight off the stops in `unload_s`, rise in `ramp_s`, settle for `settle_s`."""
+    """Take the weight off the stops in `unload_s`, rise in `ramp_s`, settle for `settle_s`.
+
+    With `check_coils` each coil is pushed before the platform settles; one that does not move as
+    the others do is the fault COIL_CHECK.
+    """
 
     unload_s: Duration = 0.5
     ramp_s: Duration = 1.5
+    check_coils: CoilCheck | None = None
     settle_s: Pause = 4.0
 
 

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import socket
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from ..config.rig import RigConfig
-from .flight import FlightResult
+from .result import FlightResult
 from .server import default_socket
 
 _TIMEOUT_S = 30.0
+_AGAIN_S = 0.01
+_CLEARING_S = 150.0  # opening buses anew and homing drives takes its time
 
 
 class DaemonError(Exception):
@@ -36,7 +39,7 @@ class Client:
     def __enter__(self) -> Self:
         """Connect; raises DaemonError when no daemon answers."""
         try:
-            self._socket.connect(str(self._path))
+            self._connect()
         except OSError as error:
             self._socket.close()
             raise DaemonError(
@@ -55,10 +58,23 @@ class Client:
         """Disconnect."""
         self._socket.close()
 
+    def _connect(self) -> None:
+        give_up_s = time.monotonic() + _TIMEOUT_S
+        while True:
+            try:
+                self._socket.connect(str(self._path))
+            except BlockingIOError:  # others are in front: with a timeout the kernel does not wait
+                if time.monotonic() > give_up_s:
+                    raise
+                time.sleep(_AGAIN_S)
+            else:
+                return
+
     def request(
         self, op: str, on_line: Callable[[Mapping[str, Any]], None] | None = None, **more: Any
     ) -> dict[str, Any]:
         """Send one request; lines before the answer go to `on_line`."""
+        self._socket.settimeout(_CLEARING_S if op == "clear" else _TIMEOUT_S)
         try:
             self._stream.write(json.dumps({"op": op, **more}).encode() + b"\n")
             self._stream.flush()
@@ -81,10 +97,12 @@ class Client:
         out: Path,
         report: Callable[[str, float], None],
         rig: str | None = None,
+        client_gone: str | None = None,
     ) -> FlightResult:
         """Fly the session of this YAML text, logging into `out` on the daemon's machine.
 
-        With `rig` (YAML text) the daemon refuses unless it runs that very rig.
+        With `rig` (YAML text) the daemon refuses unless it runs that very rig. `client_gone` says
+        what the flight does if this client dies: go_on or land; as the rig says unless given.
         """
         answer = self.request(
             "excite",
@@ -92,6 +110,7 @@ class Client:
             session=session,
             out=str(out),
             rig=rig,
+            client_gone=client_gone,
         )
         return FlightResult(
             tuple(map(Path, answer["logs"])),

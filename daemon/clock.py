@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
 import time
 from typing import Protocol
 
@@ -11,7 +9,6 @@ VIRTUAL_EPOCH_NS = 1_577_836_800_000_000_000
 """Log time of cycle 0 in virtual time, 2020-01-01T00:00:00Z: the same run is the same bytes."""
 
 _SPIN_NS = 50_000
-_PR_SET_TIMERSLACK = 29
 
 
 class Clock(Protocol):
@@ -64,7 +61,6 @@ class RealClock:
 
     def start(self) -> None:
         """Begin cycle 0 at the next whole moment; deadlines follow from here."""
-        _ask_for_punctual_timers()
         self.epoch_ns = time.time_ns()
         self._deadline_ns = time.monotonic_ns() - self._period_ns
 
@@ -82,13 +78,3 @@ class RealClock:
         self.skipped = late // self._period_ns
         self._deadline_ns = deadline + self.skipped * self._period_ns
         return late * 1e-9
-
-
-def _ask_for_punctual_timers() -> None:
-    """Ask for timers without slack: unprivileged it takes the median wake-up from 95 to 39 us."""
-    if os.name != "posix":
-        return
-    try:
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    except (OSError, AttributeError):
-        return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,16 @@ Array = NDArray[np.float64]
 
 _READING, _GAP = int(Fault.READING), int(Fault.GAP)
 _COMPUTATION, _BEAM = int(Fault.COMPUTATION), int(Fault.BEAM)
+_POSE_FAULT, _VELOCITY, _HEAT = int(Fault.POSE), int(Fault.VELOCITY), int(Fault.HEAT)
 _FAULT_STATE = int(State.FAULT)
 # The beam may overshoot its setpoint range by this much before that is a fault.
 _BEAM_MARGIN_M = 0.002
+# And be measured faster than its setpoints may be, by half and by this.
+_BEAM_MARGIN, _BEAM_MARGIN_M_S = 1.5, 0.05
 
 # Rows of the memory (ROWS, 4). Every array handed to a compiled function costs some 50 ns a call,
-# and the cycle may not allocate: what it remembers and its scratch share one block.
+# and the cycle may not allocate: what it remembers and its scratch share one block. Behind these
+# rows lie, row after row, the coils' heat (C,) in N^2, the gaps before (S,) and their cycle.
 _POSE, _INTEGRAL, _REST, _GOAL, _LAST, _MODE, _REF, _FF, _TAU, _LOST, _ROWS = range(11)
 
 
@@ -53,9 +58,17 @@ class Controller:
             [ff.mass_kg * ff.gravity_m_s2, ff.beam_mass_kg * ff.gravity_m_s2, ff.rods_n_m],
             [limits.coil_n, limits.coil_rate_n_s * period_s],
             [limits.gap_m, limits.beam_m + _BEAM_MARGIN_M],
+            # What the rig does not limit has no limit.
+            [limits.total_n or math.inf, limits.tilt_rad or math.inf, limits.gap_m_s or math.inf],
+            [_BEAM_MARGIN * limits.beam_velocity_m_s + _BEAM_MARGIN_M_S],
+            [(limits.coil_rms_n or math.inf) ** 2, period_s / limits.coil_time_constant_s],
+            [period_s],
         )
         self._law = np.concatenate([np.asarray(part, float) for part in law])
-        self._memory = np.zeros((_ROWS, 4))
+        self._memory = np.zeros((_ROWS + (coils + sensors + 4) // 4, 4))
+        self._memory[_ROWS:] = np.nan
+        self._heat, self._before = np.split(self._memory[_ROWS:].ravel(), [coils])
+        self._heat[:] = 0.0
         self._engaged = False
         self._arrays: tuple[Any, ...] = ()
 
@@ -63,6 +76,11 @@ class Controller:
     def pose(self) -> Array:
         """The pose (3,) of the last cycle in rad, rad, m; a view."""
         return self._memory[_POSE, :3]
+
+    @property
+    def engaged(self) -> bool:
+        """Whether control carries the platform."""
+        return self._engaged
 
     def begin(self, segment: Segment) -> None:
         """Prepare for `segment`.
@@ -87,6 +105,19 @@ class Controller:
     def latch(self, fault: Fault) -> None:
         """Log `fault` in every row until it is cleared with Fault.NONE."""
         self._memory[_MODE, 3] = fault
+
+    def detail(self, fault: Fault) -> str:
+        """Return the reading that led to `fault`, in words; empty where it was none."""
+        gap, heat = np.abs(self.gap_m), self._heat
+        if fault is Fault.GAP:
+            return f"{1e3 * gap.max():.3f} mm at sensor {gap.argmax()}"
+        if fault is Fault.POSE:
+            return f"psi {1e3 * self.pose[0]:.3f} mrad, theta {1e3 * self.pose[1]:.3f} mrad"
+        if fault is Fault.VELOCITY:
+            return f"beam at {self.beam[1]:.3f} m/s, height {1e3 * self.pose[2]:.3f} mm"
+        if fault is Fault.HEAT:
+            return f"{heat.max() ** 0.5:.1f} N in the long run in coil {heat.argmax()}"
+        return ""
 
     def halt(self) -> None:
         """Command zero force from now on."""
@@ -123,14 +154,17 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     T_sensors = law[:end].reshape(3, n_sensors)
     T_coils = law[end : end + 3 * n_coils].reshape(3, n_coils)
     S_coils = law[end + 3 * n_coils : end + 6 * n_coils].reshape(n_coils, 3)
-    kp, ki_Ts = law[-13:-10], law[-10:-7]
-    weight, beam_weight, rods, coil_limit, coil_step, gap_limit, beam_limit = law[-7:]
+    kp, ki_Ts = law[-20:-17], law[-17:-14]
+    weight, beam_weight, rods, coil_limit, coil_step, gap_limit, beam_limit = law[-14:-7]
+    total_limit, tilt_limit, speed_limit, beam_speed_limit, heat_limit, cooling, Ts = law[-7:]
 
     pose, integral, rest, goal, last = (
         memory[_POSE], memory[_INTEGRAL], memory[_REST], memory[_GOAL], memory[_LAST],
     )  # fmt: skip
     ref, ff, tau, lost = memory[_REF], memory[_FF], memory[_TAU], memory[_LOST]
-    memory[_REF:] = 0.0
+    memory[_REF:_ROWS] = 0.0
+    more = memory[_ROWS:].reshape(-1)
+    heat, before = more[:n_coils], more[n_coils : n_coils + n_sensors + 1]
     state, in_control, airborne = memory[_MODE, 0], memory[_MODE, 1] > 0, memory[_MODE, 2] > 0
 
     v = v_all[min(k, len(v_all) - 1)]
@@ -142,8 +176,22 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         # On the way up and down the stops are beyond the limit; ten times as far nothing is real.
         if abs(gap[j]) > gap_limit * (1.0 if airborne else 10.0) and in_control:
             fault = _GAP
+    periods = cycle - before[n_sensors]
+    for j in range(n_sensors):
+        moved = abs(gap[j] - before[j])
+        if moved > speed_limit * Ts * periods and airborne and in_control:
+            fault = _VELOCITY
+        before[j] = gap[j]
+    before[n_sensors] = cycle
+    if in_control and abs(beam[1]) > beam_speed_limit:
+        fault = _VELOCITY
     if in_control and abs(beam[0]) > beam_limit:
         fault = _BEAM
+    for j in range(n_coils):
+        if np.isfinite(readback[j]):
+            heat[j] += cooling * (readback[j] * readback[j] - heat[j])
+        if heat[j] > heat_limit and in_control:
+            fault = _HEAT
     for j in range(inputs.size):
         if not np.isfinite(inputs[j]):
             fault = _READING
@@ -152,6 +200,11 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         pose[i] = 0.0
         for j in range(n_sensors):
             pose[i] += T_sensors[i, j] * gap[j]
+    if (
+        (abs(pose[0]) > tilt_limit or abs(pose[1]) > tilt_limit)
+        and airborne and in_control and fault == 0
+    ):  # fmt: skip
+        fault = _POSE_FAULT
     active = in_control and fault == 0
     if active:
         for i in range(3):
@@ -182,6 +235,15 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
                     lost[i] += S_coils[j, i] * (force - allowed)
             force = allowed
         coil[j] = force
+    total = 0.0
+    for j in range(n_coils):
+        total += abs(coil[j])
+    if total > total_limit:
+        saturated = n_coils
+        for j in range(n_coils):
+            for i in range(3):
+                lost[i] += S_coils[j, i] * coil[j] * (1.0 - total_limit / total)
+            coil[j] *= total_limit / total
     if fault != 0:
         coil[:] = 0.0
         integral[:] = 0.0

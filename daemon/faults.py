@@ -22,18 +22,28 @@ class Fault(IntEnum):
     AMPLIFIER = 10
     SENSOR = 11
     DRIVE = 12
+    STOPPED = 13
+    SUPERVISOR = 14
+    LOOP = 15
+    SELF_TEST = 16
+    SEQUENCE = 17
+    POSE = 18
+    VELOCITY = 19
+    HEAT = 20
+    COIL_CHECK = 21
 
 
 @dataclass(frozen=True)
 class FaultText:
-    """A fault for people."""
+    """A fault for people: its cause, what to check, and what makes it go away."""
 
     cause: str
     check: str
+    cleared: str = "levid clear"
 
 
 FAULTS: dict[Fault, FaultText] = {
-    Fault.NONE: FaultText("no fault", ""),
+    Fault.NONE: FaultText("no fault", "", ""),
     Fault.READING: FaultText(
         "a sensor, amplifier or drive gave a reading that is no number",
         "the sensor's cable and supply, the ADC",
@@ -60,11 +70,13 @@ FAULTS: dict[Fault, FaultText] = {
     ),
     Fault.LINK: FaultText(
         "a bus or port is gone, or nobody answers on it",
-        "plug, adapter and supply; levid clear opens it again",
+        "plug, adapter and supply",
+        "levid clear, which opens it again",
     ),
     Fault.AMPLIFIER: FaultText(
         "the coil amplifiers tripped, or switched off while force was asked of them",
         "the coil that the message names, its current and temperature; late cycles",
+        "levid clear, which resets the trip once its cause is gone",
     ),
     Fault.SENSOR: FaultText(
         "a sensor channel has no reading, is stuck, or is at the end of its range",
@@ -73,6 +85,7 @@ FAULTS: dict[Fault, FaultText] = {
     Fault.DRIVE: FaultText(
         "a drive of the manipulator does not follow",
         "encoder and motor that the message names, the gantry's skew",
+        "levid clear, which homes and enables the drives",
     ),
     Fault.SIMULATION: FaultText(
         "the simulated plant or one of its effects failed",
@@ -81,6 +94,45 @@ FAULTS: dict[Fault, FaultText] = {
     Fault.LATE: FaultText(
         "too many cycles in a row were late by a period or more",
         "load of the machine, priority of the loop, a rate that the bus cannot carry",
+    ),
+    Fault.STOPPED: FaultText(
+        "somebody stopped it (levid stop)",
+        "why; whoever stopped it knows",
+    ),
+    Fault.SUPERVISOR: FaultText(
+        "the supervisor died, hung, or left the loop without its plan (service.supervisor_s)",
+        "load and memory of the machine, the journal",
+        "levid clear; a dead supervisor takes the loop along, and is started anew",
+    ),
+    Fault.LOOP: FaultText(
+        "the loop's process died, hung or was stopped; the devices went to zero by themselves",
+        "the journal, a driver that blocks, the machine's memory",
+        "levid clear, which starts the loop anew",
+    ),
+    Fault.SELF_TEST: FaultText(
+        "a channel did not answer, or its reading was not plausible, before lift-off",
+        "the channel that the message names; what lies on the platform",
+    ),
+    Fault.SEQUENCE: FaultText(
+        "a state was to follow that may not follow this one",
+        "this should not happen: report it, with the flight recording",
+    ),
+    Fault.POSE: FaultText(
+        "the platform tilted further than it may (limits.tilt_rad)",
+        "excitation level, gains, something lying on the platform",
+    ),
+    Fault.VELOCITY: FaultText(
+        "platform or beam moved faster than they may (limits.gap_m_s, beam_velocity_m_s)",
+        "gains, a loose sensor, the drives' own loops",
+    ),
+    Fault.HEAT: FaultText(
+        "a coil carried more than it may in the long run (limits.coil_rms_n)",
+        "what the platform carries and where; excitation level",
+        "levid clear, after the coils have cooled down",
+    ),
+    Fault.COIL_CHECK: FaultText(
+        "a coil did not move the sensors that it should, just after lift-off",
+        "cables of the coil that the message names: swapped, reversed or open",
     ),
 }
 

@@ -1,35 +1,29 @@
-"""A flight: devices, loop and recorder together, and a session flown from lift-off to landing."""
+"""A flight in virtual time: devices, loop and recorder in one process, from lift-off to landing."""
 
 from __future__ import annotations
 
-import gc
-import json
-import platform
-import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..drivers.base import Context, Devices
 from ..drivers.registry import open_devices
 from ..log.signals import cycle_dtype
 from . import trajectory
-from .clock import Clock, RealClock, VirtualClock
+from .clock import VirtualClock
+from .coil_check import coil_check
 from .control import Controller
 from .faults import Fault, FlightFault
 from .loop import Loop
 from .plan import Plan, PlannedStep
-from .recorder import LogFile, Recorder
-from .ring import Ring
-from .segment import Segment, idle_segment
+from .recorder import Recorder
+from .result import FlightResult, RecordingError, log_metadata
+from .ring import NO_LOG, Ring
+from .scribe import LogFile
+from .segment import Segment
 from .states import State
-
-Array = NDArray[np.float64]
+from .warm_up import resting_segment, warm_up
 
 _RING_S = 4.0
 _RING_AT_LEAST = 16_384
@@ -39,29 +33,13 @@ _AFTER_FAULT_S = 0.5
 Progress = Callable[[str, int, int], None]
 
 
-class RecordingError(Exception):
-    """The flight went well but its log did not."""
+class Flight:
+    """The rig in flight: a context manager that always ends in zero force.
 
-
-@dataclass(frozen=True)
-class FlightResult:
-    """What a session left behind: its logs in order, its records, and the loop's misses.
-
-    `stopped`: it was asked to land before its end.
+    After a fault it flies no more; the daemon, which does, is Supervisor.
     """
 
-    logs: tuple[Path, ...]
-    records: tuple[Path, ...]
-    cycles: int
-    late: int
-    lost: int
-    stopped: bool = False
-
-
-class Flight:
-    """The rig in flight, on a clock: a context manager that always ends in zero force."""
-
-    def __init__(self, rig: RigConfig, folder: Path, rate_hz: float, clock: Clock) -> None:
+    def __init__(self, rig: RigConfig, folder: Path, rate_hz: float, clock: VirtualClock) -> None:
         period_s = 1.0 / rate_hz
         self._rig, self._rate_hz, self._clock = rig, rate_hz, clock
         self.devices: Devices = open_devices(Context(rig, period_s, folder))
@@ -71,23 +49,12 @@ class Flight:
         self._controller = Controller(rig, period_s)
         self._recorder = Recorder(self._ring, rate_hz)
         self.loop = Loop(
-            self._controller,
-            self.devices,
-            clock,
-            self._ring,
-            period_s,
-            self._recorder.wait_for_room,
-            rig.limits,
+            self._controller, self.devices, self._ring, period_s, self._recorder.wait_for_room
         )
 
     def __enter__(self) -> Flight:
-        """Compile the cycle, read the manipulator's place once, start clock and recorder."""
-        self._warm_up()
-        if self._clock.real:
-            # A collection of all that was ever imported stalls the loop by many periods.
-            gc.collect()
-            gc.freeze()
-        self._clock.start()
+        """Compile the cycle, read the manipulator's place once, start the recorder."""
+        warm_up(self._controller, self.devices, self._ring.rows[:1], self._rig)
         self._recorder.start(self._clock.epoch_ns)
         return self
 
@@ -98,8 +65,6 @@ class Flight:
             self.devices.close()
         finally:
             self._recorder.close()
-            if self._clock.real:
-                gc.unfreeze()
 
     @property
     def beam_m(self) -> float:
@@ -111,13 +76,9 @@ class Flight:
         """Where the rotor is, as last read."""
         return float(self._controller.rotor[0])
 
-    def latch(self, fault: Fault) -> None:
-        """Log `fault` in every row from now on; Fault.NONE clears it."""
-        self._controller.latch(fault)
-
     def idle(self, cycles: int) -> Fault:
         """Take readings at zero force for some cycles."""
-        return self.loop.fly(self._idle_segment(cycles))
+        return self.loop.fly(resting_segment(self._controller, cycles))
 
     def fly(
         self,
@@ -128,20 +89,14 @@ class Flight:
     ) -> FlightResult:
         """Fly `plan`; one log a step in `out`, each with `attachments` at its head.
 
-        In real time all segments are computed before the first cycle; in virtual time one step at
-        a time. A stop request (`loop.stop_requested`) goes on to landing at once.
+        A stop request (`loop.stop_requested`) goes on to landing at once.
 
         Raises:
             FlightFault: the flight ended in a fault; forces are zero, logs are closed.
             RecordingError: the log could not be written; the session was flown and landed.
         """
         self._recorder.forget_errors()
-        prepared = {step.index: step.segments for step in plan.steps}
-        if self._clock.real:
-            prepared = {step.index: _ready(step.segments()) for step in plan.steps}
-            # What the computing took is no late cycle of the flight: one at zero force absorbs it.
-            self.idle(1)
-        begin, late, lost = self.loop.cycle + 1, self.loop.late, self._ring.lost
+        begin, lost = self.loop.cycle + 1, self._ring.lost
 
         def tell(name: str) -> None:
             if progress is not None:
@@ -157,22 +112,21 @@ class Flight:
             logs.append(path)
             if step.kind == "record":
                 records.append(path)
-            file = LogFile(path, self._metadata(plan, step), attachments)
-            segments = prepared[step.index]
+            segments = step.segments()
             if self.loop.stop_requested:
-                segments = _ready(self._landing_from_here(segments()))
+                segments = self._landing_from_here(segments)
+            file = LogFile(path, log_metadata(plan, step), attachments)
             self._fly_step(step, segments, file, tell)
             stopped |= self.loop.stop_requested and step.kind != "land"
         # The files are complete only once the recorder has caught up.
-        self._recorder.shut()
-        self._recorder.settle()
+        self._record(None)
         if self._recorder.error is not None:
             raise RecordingError(f"recording failed: {self._recorder.error}")
         return FlightResult(
             tuple(logs),
             tuple(records),
             self.loop.cycle + 1 - begin,
-            self.loop.late - late,
+            0,
             self._ring.lost - lost,
             stopped,
         )
@@ -184,113 +138,58 @@ class Flight:
         (beam_m, beam_m_s), (rotor_rad, rotor_rad_s) = control.beam_ref[:2], control.rotor_ref[:2]
         beam = trajectory.brake(beam_m, beam_m_s, limits.beam_acceleration_m_s2, Ts_s)
         rotor = trajectory.brake(rotor_rad, rotor_rad_s, limits.rotor_acceleration_rad_s2, Ts_s)
+        if not control.engaged:  # there is nothing to land
+            return [segment for segment in planned if not segment.lands]
         first, *others = planned
         return [
             replace(first, beam=beam, rotor=rotor),
             *(replace(s, beam=beam[-1:], rotor=rotor[-1:]) for s in others),
         ]
 
-    def _metadata(self, plan: Plan, step: PlannedStep) -> dict[str, str]:
-        return {
-            "format": "1",
-            "kind": step.kind,
-            "name": step.name,
-            "step": str(step.index),
-            "session": plan.name,
-            "rate_hz": repr(self._rate_hz),
-        }
-
     def _fly_step(
         self,
         step: PlannedStep,
-        segments: Callable[[], list[Segment]],
+        segments: list[Segment],
         file: LogFile,
         tell: Callable[[str], None],
     ) -> None:
-        computed = segments()
-        self._recorder.open(file)
-        for segment in computed:
-            fault = self.loop.fly(segment)
+        self._record(file)
+        for segment in segments:
+            fault = self.loop.fly(segment) or self._check(segment)
             tell(step.name)
             if fault:
                 at_s, detail = self.loop.cycle / self._rate_hz, self._detail(fault)
                 self._stay_in_fault(fault)
-                self._recorder.shut()
-                self._recorder.settle()
+                self._record(None)
                 raise FlightFault(fault, at_s, step.name, detail)
             if self.loop.stop_requested and not segment.lands:
                 return
 
+    def _check(self, segment: Segment) -> Fault:
+        """Judge what a segment that checks coils has shown."""
+        if segment.checks is None or self.loop.stop_requested:
+            return Fault.NONE
+        rows = self._ring.last(segment.cycles).rows
+        self.loop.detail = coil_check(rows, segment.checks, self._rig.geometry)
+        if not self.loop.detail:
+            return Fault.NONE
+        self.loop.zero()
+        return Fault.COIL_CHECK
+
+    def _record(self, file: LogFile | None) -> None:
+        """Log into `file` from here on; without one, wait until all is in its files."""
+        if file is not None:
+            self.loop.tag = self._recorder.define(file)
+            return
+        self.loop.tag = NO_LOG
+        self._recorder.finish()
+
     def _detail(self, fault: Fault) -> str:
-        if fault is not Fault.GAP:
-            return self.loop.detail
-        gap = np.abs(self._controller.gap_m)
-        return f"{1e3 * gap.max():.3f} mm at sensor {gap.argmax()}"
+        return self._controller.detail(fault) or self.loop.detail
 
     def _stay_in_fault(self, fault: Fault) -> None:
         """Log what happens after a fault, at zero force, for as long as the devices answer."""
         self._controller.latch(fault)
         cycles = int(_AFTER_FAULT_S * self._rate_hz)
-        self.loop.fly(replace(self._idle_segment(cycles), state=State.FAULT))
+        self.loop.fly(replace(resting_segment(self._controller, cycles), state=State.FAULT))
         self.loop.zero()
-
-    def _idle_segment(self, cycles: int) -> Segment:
-        beam, rotor = self._still
-        return idle_segment(cycles, len(self._controller.coil_n), beam, rotor)
-
-    @property
-    def _still(self) -> tuple[Array, Array]:
-        """Setpoints (3,) at rest where beam and rotor were last told to be."""
-        at = self._controller.beam_ref[0], self._controller.rotor_ref[0]
-        return np.array([at[0], 0.0, 0.0]), np.array([at[1], 0.0, 0.0])
-
-    def _warm_up(self) -> None:
-        """Run the compiled cycle once on made-up readings, so that no flight pays for compiling."""
-        self._controller.begin(self._idle_segment(1))
-        self._controller.step(self._ring.rows, 0, 0, 0.0, 0)
-        self._controller.halt()
-        for sync in self.devices.syncs:
-            sync(0)
-        self.devices.drives.read(self._controller.beam, self._controller.rotor)
-        # Once, and never again: from here on the manipulator stays where it was last told to be.
-        reach = self._rig.limits.beam_m
-        self._controller.beam_ref[0] = np.clip(np.nan_to_num(self.beam_m), -reach, reach)
-        self._controller.rotor_ref[0] = np.nan_to_num(self.rotor_rad)
-
-
-def _ready(segments: list[Segment]) -> Callable[[], list[Segment]]:
-    return lambda: segments
-
-
-def flight_clock(virtual: bool, rate_hz: float) -> Clock:
-    """Return the clock to fly on."""
-    return VirtualClock() if virtual else RealClock(1.0 / rate_hz)
-
-
-def attachments(rig_text: bytes, session_text: bytes) -> dict[str, bytes]:
-    """Return what goes to the head of every log: the configs, versions and the host."""
-    return {
-        "rig.yaml": rig_text,
-        "session.yaml": session_text,
-        "versions.json": json.dumps(_versions(), indent=1, sort_keys=True).encode(),
-        "host.json": json.dumps(_host(), indent=1, sort_keys=True).encode(),
-    }
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for package in ("levid", "numpy", "scipy", "numba", "mcap"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
-
-
-def _host() -> dict[str, str]:
-    return {
-        "host": platform.node(),
-        "system": platform.platform(),
-        "machine": platform.machine(),
-        "byteorder": sys.byteorder,
-    }

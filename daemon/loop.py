@@ -1,62 +1,40 @@
-"""The timed loop: wait, sync, read, control, write, record; nothing else happens in a cycle."""
+"""The loop in virtual time: sync, read, control, write, record, as fast as the code runs."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
-from ..config.base import ConfigError
-from ..config.rig import Limits
-from ..drivers.base import (
-    AmplifierError,
-    Devices,
-    DriveError,
-    DriverError,
-    LinkError,
-    SensorError,
-    StaleError,
-)
-from .clock import Clock
+from ..drivers.base import Devices
 from .control import Controller
+from .failures import fault_of
 from .faults import Fault
-from .ring import Ring
+from .ring import NO_LOG, Ring
 from .segment import Segment
 from .states import State
 
-_LATE_FORGIVEN = 0.1
-"""What a cycle in time takes back of the late cycles that are counted against their limit."""
 _BLOCK = 4096
-_FAULT_OF = {
-    LinkError: Fault.LINK,
-    StaleError: Fault.STALE,
-    AmplifierError: Fault.AMPLIFIER,
-    SensorError: Fault.SENSOR,
-    DriveError: Fault.DRIVE,
-}
 
 
 class Loop:
-    """Flies segments on open devices, one row of the ring a cycle.
+    """Flies segments on open devices, one row of the ring a cycle, tagged with the log it goes to.
 
-    `cycle` numbers the periods since the start, those that were skipped included, so that cycle
-    times the period is the time of the plant.
+    `cycle` numbers the periods since the start, so that cycle times the period is the time of the
+    plant. The loop in real time is TimedLoop.
     """
 
     def __init__(
         self,
         controller: Controller,
         devices: Devices,
-        clock: Clock,
         ring: Ring,
         period_s: float,
         make_room: Callable[[int], None],
-        limits: Limits,
     ) -> None:
-        self._controller, self._devices, self._clock = controller, devices, clock
+        self._controller, self._devices = controller, devices
         self._ring, self._period_s, self._make_room = ring, period_s, make_room
-        self._most_late, self._longest_stall = limits.late_cycles, limits.stall_s / period_s
+        self._state = State.IDLE
         self.cycle = -1
-        self.late = 0
+        self.tag = NO_LOG
         self.stop_requested = False
         self.detail = ""
 
@@ -67,31 +45,26 @@ class Loop:
         """
         stoppable = not segment.lands
         self.detail = ""  # what an earlier fault said is no cause of the next
+        if not self._state.may_become(segment.state):
+            self.detail = f"{segment.state.name} after {self._state.name}"
+            return self._failed(Fault.SEQUENCE)
+        self._state = segment.state
         self._controller.begin(segment)
-        run = self._in_real_time if self._clock.real else self._in_virtual_time
+        fault = 0
         try:
-            return Fault(run(segment.cycles, stoppable))
-        except ConfigError as error:
-            # The simulated plant runs effects that users wrote: what fails there is no bus.
-            return self._failed(Fault.SIMULATION, str(error))
-        except DriverError as error:
-            return self._failed(_FAULT_OF.get(type(error), Fault.DRIVER), str(error))
-        except Exception as error:  # noqa: BLE001
-            return self._failed(Fault.DRIVER, f"{type(error).__name__}: {error}")
-
-    def _failed(self, fault: Fault, detail: str) -> Fault:
-        """Zero force before anyone is told, then a row of the log that names the fault."""
-        self.zero()
-        self.detail = detail
-        ring, control = self._ring, self._controller
-        if ring.room:
-            slot = ring.head % ring.capacity
-            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
-            ring.rows["fault"][slot] = fault
-            ring.rows["state"][slot] = State.FAULT
-            ring.rows["stale"][slot] = self._devices.stale_roles
-            ring.head += 1
-        return fault
+            for begin in range(0, segment.cycles, _BLOCK):
+                block = min(_BLOCK, segment.cycles - begin)
+                # Virtual time outruns any disk: here, and only here, the loop waits for the
+                # recorder.
+                self._make_room(block)
+                self._label(block)
+                fault = self._block(begin, begin + block, stoppable)
+                if fault or (self.stop_requested and stoppable):
+                    break
+        except Exception as error:  # noqa: BLE001 - whatever it is, the coils go to zero first
+            failed, words = fault_of(error)
+            return self._failed(failed, words)
+        return Fault(fault)
 
     def zero(self) -> None:
         """Command zero force, as well as the devices still allow."""
@@ -101,18 +74,29 @@ class Loop:
         except Exception as error:  # noqa: BLE001 - the fault at hand matters more
             self.detail = self.detail or f"{type(error).__name__}: {error}"
 
-    def _in_virtual_time(self, cycles: int, stoppable: bool) -> int:
-        fault = 0
-        for begin in range(0, cycles, _BLOCK):
-            block = min(_BLOCK, cycles - begin)
-            # Virtual time outruns any disk: here, and only here, the loop waits for the recorder.
-            self._make_room(block)
-            fault = self._virtual_block(begin, begin + block, stoppable)
-            if fault or (self.stop_requested and stoppable):
-                break
+    def _failed(self, fault: Fault, detail: str = "") -> Fault:
+        """Zero force before anyone is told, then a row of the log that names the fault."""
+        self.zero()
+        self.detail = detail or self.detail
+        ring, control = self._ring, self._controller
+        if ring.room:
+            slot = ring.head % ring.capacity
+            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
+            ring.rows["fault"][slot] = fault
+            ring.rows["state"][slot] = State.FAULT
+            ring.rows["stale"][slot] = self._devices.stale_roles
+            ring.tags[slot] = self.tag
+            ring.head += 1
         return fault
 
-    def _virtual_block(self, begin: int, end: int, stoppable: bool) -> int:
+    def _label(self, rows: int) -> None:
+        """Tag the next rows, before they are there."""
+        ring = self._ring
+        first = ring.head % ring.capacity
+        ring.tags[first : first + rows] = self.tag
+        ring.tags[: max(first + rows - ring.capacity, 0)] = self.tag
+
+    def _block(self, begin: int, end: int, stoppable: bool) -> int:
         control, ring, devices = self._controller, self._ring, self._devices
         amplifiers, sensors, drives = devices.amplifiers, devices.sensors, devices.drives
         syncs, step, rows, capacity = devices.syncs, control.step, ring.rows, ring.capacity
@@ -140,56 +124,4 @@ class Loop:
                     break
         finally:  # what was flown before a driver failed is in the log all the same
             self.cycle, ring.head = cycle, head
-        return fault
-
-    def _in_real_time(self, cycles: int, stoppable: bool) -> int:
-        control, ring, devices, clock = self._controller, self._ring, self._devices, self._clock
-        amplifiers, sensors, drives = devices.amplifiers, devices.sensors, devices.drives
-        syncs, step, rows, capacity = devices.syncs, control.step, ring.rows, ring.capacity
-        gap, readback, coil = control.gap_m, control.readback_n, control.coil_n
-        beam, rotor, beam_ref, rotor_ref = (
-            control.beam, control.rotor, control.beam_ref, control.rotor_ref,
-        )  # fmt: skip
-        lateness, execution, skips = rows["lateness_s"], rows["execution_s"], rows["skipped"]
-        stales = rows["stale"]
-        period_s, wait, now = self._period_s, clock.wait, time.perf_counter_ns
-        fault, late_score, k = 0, 0.0, -1
-        most_late, longest_stall = self._most_late, self._longest_stall
-        while k < cycles - 1:
-            late_s = wait()
-            begin = now()
-            skipped = clock.skipped
-            self.cycle += 1 + skipped
-            # The plan waits for what was skipped: a ramp or a move that jumped would be a jolt.
-            k += 1
-            for sync in syncs:
-                sync(self.cycle)
-            sensors.read(gap)
-            drives.read(beam, rotor)
-            amplifiers.read(readback)
-            full = ring.head - ring.tail >= capacity
-            slot = capacity if full else ring.head % capacity
-            fault = step(rows, slot, self.cycle, self.cycle * period_s, k)
-            if skipped:
-                self.late += 1
-                late_score += 1.0
-                if (late_score > most_late or skipped > longest_stall) and not fault:
-                    fault = int(Fault.LATE)
-                    control.halt()
-                    rows["fault"][slot] = fault
-            elif late_score > 0.0:
-                late_score -= _LATE_FORGIVEN
-            amplifiers.write(coil)
-            drives.write(beam_ref, rotor_ref)
-            lateness[slot] = late_s
-            skips[slot] = min(skipped, 255)
-            if sensors.stale or drives.stale or amplifiers.stale:
-                stales[slot] = devices.stale_roles
-            execution[slot] = (now() - begin) * 1e-9
-            if full:
-                ring.lost += 1
-            else:
-                ring.head += 1
-            if fault or (self.stop_requested and stoppable):
-                break
         return fault

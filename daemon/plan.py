@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..config.rig import RigConfig
 from ..config.session import Land, Levitate, Move, RecordStep, SessionConfig, Step
 from ..model.geometry import decoupling_matrix
 from . import trajectory
+from .coil_check import Pushes
 from .excitation import fade, signal
 from .orthogonal import orthogonal_cycles, orthogonal_multisines
 from .segment import Segment, idle_segment
@@ -71,6 +72,26 @@ def plan_session(
     return _Planner(session, rig, beam_m, rotor_rad, source).plan()
 
 
+def plan_steps(
+    steps: Sequence[Step],
+    name: str,
+    rig: RigConfig,
+    beam_m: float,
+    rotor_rad: float,
+) -> Plan:
+    """Lay out single steps, flown by hand, from a manipulator at rest; raises as plan_session."""
+    session = SessionConfig.model_construct(
+        levid="session",
+        name=name,
+        rate_hz=None,
+        seed=1,
+        excitations={},
+        steps=tuple(steps),
+        then=(),
+    )
+    return _Planner(session, rig, beam_m, rotor_rad, name).plan()
+
+
 class _Planner:
     def __init__(
         self,
@@ -100,7 +121,7 @@ class _Planner:
 
     def step(self, step: Step, index: int, where: str) -> PlannedStep:
         if step.levitate is not None:
-            planned = self.levitate(step.levitate)
+            planned = self.levitate(step.levitate, where)
         elif step.move is not None:
             planned = self.move(step.move, where)
         elif step.record is not None:
@@ -110,10 +131,17 @@ class _Planner:
         name = step.record.name if step.record else step.kind
         return PlannedStep(index, step.kind, name, *planned)
 
-    def levitate(self, step: Levitate) -> tuple[int, Callable[[], list[Segment]]]:
+    def levitate(self, step: Levitate, where: str) -> tuple[int, Callable[[], list[Segment]]]:
         idle, settle = self.n(_IDLE_S), self.n(step.settle_s)
         unload, ramp = self.n(step.unload_s), self.n(step.ramp_s)
         beam, rotor = self.still()
+        checks: list[Segment] = []
+        if step.check_coils is not None:
+            pushes = Pushes.of(step.check_coils, self.coils, self.rate_hz)
+            pushed = pushes.excitation()
+            self.check_levels(self.no_v, pushed, beam, f"{where}.check_coils")
+            flying = self.flying(State.LEVITATING, len(pushed), beam, rotor)
+            checks = [replace(flying, coil_excitation=pushed, checks=pushes)]
 
         def segments() -> list[Segment]:
             up = np.concatenate([np.zeros(unload), _smooth(ramp)])
@@ -124,10 +152,12 @@ class _Planner:
                 self.flying(
                     State.LEVITATING, unload + ramp, beam, rotor, blend, False, engages=True
                 ),
+                *checks,
                 self.flying(State.LEVITATING, settle, beam, rotor),
             ]
 
-        return idle + unload + ramp + settle, segments
+        pushing = sum(check.cycles for check in checks)
+        return idle + unload + ramp + pushing + settle, segments
 
     def move(self, step: Move, where: str) -> tuple[int, Callable[[], list[Segment]]]:
         limits = self.rig.limits

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .coil_check import Pushes
 from .states import State
 
 Array = NDArray[np.float64]
@@ -20,7 +21,8 @@ class Segment:
     N m, N; coil_excitation (n, C) in N; beam and rotor (n, 3) setpoints of position, velocity and
     acceleration; blend (n, 3): reference from the pose at rest (0) to the working point (1), share
     of the feed-forward, share of the whole force. A segment that `engages` starts control from the
-    pose at hand; one that `lands` fades out from the reference and feed-forward at hand.
+    pose at hand; one that `lands` fades out from the reference and feed-forward at hand. Of one
+    that `checks`, the readings are to be judged once it is flown.
     """
 
     state: State
@@ -34,6 +36,7 @@ class Segment:
     airborne: bool = True
     engages: bool = False
     lands: bool = False
+    checks: Pushes | None = None
 
 
 def idle_segment(cycles: int, coils: int, beam: Array, rotor: Array) -> Segment:

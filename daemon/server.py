@@ -1,46 +1,93 @@
-"""The control socket: one JSON object a line, answered by threads that the loop never waits for."""
+"""The control socket: one JSON object a line, answered by one thread that no client can hold up."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
+import selectors
 import socket
 import threading
+import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-_LONGEST_LINE = 1 << 20
-_MOST_CLIENTS = 16
+from .access import Access, peer_of
+from .lines import Closed, Lines, TooLong
+
+LONGEST_LINE = 1 << 20
+_MOST_CLIENTS = 64
 _WAITING_CLIENTS = 128
-_TIMEOUT_S = 10.0
-_BACK_OFF_S = 0.1
-
-# A request's handler: takes the request and a function that sends a line before the answer.
-Send = Callable[[Mapping[str, Any]], None]
-Handler = Callable[[Mapping[str, Any], Send], Mapping[str, Any]]
-
-
-class _GoneError(Exception):
-    """The client does not take its answer."""
+_MOST_UNREAD = 1 << 18
+_BACK_OFF_S = 0.05
 
 
 class ServerError(Exception):
     """A control socket that cannot be opened."""
 
 
+class Reply:
+    """The answer to one request, given at once or later, from any thread; never blocks.
+
+    `gone` is called once, in the server's thread, if the client hangs up before its answer.
+    """
+
+    def __init__(self, server: Server, connection: _Connection) -> None:
+        self._server, self._connection = server, connection
+        self.gone: Callable[[], None] = lambda: None
+
+    def send(self, message: Mapping[str, Any]) -> None:
+        """Send a line before the answer."""
+        self._server.post(self._connection, message, False)
+
+    def done(self, **answer: Any) -> None:
+        """Answer the request."""
+        self._server.post(self._connection, {"ok": True, **answer}, True)
+
+    def refuse(self, error: str) -> None:
+        """Answer that it cannot be done, and why."""
+        self._server.post(self._connection, refusal(error), True)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether somebody still waits for the answer."""
+        return not self._connection.closed
+
+
+Handler = Callable[[Mapping[str, Any], Reply], None]
+
+
+class _Connection:
+    def __init__(self, lines: Lines) -> None:
+        self.lines = lines
+        self.reply: Reply | None = None  # a request that is not answered yet
+        self.used_s = time.monotonic()
+        self.closed = False
+        self.last_words = False  # hang up once all is sent
+
+
 class Server:
     """Answers `{"op": NAME, ...}` with `{"ok": true, ...}` or `{"ok": false, "error": ...}`.
 
-    The socket belongs to the user (and group) that runs the daemon; nobody else may connect. A
-    client that sends nonsense, nothing, or vanishes costs its own connection only.
+    Handlers run in the server's thread and must return at once: what takes time is answered later
+    through the Reply. A client that sends nonsense or nothing, that takes no answer, or vanishes,
+    costs its own connection only; where too many hold one, the one that was silent longest makes
+    room.
     """
 
-    def __init__(self, path: Path, handlers: Mapping[str, Handler]) -> None:
-        self._path, self._handlers = path, dict(handlers)
+    def __init__(self, path: Path, handlers: Mapping[str, Handler], access: Access) -> None:
+        self._path, self._handlers, self.access = path, dict(handlers), access
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._clients = threading.BoundedSemaphore(_MOST_CLIENTS)
-        self._closed = threading.Event()
+        self._selector = selectors.DefaultSelector()
+        self._connections: list[_Connection] = []
+        self._ready: deque[_Connection] = deque()  # may have a request to take up
+        self._posted: deque[tuple[_Connection, Mapping[str, Any], bool]] = deque()
+        self._woken, self._wake = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._ending = False
+        self._thread = threading.Thread(target=self._run, name="levid-server", daemon=True)
 
     def start(self) -> None:
         """Open the socket and answer from now on; raises ServerError."""
@@ -53,70 +100,170 @@ class Server:
                     raise ServerError(f"{self._path}: another daemon answers here already")
                 self._path.unlink()
             self._socket.bind(str(self._path))
-            self._path.chmod(0o660)
+            self._path.chmod(self.access.mode)
             self._socket.listen(_WAITING_CLIENTS)
         except OSError as error:
             raise ServerError(f"{self._path}: cannot open the control socket: {error}") from None
-        threading.Thread(target=self._accept, name="levid-server", daemon=True).start()
+        self._socket.setblocking(False)
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._selector.register(self._woken, selectors.EVENT_READ)
+        self._thread.start()
 
     def close(self) -> None:
-        """Stop answering and remove the socket."""
-        self._closed.set()
-        self._socket.close()
+        """Send what is to be sent, as far as clients take it; stop answering, remove the socket."""
+        self._ending = True
+        self._wake_up()
+        self._thread.join()
         self._path.unlink(missing_ok=True)
 
-    def _accept(self) -> None:
-        while True:
+    def post(self, connection: _Connection, message: Mapping[str, Any], final: bool) -> None:
+        """Have a message sent; `final` is a request's answer. From any thread."""
+        self._posted.append((connection, message, final))
+        if threading.current_thread() is not self._thread:
+            self._wake_up()
+
+    def _wake_up(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._wake, b"x")
+
+    def _run(self) -> None:
+        while not self._ending:
+            for key, events in self._selector.select(0.0 if self._ready else None):
+                if key.fileobj is self._socket:
+                    self._accept_all()
+                elif key.fileobj == self._woken:
+                    with contextlib.suppress(BlockingIOError):
+                        os.read(self._woken, 4096)
+                else:
+                    self._serve(key.data, events)
+            for _ in range(len(self._ready)):
+                self._take_up(self._ready.popleft())
+            self._deliver()
+        for connection in list(self._connections):
+            self._hang_up(connection)
+        self._socket.close()
+        self._selector.close()
+        os.close(self._woken)
+        os.close(self._wake)
+
+    def _accept_all(self) -> None:
+        for _ in range(_WAITING_CLIENTS):
             try:
-                connection, _ = self._socket.accept()
-            except OSError:
-                if self._closed.wait(_BACK_OFF_S):
-                    return
-                continue  # out of file descriptors, say: it passes
-            if not self._clients.acquire(blocking=False):
-                connection.close()
-                continue
-            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+                accepted, _ = self._socket.accept()
+            except OSError as error:
+                if error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOMEM):
+                    time.sleep(_BACK_OFF_S)  # it passes
+                return
+            self._accept(accepted)
 
-    def _serve(self, connection: socket.socket) -> None:
+    def _accept(self, accepted: socket.socket) -> None:
+        if len(self._connections) >= _MOST_CLIENTS:
+            self._make_room()
+        connection = _Connection(Lines(accepted, LONGEST_LINE, _MOST_UNREAD))
+        self._connections.append(connection)
+        self._selector.register(accepted, selectors.EVENT_READ, connection)
         try:
-            connection.settimeout(_TIMEOUT_S)
-            with connection, connection.makefile("rwb") as stream:
+            refused = self.access.refuses(peer_of(accepted))
+        except OSError as error:
+            refused = f"cannot tell who asks: {error}"
+        if refused:
+            connection.last_words = True
+            self._put(connection, refusal(refused))
 
-                def send(answer: Mapping[str, Any]) -> None:
-                    try:
-                        stream.write(json.dumps(answer).encode() + b"\n")
-                        stream.flush()
-                    except (OSError, ValueError) as error:
-                        raise _GoneError(str(error)) from None
+    def _make_room(self) -> None:
+        """Hang up on whoever was silent longest: rather one that waits for no answer."""
+        silent = [c for c in self._connections if c.reply is None] or self._connections
+        self._hang_up(min(silent, key=lambda c: c.used_s))
 
-                while line := stream.readline(_LONGEST_LINE + 1):
-                    if len(line) > _LONGEST_LINE:
-                        send(_refusal(f"expected at most {_LONGEST_LINE} bytes a request"))
-                        return
-                    send(self._answer(line, send))
-        except (OSError, ValueError, _GoneError):
-            return  # the client is gone, or too slow to be worth waiting for
-        finally:
-            self._clients.release()
+    def _serve(self, connection: _Connection, events: int) -> None:
+        if connection.closed:
+            return
+        try:
+            if events & selectors.EVENT_WRITE:
+                connection.lines.flush()
+                self._watch(connection)
+            if events & selectors.EVENT_READ:
+                connection.lines.receive()
+                connection.used_s = time.monotonic()
+                self._ready.append(connection)
+        except TooLong:
+            self._too_long(connection)
+        except Closed:
+            self._hang_up(connection)
 
-    def _answer(self, line: bytes, send: Send) -> Mapping[str, Any]:
+    def _take_up(self, connection: _Connection) -> None:
+        """Take up one request: those behind it wait for its answer, and for the others' turns."""
+        if connection.reply is not None or connection.last_words or connection.closed:
+            return
+        try:
+            line = connection.lines.next_line()
+        except TooLong:
+            self._too_long(connection)
+            return
+        if line is not None:
+            connection.reply = Reply(self, connection)
+            self._handle(line, connection.reply)
+
+    def _too_long(self, connection: _Connection) -> None:
+        connection.last_words = True
+        self._put(connection, refusal(f"expected at most {LONGEST_LINE} bytes a request"))
+
+    def _handle(self, line: bytes, reply: Reply) -> None:
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
-            return _refusal("expected one JSON object a line")
+            reply.refuse("expected one JSON object a line")
+            return
         op = request.get("op") if isinstance(request, dict) else None
         handler = self._handlers.get(op) if isinstance(op, str) else None
         if handler is None:
-            return _refusal(
-                f"op: expected one of {', '.join(sorted(self._handlers))}, found {op!r}"
-            )
+            reply.refuse(f"op: expected one of {', '.join(sorted(self._handlers))}, found {op!r}")
+            return
         try:
-            return {"ok": True, **handler(request, send)}
-        except _GoneError:
-            raise
+            handler(request, reply)
         except Exception as error:  # noqa: BLE001 - whatever a request does, the daemon flies on
-            return _refusal(str(error) or type(error).__name__)
+            reply.refuse(str(error) or type(error).__name__)
+
+    def _deliver(self) -> None:
+        """Send what was posted; a connection whose request is answered may take up the next."""
+        while self._posted:
+            connection, message, final = self._posted.popleft()
+            if connection.closed:
+                continue
+            if final:
+                connection.reply = None
+                self._ready.append(connection)
+            self._put(connection, message)
+
+    def _put(self, connection: _Connection, message: Mapping[str, Any]) -> None:
+        try:
+            connection.lines.put(message)
+        except Closed:
+            self._hang_up(connection)
+        else:
+            self._watch(connection)
+
+    def _watch(self, connection: _Connection) -> None:
+        """Wait for what this connection needs next."""
+        lines = connection.lines
+        if connection.last_words and not lines.wants_to_send:
+            self._hang_up(connection)
+            return
+        events = selectors.EVENT_READ
+        if lines.wants_to_send:
+            events |= selectors.EVENT_WRITE
+        self._selector.modify(lines.socket, events, connection)
+
+    def _hang_up(self, connection: _Connection) -> None:
+        if connection.closed:
+            return
+        connection.closed = True
+        self._connections.remove(connection)
+        with contextlib.suppress(KeyError, ValueError):
+            self._selector.unregister(connection.lines.socket)
+        connection.lines.close()
+        if connection.reply is not None:
+            connection.reply.gone()
 
 
 def default_socket() -> Path:
@@ -127,7 +274,8 @@ def default_socket() -> Path:
     return Path("/tmp") / f"levid-{os.getuid()}" / "levid.sock"
 
 
-def _refusal(error: str) -> dict[str, Any]:
+def refusal(error: str) -> dict[str, Any]:
+    """Return the answer to a request that cannot be carried out."""
     return {"ok": False, "error": error}
 
 

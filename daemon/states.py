@@ -1,4 +1,4 @@
-"""The states of the loop, as logged in every record."""
+"""The states of the loop, as logged in every record, and which may follow which."""
 
 from __future__ import annotations
 
@@ -15,11 +15,16 @@ class State(IntEnum):
     MOVING = 4
     LANDING = 5
     FAULT = 6
+    SELF_TEST = 7
 
     @property
     def meaning(self) -> str:
         """What the state means, in words."""
         return _MEANING[self]
+
+    def may_become(self, other: State) -> bool:
+        """Return whether `other` may follow; a state may always go on."""
+        return other is self or other in TRANSITIONS[self]
 
 
 _MEANING = {
@@ -30,4 +35,22 @@ _MEANING = {
     State.MOVING: "holding the working point while the manipulator moves",
     State.LANDING: "sinking onto the stops",
     State.FAULT: "zero force until the fault is cleared",
+    State.SELF_TEST: "zero force, every channel is asked and its reading judged",
 }
+
+IN_FLIGHT = frozenset({State.LEVITATING, State.EXCITING, State.MOVING, State.LANDING})
+"""States in which the coils carry the platform."""
+
+_HOLDING = frozenset({State.LEVITATING, State.EXCITING, State.MOVING})
+
+TRANSITIONS: dict[State, frozenset[State]] = {
+    State.OFF: frozenset({State.SELF_TEST, State.FAULT}),
+    State.SELF_TEST: frozenset({State.IDLE, State.FAULT, State.OFF}),
+    State.IDLE: frozenset({State.LEVITATING, State.SELF_TEST, State.FAULT, State.OFF}),
+    State.LEVITATING: (_HOLDING | {State.LANDING, State.FAULT}) - {State.LEVITATING},
+    State.EXCITING: (_HOLDING | {State.LANDING, State.FAULT}) - {State.EXCITING},
+    State.MOVING: (_HOLDING | {State.LANDING, State.FAULT}) - {State.MOVING},
+    State.LANDING: frozenset({State.IDLE, State.FAULT}),
+    State.FAULT: frozenset({State.SELF_TEST, State.OFF}),
+}
+"""What may follow each state. Code, tests and docs read this table; the loop refuses the rest."""

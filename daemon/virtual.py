@@ -9,8 +9,9 @@ from ..config.rig import RigConfig
 from ..config.session import SessionConfig
 from ..drivers.registry import ROLES
 from .clock import VirtualClock
-from .flight import Flight, FlightResult, Progress, attachments
+from .flight import Flight, Progress
 from .plan import plan_session
+from .result import FlightResult, attachments
 
 
 def fly_virtually(

@@ -20,7 +20,7 @@ from levid.config.rig import RigConfig
 from levid.config.session import SessionConfig
 from levid.config.sim import SimConfig
 from levid.daemon.faults import FAULTS
-from levid.daemon.states import State
+from levid.daemon.states import TRANSITIONS, State
 from levid.log.signals_file import SignalsFile
 
 DOCS = Path(__file__).parent
@@ -93,18 +93,34 @@ def states() -> str:
     return _table(("code", "state", "meaning"), rows)
 
 
-def faults() -> str:
-    """Return the table of faults: causes, and what to check."""
+def transitions() -> str:
+    """Return the table of what may follow each state."""
     rows = [
-        (f"{fault.value}", f"`{fault.name}`", FAULTS[fault].cause, FAULTS[fault].check or "—")
+        (f"`{state.name}`", ", ".join(f"`{to.name}`" for to in sorted(TRANSITIONS[state])))
+        for state in State
+    ]
+    return _table(("from", "to"), rows)
+
+
+def faults() -> str:
+    """Return the table of faults: causes, what to check, and what makes them go away."""
+    rows = [
+        (
+            f"{fault.value}",
+            f"`{fault.name}`",
+            FAULTS[fault].cause,
+            FAULTS[fault].check or "—",
+            FAULTS[fault].cleared or "—",
+        )
         for fault in sorted(FAULTS)
     ]
-    return _table(("code", "fault", "cause", "what to check"), rows)
+    return _table(("code", "fault", "cause", "what to check", "cleared by"), rows)
 
 
 TABLES: Mapping[str, Callable[[], str]] = {
     **{kind: (lambda kind=kind: reference(kind)) for kind in SCHEMAS},
     "states": states,
+    "transitions": transitions,
     "faults": faults,
 }
 

@@ -123,6 +123,20 @@ class LogWriter:
             if self._filled == self._buffer.size:
                 self._put_chunk()
 
+    @property
+    def buffered(self) -> int:
+        """Rows that are not handed to the operating system yet: their chunk is not full."""
+        return self._filled
+
+    @property
+    def size(self) -> int:
+        """Bytes handed to the operating system so far."""
+        return self._at
+
+    def fileno(self) -> int:
+        """Return the file's descriptor, say to sync it; raises ValueError once it is closed."""
+        return self._file.fileno()
+
     def close(self) -> None:
         """Write what is left, the summary and the footer; a second call does nothing."""
         if self._file.closed:

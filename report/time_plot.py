@@ -25,6 +25,7 @@ _STATE_COLOURS = {
     State.MOVING: "green",
     State.LANDING: "muted",
     State.FAULT: "vermillion",
+    State.SELF_TEST: "edge",
 }
 _WORKING = (State.EXCITING, State.MOVING)
 

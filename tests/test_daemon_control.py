@@ -166,3 +166,62 @@ def test_latched_fault_stands_in_every_row_until_cleared() -> None:
     assert bench.run(idle, np.zeros((1, 9)))["fault"][0] == Fault.GAP
     bench.control.latch(Fault.NONE)
     assert bench.run(idle, np.zeros((1, 9)))["fault"][0] == Fault.NONE
+
+
+def limited(**limits: float) -> RigConfig:
+    return RIG.model_copy(update={"limits": RIG.limits.model_copy(update=limits)})
+
+
+def test_sum_of_all_coils_is_scaled_down_and_counted() -> None:
+    v = np.array([[0.5, 0.0, 60.0]])
+    free = Bench().run(flying(1, v=v), np.zeros((1, 9)))["coil_n"][0]
+    rows = Bench(limited(total_n=90.0)).run(flying(1, v=v), np.zeros((1, 9)))
+    # Every coil by the same factor: the wrench keeps its direction. float32 of the log.
+    np.testing.assert_allclose(rows["coil_n"][0], free * 90.0 / np.abs(free).sum(), rtol=1e-6)
+    assert rows["saturated"][0] == 9
+    plain = Bench(limited(total_n=200.0)).run(flying(1, v=v), np.zeros((1, 9)))
+    np.testing.assert_array_equal(plain["coil_n"][0], free)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_tilt_beyond_its_limit_is_a_fault_in_flight_alone(axis: int) -> None:
+    rig, q = limited(tilt_rad=1e-3), np.zeros(3)
+    for tilt, fault in ((0.9e-3, Fault.NONE), (-1.1e-3, Fault.POSE)):
+        q[axis] = tilt
+        gap = (shape_matrix(X, Y) @ q)[None, :]
+        assert Bench(rig).run(flying(1), gap)["fault"][0] == fault
+        assert Bench(rig).run(flying(1, airborne=False), gap)["fault"][0] == Fault.NONE
+
+
+@pytest.mark.parametrize(("skipped", "fault"), [(0, Fault.VELOCITY), (1, Fault.NONE)])
+def test_speed_is_judged_by_the_time_that_passed(skipped: int, fault: Fault) -> None:
+    bench = Bench(limited(gap_m_s=0.15))
+    level = np.zeros((1, 9))
+    bench.run(flying(1), level)
+    bench.cycle += skipped
+    moved = level.copy()
+    moved[0, 7] = 0.2e-3  # 0.2 m/s over one period, 0.1 m/s over two
+    rows = bench.run(flying(1, engages=False), moved)
+    assert rows["fault"][0] == fault
+
+
+def test_beam_that_runs_away_is_a_fault() -> None:
+    bench = Bench()
+    bench.control.beam[1] = 2 * RIG.limits.beam_velocity_m_s
+    assert bench.run(flying(1), np.zeros((1, 9)))["fault"][0] == Fault.VELOCITY
+    assert bench.control.detail(Fault.VELOCITY).startswith("beam at 1.000 m/s")
+
+
+def test_coil_that_carries_too_much_for_too_long_is_a_fault() -> None:
+    bench = Bench(limited(coil_rms_n=5.0, coil_time_constant_s=1.0))
+    bench.control.readback_n[3] = 10.0
+    rows = bench.run(flying(1000), np.zeros((1000, 9)))
+    # 100 (1 - e^-t) reaches 25 after 0.288 s; the discrete lag is off by half a period.
+    assert rows["time_s"][-1] == pytest.approx(-np.log(0.75), abs=1.5e-3)
+    assert rows["fault"][-1] == Fault.HEAT
+    assert bench.control.detail(Fault.HEAT).endswith("in coil 3")
+    # At rest it cools down, and no fault is made of it.
+    bench.control.readback_n[3] = 0.0
+    idle = idle_segment(2000, 9, np.zeros(3), np.zeros(3))
+    assert bench.run(idle, np.zeros((2000, 9)))["fault"].max() == Fault.NONE
+    assert bench.run(flying(1), np.zeros((1, 9)))["fault"][0] == Fault.NONE

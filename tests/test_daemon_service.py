@@ -2,18 +2,19 @@
 
 import json
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from daemon_process import calm, daemon
 
 from levid.config.rig import load_rig
+from levid.config.service import Service
 from levid.config.shipped import shipped
+from levid.daemon.access import Access
 from levid.daemon.client import Client, DaemonError
 from levid.daemon.server import Server, ServerError
-from levid.daemon.service import Service
 from levid.log.reader import read_log
 
 RIG_FILE = shipped("rigs/loopback.yaml")
@@ -28,31 +29,11 @@ steps:
 """
 
 
-def answers(path: Path) -> bool:
-    """Return whether a daemon listens there: its socket's file is there a moment before."""
-    try:
-        with Client(path) as client:
-            client.request("status")
-    except DaemonError:
-        return False
-    return True
-
-
 @pytest.fixture(scope="module")
 def socket_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    path = tmp_path_factory.mktemp("run") / "levid.sock"
-    # 250 Hz: what this asserts is what happens, not when, on a machine of any load.
-    rig = load_rig(RIG_FILE).model_copy(update={"rate_hz": 250.0})
-    service = Service(rig, RIG_FILE, path)
-    thread = threading.Thread(target=service.run)
-    thread.start()
-    while not answers(path):
-        assert thread.is_alive()
-        time.sleep(0.02)
-    yield path
-    service.stop()
-    thread.join()
-    assert not path.exists()
+    folder = tmp_path_factory.mktemp("run")
+    with daemon(calm(load_rig(RIG_FILE), folder), RIG_FILE, folder) as running:
+        yield running.socket
 
 
 def test_session_is_flown_and_logged_twice(socket_file: Path, tmp_path: Path) -> None:
@@ -76,8 +57,6 @@ def test_session_is_flown_and_logged_twice(socket_file: Path, tmp_path: Path) ->
 
 
 def test_log_time_is_the_time_of_day(socket_file: Path, tmp_path: Path) -> None:
-    import time
-
     before = time.time_ns()
     with Client(socket_file) as client:
         result = client.excite(SESSION, tmp_path / "logs", lambda *_: None)
@@ -166,14 +145,14 @@ def test_client_that_hangs_up_costs_nothing(socket_file: Path) -> None:
 
 def test_second_daemon_on_one_socket_is_refused(socket_file: Path) -> None:
     with pytest.raises(ServerError, match="another daemon answers"):
-        Server(socket_file, {}).start()
+        Server(socket_file, {}, Access(Service())).start()
 
 
 def test_file_that_is_no_socket_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "precious.txt"
     path.write_text("mine")
     with pytest.raises(ServerError, match="found a file"):
-        Server(path, {}).start()
+        Server(path, {}, Access(Service())).start()
     assert path.read_text() == "mine"
 
 

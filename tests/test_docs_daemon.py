@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-import threading
 from pathlib import Path
 
 import pytest
+from daemon_process import calm, daemon
 
 from levid.cli.main import levid
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
-from levid.daemon.client import Client, socket_path
-from levid.daemon.service import Service
+from levid.daemon.client import Client
 
 ROOT = Path(__file__).parents[1]
 DOC = (ROOT / "docs" / "daemon.md").read_text()
@@ -32,31 +31,49 @@ steps:
 
 
 @pytest.fixture
-def daemon(tmp_path, monkeypatch):
+def socket_file(tmp_path, monkeypatch):
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # where the default socket lies
     rig_file = shipped("rigs/loopback.yaml")
-    rig = load_rig(rig_file).model_copy(update={"rate_hz": 250.0})  # any machine keeps up
-    service = Service(rig, rig_file, socket_path(rig))
-    thread = threading.Thread(target=service.run)
-    thread.start()
-    while not (tmp_path / "levid.sock").exists():
-        assert thread.is_alive()
-    yield tmp_path / "levid.sock"
-    service.stop()
-    thread.join()
+    with daemon(calm(load_rig(rig_file), tmp_path), rig_file, tmp_path) as running:
+        yield running.socket
 
 
-def test_requests_are_answered_with_the_keys_of_the_page(daemon, tmp_path, capsys):
+def test_requests_are_answered_with_the_keys_of_the_page(socket_file, tmp_path, capsys):
     exec(compile(SNIPPET, "daemon.md", "exec"), {})
     assert capsys.readouterr().out == "NONE\n"
-    more = {"excite": {"session": SESSION, "out": str(tmp_path / "logs")}}
-    assert set(REQUESTS) == {"status", "excite", "land", "clear"}
-    for op, keys in REQUESTS.items():
-        with Client(daemon) as client:
-            answer = client.request(op, **more.get(op, {}))
+    out = str(tmp_path / "logs")
+    quick = {"levitate": {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0}}
+    asked = [
+        ("status", {}),
+        ("excite", {"session": SESSION, "out": out}),
+        ("levitate", quick),
+        ("move", {"move": {"beam_m": 0.001, "settle_s": 0}}),
+        ("land", {}),
+        ("stop", {}),
+        ("clear", {}),
+    ]
+    assert {op for op, _ in asked} | {"watch"} == set(REQUESTS)
+    for op, more in asked:
+        with Client(socket_file) as client:
+            answer = client.request(op, **more)
+        keys = REQUESTS[op]
+        if keys == {"excite"}:  # the page says: as excite
+            keys = REQUESTS["excite"]
         # The page also names NONE, a value.
         assert set(answer) - {"ok"} == keys - {"NONE"}, op
+
+
+def test_watching_gives_the_keys_of_status(socket_file):
+    class Enough(Exception):  # noqa: N818
+        pass
+
+    def look(line):
+        assert set(line) == REQUESTS["status"]
+        raise Enough
+
+    with Client(socket_file) as client, pytest.raises(Enough):
+        client.request("watch", look, every_s=0.1)
 
 
 def test_readme_has_every_verb():

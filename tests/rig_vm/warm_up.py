@@ -8,7 +8,10 @@ import numpy as np
 
 from levid.config.rig import load_rig
 from levid.daemon.clock import VirtualClock
+from levid.daemon.control import Controller
 from levid.daemon.flight import Flight
+from levid.daemon.landing import Landing
+from levid.daemon.timing import memory_of
 from levid.drivers.sensing import SensorWatch
 from levid.wire.can_frames import load_frames
 
@@ -19,6 +22,9 @@ loopback = rig.amplifiers.model_validate({"backend": "loopback"})
 roles = dict.fromkeys(("amplifiers", "sensors", "drives"), loopback)
 with Flight(rig.model_copy(update=roles), HERE, rig.rate_hz, VirtualClock()) as flight:
     flight.idle(2)
+# What the loop in real time has of its own.
+Landing(Controller(rig, 1 / rig.rate_hz), rig.limits, 1 / rig.rate_hz)
+memory_of(1e9 / rig.rate_hz)
 values = np.zeros(9)
 for fd in (False, True):
     frames = load_frames(None, 9, 9, fd)

@@ -1,0 +1,406 @@
+"""Random faults while flying, against electronics in a process of their own, on CAN FD and serial.
+
+From one list zero force and the right name must follow, from the other nothing but a word of it;
+after either the daemon has to be usable, and every log has to open. --quick: 40 faults; else 1,000,
+which takes over an hour. Clocks are left alone, for the machine has others.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import _table
+import yaml
+from _table import Figure
+
+from levid.config.shipped import shipped
+from levid.daemon.client import Client, DaemonError
+from levid.log.errors import LogError
+from levid.log.reader import read_log
+
+RATE_HZ = 250
+CYCLES = 25
+"""Stale readings that are bridged, and cycles until setpoints expire: a busy machine's patience."""
+_GIVE_UP_S = 40.0
+
+# fault of the electronics: what the daemon may call it
+ELECTRONICS = {
+    "drop": {"STALE", "DRIVE"},
+    "delay": {"STALE", "DRIVE"},
+    "corrupt": {"STALE", "DRIVE"},
+    "repeat": {"STALE", "DRIVE"},
+    "reorder": {"STALE", "DRIVE"},
+    "bus-off": {"STALE", "LINK", "DRIVE", "AMPLIFIER"},
+    "disconnect": {"STALE", "LINK", "DRIVE"},
+    "drop-setpoints": {"AMPLIFIER", "STALE", "DRIVE"},
+    "stuck 4": {"SENSOR"},
+    "frozen 7": {"SENSOR"},
+    "saturated 0": {"SENSOR"},
+    "trip 3": {"AMPLIFIER"},
+    "encoder phi": {"DRIVE"},
+    "encoder x1": {"DRIVE"},
+    "skew 0.05": {"DRIVE"},
+}
+
+
+@dataclass
+class Tally:
+    """What came of the trials."""
+
+    stops: int = 0
+    stopped: int = 0
+    named: int = 0
+    others: int = 0
+    undisturbed: int = 0
+    told: int = 0
+    usable: int = 0
+    unreadable: int = 0
+    within_s: list[tuple[float, str]] = field(default_factory=list)
+    wrong: Counter[str] = field(default_factory=Counter)
+
+
+class Rig:
+    """Electronics and daemon on one bus, in processes of their own."""
+
+    def __init__(self, bus: str, folder: Path) -> None:
+        self.bus, self.folder, self.flights = bus, folder, 0
+        self.path = folder / "levid.sock"
+        self.file = folder / "rig.yaml"
+        self.file.write_text(yaml.safe_dump(_rig(bus, folder)))
+        # Real electronics do not wait for a processor: with the right to it, these do not for long.
+        nice = shutil.which("nice") if os.geteuid() == 0 else None
+        self.electronics = subprocess.Popen(
+            [
+                *([nice, "-n", "-15"] if nice else []),
+                sys.executable,
+                "-m",
+                "levid.cli.main",
+                "electronics",
+                str(self.file),
+            ],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=(folder / "electronics.log").open("w"),
+            text=True,
+        )
+        while "answer" not in (folder / "electronics.log").read_text():
+            assert self.electronics.poll() is None, "the electronics did not start"
+            time.sleep(0.05)
+        self.daemon = self.start()
+
+    def start(self) -> subprocess.Popen[bytes]:
+        log = (self.folder / "daemon.log").open("ab")
+        return subprocess.Popen(
+            [sys.executable, "-m", "levid.cli.main", "run", str(self.file)], stderr=log
+        )
+
+    def close(self) -> None:
+        for process in (self.daemon, self.electronics):
+            process.terminate()
+            process.wait()
+
+    def say(self, line: str) -> str:
+        """Have the electronics do something; return their answer."""
+        assert self.electronics.stdin is not None
+        assert self.electronics.stdout is not None
+        self.electronics.stdin.write(f"{line}\n")
+        self.electronics.stdin.flush()
+        while (answer := self.electronics.stdout.readline()) == "\n":
+            pass  # a fault is answered with its line, and another end of line
+        if not answer:
+            raise RuntimeError((self.folder / "electronics.log").read_text())
+        return answer
+
+    def ask(self, op: str, **more: Any) -> dict[str, Any]:
+        with Client(self.path) as client:
+            return client.request(op, **more)
+
+    def until(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any] | None:
+        """Return the first status that fulfils the condition, None where none does."""
+        give_up_s = time.monotonic() + _GIVE_UP_S
+        while time.monotonic() < give_up_s:
+            with contextlib.suppress(DaemonError):
+                if condition(status := self.ask("status")):
+                    return status
+            time.sleep(0.02)
+        return None
+
+    def lift_off(self) -> dict[str, Any]:
+        """Fly, from whatever state the last trial left; raises DaemonError."""
+        self.say("clear")
+        give_up_s = time.monotonic() + _GIVE_UP_S
+        while True:
+            try:
+                if self.ask("status")["fault"] != "NONE":
+                    self.ask("clear")
+                if self.ask("status")["state"] == "IDLE":
+                    self.flights += 1
+                    out = str(self.folder / f"flight-{self.flights}")
+                    step = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.2}
+                    self.ask("levitate", levitate=step, land={"ramp_s": 0.3}, out=out)
+                    return self.ask("status")
+            except DaemonError:
+                if time.monotonic() > give_up_s:
+                    raise
+            time.sleep(0.05)
+
+    def forces(self) -> bool:
+        """Return whether any amplifier drives a force."""
+        acting = yaml.safe_load(self.say("status"))["acting_n"]
+        return any(abs(force) > 0.0 for force in acting)
+
+
+def measure(quick: bool) -> list[Figure]:
+    trials = 20 if quick else 500
+    tally = Tally()
+    for seed, bus in enumerate(("canfd", "serial")):
+        rng = random.Random(seed)
+        with tempfile.TemporaryDirectory() as folder:
+            rig = Rig(bus, Path(folder))
+            try:
+                for number in range(trials):
+                    _trial(rig, rng, tally)
+                    print(f"{bus} {number + 1}/{trials}", end="\r", file=sys.stderr)
+            finally:
+                rig.close()
+            tally.unreadable += _unreadable(Path(folder))
+    for what, count in tally.wrong.most_common():
+        print(f"{count} x {what}", file=sys.stderr)
+    n = tally.stops + tally.others
+    slowest, what = max(tally.within_s, default=(0.0, "nothing"))
+    print(f"slowest to stop: {what}", file=sys.stderr)
+    return [
+        Figure("faults", n, "", "faults injected in flight"),
+        Figure("stopped", tally.stopped / max(tally.stops, 1), "", "that must stop: zero force"),
+        Figure("named", tally.named / max(tally.stops, 1), "", "named rightly"),
+        Figure("slowest_stop_s", slowest, "s", "longest time to zero force at the device"),
+        Figure("undisturbed", tally.undisturbed / max(tally.others, 1), "", "flew on"),
+        Figure("told", tally.told / max(tally.others, 1), "", "and the event was told"),
+        Figure("usable", tally.usable / max(n, 1), "", "usable again"),
+        Figure("unreadable", tally.unreadable, "", "logs that do not open"),
+    ]
+
+
+def _trial(rig: Rig, rng: random.Random, tally: Tally) -> None:
+    try:
+        status = rig.lift_off()
+    except DaemonError as error:
+        tally.wrong[f"{rig.bus}: does not fly: {error}"] += 1
+        return
+    tally.usable += 1  # what the trial before left behind
+    name = rng.choice([*ELECTRONICS, *PROCESSES, *HARMLESS])
+    if name in HARMLESS:
+        _harmless(rig, name, status, tally)
+        return
+    tally.stops += 1
+    began = time.monotonic()
+    if name in ELECTRONICS:
+        rig.say(name)
+        expected = ELECTRONICS[name]
+    else:
+        expected = PROCESSES[name](rig, status)
+    while rig.forces() and time.monotonic() - began < _GIVE_UP_S:
+        time.sleep(0.005)
+    if rig.forces():
+        tally.wrong[f"{rig.bus}: {name}: force after {_GIVE_UP_S:g} s"] += 1
+    else:
+        tally.stopped += 1
+        tally.within_s.append((time.monotonic() - began, f"{rig.bus}: {name}"))
+    found = _name(rig)
+    if found in expected:
+        tally.named += 1
+    else:
+        tally.wrong[f"{rig.bus}: {name} is called {found}"] += 1
+
+
+def _name(rig: Rig) -> str:
+    """Return what the daemon calls the fault; a dead one has left a flight recording."""
+    if rig.daemon.poll() is not None or not rig.path.exists():
+        rig.daemon.wait()
+        give_up_s = time.monotonic() + _GIVE_UP_S
+        found: list[Path] = []
+        while not found and time.monotonic() < give_up_s:
+            found = sorted((rig.folder / "faults").glob("*-SUPERVISOR.mcap"))
+            time.sleep(0.1)
+        for path in found:
+            path.unlink()
+        time.sleep(1.5)  # its processes have to let go of the bus
+        rig.daemon = rig.start()
+        return "SUPERVISOR" if found else "nothing"
+    status = rig.until(lambda s: s["fault"] != "NONE")
+    return str(status["fault"]) if status else "nothing"
+
+
+def _kill_loop(_: Rig, status: dict[str, Any]) -> set[str]:
+    os.kill(status["pids"]["loop"], signal.SIGKILL)
+    return {"LOOP"}
+
+
+def _stop_loop(_: Rig, status: dict[str, Any]) -> set[str]:
+    os.kill(status["pids"]["loop"], signal.SIGSTOP)
+    return {"LOOP"}
+
+
+def _kill_supervisor(rig: Rig, _: dict[str, Any]) -> set[str]:
+    rig.daemon.kill()
+    rig.daemon.wait()
+    return {"SUPERVISOR"}
+
+
+def _stop_supervisor(rig: Rig, _: dict[str, Any]) -> set[str]:
+    rig.daemon.send_signal(signal.SIGSTOP)
+    threading.Timer(3.0, rig.daemon.send_signal, [signal.SIGCONT]).start()
+    return {"SUPERVISOR"}
+
+
+def _stop(rig: Rig, _: dict[str, Any]) -> set[str]:
+    rig.ask("stop")
+    return {"STOPPED"}
+
+
+PROCESSES: dict[str, Callable[[Rig, dict[str, Any]], set[str]]] = {
+    "loop killed": _kill_loop,
+    "loop stopped": _stop_loop,
+    "supervisor killed": _kill_supervisor,
+    "supervisor stopped": _stop_supervisor,
+    "stop": _stop,
+}
+
+
+def _harmless(rig: Rig, name: str, status: dict[str, Any], tally: Tally) -> None:
+    """Do it, fly on for 200 cycles, land, and see whether anything else came of it."""
+    tally.others += 1
+    told = HARMLESS[name](rig, status)
+    cycle = status["cycle"]
+    flown = rig.until(lambda s: s["cycle"] > cycle + 200 or s["fault"] != "NONE")
+    heard = rig.until(told)
+    if flown is None or flown["fault"] != "NONE" or flown["state"] != "LEVITATING":
+        tally.wrong[f"{rig.bus}: {name} disturbs: {flown and flown['fault']}"] += 1
+    else:
+        tally.undisturbed += 1
+    if heard is None:
+        tally.wrong[f"{rig.bus}: {name} is not told"] += 1
+    else:
+        tally.told += 1
+    with contextlib.suppress(DaemonError):
+        rig.ask("land")
+    if name == "disk full":
+        _unlimited(rig)
+
+
+def _full_disk(_: Rig, status: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
+    pid = status["pids"]["recorder"]
+    hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)[1]
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (4096, hard))
+    return lambda s: bool(s["recording"])
+
+
+def _unlimited(rig: Rig) -> None:
+    pid = rig.ask("status")["pids"]["recorder"]
+    hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)[1]
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (hard, hard))
+
+
+def _kill_recorder(_: Rig, status: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
+    os.kill(status["pids"]["recorder"], signal.SIGKILL)
+    return lambda s: s["recorder_restarts"] > status["recorder_restarts"]
+
+
+def _flood(rig: Rig, _: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
+    def flood() -> None:
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as end:
+            end.settimeout(1.0)
+            end.connect(str(rig.path))
+            for _ in range(100):
+                end.sendall(b'{"op": "status"}\n' * 100)
+
+    for _ in range(8):
+        threading.Thread(target=flood, daemon=True).start()
+    return lambda _: True
+
+
+def _pressure(_: Rig, __: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
+    subprocess.run([sys.executable, "-c", "bytearray(1 << 30)"], check=False)
+    return lambda _: True
+
+
+def _client_gone(rig: Rig, _: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
+    with socket.socket(socket.AF_UNIX) as end:
+        end.connect(str(rig.path))
+        end.sendall(b'{"op": "move", "move": {"beam_m": 0.001}}\n')
+    return lambda _: True
+
+
+HARMLESS: dict[str, Callable[[Rig, dict[str, Any]], Callable[[dict[str, Any]], bool]]] = {
+    "disk full": _full_disk,
+    "recorder killed": _kill_recorder,
+    "socket flooded": _flood,
+    "memory pressure": _pressure,
+    "client gone": _client_gone,
+}
+
+
+def _unreadable(folder: Path) -> int:
+    """Return how many logs do not open; one that a dead recorder left without a row is none."""
+    bad = 0
+    for path in folder.rglob("*.mcap"):
+        try:
+            read_log(path)
+        except LogError as error:
+            bad += "found the end of the file" not in str(error)
+    return bad
+
+
+def _rig(bus: str, folder: Path) -> dict[str, Any]:
+    plain: dict[str, Any] = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
+    kind = "serial" if bus == "serial" else "can"
+    plain |= {
+        "rate_hz": RATE_HZ,
+        "sim": str(shipped("sims/nominal.yaml")),
+        "socket": str(folder / "levid.sock"),
+        "amplifiers": {"backend": kind, "bus": "main", "expire_cycles": CYCLES},
+        "sensors": {"backend": kind, "bus": "main"},
+        "drives": {"backend": kind, "bus": "main", "skew_m": 0.02},
+        "recording": {"faults": str(folder / "faults")},
+    }
+    plain["limits"] |= {"late_cycles": 200, "late_in_window": 10_000, "stall_s": 2.0}
+    if kind == "serial":
+        plain["serial"] = {
+            "main": {"port": str(folder / "port"), "baud": 3_000_000, "stale_cycles": CYCLES}
+        }
+        return plain
+    plain["drives"]["heartbeat_s"] = 1.0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        port = probe.getsockname()[1]
+    plain["can"] = {
+        "main": {
+            "interface": "udp_multicast",
+            "channel": "239.74.163.78",
+            "bitrate": 1_000_000,
+            "data_bitrate": 5_000_000,
+            "options": {"port": port},
+            "stale_cycles": CYCLES,
+        }
+    }
+    return plain
+
+
+if __name__ == "__main__":
+    _table.run("Faults", measure)

@@ -1,0 +1,205 @@
+"""How punctual the daemon's loop is, beside cyclictest in turn with it, at one priority and period.
+
+The loop is the whole daemon's: loopback plant, control and recording included, while it levitates.
+cyclictest (Debian's rt-tests) does nothing but wake up. Both need the right to SCHED_FIFO. The full
+run takes 10 minutes of each contender at each rate.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from math import exp, sqrt
+from pathlib import Path
+
+import _table
+import numpy as np
+import yaml
+from _table import Figure
+
+from levid.config.shipped import shipped
+from levid.daemon.client import Client, DaemonError
+from levid.log.reader import read_log
+
+PRIORITY = 80
+_LONGEST_US = 20_000
+_READY_S = 60.0
+
+
+@dataclass
+class Measured:
+    """Of one contender at one rate: lateness in us, cycles, late ones, and the recorder's."""
+
+    lateness_us: list[np.ndarray] = field(default_factory=list)
+    execution_us: list[np.ndarray] = field(default_factory=list)
+    cycles: int = 0
+    late: int = 0
+    lost: int = 0
+    recorder_s: float = 0.0
+    seconds: float = 0.0
+
+    def quantile(self, share: float) -> float:
+        return float(np.quantile(np.concatenate(self.lateness_us), share))
+
+    @property
+    def late_share(self) -> float:
+        return self.late / max(self.cycles, 1)
+
+
+def measure(quick: bool) -> list[Figure]:
+    cyclictest = shutil.which("cyclictest")
+    if cyclictest is None:
+        sys.exit("timing: expected cyclictest, found none; on Debian: apt install rt-tests")
+    rounds, seconds = (1, 5.0) if quick else (20, 30.0)
+    figures: list[Figure] = []
+    for rate_hz in (1000, 10_000):
+        levid, peer = Measured(), Measured()
+        for _ in range(rounds):
+            wake_up(cyclictest, rate_hz, seconds, peer)
+            fly(rate_hz, seconds, levid)
+        figures += _figures(f"{rate_hz // 1000}khz", levid, peer)
+    return figures
+
+
+def _figures(name: str, levid: Measured, peer: Measured) -> list[Figure]:
+    who = f"cyclictest at {name}"
+    figures = []
+    for key, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999)):
+        theirs = f"cyclictest_{key}_us_{name}"
+        figures += [
+            Figure(theirs, peer.quantile(share), "us", f"{who}: wake-up, {key}"),
+            Figure(
+                f"lateness_{key}_us_{name}",
+                levid.quantile(share),
+                "us",
+                f"loop at {name}: lateness, {key}",
+                theirs,
+            ),
+        ]
+    execution = np.concatenate(levid.execution_us)
+    low, high = _ratio(levid.late, levid.cycles, peer.late, peer.cycles)
+    return [
+        *figures,
+        Figure(f"execution_p50_us_{name}", float(np.median(execution)), "us", "a cycle, p50"),
+        Figure(f"execution_p99_us_{name}", float(np.quantile(execution, 0.99)), "us", "p99"),
+        Figure(f"cyclictest_late_share_{name}", peer.late_share, "", f"{who}: a period late"),
+        Figure(f"late_share_{name}", levid.late_share, "", f"loop at {name}: ended late"),
+        Figure(f"late_ratio_low_{name}", low, "", "ratio of the shares, lower 95 % bound"),
+        Figure(f"late_ratio_{name}", high, "", "ratio of the shares, upper 95 % bound"),
+        Figure(f"lost_rows_{name}", levid.lost, "", "rows that the recorder lost"),
+        Figure(
+            f"recorder_cpu_{name}",
+            levid.recorder_s / levid.seconds,
+            "",
+            "recorder: share of a processor",
+        ),
+    ]
+
+
+def wake_up(cyclictest: str, rate_hz: int, seconds: float, into: Measured) -> None:
+    """Run cyclictest; its histogram has a bin a microsecond."""
+    period_us = 1_000_000 // rate_hz
+    told = subprocess.run(
+        [
+            *(cyclictest, "--quiet", "--mlockall", "--threads=1", f"--priority={PRIORITY}"),
+            *(f"--interval={period_us}", f"--loops={int(seconds * rate_hz)}"),
+            f"--histogram={_LONGEST_US}",
+        ],
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+    bins = np.array(re.findall(r"^(\d+)\s+(\d+)\s*$", told, re.MULTILINE), dtype=np.int64)
+    (overflows,) = re.findall(r"^# Histogram Overflows:\s*(\d+)", told, re.MULTILINE)
+    lateness = np.repeat(bins[:, 0], bins[:, 1]).astype(float)
+    lateness = np.concatenate([lateness, np.full(int(overflows), float(_LONGEST_US))])
+    into.lateness_us.append(lateness)
+    into.cycles += len(lateness)
+    into.late += int((lateness >= period_us).sum())
+
+
+def fly(rate_hz: int, seconds: float, into: Measured) -> None:
+    """Levitate for so long on the daemon, everything recorded; read what its log says."""
+    with tempfile.TemporaryDirectory() as folder:
+        rig = _rig(Path(folder), rate_hz)
+        daemon = subprocess.Popen(
+            [sys.executable, "-m", "levid.cli.main", "run", str(rig)], stderr=subprocess.PIPE
+        )
+        try:
+            status = _ready(Path(folder), daemon)
+            pid = status["pids"]["recorder"]
+            with Client(Path(folder) / "levid.sock") as client:
+                client.request(
+                    "levitate", levitate={"ramp_s": 0.5, "settle_s": 0}, out=f"{folder}/log"
+                )
+                began, used = time.monotonic(), _processor_s(pid)
+                time.sleep(seconds)
+                into.recorder_s += _processor_s(pid) - used
+                into.seconds += time.monotonic() - began
+                client.request("land")
+                while client.request("status")["state"] != "IDLE":
+                    time.sleep(0.1)
+                into.lost += client.request("status")["lost"]
+        finally:
+            daemon.terminate()
+            daemon.communicate()
+        rows = np.concatenate([read_log(p).rows for p in Path(folder, "log").glob("*.mcap")])
+    period_s = 1.0 / rate_hz
+    into.lateness_us.append(1e6 * rows["lateness_s"])
+    into.execution_us.append(1e6 * rows["execution_s"])
+    into.cycles += len(rows)
+    into.late += int((rows["lateness_s"] + rows["execution_s"] >= period_s).sum())
+
+
+def _rig(folder: Path, rate_hz: int) -> Path:
+    plain = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
+    plain |= {
+        "rate_hz": rate_hz,
+        "sim": str(shipped("sims/nominal.yaml")),
+        "socket": str(folder / "levid.sock"),
+        "realtime": {"priority": PRIORITY},
+        "recording": {"faults": str(folder / "faults")},
+    }
+    # What is late is counted here, not a reason to stop.
+    plain["limits"] |= {"late_cycles": 10_000, "late_in_window": 1_000_000, "stall_s": 30}
+    path = folder / "rig.yaml"
+    path.write_text(yaml.safe_dump(plain))
+    return path
+
+
+def _ready(folder: Path, daemon: subprocess.Popen[bytes]) -> dict[str, dict[str, int]]:
+    give_up_s = time.monotonic() + _READY_S
+    while True:
+        try:
+            with Client(folder / "levid.sock") as client:
+                status = client.request("status")
+            if status["state"] == "IDLE":
+                return status
+        except DaemonError:
+            pass
+        if daemon.poll() is not None or time.monotonic() > give_up_s:
+            sys.exit("timing: the daemon did not start")
+        time.sleep(0.1)
+
+
+def _processor_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _ratio(late: int, cycles: int, other: int, of: int) -> tuple[float, float]:
+    """Return the ends of the 95 % interval of a ratio of shares (Katz, log method)."""
+    # Half a count added to each: a share of nothing has a bound too.
+    a, b = late + 0.5, other + 0.5
+    ratio, spread = (a / cycles) / (b / of), exp(1.96 * sqrt(1 / a + 1 / b))
+    return ratio / spread, ratio * spread
+
+
+if __name__ == "__main__":
+    _table.run("Timing", measure)

@@ -1,0 +1,118 @@
+"""Just after lift-off: does each coil move the sensors that it should? A small push tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, islice
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.rig import Geometry
+from ..config.session import CoilCheck
+from ..model.geometry import shape_matrix
+
+Array = NDArray[np.float64]
+
+_DELAY = 2
+"""Cycles from a force computed to the first reading that it has moved."""
+_OFF = 0.2
+"""Share of what a coil should have moved by which it may be off. Noise and what the template leaves
+out, stiffness and control, make 0.04; a dead coil is off by 1, two that changed places by 0.6."""
+_MOST_TRIPLES = 3000
+
+
+_FLAT = 1e4
+"""Condition of three coils in a line: they say nothing of one tilt."""
+
+
+@dataclass(frozen=True)
+class Pushes:
+    """When each coil is pushed, in cycles: +, -, -, + of one length, after which all is at rest."""
+
+    push: int
+    pause: int
+    force_n: float
+    coils: int
+
+    @classmethod
+    def of(cls, check: CoilCheck, coils: int, rate_hz: float) -> Pushes:
+        """Return the pushes at a rate."""
+        push, pause = (max(round(s * rate_hz), 1) for s in (check.push_s, check.pause_s))
+        return cls(push, pause, check.push_n, coils)
+
+    @property
+    def turn(self) -> int:
+        """Cycles from one coil's push to the next one's."""
+        return 4 * self.push + self.pause
+
+    @property
+    def shape(self) -> Array:
+        """One turn's force over `force_n`, (turn,)."""
+        signs = np.repeat([1.0, -1.0, -1.0, 1.0], self.push)
+        return np.concatenate([signs, np.zeros(self.pause)])
+
+    def excitation(self) -> Array:
+        """Return the excitation of all coils, one after the other, (turns, C) in N."""
+        found = np.zeros((self.coils * self.turn, self.coils))
+        for coil in range(self.coils):
+            found[coil * self.turn : (coil + 1) * self.turn, coil] = self.force_n * self.shape
+        return found
+
+
+def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> str:
+    """Return which coils do not move the platform as the others do, in words; empty if all do.
+
+    `rows` are the cycle records of the check, and may begin before it. A coil in whose turn a cycle
+    was late is not judged.
+
+    The platform is a mass: a push moves the pose by G s, s the coil's row of the shape matrix,
+    along the push's double integral. G is what fits the coils that agree with each other, so that
+    nothing but geometry has to be known.
+    """
+    begun = np.flatnonzero(rows["coil_excitation_n"].any(axis=1))
+    if not len(begun) or len(rows) - begun[0] < pushes.coils * pushes.turn - pushes.pause:
+        return "the pushes of the check are not in the readings"
+    rows = rows[begun[0] :]
+    S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
+    S_sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
+    moved = np.array([_moved(rows, coil, pushes) for coil in range(pushes.coils)])
+    judged = np.isfinite(moved).all(axis=1)
+
+    def off(among: NDArray[np.int64]) -> Array:
+        """Return by which share each coil is off what these coils say."""
+        G = np.linalg.lstsq(S[among], moved[among], rcond=None)[0]
+        expected = S @ G @ S_sensors.T
+        size = np.maximum(np.linalg.norm(expected, axis=1), 1e-12)
+        return np.asarray(np.linalg.norm(moved @ S_sensors.T - expected, axis=1) / size)
+
+    # Least median of squares: three coils that most others agree with, then all who do.
+    sound = np.flatnonzero(judged)
+    every = max(comb(len(sound), 3) // _MOST_TRIPLES, 1)
+    chosen = islice(combinations(sound, 3), 0, None, every)
+    triples = [np.array(t) for t in chosen if np.linalg.cond(S[list(t)]) < _FLAT]
+    if not triples:
+        return ""
+    best = min(triples, key=lambda triple: float(np.median(off(triple)[sound])))
+    found = off(np.flatnonzero(judged & (off(best) <= _OFF)))
+    wrong = np.flatnonzero(judged & (found > _OFF))
+    return ", ".join(
+        f"coil {coil} moved the sensors otherwise than it should, by {100 * found[coil]:.0f} %"
+        for coil in wrong
+    )
+
+
+def _moved(rows: NDArray[np.void], coil: int, pushes: Pushes) -> Array:
+    """Return by how much the push of a coil moved the pose (3,), as a multiple of the template."""
+    turn = rows[coil * pushes.turn : (coil + 1) * pushes.turn]
+    if len(turn) < 4 * pushes.push or turn["skipped"].any():
+        return np.full(3, np.nan)
+    n = min(4 * pushes.push + _DELAY, len(turn))
+    velocity = np.cumsum(pushes.shape)
+    moved = np.concatenate([np.zeros(_DELAY), np.cumsum(velocity)])[:n]
+    k = np.linspace(-1.0, 1.0, n)
+    # What the platform does anyway, ringing out from lift-off, is a parabola over so short a time.
+    templates = np.stack([moved, np.ones(n), k, k**2], axis=1)
+    pose = np.stack([turn[name][:n] for name in ("psi_rad", "theta_rad", "z_m")], axis=1)
+    return np.asarray(np.linalg.lstsq(templates, pose.astype(float), rcond=None)[0][0])

@@ -1,0 +1,119 @@
+"""The flight recorder: what the ring holds of the last seconds before a fault goes to disk."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from ..config.service import Recording
+from ..log.writer import LogWriter
+from .faults import Fault
+from .ring import Ring, Rows
+
+_AFTER_S = 0.5
+_PATIENCE_S = 2.0
+
+
+class FaultLog:
+    """Sees a fault come in the rows that go by, and writes a log of its own around it.
+
+    `told(fault, path, error)` is called when one was written, or could not be: path or error is
+    empty. The newest `keep_faults` of the folder are kept.
+    """
+
+    def __init__(
+        self,
+        ring: Ring,
+        rate_hz: float,
+        folder: Path,
+        config: Recording,
+        attachments: Mapping[str, bytes],
+        told: Callable[[Fault, str, str], None],
+    ) -> None:
+        self._ring, self._rate_hz, self._folder = ring, rate_hz, folder
+        self._before = int(config.before_fault_s * rate_hz)
+        self._after = int(_AFTER_S * rate_hz)
+        self._keep, self._attachments, self._told = config.keep_faults, attachments, told
+        self._fault = Fault.NONE
+        self._due: tuple[Fault, int, float] | None = None
+        self.epoch_ns = 0
+
+    def resume(self, seen: int, up_to: int) -> None:
+        """Take over from a recorder that died when it had dealt with the faults of `seen` rows."""
+        before = self._ring.copy(max(seen - 1, 0), 1)
+        if seen and before.first == seen - 1 and len(before.rows):
+            self._fault = Fault(int(before.rows["fault"][0]))
+        self.see(self._ring.copy(seen, up_to - seen))
+
+    @property
+    def nothing_due(self) -> bool:
+        """Whether all faults seen so far are on disk."""
+        return self._due is None
+
+    def see(self, taken: Rows) -> None:
+        """Look through rows that were taken from the ring; write what is due."""
+        if len(taken.rows):
+            faults = taken.rows["fault"]
+            came = (faults != 0) & (np.concatenate([[self._fault], faults[:-1]]) == 0)
+            if came.any() and self._due is None:
+                at = int(np.argmax(came))
+                give_up_s = time.monotonic() + _PATIENCE_S
+                self._due = Fault(int(faults[at])), taken.first + at, give_up_s
+            self._fault = Fault(int(faults[-1]))
+        if self._due is None:
+            return
+        fault, row, give_up_s = self._due
+        # A loop that died with its fault writes no more rows.
+        if self._ring.tail >= row + self._after or time.monotonic() > give_up_s:
+            self._due = None
+            self.write(fault, row + self._after)
+
+    def finish(self) -> None:
+        """Write what is due, as far as it goes: no more rows will come."""
+        if self._due is not None:
+            (fault, row, _), self._due = self._due, None
+            self.write(fault, row + self._after)
+
+    def write(self, fault: Fault, end: int | None = None) -> None:
+        """Write the last seconds before row `end`, or before the newest, as those of `fault`."""
+        first = (self._ring.head if end is None else end) - self._before - self._after
+        found = self._ring.copy(max(first, 0), self._before + self._after)
+        if not len(found.rows):
+            return
+        times = self.epoch_ns + np.rint(found.rows["cycle"] * (1e9 / self._rate_hz)).astype(
+            np.uint64
+        )
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            path = self._free_path(int(times[-1]), fault)
+            with LogWriter(
+                path,
+                self._ring.dtype,
+                rate_hz=self._rate_hz,
+                metadata={"kind": "fault", "name": fault.name, "step": "0", "session": ""},
+                attachments=self._attachments,
+            ) as log:
+                log.write(found.rows, times)
+            self._prune()
+        except Exception as error:  # noqa: BLE001 - told; a full disk must not end the recorder
+            self._told(fault, "", str(error))
+        else:
+            self._told(fault, str(path), "")
+
+    def _free_path(self, time_ns: int, fault: Fault) -> Path:
+        at = datetime.fromtimestamp(time_ns * 1e-9, UTC).strftime("%Y%m%dT%H%M%S.%f")[:-3]
+        path = self._folder / f"fault-{at}Z-{fault.name}.mcap"
+        number = 1
+        while path.exists():
+            number += 1
+            path = self._folder / f"fault-{at}Z-{fault.name}.{number}.mcap"
+        return path
+
+    def _prune(self) -> None:
+        # The time of day stands first in the names: their order is that of the faults.
+        for path in sorted(self._folder.glob("fault-*.mcap"))[: -self._keep]:
+            path.unlink(missing_ok=True)

@@ -1,0 +1,42 @@
+"""When late cycles are too many: in a row, within a window, or all at once."""
+
+from __future__ import annotations
+
+from ..config.rig import Limits
+
+_FORGIVEN = 0.1
+"""What a cycle in time takes back of the late cycles that are counted against their limit."""
+
+
+class Lateness:
+    """Counts late cycles against limits.late_cycles, late_in_window and stall_s."""
+
+    def __init__(self, limits: Limits, rate_hz: float) -> None:
+        self._most, self._longest = limits.late_cycles, limits.stall_s * rate_hz
+        self._most_in_window = limits.late_in_window
+        self._window = max(round(limits.late_window_s * rate_hz), 1)
+        self.late = 0
+        self._score = 0.0
+        self._cycles = self._in_window = 0
+
+    def too_much(self, skipped: int) -> bool:
+        """Count a cycle before which so many periods were skipped; return whether it is a fault."""
+        self._cycles += 1 + skipped
+        if self._cycles >= self._window:
+            self._cycles = self._in_window = 0
+        if not skipped:
+            if self._score > 0.0:
+                self._score -= _FORGIVEN
+            return False
+        self.late += 1
+        self._in_window += 1
+        self._score = min(self._score + 1.0, self._most + 1.0)
+        return (
+            self._score > self._most
+            or skipped > self._longest
+            or self._in_window > self._most_in_window
+        )
+
+    def forget(self) -> None:
+        """Begin anew after a fault."""
+        self._score, self._cycles, self._in_window = 0.0, 0, 0

@@ -1,0 +1,89 @@
+"""Metrics for Prometheus, on this machine alone: what `levid status` says, in its text format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from .faults import Fault
+from .states import State
+
+if TYPE_CHECKING:
+    from prometheus_client.metrics_core import Metric
+
+_ADDRESS = "127.0.0.1"
+_QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999", "max": "1"}
+_COUNTERS = {
+    "cycle": ("levid_cycles", "periods since the start"),
+    "stale": ("levid_stale_cycles", "cycles with a reading that came too late"),
+    "lost": ("levid_lost_rows", "rows that should be in a log and are not"),
+    "recorder_restarts": ("levid_recorder_restarts", "recorders that died"),
+}
+
+
+class MetricsError(Exception):
+    """Metrics that cannot be served."""
+
+
+def serve_metrics(port: int, status: Callable[[], Mapping[str, Any]]) -> Callable[[], None]:
+    """Answer on this port of the loopback interface; return what ends it. Raises MetricsError."""
+    from prometheus_client import CollectorRegistry, start_http_server
+
+    registry = CollectorRegistry()
+    registry.register(_Collector(status))
+    try:
+        server, thread = start_http_server(port, addr=_ADDRESS, registry=registry)
+    except OSError as error:
+        raise MetricsError(f"service.metrics_port {port}: {error.strerror}") from None
+
+    def close() -> None:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+    return close
+
+
+class _Collector:
+    """Asks for the status when it is asked: nothing is done in between."""
+
+    def __init__(self, status: Callable[[], Mapping[str, Any]]) -> None:
+        self._status = status
+
+    def describe(self) -> list[Metric]:
+        """Return nothing: the registry then does not ask for metrics before they are wanted."""
+        return []
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield every metric."""
+        from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+
+        status = self._status()
+        for key, (name, about) in _COUNTERS.items():
+            yield CounterMetricFamily(name, about, value=status[key])
+        timing = status["timing"]
+        late = CounterMetricFamily("levid_late_cycles", "late cycles by cause", labels=["cause"])
+        for cause, count in timing["late_by"].items():
+            late.add_metric([cause], count)
+        yield late
+        times = GaugeMetricFamily(
+            "levid_cycle_seconds", "times of a cycle since the start", labels=["part", "quantile"]
+        )
+        for part, quantiles in timing.items():
+            if part.endswith("_us"):
+                for name, quantile in _QUANTILES.items():
+                    times.add_metric([part.removesuffix("_us"), quantile], quantiles[name] * 1e-6)
+        yield times
+        for kind, codes, found in (
+            ("state", State, status["state"]),
+            ("fault", Fault, status["fault"]),
+        ):
+            family = GaugeMetricFamily(f"levid_{kind}", f"1 for the {kind} at hand", labels=[kind])
+            for code in codes:
+                family.add_metric([code.name], float(code.name == found))
+            yield family
+        yield GaugeMetricFamily(
+            "levid_recording",
+            "0 where logs cannot be written",
+            value=float(not status["recording"]),
+        )

@@ -1,0 +1,231 @@
+"""Flies one job at a time: hands its segments to the loop, follows it, and tells how it ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..config.rig import RigConfig
+from .board import Board, Word
+from .coil_check import coil_check
+from .faults import Fault, FlightFault
+from .plan import Plan, PlannedStep
+from .program import Feeder, Logged
+from .recorder_link import RecorderLink
+from .result import FlightResult, RecordingError
+from .ring import NO_LOG
+from .scribe import LogFile
+from .segment import Segment
+from .server import Reply
+from .shared import Shared
+from .states import IN_FLIGHT, State
+
+_PROGRESS_S = 0.5
+_TICKS_ROWS = 64
+"""Rows to look back further: the loop goes on while one looks. They are flown without pushes."""
+_WRITING_S = 60.0
+"""How long the recorder may take to bring the last rows into their files."""
+
+
+class RefusedError(Exception):
+    """A request that cannot be carried out now."""
+
+
+@dataclass
+class Job:
+    """A plan with all its segments computed, and who waits for its end.
+
+    `files`: the log of each step by its index; a step without one goes on in the log at hand.
+    `over` is called when the next job may come. `landing` (ramp, release): cycles of a landing
+    before the plan's end. A job that `holds` is over when its plan is, in the air.
+    """
+
+    plan: Plan
+    segments: list[tuple[PlannedStep, list[Segment]]]
+    files: dict[int, LogFile]
+    reply: Reply
+    over: Callable[[], None]
+    landing: tuple[int, int]
+    land_when_gone: bool = False
+    begins_at_rest: bool = True
+    holds: bool = False
+    number: int = 0
+    begun: int = 0
+    misses: tuple[int, int] = (0, 0)
+    tags: dict[int, PlannedStep] = field(default_factory=dict)
+    told_s: float = 0.0
+    over_s: float | None = None
+    end: int = 0
+    error: Exception | None = None
+
+    def step_of(self, tag: int) -> str:
+        """Return the name of the step whose log this is."""
+        return self.tags[tag].name if tag in self.tags else ""
+
+
+class Pilot:
+    """In the supervisor's thread; `tick` never waits."""
+
+    def __init__(self, rig: RigConfig, shared: Shared, recorder: RecorderLink) -> None:
+        self._rig, self._recorder = rig, recorder
+        self._board, self._ring, self._program = shared.board, shared.ring, shared.program
+        self._feeder: Feeder | None = None
+        self._plans = 0
+        self._flight_log = NO_LOG
+        self.job: Job | None = None
+
+    @property
+    def airborne(self) -> bool:
+        """Whether the coils carry the platform."""
+        return self._board.state in IN_FLIGHT
+
+    def begin(self, job: Job) -> None:
+        """Fly `job` from now on; raises RefusedError."""
+        board = self._board
+        if self.job is not None:
+            raise RefusedError("a session is being flown")
+        if board.fault is not Fault.NONE:
+            raise RefusedError(in_fault(board))
+        wanted = State.IDLE if job.begins_at_rest else State.LEVITATING
+        if board.state is not wanted or board[Word.PLAN]:
+            raise RefusedError(f"expected the state {wanted.name}, found {board.state.name}")
+        if job.begins_at_rest:
+            self._recorder.forget()
+            self._flight_log = NO_LOG
+        logged: list[Logged] = []
+        tag = self._flight_log
+        for step, segments in job.segments:
+            if step.index in job.files:
+                tag = self._recorder.define(job.files[step.index])
+                job.tags[tag] = step
+            logged += [Logged(segment, tag) for segment in segments]
+        if job.holds:
+            self._flight_log = tag
+        self._plans += 1
+        job.number = self._plans
+        job.begun = board[Word.CYCLE]
+        job.misses = board[Word.LATE], self._lost
+        board[Word.LAND_LOG] = tag  # the last step's: that is the landing, if there is one
+        board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
+        self._feeder = Feeder(self._program, board, job.number, logged)
+        self.job = job
+        self._feeder.feed()
+
+    def tick(self) -> None:
+        """Stream, tell how far it is, and end the job when it is over."""
+        job, board = self.job, self._board
+        if job is None:
+            return
+        assert self._feeder is not None
+        self._feeder.feed()
+        self._check_coils(self._feeder)
+        now_s = time.monotonic()
+        if job.over_s is None:
+            if board[Word.PLAN_DONE] >= job.number:
+                job.over_s, job.end = now_s, self._ring.head
+            elif now_s - job.told_s >= _PROGRESS_S:
+                job.told_s = now_s
+                job.reply.send({"step": self.step, "share": self.share})
+            if job.land_when_gone and not job.reply.waiting and not job.holds:
+                job.land_when_gone = False
+                board.land()
+        elif job.holds or self._written(job) or now_s - job.over_s > _WRITING_S:
+            self._recorder.hear()  # what it said before its last row was on disk
+            self.job = self._feeder = None
+            job.over()
+            self._tell(job)
+
+    def abort(self, fault: Fault, detail: str) -> None:
+        """The loop is gone: what is flown ends here."""
+        job, board = self.job, self._board
+        board[Word.PLAN], board[Word.LOG] = 0, NO_LOG
+        board[Word.PLAN_CUT] = board[Word.PLAN_DONE] = self._plans
+        board[Word.QUEUE_TAIL] = board[Word.QUEUE_HEAD]
+        if job is not None and job.over_s is None:
+            at_s = board[Word.CYCLE] / self._rig.rate_hz
+            job.error = FlightFault(fault, at_s, self.step, detail)
+            job.over_s, job.end = time.monotonic(), self._ring.head
+
+    @property
+    def step(self) -> str:
+        """Name of the step that is flown."""
+        return self.job.step_of(self._board[Word.LOG]) if self.job is not None else ""
+
+    @property
+    def share(self) -> float:
+        """Share of the job that is flown, 0 to 1."""
+        if self.job is None:
+            return 0.0
+        flown = self._board[Word.CYCLE] - self.job.begun
+        return min(max(flown / max(self.job.plan.cycles, 1), 0.0), 1.0)
+
+    @property
+    def _lost(self) -> int:
+        return self._ring.lost + self._board[Word.DROPPED]
+
+    def _check_coils(self, feeder: Feeder) -> None:
+        """Judge a check of coils once it is flown; meanwhile the platform settles."""
+        board = self._board
+        if feeder.check is None:
+            return
+        pushes, cycles, last = feeder.check
+        if board[Word.ROWS_TAIL] <= last or board[Word.PLAN] != feeder.plan:
+            return
+        feeder.check = None
+        since = board[Word.ROWS_TAIL] - last
+        rows = self._ring.last(cycles + since + _TICKS_ROWS).rows
+        wrong = coil_check(rows, pushes, self._rig.geometry)
+        if wrong:
+            board.stop(Fault.COIL_CHECK, wrong)
+
+    def _written(self, job: Job) -> bool:
+        return self._ring.durable >= job.end and self._board[Word.WRITING] not in job.tags
+
+    def _tell(self, job: Job) -> None:
+        """Answer whoever waits for this job."""
+        board = self._board
+        faulted = board.fault is not Fault.NONE and board[Word.FAULT_PLAN] == job.number
+        if job.error is None and faulted:
+            at_s = board[Word.FAULT_CYCLE] / self._rig.rate_hz
+            step = job.step_of(board[Word.FAULT_LOG])
+            job.error = FlightFault(board.fault, at_s, step, board.detail)
+        problems = [self._recorder.failed[tag] for tag in job.tags if tag in self._recorder.failed]
+        if job.error is None and problems:
+            job.error = RecordingError(f"recording failed: {problems[0]}")
+        if job.error is not None:
+            job.reply.refuse(str(job.error))
+            return
+        result = self._result(job)
+        job.reply.done(
+            logs=list(map(str, result.logs)),
+            records=list(map(str, result.records)),
+            cycles=result.cycles,
+            late=result.late,
+            lost=result.lost,
+            stopped=result.stopped,
+        )
+
+    def _result(self, job: Job) -> FlightResult:
+        board, files = self._board, self._recorder.files
+        logs: list[Path] = []
+        records: list[Path] = []
+        for tag, step in job.tags.items():
+            logs += files.get(tag, [])
+            if step.kind == "record":
+                records += files.get(tag, [])
+        return FlightResult(
+            tuple(logs),
+            tuple(records),
+            board[Word.CYCLE] - job.begun,
+            board[Word.LATE] - job.misses[0],
+            self._lost - job.misses[1],
+            board[Word.PLAN_CUT] >= job.number,
+        )
+
+
+def in_fault(board: Board) -> str:
+    """Return why nothing can be flown in the fault at hand."""
+    detail = f" ({board.detail})" if board.detail else ""
+    return f"in fault {board.fault.name}{detail}: clear it first"

@@ -1,0 +1,123 @@
+"""What the loop's process asks of the kernel so that it wakes up on time; each part is optional."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import signal
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from ..config.service import Realtime
+
+_PR_SET_PDEATHSIG = 1
+_PR_SET_NAME = 15
+_PR_SET_TIMERSLACK = 29
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_DMA_LATENCY = Path("/dev/cpu_dma_latency")
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+def be_punctual(wanted: Realtime) -> list[str]:
+    """Ask for all that `wanted` names; return a warning for each part that is not permitted.
+
+    What is asked for holds until the process ends, /dev/cpu_dma_latency among it.
+    """
+    parts: list[tuple[str, str, Callable[[], None]]] = [
+        (
+            f"realtime.timer_slack_ns {wanted.timer_slack_ns}",
+            "the kernel wakes the loop some 50 us late",
+            lambda: _prctl(_PR_SET_TIMERSLACK, wanted.timer_slack_ns),
+        )
+    ]
+    if wanted.cpus:
+        parts.append(
+            (
+                f"realtime.cpus {list(wanted.cpus)}",
+                "the loop moves between processors",
+                lambda: os.sched_setaffinity(0, wanted.cpus),
+            )
+        )
+    if wanted.lock_memory:
+        parts.append(
+            ("realtime.lock_memory", "a page that was swapped out stalls the loop", _lock_memory)
+        )
+    if wanted.cpu_latency_us is not None:
+        latency_us = wanted.cpu_latency_us
+        parts.append(
+            (
+                f"realtime.cpu_latency_us {latency_us}",
+                "the processor's sleep states delay the loop",
+                lambda: _hold_latency(latency_us),
+            )
+        )
+    if wanted.priority:
+        parts.append(
+            (
+                f"realtime.priority {wanted.priority}",
+                "any other process may delay the loop",
+                lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(wanted.priority)),
+            )
+        )
+    warnings = []
+    for name, so, ask in parts:
+        try:
+            ask()
+        except OSError as error:
+            warnings.append(f"{name}: {error.strerror}: {so}")
+    return warnings
+
+
+def call_me(name: str) -> None:
+    """Give this process a name for `ps` and `top`."""
+    with contextlib.suppress(OSError):
+        _prctl(_PR_SET_NAME, ctypes.create_string_buffer(name.encode()[:15]))
+
+
+def die_with(parent: int, number: signal.Signals) -> None:
+    """Let the kernel send this signal when the parent process is gone; exit if it is already."""
+    with contextlib.suppress(OSError):
+        _prctl(_PR_SET_PDEATHSIG, number)
+    if os.getppid() != parent:
+        raise SystemExit(1)
+
+
+@contextlib.contextmanager
+def no_collections() -> Iterator[None]:
+    """Keep the garbage collector out: a walk over all that was imported stalls many periods."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def _lock_memory() -> None:
+    if _LIBC.mlockall(_MCL_CURRENT | _MCL_FUTURE):
+        _raise()
+
+
+_held: list[int] = []
+
+
+def _hold_latency(latency_us: int) -> None:
+    # It holds for as long as the file is open: the descriptor is kept on purpose.
+    fd = os.open(_DMA_LATENCY, os.O_WRONLY | os.O_CLOEXEC)
+    os.write(fd, struct.pack("=i", latency_us))
+    _held.append(fd)
+
+
+def _prctl(option: int, value: object) -> None:
+    if _LIBC.prctl(option, value, 0, 0, 0):
+        _raise()
+
+
+def _raise() -> None:
+    number = ctypes.get_errno()
+    raise OSError(number, os.strerror(number))

@@ -1,0 +1,176 @@
+"""The supervisor's side of the recorder: says what to write, hears what was, starts it anew."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import socket
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from .board import Board, Word
+from .children import Child, module_of
+from .faults import Fault
+from .lines import Closed, Lines, TooLong
+from .scribe import Event, LogFile
+
+_MOST_BYTES = 16 << 20
+_HUNG_S = 10.0
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
+
+Say = Callable[[str], None]
+
+
+class RecorderLink:
+    """Keeps a recorder running; whatever becomes of it, the loop flies on.
+
+    `files` are the files of each log, in order, `failed` what went wrong with it.
+    """
+
+    def __init__(
+        self, rig_json: bytes, shared_fd: int, board: Board, faults: Path, say: Say
+    ) -> None:
+        self._child = Child("recorder", module_of("recorder_process"), rig_json)
+        self._shared_fd, self._board, self._faults, self._say = shared_fd, board, faults, say
+        self._lines: Lines | None = None
+        self._head: Mapping[str, bytes] | None = None
+        self._logs: dict[int, LogFile] = {}
+        self._tags = 0
+        self.files: dict[int, list[Path]] = {}
+        self.failed: dict[int, str] = {}
+        self.last_fault_log = ""
+        self.restarts = -1
+        self._pause_s, self._again_s = _FIRST_PAUSE_S, 0.0
+        self._beat, self._beat_s = 0, time.monotonic()
+
+    @property
+    def pid(self) -> int | None:
+        """The recorder's process."""
+        return self._child.pid
+
+    @property
+    def problem(self) -> str:
+        """Why nothing is being recorded, in words; empty where all is well."""
+        if not self._child.running:
+            return f"the recorder is gone ({self._child.end}) and will be started anew"
+        return next(reversed(self.failed.values()), "")
+
+    def define(self, file: LogFile) -> int:
+        """Return the tag of rows that are to go into this log."""
+        self._tags += 1
+        self._logs[self._tags] = file
+        self.files[self._tags] = []
+        self._define(self._tags, file)
+        return self._tags
+
+    def forget(self) -> None:
+        """Begin anew: earlier logs are closed, and so are their errors."""
+        self._logs.clear()
+        self.files.clear()
+        self.failed.clear()
+        self._send({"forget": self._tags})
+
+    def fault(self, fault: Fault) -> None:
+        """Have a flight recording written for a fault that the loop could not log itself."""
+        self._send({"fault": fault.name})
+
+    def watch(self) -> None:
+        """Hear what it has to say; start it, or start it anew, where it is not there."""
+        self.hear()
+        now_s = time.monotonic()
+        if not self._child.running:
+            if now_s >= self._again_s:
+                self._start(now_s)
+            return
+        beat = self._board[Word.RECORDER_BEAT]
+        if beat != self._beat:
+            self._beat, self._beat_s = beat, now_s
+            self._pause_s = _FIRST_PAUSE_S
+        elif now_s - self._beat_s > _HUNG_S:
+            self._say(f"the recorder hangs for {_HUNG_S:g} s: it is killed")
+            self._child.kill()
+
+    def end(self, patience_s: float) -> None:
+        """Let it write what is left and end."""
+        self._send({"end": True})
+        give_up_s = time.monotonic() + patience_s
+        while self._child.running and time.monotonic() < give_up_s:
+            self.hear()
+            self._child.wait(0.02)
+        self.hear()
+        if self._child.running:
+            self._say(f"the recorder did not end within {patience_s:g} s: it is killed")
+        self._child.kill()
+
+    def _start(self, now_s: float) -> None:
+        if self.restarts >= 0:
+            self._say(f"the recorder is gone ({self._child.end}): it is started anew")
+        self.restarts += 1
+        self._again_s = now_s + self._pause_s
+        self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+        if self._lines is not None:
+            self._lines.close()
+        ours, theirs = socket.socketpair()
+        self._lines = Lines(ours, _MOST_BYTES, _MOST_BYTES)
+        try:
+            self._child.start(
+                (self._shared_fd, os.getpid(), theirs.fileno(), self._faults),
+                (self._shared_fd, theirs.fileno()),
+            )
+        except OSError as error:
+            self._say(f"the recorder cannot be started: {error}")
+        finally:
+            theirs.close()
+        self._beat_s = now_s + _HUNG_S  # it takes its time to begin
+        self._head = None
+        for tag, file in self._logs.items():
+            # A part that was begun is never written over.
+            self._define(tag, replace(file, part=file.part + len(self.files[tag])))
+
+    def _define(self, tag: int, file: LogFile) -> None:
+        # The logs of a session have their attachments in common: they are sent once.
+        if file.attachments is not self._head:
+            self._head = file.attachments
+            head = {n: base64.b64encode(data).decode() for n, data in file.attachments.items()}
+            self._send({"head": head})
+        metadata = dict(file.metadata)
+        self._send({"log": tag, "path": str(file.path), "metadata": metadata, "part": file.part})
+
+    def _send(self, message: Mapping[str, Any]) -> None:
+        if self._lines is None:
+            return
+        try:
+            self._lines.put(message)
+        except Closed:
+            return  # it is dead: the next one is told all that still matters
+
+    def hear(self) -> None:
+        """Take in what the recorder has told."""
+        if self._lines is None:
+            return
+        try:
+            self._lines.flush()
+            self._lines.receive()
+            for line in self._lines.lines():
+                self._take(json.loads(line))
+        except (Closed, TooLong, ValueError):
+            return
+
+    def _take(self, message: Mapping[str, Any]) -> None:
+        if message["event"] == "fault":
+            self.last_fault_log = message["path"]
+            what = message["path"] or f"could not be written: {message['why']}"
+            self._say(f"flight recording of {message['fault']}: {what}")
+            return
+        tag, path = int(message["log"]), Path(message["path"])
+        if message["event"] == Event.OPENED:
+            files = self.files.get(tag, [])
+            if path not in files:  # one that held no row was begun anew
+                files.append(path)
+        elif message["event"] == Event.FAILED:
+            self.failed.setdefault(tag, str(message["why"]))
+            self._say(f"recording stopped, the flight goes on: {message['why']}")

@@ -1,0 +1,213 @@
+"""The recorder's process: rows from shared memory into logs; the loop never knows of it."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..config.rig import RigConfig
+from ..log.container import scan
+from ..log.errors import LogError
+from .board import Word
+from .fault_log import FaultLog
+from .faults import Fault
+from .lines import Closed, Lines
+from .realtime import call_me
+from .result import attachments
+from .ring import NO_LOG
+from .scribe import Event, LogFile, Rotation, Scribe
+from .shared import Shared
+
+_POLL_S = 0.01
+_SYNC_EVERY_S = 0.5
+_MOST_BYTES = 16 << 20
+_WITHOUT_ROWS_S = 1.0
+_UNKNOWN_S = 1.0
+
+
+class RecorderProcess:
+    """Follows the ring until it is told to end, or until supervisor and loop are both gone."""
+
+    def __init__(self, rig: RigConfig, shared: Shared, end: socket.socket, faults: Path) -> None:
+        self._board, self._ring = shared.board, shared.ring
+        self._lines = Lines(end, _MOST_BYTES, _MOST_BYTES)
+        self._logs: dict[int, LogFile] = {}
+        self._head: Mapping[str, bytes] = {}
+        self._ending = False
+        rotation = Rotation(
+            int(rig.recording.rotate_mb * 1e6), int(rig.recording.rotate_s * rig.rate_hz)
+        )
+        self._scribe = Scribe(self._ring, rig.rate_hz, self._log_of, self._tell, rotation)
+        self._faults = FaultLog(
+            self._ring,
+            rig.rate_hz,
+            faults,
+            rig.recording,
+            {
+                name: data
+                for name, data in attachments(rig.model_dump_json().encode(), b"").items()
+                if data
+            },
+            self._tell_fault,
+        )
+        self._syncer = _Syncer()
+        # A recorder that died left rows behind that were taken and are in no file.
+        self._ring.tail = self._ring.durable
+        self._faults.epoch_ns = self._board[Word.EPOCH_NS]
+        self._faults.resume(self._board[Word.FAULTS_SEEN], self._ring.tail)
+
+    def run(self, parent: int) -> None:
+        """Record."""
+        words = self._board.words
+        quiet_since_s, cycle = time.monotonic(), words[Word.CYCLE]
+        while True:
+            self._hear(0.0 if self._ring.waiting else _POLL_S)
+            self._scribe.epoch_ns = self._faults.epoch_ns = words[Word.EPOCH_NS]
+            log = words[Word.LOG]
+            taken = self._scribe.work()
+            if not len(taken.rows) and self._scribe.tag not in (NO_LOG, log):
+                self._scribe.finish()  # its last row is here: on a dead bus no others come
+            self._faults.see(taken)
+            if self._faults.nothing_due:
+                words[Word.FAULTS_SEEN] = self._ring.tail
+            self._syncer.offer(self._scribe)
+            words[Word.DROPPED] = self._scribe.dropped
+            words[Word.WRITING] = self._scribe.tag
+            words[Word.RECORDER_BEAT] += 1
+            if len(taken.rows):
+                continue
+            if os.getppid() == parent:
+                if self._ending:
+                    break
+                continue
+            # Alone with the loop: it stops by itself, and its last rows are the story.
+            if words[Word.CYCLE] != cycle:
+                quiet_since_s, cycle = time.monotonic(), words[Word.CYCLE]
+            elif time.monotonic() - quiet_since_s > _WITHOUT_ROWS_S:
+                break
+        self._scribe.finish()
+        self._faults.finish()
+        words[Word.WRITING] = self._scribe.tag
+
+    def _hear(self, wait_s: float) -> None:
+        """Do what the supervisor says; wait for it for `wait_s` at most."""
+        try:
+            ready, _, _ = select.select([self._lines.socket], [], [], wait_s)
+            if ready:
+                self._lines.receive()
+            for line in self._lines.lines():
+                self._obey(json.loads(line))
+        except Closed:
+            # It is dead, or dying: what remains is to see whether rows still come.
+            time.sleep(wait_s)
+
+    def _obey(self, message: Mapping[str, Any]) -> None:
+        if "head" in message:
+            self._head = {name: base64.b64decode(data) for name, data in message["head"].items()}
+        if "log" in message:
+            file = LogFile(
+                Path(message["path"]), message["metadata"], self._head, int(message["part"])
+            )
+            self._logs[int(message["log"])] = without_empty_part(file)
+        if "forget" in message:
+            self._logs = {t: log for t, log in self._logs.items() if t > int(message["forget"])}
+            self._scribe.forget_errors()
+        if "fault" in message:  # of a loop that can write no row of it
+            while len(self._scribe.work().rows):
+                pass
+            self._scribe.finish()
+            self._faults.finish()
+            self._faults.write(Fault[message["fault"]])
+        if "end" in message:
+            self._ending = True
+
+    def _log_of(self, tag: int) -> LogFile | None:
+        give_up_s = time.monotonic() + _UNKNOWN_S
+        while tag not in self._logs and time.monotonic() < give_up_s:
+            self._hear(_POLL_S)
+        return self._logs.get(tag)
+
+    def _tell(self, event: Event, tag: int, path: Path, why: str) -> None:
+        self._say({"event": event, "log": tag, "path": str(path), "why": why})
+
+    def _tell_fault(self, fault: Fault, path: str, why: str) -> None:
+        self._say({"event": "fault", "fault": fault.name, "path": path, "why": why})
+
+    def _say(self, message: Mapping[str, Any]) -> None:
+        with contextlib.suppress(Closed):
+            self._lines.put(message)
+
+
+def without_empty_part(file: LogFile) -> LogFile:
+    """Take away the part before, if its recorder died before it held a row: it is no log."""
+    if file.part == 1:
+        return file
+    before = file.path_of(file.part - 1)
+    with contextlib.suppress(OSError, LogError):
+        if before.stat().st_size > _MOST_BYTES:
+            return file
+        if not scan(memoryview(before.read_bytes())).segments:
+            before.unlink()
+            return replace(file, part=file.part - 1)
+    return file
+
+
+class _Syncer:
+    """Brings what was written to the disk itself, for the power may fail; nobody waits for it."""
+
+    def __init__(self) -> None:
+        self._fd = -1
+        self._wanted, self._idle = threading.Event(), threading.Event()
+        self._idle.set()
+        self._synced_s, self._size = 0.0, 0
+        threading.Thread(target=self._run, name="levid-sync", daemon=True).start()
+
+    def offer(self, scribe: Scribe) -> None:
+        """Sync the file at hand if it has grown and the last time is long enough ago."""
+        writer = scribe.writer
+        if writer is None or writer.size == self._size or not self._idle.is_set():
+            return
+        now_s = time.monotonic()
+        if now_s - self._synced_s < _SYNC_EVERY_S:
+            return
+        self._synced_s, self._size = now_s, writer.size
+        with contextlib.suppress(OSError, ValueError):
+            self._fd = os.dup(writer.fileno())
+            self._idle.clear()
+            self._wanted.set()
+
+    def _run(self) -> None:
+        while True:
+            self._wanted.wait()
+            self._wanted.clear()
+            with contextlib.suppress(OSError):
+                os.fdatasync(self._fd)
+            with contextlib.suppress(OSError):
+                os.close(self._fd)
+            self._idle.set()
+
+
+def main(fd: str, parent: str, end: str, faults: str) -> None:
+    """Record until told to end; the rig comes as JSON on standard input."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the supervisor says when it is over
+    call_me("levid-recorder")
+    rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
+    shared = Shared(rig, int(fd))
+    RecorderProcess(rig, shared, socket.socket(fileno=int(end)), Path(faults)).run(int(parent))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,232 @@
+"""What clients may ask, and how it is answered; planning has a thread of its own."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..config.base import ConfigError, parse, parse_text
+from ..config.rig import RigConfig
+from ..config.session import Land, Levitate, Move, SessionConfig, Step
+from .faults import Fault
+from .pilot import Job, RefusedError, in_fault
+from .plan import Plan, PlannedStep, plan_session, plan_steps
+from .result import attachments, log_metadata
+from .scribe import LogFile
+from .server import Handler, Reply
+from .states import State
+
+if TYPE_CHECKING:
+    from .supervisor import Supervisor
+
+_POLL_S = 0.02
+_READY_S = 60.0
+_LEAST_WATCH_S, _MOST_WATCHERS = 0.05, 32
+
+Request = Mapping[str, Any]
+Planner = Callable[[Request, Reply], Job]
+
+
+class Requests:
+    """Handlers for the server: each returns at once; what takes time goes on in another thread."""
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        self._supervisor = supervisor
+        self._busy = threading.Lock()
+        self._plans: queue.Queue[tuple[Planner, Request, Reply]]
+        self._plans = queue.Queue(maxsize=1)
+        self.watchers: list[Watcher] = []
+
+    @property
+    def _rig(self) -> RigConfig:
+        return self._supervisor.rig
+
+    @property
+    def handlers(self) -> Mapping[str, Handler]:
+        """Handlers by the request's `op`."""
+        return {
+            "status": lambda _, reply: reply.done(**self._supervisor.status()),
+            "stop": self._stop,
+            "land": self._land,
+            "clear": lambda _, reply: self._supervisor.post(lambda: self._supervisor.clear(reply)),
+            "excite": lambda request, reply: self._plan(self._session, request, reply),
+            "levitate": lambda request, reply: self._plan(self._lift_off, request, reply),
+            "move": lambda request, reply: self._plan(self._move, request, reply),
+            "watch": self._watch,
+        }
+
+    def start(self) -> None:
+        """Plan what is asked for from now on."""
+        threading.Thread(target=self._run, name="levid-planner", daemon=True).start()
+
+    def _stop(self, _: Request, reply: Reply) -> None:
+        # The word is set before anything else happens: it needs none of the rest of the daemon.
+        self._supervisor.board.stop()
+        reply.done(stopping=True)
+
+    def _land(self, _: Request, reply: Reply) -> None:
+        pilot = self._supervisor.pilot
+        landing = pilot.job is not None or pilot.airborne
+        if landing:
+            self._supervisor.board.land()
+        reply.done(landing=landing)
+
+    def _watch(self, request: Request, reply: Reply) -> None:
+        every_s = request.get("every_s", 0.5)
+        if not isinstance(every_s, (int, float)) or not every_s >= _LEAST_WATCH_S:
+            raise RefusedError(f"watch: expected every_s of {_LEAST_WATCH_S} or more")
+        if len(self.watchers) >= _MOST_WATCHERS:
+            raise RefusedError(f"watch: expected at most {_MOST_WATCHERS} watchers")
+        self.watchers.append(Watcher(reply, float(every_s)))
+
+    def _plan(
+        self, planner: Callable[[Request, Reply], Job], request: Request, reply: Reply
+    ) -> None:
+        board = self._supervisor.board
+        if board.fault is not Fault.NONE:
+            raise RefusedError(in_fault(board))
+        # One at a time, from its planning to its end: a plan begins where the manipulator is.
+        if not self._busy.acquire(blocking=False):
+            raise RefusedError("a session is being flown, or is about to be")
+        self._plans.put_nowait((planner, request, reply))
+
+    def _run(self) -> None:
+        while True:
+            planner, request, reply = self._plans.get()
+            try:
+                self._wait_until_ready()
+                job = planner(request, reply)
+            except Exception as error:  # noqa: BLE001 - the client is told, the daemon goes on
+                self._busy.release()
+                reply.refuse(str(error) or type(error).__name__)
+            else:
+                self._supervisor.post(lambda job=job: self._begin(job))  # type: ignore[misc]
+
+    def _begin(self, job: Job) -> None:
+        """In the supervisor's thread."""
+        try:
+            if job.land_when_gone and not job.reply.waiting:
+                raise RefusedError("the client is gone")
+            if self._supervisor.stopping:
+                raise RefusedError("the daemon is ending")
+            self._supervisor.pilot.begin(job)
+        except Exception as error:  # noqa: BLE001 - as above
+            job.over()
+            job.reply.refuse(str(error) or type(error).__name__)
+
+    def _wait_until_ready(self) -> None:
+        give_up_s = time.monotonic() + _READY_S
+        while self._supervisor.board.state in (State.OFF, State.SELF_TEST):
+            if time.monotonic() > give_up_s:
+                raise RefusedError(f"the loop was not ready within {_READY_S:g} s")
+            time.sleep(_POLL_S)
+
+    def _session(self, request: Request, reply: Reply) -> Job:
+        text, out = request.get("session"), request.get("out")
+        if not isinstance(text, str) or not isinstance(out, str):
+            raise RefusedError("excite: expected 'session' (YAML text) and 'out' (a folder)")
+        self._check_rig(request.get("rig"))
+        session = parse_text(text, SessionConfig, "session")
+        if session.rate_hz not in (None, self._rig.rate_hz):
+            raise ConfigError(
+                f"session {session.name}: rate_hz: expected the daemon's {self._rig.rate_hz:g} Hz, "
+                f"found {session.rate_hz:g} Hz"
+            )
+        plan = plan_session(session, self._rig, *self._supervisor.manipulator)
+        folder = _folder(out)
+        texts = attachments(self._supervisor.rig_text, text.encode())
+        files = {
+            step.index: LogFile(
+                folder / f"{step.index:02d}-{step.name}.mcap", log_metadata(plan, step), texts
+            )
+            for step in plan.steps
+        }
+        land = session.steps[-1].land or Land()
+        return self._job(plan, files, reply, land, request)
+
+    def _lift_off(self, request: Request, reply: Reply) -> Job:
+        levitate = parse(request.get("levitate") or {}, Levitate, "levitate")
+        land = parse(request.get("land") or {}, Land, "land")
+        plan = self._by_hand(Step(levitate=levitate))
+        files: dict[int, LogFile] = {}
+        out = request.get("out")
+        if out is not None:
+            metadata = {**log_metadata(plan, plan.steps[0]), "kind": "flight", "name": "flight"}
+            texts = attachments(self._supervisor.rig_text, b"")
+            files[0] = LogFile(_folder(str(out)) / "flight.mcap", metadata, texts)
+        job = self._job(plan, files, reply, land, request)
+        job.holds = True
+        return job
+
+    def _move(self, request: Request, reply: Reply) -> Job:
+        move = parse(request.get("move") or {}, Move, "move")
+        board = self._supervisor.board
+        if board.state is not State.LEVITATING:
+            raise RefusedError(
+                f"move: expected a platform that levitates (levid levitate), "
+                f"found {board.state.name}"
+            )
+        plan = self._by_hand(Step(move=move))
+        job = self._job(plan, {}, reply, None, request)
+        job.holds, job.begins_at_rest = True, False
+        return job
+
+    def _by_hand(self, step: Step) -> Plan:
+        return plan_steps([step], step.kind, self._rig, *self._supervisor.manipulator)
+
+    def _job(
+        self,
+        plan: Plan,
+        files: dict[int, LogFile],
+        reply: Reply,
+        land: Land | None,
+        request: Request,
+    ) -> Job:
+        """Compute all segments: what that takes is no business of a flight."""
+        gone = request.get("client_gone") or self._rig.service.client_gone
+        if gone not in ("go_on", "land"):
+            raise RefusedError(f"client_gone: expected go_on or land, found {gone!r}")
+        segments: list[tuple[PlannedStep, Any]] = [(s, s.segments()) for s in plan.steps]
+        rate_hz = self._rig.rate_hz
+        landing = self._supervisor.landing
+        if land is not None:
+            landing = round(land.ramp_s * rate_hz), round(land.release_s * rate_hz)
+        over = self._busy.release
+        return Job(plan, segments, files, reply, over, landing, land_when_gone=gone == "land")
+
+    def _check_rig(self, text: object) -> None:
+        """Refuse a session that was written for another rig than this daemon runs."""
+        if text is None:
+            return
+        rig = parse_text(str(text), RigConfig, "rig")
+        if rig != self._rig:
+            raise ConfigError(
+                f"rig {rig.name}: expected the rig that this daemon runs "
+                f"({self._supervisor.rig_file}), found another"
+            )
+
+
+class Watcher:
+    """A client that is sent the status, again and again, until it hangs up."""
+
+    def __init__(self, reply: Reply, every_s: float) -> None:
+        self._reply, self._every_s, self._told_s = reply, every_s, 0.0
+
+    def tick(self, now_s: float, status: Callable[[], Mapping[str, Any]]) -> bool:
+        """Send the status if it is time; return whether anybody watches."""
+        if now_s - self._told_s >= self._every_s:
+            self._told_s = now_s
+            self._reply.send(status())
+        return self._reply.waiting
+
+
+def _folder(out: str) -> Path:
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.glob("*.mcap")):
+        raise RefusedError(f"{folder}: expected a folder without logs")
+    return folder

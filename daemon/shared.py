@@ -1,0 +1,57 @@
+"""The memory that the daemon's processes share: board, ring of rows, program of segments.
+
+It is anonymous and handed down as a file descriptor: nobody else can open it, and it is gone with
+the last process that holds it, however that one dies.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+
+import numpy as np
+
+from ..config.rig import RigConfig
+from ..log.signals import cycle_dtype
+from .board import Board
+from .program import Program
+from .ring import Ring
+from .timing import Timing
+
+_AHEAD_S = 4.0
+"""How far the program is streamed ahead of the loop."""
+_BEHIND_S = 5.0
+"""How far the recorder may fall behind, beside what a flight recording looks back on."""
+_LEAST_ROWS = 4096
+_PAGE = 4096
+
+
+class Shared:
+    """Maps the memory of a rig's daemon; the first process makes it, the others get its `fd`."""
+
+    def __init__(self, rig: RigConfig, fd: int | None = None) -> None:
+        coils, sensors = len(rig.geometry.coil_x_m), len(rig.geometry.sensors_x_m)
+        self.dtype: np.dtype[np.void] = cycle_dtype(coils, sensors)
+        behind_s = rig.recording.before_fault_s + _BEHIND_S
+        ring_rows = max(int(behind_s * rig.rate_hz), _LEAST_ROWS)
+        program_rows = max(int(_AHEAD_S * rig.rate_hz), _LEAST_ROWS)
+        sizes = (
+            Board.SIZE,
+            Ring.size(self.dtype, ring_rows),
+            Program.size(coils, program_rows),
+            Timing.SIZE,
+        )
+        ends = np.cumsum([-(-size // _PAGE) * _PAGE for size in sizes]).tolist()
+        if fd is None:
+            fd = os.memfd_create("levid", os.MFD_CLOEXEC)
+            os.ftruncate(fd, ends[-1])
+        self.fd = fd
+        memory = memoryview(mmap.mmap(fd, ends[-1]))
+        self.board = Board(memory[: ends[0]])
+        self.ring = Ring(self.dtype, ring_rows, memory[ends[0] : ends[1]])
+        self.program = Program(coils, program_rows, memory[ends[1] : ends[2]], self.board)
+        self.timing = Timing(memory[ends[2] :])
+
+    def close(self) -> None:
+        """Let go of the descriptor; the mapping goes with the process."""
+        os.close(self.fd)

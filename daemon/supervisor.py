@@ -1,0 +1,352 @@
+"""The daemon: a supervisor that keeps loop and recorder running and does what clients ask."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..config.base import ConfigError
+from ..config.rig import RigConfig, load_rig
+from ..config.session import Land
+from ..drivers.base import Context
+from ..drivers.registry import check_backends
+from .access import Access
+from .board import Word
+from .children import Child, module_of
+from .faults import Fault
+from .metrics import serve_metrics
+from .notify import Notify
+from .pilot import Pilot
+from .recorder_link import RecorderLink
+from .requests import Requests
+from .server import Reply, Server
+from .shared import Shared
+from .states import IN_FLIGHT, State
+
+_TICK_S = 0.01
+_RELOADED = ("allow_users", "allow_groups", "client_gone")
+"""Keys of `service` that may change while the daemon runs."""
+_OPENING_S = 120.0
+"""How long devices may take to open, compare limits and home."""
+_STOP_S = 0.25
+"""How long a loop that runs may take to see that it is to stop; it takes one cycle."""
+_STOPPING_S = 2.0
+_LANDING_S = 10.0
+_RECORDER_S = 30.0
+
+
+@dataclass
+class _Clearing:
+    """Somebody waits for a fault to be cleared."""
+
+    reply: Reply
+    fault: Fault
+    number: int
+    give_up_s: float
+
+
+class Supervisor:
+    """Runs in one thread from `run` to its return; requests come through the socket.
+
+    Raises:
+        ConfigError: the rig's backends or access cannot be as they are configured.
+    """
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        rig_file: Path,
+        socket_path: Path,
+        say: Callable[[str], None],
+    ) -> None:
+        self.rig, self.rig_file = rig, rig_file
+        self.rig_text = rig_file.read_bytes()
+        folder = rig_file.parent.resolve()
+        check_backends(Context(rig, 1.0 / rig.rate_hz, folder))
+        land = Land()
+        self.landing = round(land.ramp_s * rig.rate_hz), round(land.release_s * rig.rate_hz)
+        """Cycles of sinking and letting go, unless a session says otherwise."""
+        self._say = say
+        self._shared = Shared(rig)
+        self.board = self._shared.board
+        rig_json = rig.model_dump_json().encode()
+        self._folder = folder
+        self._loop = Child("loop", module_of("loop_process"), rig_json)
+        self._recorder = RecorderLink(
+            rig_json, self._shared.fd, self.board, fault_folder(rig, folder), say
+        )
+        self.pilot = Pilot(rig, self._shared, self._recorder)
+        self._requests = Requests(self)
+        self._server = Server(socket_path, self._requests.handlers, Access(rig.service))
+        self._mail: deque[Callable[[], None]] = deque()
+        self._clearings: list[_Clearing] = []
+        self._stopping = threading.Event()
+        self._loop_beat, self._loop_beat_s, self._busy_s = -1, 0.0, 0.0
+        self._stop_s: float | None = None
+        self._told = Fault.NONE
+        self._notify = Notify()
+        self._reload = threading.Event()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the daemon is about to end."""
+        return self._stopping.is_set()
+
+    @property
+    def manipulator(self) -> tuple[float, float]:
+        """Where beam (m) and rotor (rad) were last told to be."""
+        rows = self._shared.ring.last(1).rows
+        if not len(rows):
+            return 0.0, 0.0
+        return float(rows["beam_ref_m"][0]), float(rows["rotor_ref_rad"][0])
+
+    def post(self, action: Callable[[], None]) -> None:
+        """Have something done in the supervisor's thread, soon; from any thread."""
+        self._mail.append(action)
+
+    def stop(self) -> None:
+        """Land if in flight, then return from `run`; may be called from a signal handler."""
+        self._stopping.set()
+
+    def reload(self) -> None:
+        """Read RIG.yaml again, soon; may be called from a signal handler."""
+        self._reload.set()
+
+    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Supervise until stopped; all processes have ended on return, whatever happened.
+
+        `ready` is called when requests are answered and the self-test is over. Raises ServerError
+        or MetricsError before any device is touched.
+        """
+        self._server.start()
+        close_metrics = None
+        try:
+            if self.rig.service.metrics_port is not None:
+                close_metrics = serve_metrics(self.rig.service.metrics_port, self.status)
+            self._requests.start()
+            self._recorder.watch()
+            self._start_loop()
+            waiting = True
+            while not self._stopping.is_set():
+                self._tick()
+                if waiting and self.board.state not in (State.OFF, State.SELF_TEST):
+                    waiting = False
+                    self._notify.ready()
+                    ready()
+                self._stopping.wait(_TICK_S)
+            self._land_and_end()
+        finally:
+            self._notify.stopping()
+            self._end_loop_at_once()
+            self._recorder.end(_RECORDER_S)
+            self._server.close()
+            if close_metrics is not None:
+                close_metrics()
+            self._shared.close()
+
+    def clear(self, reply: Reply) -> None:
+        """Clear the fault at hand; answered when the loop has tried."""
+        board = self.board
+        fault = board.fault
+        if fault is Fault.NONE and not board[Word.ZERO]:
+            reply.done(cleared=Fault.NONE.name)
+            return
+        board[Word.ZERO] = 0
+        self._stop_s = None
+        if not self._loop.running:
+            board[Word.FAULT] = Fault.NONE
+            self._start_loop()
+        else:
+            board[Word.CLEAR] += 1
+        give_up_s = time.monotonic() + _OPENING_S
+        self._clearings.append(_Clearing(reply, fault, board[Word.CLEAR], give_up_s))
+
+    def status(self) -> dict[str, Any]:
+        """Return what the daemon is doing."""
+        board, pilot, ring = self.board, self.pilot, self._shared.ring
+        job = pilot.job
+        rows = ring.last(1).rows
+        pose = {
+            name: float(rows[name][0]) if len(rows) else None
+            for name in ("psi_rad", "theta_rad", "z_m", "beam_m", "rotor_rad")
+        }
+        return {
+            "rig": self.rig.name,
+            "rate_hz": self.rig.rate_hz,
+            "state": board.state.name,
+            "cycle": board[Word.CYCLE],
+            "late": board[Word.LATE],
+            "stale": board[Word.STALE],
+            "lost": ring.lost + board[Word.DROPPED],
+            "fault": board.fault.name,
+            "detail": board.detail,
+            "fault_log": self._recorder.last_fault_log,
+            "session": job.plan.name if job else None,
+            "step": pilot.step if job else None,
+            "share": pilot.share if job else None,
+            "recording": self._recorder.problem,
+            "recorder_restarts": max(self._recorder.restarts, 0),
+            "pids": {
+                "supervisor": os.getpid(),
+                "loop": self._loop.pid,
+                "recorder": self._recorder.pid,
+            },
+            **pose,
+            "timing": self._shared.timing.figures(),
+        }
+
+    def _tick(self) -> None:
+        """One look at everything; nothing in here waits."""
+        self.board[Word.BEAT] += 1
+        while self._mail:
+            self._mail.popleft()()
+        self._watch_loop()
+        self._recorder.watch()
+        self.pilot.tick()
+        self._answer_clearings()
+        self._say_faults()
+        if self._reload.is_set():
+            self._reload.clear()
+            self._reload_rig()
+        now_s = time.monotonic()
+        watchers = self._requests.watchers
+        watchers[:] = [w for w in watchers if w.tick(now_s, self.status)]
+
+    def _start_loop(self) -> None:
+        board = self.board
+        board[Word.STATE] = State.OFF
+        board[Word.BUSY] = 1
+        self._busy_s = time.monotonic()
+        fd = self._shared.fd
+        self._loop.start((fd, os.getpid(), self._folder), (fd,))
+
+    def _watch_loop(self) -> None:
+        """Notice a loop that died, hangs, or does not stop when told to."""
+        board, now_s = self.board, time.monotonic()
+        if not self._loop.running:
+            if board.fault is not Fault.LOOP:
+                self._loop_is_gone(self._loop.end)
+            return
+        beat = board[Word.CYCLE] + board[Word.WAITING]
+        if beat != self._loop_beat or board[Word.BUSY]:
+            self._loop_beat, self._loop_beat_s = beat, now_s
+            self._notify.alive()
+        if board[Word.BUSY]:
+            if now_s - self._busy_s > _OPENING_S:
+                self._end_loop(f"its devices did not open within {_OPENING_S:g} s")
+            return
+        self._busy_s = now_s
+        if now_s - self._loop_beat_s > self.rig.service.loop_s:
+            self._end_loop(f"it did not advance for {now_s - self._loop_beat_s:.1f} s")
+        elif board[Word.ZERO] and board.fault is Fault.NONE:
+            self._stop_s = self._stop_s or now_s
+            if now_s - self._stop_s > _STOP_S:
+                self._end_loop("it did not stop when told to")
+        else:
+            self._stop_s = None
+
+    def _end_loop_at_once(self) -> None:
+        """Whatever brought the supervisor here: a loop that still runs goes to zero, then ends."""
+        if self._loop.running:
+            self.board.stop(Fault.SUPERVISOR, "it ends")
+            self.board[Word.END] = 1
+            self._loop.wait(_STOPPING_S)
+        self._loop.kill()
+
+    def _end_loop(self, why: str) -> None:
+        self._loop.kill()
+        self._loop_is_gone(f"{why}; {self._loop.end}")
+
+    def _loop_is_gone(self, why: str) -> None:
+        """Speak for a loop that no longer can: its devices go to zero force by themselves."""
+        board = self.board
+        board.detail = why
+        board[Word.FAULT_CYCLE], board[Word.FAULT_PLAN] = board[Word.CYCLE], board[Word.PLAN]
+        board[Word.BUSY] = 0
+        board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
+        self.pilot.abort(Fault.LOOP, why)
+        self._recorder.fault(Fault.LOOP)
+
+    def _answer_clearings(self) -> None:
+        board = self.board
+        for clearing in list(self._clearings):
+            testing = board.state in (State.OFF, State.SELF_TEST)
+            trying = board[Word.CLEARED] < clearing.number or testing
+            in_time = time.monotonic() < clearing.give_up_s
+            if trying and in_time and board.fault is not Fault.LOOP:
+                continue
+            self._clearings.remove(clearing)
+            if board.fault is Fault.NONE:
+                clearing.reply.done(cleared=clearing.fault.name)
+            else:
+                clearing.reply.refuse(f"the fault {board.fault.name} stays: {board.detail}")
+
+    def _say_faults(self) -> None:
+        fault = self.board.fault
+        if fault is not self._told:
+            self._told = fault
+            detail = f": {self.board.detail}" if self.board.detail else ""
+            self._say(f"fault {fault.name}{detail}" if fault is not Fault.NONE else "fault cleared")
+        self._notify.status(fault.name if fault is not Fault.NONE else self.board.state.name)
+
+    def _reload_rig(self) -> None:
+        """Take over what can change while it runs: who may ask, and what a client's end means."""
+        try:
+            new = load_rig(self.rig_file)
+            access = Access(new.service)
+        except ConfigError as error:
+            self._say(f"RIG.yaml is not taken over: {error}")
+            return
+        same = {key: getattr(self.rig.service, key) for key in type(new.service).model_fields}
+        changed = {key: getattr(new.service, key) for key in _RELOADED}
+        service = self.rig.service.model_copy(update=same | changed)
+        others = [
+            key
+            for key in type(new).model_fields
+            if getattr(new, key) != (service if key == "service" else getattr(self.rig, key))
+        ]
+        self.rig = self.rig.model_copy(update={"service": service})
+        self._server.access = access
+        taken = ", ".join(f"service.{key}" for key in _RELOADED)
+        self._say(f"RIG.yaml: {taken} are taken over")
+        if others:
+            self._say(f"RIG.yaml: changes of {', '.join(others)} need a new start")
+
+    def _land_and_end(self) -> None:
+        """Land, whatever further signals come; then let every process end."""
+        board = self.board
+        board[Word.END] = 1
+        planned_s = (board[Word.LAND_RAMP] + board[Word.LAND_RELEASE]) / self.rig.rate_hz
+        if board.state in IN_FLIGHT:
+            self._say("landing")
+        give_up_s = time.monotonic() + planned_s + _LANDING_S
+        while self._loop.running and time.monotonic() < give_up_s:
+            self._tick()
+            time.sleep(_TICK_S)
+        if self._loop.running:
+            self._say("the loop did not end: it is killed, and the devices go to zero")
+            self._loop.kill()
+        # Jobs and clients are told how it ended.
+        give_up_s = time.monotonic() + _LANDING_S
+        while self.pilot.job is not None and time.monotonic() < give_up_s:
+            board[Word.BEAT] += 1
+            self._recorder.watch()
+            self.pilot.tick()
+            time.sleep(_TICK_S)
+
+
+def fault_folder(rig: RigConfig, folder: Path) -> Path:
+    """Return where flight recordings go: as the rig says, else among this user's or service's."""
+    if rig.recording.faults is not None:
+        return folder / rig.recording.faults
+    state = os.environ.get("STATE_DIRECTORY")
+    if state:
+        return Path(state.split(":", maxsplit=1)[0]) / "faults"
+    home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
+    return Path(home) / "levid" / "faults"

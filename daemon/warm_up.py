@@ -1,0 +1,49 @@
+"""Everything that a first cycle would pay for, paid before it: compiling, and where things are."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.rig import RigConfig
+from ..drivers.base import Devices
+from .control import Controller
+from .segment import Segment, idle_segment
+
+
+def warm_up(
+    controller: Controller,
+    devices: Devices,
+    row: NDArray[np.void],
+    rig: RigConfig,
+    cycle: int = 0,
+) -> None:
+    """Compile the cycle on made-up readings, writing row (1,), and `locate` the manipulator.
+
+    `cycle` is the one before the first.
+    """
+    controller.begin(resting_segment(controller, 1))
+    controller.step(row, 0, cycle, 0.0, 0)
+    controller.halt()
+    locate(controller, devices, rig, cycle)
+
+
+def locate(controller: Controller, devices: Devices, rig: RigConfig, cycle: int) -> None:
+    """Read where the manipulator is, in this cycle, and hold it there from now on."""
+    for sync in devices.syncs:
+        sync(cycle)
+    devices.drives.read(controller.beam, controller.rotor)
+    reach = rig.limits.beam_m
+    controller.beam_ref[:] = np.clip(np.nan_to_num(controller.beam[0]), -reach, reach), 0.0, 0.0
+    controller.rotor_ref[:] = np.nan_to_num(controller.rotor[0]), 0.0, 0.0
+
+
+def resting_segment(controller: Controller, cycles: int) -> Segment:
+    """Return zero force, the manipulator at rest where it was last told to be."""
+    beam_m, rotor_rad = controller.beam_ref[0], controller.rotor_ref[0]
+    return idle_segment(
+        cycles,
+        len(controller.coil_n),
+        np.array([beam_m, 0.0, 0.0]),
+        np.array([rotor_rad, 0.0, 0.0]),
+    )

@@ -1,0 +1,54 @@
+"""What the kernel does not permit is a warning that says what follows; everything else holds."""
+
+import gc
+import os
+import subprocess
+import sys
+
+from levid.config.service import Realtime
+from levid.daemon.realtime import be_punctual, no_collections
+
+NOTHING = Realtime(priority=0, lock_memory=False, cpu_latency_us=None)
+
+
+def test_what_is_not_asked_for_is_not_warned_of() -> None:
+    assert be_punctual(NOTHING) == []
+
+
+def test_processor_that_is_not_there_is_a_warning() -> None:
+    before = os.sched_getaffinity(0)
+    (warning,) = be_punctual(NOTHING.model_copy(update={"cpus": (4000,)}))
+    assert warning.startswith("realtime.cpus [4000]: ")
+    assert warning.endswith("the loop moves between processors")
+    assert os.sched_getaffinity(0) == before
+
+
+def test_process_without_rights_is_warned_of_each_part_it_lacks() -> None:
+    # In a process of its own, which gives away the rights it may have.
+    program = """
+import os, resource
+from levid.config.service import Realtime
+from levid.daemon.realtime import be_punctual
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
+if os.geteuid() == 0:
+    os.setgroups([])
+    os.setgid(54321)
+    os.setuid(54321)
+print(*be_punctual(Realtime()), sep="\\n")
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout
+    assert [line.split()[0].rstrip(":") for line in told.splitlines()] == [
+        "realtime.lock_memory",
+        "realtime.cpu_latency_us",
+        "realtime.priority",
+    ]
+
+
+def test_collector_is_back_afterwards() -> None:
+    with no_collections():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0

@@ -1,0 +1,197 @@
+"""The control socket under clients that flood, dawdle, vanish, or are not allowed."""
+
+from __future__ import annotations
+
+import contextlib
+import grp
+import json
+import os
+import pwd
+import socket
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from levid.config.base import ConfigError
+from levid.config.service import Service
+from levid.daemon.access import Access, Peer, peer_of
+from levid.daemon.server import LONGEST_LINE, Reply, Server
+
+_GIVE_UP_S = 60.0
+
+
+class Bench:
+    """A server that answers `echo` at once and `wait` when `answer_all` is called."""
+
+    def __init__(self, folder: Path, access: Access | None = None) -> None:
+        self.path = folder / "test.sock"
+        self.waiting: list[Reply] = []
+        self.gone = threading.Event()
+        handlers: dict[str, Any] = {
+            "echo": lambda request, reply: reply.done(said=request.get("say")),
+            "wait": self._wait,
+            "flood": lambda _, reply: [reply.send({"line": "x" * 10_000}) for _ in range(1000)],
+        }
+        self.server = Server(self.path, handlers, access or Access(Service()))
+        self.server.start()
+
+    def _wait(self, _: object, reply: Reply) -> None:
+        reply.gone = self.gone.set
+        self.waiting.append(reply)
+
+    def connect(self) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX)
+        connection.connect(str(self.path))  # waits where many others do
+        connection.settimeout(_GIVE_UP_S)
+        return connection
+
+    def ask(self, connection: socket.socket, *lines: bytes) -> list[dict[str, Any]]:
+        stream = connection.makefile("rwb")
+        stream.write(b"\n".join([*lines, b""]))
+        stream.flush()
+        return [json.loads(stream.readline()) for _ in lines]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(tmp_path)
+    yield made
+    made.server.close()
+    assert not made.path.exists()
+
+
+def works(bench: Bench) -> bool:
+    with bench.connect() as connection:
+        (answer,) = bench.ask(connection, b'{"op": "echo", "say": 1}')
+        return answer == {"ok": True, "said": 1}
+
+
+def test_requests_on_one_connection_are_answered_in_order(bench: Bench) -> None:
+    with bench.connect() as connection:
+        lines = [b'{"op": "echo", "say": %d}' % i for i in range(500)]
+        assert [a["said"] for a in bench.ask(connection, *lines)] == list(range(500))
+
+
+def test_request_behind_one_that_takes_time_waits_for_it(bench: Bench) -> None:
+    with bench.connect() as connection:
+        connection.sendall(b'{"op": "wait"}\n{"op": "echo", "say": 2}\n')
+        assert works(bench)  # others do not wait
+        while not bench.waiting:
+            pass
+        bench.waiting[0].done(said=1)
+        stream = connection.makefile("rb")
+        assert [json.loads(stream.readline())["said"] for _ in range(2)] == [1, 2]
+
+
+def test_silent_clients_make_room_and_those_who_wait_for_an_answer_stay(bench: Bench) -> None:
+    with bench.connect() as patient, contextlib.ExitStack() as stack:
+        patient.sendall(b'{"op": "wait"}\n')
+        while not bench.waiting:
+            pass
+        for _ in range(200):
+            stack.enter_context(bench.connect()).sendall(b'{"op"')
+        assert works(bench)
+        bench.waiting[0].done(said="still here")
+        assert json.loads(patient.makefile("rb").readline())["said"] == "still here"
+
+
+def test_client_that_takes_nothing_is_hung_up_on(bench: Bench) -> None:
+    with bench.connect() as slow:
+        slow.sendall(b'{"op": "flood"}\n')
+        assert works(bench)
+        with contextlib.suppress(ConnectionResetError):
+            while slow.recv(1 << 20):
+                pass
+
+
+def test_flood_of_requests_does_not_keep_others_waiting(bench: Bench) -> None:
+    stop = threading.Event()
+
+    def flood() -> None:
+        with contextlib.suppress(OSError), bench.connect() as connection:
+            while not stop.is_set():
+                connection.sendall(b'{"op": "echo"}\n' * 1000)
+
+    floods = [threading.Thread(target=flood) for _ in range(4)]
+    for thread in floods:
+        thread.start()
+    try:
+        for _ in range(20):
+            assert works(bench)
+    finally:
+        stop.set()
+        for thread in floods:
+            thread.join()
+
+
+def test_line_without_an_end_is_refused(bench: Bench) -> None:
+    with bench.connect() as connection:
+        with contextlib.suppress(OSError):
+            connection.sendall(b"x" * (LONGEST_LINE + 2))
+        assert "at most" in json.loads(connection.makefile("rb").readline())["error"]
+    assert works(bench)
+
+
+def test_client_that_vanishes_is_noticed(bench: Bench) -> None:
+    with bench.connect() as connection:
+        connection.sendall(b'{"op": "wait"}\n')
+    assert bench.gone.wait(_GIVE_UP_S)
+    assert not bench.waiting[0].waiting
+    bench.waiting[0].done()  # answered all the same, to nobody
+    assert works(bench)
+
+
+def test_kernel_says_who_asks() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX)
+    with ours, theirs:
+        peer = peer_of(ours)
+    assert (peer.pid, peer.uid) == (os.getpid(), os.geteuid())
+    assert peer.gids == {os.getegid(), *os.getgroups()}
+
+
+def test_who_may_ask() -> None:
+    own = Access(Service())
+    stranger = Peer(1, 54_321, frozenset({54_321}))
+    assert own.mode == 0o660
+    for peer in (
+        Peer(1, 0, frozenset({54_321})),
+        Peer(1, os.geteuid(), frozenset({54_321})),
+        Peer(1, 54_321, frozenset({54_321, os.getegid()})),
+    ):
+        assert own.refuses(peer) == ""
+    assert "user 54321 may not" in own.refuses(stranger)
+    user, group = pwd.getpwall()[-1], grp.getgrall()[-1]
+    for more in (
+        {"allow_users": (54_321,)},
+        {"allow_groups": (54_321,)},
+        {"allow_users": (user.pw_name, 54_321), "allow_groups": (group.gr_name,)},
+    ):
+        assert Access(Service(**more)).refuses(stranger) == ""
+    with pytest.raises(ConfigError, match="allow_users: expected a user, found 'nobody-at-all'"):
+        Access(Service(allow_users=("nobody-at-all",)))
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_another_user_is_told_so_and_hung_up_on() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        bench = Bench(Path(folder), Access(Service(allow_users=(54_322,))))
+        readable, writable = os.pipe()
+        try:
+            child = os.fork()
+            if child == 0:  # somebody else, with nothing of the test's but this pipe
+                os.setgroups([])
+                os.setgid(54_321)
+                os.setuid(54_321)
+                with bench.connect() as connection:
+                    os.write(writable, connection.recv(1000))
+                os._exit(0)
+            os.waitpid(child, 0)
+            assert b"user 54321 may not ask" in os.read(readable, 1000)
+            assert works(bench)
+        finally:
+            bench.server.close()

@@ -4,17 +4,45 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
 import pytest
+from punctuality import Witness
 
 from levid.cli.main import main
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
+
+_WITNESS = pytest.StashKey[Witness]()
+
+
+@pytest.fixture(autouse=True)
+def _witness(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Watch the machine while a test of what flies in real time runs."""
+    if request.node.get_closest_marker("real_time") is None:
+        yield
+        return
+    with Witness() as witness:
+        request.node.stash[_WITNESS] = witness
+        yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A flight that failed while the machine gave nobody its time is skipped, and says so."""
+    report = yield
+    witness = item.stash.get(_WITNESS, None)
+    if witness is not None and report.failed and witness.starved:
+        why = f"{witness.starved}; it ended with: {call.excinfo.exconly()[:300]}"
+        report.outcome = "skipped"
+        report.longrepr = (str(item.path), item.location[1] or 0, f"Skipped: {why}")
+    return report
 
 
 @pytest.fixture(scope="session")

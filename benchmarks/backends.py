@@ -311,6 +311,10 @@ drives: {{backend: loopback}}
 sim: {shipped("sims/nominal.yaml")}
 """
     buses, role = BUSES[name]
+    if interface == "udp_multicast":
+        # Its own: a kernel hands frames of any group to all sockets of a port.
+        port = 20_000 + os.getpid() % 20_000
+        buses = buses.replace("CHANNEL", f"CHANNEL, options: {{port: {port}}}")
     buses = buses.replace("INTERFACE", interface).replace("CHANNEL", channel)
     every = ", every: 4" if name != "serial" else ""
     other = role.replace("main", "motion") if name == "can" else role

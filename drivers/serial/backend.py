@@ -140,8 +140,8 @@ class _Amplifiers(CoilAmplifiers):
 
     def read(self, coil_n: Array) -> None:
         self.port.collect()
-        state = self.port.frames.amplifier_readings(coil_n)
         if self.port.fresh:
+            state = self.port.frames.amplifier_readings(coil_n)
             self.stale = _UNHEARD if state == AmplifierState.UNHEARD else 0
             self._watch.judge(state, coil_n)
 
@@ -160,8 +160,8 @@ class _Sensors(PositionSensors):
 
     def read(self, gap_m: Array) -> None:
         self._port.collect()
-        self._port.frames.sensor_readings(gap_m)
-        if self._port.fresh:
+        if self._port.fresh:  # else it stays: a channel without a reading was made good there
+            self._port.frames.sensor_readings(gap_m)
             self.stale = 0
             self._watch.judge(gap_m)
 

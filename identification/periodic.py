@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from ..config.session import RecordStep, SessionConfig
 from ..log.reader import Log
 from .data import IdentificationError, PiController
 from .from_log import NotARecordError, from_log
+from .gaps import without_gaps
 
 Array = NDArray[np.float64]
 
@@ -67,8 +69,12 @@ def periodic_record(log: Log) -> PeriodicRecord:
     assert plan is not None
     N, p = round(period_s / record.Ts_s), len(step.excite)
     per_realisation = p * plan.periods * N
-    begin = round(step.settle_s / record.Ts_s)
-    whole = min((len(record.y) - begin) // per_realisation, plan.realisations)
+    # Where stalls cut a record, what is left begins somewhere: at a realisation only by chance.
+    lost = _rows_lost(log)
+    settled = round(step.settle_s / record.Ts_s)
+    first = max(math.ceil((lost - settled) / per_realisation), 0)
+    begin = settled + first * per_realisation - lost
+    whole = min((len(record.y) - begin) // per_realisation, plan.realisations - first)
     if whole < 1:
         raise IdentificationError(
             f"{log.path.name}: expected at least one complete realisation of "
@@ -111,6 +117,13 @@ def periodic_records(logs: Sequence[Log]) -> tuple[tuple[PeriodicRecord, ...], t
         except (NotARecordError, NotPeriodicError) as reason:
             skipped.append(str(reason))
     return tuple(records), tuple(skipped)
+
+
+def _rows_lost(log: Log) -> int:
+    """Return how many rows are cut off at the begin of a record that stalls have cut."""
+    if "cycle" not in (log.rows.dtype.names or ()):
+        return 0
+    return int(without_gaps(log)[0].rows["cycle"][0]) - int(log.rows["cycle"][0])
 
 
 def _orthogonal_step(log: Log, name: str) -> tuple[RecordStep, float]:

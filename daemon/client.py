@@ -12,8 +12,9 @@ from typing import Any, Self
 
 from ..config.rig import RigConfig
 from .result import FlightResult
-from .server import default_socket
+from .server import own_socket
 
+_SERVICE = Path("/run/levid/levid.sock")
 _TIMEOUT_S = 30.0
 _AGAIN_S = 0.01
 _CLEARING_S = 150.0  # opening buses anew and homing drives takes its time
@@ -24,8 +25,13 @@ class DaemonError(Exception):
 
 
 def socket_path(rig: RigConfig | None) -> Path:
-    """Return the control socket of the daemon that runs `rig`, or of the default one."""
-    return Path(rig.socket) if rig is not None and rig.socket else default_socket()
+    """Return the control socket of the daemon that runs `rig`, or of the default one.
+
+    That is this user's, unless there is none, but one of a service of the machine's.
+    """
+    path = own_socket(rig)
+    named = rig is not None and rig.socket
+    return _SERVICE if not named and not path.exists() and _SERVICE.exists() else path
 
 
 class Client:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import time
@@ -82,8 +83,10 @@ class Client:
         """Send one request; lines before the answer go to `on_line`."""
         self._socket.settimeout(_CLEARING_S if op == "clear" else _TIMEOUT_S)
         try:
-            self._stream.write(json.dumps({"op": op, **more}).encode() + b"\n")
-            self._stream.flush()
+            # Whoever may not ask is told so and hung up on, perhaps before this is sent.
+            with contextlib.suppress(BrokenPipeError):
+                self._stream.write(json.dumps({"op": op, **more}).encode() + b"\n")
+                self._stream.flush()
             while line := self._stream.readline():
                 answer: dict[str, Any] = json.loads(line)
                 if "ok" not in answer:

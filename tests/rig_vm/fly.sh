@@ -3,9 +3,9 @@
 set -euo pipefail
 out=$WORK/out
 export NUMBA_CACHE_DIR=$WORK/numba MPLCONFIGDIR=/run XDG_RUNTIME_DIR=/run/levid HOME=/run TMPDIR=/run
-export PYTHONDONTWRITEBYTECODE=1
+export PYTHONDONTWRITEBYTECODE=1 PYTHONPATH=/srv/levid/src
 mkdir -p "$XDG_RUNTIME_DIR"
-levid=$ROOT/.venv/bin/levid
+levid=/srv/levid/bin/levid
 
 # It says so where it loses frames: a Sync that it missed must not look like one that was never sent.
 nice -n -20 candump -L -d -r 8388608 vcan0 > "$out/candump.txt" &
@@ -21,7 +21,7 @@ daemon=$!
 until grep -q socket "$out/daemon.log"; do sleep 0.2; kill -0 $daemon; done
 renice -n -10 -p "$(pgrep -f levid.daemon.loop_process)" # the loop has no time, its companions have
 
-python=$ROOT/.venv/bin/python
+python=/srv/levid/bin/python
 "$python" "$HERE/flights.py" "$HERE/session.yaml" "$out" /run/faults "$XDG_RUNTIME_DIR/levid.sock"
 
 ps -eo pid,ni,time,etime,args --sort=-time | head -n 12 > "$out/processes.txt"

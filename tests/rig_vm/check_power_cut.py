@@ -10,7 +10,7 @@ import numpy as np
 
 from levid.log.reader import read_log
 
-# What the recorder holds back (0.9 s), what the disk has not got yet (0.5 s); twice, for a slow guest.
+# The recorder holds back 0.9 s, the disk lacks 0.5 s at most: twice that, for a slow guest.
 LOST_S = 3.0
 
 out = Path(sys.argv[1])

@@ -1,6 +1,7 @@
 """The daemon as a service of a real systemd, from its installation to a power cut.
 
-Run as root in the guest. What is asserted is what happens, not when: the guest is slow, and stalls with its host.
+Run as root in the guest. What is asserted is what happens, not when: the guest is slow, and
+stalls with its host.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ def starts(_: Any) -> None:
 
 def flies(_: Any) -> None:
     session = Path("/run/session.yaml")
-    session.write_text(SESSION.replace("duration_s: 4", "duration_s: 1"))
+    session.write_text(SESSION.replace("duration_s: 4", "duration_s: 2"))
     run(*as_user("labuser"), LEVID, "excite", str(session), "--out", str(STATE / "first"))
     assert len(list((STATE / "first").glob("*.mcap"))) == 4
     assert (STATE / "first" / "report").is_dir()

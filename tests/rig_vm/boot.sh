@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Boots a Linux with vcan as a process of this machine (User-mode Linux, no KVM), flies a short session on it
 # through socketcan, and checks the frames that candump saw; then a second one with systemd, where the daemon is a
-# service, until its power is cut. Needs Debian or Ubuntu, root, apt; .venv as `make test` makes it. Everything it fetches and writes lies in build/rig-vm. Exit code 77: it cannot be done here, and why.
+# service, until its power is cut. Needs Debian or Ubuntu, root, apt; .venv as `make test` makes it. Everything it
+# fetches and writes lies in build/rig-vm. Exit code 77: it cannot be done here, and why.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
@@ -31,6 +32,15 @@ HERE=$here ROOT=$root BASE=$base NUMBA_CACHE_DIR=$work/numba unshare --mount bas
   set -e; . "$HERE/place.sh"; place_levid
   PYTHONPATH=/srv/levid/src /srv/levid/bin/python /srv/levid/src/levid/tests/rig_vm/warm_up.py' ||
   cannot "it takes a mount namespace, and levid that runs in it"
+
+guest=
+# cut: the guest has no power any more. Its kernel is the leader of a process group, which its processes are in.
+cut() {
+  local kernel
+  kernel=$(pgrep -P "$guest") || return 0 # it is off already
+  kill -KILL -- "-$kernel" || true
+}
+trap '[ -z "$guest" ] || cut' EXIT # whatever ends this script, ends the guest
 
 # start OUT INIT DEVICE...: boots a guest, which leaves its results in OUT. The last run stays readable beside the new one.
 start() {
@@ -76,7 +86,7 @@ truncate --size 64M "$work/disk"
 mkfs.ext4 -q "$work/disk"
 start "$out" init_systemd.sh "ubda=$work/disk"
 while kill -0 "$guest" 2>/dev/null && [ ! -e "$out/cut" ]; do sleep 0.05; done
-pkill -KILL -P "$guest" || true # the power is cut; or it is off already
+cut
 ended "$out"
 e2fsck -fy "$work/disk" > "$out/disk.log" 2>&1 || true # 1: mended, as after any power cut
 debugfs -R "rdump /cut-logs $out" "$work/disk" 2>> "$out/disk.log"

@@ -2,6 +2,7 @@
 
 import json
 import os
+import select
 import socket
 import subprocess
 import sys
@@ -180,6 +181,21 @@ def test_a_peer_is_known_by_all_of_its_groups(tmp_path: Path) -> None:
     assert peer.pid == process.pid
     assert peer.gids == {os.getegid(), 4242, 4243}
     assert not Access(Service(allow_groups=(4243,))).refuses(replace(peer, uid=12345))
+
+
+def test_whoever_was_hung_up_on_hears_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Access, "refuses", lambda *_: "it is not for you")
+    server = Server(tmp_path / "levid.sock", {}, Access(Service()))
+    server.start()
+    try:
+        with Client(tmp_path / "levid.sock") as client:
+            poll = select.poll()
+            poll.register(client._socket, 0)  # nothing but that the other end hung up
+            assert poll.poll(30_000)
+            with pytest.raises(DaemonError, match="it is not for you"):
+                client.request("status")
+    finally:
+        server.close()
 
 
 def test_no_daemon_says_how_to_start_one(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ DEV := $(VENV)/.installed-dev
 help:
 	@echo "make demo    fly the simulated rig, identify it, say where the report lies"
 	@echo "make test    run the tests"
-	@echo "make test-rig  boot a Linux with vcan and fly on it (Debian or Ubuntu, root)"
+	@echo "make test-rig  boot a Linux with vcan, fly on it, also as a service (Debian or Ubuntu, root)"
 	@echo "make bench   run every benchmark, quickly"
 	@echo "make lint    ruff, mypy and the import arrows"
 	@echo "make format  let ruff format and sort"

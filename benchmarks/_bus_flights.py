@@ -7,25 +7,24 @@ confidence of both. Electronics run in a process of their own.
 from __future__ import annotations
 
 import subprocess
+import sys
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import _real_time
 import numpy as np
+from _daemon import running
 from _table import Figure
 from scipy.stats import chi2
 
 from levid.config.base import parse_text
 from levid.config.model import load_model
-from levid.config.rig import RigConfig, load_rig
+from levid.config.rig import load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
-from levid.daemon.clock import Clock, RealClock, VirtualClock
-from levid.daemon.flight import Flight, attachments
-from levid.daemon.plan import plan_session
-from levid.drivers.base import DriverError
+from levid.daemon.client import Client, DaemonError
+from levid.daemon.virtual import fly_virtually
 from levid.identification.greybox.experiment import experiment_from_log
 from levid.identification.greybox.fit import Fit, fit_model
 from levid.log.reader import Log, read_log
@@ -47,10 +46,15 @@ steps:
 """
 PATIENT = """
   late_cycles: 10000
+  late_in_window: 100000
   stall_s: 1
 """
 """A machine under load may stall as it likes: what is asked is what its logs are worth."""
-_GIVE_UP_S = 30.0
+SERVICE = """
+service: {loop_s: 10, supervisor_s: 10}
+"""
+_ATTEMPTS = 3
+"""Coils that hold their force through a stall, excitation in it, may push the platform too far."""
 
 Start = Callable[[Path], "subprocess.Popen[bytes]"]
 
@@ -96,43 +100,29 @@ def flight_figures(rigs: dict[str, str], start: Start, seconds: float) -> list[F
 
 
 def _flown(file: Path, out: Path, start: Start | None, seconds: float) -> Sequence[Log]:
-    rig = load_rig(file)
+    """Fly with a daemon against the electronics that `start` starts; without, in virtual time."""
+    text = SESSION.replace("SECONDS", f"{seconds:g}")
     out.mkdir()
     if start is None:
-        return _fly(rig, file, out, VirtualClock(), seconds)
-    process = start(file)
-    try:
-        return _fly(rig, file, out, RealClock(1.0 / rig.rate_hz), seconds, process.pid)
-    finally:
-        _real_time.relax()
-        process.terminate()
-        process.wait()
-
-
-def _fly(
-    rig: RigConfig, file: Path, out: Path, clock: Clock, seconds: float, pid: int | None = None
-) -> Sequence[Log]:
-    text = SESSION.replace("SECONDS", f"{seconds:g}")
-    session = parse_text(text, SessionConfig, "agreement")
-    give_up_s = time.monotonic() + _GIVE_UP_S
-    while True:
+        session = parse_text(text, SessionConfig, "agreement")
+        flown = fly_virtually(load_rig(file), file, session, text.encode(), out)
+        return [read_log(path) for path in flown.records]
+    socket, folder = file.with_suffix(".sock"), str(file.parent / "faults")
+    with file.open("a") as rig:
+        rig.write(f"{SERVICE}socket: {socket}\nrecording: {{faults: {folder}}}\n")
+    for attempt in range(_ATTEMPTS):
+        process = start(file)
         try:
-            flight = Flight(rig, file.parent, rig.rate_hz, clock)
-            break
-        except DriverError:  # the electronics are just being started
-            if time.monotonic() > give_up_s:
-                raise
-            time.sleep(0.2)
-    if pid is not None:
-        _real_time.hurry(_real_time.ELECTRONICS, pid)
-    with flight:
-        if pid is not None:
-            _real_time.hurry(_real_time.LOOP)
-        for _ in range(5):  # amplifiers are enabled while zero force is asked for
-            flight.idle(60)
-        plan = plan_session(session, rig, flight.beam_m, flight.rotor_rad)
-        result = flight.fly(plan, out, attachments(file.read_bytes(), text.encode()))
-    return [read_log(path) for path in result.records]
+            with running(file, socket), Client(socket) as client:
+                _real_time.hurry(_real_time.ELECTRONICS, process.pid)
+                flown = client.excite(text, out / f"{attempt}", lambda *_: None)
+                return [read_log(path) for path in flown.records]
+        except DaemonError as error:
+            print(f"{file.stem}, flight {attempt + 1} of {_ATTEMPTS}: {error}", file=sys.stderr)
+        finally:
+            process.terminate()
+            process.wait()
+    sys.exit(f"{file.stem}: no flight came to its end")
 
 
 def _distance(one: Fit, other: Fit) -> tuple[float, int, float]:

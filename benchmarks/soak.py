@@ -6,21 +6,19 @@ missing in any log, and recorders that had to be started anew. --quick takes a m
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import contextlib
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import _table
 import numpy as np
 import yaml
+from _daemon import running
 from _table import Figure
 
 from levid.config.shipped import shipped
-from levid.daemon.client import Client, DaemonError
+from levid.daemon.client import Client
 from levid.log.reader import read_log
 
 SESSION = """
@@ -34,14 +32,15 @@ steps:
   - move: {{beam_m: 0.0, settle_s: 0.2}}
   - land: {{ramp_s: 0.5, release_s: 0.3}}
 """
-_READY_S = 60.0
 _PROCESSES = ("supervisor", "loop", "recorder")
 
 
 def measure(quick: bool) -> list[Figure]:
     whole_s, record_s = (60.0, 3.0) if quick else (1800.0, 50.0)
     missing = sessions = 0
-    with tempfile.TemporaryDirectory() as name, running(Path(name)) as (path, first_pids):
+    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
+        path = Path(name) / "levid.sock"
+        first_pids = stack.enter_context(running(_rig(Path(name)), path))
         ends_s = time.monotonic() + whole_s
         text = SESSION.format(record_s=record_s)
         before: dict[str, tuple[float, int]] = {}
@@ -75,39 +74,17 @@ def measure(quick: bool) -> list[Figure]:
     return figures
 
 
-@contextmanager
-def running(folder: Path) -> Iterator[tuple[Path, dict[str, int]]]:
-    """Run a daemon at 1 kHz; give its socket and its processes."""
+def _rig(folder: Path) -> Path:
+    """Write a rig at 1 kHz; return its file."""
     plain = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
-    path = folder / "levid.sock"
     plain |= {
         "sim": str(shipped("sims/nominal.yaml")),
-        "socket": str(path),
+        "socket": str(folder / "levid.sock"),
         "recording": {"faults": str(folder / "faults")},
     }
     plain["limits"] |= {"late_cycles": 1000, "late_in_window": 100_000, "stall_s": 5}
     (folder / "rig.yaml").write_text(yaml.safe_dump(plain))
-    daemon = subprocess.Popen(
-        [sys.executable, "-m", "levid.cli.main", "run", str(folder / "rig.yaml")],
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        give_up_s = time.monotonic() + _READY_S
-        while True:
-            try:
-                with Client(path) as client:
-                    status = client.request("status")
-                if status["state"] == "IDLE":
-                    break
-            except DaemonError:
-                pass
-            if time.monotonic() > give_up_s:
-                sys.exit("soak: the daemon did not start")
-            time.sleep(0.1)
-        yield path, status["pids"]
-    finally:
-        daemon.terminate()
-        daemon.wait()
+    return folder / "rig.yaml"
 
 
 def _missing(logs: tuple[Path, ...]) -> int:

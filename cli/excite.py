@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -153,6 +154,9 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> in
     if result.stopped:
         say(f"the session was asked to land before its end; to use what there is: {following}")
         return 1
+    if not os.access(out, os.W_OK):  # a service's folder: the daemon wrote there, this user may not
+        say(f"no report: {out} may not be written to; use what there is: {following}")
+        return 0
     if config.then and result.records:
         for verb in config.then:
             say(f"report: {hand_over(verb, result.logs, out / _REPORTS[verb])}")

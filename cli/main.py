@@ -25,6 +25,10 @@ _VERBS = {
     "land": ("control:land", "End the daemon's session at hand: land at once."),
     "stop": ("control:stop", "Zero force at once, whatever the daemon is doing."),
     "clear": ("control:clear", "Clear the daemon's fault, once its cause is gone."),
+    "install-service": (
+        "install_service:command",
+        "Make the daemon a service of systemd: unit, user, network, devices.",
+    ),
     "identify": ("identify:command", "Identify the plant from logs."),
     "trace": ("trace:command", "Trace what a model lacks to physical effects, with proof."),
     "import": ("importing:command", "Turn measured data of others into a log."),

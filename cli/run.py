@@ -7,8 +7,6 @@ from pathlib import Path
 
 import click
 
-from .progress import say
-
 
 @click.command("run")
 @click.argument("rig", type=click.Path(path_type=Path))
@@ -25,12 +23,16 @@ def command(rig: Path) -> int:
       levid status
     """
     from ..config.rig import load_rig
-    from ..daemon.client import socket_path
+    from ..daemon.journal import Journal
+    from ..daemon.server import own_socket
     from ..daemon.supervisor import Supervisor
 
     config = load_rig(rig)
-    path = socket_path(config)
+    path = own_socket(config)
+    journal = Journal()
+    say = journal.say
     supervisor = Supervisor(config, rig, path, say)
+    journal.fields = supervisor.journal_fields
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: supervisor.stop())
     signal.signal(signal.SIGHUP, lambda *_: supervisor.reload())

@@ -13,6 +13,8 @@ from ..config.base import ConfigError
 from ..config.service import Service
 
 _SO_PEERGROUPS = 59
+_MOST_BYTES = 1024
+"""What Python's getsockopt takes at most: 256 groups."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +33,10 @@ def peer_of(connection: socket.socket) -> Peer:
     pid, uid, gid = struct.unpack("3i", raw)
     gids = {gid}
     try:
-        groups = connection.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, 4 * 1024)
+        groups = connection.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _MOST_BYTES)
         gids |= set(struct.unpack(f"{len(groups) // 4}i", groups))
     except OSError:
-        pass  # an old kernel, or a thousand groups: the first one has to do
+        pass  # an old kernel, or hundreds of groups: the first one has to do
     return Peer(pid, uid, frozenset(gids))
 
 

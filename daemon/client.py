@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import time
@@ -12,8 +13,9 @@ from typing import Any, Self
 
 from ..config.rig import RigConfig
 from .result import FlightResult
-from .server import default_socket
+from .server import own_socket
 
+_SERVICE = Path("/run/levid/levid.sock")
 _TIMEOUT_S = 30.0
 _AGAIN_S = 0.01
 _CLEARING_S = 150.0  # opening buses anew and homing drives takes its time
@@ -24,8 +26,13 @@ class DaemonError(Exception):
 
 
 def socket_path(rig: RigConfig | None) -> Path:
-    """Return the control socket of the daemon that runs `rig`, or of the default one."""
-    return Path(rig.socket) if rig is not None and rig.socket else default_socket()
+    """Return the control socket of the daemon that runs `rig`, or of the default one.
+
+    That is this user's, unless there is none, but one of a service of the machine's.
+    """
+    path = own_socket(rig)
+    named = rig is not None and rig.socket
+    return _SERVICE if not named and not path.exists() and _SERVICE.exists() else path
 
 
 class Client:
@@ -76,8 +83,10 @@ class Client:
         """Send one request; lines before the answer go to `on_line`."""
         self._socket.settimeout(_CLEARING_S if op == "clear" else _TIMEOUT_S)
         try:
-            self._stream.write(json.dumps({"op": op, **more}).encode() + b"\n")
-            self._stream.flush()
+            # Whoever may not ask is told so and hung up on, perhaps before this is sent.
+            with contextlib.suppress(BrokenPipeError):
+                self._stream.write(json.dumps({"op": op, **more}).encode() + b"\n")
+                self._stream.flush()
             while line := self._stream.readline():
                 answer: dict[str, Any] = json.loads(line)
                 if "ok" not in answer:

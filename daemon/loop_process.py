@@ -17,6 +17,7 @@ from .clock import RealClock
 from .control import Controller
 from .failures import fault_of
 from .faults import Fault
+from .journal import Journal
 from .realtime import be_punctual, call_me, die_with, no_collections
 from .shared import Shared
 from .states import State
@@ -65,9 +66,10 @@ def _fly(
         finally:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
+    journal = Journal()
     loop = TimedLoop(rig, controller, devices, clock, shared, recover, parent)
     for warning in be_punctual(rig.realtime):
-        sys.stderr.write(f"warning: {warning}\n")
+        journal.say(f"warning: {warning}")
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it sees for itself that its parent is gone
     with no_collections():
         clock.start()

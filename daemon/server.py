@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..config.rig import RigConfig
 from .access import Access, peer_of
 from .lines import Closed, Lines, TooLong
 
@@ -266,8 +267,10 @@ class Server:
             connection.reply.gone()
 
 
-def default_socket() -> Path:
-    """Return where the control socket lies unless the rig says otherwise."""
+def own_socket(rig: RigConfig | None) -> Path:
+    """Return where a daemon that is started here has its control socket."""
+    if rig is not None and rig.socket:
+        return Path(rig.socket)
     runtime = os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR")
     if runtime:
         return Path(runtime) / "levid.sock"

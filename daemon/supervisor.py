@@ -201,6 +201,17 @@ class Supervisor:
             "timing": self._shared.timing.figures(),
         }
 
+    def journal_fields(self) -> dict[str, str]:
+        """Return what an entry of the journal says of this moment; empty where there is nothing."""
+        board, job = self.board, self.pilot.job
+        fault = board.fault
+        return {
+            "LEVID_RIG": self.rig.name,
+            "LEVID_STATE": board.state.name,
+            "LEVID_FAULT": fault.name if fault is not Fault.NONE else "",
+            "LEVID_SESSION": job.plan.name if job is not None else "",
+        }
+
     def _tick(self) -> None:
         """One look at everything; nothing in here waits."""
         self.board[Word.BEAT] += 1
@@ -230,7 +241,8 @@ class Supervisor:
         """Notice a loop that died, hangs, or does not stop when told to."""
         board, now_s = self.board, time.monotonic()
         if not self._loop.running:
-            if board.fault is not Fault.LOOP:
+            asked_to = self.stopping and board.state is State.OFF
+            if board.fault is not Fault.LOOP and not asked_to:
                 self._loop_is_gone(self._loop.end)
             return
         beat = board[Word.CYCLE] + board[Word.WAITING]

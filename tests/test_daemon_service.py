@@ -1,9 +1,14 @@
 """The daemon in real time behind its socket: requests, refusals, a session, landing."""
 
 import json
+import os
+import select
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +17,7 @@ from daemon_process import calm, daemon
 from levid.config.rig import load_rig
 from levid.config.service import Service
 from levid.config.shipped import shipped
-from levid.daemon.access import Access
+from levid.daemon.access import Access, peer_of
 from levid.daemon.client import Client, DaemonError
 from levid.daemon.server import Server, ServerError
 from levid.log.reader import read_log
@@ -154,6 +159,43 @@ def test_file_that_is_no_socket_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(ServerError, match="found a file"):
         Server(path, {}, Access(Service())).start()
     assert path.read_text() == "mine"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a process other groups")
+def test_a_peer_is_known_by_all_of_its_groups(tmp_path: Path) -> None:
+    path = str(tmp_path / "socket")
+    connect = (
+        "import socket, sys; s = socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]); input()"
+    )
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(path)
+        listening.listen()
+        with subprocess.Popen(
+            [sys.executable, "-c", connect, path], extra_groups=[4242, 4243], stdin=subprocess.PIPE
+        ) as process:
+            accepted, _ = listening.accept()
+            with accepted:
+                peer = peer_of(accepted)
+            assert process.stdin is not None
+            process.stdin.write(b"\n")
+    assert peer.pid == process.pid
+    assert peer.gids == {os.getegid(), 4242, 4243}
+    assert not Access(Service(allow_groups=(4243,))).refuses(replace(peer, uid=12345))
+
+
+def test_whoever_was_hung_up_on_hears_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Access, "refuses", lambda *_: "it is not for you")
+    server = Server(tmp_path / "levid.sock", {}, Access(Service()))
+    server.start()
+    try:
+        with Client(tmp_path / "levid.sock") as client:
+            poll = select.poll()
+            poll.register(client._socket, 0)  # nothing but that the other end hung up
+            assert poll.poll(30_000)
+            with pytest.raises(DaemonError, match="it is not for you"):
+                client.request("status")
+    finally:
+        server.close()
 
 
 def test_no_daemon_says_how_to_start_one(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Boots a Linux with vcan as a process of this machine (User-mode Linux, no KVM), flies a short session on it
-# through socketcan, and checks the frames that candump saw. Needs Debian or Ubuntu, root, apt; .venv as `make test`
-# makes it. Everything it fetches and writes lies in build/rig-vm. Exit code 77: it cannot be done here, and why.
+# through socketcan, and checks the frames that candump saw; then a second one with systemd, where the daemon is a
+# service, until its power is cut. Needs Debian or Ubuntu, root, apt; .venv as `make test` makes it. Everything it
+# fetches and writes lies in build/rig-vm. Exit code 77: it cannot be done here, and why.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
@@ -23,28 +24,71 @@ if [ ! -x "$work/system/usr/bin/linux.uml" ]; then
   for package in "$work"/packages/*.deb; do dpkg-deb -x "$package" "$work/system"; done
 fi
 
-# The last run stays readable beside the new one.
-rm -rf "$out.last"
-[ ! -d "$out" ] || mv "$out" "$out.last"
-mkdir -p "$out" "$work/numba"
-# Compiled here, fetched there: the guest has one slow processor.
-NUMBA_CACHE_DIR=$work/numba "$root/.venv/bin/python" "$here/warm_up.py"
+# Compiled here, fetched there: the guests have one slow processor.
+mkdir -p "$work/numba"
+python=$root/.venv/bin/python
+base=$("$python" -c 'import sys; print(sys.base_prefix)')
+HERE=$here ROOT=$root BASE=$base NUMBA_CACHE_DIR=$work/numba unshare --mount bash -c '
+  set -e; . "$HERE/place.sh"; place_levid
+  PYTHONPATH=/srv/levid/src /srv/levid/bin/python /srv/levid/src/levid/tests/rig_vm/warm_up.py' ||
+  cannot "it takes a mount namespace, and levid that runs in it"
 
-cat > "$work/init.sh" <<EOF
+guest=
+# cut: the guest has no power any more. Its kernel is the leader of a process group, which its processes are in.
+cut() {
+  local kernel
+  kernel=$(pgrep -P "$guest") || return 0 # it is off already
+  kill -KILL -- "-$kernel" || true
+}
+trap '[ -z "$guest" ] || cut' EXIT # whatever ends this script, ends the guest
+
+# start OUT INIT DEVICE...: boots a guest, which leaves its results in OUT. The last run stays readable beside the new one.
+start() {
+  rm -rf "$1.last"
+  [ ! -d "$1" ] || mv "$1" "$1.last"
+  mkdir -p "$1"
+  cat > "$work/init.sh" <<EOF
 #!/bin/bash
-export HERE=$here ROOT=$root WORK=$work PYTHONPATH=${PYTHONPATH:-}
-exec /bin/bash "$here/init.sh"
+export HERE=$here ROOT=$root WORK=$work BASE=$base
+exec /bin/bash "$here/$2"
 EOF
-chmod +x "$work/init.sh"
+  chmod +x "$work/init.sh"
+  # A guest that gets little of the processor stalls all the more.
+  nice -n -5 timeout 600 "$work/system/usr/bin/linux.uml" mem=1G root=/dev/root rootfstype=hostfs hostfs=/ ro \
+    "init=$work/init.sh" con=null con0=null,fd:1 quiet systemd.show_status=0 "${@:3}" </dev/null &
+  guest=$!
+}
 
-# The kernel exits with 0 whatever happened inside: what counts is the exit code the guest leaves behind.
-timeout 600 "$work/system/usr/bin/linux.uml" mem=1G root=/dev/root rootfstype=hostfs hostfs=/ ro \
-  "init=$work/init.sh" con=null con0=null,fd:1 quiet </dev/null || true
+# ended OUT: the kernel exits with 0 whatever happened inside; what counts is the exit code the guest leaves behind.
+ended() {
+  wait "$guest" || true
+  code=$(cat "$1/exit-code" 2>/dev/null || echo "none")
+  if [ "$code" != 0 ]; then
+    echo "test-rig: the guest ended with exit code $code" >&2
+    tail -n 20 "$1"/*.log >&2 || true
+    exit 1
+  fi
+}
 
-code=$(cat "$out/exit-code" 2>/dev/null || echo "none")
-if [ "$code" != 0 ]; then
-  echo "test-rig: the guest ended with exit code $code" >&2
-  tail -n 20 "$out"/*.log >&2 || true
-  exit 1
-fi
+start "$out" init.sh
+ended "$out"
+cat "$out/report.txt"
+
+for program in /lib/systemd/{systemd,systemd-networkd,systemd-udevd} /sbin/{mkfs.ext4,e2fsck,debugfs}; do
+  [ -x "$program" ] || {
+    echo "test-rig: the service was not tried: it takes $program" >&2
+    exit 0
+  }
+done
+out=$work/out-service
+rm -f "$work/disk"
+truncate --size 64M "$work/disk"
+mkfs.ext4 -q "$work/disk"
+start "$out" init_systemd.sh "ubda=$work/disk"
+while kill -0 "$guest" 2>/dev/null && [ ! -e "$out/cut" ]; do sleep 0.05; done
+cut
+ended "$out"
+e2fsck -fy "$work/disk" > "$out/disk.log" 2>&1 || true # 1: mended, as after any power cut
+debugfs -R "rdump /cut-logs $out" "$work/disk" 2>> "$out/disk.log"
+"$python" "$here/check_power_cut.py" "$out" >> "$out/report.txt"
 cat "$out/report.txt"

@@ -3,26 +3,28 @@
 set -euo pipefail
 out=$WORK/out
 export NUMBA_CACHE_DIR=$WORK/numba MPLCONFIGDIR=/run XDG_RUNTIME_DIR=/run/levid HOME=/run TMPDIR=/run
-export PYTHONDONTWRITEBYTECODE=1
+export PYTHONDONTWRITEBYTECODE=1 PYTHONPATH=/srv/levid/src
 mkdir -p "$XDG_RUNTIME_DIR"
-levid=$ROOT/.venv/bin/levid
+levid=/srv/levid/bin/levid
 
 # It says so where it loses frames: a Sync that it missed must not look like one that was never sent.
-# Who listens and who plays hardware go first: a frame that waits for them keeps the sender's queue full.
-nice -n -15 candump -L -d -r 8388608 vcan0 > "$out/candump.txt" &
+nice -n -20 candump -L -d -r 8388608 vcan0 > "$out/candump.txt" &
 dump=$!
 mkfifo /run/faults
-nice -n -10 "$levid" electronics "$HERE/rig.yaml" < /run/faults > "$out/electronics.txt" 2> "$out/electronics.log" &
+# Hardware waits for nobody: electronics that are behind would answer every Sync too late from then on.
+chrt --fifo 20 "$levid" electronics "$HERE/rig.yaml" < /run/faults > "$out/electronics.txt" 2> "$out/electronics.log" &
 electronics=$!
 exec 3> /run/faults # held open: a line is a command
 until grep -q answer "$out/electronics.log"; do sleep 0.2; kill -0 $electronics; done
-nice -n -5 "$levid" run "$HERE/rig.yaml" 2> "$out/daemon.log" &
+"$levid" run "$HERE/rig.yaml" 2> "$out/daemon.log" &
 daemon=$!
-until [ -S "$XDG_RUNTIME_DIR/levid.sock" ]; do sleep 0.2; kill -0 $daemon; done
+until grep -q socket "$out/daemon.log"; do sleep 0.2; kill -0 $daemon; done
+renice -n -10 -p "$(pgrep -f levid.daemon.loop_process)" # the loop has no time, its companions have
 
-python=$ROOT/.venv/bin/python
+python=/srv/levid/bin/python
 "$python" "$HERE/flights.py" "$HERE/session.yaml" "$out" /run/faults "$XDG_RUNTIME_DIR/levid.sock"
 
+ps -eo pid,ni,time,etime,args --sort=-time | head -n 12 > "$out/processes.txt"
 kill -TERM $daemon
 wait $daemon
 kill -TERM $electronics

@@ -7,6 +7,8 @@ mountpoint -q /dev || mount -t devtmpfs dev /dev
 mount -t tmpfs tmpfs /run # not over /tmp: the clone may lie there
 mount -t hostfs -o "$WORK" none "$WORK" # writable, and nothing else is
 out=$WORK/out
+. "$HERE/place.sh"
+place_levid
 
 finish() {
   echo "$1" > "$out/exit-code"

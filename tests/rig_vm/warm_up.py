@@ -1,7 +1,8 @@
-"""Compiles everything that a flight compiles, into NUMBA_CACHE_DIR."""
+"""Compiles what a flight compiles, into NUMBA_CACHE_DIR, and what the guests import."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,18 @@ from levid.drivers.sensing import SensorWatch
 from levid.wire.can_frames import load_frames
 
 HERE = Path(__file__).parent
+for name in (
+    "cli.control",
+    "cli.excite",
+    "daemon.loop_process",
+    "daemon.recorder_process",
+    "daemon.supervisor",
+    "drivers.can.backend",
+    "report.session",
+    "sim.electronics.drive_nodes",
+    "sim.electronics.rig",
+):
+    import_module(f"levid.{name}")
 
 rig = load_rig(HERE / "rig.yaml")
 loopback = rig.amplifiers.model_validate({"backend": "loopback"})

@@ -1,0 +1,50 @@
+"""A daemon in real time, `levid run` in processes of its own, for benchmarks that fly with it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from levid.daemon.client import Client, DaemonError
+
+_READY_S = 60.0
+_AGAIN_S = 0.2
+
+
+@contextmanager
+def running(rig_file: Path, socket: Path) -> Iterator[dict[str, int]]:
+    """Run a daemon on this rig, whose `socket` is given; give its processes once it is idle.
+
+    Devices that are just being started may take their time to answer.
+    """
+    daemon = subprocess.Popen(
+        [sys.executable, "-m", "levid.cli.main", "run", str(rig_file)], stderr=subprocess.DEVNULL
+    )
+    try:
+        yield _idle(daemon, socket)
+    finally:
+        daemon.terminate()
+        daemon.wait()
+
+
+def _idle(daemon: subprocess.Popen[bytes], socket: Path) -> dict[str, int]:
+    give_up_s = time.monotonic() + _READY_S
+    said = "nothing"
+    while time.monotonic() < give_up_s and daemon.poll() is None:
+        try:
+            with Client(socket) as client:
+                status = client.request("status")
+                if status["state"] == "IDLE":
+                    pids: dict[str, int] = status["pids"]
+                    return pids
+                said = f"{status['state']}, {status['fault']}: {status['detail']}"
+                if status["fault"] != "NONE":
+                    client.request("clear")
+        except DaemonError as error:
+            said = str(error)
+        time.sleep(_AGAIN_S)
+    sys.exit(f"the daemon did not become idle, the last was: {said}")

@@ -1,0 +1,54 @@
+"""`levid install-service`: the files that make the daemon a service of systemd."""
+
+from __future__ import annotations
+
+import sysconfig
+from pathlib import Path
+
+import click
+
+from .progress import say
+
+
+@click.command("install-service")
+@click.argument("rig", type=click.Path(path_type=Path))
+@click.option(
+    "--root",
+    type=click.Path(path_type=Path),
+    default=Path("/"),
+    help="Write below this folder, as for an image; / unless given.",
+)
+@click.option("--dry-run", is_flag=True, help="Print the files, write nothing.")
+@click.option("--force", is_flag=True, help="Replace files that were changed by hand, too.")
+def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
+    """Write what systemd, networkd and udev need to run the daemon on RIG.yaml.
+
+    The unit levid.service, the user levid, bitrates and restart of its CAN interfaces, and the
+    right to its serial adapters. Nothing is started: it says what comes next.
+
+    \b
+    Examples:
+      levid install-service /etc/levid/rig.yaml --dry-run
+      sudo levid install-service /etc/levid/rig.yaml
+    """
+    from ..config.rig import load_rig
+    from ..daemon.service_files import hindrances, preview, service_files, write
+
+    config, rig_file = load_rig(rig), rig.resolve()
+    program = Path(sysconfig.get_path("scripts")) / "levid"
+    files = service_files(config, rig_file, program)
+    if dry_run:
+        for path, what in preview(files, root).items():
+            click.echo(f"# {root / path}: {what}\n{files[path]}")
+    else:
+        for path, what in write(files, root, force).items():
+            say(f"{root / path}: {what}")
+    for hindrance in hindrances(config, rig_file, program):
+        say(f"warning: {hindrance}")
+    if not dry_run:
+        say(
+            "next: systemd-sysusers && udevadm control --reload && udevadm trigger && "
+            "networkctl reload && systemctl daemon-reload && systemctl enable --now levid\n"
+            "who may ask it: usermod --append --groups levid NAME; then: levid status"
+        )
+    return 0

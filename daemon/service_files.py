@@ -1,0 +1,219 @@
+"""What systemd, networkd and udev have to know of a rig: files, by the path where they belong."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePosixPath
+
+from ..config.base import ConfigError
+from ..config.buses import CanBus
+from ..config.rig import RigConfig
+from ..config.shipped import shipped
+
+UNIT = "etc/systemd/system/levid.service"
+DROP_IN = "etc/systemd/system/levid.service.d/10-rig.conf"
+SYSUSERS = "etc/sysusers.d/levid.conf"
+UDEV = "etc/udev/rules.d/70-levid.rules"
+NETWORK = "etc/systemd/network/70-levid-"
+_QUEUE = 64
+_CAN_FD_MTU = 72
+_INTERNET = ("udp_multicast", "socketcand")
+_HEAD = "# Written by levid install-service; changes by hand keep it from being written anew: "
+_HIDDEN = ("/tmp", "/var/tmp", "/root", "/run/user")
+_HOMES = ("/home", "/root", "/run/user")
+
+
+def service_files(rig: RigConfig, rig_file: Path, program: Path) -> dict[str, str]:
+    """Return the texts of all files, by their paths without the leading slash.
+
+    `program` is the `levid` that the service runs.
+    """
+    files = {
+        SYSUSERS: 'u levid - "levid daemon" /var/lib/levid\n',
+        UNIT: shipped("levid.service").read_text(),
+        DROP_IN: _drop_in(rig, rig_file, program),
+        UDEV: _udev(rig),
+    }
+    for bus in _kernel_buses(rig):
+        files |= _network(bus)
+    return {path: _signed(text) for path, text in files.items()}
+
+
+def hindrances(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[str]:
+    """Say what would keep the service from running, or what it is not told here."""
+    for path in (rig_file, program):
+        where = next((hidden for hidden in _HIDDEN if path.is_relative_to(hidden)), None)
+        if where is not None:
+            yield f"{path} lies in {where}, where user levid sees nothing: move it"
+    for name, bus in rig.can.items():
+        if bus.interface != "socketcan":
+            yield f"can.{name}: {bus.interface} is nothing that networkd knows: it is left to you"
+    if rig.socket is not None and not Path(rig.socket).is_relative_to("/run/levid"):
+        yield f"socket: expected a path in /run/levid, found {rig.socket}"
+    if rig.recording.faults is not None:
+        folder = rig_file.parent / rig.recording.faults
+        if not folder.is_relative_to("/var/lib/levid"):
+            yield f"recording.faults: expected a folder in /var/lib/levid, found {folder}"
+
+
+def write(files: Mapping[str, str], root: Path, force: bool) -> dict[str, str]:
+    """Write files below `root`; return what was done with each: written, unchanged, replaced.
+
+    Raises:
+        ConfigError: a file was changed by hand, and nothing was written; not with `force`.
+        OSError: one cannot be written.
+    """
+    done = {path: _done(root / path, text) for path, text in files.items()}
+    strange = [path for path, what in done.items() if what == "changed by hand"]
+    if strange and not force:
+        names = ", ".join(str(root / path) for path in strange)
+        raise ConfigError(
+            f"changed by hand, or somebody else's: {names}; nothing is written. Put your changes "
+            "into a file of your own beside it, or replace it with --force"
+        )
+    for path, text in files.items():
+        if done[path] == "unchanged":
+            continue
+        target = root / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if done[path] == "changed by hand":
+            shutil.copyfile(target, target.with_name(f"{target.name}.old"))
+            done[path] = f"replaced, the old one is {target.name}.old"
+        target.write_text(text)
+    return done
+
+
+def preview(files: Mapping[str, str], root: Path) -> dict[str, str]:
+    """Return what `write` would find: new, unchanged, ours, changed by hand."""
+    return {path: _done(root / path, text) for path, text in files.items()}
+
+
+def _signed(text: str) -> str:
+    return f"{_HEAD}{hashlib.sha256(text.encode()).hexdigest()[:16]}\n{text}"
+
+
+def _done(target: Path, text: str) -> str:
+    if not target.exists():
+        return "written"
+    found = target.read_text(errors="replace")
+    if found == text:
+        return "unchanged"
+    first, _, rest = found.partition("\n")
+    return (
+        "written anew" if first.startswith(_HEAD) and _signed(rest) == found else "changed by hand"
+    )
+
+
+def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
+    interfaces = [str(bus.channel) for bus in _kernel_buses(rig)]
+    lines = ["[Unit]"]
+    for name in interfaces:
+        # Up to its time limit: an adapter that is not there is a fault, and the daemon starts.
+        unit = f"systemd-networkd-wait-online@{_escaped(name)}.service"
+        lines += [f"Wants={unit}", f"After={unit}"]
+    lines += ["", "[Service]", "ExecStart=", f"ExecStart={_word(program)} run {_word(rig_file)}"]
+    if any(path.is_relative_to(home) for path in (rig_file, program) for home in _HOMES):
+        lines += ["# levid or its rig lies in a home:", "ProtectHome=read-only"]
+    if _ports(rig):
+        lines += [f"DeviceAllow={device} rw" for device in _device_classes(rig)]
+    if rig.service.metrics_port is not None or _speaks_ip(rig):
+        lines += ["RestrictAddressFamilies=AF_INET AF_INET6"]
+        lines += ["IPAddressAllow=any" if _speaks_ip(rig) else "IPAddressAllow=localhost"]
+    return "\n".join(lines) + "\n"
+
+
+def _udev(rig: RigConfig) -> str:
+    lines = [
+        "# Processors that stay awake: the loop asks for it (realtime.cpu_latency_us).",
+        'KERNEL=="cpu_dma_latency", GROUP="levid", MODE="0660"',
+    ]
+    for kernel in _port_names(rig):
+        lines += [
+            f'SUBSYSTEM=="tty", KERNEL=="{kernel}", GROUP="levid", MODE="0660", '
+            'ENV{ID_MM_DEVICE_IGNORE}="1"'
+        ]
+    if _ports(rig):
+        lines += [
+            "# FTDI adapters keep what they received for 16 ms unless told otherwise.",
+            'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"',
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _network(bus: CanBus) -> dict[str, str]:
+    """Return the files of one interface: queue, bitrates, that it comes back."""
+    name = str(bus.channel)
+    match = f"[Match]\nName={name}\n\n"
+    online = "[Link]\nRequiredForOnline=carrier\n"
+    if name.startswith("vcan"):
+        mtu = f"MTUBytes={_CAN_FD_MTU}\n" if bus.fd else ""
+        netdev = f"[NetDev]\nName={name}\nKind=vcan\n{mtu}"
+        return {
+            f"{NETWORK}{name}.netdev": netdev,
+            f"{NETWORK}{name}.network": f"{match}{online}",
+        }
+    rates = f"BitRate={bus.bitrate}\n"
+    if bus.fd:
+        rates += f"FDMode=yes\nDataBitRate={bus.data_bitrate}\n"
+    link = (
+        "# With several adapters, match one by where it is plugged in (udevadm info\n"
+        f"# /sys/class/net/{name}) and name it: Property=ID_PATH=..., and Name={name} below.\n"
+        f"[Match]\nOriginalName={name}\n\n"
+        f"[Link]\nNamePolicy=keep\nTransmitQueueLength={_QUEUE}\n"
+    )
+    return {
+        f"{NETWORK}{name}.link": link,
+        f"{NETWORK}{name}.network": f"{match}{online}\n[CAN]\n{rates}RestartSec=100ms\n",
+    }
+
+
+def _kernel_buses(rig: RigConfig) -> list[CanBus]:
+    """Return the CAN buses that are network interfaces of the kernel, each once."""
+    found = {str(b.channel): b for b in rig.can.values() if b.interface == "socketcan"}
+    for name in found:
+        if not re.fullmatch(r"[A-Za-z0-9_.-]{1,15}", name):
+            raise ConfigError(f"can: channel: expected the name of an interface, found '{name}'")
+    return list(found.values())
+
+
+def _ports(rig: RigConfig) -> list[PurePosixPath]:
+    """Return the serial ports that are devices of this machine."""
+    return [PurePosixPath(b.port) for b in rig.serial.values() if b.port.startswith("/dev/")]
+
+
+def _port_names(rig: RigConfig) -> list[str]:
+    """Return the kernel's names of serial ports; a link may point to any USB adapter."""
+    names = [port.name for port in _ports(rig) if port.parent == PurePosixPath("/dev")]
+    usb = [name for name in names if name.startswith(("ttyUSB", "ttyACM"))]
+    linked = len(names) < len(_ports(rig))
+    plain = sorted(set(names) - set(usb))
+    return plain + (["ttyUSB[0-9]*", "ttyACM[0-9]*"] if usb or linked else [])
+
+
+def _device_classes(rig: RigConfig) -> list[str]:
+    """Return what the cgroup of the service lets through: a class, for adapters come and go."""
+    classes = []
+    for name in _port_names(rig):
+        family = re.match(r"[A-Za-z]+", name)
+        usb = name.startswith(("ttyUSB", "ttyACM"))
+        classes.append(f"char-{family[0]}" if usb and family else f"/dev/{name}")
+    return classes
+
+
+def _speaks_ip(rig: RigConfig) -> bool:
+    urls = any("://" in bus.port for bus in rig.serial.values())
+    return urls or any(bus.interface in _INTERNET for bus in rig.can.values())
+
+
+def _word(path: Path) -> str:
+    """Return a path as one word of a command line in a unit."""
+    text = str(path).replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{text}"' if re.search(r"[\s\\\"';]", text) else text
+
+
+def _escaped(name: str) -> str:
+    """Return a name as systemd-escape does; interfaces have none but these."""
+    return name.replace("-", "\\x2d")

@@ -1,0 +1,256 @@
+"""The daemon as a service of a real systemd, from its installation to a power cut.
+
+Run as root in the guest. What is asserted is what happens, not when: the guest is slow, and
+stalls with its host.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pwd
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from levid.daemon.client import Client, DaemonError
+
+HERE = Path(__file__).parent
+RESULTS = Path("/rig")
+STATE = Path("/var/lib/levid")
+RIG = Path("/etc/levid/rig.yaml")
+LEVID = "/srv/levid/bin/levid"
+RATE_HZ = 125
+PATIENCE_S = 90.0
+USERS = 'u labuser - "may ask" /run\nm labuser levid\nu stranger - "may not" /run\n'
+# What this machine is like, not what the service is: where levid lies, and stalls of seconds.
+DROP_IN = """[Service]
+Environment=PYTHONPATH=/srv/levid/src PYTHONDONTWRITEBYTECODE=1
+WatchdogSec=10
+"""
+SESSION = (HERE / "session.yaml").read_text()
+LONG = SESSION.replace("duration_s: 4", "duration_s: 600")
+BEGAN_S = time.monotonic()
+
+
+def main() -> None:
+    install()
+    electronics = subprocess.Popen(
+        ["chrt", "--fifo", "20", LEVID, "electronics", str(RIG)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=(RESULTS / "electronics.log").open("w"),
+        text=True,
+    )
+    until(lambda: "answer" in (RESULTS / "electronics.log").read_text(), "electronics answer")
+    for step in (starts, refuses, flies, recorder_dies, loop_dies, supervisor_dies, loop_hangs):
+        step(electronics)
+        say(step.__name__)
+    power_cut()
+
+
+def install() -> None:
+    """As docs/service.md says."""
+    RIG.parent.mkdir()
+    plain = yaml.safe_load((HERE / "rig.yaml").read_text())
+    plain["rate_hz"] = RATE_HZ  # the loop may take its time, even at real-time priority
+    plain["control"] = {
+        "psi": {"kp_n_m_rad": 10, "ki_n_m_rad_s": 100},
+        "theta": {"kp_n_m_rad": 10, "ki_n_m_rad_s": 100},
+        "z": {"kp_n_m": 250, "ki_n_m_s": 1500},
+    }
+    plain["drives"]["every"] = 4
+    plain["amplifiers"]["expire_cycles"] = 2 * RATE_HZ
+    plain["sim"] = "/srv/levid/src/levid/config/sims/nominal.yaml"
+    plain["realtime"]["priority"] = 1
+    plain["service"] = {"loop_s": 4, "supervisor_s": 4}
+    RIG.write_text(yaml.safe_dump(plain))
+    run(LEVID, "install-service", str(RIG))
+    Path("/etc/sysusers.d/zz-rig.conf").write_text(USERS)
+    Path("/etc/systemd/system/levid.service.d/50-guest.conf").write_text(DROP_IN)
+    run("systemd-sysusers")
+    run("udevadm", "control", "--reload")
+    run("networkctl", "reload")
+    run("systemctl", "daemon-reload")
+    until(Path("/sys/class/net/vcan0").exists, "networkd makes vcan0")
+    run("chown", "-R", "levid:levid", "/var/cache/levid")
+    judged = run("systemd-analyze", "security", "--no-pager", "levid")
+    say(judged.strip().splitlines()[-1])
+
+
+def starts(_: Any) -> None:
+    run("systemctl", "start", "levid")  # comes back when the daemon has said that it is ready
+    assert shown("ActiveState") == "active"
+    assert shown("StatusText") == "IDLE", shown("StatusText")
+    status = ask("status")
+    assert status["state"] == "IDLE", status
+    levid = pwd.getpwnam("levid").pw_uid
+    for name, pid in status["pids"].items():
+        assert Path(f"/proc/{pid}").stat().st_uid == levid, name
+    assert os.sched_getscheduler(status["pids"]["loop"]) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    assert "VmLck:\t       0 kB" not in Path(f"/proc/{status['pids']['loop']}/status").read_text()
+
+
+def flies(_: Any) -> None:
+    session = Path("/run/session.yaml")
+    session.write_text(SESSION.replace("duration_s: 4", "duration_s: 2"))
+    run(*as_user("labuser"), LEVID, "excite", str(session), "--out", str(STATE / "first"))
+    assert len(list((STATE / "first").glob("*.mcap"))) == 4
+    assert (STATE / "first" / "report").is_dir()
+
+
+def refuses(_: Any) -> None:
+    asked = subprocess.run(
+        [*as_user("stranger"), LEVID, "status"], capture_output=True, text=True, check=False
+    )
+    assert asked.returncode == 1, (asked.stdout, asked.stderr)
+    assert "Permission denied" in asked.stderr, asked.stderr
+
+
+def recorder_dies(_: Any) -> None:
+    before = lift_off()
+    os.kill(before["pids"]["recorder"], signal.SIGKILL)
+    after = status_when(lambda s: s["recorder_restarts"] > before["recorder_restarts"])
+    assert (after["state"], after["fault"]) == ("LEVITATING", "NONE"), after
+
+
+def loop_dies(electronics: subprocess.Popen[str]) -> None:
+    os.kill(ask("status")["pids"]["loop"], signal.SIGKILL)
+    assert status_when(lambda s: s["fault"] != "NONE")["fault"] == "LOOP"
+    no_force(electronics)
+    assert ask("clear")["cleared"] == "LOOP"
+    assert shown("NRestarts") == "0"
+    told("LEVID_FAULT=LOOP", "PRIORITY=3")
+
+
+def supervisor_dies(electronics: subprocess.Popen[str]) -> None:
+    os.kill(lift_off()["pids"]["supervisor"], signal.SIGKILL)
+    restarted(1)
+    no_force(electronics)
+    assert list((STATE / "faults").glob("*-SUPERVISOR.mcap"))
+
+
+def loop_hangs(electronics: subprocess.Popen[str]) -> None:
+    os.kill(lift_off()["pids"]["loop"], signal.SIGSTOP)
+    assert status_when(lambda s: s["fault"] != "NONE")["fault"] == "LOOP"
+    no_force(electronics)
+    restarted(2)  # nobody clears the fault: the watchdog is no longer fed
+    assert "watchdog" in run("journalctl", "--no-pager", "-u", "levid").lower()
+
+
+def power_cut() -> None:
+    """Record until the host, told by a file, ends this guest in the middle of it."""
+    subprocess.Popen(
+        [LEVID, "excite", "/dev/stdin", "--out", str(STATE / "cut-logs")], stdin=long()
+    )
+    status = status_when(lambda s: s["state"] == "EXCITING")
+    begun = status["cycle"]
+    status = status_when(lambda s: s["cycle"] > begun + 5 * RATE_HZ)
+    assert status["state"] == "EXCITING", status
+    said = {"cycle": status["cycle"], "begun": begun, "rate_hz": RATE_HZ}
+    (RESULTS / "exit-code").write_text("0\n")
+    (RESULTS / "cut.part").write_text(json.dumps(said))
+    (RESULTS / "cut.part").rename(RESULTS / "cut")
+    time.sleep(PATIENCE_S)
+    sys.exit("the host did not cut the power")
+
+
+def long() -> Any:
+    path = Path("/run/long.yaml")
+    path.write_text(LONG)
+    return path.open()
+
+
+def lift_off() -> dict[str, Any]:
+    status_when(lambda s: s["state"] == "IDLE")
+    ask("levitate", levitate={"unload_s": 0.2, "ramp_s": 0.5, "settle_s": 0.2})
+    return status_when(lambda s: s["state"] == "LEVITATING")
+
+
+def restarted(times: int) -> None:
+    """Wait for so many restarts in all; whatever was flown, it rests at IDLE after each."""
+    until(lambda: shown("NRestarts") == f"{times}", f"restart {times}")
+    until(lambda: shown("ActiveState") == "active", "active again")
+    status = ask("status")
+    assert (status["state"], status["fault"]) == ("IDLE", "NONE"), status
+
+
+def no_force(electronics: subprocess.Popen[str]) -> None:
+    """Wait until no amplifier drives a force."""
+
+    def forces() -> bool:
+        assert electronics.stdin is not None
+        assert electronics.stdout is not None
+        electronics.stdin.write("status\n")
+        electronics.stdin.flush()
+        while not (answer := electronics.stdout.readline()).strip():
+            assert electronics.poll() is None, "the electronics ended"
+        return any(yaml.safe_load(answer)["acting_n"])
+
+    until(lambda: not forces(), "zero force")
+
+
+def told(*fields: str) -> None:
+    run("journalctl", "--flush")
+    found = run("journalctl", "--no-pager", "-o", "json", *fields)
+    assert found.strip(), f"nothing in the journal with {fields}"
+
+
+def ask(op: str, **more: Any) -> dict[str, Any]:
+    with Client(Path("/run/levid/levid.sock")) as client:
+        return client.request(op, **more)
+
+
+def status_when(condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+
+    def fulfilled() -> bool:
+        nonlocal found
+        try:
+            found = ask("status")
+        except DaemonError:
+            return False
+        return condition(found)
+
+    until(fulfilled, "a status", lambda: found)
+    return found
+
+
+def until(
+    condition: Callable[[], bool], what: str, otherwise: Callable[[], object] = lambda: ""
+) -> None:
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < give_up_s, f"waited in vain for {what}: {otherwise()}"
+        time.sleep(0.1)
+
+
+def shown(name: str) -> str:
+    return run("systemctl", "show", "--value", "-p", name, "levid").strip()
+
+
+def as_user(name: str) -> list[str]:
+    who = pwd.getpwnam(name)
+    uid, gid = f"{who.pw_uid}", f"{who.pw_gid}"
+    return ["setpriv", "--reuid", uid, "--regid", gid, "--init-groups"]
+
+
+def run(*command: str) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, (command, done.stdout[-2000:], done.stderr[-2000:])
+    return done.stdout
+
+
+def say(what: str) -> None:
+    with (RESULTS / "report.txt").open("a") as report:
+        report.write(f"{time.monotonic() - BEGAN_S:5.1f} s  {what.replace('_', ' ')}\n")
+
+
+if __name__ == "__main__":
+    main()

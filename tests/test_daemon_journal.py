@@ -1,0 +1,79 @@
+"""What the daemon says reaches a journal with its fields, and a terminal as lines."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from levid.daemon.journal import Journal, entry
+
+
+def fields_of(data: bytes) -> dict[str, str]:
+    """Take an entry apart, by the rules of systemd's native protocol."""
+    found = {}
+    while data:
+        line, _, rest = data.partition(b"\n")
+        name, equals, value = line.partition(b"=")
+        if not equals:
+            (size,) = struct.unpack("<Q", rest[:8])
+            value, rest = rest[8 : 8 + size], rest[8 + size + 1 :]
+        found[name.decode()] = value.decode()
+        data = rest
+    return found
+
+
+@pytest.mark.parametrize("text", ["a line", "two\nlines", "a = b", "Grüße"])
+def test_an_entry_is_what_was_said(text: str) -> None:
+    found = fields_of(entry(text, 3, {"LEVID_FAULT": "GAP", "LEVID_SESSION": ""}))
+    assert found == {
+        "MESSAGE": text,
+        "PRIORITY": "3",
+        "SYSLOG_IDENTIFIER": "levid",
+        "LEVID_FAULT": "GAP",
+    }
+
+
+@pytest.fixture
+def journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[socket.socket, Journal]]:
+    """Return a socket as journald listens on, and what speaks to it as a service's stderr."""
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    listening.bind(str(tmp_path / "socket"))
+    listening.settimeout(30.0)
+    with (tmp_path / "stderr").open("w") as stderr:
+        monkeypatch.setattr(sys, "stderr", stderr)
+        found = os.fstat(stderr.fileno())
+        monkeypatch.setenv("JOURNAL_STREAM", f"{found.st_dev}:{found.st_ino}")
+        yield listening, Journal(str(tmp_path / "socket"))
+    listening.close()
+
+
+def test_a_fault_is_an_error_with_its_name(journal: tuple[socket.socket, Journal]) -> None:
+    listening, speaking = journal
+    speaking.say("ready")
+    speaking.say("warning: something")
+    speaking.fields = lambda: {"LEVID_FAULT": "GAP"}
+    speaking.say("fault GAP")
+    found = [fields_of(listening.recv(4096)) for _ in range(3)]
+    assert [entry["PRIORITY"] for entry in found] == ["6", "4", "3"]
+    assert found[2]["LEVID_FAULT"] == "GAP"
+
+
+def test_without_its_socket_the_line_goes_to_stderr(
+    journal: tuple[socket.socket, Journal], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "socket").unlink()
+    journal[1].say("still heard")
+    assert capsys.readouterr().err == "still heard\n"
+
+
+def test_a_terminal_gets_lines(capfd: pytest.CaptureFixture[str]) -> None:
+    Journal().say("a line")
+    assert capfd.readouterr().err == "a line\n"

@@ -1,0 +1,165 @@
+"""What `levid install-service` writes: what systemd says of it, and what is replaced."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from levid.cli.main import levid
+from levid.config.base import parse_text
+from levid.config.rig import RigConfig
+from levid.config.shipped import shipped
+from levid.daemon.service_files import DROP_IN, NETWORK, SYSUSERS, UDEV, UNIT, service_files, write
+
+PROGRAM = Path("/opt/levid/bin/levid")
+RIG_FILE = Path("/etc/levid/rig.yaml")
+SCORE = 2.0  # of systemd-analyze security: lower is better
+
+needs_systemd = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed"
+)
+
+
+def rig(kind: str, **replaced: str) -> RigConfig:
+    text = shipped(f"rigs/{kind}.yaml").read_text()
+    for old, new in replaced.items():
+        assert old in text
+        text = text.replace(old, new)
+    return parse_text(text, RigConfig, kind)
+
+
+def on_can() -> RigConfig:
+    return rig("canfd", **{"udp_multicast": "socketcan", "239.74.163.4": "can0"})
+
+
+def on_serial(port: str) -> RigConfig:
+    return rig("serial", **{"/tmp/levid-electronics/main": port})
+
+
+def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["systemd-analyze", "--no-pager", *arguments], capture_output=True, text=True, check=False
+    )
+
+
+@needs_systemd
+@pytest.mark.parametrize("kind", ["can", "serial", "loopback", "internet"])
+def test_systemd_finds_nothing_wrong(kind: str, tmp_path: Path) -> None:
+    found = {
+        "can": on_can,
+        "serial": lambda: on_serial("/dev/serial/by-id/usb-FTDI-if00"),
+        "loopback": lambda: rig("loopback"),
+        "internet": lambda: rig("canfd"),
+    }[kind]()
+    program = tmp_path / "a place" / "levid"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    write(service_files(found, tmp_path / "100 %.yaml", program), tmp_path, force=False)
+    verified = analyze("verify", "--man=no", str(tmp_path / UNIT))
+    said = [line for line in verified.stderr.splitlines() if "levid" in line]
+    assert not said, verified.stderr
+    judged = analyze(
+        "security", "--offline=true", f"--threshold={10 * SCORE:g}", str(tmp_path / UNIT)
+    )
+    assert judged.returncode == 0, judged.stdout + judged.stderr
+    assert "levid.service:" in judged.stdout
+
+
+def test_the_interface_gets_the_rigs_bitrates_and_comes_back() -> None:
+    files = service_files(on_can(), RIG_FILE, PROGRAM)
+    network = files[f"{NETWORK}can0.network"].splitlines()
+    can = network[network.index("[CAN]") :]
+    assert {"BitRate=1000000", "FDMode=yes", "DataBitRate=5000000", "RestartSec=100ms"} <= set(can)
+    assert "OriginalName=can0" in files[f"{NETWORK}can0.link"]
+    assert "AF_INET" not in files[DROP_IN]
+
+
+def test_classic_can_has_no_data_phase() -> None:
+    text = shipped("rigs/can.yaml").read_text()
+    found = parse_text(text, RigConfig, "can")
+    buses = {n: b.model_copy(update={"interface": "socketcan"}) for n, b in found.can.items()}
+    buses = {
+        n: b.model_copy(update={"channel": f"can{i}"}) for i, (n, b) in enumerate(buses.items())
+    }
+    files = service_files(found.model_copy(update={"can": buses}), RIG_FILE, PROGRAM)
+    networks = [text for path, text in files.items() if path.endswith(".network")]
+    assert len(networks) == len(buses)
+    assert not any("FDMode" in text or "DataBitRate" in text for text in networks)
+
+
+@pytest.mark.parametrize(
+    ("port", "rule", "device"),
+    [
+        ("/dev/ttyUSB0", 'KERNEL=="ttyUSB[0-9]*"', "char-ttyUSB"),
+        ("/dev/serial/by-id/usb-x", 'KERNEL=="ttyACM[0-9]*"', "char-ttyACM"),
+        ("/dev/ttyAMA0", 'KERNEL=="ttyAMA0"', "/dev/ttyAMA0"),
+    ],
+)
+def test_the_service_may_use_its_serial_port(port: str, rule: str, device: str) -> None:
+    files = service_files(on_serial(port), RIG_FILE, PROGRAM)
+    assert rule in files[UDEV]
+    assert f"DeviceAllow={device} rw" in files[DROP_IN]
+
+
+def test_a_rig_without_ports_gets_the_right_to_none() -> None:
+    files = service_files(rig("loopback"), RIG_FILE, PROGRAM)
+    assert "tty" not in files[UDEV]
+    assert "DeviceAllow" not in files[DROP_IN]
+    assert set(files) == {UNIT, DROP_IN, SYSUSERS, UDEV}
+
+
+def test_the_unit_runs_this_program_on_this_rig() -> None:
+    files = service_files(rig("loopback"), Path("/srv/my rig/100%.yaml"), PROGRAM)
+    assert 'ExecStart=/opt/levid/bin/levid run "/srv/my rig/100%%.yaml"' in files[DROP_IN]
+    assert files[UNIT].endswith(shipped("levid.service").read_text())
+
+
+def install(root: Path, *more: str) -> tuple[int, str]:
+    rig_file = str(shipped("rigs/serial.yaml"))
+    result = CliRunner().invoke(
+        levid, ["install-service", rig_file, "--root", str(root), *more], standalone_mode=False
+    )
+    said = result.output + (str(result.exception) if result.exception else "")
+    return int(result.exception is not None), said
+
+
+def test_a_second_time_changes_nothing(tmp_path: Path) -> None:
+    assert install(tmp_path)[0] == 0
+    failed, said = install(tmp_path)
+    assert not failed
+    assert said.count(": unchanged") == 4
+    assert "next: systemd-sysusers" in said
+
+
+def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
+    failed, said = install(tmp_path, "--dry-run")
+    assert not failed
+    assert "Type=notify" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_of_another_version_are_written_anew(tmp_path: Path) -> None:
+    write(service_files(rig("loopback"), RIG_FILE, PROGRAM), tmp_path, force=False)
+    done = write(service_files(on_serial("/dev/ttyS0"), RIG_FILE, PROGRAM), tmp_path, force=False)
+    assert done[DROP_IN] == "written anew"
+    assert "ttyS0" in (tmp_path / UDEV).read_text()
+
+
+def test_what_was_changed_by_hand_stays(tmp_path: Path) -> None:
+    install(tmp_path)
+    unit = tmp_path / UNIT
+    (tmp_path / SYSUSERS).unlink()
+    unit.write_text(unit.read_text().replace("WatchdogSec=5", "WatchdogSec=50"))
+    failed, said = install(tmp_path)
+    assert failed
+    assert str(unit) in said
+    assert "WatchdogSec=50" in unit.read_text()
+    assert not (tmp_path / SYSUSERS).exists(), "nothing is written if not all of it is"
+    assert install(tmp_path, "--force")[0] == 0
+    assert "WatchdogSec=50" not in unit.read_text()
+    assert "WatchdogSec=50" in unit.with_name("levid.service.old").read_text()

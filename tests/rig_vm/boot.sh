@@ -61,7 +61,7 @@ EOF
 
 # ended OUT: the kernel exits with 0 whatever happened inside; what counts is the exit code the guest leaves behind.
 ended() {
-  wait "$guest" || true
+  { wait "$guest"; } 2>/dev/null || true # without a word on who was killed
   code=$(cat "$1/exit-code" 2>/dev/null || echo "none")
   if [ "$code" != 0 ]; then
     echo "test-rig: the guest ended with exit code $code" >&2

@@ -119,6 +119,10 @@ def _quadratic(v: Values) -> Iterator[Known]:
     yield _on_dof(v, "rod_stiffness.asymmetric", "k2", v["k2_n_m2"], 3)
 
 
+def _bilinear(v: Values) -> Iterator[Known]:
+    yield _on_dof(v, "rod_stiffness.one_sided", "k", v["k_n_m"], 2)
+
+
 def _drag(v: Values) -> Iterator[Known]:
     yield _on_dof(v, "air_damping.quadratic", "d2", v["d2_n_s2_m2"], 3)
 
@@ -296,6 +300,7 @@ def _line(f_hz: float) -> Callable[[Found], float | None]:
 _KNOWN: dict[str, Callable[[Values], Iterator[Known]]] = {
     "CubicRods": _cubic,
     "QuadraticRods": _quadratic,
+    "BilinearRods": _bilinear,
     "QuadraticDamping": _drag,
     "SqueezeFilm": _film,
     "Coulomb": _coulomb,

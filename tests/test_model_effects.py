@@ -211,8 +211,10 @@ def test_stiffness_gives_back_what_it_takes():
     for identity, effect in table().items():
         if effect.effect_class == "rod_stiffness":
             p = power(term(identity).force, s)
-            # A periodic motion's sum over whole periods is its integral, but for rounding.
-            assert abs(p.sum()) < 1e-9 * np.abs(p).sum(), identity
+            # A periodic motion's sum over whole periods is its integral, but for rounding; a kink
+            # between two samples costs the square of their distance.
+            within = 1e-3 if "one_sided" in identity else 1e-9
+            assert abs(p.sum()) < within * np.abs(p).sum(), identity
 
 
 @BOTH

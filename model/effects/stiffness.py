@@ -1,10 +1,11 @@
 """Rods that are no linear springs: stiffness that changes with the pose.
 
 Clamped rods in bending stretch as they deflect and harden with the cube of the deflection (Duffing;
-Kovacic and Brennan, *The Duffing Equation*, 2011); buckled or one-sided ones differ up and down,
-which the square shows. Signature: depends on the pose alone, the same at every speed; odd lines
-answer to the cube, even lines and a shifted mean to the square. A sensor's own nonlinearity shows
-beyond the rigid platform too, and looks like a force that grows with frequency squared.
+Kovacic and Brennan, *The Duffing Equation*, 2011); buckled ones differ up and down, which the
+square shows; a part that bears on one side only has a kink where it meets (Shaw and Holmes 1983).
+Signature: depends on the pose alone, the same at every speed; odd lines answer to the cube, even
+lines and a shifted mean to the square. A sensor's own nonlinearity shows beyond the rigid platform
+too, and looks like a force that grows with frequency squared.
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .extent import Extent
 from .points import forces, heights
 
+_WIDE = 3.0
+_CONTACTS = (-0.4, 0.0, 0.4)
+"""Where a contact is looked for, over three standard deviations of the liveliest record."""
 _LINEAR = "what is linear in the pose is the declared stiffness"
 
 
-def effects(places: Places) -> list[Effect]:
-    """Return cubic and asymmetric stiffness of every DOF, and of the rods at the corners."""
+def effects(places: Places, extent: Extent) -> list[Effect]:
+    """Return cubic, asymmetric and one-sided stiffness of every DOF, and of rods at the corners."""
     effect_class = "rod_stiffness" if places.beam else "stiffness"
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
@@ -43,6 +48,22 @@ def effects(places: Places) -> list[Effect]:
                     told_apart_by="two amplitudes of excitation, and the beam at several places",
                 )
             )
+        reach = _WIDE * extent.reach[i]
+        found.append(
+            Effect(
+                f"{effect_class}.one_sided",
+                "Stiffness that bears on one side only",
+                effect_class,
+                (dof,),
+                "force = -k (q - q0) where q > q0, else 0",
+                (Quantity("k", f"{force}/{unit}"),),
+                partial(_one_sided, dof=i),
+                (Quantity("q0", unit, -reach, reach),),
+                tuple((share * reach,) for share in _CONTACTS),
+                absorbed_by=_LINEAR,
+                told_apart_by="two amplitudes of excitation: the kink stays where it is",
+            )
+        )
     if places.beam:
         found.append(
             Effect(
@@ -65,6 +86,10 @@ def _power_of_pose(
 ) -> list[Term]:
     q = signals.q[:, dof]
     return [on_dof(signals, dof, -q * q if power == 2 else -q * q * q)]
+
+
+def _one_sided(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [on_dof(signals, dof, -np.maximum(signals.q[:, dof] - shape[0], 0.0))]
 
 
 def _corners(signals: Signals, _shape: Sequence[float]) -> list[Term]:

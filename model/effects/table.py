@@ -32,7 +32,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
     """
     covered = Extent.typical(places) if extent is None else extent
     found = [
-        *stiffness.effects(places),
+        *stiffness.effects(places, covered),
         *damping.effects(places),
         *friction.effects(places, covered),
         *flexible.effects(places),

@@ -62,16 +62,14 @@ def status(rig_path: Path | None, as_json: bool) -> int:
 @click.command("watch")
 @_RIG
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
-@click.option(
-    "--every", "every_s", type=click.FloatRange(0.05, 3600), default=0.5, help="Seconds between."
-)
+@click.option("--every-s", type=click.FloatRange(0.05, 3600), default=0.5, help="Seconds between.")
 def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
     """Say what the daemon is doing, again and again, until Ctrl-C.
 
     \b
     Examples:
       levid watch
-      levid watch --every 5 --json >> flights.jsonl
+      levid watch --every-s 5 --json >> flights.jsonl
     """
 
     def show(answer: Mapping[str, Any]) -> None:
@@ -113,8 +111,8 @@ def levitate(
 
 
 @click.command("move")
-@click.option("--beam", "beam_m", type=float, help="Where the beam is to go, in m.")
-@click.option("--rotor", "rotor_rad", type=float, help="Where the rotor is to go, in rad.")
+@click.option("--beam-m", type=float, help="Where the beam is to go.")
+@click.option("--rotor-rad", type=float, help="Where the rotor is to go.")
 @_RIG
 @_JSON
 def move(
@@ -124,13 +122,13 @@ def move(
 
     \b
     Examples:
-      levid move --beam 0.05
-      levid move --beam -0.02 --rotor 1.57
+      levid move --beam-m 0.05
+      levid move --beam-m -0.02 --rotor-rad 1.57
     """
     wanted = {"beam_m": beam_m, "rotor_rad": rotor_rad}
     given = {key: value for key, value in wanted.items() if value is not None}
     if not given:
-        raise click.UsageError("expected --beam, --rotor or both")
+        raise click.UsageError("expected --beam-m, --rotor-rad or both")
     answer = _ask("move", rig_path, move=given)
     _tell(answer, as_json, "landed before it was there" if answer["stopped"] else "there")
     return 1 if answer["stopped"] else 0

@@ -131,17 +131,19 @@ def _on_daemon(
     session: Path, rig_path: Path | None, out: Path, if_gone: str | None
 ) -> FlightResult:
     from ..config.rig import load_rig
-    from ..daemon.client import Client, socket_path
+    from ..daemon.client import Client, NoDaemonError, socket_path
 
     rig = load_rig(rig_path) if rig_path is not None else None
     rig_text = rig_path.read_text() if rig_path is not None else None
-    with Client(socket_path(rig)) as client, progress("flying on the daemon") as report:
-        try:
+    try:
+        with Client(socket_path(rig)) as client, progress("flying on the daemon") as report:
             return client.excite(session.read_text(), out.resolve(), report, rig_text, if_gone)
-        except KeyboardInterrupt:
-            if if_gone != "land":
-                say("unless its rig says otherwise the daemon goes on; 'levid land' ends it")
-            raise
+    except NoDaemonError as error:
+        raise NoDaemonError(f"{error}, or fly in this process with --virtual") from None
+    except KeyboardInterrupt:
+        if if_gone != "land":
+            say("unless its rig says otherwise the daemon goes on; 'levid land' ends it")
+        raise
 
 
 def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> int:

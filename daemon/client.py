@@ -25,6 +25,10 @@ class DaemonError(Exception):
     """The daemon refused a request, or there is none."""
 
 
+class NoDaemonError(DaemonError):
+    """Nobody answers at the control socket."""
+
+
 def socket_path(rig: RigConfig | None) -> Path:
     """Return the control socket of the daemon that runs `rig`, or of the default one.
 
@@ -44,14 +48,14 @@ class Client:
         self._socket.settimeout(_TIMEOUT_S)
 
     def __enter__(self) -> Self:
-        """Connect; raises DaemonError when no daemon answers."""
+        """Connect; raises NoDaemonError."""
         try:
             self._connect()
         except OSError as error:
             self._socket.close()
-            raise DaemonError(
+            raise NoDaemonError(
                 f"no daemon answers at {self._path} ({error.strerror or error}); start one with "
-                "'levid run RIG.yaml', or fly in this process with --virtual"
+                "'levid run RIG.yaml'"
             ) from None
         self._stream = self._socket.makefile("rwb")
         return self

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .filling import runs
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.int64]
@@ -56,7 +58,7 @@ def acted(command: Array, readback: Array, known: Mask, absent: Mask, begun_late
     row = np.maximum.accumulate(np.where(absent, -1, np.arange(n)))
     row = np.maximum(row, 0)
     taken = row.copy()
-    gaps = _gaps(absent)
+    gaps = runs(absent)
     for first, end in gaps:
         taken[first - 1 : end - 1] = max(first - 2, 0)
         if begun_late[first - 1] and first > 2:
@@ -92,12 +94,6 @@ def acted(command: Array, readback: Array, known: Mask, absent: Mask, begun_late
         else:
             unexplained += 1
     return Acted(row[taken], late, unexplained)
-
-
-def _gaps(absent: Mask) -> list[tuple[int, int]]:
-    """Return begin and end of every run of absent rows."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], absent.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 @dataclass(frozen=True)

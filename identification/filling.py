@@ -15,8 +15,6 @@ _AROUND = 12
 _ORDER = 4
 _WINDOWS = 20
 """Windows without a gap that it takes, at least, to learn what a force does."""
-
-
 _STRAINED = 3.0
 """How many times the usual mean square what a curve leaves around a gap may be. With nine sensors
 and 24 rows chance alone spreads it by a tenth."""
@@ -25,12 +23,18 @@ and 24 rows chance alone spreads it by a tenth."""
 def bridged(missing: Mask, longest: int) -> Mask:
     """Return which `missing` rows (N,) can be filled in: in short gaps with enough around them."""
     found = np.zeros(len(missing), bool)
-    for begin, end in _gaps(missing):
+    for begin, end in runs(missing):
         rows = _around(begin, end, len(missing))
         before, behind = rows[rows < begin], rows[rows >= end]
         enough = min((~missing[before]).sum(), (~missing[behind]).sum()) > _ORDER
         found[begin:end] = enough and end - begin <= longest
     return found
+
+
+def runs(mask: Mask) -> list[tuple[int, int]]:
+    """Return begin and end (row after the last) of every run of true rows (N,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ def filled(values: Array, missing: Mask, force: Array) -> Filled:
     by_force = _by_force(values, missing, sums)
     usual = _usual_misfit(values, missing, sums, by_force)
     out = values.copy()
-    for begin, end in _gaps(missing):
+    for begin, end in runs(missing):
         rows = _around(begin, end, len(values))
         there = ~missing[rows]
         gap = (rows >= begin) & (rows < end)
@@ -81,11 +85,6 @@ def filled(values: Array, missing: Mask, force: Array) -> Filled:
         left = np.sum(np.square(seen - curve[there] @ smooth)) / (len(seen) - _ORDER - 1)
         misfit[begin:end] = left / usual
     return Filled(out, misfit)
-
-
-def _gaps(missing: Mask) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _around(begin: int, end: int, n: int) -> NDArray[np.int64]:

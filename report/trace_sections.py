@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -154,7 +155,8 @@ def search_section(found: Trace) -> Section:
             "Every round tries all effects of the table, each beside the model and the effects "
             "found so far; blocks of time that did not fit it tell what it explains. Those that "
             "explain most are fitted, model and all, and the best of them is taken if held-out "
-            "records agree by more than six standard deviations of chance."
+            "records agree by more than six standard deviations of chance. Once these are "
+            "simulated as well as their noise allows, only what the drives alone feel is tried."
         )
     ]
     for number, r in enumerate(found.found.rounds, start=1):
@@ -178,18 +180,17 @@ def search_section(found: Trace) -> Section:
 def _bars(r: Round) -> list[Bar]:
     fitted = {t.effect.identity for t in r.survivors}
     taken = None if r.taken is None else r.taken.effect.identity
-    whole = 1.0 if _is_noise(r) else 0.01 * r.excess
+    # What noise does not explain is known no better than the noise: a share may come out above 1.
+    whole, most = (1.0, math.inf) if _is_noise(r) else (0.01 * r.excess, 100.0)
     shown = [t for t in r.ranking if t.gain > 0][:_MOST_BARS]
-    return [
-        Bar(
-            t.effect.name,
-            t.gain / whole,
-            f"{t.chance:.1f} σ".replace("-", "−"),
-            t.effect.identity in fitted,
-            t.effect.identity == taken,
-        )
-        for t in shown
-    ]
+    bars = []
+    for tried in shown:
+        is_taken = tried.effect.identity == taken
+        t = r.taken if is_taken and r.taken is not None else tried
+        agrees = f"{t.chance:.1f} σ".replace("-", "−")
+        share = min(t.gain / whole, most)
+        bars.append(Bar(t.effect.name, share, agrees, t.effect.identity in fitted, is_taken))
+    return bars
 
 
 def _is_noise(r: Round) -> bool:

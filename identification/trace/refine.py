@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -23,16 +23,8 @@ _STEPS = 16
 _CONVERGED = 0.3
 
 
-@dataclass(frozen=True)
-class HeldError:
-    """Mean square errors of a free simulation, and what noise alone leaves of that."""
-
-    squares: float
-    floor: float
-
-
-class Records(Protocol):
-    """Records to fit to, and records held out, linearised around a working point on demand."""
+class Fitted(Protocol):
+    """Records to fit to, linearised around a working point on demand."""
 
     def train(
         self,
@@ -42,19 +34,10 @@ class Records(Protocol):
     ) -> list[Linearised]:
         """Return the records to fit to, all or some of them by number."""
 
-    def held_error(self, point: WorkingPoint) -> HeldError:
-        """Return how well the held-out records are simulated freely."""
-
-    def believed(self, point: WorkingPoint) -> WorkingPoint:
-        """Return the point with its noise as the records have it now."""
-
-    def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
-        """Return the records that choose nothing, and are asked only whether they agree."""
-
 
 def refine(
     point: WorkingPoint,
-    records: Records,
+    records: Fitted,
     only: Sequence[int] | None = None,
     steps: int = _STEPS,
 ) -> tuple[WorkingPoint, float]:

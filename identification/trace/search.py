@@ -4,17 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.effects.base import Effect, Placed
-from .refine import Candidate, HeldError, Records, gather, refine
+from .grams import Linearised
+from .refine import Candidate, Fitted, gather, refine
 from .regression import Evidence, chance, covariance, cross_validated, gains, solve, steadied
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class HeldError:
+    """Mean square errors of a free simulation, and what noise alone leaves of that."""
+
+    squares: float
+    floor: float
+
+
+class Records(Fitted, Protocol):
+    """Records to fit to, and records that choose nothing and are asked only whether they agree."""
+
+    def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
+        """Return the records held out."""
+
+    def held_error(self, point: WorkingPoint) -> HeldError:
+        """Return how well they are simulated freely."""
+
+    def believed(self, point: WorkingPoint) -> WorkingPoint:
+        """Return the point with its noise as the records have it now."""
 
 
 _MOST_EFFECTS = 6
@@ -150,12 +173,14 @@ def _grown(
         assert taken is not None
         progress(f"adding {taken.effect.name}", _share(len(rounds)))
         better, squares = refine(_with(point, taken), records)
-        agrees = _agrees(point, better.placed[-1], records)
+        taken = _asked_again(point, taken, better.placed[-1], records)
+        found = replace(found, taken=taken)
         better = records.believed(_without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
         # What shows in the drives alone leaves the platform's motion as it was.
         aside = abs(after.squares - error.squares) < _SAME * error.squares
         helps = after.squares < (1.0 - _LOWERS) * error.squares
+        agrees = taken.chance > _BEYOND_CHANCE
         if agrees and squares < train.squares and (helps or aside):
             point, error = better, after
             barred |= {p.effect.identity for p in point.placed}
@@ -321,17 +346,18 @@ def _internal(effect: Effect) -> bool:
     return effect.where == ("beam",)
 
 
-def _agrees(point: WorkingPoint, fitted: Placed, records: Records) -> bool:
-    """Return whether held-out records agree with an effect at its fitted shape, beyond chance."""
+def _asked_again(point: WorkingPoint, taken: Tried, fitted: Placed, records: Records) -> Tried:
+    """Return what was taken at its fitted shape, with the chance that held-out records give it."""
     if not fitted.shape:
-        return True  # they did
+        return taken  # they were asked that
     candidate = [(fitted.effect, fitted.shape)]
     train = gather(point, records.train(point, candidate)).joined(0)
     held = gather(point, records.held(point, candidate)).joined(0)
     columns = list(range(len(train.size) - 1))
     there = solve(train.whole, columns) / train.size[:-1] * held.size[:-1]
     own = len(columns) - len(fitted.amplitudes)
-    return chance(held, columns[:own], columns[own:], there) > _BEYOND_CHANCE
+    agrees = chance(held, columns[:own], columns[own:], there)
+    return replace(taken, shape=fitted.shape, amplitudes=fitted.amplitudes, chance=agrees)
 
 
 def _width(placed: Placed) -> int:

@@ -28,9 +28,9 @@ from .metric import RecordError, pooled, record_error
 from .noise import disturbance, require_noise
 from .reading import read_records
 from .record import TraceRecord, split
-from .refine import Candidate, HeldError, refine
+from .refine import Candidate, refine
 from .regression import FOLDS
-from .search import Found, search
+from .search import Found, HeldError, search
 from .session_time import overlap, require_timeless, timeless
 from .workers import Source, Workers
 from .working_point import WorkingPoint, with_likely_noise
@@ -219,12 +219,6 @@ class _Loaded:
 
     records: Sequence[TraceRecord]
 
-    def believed(self, point: WorkingPoint) -> WorkingPoint:
-        return with_likely_noise(point, self.records)
-
-    def held_error(self, point: WorkingPoint) -> HeldError:  # noqa: ARG002
-        return HeldError(0.0, 0.0)
-
     def train(
         self,
         point: WorkingPoint,
@@ -233,9 +227,6 @@ class _Loaded:
     ) -> list[Linearised]:
         chosen = self.records if only is None else [self.records[i] for i in only]
         return [linearise(point, record, candidates) for record in chosen]
-
-    def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:  # noqa: ARG002
-        return []
 
 
 def _require_enough(train: Sequence[TraceRecord]) -> None:

@@ -78,6 +78,7 @@ class CanDriveOptions(Strict):
     every: Annotated[int, Field(ge=1, le=100)] = 1
     skew_m: Positive = 1e-4
     heartbeat_s: Annotated[float, Field(ge=0.01, le=30.0)] = 0.2
+    expire_s: Annotated[float, Field(ge=1e-3, le=60.0)] = 0.1
     homing_method: Annotated[int, Field(ge=1, le=37)] = 34
 
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from levid.config.base import ConfigError
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
-from levid.drivers.base import Context, DriveError, DriverError
+from levid.drivers.base import Context, Devices, DriveError, DriverError
 from levid.drivers.can.link import CanLink
-from levid.drivers.registry import open_devices
+from levid.drivers.registry import check_backends, open_devices
 from levid.sim.electronics.rig import Electronics
 from levid.wire.cia402 import (
     POSITION_M,
@@ -26,7 +28,7 @@ from levid.wire.cia402 import (
     state_of,
     sync_counter,
 )
-from levid.wire.device import CYCLES
+from levid.wire.device import CYCLES, DriveState
 from levid.wire.differences import Differences
 
 RATE_HZ = 100.0
@@ -164,6 +166,78 @@ def test_drive_that_falls_silent_is_a_fault(rig: RigConfig) -> None:
             devices.drives.read(beam, rotor)
         devices.close()
         assert electronics.core.axes.shape == (3, 3)
+
+
+def run_to(devices: Devices, electronics: Electronics, cycles: range) -> None:
+    """Cycles of standing still, told every time."""
+    beam, rotor, gap, coil = np.zeros(3), np.zeros(3), np.zeros(9), np.zeros(9)
+    for k in cycles:
+        for sync in devices.syncs:
+            sync(k)
+        devices.sensors.read(gap)
+        devices.amplifiers.read(coil)
+        devices.drives.read(beam, rotor)
+        devices.drives.write(np.zeros(3), np.zeros(3))
+        until(lambda: bool(electronics.core._plan))  # the three targets have come
+
+
+def until(true: Callable[[], bool]) -> None:
+    """Wait for another thread, at most 5 s."""
+    give_up_s = time.monotonic() + 5.0
+    while not true():
+        assert time.monotonic() < give_up_s
+        time.sleep(0.001)
+
+
+def test_drives_that_are_told_nothing_any_more_stop_in_fault(rig: RigConfig) -> None:
+    """As when the host hangs: time goes on, and after expire_s they are in fault by themselves."""
+    with Electronics(rig, Path()) as electronics:
+        devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
+        drives = devices.backends[0]._roles["drives"]
+        run_to(devices, electronics, range(10))
+        core = electronics.core
+        for _ in range(round(drives._options.expire_s * RATE_HZ)):
+            core._period()
+        assert core.drive_state is DriveState.OPERATING
+        core._period()
+        until(lambda: core.drive_state is DriveState.FAULT)
+        assert not core.motion[:, 1:].any()
+        with pytest.raises(DriveError, match="emergency, error code 0x8250"):
+            until(lambda: bool(run_to(devices, electronics, range(10, 11))))
+        devices.recover()
+        run_to(devices, electronics, range(11, 20))
+        assert core.drive_state is DriveState.OPERATING
+        devices.close()
+
+
+def test_who_goes_on_purpose_leaves_drives_that_are_off(rig: RigConfig) -> None:
+    with Electronics(rig, Path()) as electronics:
+        devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
+        run_to(devices, electronics, range(5))
+        assert electronics.core.drive_state is DriveState.OPERATING
+        devices.close()
+        until(lambda: electronics.core.drive_state is DriveState.OFF)
+
+
+def test_drives_that_count_no_syncs_get_none_that_are_counted(
+    rig: RigConfig, tmp_path: Path
+) -> None:
+    """A drive without object 0x1019 takes a SYNC with a byte in it for an error."""
+    text = shipped("drive.eds").read_text()
+    (tmp_path / "plain.eds").write_text(
+        text.replace("22=0x1019", "22=0x1002").replace("[1019]", "[1002]")
+    )
+    plain = with_drives(rig, eds=str(tmp_path / "plain.eds"))
+    with Electronics(plain, Path()) as electronics:
+        devices = open_devices(Context(plain, 1 / RATE_HZ, Path()))
+        run_to(devices, electronics, range(20))
+        assert electronics.core.drive_state is DriveState.OPERATING
+        devices.close()
+
+
+def test_expiry_shorter_than_two_syncs_is_refused(rig: RigConfig) -> None:
+    with pytest.raises(ConfigError, match=r"drives.expire_s: expected at least 0.08.*found 0.05"):
+        check_backends(Context(with_drives(rig, every=4, expire_s=0.05), 1 / RATE_HZ, Path()))
 
 
 def test_positions_count_once_all_three_of_a_sync_have_come(rig: RigConfig) -> None:

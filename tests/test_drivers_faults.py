@@ -226,11 +226,11 @@ def test_injection_that_is_not_understood_is_refused(bench: Bench, line: str) ->
 
 
 def test_amplifiers_that_expired_at_zero_force_are_enabled_again_at_once(bench: Bench) -> None:
-    """Planning a session takes longer than setpoints last; the idling before it is short."""
+    """A stall on the ground is made good by itself."""
     core = bench.electronics.core
     for _ in range(50):
         bench.run(0.0)
-    for _ in range(5):
+    for _ in range(3):
         core._period()
     assert core.amplifier_state is AmplifierState.EXPIRED
     # State, challenge and response take a cycle each, and one more where an answer comes after the

@@ -29,6 +29,7 @@ class Object(IntEnum):
     DEVICE_TYPE = 0x1000
     SYNC_COB_ID = 0x1005
     HEARTBEAT_MS = 0x1017
+    SYNC_OVERFLOW = 0x1019
     RPDO1 = 0x1400
     RPDO1_MAP = 0x1600
     TPDO1 = 0x1800
@@ -48,11 +49,15 @@ class Object(IntEnum):
     MAX_ACCELERATION = 0x60C5
 
 
+EVENT_TIMER = 5
+"""Its subindex in the parameters of a PDO."""
 RPDO_MAPPING = ((Object.CONTROLWORD, 16), (Object.TARGET_POSITION, 32))
 TPDO_MAPPING = (
     (Object.STATUSWORD, 16), (Object.ACTUAL_POSITION, 32), (Object.ACTUAL_FORCE, 16),
 )  # fmt: skip
 DEVICE_TYPE_DRIVE = 402
+ENCODER_LOST, RPDO_TIMEOUT = 0x7305, 0x8250
+"""Error codes of an incremental sensor and of an RPDO that did not come within its event timer."""
 
 
 class Mode(IntEnum):

@@ -29,6 +29,7 @@ class CanBackend(BusBackend):
         """Check a role's options, its bus and the DBC; raises ConfigError."""
         bus = _bus_of(context.rig, role)
         if role == "drives":
+            _check_expiry(context.rig)
             return
         frames = _frames(context, bus)
         largest_n = frames.setpoint.unit * LARGEST
@@ -117,11 +118,17 @@ class CanBackend(BusBackend):
         return of_drives + sum(role.readings.watch.stale for role in self._dbc_roles)
 
     def close(self) -> None:
-        """Send zero force and let go of the buses; after expire_cycles the device is off."""
+        """Send zero force, stop the drives and let go of the buses.
+
+        What does not get through, the devices do by themselves when nothing comes any more.
+        """
         try:
             if self._ready and self._amplifiers is not None:
-                with suppress(LinkError):  # it is gone: the device's own expiry has to do
+                with suppress(LinkError):
                     self._amplifiers.release(np.zeros(self._coils))
+            if self._ready and self._drives is not None:
+                with suppress(LinkError):
+                    self._drives.release()
         finally:
             self._ready = False
             for link in self._links.values():
@@ -129,6 +136,20 @@ class CanBackend(BusBackend):
 
     def _deadline(self) -> float:
         return self._deadline_s
+
+
+def _check_expiry(rig: RigConfig) -> None:
+    """Raise ConfigError where drives would take regular targets for missing ones."""
+    found = rig.on_bus("drives")
+    assert found is not None
+    drives = found[1]
+    assert isinstance(drives, CanDriveOptions)
+    least_s = 2.0 * drives.every / rig.rate_hz
+    if drives.expire_s < least_s:
+        raise ConfigError(
+            f"drives.expire_s: expected at least {least_s:g}, two periods of the drives' SYNC, "
+            f"found {drives.expire_s:g}"
+        )
 
 
 def _bus_of(rig: RigConfig, role: str) -> CanBus:

@@ -16,6 +16,7 @@ from ...wire.cia402 import (
     HEARTBEAT_ID,
     POSITION_M,
     POSITION_RAD,
+    QUICK_STOP,
     RPDO,
     RPDO1_ID,
     SYNC_ID,
@@ -67,6 +68,7 @@ class CanDrives(ManipulatorDrives):
             _Axis(node, unit, options.every, self._sync_s)
             for node, unit in zip(self._nodes, units, strict=True)
         ]
+        self._counted = all(node.counts_syncs for node in self._nodes)
         self._by_id = {TPDO1_ID + axis.node.node_id: axis for axis in self._axes}
         for axis in self._axes:
             node_id = axis.node.node_id
@@ -90,7 +92,7 @@ class CanDrives(ManipulatorDrives):
         # Slower drives have until the next SYNC to answer.
         self._answer_due = cycle if self._options.every == 1 else self._sync_cycle
         self._judged, self._sync_cycle = False, cycle
-        self._link.send(SYNC_ID, bytes((sync_counter(cycle),)))
+        self._send_sync(cycle)
 
     def write(self, beam: Array, rotor: Array) -> None:
         """Send targets, which the drives reach one SYNC after the next."""
@@ -134,15 +136,26 @@ class CanDrives(ManipulatorDrives):
 
     def recover(self) -> None:
         """Compare limits, map PDOs, home and enable every drive; raises DriverError."""
-        options, heartbeat_ms = self._options, round(1e3 * self._options.heartbeat_s)
+        options = self._options
+        heartbeat_ms, expire_ms = (round(1e3 * s) for s in (options.heartbeat_s, options.expire_s))
         beam, rotor = beam_limits(self._limits), rotor_limits(self._limits)
         for axis, limits in zip(self._axes, (beam, beam, rotor), strict=True):
-            axis.node.configure(limits, heartbeat_ms, self._sync_s)
+            axis.node.configure(limits, heartbeat_ms, expire_ms, self._sync_s)
         for axis in self._axes:
             axis.node.enable(options.homing_method)
             axis.begin(axis.node.position())
         self.watch.reset()
         self._judged, self._told = True, False
+
+    def release(self) -> None:
+        """Let the drives brake and switch off: who goes on purpose is not to be missed."""
+        for axis in self._axes:
+            counts = round(axis.position / axis.unit)
+            self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(QUICK_STOP, counts))
+        self._send_sync(self._cycle + 1)
+
+    def _send_sync(self, cycle: int) -> None:
+        self._link.send(SYNC_ID, bytes((sync_counter(cycle),)) if self._counted else b"")
 
     def _judge(self) -> None:
         """Say whether all answered the last SYNC: raises StaleError where too many did not."""

@@ -15,12 +15,14 @@ from ...config.base import ConfigError
 from ...config.shipped import shipped
 from ...wire.cia402 import (
     DEVICE_TYPE_DRIVE,
+    EVENT_TIMER,
     FAULT_RESET,
     HOMING_ATTAINED,
     HOMING_ERROR,
     RPDO1_ID,
     RPDO_MAPPING,
     START_HOMING,
+    SYNC_COUNTER,
     TOWARDS_OPERATION,
     TPDO1_ID,
     TPDO_MAPPING,
@@ -62,12 +64,22 @@ class DriveNode:
         link.listen(0x580 + node_id, self._network.notify_now)
         self._link = link
 
+    @property
+    def counts_syncs(self) -> bool:
+        """Whether its SYNC has a counter, which one without object 0x1019 takes for an error."""
+        return self._has(Object.SYNC_OVERFLOW)
+
     def configure(
-        self, limits: dict[tuple[Object, int], int], heartbeat_ms: int, sync_s: float
+        self,
+        limits: dict[tuple[Object, int], int],
+        heartbeat_ms: int,
+        expire_ms: int,
+        sync_s: float,
     ) -> None:
         """Compare limits, set heartbeat and PDOs, which begin with every SYNC from here on.
 
-        `limits`: object and subindex to the value that the rig asks for.
+        `limits`: object and subindex to the value that the rig asks for. `expire_ms`: how long
+        targets may stay away, where the drive can watch over that.
         """
         with self._answers():
             self._nmt(_PRE_OPERATIONAL)
@@ -84,9 +96,13 @@ class DriveNode:
                     f"{self.what}: limits in the device are not the rig's: {'; '.join(wrong)}"
                 )
             self._write(Object.HEARTBEAT_MS, heartbeat_ms)
+            if self.counts_syncs:
+                self._write(Object.SYNC_OVERFLOW, SYNC_COUNTER)
             self._write(Object.INTERPOLATION, _interpolation(sync_s)[0], 1)
             self._write(Object.INTERPOLATION, _interpolation(sync_s)[1], 2)
             rpdo, tpdo = RPDO1_ID + self.node_id, TPDO1_ID + self.node_id
+            if self._has(Object.RPDO1, EVENT_TIMER):
+                self._write(Object.RPDO1, expire_ms, EVENT_TIMER)
             self._map(Object.RPDO1, Object.RPDO1_MAP, rpdo, RPDO_MAPPING)
             self._map(Object.TPDO1, Object.TPDO1_MAP, tpdo, TPDO_MAPPING)
 
@@ -168,6 +184,11 @@ class DriveNode:
             self._object(index, sub).raw = value
 
         self._sdo(write, index)
+
+    def _has(self, index: Object, sub: int = 0) -> bool:
+        """Return whether the EDS has an object."""
+        found = self._node.object_dictionary.get(int(index))
+        return found is not None and (not sub or sub in found)
 
     def _object(self, index: Object, sub: int) -> Any:
         found = self._node.sdo[int(index)]

@@ -137,9 +137,12 @@ class CanElectronics:
             self._send(*frame)
 
     def _drives_sync(self, _: int, data: bytes) -> None:
-        if len(data) != 1 or not 1 <= data[0] <= SYNC_COUNTER:
+        if self._drives.counts_syncs:
+            if len(data) != 1 or not 1 <= data[0] <= SYNC_COUNTER:
+                return
+            self._core.begin(data[0] - 1, SYNC_COUNTER)
+        elif data:
             return
-        self._core.begin(data[0] - 1, SYNC_COUNTER)
         self._drives.poll()
         for frame in self._drives.sync():
             self._send(*frame)

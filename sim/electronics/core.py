@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ...config.sim import SimConfig
+from ...wire.cia402 import ENCODER_LOST
 from ...wire.device import (
     AMPLIFIER_LIMITS,
     CYCLES,
@@ -42,8 +43,6 @@ _NEW_COUNT = 1000
 """A jump of the cycle by more than this is another host, not a late one."""
 _TOLERANCE_N = 1e-3
 """Setpoints come rounded to 1 mN: a limit may be exceeded by that."""
-ENCODER_LOST = 0x7305
-"""Error code of CiA 301 for an incremental sensor."""
 
 
 @dataclass
@@ -125,6 +124,11 @@ class Core:
     def motion(self) -> Array:
         """Position, velocity, acceleration (2, 3) that beam and rotor are told for this period."""
         return self._motion
+
+    @property
+    def untold_s(self) -> float:
+        """For how long beam and rotor have been told nothing, in s of the plant's time."""
+        return self._drives_missed * self.period_s
 
     @property
     def acting_n(self) -> Array:

@@ -15,12 +15,15 @@ from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
 from ...wire.cia402 import (
+    ENCODER_LOST,
+    EVENT_TIMER,
     FORCE_N,
     HOMING_ATTAINED,
     POSITION_M,
     POSITION_RAD,
     RPDO,
     RPDO1_ID,
+    RPDO_TIMEOUT,
     TORQUE_N_M,
     TPDO,
     TPDO1_ID,
@@ -73,9 +76,14 @@ class DriveNodes:
         self._rpdo = {RPDO1_ID + drive.node_id: drive for drive in self.drives}
         self._differences = [Differences(core.period_s * self._every) for _ in range(2)]
         self._outgoing = Outgoing(injector)
-        self._was_operating = False
+        self._was_operating = self._was_told = False
         self._planned_at = 0
         self._poll_at_s = 0.0
+
+    @property
+    def counts_syncs(self) -> bool:
+        """Whether a SYNC has a counter."""
+        return all(drive.counts_syncs for drive in self.drives)
 
     def boot(self) -> None:
         """Announce all nodes."""
@@ -103,8 +111,9 @@ class DriveNodes:
         for drive, (position, _, force) in zip(self.drives, axes, strict=True):
             drive.see(position, force)
             if drive.axis in lost:
-                drive.lose_encoder()
+                drive.fail(ENCODER_LOST, 0x21)
             drive.has_setpoint = False
+        self._expire()
         self._follow()
         batch = [drive.tpdo() for drive in self.drives if drive.cyclic]
         return self._outgoing.through(batch) if batch else []
@@ -120,6 +129,18 @@ class DriveNodes:
         for drive, (position, _, force) in zip(self.drives, axes, strict=True):
             drive.see(position, force)
             drive.heartbeat(now_s)
+        self._expire()
+        self._follow()
+
+    def _expire(self) -> None:
+        """Let drives fail whose targets have stopped coming, once some came."""
+        untold_s = self._core.untold_s
+        self._was_told = self._was_operating and (self._was_told or not untold_s)
+        if not (self._was_told and untold_s):
+            return
+        for drive in self.drives:
+            if 0.0 < drive.event_timer_s <= untold_s:
+                drive.fail(RPDO_TIMEOUT, 0x11)
 
     def _follow(self) -> None:
         """Let the plant's drives follow the state of all three together."""
@@ -199,6 +220,11 @@ class Drive:
         return bool(self._node.nmt._state == _OPERATIONAL)
 
     @property
+    def counts_syncs(self) -> bool:
+        """Whether a SYNC has a counter."""
+        return int(Object.SYNC_OVERFLOW) in self._node.object_dictionary
+
+    @property
     def operating(self) -> bool:
         """Whether the drive follows its targets."""
         return self.state is DriveStates.OPERATION_ENABLED and (
@@ -231,11 +257,16 @@ class Drive:
         force = min(max(round(self._force / self._force_unit), -_COUNTS_16), _COUNTS_16)
         return TPDO1_ID + self.node_id, TPDO.pack(self.statusword, self._counts, force)
 
-    def lose_encoder(self) -> None:
+    def fail(self, error: int, register: int) -> None:
         """Go into fault and say so by an emergency message."""
         if self.state is not DriveStates.FAULT:
-            self.state, self.error = DriveStates.FAULT, 0x7305
-            self._node.emcy.send(self.error, 0x21)
+            self.state, self.error = DriveStates.FAULT, error
+            self._node.emcy.send(error, register)
+
+    @property
+    def event_timer_s(self) -> float:
+        """How long targets may stay away; 0 is for ever."""
+        return 1e-3 * int(self._node.sdo[int(Object.RPDO1)][EVENT_TIMER].raw)
 
     def heartbeat(self, now_s: float) -> None:
         """Send a heartbeat where one is due."""

@@ -26,7 +26,8 @@ class ZooCase:
     `size` names the values that make it larger and the power of the scale that each goes with,
     such that forces or readings grow about in proportion: 1 for a gain, -1 for a distance or a
     stiffness. `absorbed` says by what, where a refit of the declared model leaves nothing of the
-    effect, or where the gaps cannot show it. `alike` are classes that the same data fit as well.
+    effect. `alike` are classes that the same data fit as well. `sized` is whether its error can be
+    chosen; what the drives alone feel leaves none in the gaps.
     """
 
     name: str
@@ -37,6 +38,7 @@ class ZooCase:
     size: Mapping[str, float]
     absorbed: str | None
     alike: tuple[str, ...]
+    sized: bool
 
     def effect(self, scale: float) -> dict[str, Any]:
         """Return the entry of a SIM.yaml's `effects` at `scale` times the nominal size."""
@@ -63,6 +65,7 @@ def _case(name: str, row: dict[str, Any]) -> ZooCase:
         row.pop("size"),
         row.pop("absorbed", None),
         tuple(row.pop("alike", [])),
+        row.pop("sized", True),
     )
 
 

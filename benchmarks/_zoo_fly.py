@@ -40,9 +40,10 @@ SESSION = shipped("sessions/trace-short.yaml")
 HIGHEST_GAP_M = 0.85e-3
 """Beyond, a corner would touch its stop at 0.9 mm or leave what the sensors read."""
 
-_CODE = ("config", "identification", "log", "model", "sim")
-"""What decides how a plant moves and what is found in its logs."""
-_FLYING_CODE = ("daemon", "drivers", "log", "sim")
+_FLYING_CODE = ("config", "daemon", "drivers", "log", "model", "sim")
+"""What decides how a plant moves."""
+_CODE = (*_FLYING_CODE, "identification")
+"""And what is found in its logs."""
 
 Entries = Sequence[dict[str, Any]]
 
@@ -129,6 +130,7 @@ def code_version(rooms: Sequence[str] = _CODE) -> str:
     for room in rooms:
         for path in sorted((root / room).rglob("*.py")):
             digest.update(path.read_bytes())
+    digest.update(Path(__file__).with_name("_unlisted_effects.py").read_bytes())
     for path in (RIG, SIM, MODEL, SESSION):
         digest.update(canonical(read_mapping(path)).encode())
     return digest.hexdigest()[:12]

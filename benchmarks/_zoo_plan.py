@@ -84,7 +84,7 @@ def plan(quick: bool, full: bool) -> list[Plant]:
 def _pairs(count: int) -> Iterator[tuple[ZooCase, ZooCase]]:
     """Yield pairs of cases of different classes that a refit leaves something of."""
     rng = random.Random(1)
-    visible: Sequence[ZooCase] = [case for case in CASES if case.absorbed is None]
+    visible: Sequence[ZooCase] = [case for case in CASES if case.absorbed is None and case.sized]
     while count:
         one, other = rng.sample(visible, 2)
         if one.kind != other.kind:

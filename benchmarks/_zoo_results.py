@@ -126,7 +126,7 @@ def summary_table(results: Sequence[Result]) -> Table:
     """Return what it comes to: a line a group, and all."""
     grid = Table(title="The zoo", title_justify="left", box=box.SIMPLE)
     grid.add_column("plants")
-    columns = ("count", "right", "as a set", "family", "missed", "false alarms")
+    columns = ("count", "right", "as a set", "not visible", "family", "missed", "false alarms")
     for column in (*columns, "parameters", "after / floor", "failed", "before / floor"):
         grid.add_column(column, justify="right")
     for name, some in [*_groups(results).items(), ("all", results)]:
@@ -134,11 +134,14 @@ def summary_table(results: Sequence[Result]) -> Table:
         share = 100 * f["right"] / max(f["plants"], 1)
         grid.add_row(
             name, f"{f['plants']:.0f}", f"{f['right']:.0f} ({share:.0f} %)", f"{f['as_a_set']:.0f}",
-            f"{f['family_right']:.0f}", f"{f['missed']:.0f}", f"{f['false_alarms']:.0f}",
+            f"{f['not_visible']:.0f}", f"{f['family_right']:.0f}", f"{f['missed']:.0f}",
+            f"{f['false_alarms']:.0f}",
             "" if math.isnan(f["parameter_error"]) else f"{100 * f['parameter_error']:.2g} %",
             _number(f["after_over_floor"]), f"{f['failed']:.0f}", _number(f["before_over_floor"]),
         )  # fmt: skip
-    grid.caption = "medians: parameters and after / floor of those that are right, before of all"
+    grid.caption = (
+        "medians: parameters and after / floor of those that are right and visible, before of all"
+    )
     return grid
 
 
@@ -153,11 +156,12 @@ class _Total:
         right = [(r, s) for r, s in scored if s.right]
         failed = [r for r in self.results if r.found is None]
         errors = [e for r, _ in right if not math.isnan(e := _parameter_error(r))]
-        afters = [s.after_over_floor for r, s in right if r.plant.cases]
+        afters = [s.after_over_floor for r, s in right if r.plant.cases and not s.hidden]
         out = {
             "plants": float(len(self.results)),
             "right": float(len(right)),
             "right_percent": 100.0 * len(right) / len(self.results) if self.results else _NAN,
+            "not_visible": float(sum(s.hidden for _, s in scored)),
             "as_a_set": float(sum(s.in_a_set for _, s in right)),
             "family_right": float(sum(s.family for _, s in scored)),
             "missed": float(
@@ -165,6 +169,8 @@ class _Total:
             ),
             "false_alarms": float(sum(s.false_alarms for _, s in scored)),
             "parameter_error": median(errors),
+            "compared": float(len(errors)),
+            "ran_away": float(sum(not math.isfinite(s.after_over_floor) for _, s in scored)),
             "within_5_percent": sum(e <= _WITHIN for e in errors) / len(errors) if errors else _NAN,
             "after_over_floor": median(afters),
             "before_over_floor": median([s.before_over_floor for _, s in scored]),
@@ -201,7 +207,7 @@ def _parameter_error(result: Result) -> float:
 
 def _verdict(score: Score) -> str:
     if score.right:
-        return "right, as a set" if score.in_a_set else "right"
+        return "right, not visible" if score.hidden else f"right{', as a set' * score.in_a_set}"
     words = ["family right"] if score.family else ["wrong"]
     words += [f"{score.missed} missed"] if score.missed else []
     words += [f"{score.false_alarms} false"] if score.false_alarms else []

@@ -4,24 +4,25 @@ An effect in the plant is *spoken of* by a reported one that has its class and s
 it, or names such a one among its alternatives. It is *right* if, besides,
 
 - its places and those of all that speaks of it have half or more in common (in common over named
-  or true); `beam` and `rotor`, which a class implies, do not count where other places are named;
+  or true); `beam` and `rotor`, which a class implies, do not count where there are other places;
 - nothing speaks of it only together with more than two other things (class and place): whoever
   says that four may be it has named none.
 
 A plant is right if all its effects are, and nothing reported speaks of none of them: that is a
 *false alarm*, be it of the right class at a wrong place; classes that the case says to be alike
-raise none. Where a refit of the declared model absorbs the effect, saying nothing is right too
-('not visible'). With nothing undeclared in the plant, to report nothing is right.
+raise none. Where a refit of the declared model absorbs the effect and has an error of the floor,
+saying nothing is right too ('not visible'). With nothing undeclared in the plant, to report nothing
+is right, and to find no more than noise left.
 
 *Family* right: for every effect something reported, or an alternative of it, is of the same family
 (FAMILIES) and shares a place with it. *Missed*: there is no such thing. Alternatives count as much
 as what they stand beside, since the data decide no further; a class that fits the data as well but
 is reported alone is wrong.
 
-A plant with an unlisted effect is right if nothing is *misnamed* (a known class is reported that
-the case does not allow, and no alternative of another class beside it), if something `unknown`
-is reported that shares half or more of its places with the truth and names one of the signals that
-the effect depends on, and if the error is at least halved.
+A plant with an unlisted effect is right if nothing is *misnamed* (classes are reported none of
+which the case allows), if something `unknown` is reported that shares half or more of its places
+with the truth, if half or more of the signals that it names are those that the effect depends on,
+and if the error is at least halved.
 """
 
 from __future__ import annotations
@@ -59,13 +60,16 @@ An unknown effect names them in its evidence, under `signals`.
 _CARRIERS = {"beam", "rotor"}
 _IN_COMMON = 0.5
 _MOST_IN_A_SET = 3
+_EXPLAINED = 1.15
+"""Error over the floor of a model that explains the records."""
 
 
 @dataclass(frozen=True)
 class Score:
     """What a result is worth; parameter_error (relative) and after over floor where right.
 
-    in_a_set: right as one of several that the data do not tell apart. `said` in words.
+    in_a_set: right as one of several that the data do not tell apart. hidden: right in saying
+    nothing of an effect that a refit absorbs. `said` in words.
     """
 
     right: bool
@@ -76,6 +80,7 @@ class Score:
     said: str
     before_over_floor: float
     after_over_floor: float
+    hidden: bool = False
     misnamed: bool = False
     described: bool = False
     halved: bool = False
@@ -95,7 +100,8 @@ class Named:
         return bool(_family(self.kind) & {case.kind, *case.alike}) and self.near(case)
 
     def near(self, case: ZooCase) -> bool:
-        return bool(self.where & set(case.where))
+        true = set(case.where) - _CARRIERS
+        return bool(self.where & (true or set(case.where)))
 
 
 @dataclass(frozen=True)
@@ -122,11 +128,17 @@ def score_plant(cases: Sequence[ZooCase], summary: Mapping[str, Any]) -> Score:
 
 def _score_listed(cases: Sequence[ZooCase], summary: Mapping[str, Any]) -> Score:
     reported = _reported(summary)
-    absorbed = [case for case in cases if case.absorbed is not None]
+    before, after = _errors(summary)
+    absorbed = [
+        case
+        for case in cases
+        if case.absorbed is not None and before <= _EXPLAINED and not _akin(case, reported)
+    ]
     alarms = [r for r in reported if not any(r.fits(case) for case in cases)]
-    right = not alarms and all(
-        _right(case, reported) or (case in absorbed and not _akin(case, reported)) for case in cases
-    )
+    right = not alarms and all(case in absorbed or _right(case, reported) for case in cases)
+    right = right and math.isfinite(after)
+    if not cases:
+        right = right and not summary["unexplained"]["significant"]
     in_a_set = any(
         r.speaks_of(case) not in (None, r.options[0]) for case in cases for r in reported
     )
@@ -137,22 +149,21 @@ def _score_listed(cases: Sequence[ZooCase], summary: Mapping[str, Any]) -> Score
         len(alarms),
         right and in_a_set,
         _said(reported),
-        *_errors(summary),
+        before,
+        after,
+        hidden=right and bool(absorbed),
     )
 
 
 def _score_unlisted(case: ZooCase, summary: Mapping[str, Any]) -> Score:
     reported = _reported(summary)
     allowed = {"unknown", *case.alike}
-    wrong = [
-        r
-        for r in reported
-        if r.options[0].kind not in allowed and len({o.kind for o in r.options}) == 1
-    ]
+    wrong = [r for r in reported if not any(o.kind in allowed for o in r.options)]
     unknown = [r for r in reported if r.options[0].kind in allowed]
     there = frozenset().union(*(r.options[0].where for r in unknown))
     signals = frozenset().union(*(r.signals for r in unknown))
-    described = _in_common(there, case) >= _IN_COMMON and bool(signals & SIGNALS[case.name])
+    true = len(signals & SIGNALS[case.name]) / max(len(signals), 1)
+    described = _in_common(there, case) >= _IN_COMMON and true >= _IN_COMMON
     before, after = _errors(summary)
     halved = after <= 0.5 * before
     return Score(
@@ -164,15 +175,16 @@ def _score_unlisted(case: ZooCase, summary: Mapping[str, Any]) -> Score:
         _said(reported),
         before,
         after,
-        bool(wrong),
-        described,
-        halved,
+        misnamed=bool(wrong),
+        described=described,
+        halved=halved,
     )
 
 
 def median(values: Sequence[float]) -> float:
-    """Return the median, nan of nothing."""
-    return statistics.median(values) if values else math.nan
+    """Return the median of those that are finite, nan of nothing."""
+    finite = [value for value in values if math.isfinite(value)]
+    return statistics.median(finite) if finite else math.nan
 
 
 def _right(case: ZooCase, reported: Sequence[Reported]) -> bool:
@@ -188,9 +200,8 @@ def _right(case: ZooCase, reported: Sequence[Reported]) -> bool:
 
 def _in_common(there: frozenset[str], case: ZooCase) -> float:
     """Return how much of all places, named or true, is both."""
-    true = set(case.where)
-    named = set(there)
-    if true - _CARRIERS and named - _CARRIERS:
+    true, named = set(case.where), set(there)
+    if true - _CARRIERS:
         true, named = true - _CARRIERS, named - _CARRIERS
     return len(true & named) / max(len(true | named), 1)
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 from _zoo_cases import ZooCase
-from _zoo_fly import SESSION, SIM, TooLargeError, canonical, fly_and_refit
+from _zoo_fly import MODEL, RIG, SESSION, SIM, TooLargeError, canonical, fly_and_refit
 from _zoo_pool import run_apart
 
 from levid.config.base import read_mapping
@@ -39,7 +39,7 @@ _FARTHEST = 16.0
 _FAINT = 0.3
 """What adds less than this is lost in the spread of the floor."""
 _ABSORBED = 4.0
-"""Where a refit leaves nothing, the larger of the two sizes is this many times the nominal one."""
+"""Where no error tells the size, the larger of the two is this many times the nominal one."""
 _BOUNDS: dict[str, tuple[float, float]] = {
     "excess": (0.0, 1.0),  # no coil, no sensor, no Coriolis' force at all; or twice as much
     "loss": (0.0, 0.5),
@@ -109,7 +109,7 @@ def _sized(case: ZooCase) -> Sizes:
 
     Raises TooLargeError if not even the nominal size can be flown.
     """
-    if case.absorbed is not None:
+    if case.absorbed is not None or not case.sized:
         return _as_it_is(case, "")
     return _Search(case, fly_and_refit).run()
 
@@ -121,8 +121,9 @@ def _as_it_is(case: ZooCase, limited: str) -> Sizes:
 
 def _fingerprint(case: ZooCase) -> str:
     """Return a digest of all that the sizes of a case depend on."""
-    what = [case.use, dict(case.values), dict(case.size), case.absorbed]
-    text = canonical([what, read_mapping(SESSION), read_mapping(SIM)])
+    use = case.use.rpartition("/")[2]  # wherever the benchmarks lie
+    what = [use, dict(case.values), dict(case.size), case.absorbed, case.sized]
+    text = canonical([what, *map(read_mapping, (SESSION, SIM, MODEL, RIG))])
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

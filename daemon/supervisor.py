@@ -19,6 +19,7 @@ from ..drivers.registry import check_backends
 from .access import Access
 from .board import Word
 from .children import Child, module_of
+from .clock_watch import ClockWatch
 from .faults import Fault
 from .metrics import serve_metrics
 from .notify import Notify
@@ -90,6 +91,7 @@ class Supervisor:
         self._loop_beat, self._loop_beat_s, self._busy_s = -1, 0.0, 0.0
         self._stop_s: float | None = None
         self._told = Fault.NONE
+        self._clock = ClockWatch()
         self._notify = Notify()
         self._reload = threading.Event()
 
@@ -190,6 +192,7 @@ class Supervisor:
             "session": job.plan.name if job else None,
             "step": pilot.step if job else None,
             "share": pilot.share if job else None,
+            "clock_stepped_s": round(self._clock.stepped_s, 1),
             "recording": self._recorder.problem,
             "recorder_restarts": max(self._recorder.restarts, 0),
             "pids": {
@@ -222,6 +225,8 @@ class Supervisor:
         self.pilot.tick()
         self._answer_clearings()
         self._say_faults()
+        if step_s := self._clock.look():
+            self._say(f"the clock was set by {step_s:+.1f} s; times in logs go on as before")
         if self._reload.is_set():
             self._reload.clear()
             self._reload_rig()

@@ -38,6 +38,7 @@ class Plant:
         # Compile now, on arrays of no consequence, and not in the first cycle of a real clock.
         self._level.warm_up(Arrays.build(config, period_s), by_steps=bool(config.effects))
         self._period_s, self._periods = period_s, 0
+        self._push = np.zeros(3)
         self._dt_s = period_s / self._a.n_steps
 
         self._effects = Effects(config.effects, source)
@@ -113,6 +114,11 @@ class Plant:
             )
         self._periods += 1
 
+    def push(self, wrench: Array) -> None:
+        """Have this (3,) [N m, N m, N] act on the platform from outside, from here on."""
+        self._push[:] = wrench
+        self._a.st[k.WRENCH : k.WRENCH + 3] = wrench
+
     def sample(self) -> None:
         """Publish the readings of this instant; asking twice gives the same numbers."""
         self._published[:] = self._a.out
@@ -136,7 +142,7 @@ class Plant:
             if wrench or beam_force:
                 beam = self.beam_state
             if wrench:
-                st[k.WRENCH : k.WRENCH + 3] = effects.wrench(t_s, q, qd, beam)
+                st[k.WRENCH : k.WRENCH + 3] = effects.wrench(t_s, q, qd, beam) + self._push
             if mass:
                 st[k.MASS : k.MASS + 9] = effects.mass(t_s).ravel()
             if beam_force:

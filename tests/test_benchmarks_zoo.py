@@ -28,7 +28,7 @@ cases, scoring, sizes, truth, plan, results = (
 CASE = {case.name: case for case in cases.CASES + cases.UNLISTED}
 
 
-def said(*effects, before=6.0, after=1.2, floor=1.2):
+def said(*effects, before=6.0, after=1.2, floor=1.2, significant=False):
     """Return what `levid trace --json` prints for (class, where, alternatives, signals)."""
     found = []
     for kind, where, *rest in effects:
@@ -36,7 +36,11 @@ def said(*effects, before=6.0, after=1.2, floor=1.2):
         evidence = {"alternatives": others, "signals": rest[1] if len(rest) > 1 else []}
         found.append({"class": kind, "where": where.split(), "evidence": evidence})
     validation = {"before": before, "after": after, "noise_floor": floor}
-    return {"effects": found, "validation": validation}
+    return {
+        "effects": found,
+        "validation": validation,
+        "unexplained": {"significant": significant},
+    }
 
 
 def score(names, *effects, **errors):
@@ -90,12 +94,38 @@ def test_beam_and_rotor_are_implied_by_a_class() -> None:
     assert score("beam-gravity", ("beam_motion", "theta")).right
     assert score("imbalance", ("rotor", "rotor psi"), ("rotor", "rotor theta")).right
     assert score("presliding-along", ("friction", "theta")).right
+    assert score("motor-friction", ("friction", "beam")).right
     assert not score("beam-gravity", ("beam_motion", "psi")).right
 
 
+@pytest.mark.parametrize(
+    ("name", "effects", "alarms"),
+    [
+        ("presliding-along", [("friction", "beam psi")], 1),
+        ("presliding-along", [("friction", "beam")], 1),  # that of the motors
+        ("presliding-along", [("friction", "theta"), ("friction", "beam psi")], 1),
+        ("presliding-across", [("friction", "psi"), ("friction", "beam theta")], 1),
+        ("imbalance", [("rotor", "rotor psi"), ("rotor", "rotor theta"), ("rotor", "rotor z")], 1),
+    ],
+)
+def test_beam_and_rotor_make_no_wrong_place_right(name, effects, alarms) -> None:
+    found = score(name, *effects)
+    assert not found.right
+    assert found.false_alarms == alarms
+
+
 def test_absorbed_effect_may_be_unseen_but_not_called_another() -> None:
-    assert score("delay-all").right
-    assert not score("delay-all", ("coil_gain", "coil:1")).right
+    unseen = score("delay-all", before=1.25)
+    assert (unseen.right, unseen.hidden) == (True, True)
+    assert not score("delay-all", ("coil_gain", "coil:1"), before=1.25).right
+    assert not score("delay-all").right  # an error of five floors is not absorbed
+    named = score("delay-all", ("delay", " ".join(f"coil:{i}" for i in range(9))), before=1.25)
+    assert (named.right, named.hidden) == (True, False)
+
+
+def test_what_the_drives_alone_feel_is_to_be_found_there() -> None:
+    assert score("cogging", ("cogging", "beam"), before=1.2).right
+    assert not score("cogging", before=1.2).right
 
 
 def test_pair_needs_both() -> None:
@@ -107,6 +137,7 @@ def test_pair_needs_both() -> None:
 
 def test_nothing_is_right_where_nothing_is() -> None:
     assert score("").right
+    assert not score("", significant=True).right
     assert score("", ("coil_gain", "coil:1")).false_alarms == 1
 
 
@@ -114,14 +145,15 @@ def test_unlisted_effect_is_to_be_described_not_named() -> None:
     described = ("unknown", "theta z", [], ["z'", "x_b"])
     assert score("eddy-brake", described).right
     assert not score("eddy-brake", described, after=4.0).right
+    assert not score("eddy-brake", ("unknown", "theta z", [], ["x_b", "phi", "psi"])).right
     assert score("eddy-brake", ("air_damping", "z")).misnamed
-    vague = score("eddy-brake", ("air_damping", "z", [("friction", "z")]))
-    assert not vague.misnamed
-    assert not vague.right
+    assert score("eddy-brake", ("air_damping", "z", [("friction", "z")]), described).misnamed
+    assert not score("eddy-brake", ("air_damping", "z", [("unknown", "z")])).misnamed
 
 
 def test_result_without_numbers_is_scored() -> None:
     """A model that runs away has no error after; that is a null in JSON."""
+    assert not score("cubic-z", ("rod_stiffness", "z"), after=None).right
     assert math.isnan(score("cubic-z", ("rod_stiffness", "z"), after=None).after_over_floor)
 
 
@@ -259,7 +291,7 @@ def test_plans_are_as_large_as_they_say() -> None:
     for p in usual:
         if p.kind == "pair":
             assert p.cases[0].kind != p.cases[1].kind
-            assert all(case.absorbed is None for case in p.cases)
+            assert all(case.absorbed is None and case.sized for case in p.cases)
 
 
 def test_results_are_kept_and_a_line_cut_off_is_no_result(tmp_path, monkeypatch) -> None:

@@ -113,6 +113,7 @@ def test_session_is_flown_and_lands(rig: Rig, tmp_path: Path) -> None:
     [
         ("trip 3", Fault.AMPLIFIER, "coil 3"),
         ("encoder phi", Fault.DRIVE, "0x7305"),
+        ("push 60", Fault.GAP, "mm at sensor"),
     ],
 )
 def test_fault_in_flight_is_in_the_log_and_is_cleared(

@@ -54,6 +54,7 @@ class Injected:
     saturated: set[int] = field(default_factory=set)
     lost_axes: set[int] = field(default_factory=set)
     skew_m: float = 0.0
+    push_n: float = 0.0
     tripping: set[int] = field(default_factory=set)
 
 
@@ -61,7 +62,8 @@ class Core:
     """Amplifiers, ADC and drives of `rig`; every public method may be called from any thread.
 
     After `begin`: `force_n` (C,) N, nan where an amplifier tripped; `gap_m` (S,) m, nan where a
-    channel has no reading; `axes` (3, 3): position, velocity, force of X1, X2, PHI in SI units.
+    channel has no reading; `axes` (3, 3): position, velocity, force of X1, X2, PHI in SI units;
+    `forced_periods`: how many periods any amplifier drove a force, since the start.
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class Core:
         self.sensor_state = SensorState.OK
         self.drive_state = DriveState.OFF
         self.drive_error = 0
+        self.forced_periods = 0
         self.force_n = np.zeros(self.coils)
         self.gap_m = np.zeros(self.sensors)
         self.axes = np.zeros((3, 3))
@@ -279,7 +282,9 @@ class Core:
     def _period(self, setpoints_next: bool = False) -> None:
         """One period with what acts; `setpoints_next`: what came since acts from its end on."""
         plant, acting = self._plant, self._acting_n
+        plant.push(np.array([0.0, 0.0, self.injected.push_n]))
         plant.advance(acting, self._motion[0], self._motion[1])
+        self.forced_periods += bool(acting.any())
         self._look_at_injected()
         heard = setpoints_next and self._fresh
         if self.amplifier_state is AmplifierState.ENABLED and not heard:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -39,6 +40,7 @@ FAULTS: dict[str, FaultKind] = {
     "trip": FaultKind("a coil's amplifier trips", "channel"),
     "encoder": FaultKind("the encoder of a drive is lost", "axis"),
     "skew": FaultKind("X1 and X2 drift apart by so many metres", "metres"),
+    "push": FaultKind("somebody pushes the platform up with so many newtons", "newtons"),
 }
 
 
@@ -83,6 +85,8 @@ class Injector:
                     injected.lost_axes.add(AXES.index(arguments[0]))
                 case "metres":
                     injected.skew_m = _number(name, arguments[0])
+                case "newtons":
+                    injected.push_n = _number(name, arguments[0])
                 case _:
                     self.wire.add(name)
         return line
@@ -97,7 +101,7 @@ class Injector:
                 injected.tripping, injected.lost_axes,
             ):  # fmt: skip
                 channels.clear()
-            injected.skew_m = 0.0
+            injected.skew_m = injected.push_n = 0.0
 
     @property
     def hears(self) -> bool:
@@ -162,6 +166,9 @@ def _whole(name: str, text: str, count: int) -> int:
 
 def _number(name: str, text: str) -> float:
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise InjectionError(f"{name}: expected a number, found '{text}'") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise InjectionError(f"{name}: expected a finite number, found '{text}'")
+    return number

@@ -89,5 +89,6 @@ class Electronics:
                 "sensors": core.sensor_state.name,
                 "drives": core.drive_state.name,
                 "acting_n": core.acting_n.tolist(),
+                "forced_periods": core.forced_periods,
                 "wire": sorted(self.injector.wire),
             }

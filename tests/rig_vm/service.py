@@ -49,7 +49,9 @@ def main() -> None:
         text=True,
     )
     until(lambda: "answer" in (RESULTS / "electronics.log").read_text(), "electronics answer")
-    for step in (starts, refuses, flies, recorder_dies, loop_dies, supervisor_dies, loop_hangs):
+    for step in (
+        starts, refuses, flies, recorder_dies, clock_steps, loop_dies, supervisor_dies, loop_hangs,
+    ):  # fmt: skip
         step(electronics)
         say(step.__name__)
     power_cut()
@@ -118,6 +120,16 @@ def recorder_dies(_: Any) -> None:
     os.kill(before["pids"]["recorder"], signal.SIGKILL)
     after = status_when(lambda s: s["recorder_restarts"] > before["recorder_restarts"])
     assert (after["state"], after["fault"]) == ("LEVITATING", "NONE"), after
+
+
+def clock_steps(_: Any) -> None:
+    """Somebody sets the clock, an hour forward and two back, while it flies and records."""
+    for by_s, in_all_s in ((3600.0, 3600.0), (-7200.0, -3600.0), (3600.0, 0.0)):
+        time.clock_settime(time.CLOCK_REALTIME, time.time() + by_s)
+        status_when(lambda s, all_s=in_all_s: abs(s["clock_stepped_s"] - all_s) < 1.0)  # type: ignore[misc]
+        begun = ask("status")["cycle"]
+        after = status_when(lambda s, begun=begun: s["cycle"] > begun + RATE_HZ)  # type: ignore[misc]
+        assert (after["state"], after["fault"]) == ("LEVITATING", "NONE"), after
 
 
 def loop_dies(electronics: subprocess.Popen[str]) -> None:

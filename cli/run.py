@@ -36,8 +36,11 @@ def command(rig: Path) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: supervisor.stop())
     signal.signal(signal.SIGHUP, lambda *_: supervisor.reload())
-    supervisor.run(
-        lambda: say(f"{config.name} at {config.rate_hz:g} Hz, socket {path}; Ctrl-C lands")
-    )
-    say("stopped, coils at zero force")
+    try:
+        supervisor.run(
+            lambda: say(f"{config.name} at {config.rate_hz:g} Hz, socket {path}; Ctrl-C lands")
+        )
+        say("stopped, coils at zero force")
+    finally:
+        journal.close()
     return 0

@@ -56,11 +56,14 @@ class Child:
             return f"killed by {signal.Signals(-code).name}"
         return f"exit code {code}"
 
-    def kill(self) -> None:
-        """End it at once, stopped or hung as it may be, and wait until it is gone."""
+    def kill(self, wait_s: float = _KILLED_S) -> None:
+        """End it at once, stopped or hung as it may be; wait so long until it is gone.
+
+        One that waits for a disk or a device in the kernel is not gone before that has answered.
+        """
         if self._process is not None and self.running:
             self._process.kill()
-            self.wait(_KILLED_S)
+            self.wait(wait_s)
 
     def wait(self, seconds: float) -> bool:
         """Wait for its end; return whether it came."""

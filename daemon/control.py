@@ -38,9 +38,14 @@ class Controller:
     `gap_m`, `readback_n`, `beam`, `rotor` are for the drivers to fill, `coil_n`, `beam_ref`,
     `rotor_ref` for them to send; `step` computes the latter from the former and writes the cycle's
     row of the log.
+
+    Args:
+        rig: geometry, gains and limits.
+        period_s: the period of a cycle.
+        memory: of `memory_shape`, zero at first: how hot the coils are outlasts a controller in it.
     """
 
-    def __init__(self, rig: RigConfig, period_s: float) -> None:
+    def __init__(self, rig: RigConfig, period_s: float, memory: Array | None = None) -> None:
         geometry, ff, limits = rig.geometry, rig.feedforward, rig.limits
         coils, sensors = len(geometry.coil_x_m), len(geometry.sensors_x_m)
         self._inputs = np.zeros(sensors + coils + 6)
@@ -65,10 +70,10 @@ class Controller:
             [period_s],
         )
         self._law = np.concatenate([np.asarray(part, float) for part in law])
-        self._memory = np.zeros((_ROWS + (coils + sensors + 4) // 4, 4))
-        self._memory[_ROWS:] = np.nan
+        self._memory = np.zeros(memory_shape(coils, sensors)) if memory is None else memory
+        self._memory[:_ROWS] = 0.0
         self._heat, self._before = np.split(self._memory[_ROWS:].ravel(), [coils])
-        self._heat[:] = 0.0
+        self._before[:] = np.nan
         self._engaged = False
         self._arrays: tuple[Any, ...] = ()
 
@@ -132,6 +137,11 @@ class Controller:
             rows, slot, cycle, time_s, k,
             self._inputs, self._outputs, self._law, self._memory, *self._arrays,
         )  # fmt: skip
+
+
+def memory_shape(coils: int, sensors: int) -> tuple[int, int]:
+    """Return the shape of a controller's memory."""
+    return _ROWS + (coils + sensors + 4) // 4, 4
 
 
 @njit(cache=True)

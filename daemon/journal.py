@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import queue
 import socket
 import struct
 import sys
+import threading
 from collections.abc import Callable, Mapping
 
 _SOCKET = "/run/systemd/journal/socket"
 _ERROR, _WARNING, _INFO = 3, 4, 6
+_STDERR = 2
+_MOST_WAITING = 1000
+_LAST_WORDS_S = 1.0
 
 
 class Journal:
@@ -17,6 +23,8 @@ class Journal:
 
     Where stderr is the journal's (`JOURNAL_STREAM`), a line becomes an entry over its native
     socket, with `fields` at that moment; it is an error as long as `LEVID_FAULT` names a fault.
+    What stderr does not take, a full disk, a terminal that was stopped, waits in a thread of its
+    own and is lost beyond a thousand lines.
     """
 
     def __init__(self, path: str = _SOCKET) -> None:
@@ -25,6 +33,9 @@ class Journal:
         if self._socket is not None:
             self._socket.setblocking(False)
         self.fields: Callable[[], Mapping[str, str]] = dict
+        self._lines: queue.Queue[str | None] = queue.Queue(_MOST_WAITING)
+        self._thread = threading.Thread(target=self._write, name="levid-journal", daemon=True)
+        self._thread.start()
 
     def say(self, text: str) -> None:
         """Say one line."""
@@ -38,8 +49,22 @@ class Journal:
                 pass  # a journal that is busy or gone gets the bare line
             else:
                 return
-        sys.stderr.write(f"{text}\n")
-        sys.stderr.flush()
+        with contextlib.suppress(queue.Full):
+            self._lines.put_nowait(text)
+
+    def close(self) -> None:
+        """Give what was said a moment to get out."""
+        with contextlib.suppress(queue.Full):
+            self._lines.put_nowait(None)
+        self._thread.join(_LAST_WORDS_S)
+
+    def _write(self) -> None:
+        while (text := self._lines.get()) is not None:
+            # Past sys.stderr: whoever waits in there at the end of the process would hold it up.
+            with contextlib.suppress(OSError):
+                data = f"{text}\n".encode()
+                while data:
+                    data = data[os.write(_STDERR, data) :]
 
 
 def entry(text: str, priority: int, fields: Mapping[str, str]) -> bytes:

@@ -38,7 +38,7 @@ def main(fd: str, parent: str, folder: str) -> None:
     board = shared.board
     board[Word.BUSY] = 1
     board[Word.LOOPS] += 1
-    controller = Controller(rig, 1.0 / rig.rate_hz)
+    controller = Controller(rig, 1.0 / rig.rate_hz, shared.control)
     devices = _opened(rig, Path(folder), board)
     if devices is None:
         return
@@ -70,6 +70,7 @@ def _fly(
     loop = TimedLoop(rig, controller, devices, clock, shared, recover, parent)
     for warning in be_punctual(rig.realtime):
         journal.say(f"warning: {warning}")
+    journal.close()
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it sees for itself that its parent is gone
     with no_collections():
         clock.start()
@@ -108,11 +109,13 @@ def _opened(rig: RigConfig, folder: Path, board: Board) -> Devices | None:
             return devices
         while board[Word.CLEAR] == seen:
             if board[Word.END]:
+                board[Word.STATE] = State.OFF
                 return None
             board[Word.WAITING] += 1
             time.sleep(_POLL_S)
         seen = board[Word.CLEAR]
         board[Word.BUSY] = 1
+        board[Word.ZERO] = 0
 
 
 if __name__ == "__main__":

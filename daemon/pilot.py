@@ -39,7 +39,8 @@ class Job:
 
     `files`: the log of each step by its index; a step without one goes on in the log at hand.
     `over` is called when the next job may come. `landing` (ramp, release): cycles of a landing
-    before the plan's end. A job that `holds` is over when its plan is, in the air.
+    before the plan's end, None for that of the flight it is part of. A job that `holds` is over
+    when its plan is, in the air.
     """
 
     plan: Plan
@@ -47,7 +48,7 @@ class Job:
     files: dict[int, LogFile]
     reply: Reply
     over: Callable[[], None]
-    landing: tuple[int, int]
+    landing: tuple[int, int] | None
     land_when_gone: bool = False
     begins_at_rest: bool = True
     holds: bool = False
@@ -108,7 +109,8 @@ class Pilot:
         job.begun = board[Word.CYCLE]
         job.misses = board[Word.LATE], self._lost
         board[Word.LAND_LOG] = tag  # the last step's: that is the landing, if there is one
-        board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
+        if job.landing is not None:
+            board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
         self._feeder = Feeder(self._program, board, job.number, logged)
         self.job = job
         self._feeder.feed()
@@ -127,8 +129,8 @@ class Pilot:
                 job.over_s, job.end = now_s, self._ring.head
             elif now_s - job.told_s >= _PROGRESS_S:
                 job.told_s = now_s
-                job.reply.send({"step": self.step, "share": self.share})
-            if job.land_when_gone and not job.reply.waiting and not job.holds:
+                job.reply.send({"step": self.step_of(job), "share": self.share_of(job)})
+            if job.land_when_gone and not job.reply.waiting:
                 job.land_when_gone = False
                 board.land()
         elif job.holds or self._written(job) or now_s - job.over_s > _WRITING_S:
@@ -145,21 +147,17 @@ class Pilot:
         board[Word.QUEUE_TAIL] = board[Word.QUEUE_HEAD]
         if job is not None and job.over_s is None:
             at_s = board[Word.CYCLE] / self._rig.rate_hz
-            job.error = FlightFault(fault, at_s, self.step, detail)
+            job.error = FlightFault(fault, at_s, self.step_of(job), detail)
             job.over_s, job.end = time.monotonic(), self._ring.head
 
-    @property
-    def step(self) -> str:
-        """Name of the step that is flown."""
-        return self.job.step_of(self._board[Word.LOG]) if self.job is not None else ""
+    def step_of(self, job: Job) -> str:
+        """Return the name of the step of a job that is flown."""
+        return job.step_of(self._board[Word.LOG])
 
-    @property
-    def share(self) -> float:
-        """Share of the job that is flown, 0 to 1."""
-        if self.job is None:
-            return 0.0
-        flown = self._board[Word.CYCLE] - self.job.begun
-        return min(max(flown / max(self.job.plan.cycles, 1), 0.0), 1.0)
+    def share_of(self, job: Job) -> float:
+        """Return the share of a job that is flown, 0 to 1."""
+        flown = self._board[Word.CYCLE] - job.begun
+        return min(max(flown / max(job.plan.cycles, 1), 0.0), 1.0)
 
     @property
     def _lost(self) -> int:

@@ -64,7 +64,7 @@ class RecorderLink:
         self._tags += 1
         self._logs[self._tags] = file
         self.files[self._tags] = []
-        self._define(self._tags, file)
+        self._define(self._tags, file, again=False)
         return self._tags
 
     def forget(self) -> None:
@@ -92,7 +92,8 @@ class RecorderLink:
             self._pause_s = _FIRST_PAUSE_S
         elif now_s - self._beat_s > _HUNG_S:
             self._say(f"the recorder hangs for {_HUNG_S:g} s: it is killed")
-            self._child.kill()
+            self._child.kill(0.0)  # its end is noticed as any is; nothing waits for a disk here
+            self._beat_s = now_s
 
     def end(self, patience_s: float) -> None:
         """Let it write what is left and end."""
@@ -114,31 +115,34 @@ class RecorderLink:
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
         if self._lines is not None:
             self._lines.close()
-        ours, theirs = socket.socketpair()
-        self._lines = Lines(ours, _MOST_BYTES, _MOST_BYTES)
+            self._lines = None
         try:
-            self._child.start(
-                (self._shared_fd, os.getpid(), theirs.fileno(), self._faults),
-                (self._shared_fd, theirs.fileno()),
-            )
+            ours, theirs = socket.socketpair()
+            self._lines = Lines(ours, _MOST_BYTES, _MOST_BYTES)
+            with theirs:
+                self._child.start(
+                    (self._shared_fd, os.getpid(), theirs.fileno(), self._faults),
+                    (self._shared_fd, theirs.fileno()),
+                )
         except OSError as error:
             self._say(f"the recorder cannot be started: {error}")
-        finally:
-            theirs.close()
+            return
         self._beat_s = now_s + _HUNG_S  # it takes its time to begin
         self._head = None
         for tag, file in self._logs.items():
             # A part that was begun is never written over.
-            self._define(tag, replace(file, part=file.part + len(self.files[tag])))
+            part = file.part + len(self.files[tag])
+            self._define(tag, replace(file, part=part), again=True)
 
-    def _define(self, tag: int, file: LogFile) -> None:
+    def _define(self, tag: int, file: LogFile, again: bool) -> None:
         # The logs of a session have their attachments in common: they are sent once.
         if file.attachments is not self._head:
             self._head = file.attachments
             head = {n: base64.b64encode(data).decode() for n, data in file.attachments.items()}
             self._send({"head": head})
         metadata = dict(file.metadata)
-        self._send({"log": tag, "path": str(file.path), "metadata": metadata, "part": file.part})
+        path, part = str(file.path), file.part
+        self._send({"log": tag, "path": path, "metadata": metadata, "part": part, "again": again})
 
     def _send(self, message: Mapping[str, Any]) -> None:
         if self._lines is None:

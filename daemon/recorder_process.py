@@ -120,7 +120,9 @@ class RecorderProcess:
             file = LogFile(
                 Path(message["path"]), message["metadata"], self._head, int(message["part"])
             )
-            self._logs[int(message["log"])] = without_empty_part(file)
+            if message["again"]:
+                file = without_empty_part(file)
+            self._logs[int(message["log"])] = file
         if "forget" in message:
             self._logs = {t: log for t, log in self._logs.items() if t > int(message["forget"])}
             self._scribe.forget_errors()
@@ -151,17 +153,29 @@ class RecorderProcess:
 
 
 def without_empty_part(file: LogFile) -> LogFile:
-    """Take away the part before, if its recorder died before it held a row: it is no log."""
-    if file.part == 1:
-        return file
-    before = file.path_of(file.part - 1)
-    with contextlib.suppress(OSError, LogError):
-        if before.stat().st_size > _MOST_BYTES:
-            return file
-        if not scan(memoryview(before.read_bytes())).segments:
-            before.unlink()
-            return replace(file, part=file.part - 1)
+    """Take away parts that a recorder which died has begun and that hold no row: they are no logs.
+
+    That is the part before, or one of which it told nobody.
+    """
+    if file.path_of(file.part).exists() and not _taken_away(file.path_of(file.part)):
+        file = replace(file, part=file.part + 1)
+    if file.part > 1 and _taken_away(file.path_of(file.part - 1)):
+        file = replace(file, part=file.part - 1)
     return file
+
+
+def _taken_away(path: Path) -> bool:
+    """Remove a log of ours without rows, whole or cut off; return whether it was one."""
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            return False
+        with contextlib.suppress(LogError):  # not even its head got into the file
+            if scan(memoryview(path.read_bytes())).segments:
+                return False
+        path.unlink()
+    except OSError:
+        return False
+    return True
 
 
 class _Syncer:

@@ -6,12 +6,14 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..config.base import ConfigError, parse, parse_text
 from ..config.rig import RigConfig
 from ..config.session import Land, Levitate, Move, SessionConfig, Step
+from .board import Word
 from .faults import Fault
 from .pilot import Job, RefusedError, in_fault
 from .plan import Plan, PlannedStep, plan_session, plan_steps
@@ -25,10 +27,13 @@ if TYPE_CHECKING:
 
 _POLL_S = 0.02
 _READY_S = 60.0
+_TELL_S = 5.0
 _LEAST_WATCH_S, _MOST_WATCHERS = 0.05, 32
 
 Request = Mapping[str, Any]
 Planner = Callable[[Request, Reply], Job]
+Moment = tuple[int, int, int]
+"""How often a landing was asked for, a fault was to be cleared, and the loop was started."""
 
 
 class Requests:
@@ -37,7 +42,7 @@ class Requests:
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
         self._busy = threading.Lock()
-        self._plans: queue.Queue[tuple[Planner, Request, Reply]]
+        self._plans: queue.Queue[tuple[Planner, Request, Reply, Moment]]
         self._plans = queue.Queue(maxsize=1)
         self.watchers: list[Watcher] = []
 
@@ -70,10 +75,9 @@ class Requests:
 
     def _land(self, _: Request, reply: Reply) -> None:
         pilot = self._supervisor.pilot
-        landing = pilot.job is not None or pilot.airborne
-        if landing:
-            self._supervisor.board.land()
-        reply.done(landing=landing)
+        # Asked for while a flight is planned it means that flight; where there is none, nothing.
+        self._supervisor.board.land()
+        reply.done(landing=pilot.job is not None or pilot.airborne)
 
     def _watch(self, request: Request, reply: Reply) -> None:
         every_s = request.get("every_s", 0.5)
@@ -81,7 +85,8 @@ class Requests:
             raise RefusedError(f"watch: expected every_s of {_LEAST_WATCH_S} or more")
         if len(self.watchers) >= _MOST_WATCHERS:
             raise RefusedError(f"watch: expected at most {_MOST_WATCHERS} watchers")
-        self.watchers.append(Watcher(reply, float(every_s)))
+        watcher = Watcher(reply, float(every_s))
+        self._supervisor.post(lambda: self.watchers.append(watcher))
 
     def _plan(
         self, planner: Callable[[Request, Reply], Job], request: Request, reply: Reply
@@ -92,25 +97,33 @@ class Requests:
         # One at a time, from its planning to its end: a plan begins where the manipulator is.
         if not self._busy.acquire(blocking=False):
             raise RefusedError("a session is being flown, or is about to be")
-        self._plans.put_nowait((planner, request, reply))
+        self._plans.put_nowait((planner, request, reply, self._moment))
+
+    @property
+    def _moment(self) -> Moment:
+        board = self._supervisor.board
+        return board[Word.LAND], board[Word.CLEAR], board[Word.LOOPS]
 
     def _run(self) -> None:
         while True:
-            planner, request, reply = self._plans.get()
+            planner, request, reply, asked = self._plans.get()
             try:
-                self._wait_until_ready()
+                self._wait_until_ready(reply)
                 job = planner(request, reply)
             except Exception as error:  # noqa: BLE001 - the client is told, the daemon goes on
                 self._busy.release()
                 reply.refuse(str(error) or type(error).__name__)
             else:
-                self._supervisor.post(lambda job=job: self._begin(job))  # type: ignore[misc]
+                begin = partial(self._begin, job, asked)
+                self._supervisor.post(begin)
 
-    def _begin(self, job: Job) -> None:
-        """In the supervisor's thread."""
+    def _begin(self, job: Job, asked: Moment) -> None:
+        """In the supervisor's thread. Nothing lifts off that nobody waits for any more."""
         try:
-            if job.land_when_gone and not job.reply.waiting:
+            if not job.reply.waiting:
                 raise RefusedError("the client is gone")
+            if asked != self._moment:
+                raise RefusedError("landed, stopped or cleared since it was asked for")
             if self._supervisor.stopping:
                 raise RefusedError("the daemon is ending")
             self._supervisor.pilot.begin(job)
@@ -118,17 +131,29 @@ class Requests:
             job.over()
             job.reply.refuse(str(error) or type(error).__name__)
 
-    def _wait_until_ready(self) -> None:
-        give_up_s = time.monotonic() + _READY_S
+    def _wait_until_ready(self, reply: Reply) -> None:
+        """Wait for the self-test, and tell the client now and then that it has to."""
+        begin_s = told_s = time.monotonic()
         while self._supervisor.board.state in (State.OFF, State.SELF_TEST):
-            if time.monotonic() > give_up_s:
+            now_s = time.monotonic()
+            if now_s - begin_s > _READY_S:
                 raise RefusedError(f"the loop was not ready within {_READY_S:g} s")
+            if now_s - told_s > _TELL_S:
+                told_s = now_s
+                reply.send({"step": "self-test", "share": 0.0})
             time.sleep(_POLL_S)
+
+    def _require_rest(self, op: str) -> None:
+        """Refuse before the work of planning what cannot be flown."""
+        state = self._supervisor.board.state
+        if state is not State.IDLE:
+            raise RefusedError(f"{op}: expected the state IDLE, found {state.name}")
 
     def _session(self, request: Request, reply: Reply) -> Job:
         text, out = request.get("session"), request.get("out")
         if not isinstance(text, str) or not isinstance(out, str):
             raise RefusedError("excite: expected 'session' (YAML text) and 'out' (a folder)")
+        self._require_rest("excite")
         self._check_rig(request.get("rig"))
         session = parse_text(text, SessionConfig, "session")
         if session.rate_hz not in (None, self._rig.rate_hz):
@@ -149,6 +174,7 @@ class Requests:
         return self._job(plan, files, reply, land, request)
 
     def _lift_off(self, request: Request, reply: Reply) -> Job:
+        self._require_rest("levitate")
         levitate = parse(request.get("levitate") or {}, Levitate, "levitate")
         land = parse(request.get("land") or {}, Land, "land")
         plan = self._by_hand(Step(levitate=levitate))
@@ -192,7 +218,7 @@ class Requests:
             raise RefusedError(f"client_gone: expected go_on or land, found {gone!r}")
         segments: list[tuple[PlannedStep, Any]] = [(s, s.segments()) for s in plan.steps]
         rate_hz = self._rig.rate_hz
-        landing = self._supervisor.landing
+        landing = None
         if land is not None:
             landing = round(land.ramp_s * rate_hz), round(land.release_s * rate_hz)
         over = self._busy.release

@@ -110,6 +110,12 @@ class Server:
         self._selector.register(self._woken, selectors.EVENT_READ)
         self._thread.start()
 
+    def admit(self, access: Access) -> None:
+        """Answer whom `access` lets in from now on."""
+        self.access = access
+        with contextlib.suppress(OSError):
+            self._path.chmod(access.mode)
+
     def close(self) -> None:
         """Send what is to be sent, as far as clients take it; stop answering, remove the socket."""
         self._ending = True
@@ -158,15 +164,18 @@ class Server:
             self._accept(accepted)
 
     def _accept(self, accepted: socket.socket) -> None:
-        if len(self._connections) >= _MOST_CLIENTS:
-            self._make_room()
-        connection = _Connection(Lines(accepted, LONGEST_LINE, _MOST_UNREAD))
-        self._connections.append(connection)
-        self._selector.register(accepted, selectors.EVENT_READ, connection)
         try:
             refused = self.access.refuses(peer_of(accepted))
         except OSError as error:
             refused = f"cannot tell who asks: {error}"
+        if len(self._connections) >= _MOST_CLIENTS:
+            if refused:  # takes nobody's place
+                accepted.close()
+                return
+            self._make_room()
+        connection = _Connection(Lines(accepted, LONGEST_LINE, _MOST_UNREAD))
+        self._connections.append(connection)
+        self._selector.register(accepted, selectors.EVENT_READ, connection)
         if refused:
             connection.last_words = True
             self._put(connection, refusal(refused))
@@ -287,6 +296,8 @@ def _answers(path: Path) -> bool:
         probe.settimeout(1.0)
         try:
             probe.connect(str(path))
-        except OSError:
+        except (ConnectionRefusedError, FileNotFoundError):
             return False
+        except OSError:  # so many ask it that nobody gets in
+            return True
         return True

@@ -10,10 +10,12 @@ import mmap
 import os
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..log.signals import cycle_dtype
 from .board import Board
+from .control import memory_shape
 from .program import Program
 from .ring import Ring
 from .timing import Timing
@@ -35,11 +37,13 @@ class Shared:
         behind_s = rig.recording.before_fault_s + _BEHIND_S
         ring_rows = max(int(behind_s * rig.rate_hz), _LEAST_ROWS)
         program_rows = max(int(_AHEAD_S * rig.rate_hz), _LEAST_ROWS)
+        control = memory_shape(coils, sensors)
         sizes = (
             Board.SIZE,
             Ring.size(self.dtype, ring_rows),
             Program.size(coils, program_rows),
             Timing.SIZE,
+            8 * int(np.prod(control)),
         )
         ends = np.cumsum([-(-size // _PAGE) * _PAGE for size in sizes]).tolist()
         if fd is None:
@@ -50,7 +54,12 @@ class Shared:
         self.board = Board(memory[: ends[0]])
         self.ring = Ring(self.dtype, ring_rows, memory[ends[0] : ends[1]])
         self.program = Program(coils, program_rows, memory[ends[1] : ends[2]], self.board)
-        self.timing = Timing(memory[ends[2] :])
+        self.timing = Timing(memory[ends[2] : ends[3]])
+        words: NDArray[np.float64] = np.frombuffer(
+            memory, np.float64, control[0] * control[1], ends[3]
+        )
+        self.control = words.reshape(control)
+        """What a controller remembers: a loop that follows a dead one finds the coils as hot."""
 
     def close(self) -> None:
         """Let go of the descriptor; the mapping goes with the process."""

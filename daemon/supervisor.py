@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -13,7 +12,6 @@ from typing import Any
 
 from ..config.base import ConfigError
 from ..config.rig import RigConfig, load_rig
-from ..config.session import Land
 from ..drivers.base import Context
 from ..drivers.registry import check_backends
 from .access import Access
@@ -38,6 +36,8 @@ _OPENING_S = 120.0
 _STOP_S = 0.25
 """How long a loop that runs may take to see that it is to stop; it takes one cycle."""
 _STOPPING_S = 2.0
+_KILLED_S = 0.5
+"""How long a killed loop is waited for: nothing flies any more."""
 _LANDING_S = 10.0
 _RECORDER_S = 30.0
 
@@ -70,9 +70,6 @@ class Supervisor:
         self.rig_text = rig_file.read_bytes()
         folder = rig_file.parent.resolve()
         check_backends(Context(rig, 1.0 / rig.rate_hz, folder))
-        land = Land()
-        self.landing = round(land.ramp_s * rig.rate_hz), round(land.release_s * rig.rate_hz)
-        """Cycles of sinking and letting go, unless a session says otherwise."""
         self._say = say
         self._shared = Shared(rig)
         self.board = self._shared.board
@@ -87,18 +84,18 @@ class Supervisor:
         self._server = Server(socket_path, self._requests.handlers, Access(rig.service))
         self._mail: deque[Callable[[], None]] = deque()
         self._clearings: list[_Clearing] = []
-        self._stopping = threading.Event()
+        # Signal handlers set these, in the thread that reads them: no lock can be taken there.
+        self._stopping = self._reload = False
         self._loop_beat, self._loop_beat_s, self._busy_s = -1, 0.0, 0.0
         self._stop_s: float | None = None
         self._told = Fault.NONE
         self._clock = ClockWatch()
         self._notify = Notify()
-        self._reload = threading.Event()
 
     @property
     def stopping(self) -> bool:
         """Whether the daemon is about to end."""
-        return self._stopping.is_set()
+        return self._stopping
 
     @property
     def manipulator(self) -> tuple[float, float]:
@@ -114,11 +111,11 @@ class Supervisor:
 
     def stop(self) -> None:
         """Land if in flight, then return from `run`; may be called from a signal handler."""
-        self._stopping.set()
+        self._stopping = True
 
     def reload(self) -> None:
         """Read RIG.yaml again, soon; may be called from a signal handler."""
-        self._reload.set()
+        self._reload = True
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Supervise until stopped; all processes have ended on return, whatever happened.
@@ -135,13 +132,13 @@ class Supervisor:
             self._recorder.watch()
             self._start_loop()
             waiting = True
-            while not self._stopping.is_set():
+            while not self._stopping:
                 self._tick()
                 if waiting and self.board.state not in (State.OFF, State.SELF_TEST):
                     waiting = False
                     self._notify.ready()
                     ready()
-                self._stopping.wait(_TICK_S)
+                time.sleep(_TICK_S)
             self._land_and_end()
         finally:
             self._notify.stopping()
@@ -159,10 +156,9 @@ class Supervisor:
         if fault is Fault.NONE and not board[Word.ZERO]:
             reply.done(cleared=Fault.NONE.name)
             return
-        board[Word.ZERO] = 0
         self._stop_s = None
         if not self._loop.running:
-            board[Word.FAULT] = Fault.NONE
+            board[Word.ZERO], board[Word.FAULT] = 0, Fault.NONE
             self._start_loop()
         else:
             board[Word.CLEAR] += 1
@@ -172,7 +168,7 @@ class Supervisor:
     def status(self) -> dict[str, Any]:
         """Return what the daemon is doing."""
         board, pilot, ring = self.board, self.pilot, self._shared.ring
-        job = pilot.job
+        job = pilot.job  # may end while this is put together
         rows = ring.last(1).rows
         pose = {
             name: float(rows[name][0]) if len(rows) else None
@@ -190,8 +186,8 @@ class Supervisor:
             "detail": board.detail,
             "fault_log": self._recorder.last_fault_log,
             "session": job.plan.name if job else None,
-            "step": pilot.step if job else None,
-            "share": pilot.share if job else None,
+            "step": pilot.step_of(job) if job else None,
+            "share": pilot.share_of(job) if job else None,
             "clock_stepped_s": round(self._clock.stepped_s, 1),
             "recording": self._recorder.problem,
             "recorder_restarts": max(self._recorder.restarts, 0),
@@ -227,8 +223,8 @@ class Supervisor:
         self._say_faults()
         if step_s := self._clock.look():
             self._say(f"the clock was set by {step_s:+.1f} s; times in logs go on as before")
-        if self._reload.is_set():
-            self._reload.clear()
+        if self._reload:
+            self._reload = False
             self._reload_rig()
         now_s = time.monotonic()
         watchers = self._requests.watchers
@@ -249,6 +245,9 @@ class Supervisor:
             asked_to = self.stopping and board.state is State.OFF
             if board.fault is not Fault.LOOP and not asked_to:
                 self._loop_is_gone(self._loop.end)
+            return
+        if board.fault is Fault.LOOP:  # the kernel does not let go of it yet
+            self._loop.kill(0.0)
             return
         beat = board[Word.CYCLE] + board[Word.WAITING]
         if beat != self._loop_beat or board[Word.BUSY]:
@@ -277,7 +276,7 @@ class Supervisor:
         self._loop.kill()
 
     def _end_loop(self, why: str) -> None:
-        self._loop.kill()
+        self._loop.kill(_KILLED_S)
         self._loop_is_gone(f"{why}; {self._loop.end}")
 
     def _loop_is_gone(self, why: str) -> None:
@@ -320,16 +319,15 @@ class Supervisor:
         except ConfigError as error:
             self._say(f"RIG.yaml is not taken over: {error}")
             return
-        same = {key: getattr(self.rig.service, key) for key in type(new.service).model_fields}
         changed = {key: getattr(new.service, key) for key in _RELOADED}
-        service = self.rig.service.model_copy(update=same | changed)
+        service = self.rig.service.model_copy(update=changed)
         others = [
             key
             for key in type(new).model_fields
             if getattr(new, key) != (service if key == "service" else getattr(self.rig, key))
         ]
         self.rig = self.rig.model_copy(update={"service": service})
-        self._server.access = access
+        self._server.admit(access)
         taken = ", ".join(f"service.{key}" for key in _RELOADED)
         self._say(f"RIG.yaml: {taken} are taken over")
         if others:

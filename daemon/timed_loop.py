@@ -130,6 +130,8 @@ class TimedLoop:
             cycle = self.cycle = self.cycle + 1 + skipped
             words[_CYCLE] = cycle
             look(1 + skipped)
+            if not cycle & _COUNT_EVERY:
+                words[_STALE], words[_LATE] = devices.stale, late.late
             k = self._advance()
             for sync in syncs:
                 sync(cycle)
@@ -161,8 +163,6 @@ class TimedLoop:
             )  # fmt: skip
             if fault:
                 self._fail(Fault(fault), control.detail(Fault(fault)))
-            if not cycle & _COUNT_EVERY:
-                words[_STALE], words[_LATE] = devices.stale, late.late
 
     def _look(self, periods: int) -> None:
         """Notice what others want, and whether the supervisor is there to want anything."""
@@ -235,10 +235,6 @@ class TimedLoop:
         """Fly the next row of a landing that nobody planned."""
         if not self._landing.set_row(self._k):
             self._end_plan()
-            if self._after_landing is not None:
-                fault, detail = self._after_landing
-                self._after_landing = None
-                self._fail(fault, detail)
             return 0
         self._k += 1
         return 0
@@ -331,6 +327,9 @@ class TimedLoop:
         else:
             self._label(NO_LOG)
             self._rest(State.IDLE)
+            after, self._after_landing = self._after_landing, None
+            if after is not None:
+                self._fail(*after)
 
     def _starved(self, why: str) -> None:
         """The plan goes on and its rows are not there."""
@@ -356,7 +355,7 @@ class TimedLoop:
         control.halt()
         if self._fault:
             return
-        self._fault = fault
+        self._fault, self._after_landing = fault, None
         control.latch(fault)
         if detail is not None:
             self._board.detail = detail
@@ -372,11 +371,10 @@ class TimedLoop:
         """Zero force before anyone is told; then a row of the log that names the fault."""
         fault, detail = fault_of(error)
         harmless = not self._controller.engaged and self._state is not State.SELF_TEST
-        if fault is Fault.STALE and harmless:
-            return  # at zero force stale readings harm nobody; they are counted
+        # Every time: what was sent before may have been lost, on a bus that loses frames.
         self._zero()
-        if self._fault:
-            return
+        if self._fault or (fault is Fault.STALE and harmless):
+            return  # at zero force stale readings harm nobody; they are counted
         self._fail(fault, detail)
         ring, slot = self._ring, self._ring.head % self._ring.capacity
         self._controller.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
@@ -399,6 +397,7 @@ class TimedLoop:
         self._clear_seen = request
         words = self._words
         if self._fault:
+            words[_ZERO] = 0  # nobody but who has stopped takes a stop back
             if self._tagged_left < _FOREVER:
                 self._end_plan()  # its story ends here
             words[Word.BUSY] = 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import struct
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -67,13 +68,52 @@ def test_a_fault_is_an_error_with_its_name(journal: tuple[socket.socket, Journal
 
 
 def test_without_its_socket_the_line_goes_to_stderr(
-    journal: tuple[socket.socket, Journal], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    journal: tuple[socket.socket, Journal], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "socket").unlink()
     journal[1].say("still heard")
-    assert capsys.readouterr().err == "still heard\n"
+    journal[1].close()
+    assert capfd.readouterr().err == "still heard\n"
 
 
 def test_a_terminal_gets_lines(capfd: pytest.CaptureFixture[str]) -> None:
-    Journal().say("a line")
+    journal = Journal()
+    journal.say("a line")
+    journal.close()
     assert capfd.readouterr().err == "a line\n"
+
+
+_SPEAKER = """
+import sys, time
+from levid.daemon.journal import Journal
+journal = Journal()
+begin_s = time.monotonic()
+for i in range(5000):
+    journal.say("x" * 100)
+said_s = time.monotonic() - begin_s
+journal.close()
+print(said_s)
+"""
+
+
+@pytest.mark.parametrize("stderr", ["full", "stopped", "gone"])
+def test_stderr_that_takes_nothing_holds_nobody_up(stderr: str) -> None:
+    """A full disk, a terminal where nobody reads on, a reader that is gone."""
+    reading, writing = os.pipe()
+    if stderr == "full":
+        os.close(writing)
+        writing = os.open("/dev/full", os.O_WRONLY)
+    if stderr == "gone":
+        os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-c", _SPEAKER],
+        stderr=writing,
+        stdout=subprocess.PIPE,
+        timeout=60,
+        check=False,
+    )
+    os.close(writing)
+    if stderr != "gone":
+        os.close(reading)
+    assert done.returncode == 0
+    assert float(done.stdout) < 30.0  # it said them all, and did not wait for ever

@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,8 +22,10 @@ from daemon_process import GIVE_UP_S, Daemon, calm, daemon, refused
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
+from levid.daemon.board import Word
 from levid.daemon.client import Client, DaemonError
 from levid.daemon.faults import Fault
+from levid.daemon.plan import plan_session
 from levid.daemon.states import IN_FLIGHT, State
 from levid.log.reader import Log, read_log
 
@@ -236,6 +239,86 @@ def test_client_that_dies_leaves_a_flight_or_has_it_landed(ready: Daemon, tmp_pa
         log = read_log(tmp_path / gone / "02-land.mcap")
         assert log.complete
         assert log.rows["fault"].max() == 0
+
+
+@pytest.mark.parametrize(("gone", "state"), [("land", "IDLE"), ("go_on", "LEVITATING")])
+def test_client_that_dies_while_it_lifts_off(ready: Daemon, gone: str, state: str) -> None:
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(ready.socket))
+        step = {"ramp_s": 0.4, "settle_s": 3.0}
+        request = {"op": "levitate", "levitate": step, "client_gone": gone}
+        client.sendall(json.dumps(request).encode() + b"\n")
+        ready.until(lambda s: s["state"] == "LEVITATING" and s["share"] > 0.2)
+    assert ready.until(lambda s: s["session"] is None)["state"] == state
+    ready.ask("land")
+    ready.until(lambda s: s["state"] == "IDLE")
+
+
+def test_move_leaves_the_landing_as_it_was_asked_for(ready: Daemon) -> None:
+    step = {"unload_s": 0.1, "ramp_s": 0.2, "settle_s": 0.1}
+    ready.ask("levitate", levitate=step, land={"ramp_s": 0.7, "release_s": 0.3})
+    board = ready.supervisor.board
+    asked = board[Word.LAND_RAMP], board[Word.LAND_RELEASE]
+    ready.ask("move", move={"beam_m": 0.002, "settle_s": 0.1})
+    assert (board[Word.LAND_RAMP], board[Word.LAND_RELEASE]) == asked == (175, 75)
+    ready.ask("land")
+    ready.until(lambda s: s["state"] == "IDLE")
+
+
+@pytest.mark.parametrize("meanwhile", ["stop and clear", "land", "client gone"])
+def test_nothing_lifts_off_that_was_called_off_while_it_was_planned(
+    ready: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: str
+) -> None:
+    planning, go_on = threading.Event(), threading.Event()
+
+    def plan(*arguments: Any) -> Any:
+        planning.set()
+        assert go_on.wait(60.0)
+        return plan_session(*arguments)
+
+    monkeypatch.setattr("levid.daemon.requests.plan_session", plan)
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(ready.socket))
+        request = {"op": "excite", "session": SESSION, "out": str(tmp_path / "out")}
+        client.sendall(json.dumps(request).encode() + b"\n")
+        assert planning.wait(60.0)
+        if meanwhile == "client gone":
+            client.close()
+        elif meanwhile == "land":
+            assert not ready.ask("land")["landing"]
+        else:
+            ready.ask("stop")
+            ready.until(lambda s: s["fault"] == "STOPPED")
+            ready.ask("clear")
+        go_on.set()
+        if meanwhile != "client gone":
+            answer = json.loads(client.makefile().readline())
+            assert "since it was asked for" in answer["error"]
+    # Another is taken up only when that one is over; this one flies.
+    monkeypatch.undo()
+    again = {"op": "levitate", "levitate": {"unload_s": 0.1, "ramp_s": 0.2, "settle_s": 0.1}}
+    give_up_s = time.monotonic() + 60.0
+    while True:
+        try:
+            ready.ask(**again)
+        except DaemonError:
+            assert time.monotonic() < give_up_s
+            time.sleep(0.02)
+        else:
+            break
+    ready.ask("land")
+    ready.until(lambda s: s["state"] == "IDLE")
+
+
+def test_what_cannot_be_flown_is_not_planned(
+    ready: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ready.ask("levitate", levitate={"unload_s": 0.1, "ramp_s": 0.2, "settle_s": 0.1})
+    monkeypatch.setattr("levid.daemon.requests.plan_session", lambda *_: 1 / 0)
+    said = refused(ready, "excite", session=SESSION, out=str(tmp_path / "out"))
+    assert "expected the state IDLE, found LEVITATING" in said
+    ready.ask("land")
+    ready.until(lambda s: s["state"] == "IDLE")
 
 
 @pytest.fixture

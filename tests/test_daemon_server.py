@@ -19,7 +19,7 @@ import pytest
 from levid.config.base import ConfigError
 from levid.config.service import Service
 from levid.daemon.access import Access, Peer, peer_of
-from levid.daemon.server import LONGEST_LINE, Reply, Server
+from levid.daemon.server import LONGEST_LINE, Reply, Server, ServerError
 
 _GIVE_UP_S = 60.0
 
@@ -195,3 +195,42 @@ def test_another_user_is_told_so_and_hung_up_on() -> None:
             assert works(bench)
         finally:
             bench.server.close()
+
+
+def test_socket_where_so_many_ask_that_nobody_gets_in_is_not_taken_over(tmp_path: Path) -> None:
+    busy = socket.socket(socket.AF_UNIX)
+    busy.bind(str(tmp_path / "test.sock"))
+    busy.listen(1)
+    waiting = []
+    with contextlib.suppress(BlockingIOError):
+        for _ in range(64):
+            waiting.append(socket.socket(socket.AF_UNIX))
+            waiting[-1].setblocking(False)
+            waiting[-1].connect(str(tmp_path / "test.sock"))
+    with pytest.raises(ServerError, match="another daemon answers"):
+        Server(tmp_path / "test.sock", {}, Access(Service())).start()
+    for end in [*waiting, busy]:
+        end.close()
+
+
+def test_whoever_is_let_in_later_finds_the_door_open(bench: Bench) -> None:
+    assert bench.path.stat().st_mode & 0o777 == 0o660
+    bench.server.admit(Access(Service(allow_users=["nobody"])))
+    assert bench.path.stat().st_mode & 0o777 == 0o666
+
+
+def test_refused_clients_take_nobodys_place(bench: Bench) -> None:
+    mine = [bench.connect() for _ in range(64)]
+    for connection in mine:
+        bench.ask(connection, b'{"op": "echo"}')
+    bench.server.admit(_Nobody(Service()))
+    with bench.connect() as stranger, contextlib.suppress(ConnectionError):
+        assert stranger.recv(1) == b""
+    assert [bench.ask(c, b'{"op": "echo"}')[0]["ok"] for c in mine] == [True] * 64
+    for connection in mine:
+        connection.close()
+
+
+class _Nobody(Access):
+    def refuses(self, peer: Peer) -> str:
+        return "nobody may"

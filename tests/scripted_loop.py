@@ -1,0 +1,106 @@
+"""The daemon's loop on loopback devices, cycle by cycle as a script says; no clock, no process."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from levid.config.rig import RigConfig, load_rig
+from levid.config.session import Step
+from levid.config.shipped import shipped
+from levid.daemon.board import Word
+from levid.daemon.clock import Clock
+from levid.daemon.control import Controller
+from levid.daemon.plan import plan_steps
+from levid.daemon.program import Feeder, Logged
+from levid.daemon.shared import Shared
+from levid.daemon.timed_loop import TimedLoop
+from levid.daemon.warm_up import warm_up
+from levid.drivers.base import Context, Devices
+from levid.drivers.registry import open_devices
+
+RIG = shipped("rigs/loopback.yaml")
+LIFT = {"unload_s": 0.2, "ramp_s": 0.2, "settle_s": 0.5}
+
+
+class ScriptEnd(BaseException):
+    """The script is over: nothing of the loop may catch it."""
+
+
+class ScriptedClock(Clock):
+    """Every wait ends at once, after the script was told its number."""
+
+    def __init__(self, script: Callable[[int], None]) -> None:
+        self.n, self.script, self.skipped = 0, script, 0
+        self.epoch_ns = 0
+
+    def start(self) -> None:
+        return
+
+    def wait(self) -> float:
+        self.n += 1
+        self.script(self.n)
+        return 0.0
+
+
+class ScriptedLoop:
+    """A loop at 1 kHz and a supervisor that gives signs of life every ten cycles unless `silent`.
+
+    `forces` is what was last written to the coils, in N, all together.
+    """
+
+    def __init__(
+        self, wrap: Callable[[Devices], Devices] = lambda devices: devices, **service: Any
+    ) -> None:
+        plain = load_rig(RIG).model_dump()
+        plain["service"] |= service
+        plain["rate_hz"] = 1000.0
+        self.rig = rig = RigConfig.model_validate(plain)
+        self.shared = Shared(rig)
+        self.board = self.shared.board
+        self.controller = Controller(rig, 1e-3, self.shared.control)
+        devices = wrap(open_devices(Context(rig, 1e-3, RIG.parent)))
+        warm_up(self.controller, devices, np.zeros(1, self.shared.dtype), rig, -1)
+        self.parent, self.silent, self.forces = os.getppid(), False, 0.0
+        self.plans = 0
+        self._feeder: Feeder | None = None
+        self._script: Callable[[int], None] = lambda _: None
+        write = devices.amplifiers.write
+
+        def seen(coil_n: np.ndarray) -> None:
+            self.forces = float(np.abs(coil_n).sum())
+            write(coil_n)
+
+        devices.amplifiers.write = seen  # type: ignore[method-assign]
+        self.loop = TimedLoop(
+            rig, self.controller, devices, ScriptedClock(self._cycle), self.shared,
+            lambda: None, self.parent,
+        )  # fmt: skip
+
+    def fly(self, *steps: dict[str, Any]) -> None:
+        """Announce a plan of these steps, from the manipulator's zero."""
+        plan = plan_steps([Step(**step) for step in steps], "scripted", self.rig, 0.0, 0.0)
+        self.plans += 1
+        self.board[Word.LAND_RAMP], self.board[Word.LAND_RELEASE] = 500, 200
+        segments = [Logged(s, 0) for step in plan.steps for s in step.segments()]
+        self._feeder = Feeder(self.shared.program, self.board, self.plans, segments)
+
+    def run(self, script: Callable[[int], None], cycles: int) -> None:
+        """Run so many cycles, each after script(its number)."""
+        self._script, self._last = script, cycles
+        try:
+            self.loop.run()
+        except ScriptEnd:
+            return
+
+    def _cycle(self, n: int) -> None:
+        if n > self._last:
+            raise ScriptEnd
+        if not n % 10 and not self.silent:
+            self.board[Word.BEAT] += 1
+            if self._feeder is not None:
+                self._feeder.feed()
+        self._script(n)

@@ -86,6 +86,7 @@ $(BIN)/python:
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { \
 	  echo "$(PYTHON) has no venv module. On Debian and Ubuntu: sudo apt install python3-venv" >&2; \
 	  exit 1; }
+	@if [ -L $(VENV) ]; then rm $(VENV); fi  # a link leads to somebody else's: that one stays
 	@$(PYTHON) -m venv --clear $(VENV)
 
 # uv resolves for every Python and platform at once, so that one set of versions serves them all.

@@ -1,8 +1,9 @@
 """Every fault of a bus or a device: cycles until zero force, and what the host calls it.
 
-The host sets the pace, cycle by cycle, so that the count does not depend on the machine. A cycle is
-counted from the one in which the fault is switched on; the reaction is that of the loop, zero force
-at once, and where it no longer gets through the amplifiers' own expiry.
+The host sets the pace, cycle by cycle, so that the count does not depend on the machine. A cycle
+counts if a force acts in it, from the one on in which the fault is switched on. The reaction is
+that of the loop, zero force at once and in every cycle that follows; setpoints expire after 20
+cycles, so that this alone can end the force in time, but where nothing gets through: there after 2.
 """
 
 from __future__ import annotations
@@ -23,11 +24,13 @@ from levid.drivers import on_bus
 from levid.drivers.base import Context, Devices, DriverError
 from levid.drivers.registry import open_devices
 from levid.sim.electronics import core
+from levid.sim.electronics.core import Core
 from levid.sim.electronics.faults import FAULTS
 from levid.sim.electronics.rig import Electronics
 
 RATE_HZ = 50.0
 MOST_CYCLES = 40
+EXPIRE_CYCLES, EXPIRE_UNHEARD_CYCLES = 20, 2
 _PACE_S = 0.01
 """What comes behind an answer comes within the cycle, which is longer than that."""
 LINES = [
@@ -42,8 +45,12 @@ BUSES = {
 }
 
 
+UNHEARD = ("drop-setpoints", "bus-off", "disconnect")
+NO_FAULT_OF_A_DEVICE = {"push"}
+
+
 def measure(quick: bool) -> list[Figure]:
-    assert {line.split()[0] for line in LINES} == set(FAULTS)
+    assert {line.split()[0] for line in LINES} == set(FAULTS) - NO_FAULT_OF_A_DEVICE
     core._SILENT_PERIODS = 1e9  # type: ignore[misc]
     on_bus._ANSWER_SHARE = 1e4  # type: ignore[misc]
     figures = []
@@ -57,9 +64,10 @@ def measure(quick: bool) -> list[Figure]:
 
 
 def until_zero(bus: str, line: str) -> tuple[int, str]:
-    """Return the cycles until the amplifiers drive no force, and the error that the host raises."""
+    """Return the cycles in which the amplifiers drive force, and the error that the host raises."""
     with tempfile.TemporaryDirectory() as text:
-        rig = _rig(bus, Path(text))
+        expire = EXPIRE_UNHEARD_CYCLES if line in UNHEARD else EXPIRE_CYCLES
+        rig = _rig(bus, Path(text), expire)
         with Electronics(rig, Path(text)) as electronics:
             devices = open_devices(Context(rig, 1.0 / RATE_HZ, Path(text)))
             try:
@@ -90,36 +98,30 @@ def _play(devices: Devices, electronics: Electronics, line: str) -> tuple[int, s
         run(7.0 + 0.5 * (k // 5 % 2))
     _answers_by(devices, 0.05)
     electronics.injector.command(line)
-    device, zero_after = electronics.core, 0
+    device, words, forced = electronics.core, "", 0
     for k in range(1, MOST_CYCLES):
-        words = ""
         try:
-            run(7.0 + 0.5 * (k // 5 % 2))
+            run(0.0 if words else 7.0 + 0.5 * (k // 5 % 2))
         except DriverError as error:
-            words = f"{type(error).__name__}: {str(error).partition(': ')[2] or error}"
+            words = words or f"{type(error).__name__}: {str(error).partition(': ')[2] or error}"
             with contextlib.suppress(DriverError):  # it is gone: the device's own expiry has to do
                 devices.amplifiers.release(np.zeros(9))
         time.sleep(_PACE_S)
-        if not electronics.injector.hears:  # its own clock goes on, in step with the host's
+        if electronics.injector.hears:
+            _wait_for(device, cycle)
+        else:  # its own clock goes on, in step with the host's
             device._period()
-        if not zero_after and not device.acting_n.any():
-            zero_after = k
-        if words:
-            return zero_after or k + _more_periods(electronics), words
-    return MOST_CYCLES, "not found"
+        forced += bool(device.acting_n.any())
+        if words and not device.acting_n.any():
+            return forced, words
+    return MOST_CYCLES, words or "not found"
 
 
-def _more_periods(electronics: Electronics) -> int:
-    """Return the periods until no force acts, of which what was released takes over one."""
-    device = electronics.core
+def _wait_for(device: Core, cycle: int) -> None:
+    """Wait until the electronics have come to the host's cycle, at most 5 s."""
     give_up_s = time.monotonic() + 5.0
-    while electronics.injector.hears and device.pending_n.any() and time.monotonic() < give_up_s:
-        time.sleep(0.001)  # it is on its way
-    for k in range(MOST_CYCLES):
-        if not (device.pending_n if electronics.injector.hears else device.acting_n).any():
-            return k
-        device._period()
-    return MOST_CYCLES
+    while device.cycle != cycle and time.monotonic() < give_up_s:
+        time.sleep(0.001)
 
 
 def _answers_by(devices: Devices, seconds: float) -> None:
@@ -128,13 +130,13 @@ def _answers_by(devices: Devices, seconds: float) -> None:
             waiting._wait_s = seconds
 
 
-def _rig(bus: str, folder: Path) -> RigConfig:
+def _rig(bus: str, folder: Path, expire_cycles: int) -> RigConfig:
     head = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
     backend = "serial" if bus == "serial" else "can"
     role = f"{{backend: {backend}, bus: main"
     text = f"""{head.replace("rate_hz: 1000", f"rate_hz: {RATE_HZ}")}
 {BUSES[bus].replace("FOLDER", str(folder))}
-amplifiers: {role}, expire_cycles: 2}}
+amplifiers: {role}, expire_cycles: {expire_cycles}}}
 sensors: {role}}}
 drives: {role}}}
 sim: {shipped("sims/nominal.yaml")}

@@ -146,6 +146,30 @@ class Backend(ABC):
         return
 
 
+class FirstError:
+    """Lets what is done with one bus fail without keeping the others from theirs.
+
+    Each `with` keeps back what it raises; `raise_it` raises the first of it.
+    """
+
+    def __init__(self) -> None:
+        self._error: Exception | None = None
+
+    def __enter__(self) -> None:
+        return
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> bool:
+        if isinstance(error, Exception):
+            self._error = self._error or error
+            return True
+        return False
+
+    def raise_it(self) -> None:
+        """Raise the first error, if there was one."""
+        if self._error is not None:
+            raise self._error
+
+
 @dataclass(frozen=True)
 class Devices:
     """The three roles of a rig, open and ready, and what to call at the start of each cycle."""
@@ -157,8 +181,19 @@ class Devices:
 
     @property
     def syncs(self) -> tuple[Sync, ...]:
-        """The `sync` of every backend."""
-        return tuple(backend.sync for backend in self.backends)
+        """What to call, in this order, to begin a cycle."""
+        return (self.backends[0].sync,) if len(self.backends) == 1 else (self.sync,)
+
+    def sync(self, cycle: int) -> None:
+        """Begin a cycle on every backend, whatever happens to the others; raises what came first.
+
+        Zero force, too, acts only where a cycle begins.
+        """
+        first = FirstError()
+        for backend in self.backends:
+            with first:
+                backend.sync(cycle)
+        first.raise_it()
 
     @property
     def stale(self) -> int:

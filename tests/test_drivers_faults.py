@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from levid.config.base import parse_text
+from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 from levid.drivers.base import (
     AmplifierError,
@@ -30,6 +33,9 @@ from levid.wire.device import AmplifierState
 
 RATE_HZ = 50.0
 WITHIN_CYCLES = 3
+LONG, SHORT = 20, 2
+"""Cycles until setpoints expire: so long that nothing but zero force that was sent ends the force
+in time, and so short as it has to be where nothing gets through."""
 
 # what is injected: the error that the host raises, and words that name the cause
 EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
@@ -78,7 +84,12 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
 
 @pytest.fixture(params=["can", "serial"])
 def bench(request, rig_on, patience) -> Iterator[Bench]:
-    rig = rig_on(request.param, RATE_HZ, shipped("sims/nominal.yaml"))
+    with on_bench(rig_on(request.param, RATE_HZ, shipped("sims/nominal.yaml"))) as bench:
+        yield bench
+
+
+@contextmanager
+def on_bench(rig: RigConfig) -> Iterator[Bench]:
     with Electronics(rig, Path()) as electronics:
         devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
         bench = Bench(devices, electronics)
@@ -107,33 +118,61 @@ def answer_by(bench: Bench, seconds: float) -> None:
                 port._wait_s = seconds
 
 
+def cycles_of_force(bench: Bench, most: int = 10) -> tuple[int, DriverError | None]:
+    """Fly until no force acts; return in how many cycles it did, and what the host raised first.
+
+    The loop's reaction is zero force at once, as well as the wire still allows, and from then on.
+    """
+    core, raised, acted = bench.electronics.core, None, 0
+    for _ in range(most):
+        try:
+            bench.run(0.0 if raised else 7.0)
+        except DriverError as error:
+            raised = raised or error
+            with suppress(LinkError):
+                bench.devices.amplifiers.release(np.zeros(9))
+        time.sleep(0.01)  # what comes behind an answer comes within the cycle
+        if bench.electronics.injector.hears:
+            until_heard(bench)
+        else:
+            core._period()  # its own clock goes on, in step with the host's
+        acted += bool(core.acting_n.any())
+        if raised and not core.acting_n.any():
+            break
+    return acted, raised
+
+
+def until_heard(bench: Bench) -> None:
+    """Wait until the electronics have come to the host's cycle."""
+    core, give_up_s = bench.electronics.core, time.monotonic() + 10.0
+    while time.monotonic() < give_up_s:
+        with core.lock:
+            if core.cycle == bench.cycle:
+                return
+        time.sleep(0.001)
+    raise AssertionError(f"at cycle {core.cycle}, not {bench.cycle}")
+
+
+@pytest.mark.parametrize("bus", ["can", "serial"])
 @pytest.mark.parametrize("line", EXPECTED)
-def test_fault_ends_in_zero_force_is_named_and_mended(bench: Bench, line: str) -> None:
+def test_fault_ends_in_zero_force_is_named_and_mended(
+    bus: str, line: str, rig_on, patience: pytest.MonkeyPatch
+) -> None:
+    unheard = line in ("drop-setpoints", "bus-off", "disconnect")
+    rig = rig_on(bus, RATE_HZ, shipped("sims/nominal.yaml"), SHORT if unheard else LONG)
+    with on_bench(rig) as bench:
+        ends_in_zero_force_is_named_and_mended(bench, line)
+
+
+def ends_in_zero_force_is_named_and_mended(bench: Bench, line: str) -> None:
     fly(bench)
     answer_by(bench, 0.05)
     kinds, words = EXPECTED[line]
     assert bench.electronics.injector.command(line) == line
-    raised = None
-    for _ in range(WITHIN_CYCLES):
-        try:
-            bench.run(7.0)
-            time.sleep(
-                0.01
-            )  # what comes behind an answer comes within the cycle: no verdict on time
-        except DriverError as error:
-            raised = error
-            break
+    acted, raised = cycles_of_force(bench)
     assert isinstance(raised, kinds), raised
     assert re.search(words, str(raised)), raised
-    # The loop's reaction: zero force at once, as well as the wire still allows.
-    try:
-        bench.devices.amplifiers.release(np.zeros(9))
-    except DriverError:
-        assert isinstance(raised, LinkError)
-    core = bench.electronics.core
-    for _ in range(WITHIN_CYCLES):  # periods in which the host is silent, or not heard
-        core._period()
-    assert not core.acting_n.any()
+    assert acted <= WITHIN_CYCLES
     # Once it is mended, the same devices carry on.
     bench.electronics.injector.clear()
     answer_by(bench, 2.0)
@@ -147,7 +186,8 @@ def test_fault_ends_in_zero_force_is_named_and_mended(bench: Bench, line: str) -
 
 
 def test_every_fault_is_tested_or_said_to_be_slower() -> None:
-    assert {line.split()[0] for line in EXPECTED} | {"frozen"} == set(FAULTS)
+    """What pushes the platform is no fault of a device: control has to hold it, or say so."""
+    assert {line.split()[0] for line in EXPECTED} | {"frozen", "push"} == set(FAULTS)
 
 
 def test_frozen_channel_is_found_within_cycles_where_the_platform_moves(bench: Bench) -> None:
@@ -238,3 +278,68 @@ def test_amplifiers_that_expired_at_zero_force_are_enabled_again_at_once(bench: 
     for _ in range(10):
         bench.run(0.0)
     assert core.amplifier_state is AmplifierState.ENABLED
+
+
+TWO_BUSES = """
+can:
+  force: {interface: virtual, channel: CHANNEL-force, stale_cycles: 20}
+  motion: {interface: virtual, channel: CHANNEL-motion, stale_cycles: 20}
+amplifiers: {backend: can, bus: force, expire_cycles: 20}
+sensors: {backend: can, bus: motion}
+drives: {backend: can, bus: motion}
+"""
+TWO_BACKENDS = """
+can: {main: {interface: virtual, channel: CHANNEL, stale_cycles: 20}}
+serial: {main: {port: CHANNEL/port, baud: 3000000, stale_cycles: 20}}
+amplifiers: {backend: can, bus: main, expire_cycles: 20}
+sensors: {backend: serial, bus: main}
+drives: {backend: serial, bus: main}
+"""
+TWO_PORTS = """
+serial:
+  force: {port: CHANNEL/force, baud: 3000000, stale_cycles: 20}
+  motion: {port: CHANNEL/motion, baud: 3000000, stale_cycles: 20}
+amplifiers: {backend: serial, bus: force, expire_cycles: 20}
+sensors: {backend: serial, bus: motion}
+drives: {backend: serial, bus: motion}
+"""
+
+
+def rig_of(text: str, folder: Path) -> RigConfig:
+    head = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
+    head = head.replace("rate_hz: 1000", f"rate_hz: {RATE_HZ}")
+    sim = f"sim: {shipped('sims/nominal.yaml')}"
+    return parse_text(f"{head}{text.replace('CHANNEL', str(folder))}{sim}", RigConfig, "two")
+
+
+def lose(bench: Bench, bus: str) -> None:
+    """Let every use of a bus fail, as when its adapter is unplugged."""
+
+    def gone(*_: object) -> None:
+        raise OSError(19, "No such device")
+
+    for backend in bench.devices.backends:
+        for name, link in getattr(backend, "_links", {}).items():
+            if name == bus:
+                link._bus.receive = gone
+        for name, port in getattr(backend, "_ports", {}).items():
+            if name == bus:
+                port._line._fd = 1 << 20
+
+
+@pytest.mark.parametrize(
+    ("text", "lost"), [(TWO_BUSES, "motion"), (TWO_PORTS, "motion"), (TWO_BACKENDS, "main")]
+)
+def test_bus_that_is_lost_keeps_no_force_on_another(
+    text: str, lost: str, tmp_path: Path, patience: pytest.MonkeyPatch
+) -> None:
+    with on_bench(rig_of(text, tmp_path)) as bench:
+        fly(bench)
+        backends = bench.devices.backends
+        if len(backends) == 2:  # the one that is lost comes first
+            bench.devices = replace(bench.devices, backends=backends[::-1])
+            backends[0]._links = {"healthy": backends[0]._links["main"]}
+        lose(bench, lost)
+        acted, raised = cycles_of_force(bench)
+        assert isinstance(raised, LinkError)
+        assert acted <= 1  # the force of the cycle in which it was lost

@@ -11,6 +11,7 @@ import contextlib
 import select
 import socket
 import struct
+from time import time
 from typing import Any, NamedTuple, Protocol
 
 from ..config.buses import CanBus
@@ -20,6 +21,7 @@ _NOT_PLAIN = 0xE000_0000
 _ERROR = 0x2000_0000
 _FD_FRAME = 72
 _FULL_S = 0.001
+_OLDEST_STAMP_S = 1.0
 _BRS = 0x01
 # struct canfd_frame of linux/can.h: ID with flags, length, flags, and the data behind two bytes;
 # struct can_frame is the same but for its 16 bytes and no flags.
@@ -43,6 +45,12 @@ class Frame(NamedTuple):
 
 
 OTHER = Frame(-1, b"", 0.0)
+
+
+def age_s(stamp_s: float) -> float:
+    """Return how long ago a frame came by its stamp; 0 for a stamp that is no time of day."""
+    age = time() - stamp_s
+    return age if 0.0 <= age < _OLDEST_STAMP_S else 0.0
 
 
 class FrameBus(Protocol):

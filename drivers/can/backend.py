@@ -14,7 +14,7 @@ from ...config.rig import RigConfig
 from ...wire.can_frames import CanFrames, load_frames
 from ...wire.device import CYCLES
 from ...wire.values import LARGEST
-from ..base import Context, LinkError
+from ..base import Context, FirstError, LinkError
 from ..on_bus import BusBackend, answer_wait_s
 from .devices import CanAmplifiers, CanSensors
 from .drives import CanDrives
@@ -76,7 +76,6 @@ class CanBackend(BusBackend):
                 )
             self._roles[role] = self._dbc_roles[-1]
         self._coils = len(rig.geometry.coil_x_m)
-        self._ready = False
         try:
             self.recover()
         except BaseException:
@@ -84,32 +83,38 @@ class CanBackend(BusBackend):
             raise
 
     def sync(self, cycle: int) -> None:
-        """Begin a cycle on every bus."""
+        """Begin a cycle on every bus, whatever happens to the others; raises what came first.
+
+        Without its Sync a bus that is well would go on with the force it has.
+        """
         # From the first moment on: what answers a Sync that went out late is of a later moment.
         self._deadline_s = perf_counter() + self._wait_s
         self._nothing_came()
+        first = FirstError()
         for link in self._links.values():
-            link.drain()
+            with first:
+                link.drain()
         number = cycle % CYCLES
         for role in self._dbc_roles:
             role.readings.begin(number)
         if self._amplifiers is not None:
             self._amplifiers.cycle = number
         for link, frames in self._syncs:
-            link.send(*frames.sync.encode(number))
+            with first:
+                link.send(*frames.sync.encode(number))
         if self._drives is not None:
-            self._drives.sync(cycle)
+            with first:
+                self._drives.sync(cycle)
+        first.raise_it()
 
     def recover(self) -> None:
         """Open all buses anew, compare limits, reset trips, home drives; raises DriverError."""
-        self._ready = False
         for link in self._links.values():
             link.open()
         for role in self._dbc_roles:
             role.recover()
         if self._drives is not None:
             self._drives.recover()
-        self._ready = True
 
     @property
     def stale(self) -> int:
@@ -123,16 +128,23 @@ class CanBackend(BusBackend):
         What does not get through, the devices do by themselves when nothing comes any more.
         """
         try:
-            if self._ready and self._amplifiers is not None:
+            if self._amplifiers is not None:
                 with suppress(LinkError):
                     self._amplifiers.release(np.zeros(self._coils))
-            if self._ready and self._drives is not None:
+                    self._begin_last_cycle()
+            if self._drives is not None:  # also where only some of them could be enabled
                 with suppress(LinkError):
                     self._drives.release()
         finally:
-            self._ready = False
             for link in self._links.values():
                 link.close()
+
+    def _begin_last_cycle(self) -> None:
+        """Let the last setpoints act: nothing else does."""
+        assert self._amplifiers is not None
+        for link, frames in self._syncs:
+            with suppress(LinkError):
+                link.send(*frames.sync.encode((self._amplifiers.cycle + 1) % CYCLES))
 
     def _deadline(self) -> float:
         return self._deadline_s

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import perf_counter, time
+from time import perf_counter
 from typing import NoReturn
 
 from ...config.buses import CanBus
-from ...wire.can_bus import BusOffError, FrameBus, open_bus
+from ...wire.can_bus import BusOffError, FrameBus, age_s, open_bus
 from ..base import LinkError
 
 Listener = Callable[[int, bytes], None]
-
-_OLDEST_STAMP_S = 1.0
 
 
 class CanLink:
@@ -81,8 +79,7 @@ class CanLink:
         By the stamp of hardware or kernel, where the interface gives one: it is free of the delays
         of this process. Interfaces stamp with the time of day.
         """
-        age_s = time() - self._stamp_s
-        return perf_counter() - (age_s if 0.0 <= age_s < _OLDEST_STAMP_S else 0.0)
+        return perf_counter() - age_s(self._stamp_s)
 
     def drain(self) -> None:
         """Hand on all that has come; raises LinkError."""

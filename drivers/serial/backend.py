@@ -27,6 +27,7 @@ from ..base import (
     CoilAmplifiers,
     Context,
     DriveError,
+    FirstError,
     LinkError,
     ManipulatorDrives,
     PositionSensors,
@@ -81,10 +82,13 @@ class SerialBackend(BusBackend):
             raise
 
     def sync(self, cycle: int) -> None:
-        """Begin a cycle on every port: setpoints out, samples in."""
+        """Begin a cycle on every port: setpoints out, samples in; raises what came first."""
         self._nothing_came()
+        first = FirstError()
         for port in self._ports.values():
-            port.sync(cycle)
+            with first:
+                port.sync(cycle)
+        first.raise_it()
 
     def recover(self) -> None:
         """Open all ports anew, compare limits, reset trips, enable drives; raises DriverError."""

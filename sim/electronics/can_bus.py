@@ -14,7 +14,7 @@ import numpy as np
 from ...config.base import ConfigError
 from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
-from ...wire.can_bus import FrameBus, open_bus
+from ...wire.can_bus import FrameBus, age_s, open_bus
 from ...wire.can_frames import Fields, load_frames
 from ...wire.cia402 import SYNC_COUNTER, SYNC_ID
 from ...wire.rejected import Rejected
@@ -42,7 +42,7 @@ class CanElectronics:
         self._outgoing = Outgoing(injector)
         self._handlers: dict[int, Callable[[int, bytes], None]] = {}
         self._coil_n = np.zeros(core.coils)
-        self._cycle = 0
+        self._cycle, self._taken_over = 0, -1
         self._amplifiers, self._sensors = "amplifiers" in roles, "sensors" in roles
         frames = self._frames
         if self._amplifiers or self._sensors:
@@ -107,12 +107,14 @@ class CanElectronics:
             if frame is None or not self._injector.hears:
                 self._core.tick(min(silent_s, time.monotonic()))
                 continue
-            can_id, data, _ = frame
+            can_id, data, stamp_s = frame
             handler = self._handlers.get(can_id)
             if handler is not None:
                 handler(can_id, data)
             elif self._drives is not None and can_id >= 0:
                 self._drives.take(can_id, data)
+            # All that came before this frame has been handled, whatever it is itself.
+            self._core.tick(time.monotonic() - age_s(stamp_s))
 
     def _send(self, can_id: int, data: bytes) -> None:
         if self._bus is not None:
@@ -128,6 +130,9 @@ class CanElectronics:
         batch: list[Frame] = []
         with core.lock:
             core.begin(self._cycle)
+            if self._amplifiers and self._cycle != self._taken_over:
+                self._taken_over = self._cycle
+                core.take_over()
             if self._sensors:
                 batch += frames.gap.encode(core.gap_m, self._cycle, core.sensor_state)
             if self._amplifiers:

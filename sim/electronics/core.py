@@ -98,7 +98,7 @@ class Core:
         self._challenge = 0
         self._pending_n, self._acting_n = np.zeros(self.coils), np.zeros(self.coils)
         self._fresh = False
-        self._missed = 0
+        self._missed = 0  # periods since setpoints were taken over
         # Beam and rotor: position, velocity, acceleration that act, and those that come.
         self._motion = np.zeros((2, 3))
         self._motion[:, 0] = self._plant.beam[0], self._plant.rotor[0]
@@ -144,14 +144,14 @@ class Core:
         return self._pending_n
 
     def begin(self, cycle: int, modulus: int = CYCLES) -> bool:
-        """Begin a cycle: the plant moves there, setpoints are taken over, readings are sampled.
+        """Begin a cycle: the plant moves there, readings are sampled; amplifiers `take_over`.
 
         `cycle` is counted modulo `modulus`, a divisor of CYCLES. The cycle at hand again (another
         bus says it too) changes nothing; returns whether it is a new one.
         """
         with self.lock:
-            self._last_s = time.monotonic()
             if self._cycle is None:
+                self._last_s = time.monotonic()
                 self._cycle = cycle
                 self._sample()
                 return True
@@ -160,6 +160,8 @@ class Core:
                 return False
             if modulus - periods <= _BEHIND:
                 return False  # another bus was quicker: that cycle is over
+            # Only now: who repeats himself says no more than that he is stuck.
+            self._last_s = time.monotonic()
             if periods > min(_NEW_COUNT, modulus // 2):
                 periods, self._ahead = 1, 0
                 self._cycle = cycle if modulus == CYCLES else self._cycle + 1
@@ -171,26 +173,44 @@ class Core:
             gone = min(periods, self._ahead)
             enabled = self.amplifier_state is AmplifierState.ENABLED
             self._ahead = self._ahead - gone if enabled else 0
-            for left in reversed(range(periods - gone)):
-                self._period(setpoints_next=not left)
-            self._take_over()
+            for _ in range(periods - gone):
+                self._period()
             self._sample()
             return True
 
-    def tick(self, now: float) -> None:
-        """Let time go on without a host: to be called about once a period when nothing comes.
+    def take_over(self) -> None:
+        """Let the forces act that came last, within the limits; the amplifiers' bus says when.
 
-        `now` (monotonic): up to when nothing came for certain. What came since, while this process
-        had to wait for its turn, is no silence.
+        Zero force is within every limit.
         """
         with self.lock:
-            if now - self._last_s < _SILENT_PERIODS * self.period_s:
+            if self.amplifier_state is AmplifierState.ENABLED and self._fresh:
+                self._missed = 0
+                acting, step = self._acting_n, self._step_n + _TOLERANCE_N
+                low = np.maximum(acting - step, -self._limit_n)
+                high = np.minimum(acting + step, self._limit_n)
+                np.clip(self._pending_n, low, high, out=acting)
+                if not self._pending_n.any():
+                    acting[:] = 0.0
+            self._fresh = False
+            self._expire_setpoints()
+
+    def tick(self, now: float) -> None:
+        """Let time go on without a host: to be called about once a period, whatever else comes.
+
+        `now` (monotonic): up to when all that came has been handled. What came since, while this
+        process had to wait for its turn, is no silence.
+        """
+        with self.lock:
+            silent = math.floor((now - self._last_s) / self.period_s - _SILENT_PERIODS) + 1
+            if silent <= 0:
                 return
-            self._period()
-            self._ahead += 1
-            self._last_s += self.period_s
-            if now - self._last_s > _NEW_COUNT * self.period_s:  # it slept: do not race
-                self._last_s = now
+            periods = min(silent, _NEW_COUNT)  # one that slept does not race
+            for _ in range(periods):
+                self._period()
+            self._ahead += periods
+            self._last_s = now if periods < silent else self._last_s + periods * self.period_s
+            self._expire_setpoints()
 
     def setpoints(self, coil_n: Array) -> None:
         """Take forces (C,) in N that act from the next cycle on; one nan makes all of them void."""
@@ -279,18 +299,15 @@ class Core:
             self.amplifier_state = AmplifierState.OFF
         return Parameter.TRIPPED_COILS, self._tripped
 
-    def _period(self, setpoints_next: bool = False) -> None:
-        """One period with what acts; `setpoints_next`: what came since acts from its end on."""
+    def _period(self) -> None:
+        """One period with what acts, which is nothing where too many before brought nothing new."""
+        self._expire_setpoints()
         plant, acting = self._plant, self._acting_n
         plant.push(np.array([0.0, 0.0, self.injected.push_n]))
         plant.advance(acting, self._motion[0], self._motion[1])
         self.forced_periods += bool(acting.any())
+        self._missed += 1
         self._look_at_injected()
-        heard = setpoints_next and self._fresh
-        if self.amplifier_state is AmplifierState.ENABLED and not heard:
-            self._missed += 1
-            if self._missed >= self._expire:
-                self.amplifier_state = AmplifierState.EXPIRED
         if self.amplifier_state is not AmplifierState.ENABLED:
             acting[:] = 0.0
         if self._plan:
@@ -301,15 +318,11 @@ class Core:
             if self._drives_missed > self._expire:
                 self._hold_drives()
 
-    def _take_over(self) -> None:
-        """Let the forces act that came last, within the limits; a cycle begins with that alone."""
-        if self.amplifier_state is AmplifierState.ENABLED and self._fresh:
-            self._missed = 0
-            acting = self._acting_n
-            low = np.maximum(acting - self._step_n - _TOLERANCE_N, -self._limit_n)
-            high = np.minimum(acting + self._step_n + _TOLERANCE_N, self._limit_n)
-            np.clip(self._pending_n, low, high, out=acting)
-        self._fresh = False
+    def _expire_setpoints(self) -> None:
+        """Go to zero force where setpoints have stayed away for too long."""
+        if self.amplifier_state is AmplifierState.ENABLED and self._missed >= self._expire:
+            self.amplifier_state = AmplifierState.EXPIRED
+            self._acting_n[:] = 0.0
 
     def _hold_drives(self) -> None:
         self._plan.clear()

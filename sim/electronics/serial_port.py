@@ -68,14 +68,15 @@ class SerialElectronics:
                 continue
             self._line.open()
             data = self._line.read(patience_s)
+            read_s = time.monotonic()
             if not data:
-                self._core.tick(min(silent_s, time.monotonic()))
+                self._core.tick(min(silent_s, read_s))
                 continue
             if self.injector.hears:
                 for block in self._stream.feed(data):
                     self._answer(block)
-            else:
-                self._core.tick(time.monotonic())
+            if len(data) < _CHUNK:  # there is no more of what had come by then
+                self._core.tick(read_s)
 
     def _answer(self, block: bytes) -> None:
         frames, core = self._frames, self._core
@@ -86,6 +87,8 @@ class SerialElectronics:
             with core.lock:
                 self._take_setpoints()
                 core.begin(header.sequence)
+                if self._contents.coils:  # whoever began the cycle, and a second time too
+                    core.take_over()
                 readings = frames.readings(
                     header.sequence,
                     (core.answered_state, core.force_n),

@@ -23,8 +23,6 @@ MEASURED = Path(__file__).parents[2] / "shared" / "data" / "silverbox" / "SNLS80
 TRAIN = ((40_650, 48_841), (65_226, 73_417), (89_802, 97_993))
 """Rows of three eighths of the usual training part, to be quick."""
 TEST = (105_712, 127_399)
-FIRST_ROWS = 50
-"""Of a part serve to start a model, as everybody takes it who reports an error."""
 CONFIG = load_model(shipped("models/silverbox.yaml"))
 
 pytestmark = pytest.mark.skipif(
@@ -52,18 +50,16 @@ def test_error(point: WorkingPoint, log: Path) -> float:
 test_error.__test__ = False  # type: ignore[attr-defined]
 
 
-def test_cubic_stiffness_is_named_and_the_error_falls_tenfold(tmp_path: Path) -> None:
+def test_cube_and_square_are_named_and_the_error_falls_more_than_tenfold(tmp_path: Path) -> None:
     logs = [imported(tmp_path, rows) for rows in TRAIN]
     found = trace(logs, CONFIG, all_effects, Alone(CONFIG), lambda *_: None)
     named = [p.effect.key for p in found.found.point.placed]
-    assert named[0] == "stiffness.cubic"
+    assert named[:2] == ["stiffness.cubic", "stiffness.asymmetric"]
     unseen = imported(tmp_path, TEST)
     before, after = (test_error(p, unseen) for p in (found.declared, found.found.point))
     # A linear model leaves 7 mV, a cubic one 0.65 mV, with the square that is there too 0.40 mV.
     assert before > 5e-3
-    assert after < 0.65e-3
-    if "stiffness.asymmetric" in named:
-        assert after < 0.45e-3
+    assert after < 0.40e-3
     alone = replace(
         found.found.point,
         placed=tuple(p for p in found.found.point.placed if p.effect.key == "stiffness.cubic"),

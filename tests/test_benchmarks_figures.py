@@ -1,0 +1,105 @@
+"""What benchmarks print: numbers that are what they are called, and none lost in silence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from from_benchmarks import module, script
+
+
+@pytest.fixture(scope="module")
+def peers() -> ModuleType:
+    return script("peers")
+
+
+@pytest.fixture(scope="module")
+def discrepancy() -> ModuleType:
+    return script("discrepancy")
+
+
+def by_key(figures) -> dict[str, float]:
+    return {figure.key: figure.value for figure in figures}
+
+
+def test_coverage_of_other_code_does_not_count(tmp_path: Path, monkeypatch) -> None:
+    greybox = module("greybox")
+    monkeypatch.setattr(greybox, "KEPT", tmp_path)
+
+    def kept(error: float) -> None:
+        """As a run that ended before would have left it."""
+        name = f"coverage-8s-{greybox.version()}.jsonl"
+        (tmp_path / name).write_text(json.dumps({"seed": 100, "z": [error]}) + "\n")
+
+    monkeypatch.setattr(greybox, "code_version", lambda *_: "before")
+    kept(0.5)
+    assert by_key(greybox.coverage(1, 8.0))["coverage_percent"] == 100.0
+    monkeypatch.setattr(greybox, "code_version", lambda *_: "after")
+    kept(3.0)
+    assert by_key(greybox.coverage(1, 8.0))["coverage_percent"] == 0.0
+
+
+def test_version_is_that_of_the_code_that_a_fit_needs(tmp_path: Path, monkeypatch) -> None:
+    greybox, versions = module("greybox"), module("_code_version")
+    for room in ("model", "identification/greybox", "identification/trace", "config/models"):
+        (tmp_path / room).mkdir(parents=True)
+    monkeypatch.setattr(versions, "ROOT", tmp_path)
+    monkeypatch.setattr(greybox, "ROOT", tmp_path)
+    found = [greybox.version()]
+    for path in ("model/declared.py", "identification/data.py", "identification/greybox/fit.py"):
+        (tmp_path / path).write_text("x = 1\n")
+        found.append(greybox.version())
+    assert len(set(found)) == 4
+    (tmp_path / "identification/trace/search.py").write_text("x = 1\n")
+    assert greybox.version() == found[-1]
+
+
+def test_growth_of_a_trace_is_a_ratio_and_effects_are_those_flown(monkeypatch) -> None:
+    trace, isolated = script("trace"), module("_isolated")
+    monkeypatch.setattr(trace, "fly_session", lambda *_: [Path()] * 12)
+    monkeypatch.setattr(trace, "silverbox", list)
+
+    def apart(_call: object, logs: list[Path]) -> object:
+        placed = (*trace.FLOWN[: len(logs) // 6], "air_damping.squeeze_film@psi")
+        return isolated.Outcome(trace.Traced(3, placed, 8.0, 2.0, 2.0), 5.0 * len(logs), 10**9)
+
+    monkeypatch.setattr(trace, "_apart", apart)
+    found = by_key(trace.measure(False))
+    assert found["growth"] == 2.0
+    assert (found["half_flown"], found["half_others"]) == (1, 1)
+    assert (found["all_flown"], found["all_others"]) == (2, 1)
+    assert (found["all_before"], found["all_after"]) == (4.0, 1.0)
+
+
+def test_effects_of_the_trace_benchmark_are_in_the_table() -> None:
+    from rig_effects import rig_places
+
+    from levid.model.effects.table import all_effects
+
+    assert set(script("trace").FLOWN) <= {e.identity for e in all_effects(rig_places())}
+
+
+@pytest.mark.parametrize("error", [np.inf, np.nan])
+def test_a_response_that_is_no_number_is_told(peers: ModuleType, error: float) -> None:
+    contender = next(c for c in peers.CONTENDERS if c.key == "levid_subspace")
+    bad = peers.Score(contender, 1.0, 2.0, error, 0.1, 100.0)
+    found = peers.figures([bad])
+    assert found["diverged_levid_subspace"] == 1.0
+    assert "error_levid_subspace_percent" not in found
+    good = peers.figures([peers.Score(contender, 1.0, 2.0, 3.0, 0.1, 100.0)])
+    assert good["diverged_levid_subspace"] == 0.0
+    failed = peers.figures([peers.Score(contender, failed="not done after 60 s")])
+    assert failed == {"failed_levid_subspace": 1.0}
+
+
+@pytest.mark.parametrize("error", [np.inf, np.nan])
+def test_a_model_that_runs_away_is_told(discrepancy: ModuleType, error: float) -> None:
+    found = discrepancy.figures([discrepancy.Row("cubic-z", "levid", error, 1.2, 0.1, 3.0, "")])
+    assert found["diverged_levid_cubic_z"] == 1.0
+    assert found["failed_levid_cubic_z"] == 0.0
+    assert "error_levid_cubic_z" not in found
+    absent = discrepancy.Row("cubic-z", "PySINDy", *[np.nan] * 4, "not installed", failed=True)
+    assert discrepancy.figures([absent]) == {"failed_pysindy_cubic_z": 1.0}

@@ -1,6 +1,6 @@
 """The rig in a few lines of its own, so that identification is tested against an independent truth.
 
-Not a test file: the identification tests load it by path (tests/ is not a package).
+Not a test file: tests take it as their fixture `rig`.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def silverbox() -> list[Figure]:
         ),
         Figure("silverbox_effects", len(on.placed), "", told),
         *(
-            Figure(f"silverbox_{key}", f"stiffness.{key}" in on.placed, "", f"{key} is named")
+            Figure(f"silverbox_{key}", float(f"stiffness.{key}" in on.placed), "", f"{key} named")
             for key in ("cubic", "asymmetric")
         ),
     ]

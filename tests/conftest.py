@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -55,6 +56,14 @@ def rig() -> ModuleType:
     import identification_plant
 
     return identification_plant
+
+
+@pytest.fixture
+def no_warnings() -> Iterator[None]:
+    """A figure that makes numpy or matplotlib warn hides something from its reader."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
 
 
 class Outcome(NamedTuple):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mass_logs import imported
 from rig_effects import rig_places
 
 from levid.config.base import parse_text
@@ -18,7 +19,6 @@ from levid.identification.trace.record import TraceRecord, trace_record
 from levid.identification.trace.session_time import overlap, require_timeless, timeless
 from levid.identification.trace.study import Trace, trace
 from levid.identification.trace.workers import Alone
-from levid.log.importer import import_file
 from levid.log.reader import read_log
 from levid.model.effects.base import Placed
 from levid.model.effects.extent import Extent
@@ -41,14 +41,6 @@ K: [[800.0]]
     ModelConfig,
     "mass",
 )
-SIGNALS = """
-levid: signals
-rate_hz: 250
-input_hold: band_limited
-columns:
-  - {column: 0, name: f_n, unit: N, role: input}
-  - {column: 1, name: x_m, unit: m, role: output}
-"""
 NOISE_M = 2e-7
 
 
@@ -63,14 +55,7 @@ def waves(seed: int, seconds: float, noise_m: float) -> np.ndarray:
 
 
 def logs(folder: Path, tables: Sequence[np.ndarray]) -> list[Path]:
-    (folder / "signals.yaml").write_text(SIGNALS)
-    paths = []
-    for i, table in enumerate(tables):
-        data, log = folder / f"made-{i}.csv", folder / f"made-{i}.mcap"
-        np.savetxt(data, table, delimiter=",", fmt="%.17g")
-        import_file(data, folder / "signals.yaml", log)
-        paths.append(log)
-    return paths
+    return [imported(folder, f"made-{i}", table) for i, table in enumerate(tables)]
 
 
 def traced(paths: Sequence[Path]) -> Trace:

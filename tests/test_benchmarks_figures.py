@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import sys
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-from from_benchmarks import module, script
+from from_benchmarks import BENCHMARKS, module, script
 
 
 @pytest.fixture(scope="module")
@@ -19,6 +21,14 @@ def peers() -> ModuleType:
 @pytest.fixture(scope="module")
 def discrepancy() -> ModuleType:
     return script("discrepancy")
+
+
+def test_nothing_of_benchmarks_hides_the_standard_library() -> None:
+    script("trace")
+    assert str(BENCHMARKS) not in sys.path
+    found = importlib.import_module("trace").__file__
+    assert found is not None
+    assert Path(found).parent != BENCHMARKS
 
 
 def by_key(figures) -> dict[str, float]:
@@ -103,3 +113,46 @@ def test_a_model_that_runs_away_is_told(discrepancy: ModuleType, error: float) -
     assert "error_levid_cubic_z" not in found
     absent = discrepancy.Row("cubic-z", "PySINDy", *[np.nan] * 4, "not installed", failed=True)
     assert discrepancy.figures([absent]) == {"failed_pysindy_cubic_z": 1.0}
+
+
+def test_couplings_that_nobody_can_judge_have_no_error(monkeypatch) -> None:
+    identify, freq_hz = script("identify"), np.array([2.0, 20.0])
+    true = np.ones((2, 3, 3), complex) + 9.0 * np.eye(3)
+    monkeypatch.setattr(identify, "frequency_response", lambda *_: true)
+
+    def errors(P: np.ndarray, noise: float) -> dict[str, float]:
+        quiet = np.full(P.shape, noise)
+        return by_key(
+            identify.errors(
+                [identify.Estimate(key, 0.0, freq_hz, P, quiet) for key in identify.LABELS]
+            )
+        )
+
+    found = errors(10.0 ** (1 / 20) * true, 1.0)
+    assert found["subspace_db"] == pytest.approx(1.0)
+    assert found["subspace_offdiag_percent"] == 0.0
+    assert "subspace_offdiag_db" not in found
+    found = errors(10.0 ** (1 / 20) * true, 0.01)
+    assert found["subspace_offdiag_percent"] == 100.0
+    assert found["subspace_offdiag_db"] == pytest.approx(1.0)
+    # No number is no small error.
+    assert np.isnan(errors(np.nan * true, 0.01)["subspace_db"])
+
+
+def test_ratio_of_shares_holds_the_truth_as_often_as_it_says() -> None:
+    ratio_95 = module("_shares").ratio_95
+    rng = np.random.default_rng(1)
+    some, others = rng.binomial(10_000, 0.004, 2000), rng.binomial(20_000, 0.002, 2000)
+    inside = [
+        low < 2.0 < high
+        for low, high in (ratio_95(a, 10_000, b, 20_000) for a, b in zip(some, others, strict=True))
+    ]
+    # 2000 draws: 0.5 % is the standard error.
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
+    low, high = ratio_95(0, 1000, 0, 1000)
+    assert 0.0 < low < 1.0 < high
+
+
+def test_checksum_that_fuzz_checks_with_is_the_standards() -> None:
+    # AUTOSAR's own check value (Specification of CRC Routines).
+    assert script("fuzz")._crc8(b"123456789") == 0xDF

@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 import yaml
+from _code_version import FLYING_CODE, canonical
+from _code_version import code_version as digest_of
 from threadpoolctl import threadpool_limits
 
-import levid
 from levid.config.base import ConfigError, parse, read_mapping
 from levid.config.model import load_model
 from levid.config.rig import load_rig
@@ -40,10 +41,8 @@ SESSION = shipped("sessions/trace-short.yaml")
 HIGHEST_GAP_M = 0.85e-3
 """Beyond, a corner would touch its stop at 0.9 mm or leave what the sensors read."""
 
-_FLYING_CODE = ("config", "daemon", "drivers", "log", "model", "sim")
-"""What decides how a plant moves."""
-_CODE = (*_FLYING_CODE, "identification")
-"""And what is found in its logs."""
+_CODE = (*FLYING_CODE, "identification")
+"""What decides how a plant moves, and what is found in its logs."""
 
 Entries = Sequence[dict[str, Any]]
 
@@ -125,20 +124,8 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
 
 def code_version(rooms: Sequence[str] = _CODE) -> str:
     """Return a digest of the code in rooms, and of the plant, the model and the session."""
-    root = Path(levid.__file__).parent
-    digest = hashlib.sha256()
-    for room in rooms:
-        for path in sorted((root / room).rglob("*.py")):
-            digest.update(path.read_bytes())
-    digest.update(Path(__file__).with_name("_unlisted_effects.py").read_bytes())
-    for path in (RIG, SIM, MODEL, SESSION):
-        digest.update(canonical(read_mapping(path)).encode())
-    return digest.hexdigest()[:12]
-
-
-def canonical(value: object) -> str:
-    """Return the text of plain data that does not depend on comments or on the order of keys."""
-    return json.dumps(value, sort_keys=True)
+    unlisted = Path(__file__).with_name("_unlisted_effects.py")
+    return digest_of(rooms, [unlisted], [RIG, SIM, MODEL, SESSION])
 
 
 @contextmanager
@@ -147,7 +134,7 @@ def _folder(effects: Entries, seed: int, flights: Path | None) -> Iterator[Path]
         with tempfile.TemporaryDirectory() as name:
             yield Path(name)
     else:
-        text = canonical([list(effects), seed, code_version(_FLYING_CODE)])
+        text = canonical([list(effects), seed, code_version(FLYING_CODE)])
         yield flights / hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -17,7 +17,6 @@ import tempfile
 import time
 import tty
 from collections.abc import Callable
-from math import exp, log, sqrt
 from pathlib import Path
 
 import _real_time
@@ -26,6 +25,7 @@ import cantools
 import numpy as np
 import serial
 from _bus_flights import flight_figures
+from _shares import ratio_95
 from _table import Figure
 
 from levid.config.base import parse_text
@@ -290,7 +290,7 @@ def late_figures(seconds: float, rounds: int) -> list[Figure]:
             ),
             Figure(
                 f"{name}_late_ratio_95",
-                _ratio_95(late[name], cycles[name], late["empty"], cycles["empty"]),
+                ratio_95(late[name], cycles[name], late["empty"], cycles["empty"])[1],
                 "",
                 f"{name}: ratio of late shares, 95 % bound",
             ),
@@ -362,14 +362,6 @@ def _timed(loop: Callable[[int], None], seconds: float, begin: int) -> tuple[int
         late += clock.skipped > 0
         loop(cycle)
     return n, late
-
-
-def _ratio_95(late: int, cycles: int, empty: int, of: int) -> float:
-    """Return the upper end of the 95 % interval of a ratio of shares (Katz, log method)."""
-    # Half a count added to each: a share of nothing has a bound too.
-    a, b = late + 0.5, empty + 0.5
-    ratio = (a / cycles) / (b / of)
-    return ratio * exp(1.96 * sqrt(1 / a + 1 / b)) if log(ratio) < 700 else ratio
 
 
 def _electronics(rig_file: Path) -> subprocess.Popen[bytes]:

@@ -75,7 +75,8 @@ class Row:
     """What one contender makes of a plant.
 
     error, floor: free-running, in noise deviations; `left`: share of the missing force that is
-    still missing; `seconds` of processor time from the refitted declared model on.
+    still missing; `seconds` of processor time from the refitted declared model on. `failed`: there
+    is nothing of it, and `what` says why.
     """
 
     case: str
@@ -85,6 +86,12 @@ class Row:
     left: float
     seconds: float
     what: str
+    failed: bool = False
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the model ran away on records that nobody fitted."""
+        return not self.failed and not math.isfinite(self.error)
 
 
 def main() -> None:
@@ -110,12 +117,12 @@ def compare(case: ZooCase, sizes: Sizes) -> list[Row]:
         config = load_model(MODEL)
         watch = _Watch()
         found = trace(logs, config, all_effects, Alone(config), watch)
+        assert math.isfinite(watch.refitted), "trace did not say when it began to screen"
         seconds = time.process_time() - watch.refitted
         declared, better = found.declared, found.found.point
         train, held = split([trace_record(read_log(path), config) for path in logs])
         known = [_along(declared, record) for record in held]
-        rest = [_along(better, r, like).force for r, like in zip(held, known, strict=True)]
-        left = _left(declared, known, rest)
+        left = _left(declared, better, held, known)
         rows = [
             Row(case.name, "declared", *pooled(found.before), 1.0, math.nan, ""),
             Row(case.name, "levid", *pooled(found.after), left, seconds, _names(found)),
@@ -129,11 +136,18 @@ def compare(case: ZooCase, sizes: Sizes) -> list[Row]:
 
 
 def figures(rows: Sequence[Row]) -> dict[str, float]:
-    """Return every number by contender and plant; those that are none are left out."""
+    """Return every number by contender and plant; of one that failed only failed_KEY = 1.
+
+    diverged_KEY = 1 says of a model that it ran away; its error, no number, is left out.
+    """
     out: dict[str, float] = {}
     for row in rows:
         key = f"{row.who}_{row.case}".lower().replace("-", "_")
+        out[f"failed_{key}"] = float(row.failed)
+        if row.failed:
+            continue
         out |= {
+            f"diverged_{key}": float(row.diverged),
             f"error_{key}": row.error,
             f"error_over_floor_{key}": row.error / row.floor,
             f"force_left_{key}": row.left,
@@ -152,7 +166,7 @@ def table(rows: Sequence[Row]) -> Table:
     grid.add_column("what")
     for row in rows:
         grid.add_row(
-            row.case, row.who, _number(row.error), _number(row.error / row.floor),
+            row.case, row.who, _error(row, 1.0), _error(row, row.floor),
             "" if math.isnan(row.left) else f"{100 * row.left:.3g} %",
             "" if math.isnan(row.seconds) else f"{row.seconds:.1f}", row.what,
         )  # fmt: skip
@@ -176,7 +190,10 @@ class _Watch:
 
 @dataclass(frozen=True)
 class _Along:
-    """A record's regressors (N, R), and the force (N, n) that is missing as far as it is seen."""
+    """A record's regressors (N, R), and the force (N, n) that is missing as far as it is seen.
+
+    gain (F, n) at freq_hz (F,): the filter that let it through.
+    """
 
     regressors: Array
     force: Array
@@ -240,12 +257,12 @@ def _judged(
         force = fit(sample)
     except ModuleNotFoundError as absent:
         nothing = (math.nan,) * 4
-        return Row(case, who, *nothing, f"{absent.name} is not installed")
+        return Row(case, who, *nothing, f"{absent.name} is not installed", failed=True)
     seconds = shared + time.process_time() - begin
     point = replace(declared, placed=(_placed(who, force),))
     errors = [record_error(point, record) for record in held]
     error, floor = pooled(errors)
-    left = _left(declared, known, [r.force - force.at(r.regressors) for r in known])
+    left = _left(declared, point, held, known)
     unsettled = sum(not e.settled for e in errors)
     what = f"{force.terms} terms" + (f", {unsettled} records do not settle" if unsettled else "")
     return Row(case, who, error, floor, left, seconds, what)
@@ -264,9 +281,18 @@ def _term(signals: Signals, _shape: Sequence[float], *, force: Polynomial) -> li
     return [Term(force=force.at(_regressors(signals)))]
 
 
-def _left(point: WorkingPoint, known: Sequence[_Along], rest: Sequence[Array]) -> float:
-    """Return the rms of what is left of the missing force over its own, in units of its noise."""
-    unit = np.sqrt(point.disturbance.noise.force_psd)
+def _left(
+    declared: WorkingPoint,
+    point: WorkingPoint,
+    held: Sequence[TraceRecord],
+    known: Sequence[_Along],
+) -> float:
+    """Return the rms of what `point` still lacks over what `declared` does, in units of its noise.
+
+    Whoever's force it is, it is taken out of the records before the filter that `known` passed.
+    """
+    rest = [_along(point, record, like).force for record, like in zip(held, known, strict=True)]
+    unit = np.sqrt(declared.disturbance.noise.force_psd)
     whole = np.vstack([k.force for k in known]) / unit
     return float(np.sqrt(np.sum((np.vstack(rest) / unit) ** 2) / np.sum(whole**2)))
 
@@ -275,8 +301,8 @@ def _names(found: Trace) -> str:
     return ", ".join(p.effect.name for p in found.found.point.placed) or "nothing"
 
 
-def _number(value: float) -> str:
-    return "diverges" if math.isinf(value) else "" if math.isnan(value) else f"{value:.3g}"
+def _error(row: Row, unit: float) -> str:
+    return "" if row.failed else "diverges" if row.diverged else f"{row.error / unit:.3g}"
 
 
 if __name__ == "__main__":

@@ -15,9 +15,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 
+import _flight
+import _silverbox
 import _table
 import numpy as np
-import yaml
+from _code_version import FLYING_CODE, ROOT, code_version
 from _flight import fly_session
 from _table import Figure
 from threadpoolctl import threadpool_limits
@@ -32,12 +34,10 @@ from levid.identification.greybox.fit import Fit, fit_model
 from levid.identification.greybox.motion import innovations, motion
 from levid.identification.greybox.prediction import settled
 from levid.identification.greybox.result import identify_grey_box
-from levid.log.importer import import_file
 from levid.log.reader import read_log
 from levid.sim.truth import frequency_response
 
 KEPT = Path(__file__).resolve().parent.parent / "build" / "greybox"
-DATA = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
 # Lag and delay move the response almost alike: what a record can tell of either is in its standard
 # error, some 0.4 % of the lag after nine minutes, and no estimator does better.
 HARD = ("lag", "delay")
@@ -96,9 +96,10 @@ def accuracy(duration_s: float) -> list[Figure]:
 def coverage(seeds: int, duration_s: float) -> list[Figure]:
     """How often 95 % intervals hold the truth, all parameters together; how wide errors spread.
 
-    Seeds are kept as they come, so that a run that was stopped carries on.
+    Seeds are kept as they come, so that a run that was stopped carries on; results of other code
+    do not count.
     """
-    kept = KEPT / f"coverage-{duration_s:g}s.jsonl"
+    kept = KEPT / f"coverage-{duration_s:g}s-{version()}.jsonl"
     kept.parent.mkdir(parents=True, exist_ok=True)
     known: dict[int, list[float]] = {}
     if kept.exists():
@@ -122,6 +123,14 @@ def coverage(seeds: int, duration_s: float) -> list[Figure]:
     ]
 
 
+def version() -> str:
+    """Return a digest of what decides an error: flights, the way from a log to a fit, the model."""
+    beside = sorted((ROOT / "identification").glob("*.py"))
+    here = (Path(__file__), Path(_flight.__file__))
+    settings = (_flight.RIG, _flight.SIM, shipped("models/rig.yaml"))
+    return code_version((*FLYING_CODE, "identification/greybox"), (*beside, *here), settings)
+
+
 def errors_in_se(seed: int, duration_s: float) -> list[float]:
     """Return each parameter's error in its standard errors, of a fit to a flight of this seed."""
     truth, start = load_model(shipped("models/rig.yaml")), off_by_a_tenth(seed)
@@ -138,20 +147,14 @@ def errors_in_se(seed: int, duration_s: float) -> list[float]:
 
 def silverbox() -> list[Figure]:
     """Train on the official part, simulate the multisine: the linear part of a measured Duffing."""
-    source = DATA / "silverbox" / "SNLS80mV.csv"
-    if not source.exists():
+    if not _silverbox.SOURCE.exists():
         return []
-    config = load_model(shipped("models/silverbox.yaml"))
+    config = load_model(_silverbox.MODEL)
     with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "train.mcap"
-        import_file(source, shipped("signals/silverbox.yaml"), log)
-        train = experiment_from_log(read_log(log), config)
-        test_signals = Path(folder) / "test.yaml"
-        signals = yaml.safe_load(shipped("signals/silverbox.yaml").read_text())
-        signals["rows"] = {"first": 105712, "last": 127399}
-        test_signals.write_text(yaml.safe_dump(signals))
-        import_file(source, test_signals, Path(folder) / "test.mcap")
-        test = experiment_from_log(read_log(Path(folder) / "test.mcap"), config)
+        train, test = (
+            experiment_from_log(read_log(_silverbox.imported(rows, Path(folder))), config)
+            for rows in (_silverbox.TRAIN, _silverbox.TEST)
+        )
     figures = []
     for hold in ("band_limited", "zoh"):
         held = config.model_copy(update={"input": hold})
@@ -159,7 +162,7 @@ def silverbox() -> list[Figure]:
         at = settled(motion(fit.model, test, held.input), fit.predictions[0].offset)
         gain = np.zeros((1, 2, 1))
         error = test.y + innovations(at, gain, np.zeros_like(test.y), np.zeros(2))
-        rms = float(np.sqrt(np.mean(error[50:] ** 2)))
+        rms = float(np.sqrt(np.mean(error[_silverbox.FIRST_ROWS :] ** 2)))
         figures.append(
             Figure(f"silverbox_{hold}_mv", 1e3 * rms, "mV", f"Silverbox, test multisine, {hold}")
         )

@@ -149,12 +149,17 @@ def score(contender: Contender, outcomes: Sequence[Outcome], ratios: Sequence[Co
 
 
 def figures(scores: Sequence[Score]) -> dict[str, float]:
-    """Return every number by name; of a contender that failed only failed_KEY = 1."""
+    """Return every number by name; of a contender that failed only failed_KEY = 1.
+
+    diverged_KEY = 1 says that its P is no number somewhere in the band, or zero.
+    """
     out: dict[str, float] = {}
     for s in scores:
         key = s.contender.key
         out[f"failed_{key}"] = float(bool(s.failed))
         if not s.failed:
+            errors = (s.error_db, s.error_deg, s.error_percent)
+            out[f"diverged_{key}"] = float(not np.all(np.isfinite(errors)))
             out[f"error_{key}_db"] = s.error_db
             out[f"error_{key}_deg"] = s.error_deg
             out[f"error_{key}_percent"] = s.error_percent

@@ -15,21 +15,21 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
-from math import exp, sqrt
 from pathlib import Path
 
 import _table
 import numpy as np
 import yaml
+from _daemon import running
+from _shares import ratio_95
 from _table import Figure
 
 from levid.config.shipped import shipped
-from levid.daemon.client import Client, DaemonError
+from levid.daemon.client import Client
 from levid.log.reader import read_log
 
 PRIORITY = 80
 _LONGEST_US = 20_000
-_READY_S = 60.0
 
 
 @dataclass
@@ -83,7 +83,7 @@ def _figures(name: str, levid: Measured, peer: Measured) -> list[Figure]:
             ),
         ]
     execution = np.concatenate(levid.execution_us)
-    low, high = _ratio(levid.late, levid.cycles, peer.late, peer.cycles)
+    low, high = ratio_95(levid.late, levid.cycles, peer.late, peer.cycles)
     return [
         *figures,
         Figure(f"execution_p50_us_{name}", float(np.median(execution)), "us", "a cycle, p50"),
@@ -127,28 +127,18 @@ def wake_up(cyclictest: str, rate_hz: int, seconds: float, into: Measured) -> No
 def fly(rate_hz: int, seconds: float, into: Measured) -> None:
     """Levitate for so long on the daemon, everything recorded; read what its log says."""
     with tempfile.TemporaryDirectory() as folder:
-        rig = _rig(Path(folder), rate_hz)
-        daemon = subprocess.Popen(
-            [sys.executable, "-m", "levid.cli.main", "run", str(rig)], stderr=subprocess.PIPE
-        )
-        try:
-            status = _ready(Path(folder), daemon)
-            pid = status["pids"]["recorder"]
-            with Client(Path(folder) / "levid.sock") as client:
-                client.request(
-                    "levitate", levitate={"ramp_s": 0.5, "settle_s": 0}, out=f"{folder}/log"
-                )
-                began, used = time.monotonic(), _processor_s(pid)
-                time.sleep(seconds)
-                into.recorder_s += _processor_s(pid) - used
-                into.seconds += time.monotonic() - began
-                client.request("land")
-                while client.request("status")["state"] != "IDLE":
-                    time.sleep(0.1)
-                into.lost += client.request("status")["lost"]
-        finally:
-            daemon.terminate()
-            daemon.communicate()
+        rig, socket = _rig(Path(folder), rate_hz), Path(folder) / "levid.sock"
+        with running(rig, socket) as pids, Client(socket) as client:
+            levitate = {"ramp_s": 0.5, "settle_s": 0}
+            client.request("levitate", levitate=levitate, out=f"{folder}/log")
+            began, used = time.monotonic(), _processor_s(pids["recorder"])
+            time.sleep(seconds)
+            into.recorder_s += _processor_s(pids["recorder"]) - used
+            into.seconds += time.monotonic() - began
+            client.request("land")
+            while client.request("status")["state"] != "IDLE":
+                time.sleep(0.1)
+            into.lost += client.request("status")["lost"]
         rows = np.concatenate([read_log(p).rows for p in Path(folder, "log").glob("*.mcap")])
     period_s = 1.0 / rate_hz
     into.lateness_us.append(1e6 * rows["lateness_s"])
@@ -173,32 +163,9 @@ def _rig(folder: Path, rate_hz: int) -> Path:
     return path
 
 
-def _ready(folder: Path, daemon: subprocess.Popen[bytes]) -> dict[str, dict[str, int]]:
-    give_up_s = time.monotonic() + _READY_S
-    while True:
-        try:
-            with Client(folder / "levid.sock") as client:
-                status = client.request("status")
-            if status["state"] == "IDLE":
-                return status
-        except DaemonError:
-            pass
-        if daemon.poll() is not None or time.monotonic() > give_up_s:
-            sys.exit("timing: the daemon did not start")
-        time.sleep(0.1)
-
-
 def _processor_s(pid: int) -> float:
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _ratio(late: int, cycles: int, other: int, of: int) -> tuple[float, float]:
-    """Return the ends of the 95 % interval of a ratio of shares (Katz, log method)."""
-    # Half a count added to each: a share of nothing has a bound too.
-    a, b = late + 0.5, other + 0.5
-    ratio, spread = (a / cycles) / (b / of), exp(1.96 * sqrt(1 / a + 1 / b))
-    return ratio / spread, ratio * spread
 
 
 if __name__ == "__main__":

@@ -2,33 +2,37 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
+import warnings
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
 import pytest
-from punctuality import Witness
+from punctuality import Watch, Witness
 
 from levid.cli.main import main
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 
-_WITNESS = pytest.StashKey[Witness]()
+_WATCH = pytest.StashKey[Watch]()
+
+
+@pytest.fixture(scope="session")
+def witness() -> Iterator[Witness]:
+    """A process beside the tests that tells how punctual the machine is."""
+    witness = Witness()
+    yield witness
+    witness.close()
 
 
 @pytest.fixture(autouse=True)
-def _witness(request: pytest.FixtureRequest) -> Iterator[None]:
+def _watch(request: pytest.FixtureRequest) -> None:
     """Watch the machine while a test of what flies in real time runs."""
-    if request.node.get_closest_marker("real_time") is None:
-        yield
-        return
-    with Witness() as witness:
-        request.node.stash[_WITNESS] = witness
-        yield
+    if request.node.get_closest_marker("real_time") is not None:
+        request.node.stash[_WATCH] = Watch(request.getfixturevalue("witness"))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -37,9 +41,10 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """A flight that failed while the machine gave nobody its time is skipped, and says so."""
     report = yield
-    witness = item.stash.get(_WITNESS, None)
-    if witness is not None and report.failed and witness.starved:
-        why = f"{witness.starved}; it ended with: {call.excinfo.exconly()[:300]}"
+    watch = item.stash.get(_WATCH, None)
+    starved = watch.starved if watch is not None and report.failed else ""
+    if starved:
+        why = f"{starved}; it ended with: {call.excinfo.exconly()[:300]}"
         report.outcome = "skipped"
         report.longrepr = (str(item.path), item.location[1] or 0, f"Skipped: {why}")
     return report
@@ -48,14 +53,17 @@ def pytest_runtest_makereport(
 @pytest.fixture(scope="session")
 def rig() -> ModuleType:
     """The rig of tests/identification_plant.py; a truth that shares no code with the project."""
-    path = Path(__file__).with_name("identification_plant.py")
-    spec = importlib.util.spec_from_file_location("identification_plant", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where its dataclasses look for it
-    spec.loader.exec_module(module)
-    return module
+    import identification_plant
+
+    return identification_plant
+
+
+@pytest.fixture
+def no_warnings() -> Iterator[None]:
+    """A figure that makes numpy or matplotlib warn hides something from its reader."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
 
 
 class Outcome(NamedTuple):

@@ -1,10 +1,11 @@
 """The rig in a few lines of its own, so that identification is tested against an independent truth.
 
-Not a test file: the identification tests load it by path (tests/ is not a package).
+Not a test file: tests take it as their fixture `rig`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -12,8 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from levid.identification.data import PiController, Record
+
 Array = NDArray[np.float64]
 
+NAMES, UNITS_IN, UNITS_OUT = ("psi", "theta", "z"), ("N m", "N m", "N"), ("rad", "rad", "m")
 R_M = 0.12
 KP = np.array([20.0, 20.0, 500.0])
 KI = np.array([200.0, 200.0, 3000.0])
@@ -80,7 +84,7 @@ def closed_loop_markov(plant: SampledPlant, length: int) -> Array:
 
 
 def simulate(
-    plant: SampledPlant, v: Array, *, noise: bool = True, seed: int = 0
+    plant: SampledPlant, v: Array, *, noise: bool = True, seed: int | Sequence[int] = 0
 ) -> tuple[Array, Array]:
     """Fly excitation v (N, 3) in closed loop from rest; return pose y and wrench u, (N, 3)."""
     rng = np.random.default_rng(seed)
@@ -96,18 +100,39 @@ def simulate(
     return _loop(plant.A, plant.B, plant.C, COILS, T, KP, ki, v, sensor, wrench, step)
 
 
-def record(
-    x_b_m: float, rate_hz: float, duration_s: float, axis: int, seed: int
-) -> tuple[Array, Array, Array]:
-    """Return v, u, y of one record with white noise on one axis."""
-    rng = np.random.default_rng(seed)
-    v = np.zeros((round(duration_s * rate_hz), 3))
-    v[:, axis] = rng.normal(0.0, EXCITATION_RMS[axis], len(v))
-    y, u = simulate(sampled_plant(x_b_m, 1 / rate_hz), v, seed=seed + 1)
-    return v, u, y
+def records(
+    beams_m: Sequence[float],
+    rate_hz: float,
+    duration_s: float,
+    seed: int = 0,
+    *,
+    noise: bool = True,
+    at_rest: bool = True,
+) -> list[Record]:
+    """Return a record of white noise at each input for each position, flown from rest.
+
+    They are named psi-0, theta-0, z-0, psi-1, ... by input and position. The density of the
+    excitation is the same at any rate. `at_rest`: whether they tell that they begin at rest.
+    """
+    controller, found = PiController(KP, KI), []
+    for b, x_b_m in enumerate(beams_m):
+        plant = sampled_plant(x_b_m, 1 / rate_hz)
+        for axis, name in enumerate(NAMES):
+            excitation, sensors = [seed, b, axis, 0], [seed, b, axis, 1]
+            v = np.zeros((round(duration_s * rate_hz), 3))
+            rms = EXCITATION_RMS[axis] * np.sqrt(rate_hz / 1e3)
+            v[:, axis] = np.random.default_rng(excitation).normal(0.0, rms, len(v))
+            y, u = simulate(plant, v, noise=noise, seed=sensors)
+            found.append(
+                Record(
+                    f"{name}-{b}", 1 / rate_hz, v, y, NAMES, UNITS_IN, NAMES, UNITS_OUT, u=u,
+                    beam_m=x_b_m, controller=controller, delay_cycles=1, at_rest=at_rest,
+                )
+            )  # fmt: skip
+    return found
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _loop(A, B, C, S, T, kp, ki, v, sensor, wrench, step):  # type: ignore[no-untyped-def]
     n = len(v)
     y, u = np.zeros((n, 3)), np.zeros((n, 3))

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from from_benchmarks import module
 
 from levid.config.base import load_yaml
 from levid.config.model import ModelConfig
@@ -20,10 +18,8 @@ from levid.model.effects.extent import Extent
 from levid.model.effects.table import all_effects
 from levid.model.geometry import shape_matrix
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 cases, scoring, sizes, truth, plan, results = (
-    importlib.import_module(f"_zoo_{name}")
-    for name in ("cases", "score", "sizes", "truth", "plan", "results")
+    module(f"_zoo_{name}") for name in ("cases", "score", "sizes", "truth", "plan", "results")
 )
 CASE = {case.name: case for case in cases.CASES + cases.UNLISTED}
 
@@ -313,7 +309,7 @@ def test_results_are_kept_and_a_line_cut_off_is_no_result(tmp_path, monkeypatch)
 
 
 def test_passing_beam_shows_on_its_sensor_alone() -> None:
-    unlisted = importlib.import_module("_unlisted_effects")
+    unlisted = module("_unlisted_effects")
     beam = unlisted.PassingBeam(4, 3e-6, at_m=0.03, width_m=0.02)
     beam.reset(None)
     assert beam.wrench(0.0, np.zeros(3), np.zeros(3), SimpleNamespace(x_m=0.05)) == (0.0, 0.0, 0.0)

@@ -13,7 +13,6 @@ from scipy.io import loadmat
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
-from levid.identification.data import PiController, Record
 from levid.identification.declared import declared_model
 from levid.identification.distortion import DetectionLines
 from levid.identification.export import (
@@ -242,16 +241,5 @@ def _estimate() -> ResponseEstimate:
 
 def _identified(rig, beams: tuple[float, ...], order: int = 9) -> IdentificationResult:
     """Identify short records: what is tested is the file, not the estimates."""
-    names = ("psi", "theta", "z")
-    records = []
-    for x_b in beams:
-        for axis, name in enumerate(names):
-            v, u, y = rig.record(x_b, 1000.0, 8.0, axis, seed=axis)
-            records.append(
-                Record(
-                    f"{name} at {x_b}", 1e-3, v, y, names, ("N m", "N m", "N"), names,
-                    ("rad", "rad", "m"), u=u, beam_m=x_b,
-                    controller=PiController(rig.KP, rig.KI), delay_cycles=1, at_rest=True,
-                )
-            )  # fmt: skip
+    records = rig.records(beams, 1000.0, 8.0)
     return identify(records, Options(order=order, impulse_s=0.5, segment_s=2.0, lag_s=rig.LAG_S))

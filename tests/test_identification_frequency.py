@@ -90,12 +90,7 @@ def test_frequencies_are_bins_of_the_segments_each_once():
 
 
 def test_joint_and_sensitivity_estimates_agree_where_the_controller_is_known(rig):
-    v, u, y = rig.record(0.0, 1000.0, 20.0, 2, seed=3)
-    records = []
-    for axis in range(3):
-        v, u, y = rig.record(0.0, 1000.0, 20.0, axis, seed=3 + axis)
-        names = ("psi", "theta", "z")
-        records.append(Record(str(axis), 1e-3, v, y, names, names, names, names, u=u, at_rest=True))
+    records = rig.records([0.0], 1000.0, 20.0, seed=3)
     grid = np.geomspace(2.0, 64.0, 30)
     controller = PiController(rig.KP, rig.KI)
     ours = frequency.plant_from_sensitivity(frequency.sensitivity(records, grid, 8.0), controller)

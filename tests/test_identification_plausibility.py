@@ -8,7 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
-from levid.identification.data import PiController, Record
+from levid.identification.data import Record
 from levid.identification.identify import identify
 from levid.identification.markov import MarkovEstimate
 from levid.identification.options import Options
@@ -16,8 +16,6 @@ from levid.identification.plausibility import has_decayed, settling_time
 from levid.identification.results import ClosedLoopPoint
 from levid.identification.summary import summary
 from levid.model.second_order import StateSpace
-
-NAMES = ("psi", "theta", "z")
 
 
 @pytest.fixture(scope="module")
@@ -27,18 +25,9 @@ def ringing(rig) -> list[Record]:
     Its loop's resonances decay by 1/e in 2.5 s, so that 4 % are left after 8 s.
     """
     M, D, K = rig.matrices(0.0)
-    records = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rig, "matrices", lambda _x_b: (M, 4 / 9 * D, K))
-        for axis, name in enumerate(NAMES):
-            v, u, y = rig.record(0.0, 1000.0, 60.0, axis, seed=axis)
-            records.append(
-                Record(
-                    name, 1e-3, v, y, NAMES, ("N m", "N m", "N"), NAMES, ("rad", "rad", "m"), u=u,
-                    beam_m=0.0, controller=PiController(rig.KP, rig.KI), delay_cycles=1,
-                )
-            )  # fmt: skip
-    return records
+        return rig.records([0.0], 1000.0, 60.0, at_rest=False)
 
 
 def _point(records: list[Record], options: Options) -> ClosedLoopPoint:

@@ -12,30 +12,11 @@ from levid.identification.data import IdentificationError, PiController, Record
 from levid.identification.subspace import grams_of_lags, plant_by_subspace
 
 FREQ_HZ = np.geomspace(1.0, 64.0, 40)
-NAMES, UNITS_IN, UNITS_OUT = ("psi", "theta", "z"), ("N m", "N m", "N"), ("rad", "rad", "m")
-
-
-def _records(rig, rate_hz: float, duration_s: float, noise: bool) -> list[Record]:
-    plant = rig.sampled_plant(0.1, 1 / rate_hz)
-    records = []
-    for axis in range(3):
-        rng = np.random.default_rng(axis)
-        v = np.zeros((round(duration_s * rate_hz), 3))
-        # The same density at either rate.
-        v[:, axis] = rng.normal(0.0, rig.EXCITATION_RMS[axis] * np.sqrt(rate_hz / 1e3), len(v))
-        y, u = rig.simulate(plant, v, noise=noise, seed=axis)
-        records.append(
-            Record(
-                NAMES[axis], 1 / rate_hz, v, y, NAMES, UNITS_IN, NAMES, UNITS_OUT, u=u, beam_m=0.1,
-                controller=PiController(rig.KP, rig.KI), delay_cycles=1,
-            )
-        )  # fmt: skip
-    return records
 
 
 def test_without_noise_the_plant_is_exact_and_has_six_states(rig):
     found = plant_by_subspace(
-        _records(rig, 1e3, 10.0, noise=False), lag_pole=np.exp(-1e-3 / rig.LAG_S)
+        rig.records([0.1], 1e3, 10.0, noise=False), lag_pole=np.exp(-1e-3 / rig.LAG_S)
     )
     assert found.plant.core.A.shape == (6, 6)
     true = rig.sampled_plant(0.1, 1e-3).frequency_response(FREQ_HZ)
@@ -44,7 +25,7 @@ def test_without_noise_the_plant_is_exact_and_has_six_states(rig):
 
 
 def test_a_lag_that_is_not_known_is_three_states_more(rig):
-    found = plant_by_subspace(_records(rig, 1e3, 10.0, noise=False), order=9)
+    found = plant_by_subspace(rig.records([0.1], 1e3, 10.0, noise=False), order=9)
     true = rig.sampled_plant(0.1, 1e-3).frequency_response(FREQ_HZ)
     assert np.abs(found.plant.response(FREQ_HZ) / true - 1).max() < 1e-7
     # At 1 kHz a lag of 0.3 ms is a fast pole, e^(-1 / 0.3) = 0.036.
@@ -55,7 +36,7 @@ def test_a_lag_that_is_not_known_is_three_states_more(rig):
 @pytest.mark.parametrize(("rate_hz", "duration_s"), [(1e3, 20.0), (1e4, 10.0)])
 def test_with_the_rigs_noise_the_diagonal_is_true_to_a_thousandth(rig, rate_hz, duration_s):
     found = plant_by_subspace(
-        _records(rig, rate_hz, duration_s, noise=True), lag_pole=np.exp(-1 / rate_hz / rig.LAG_S)
+        rig.records([0.1], rate_hz, duration_s), lag_pole=np.exp(-1 / rate_hz / rig.LAG_S)
     )
     assert found.plant.core.A.shape == (6, 6)
     true = rig.sampled_plant(0.1, 1 / rate_hz).frequency_response(FREQ_HZ)
@@ -111,10 +92,10 @@ def test_the_gram_matrix_is_that_of_the_written_out_lags():
 
 
 def test_what_it_needs_is_said(rig):
-    records = _records(rig, 1e3, 2.0, noise=True)
-    with pytest.raises(IdentificationError, match=r"'psi': expected the plant input"):
+    records = rig.records([0.1], 1e3, 2.0)
+    with pytest.raises(IdentificationError, match=r"'psi-0': expected the plant input"):
         plant_by_subspace([replace(r, u=None) for r in records])
-    with pytest.raises(IdentificationError, match=r"'psi': expected a known delay"):
+    with pytest.raises(IdentificationError, match=r"'psi-0': expected a known delay"):
         plant_by_subspace([replace(r, delay_cycles=None) for r in records])
     with pytest.raises(IdentificationError, match=r"at least 1932 rows in all .* found 398, 398"):
         plant_by_subspace([r.rows(0, 400) for r in records[:2]], past=160)

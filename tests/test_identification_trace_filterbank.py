@@ -11,6 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from rig_effects import rig_places
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
@@ -35,18 +36,13 @@ from levid.identification.trace.working_point import (
     corrected_experiment,
     filtered,
 )
-from levid.model.effects.base import Placed, Places, Term, on_dof
+from levid.model.effects.base import Placed, Term, on_dof
 from levid.model.effects.table import all_effects
-from levid.model.geometry import shape_matrix
 
 TS = 1e-3
-GRID = np.array([(x, y) for x in (0.12, 0.0, -0.12) for y in (0.12, 0.0, -0.12)])
-SHAPE = shape_matrix(GRID[:, 0], GRID[:, 1])
 CONFIG = load_model(shipped("models/rig.yaml"))
-PLACES = Places(
-    ("psi", "theta", "z"), ("rad", "rad", "m"), SHAPE, SHAPE, "N", ("N m", "N m", "N"), "m",
-    GRID, GRID, beam=True, span_s=(0.0, 20.0),
-)  # fmt: skip
+PLACES = rig_places((0.0, 20.0))
+SHAPE = PLACES.sensor_shape
 SENSOR_SD = 1e-7
 NOISE = Noise(np.diag(SHAPE.T @ SHAPE) * 1e-10, np.diag(np.linalg.pinv(SHAPE.T @ SHAPE)) * 1e-14)
 KINDS = ("fixed", "moving")

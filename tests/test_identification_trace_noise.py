@@ -10,6 +10,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from rig_effects import rig_places
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
@@ -21,17 +22,11 @@ from levid.identification.greybox.noise import Noise
 from levid.identification.trace.hints import tones
 from levid.identification.trace.noise import disturbance, sensor_noise
 from levid.identification.trace.record import TraceRecord, split
-from levid.model.effects.base import Places
-from levid.model.geometry import shape_matrix
 
 TS = 1e-3
-GRID = np.array([(x, y) for x in (0.12, 0.0, -0.12) for y in (0.12, 0.0, -0.12)])
-SHAPE = shape_matrix(GRID[:, 0], GRID[:, 1])
 MODEL = declared_model(load_model(shipped("models/rig.yaml")))
-PLACES = Places(
-    ("psi", "theta", "z"), ("rad", "rad", "m"), SHAPE, SHAPE, "N", ("N m", "N m", "N"), "m",
-    GRID, GRID, beam=True,
-)  # fmt: skip
+PLACES = rig_places()
+SHAPE = PLACES.sensor_shape
 X_B = 0.05
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mass_logs import imported
+from rig_effects import rig_places
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
@@ -17,13 +19,11 @@ from levid.identification.trace.record import TraceRecord, trace_record
 from levid.identification.trace.session_time import overlap, require_timeless, timeless
 from levid.identification.trace.study import Trace, trace
 from levid.identification.trace.workers import Alone
-from levid.log.importer import import_file
 from levid.log.reader import read_log
-from levid.model.effects.base import Placed, Places
+from levid.model.effects.base import Placed
 from levid.model.effects.extent import Extent
 from levid.model.effects.freeform import freeform_effects
 from levid.model.effects.table import all_effects
-from levid.model.geometry import shape_matrix
 
 CONFIG = parse_text(
     """
@@ -41,14 +41,6 @@ K: [[800.0]]
     ModelConfig,
     "mass",
 )
-SIGNALS = """
-levid: signals
-rate_hz: 250
-input_hold: band_limited
-columns:
-  - {column: 0, name: f_n, unit: N, role: input}
-  - {column: 1, name: x_m, unit: m, role: output}
-"""
 NOISE_M = 2e-7
 
 
@@ -63,14 +55,7 @@ def waves(seed: int, seconds: float, noise_m: float) -> np.ndarray:
 
 
 def logs(folder: Path, tables: Sequence[np.ndarray]) -> list[Path]:
-    (folder / "signals.yaml").write_text(SIGNALS)
-    paths = []
-    for i, table in enumerate(tables):
-        data, log = folder / f"made-{i}.csv", folder / f"made-{i}.mcap"
-        np.savetxt(data, table, delimiter=",", fmt="%.17g")
-        import_file(data, folder / "signals.yaml", log)
-        paths.append(log)
-    return paths
+    return [imported(folder, f"made-{i}", table) for i, table in enumerate(tables)]
 
 
 def traced(paths: Sequence[Path]) -> Trace:
@@ -103,11 +88,9 @@ def test_a_record_with_a_frozen_sensor_is_left_out_and_named(tmp_path: Path) -> 
 def test_one_frozen_sensor_of_nine_is_named_by_its_number(tmp_path: Path) -> None:
     (path,) = logs(tmp_path, [waves(0, 4.0, NOISE_M)])
     made = trace_record(read_log(path), CONFIG)
-    grid = np.array([(x, y) for x in (0.1, 0.0, -0.1) for y in (0.1, 0.0, -0.1)])
     gap = np.random.default_rng(1).standard_normal((made.rows, 9))
     gap[:, 5] = -2e-4
-    shape = shape_matrix(grid[:, 0], grid[:, 1])
-    places = replace(made.places, sensor_shape=shape)
+    places = replace(made.places, sensor_shape=rig_places().sensor_shape)
     with pytest.raises(IdentificationError, match=r"sensor:5 is frozen: it shows -0.0002 m"):
         require_live(replace(made, places=places, gap=gap), path)
 
@@ -139,12 +122,7 @@ def test_records_that_begin_at_one_time_do_not_tell_what_came_first(tmp_path: Pa
 
 
 def test_what_depends_on_the_time_of_a_session_is_told_from_what_does_not() -> None:
-    grid = np.array([(x, y) for x in (0.12, 0.0, -0.12) for y in (0.12, 0.0, -0.12)])
-    shape = shape_matrix(grid[:, 0], grid[:, 1])
-    places = Places(
-        ("psi", "theta", "z"), ("rad", "rad", "m"), shape, shape, "N", ("N m", "N m", "N"), "m",
-        grid, grid, beam=True, span_s=(100.0, 160.0),
-    )  # fmt: skip
+    places = rig_places((100.0, 160.0))
     covered = Extent.typical(places)
     kept, timed = timeless(all_effects(places, covered), places, covered)
     # A payload comes at a time, a drift grows with it, a tone has its phase in it.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rig_effects import rig_places
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
@@ -24,7 +25,6 @@ from levid.identification.trace.residual import (
 )
 from levid.identification.trace.working_point import WorkingPoint
 from levid.model.effects.base import Places
-from levid.model.geometry import shape_matrix
 
 TS = 1e-3
 M, D, K = 2.0, 3.0, 800.0
@@ -118,15 +118,9 @@ def test_what_stands_out_keeps_its_phase() -> None:
 
 
 def test_a_rigid_pose_shows_nothing_beyond_itself() -> None:
-    x, y = 0.1 * np.repeat([1.0, 0.0, -1.0], 3), 0.1 * np.tile([1.0, 0.0, -1.0], 3)
-    shape, xy = shape_matrix(x.tolist(), y.tolist()), np.stack([x, y], axis=1)
-    rig = Places(
-        ("psi", "theta", "z"), ("rad", "rad", "m"), shape, shape, "N", ("N m", "N m", "N"), "m",
-        xy, xy, beam=False,
-    )  # fmt: skip
     rng = np.random.default_rng(0)
     pose = rng.standard_normal((50, 3))
-    made = record(pose, np.zeros((50, 3)), rig)
+    made = record(pose, np.zeros((50, 3)), rig_places())
     np.testing.assert_allclose(beyond_rigid(made, made.gap), 0.0, atol=1e-12)
     false = made.gap.copy()
     false[:, 4] += 1.0

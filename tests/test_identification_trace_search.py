@@ -5,12 +5,14 @@ The plant is a mass on a spring, integrated here; its logs come in as anybody's 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mass_logs import imported
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
@@ -19,14 +21,7 @@ from levid.identification.trace.linearise import linearise
 from levid.identification.trace.metric import pooled, record_error
 from levid.identification.trace.reading import read_records
 from levid.identification.trace.study import Trace, trace
-from levid.identification.trace.workers import (
-    Alone,
-    Source,
-    Workers,
-    cluster_workers,
-    local_workers,
-)
-from levid.log.importer import import_file
+from levid.identification.trace.workers import Alone, Source, Workers, local_workers
 from levid.model.effects.table import all_effects
 
 MODEL = """
@@ -44,14 +39,6 @@ D: [[d]]
 K: [[k]]
 """
 MASS, DAMPER, SPRING = 2.0, 12.0, 800.0
-SIGNALS = """
-levid: signals
-rate_hz: 250
-input_hold: band_limited
-columns:
-  - {column: 0, name: f_n, unit: N, role: input}
-  - {column: 1, name: x_m, unit: m, role: output}
-"""
 TS, ROWS, FINE = 4e-3, 4000, 10
 SENSOR_SD, FORCE_PSD = 2e-7, 1e-8
 RMS_N = (1.0, 3.0, 2.0, 4.0)
@@ -96,27 +83,24 @@ def flown(seed: int, rms_n: float, k3: float = 0.0, friction: float = 0.0) -> np
     return np.stack([u[:ROWS], y + rng.normal(0.0, SENSOR_SD, ROWS)], axis=1)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
     """Logs of three plants: as declared, with a spring that hardens, with friction."""
     folder = tmp_path_factory.mktemp("trace")
-    (folder / "signals.yaml").write_text(SIGNALS)
-    written: dict[str, list[Path]] = {}
-    for name, effect in TRUTH.items():
-        written[name] = []
-        for i, rms_n in enumerate(RMS_N):
-            table, log = folder / f"{name}-{i}.csv", folder / f"{name}-{i}.mcap"
-            np.savetxt(table, flown(i, rms_n, **effect), delimiter=",", fmt="%.12g")
-            import_file(table, folder / "signals.yaml", log)
-            written[name].append(log)
-    return written
+    return {
+        name: [
+            imported(folder, f"{name}-{i}", flown(i, rms_n, **effect))
+            for i, rms_n in enumerate(RMS_N)
+        ]
+        for name, effect in TRUTH.items()
+    }
 
 
 def traced(logs: list[Path], config: ModelConfig = CONFIG) -> Trace:
     return trace(logs, config, all_effects, Alone(config), lambda *_: None)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def traces(logs: dict[str, list[Path]]) -> dict[str, Trace]:
     return {name: traced(paths) for name, paths in logs.items()}
 
@@ -195,42 +179,32 @@ def same(found: Trace, logs: list[Path], others: Workers) -> None:
         np.testing.assert_array_equal(one.psd, other.psd)
 
 
-def test_processes_give_the_same_to_the_last_digit(
-    traces: dict[str, Trace], logs: dict[str, list[Path]]
-) -> None:
+@pytest.fixture(scope="module")
+def processes() -> Iterator[Workers]:
     with local_workers(CONFIG, 2) as workers:
-        same(traces["cubic"], logs["cubic"], workers)
+        yield workers
 
 
-def test_answers_come_in_the_order_of_the_questions(logs: dict[str, list[Path]]) -> None:
+def test_processes_give_the_same_to_the_last_digit(
+    traces: dict[str, Trace], logs: dict[str, list[Path]], processes: Workers
+) -> None:
+    same(traces["cubic"], logs["cubic"], processes)
+
+
+def test_answers_come_in_the_order_of_the_questions(
+    logs: dict[str, list[Path]], processes: Workers
+) -> None:
     paths = logs["none"]
     asked = [Source.of(paths[i % 4], 0, 100 + 300 * (i * 5 % 7), (0.0, 1.0)) for i in range(12)]
-    with local_workers(CONFIG, 2) as workers:
-        answers = workers.map(attrgetter("name", "rows"), asked)
+    answers = processes.map(attrgetter("name", "rows"), asked)
     assert answers == [(s.path.stem, s.stop) for s in asked]
 
 
-def test_a_cluster_gives_the_same_to_the_last_digit(
-    traces: dict[str, Trace], logs: dict[str, list[Path]]
-) -> None:
-    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
-        host="127.0.0.1",
-    ) as cluster, cluster_workers(CONFIG, cluster.scheduler_address) as workers:  # fmt: skip
-        same(traces["cubic"], logs["cubic"], workers)
-
-
-def test_records_of_one_name_in_two_folders_stay_two(
-    tmp_path: Path, logs: dict[str, list[Path]]
-) -> None:
+def test_records_of_one_name_in_two_folders_stay_two(tmp_path: Path) -> None:
     paths = []
-    for day, log in zip(("monday", "tuesday"), (logs["none"][0], logs["cubic"][0]), strict=True):
+    for seed, day in enumerate(("monday", "tuesday")):
         (tmp_path / day).mkdir()
-        paths.append(tmp_path / day / "still.mcap")
-        table = log.with_suffix(".csv")
-        (tmp_path / "still.csv").write_bytes(table.read_bytes())
-        import_file(tmp_path / "still.csv", table.parent / "signals.yaml", paths[-1])
+        paths.append(imported(tmp_path / day, "still", flown(seed, 1.0)))
     records, _ = read_records(paths, CONFIG)
     assert len({r.name for r in records.values()}) == 2
 
@@ -246,10 +220,7 @@ def test_a_log_written_anew_is_read_anew(tmp_path: Path, logs: dict[str, list[Pa
 
 
 def test_a_record_too_short_to_hold_anything_out_is_told(tmp_path: Path) -> None:
-    table, log = tmp_path / "short.csv", tmp_path / "short.mcap"
-    (tmp_path / "signals.yaml").write_text(SIGNALS)
-    np.savetxt(table, flown(0, 3.0)[:500], delimiter=",", fmt="%.12g")
-    import_file(table, tmp_path / "signals.yaml", log)
+    log = imported(tmp_path, "short", flown(0, 3.0)[:500])
     with pytest.raises(IdentificationError):
         traced([log])
 

@@ -9,33 +9,16 @@ from functools import cache
 
 import numpy as np
 import pytest
+from rig_effects import CLASSES, R_M, rig_places
 
 from levid.model.effects import drives, flexible, vibration
 from levid.model.effects.base import Effect, Placed, Places, Signals
 from levid.model.effects.extent import Extent
 from levid.model.effects.table import all_effects
-from levid.model.geometry import shape_matrix
 
 TS = 1e-3
-R = 0.12
-CLASSES = {
-    "rod_stiffness", "air_damping", "friction", "flexible_mode", "centre_of_mass", "payload",
-    "beam_motion", "cogging", "rotor", "coil_gain", "force_constant", "actuator_lag", "delay",
-    "dead_zone", "force_offset", "thermal_drift", "saturation", "sensor_gain", "sensor_offset",
-    "sensor_nonlinearity", "sensor_crosstalk", "sensor_lag", "sensor_stuck", "vibration",
-    "external_field",
-}  # fmt: skip
 OTHERS = {"stiffness", "damping", "inertia"}
 WHERE = re.compile(r"psi|theta|z|beam|rotor|coil:[0-8]|sensor:[0-8]")
-
-
-def rig_places() -> Places:
-    x, y = R * np.repeat([1.0, 0.0, -1.0], 3), R * np.tile([1.0, 0.0, -1.0], 3)
-    shape, xy = shape_matrix(x, y), np.stack([x, y], axis=1)
-    return Places(
-        ("psi", "theta", "z"), ("rad", "rad", "m"), shape, shape, "N", ("N m", "N m", "N"), "m",
-        xy, xy, beam=True, span_s=(0.0, 60.0),
-    )  # fmt: skip
 
 
 def one_dof() -> Places:
@@ -288,13 +271,13 @@ def coil_signals(F: np.ndarray) -> Signals:
 def test_coil_s_gain_adds_its_share_at_its_arm():
     s = moving()
     held = term("coil_gain@coil:2").held
-    np.testing.assert_allclose(held, np.outer(s.coil[:, 2], [-R, R, 1.0]))
+    np.testing.assert_allclose(held, np.outer(s.coil[:, 2], [-R_M, R_M, 1.0]))
 
 
 def test_force_constant_takes_the_height_in_the_period_in_which_a_command_acts():
     s = moving()
     held = term("force_constant.linear@coil:2").held[:, 2]
-    h = s.q @ [-R, R, 1.0]
+    h = s.q @ [-R_M, R_M, 1.0]
     k = 100
     # delay_cycles = 1: the command of row 100 acts from row 101 to row 102.
     assert held[k] == pytest.approx(s.coil[k, 2] * (h[k + 1] + h[k + 2]) / 2)

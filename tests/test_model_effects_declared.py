@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rig_effects import rig_places
 
 from levid.config.base import parse_text
 from levid.config.model import EffectParameter, ModelConfig, ModelEffect, load_model
@@ -15,19 +16,11 @@ from levid.model.effects.base import Placed, Places
 from levid.model.effects.declared import placed_effects
 from levid.model.effects.table import all_effects
 from levid.model.effects.vibration import tone
-from levid.model.geometry import shape_matrix
-
-R = 0.12
 
 
 @pytest.fixture(scope="module")
 def places() -> Places:
-    x, y = R * np.repeat([1.0, 0.0, -1.0], 3), R * np.tile([1.0, 0.0, -1.0], 3)
-    shape, xy = shape_matrix(x, y), np.stack([x, y], axis=1)
-    return Places(
-        ("psi", "theta", "z"), ("rad", "rad", "m"), shape, shape, "N", ("N m", "N m", "N"), "m",
-        xy, xy, beam=True,
-    )  # fmt: skip
+    return rig_places()
 
 
 def in_file(effects: list[ModelEffect]) -> ModelConfig:

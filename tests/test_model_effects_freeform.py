@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rig_effects import rig_places
 
-from levid.model.effects.base import Places, Signals
+from levid.model.effects.base import Signals
 from levid.model.effects.extent import Extent
 from levid.model.effects.freeform import (
     DEGREE,
@@ -17,16 +18,6 @@ from levid.model.effects.freeform import (
     freeform_effect,
     freeform_effects,
 )
-from levid.model.geometry import shape_matrix
-
-
-def rig_places() -> Places:
-    x, y = 0.1 * np.repeat([1.0, 0.0, -1.0], 3), 0.1 * np.tile([1.0, 0.0, -1.0], 3)
-    shape, xy = shape_matrix(x, y), np.stack([x, y], axis=1)
-    return Places(
-        ("psi", "theta", "z"), ("rad", "rad", "m"), shape, shape, "N", ("N m", "N m", "N"), "m",
-        xy, xy, beam=True, span_s=(0.0, 2.0),
-    )  # fmt: skip
 
 
 def moving() -> Signals:
@@ -34,7 +25,7 @@ def moving() -> Signals:
     motion = [1e-3 * draw((200, 3)) for _ in range(3)]
     return Signals(
         0.01, np.arange(200) * 0.01, *motion, draw((200, 9)),
-        *(draw(200) for _ in range(6)), 1, rig_places(),
+        *(draw(200) for _ in range(6)), 1, rig_places((0.0, 2.0)),
     )  # fmt: skip
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -20,6 +19,8 @@ from levid.report.distortion import (
 from levid.report.style import PAPER, colour
 from levid.report.svg import to_svg
 
+pytestmark = pytest.mark.usefixtures("no_warnings")
+
 AXES = Signals(
     ("tau_psi", "tau_theta", "tau_z"),
     ("N m", "N m", "N"),
@@ -27,14 +28,6 @@ AXES = Signals(
     ("rad", "rad", "m"),
 )
 FREQ_HZ = np.arange(1.0, 100.0, 0.25)
-
-
-@pytest.fixture(autouse=True)
-def _no_warnings():
-    """A figure that makes numpy or matplotlib warn hides something from its reader."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 def response(m=3, p=3, freq_hz=FREQ_HZ):

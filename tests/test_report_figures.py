@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from xml.etree import ElementTree
 
 import numpy as np
@@ -38,6 +37,8 @@ from levid.report.timing import quantile_s, timing_histogram
 from levid.report.trajectory import BeamRecord, beam_trajectory
 from levid.report.validation import OrderErrors, validation_errors
 
+pytestmark = pytest.mark.usefixtures("no_warnings")
+
 AXES = Signals(
     ("tau_psi", "tau_theta", "tau_z"),
     ("N m", "N m", "N"),
@@ -45,14 +46,6 @@ AXES = Signals(
     ("rad", "rad", "m"),
 )
 FREQ_HZ = np.geomspace(0.5, 250, 180)
-
-
-@pytest.fixture(autouse=True)
-def _no_warnings():
-    """A figure that makes numpy or matplotlib warn hides something from its reader."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 def resonances(freq_hz, m=3, p=3):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +19,8 @@ from levid.report.grey_box_sections import grey_box_sections
 from levid.report.identification import identification_report
 from levid.report.page import render
 from levid.report.svg import Picture
+
+pytestmark = pytest.mark.usefixtures("no_warnings")
 
 TS_S = 0.01
 MASS, STIFFNESS, DAMPING, BY_SLIDE, NOISE_M = 1.6, 110.0, 0.5, 20.0, 1e-5
@@ -64,13 +65,6 @@ def record(name, seed, moving, rows=600, substeps=20):
 def grey():
     config = ModelConfig.model_validate(MODEL)
     return identify_grey_box(config, [record("<still>", 1, False), record("moved", 2, True)], 0.4)
-
-
-@pytest.fixture(autouse=True)
-def _no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 def truth(_beam_m, freq_hz):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import signal
 
-from levid.identification.data import PiController, Record
+from levid.identification.data import Record
 from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.report.closed_loop import (
@@ -22,6 +21,8 @@ from levid.report.closed_loop import (
 from levid.report.curves import Signals
 from levid.report.identification import identification_report
 
+pytestmark = pytest.mark.usefixtures("no_warnings")
+
 RATE_HZ = 1000.0
 DOF = ("psi", "theta", "z")
 AXES = Signals(("tau_psi", "tau_theta", "tau_z"), ("N m", "N m", "N"), DOF, ("rad", "rad", "m"))
@@ -30,29 +31,14 @@ OPTIONS = Options(impulse_s=0.6, segment_s=3.0, lag_s=0.3e-3)
 
 
 def flown(rig, positions):
-    records = []
-    for number, (place, x_b_m) in enumerate(positions.items()):
-        for axis, name in enumerate(DOF):
-            v, u, y = rig.record(x_b_m, RATE_HZ, 10.0, axis, seed=10 * number + 2 * axis)
-            records.append(
-                Record(
-                    name=f"{place}-{name}",
-                    Ts_s=1 / RATE_HZ,
-                    v=v,
-                    u=u,
-                    y=y,
-                    input_names=DOF,
-                    input_units=("N m", "N m", "N"),
-                    output_names=DOF,
-                    output_units=("rad", "rad", "m"),
-                    beam_m=x_b_m,
-                    controller=PiController(rig.KP, rig.KI),
-                    delay_cycles=1,
-                    at_rest=True,
-                    remarks=("3 cycles with <coils> at a limit",) if not number + axis else (),
-                )
-            )
-    return records
+    records = rig.records(list(positions.values()), RATE_HZ, 10.0)
+    places = [place for place in positions for _ in DOF]
+    named = [
+        replace(record, name=f"{place}-{record.name.partition('-')[0]}")
+        for record, place in zip(records, places, strict=True)
+    ]
+    named[0] = replace(named[0], remarks=("3 cycles with <coils> at a limit",))
+    return named
 
 
 @pytest.fixture(scope="module")
@@ -88,13 +74,6 @@ def with_truth(result, truth, tmp_path_factory):
 @pytest.fixture(scope="module")
 def without_truth(result, tmp_path_factory):
     return identification_report(result, None, tmp_path_factory.mktemp("none"))
-
-
-@pytest.fixture(autouse=True)
-def _no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 def words(page):

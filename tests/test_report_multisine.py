@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -14,15 +13,10 @@ from levid.report.curves import RIG_SIGNALS
 from levid.report.identification import identification_report
 from levid.report.multisine import multisine_numbers, multisine_report, multisine_words
 
+pytestmark = pytest.mark.usefixtures("no_warnings")
+
 FREQ_HZ = np.arange(0.5, 100.0, 0.5)
 EXPERIMENTS, PERIODS = 9, 4
-
-
-@pytest.fixture(autouse=True)
-def _no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 def plant(_beam_m, freq_hz):

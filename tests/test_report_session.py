@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 
 import numpy as np
 import pytest
@@ -18,15 +17,10 @@ from levid.report.session import session_report, session_words
 from levid.report.svg import to_svg
 from levid.report.time_plot import session_plot
 
+pytestmark = pytest.mark.usefixtures("no_warnings")
+
 DTYPE = cycle_dtype(9, 9)
 RATE_HZ = 500.0
-
-
-@pytest.fixture(autouse=True)
-def _no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 def rows_of(states, start_s, dtype=DTYPE):

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from levid.identification.data import PiController, Record
 from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.report.closed_loop import HO_KALMAN
@@ -26,15 +25,7 @@ DOF, UNITS = ("psi", "theta", "z"), ("N m", "N m", "N")
 
 @pytest.fixture(scope="module")
 def points(rig):
-    records = []
-    for axis, name in enumerate(DOF):
-        v, u, y = rig.record(0.05, 1e3, 10.0, axis, seed=2 * axis)
-        records.append(
-            Record(
-                name, 1e-3, v, y, DOF, UNITS, DOF, ("rad", "rad", "m"), u=u, beam_m=0.05,
-                controller=PiController(rig.KP, rig.KI), delay_cycles=1, at_rest=True,
-            )
-        )  # fmt: skip
+    records = rig.records([0.05], 1e3, 10.0)
     # A short response: what is tested is the report, not Ho-Kalman.
     return identify(records, Options(impulse_s=0.6, segment_s=3.0, lag_s=0.3e-3)).points
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rig_effects import DT_S as DT
+from rig_effects import R_M as R
+from rig_effects import fresh
 from scipy.signal import lsim, lti
 
-from levid.config.base import load_yaml
-from levid.config.sim import SimConfig
-from levid.sim.effects import EffectGeometry, EffectPlant
 from levid.sim.effects.coils import CoilGain, DeadZone, ForceConstant, ForceOffset, SoftSaturation
 from levid.sim.effects.flexible import SHAPES, FlexibleMode
 from levid.sim.effects.lags import ActuatorLag, ExtraDelay, ThermalDrift
@@ -21,18 +20,7 @@ from levid.sim.effects.sensor_memory import SensorDrift, SensorLag, StickingSens
 from levid.sim.effects.sensors import SensorCrosstalk, SensorGain, SensorNonlinearity
 
 Array = NDArray[np.float64]
-SIMS = Path(__file__).parents[1] / "config" / "sims"
-DT, R = 1e-4, 0.12
 LEVEL = np.zeros(3)
-
-
-def fresh(effect: Any) -> Any:
-    """Return the effect after `reset` on the shipped rig's geometry, internal step DT."""
-    geometry = load_yaml(SIMS / "nominal.yaml", SimConfig).geometry
-    x, y = np.array(geometry.coil_x_m), np.array(geometry.coil_y_m)
-    g = EffectGeometry(R, x, y, 0.06, x.copy(), y.copy())
-    effect.reset(EffectPlant(DT, np.random.default_rng(1), g))
-    return effect
 
 
 def given(effect: Any, force_n: Array, q: Array = LEVEL) -> Array:

@@ -6,32 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rig_effects import DT_S, fresh, rig_places
 
 from levid.config.model import EffectParameter, ModelEffect, load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.result import to_yaml
-from levid.model.effects.base import Places, Signals
+from levid.model.effects.base import Signals
 from levid.model.effects.declared import placed_effects
-from levid.model.geometry import shape_matrix
-from levid.sim.effects.contract import BeamState, EffectError, EffectGeometry, EffectPlant
+from levid.sim.effects.contract import BeamState, EffectError
 from levid.sim.effects.declared import FromModel
-
-DT_S = 1e-4
-R = 0.12
-X, Y = R * np.repeat([1.0, 0.0, -1.0], 3), R * np.tile([1.0, 0.0, -1.0], 3)
-
-
-def plant() -> EffectPlant:
-    geometry = EffectGeometry(R, X, Y, 0.06, X, Y)
-    return EffectPlant(DT_S, np.random.default_rng(0), geometry)
-
-
-def places() -> Places:
-    shape, xy = shape_matrix(X.tolist(), Y.tolist()), np.stack([X, Y], axis=1)
-    return Places(
-        ("psi", "theta", "z"), ("rad", "rad", "m"), shape, shape, "N", ("N m", "N m", "N"), "m",
-        xy, xy, beam=True,
-    )  # fmt: skip
 
 
 def effect(key: str, where: str, **values: tuple[float, str]) -> ModelEffect:
@@ -42,9 +25,7 @@ def effect(key: str, where: str, **values: tuple[float, str]) -> ModelEffect:
 def played(folder: Path, *effects: ModelEffect) -> FromModel:
     model = load_model(shipped("models/rig.yaml")).model_copy(update={"effects": effects})
     (folder / "model.yaml").write_text(to_yaml(model))
-    found = FromModel(model=str(folder / "model.yaml"))
-    found.reset(plant())
-    return found
+    return fresh(FromModel(model=str(folder / "model.yaml")))  # type: ignore[no-any-return]
 
 
 def at_rest(x_m: float = 0.0, v_m_s: float = 0.0) -> BeamState:
@@ -71,13 +52,13 @@ def test_a_weak_coil_gives_the_wrench_it_would(tmp_path: Path) -> None:
     lacking = np.zeros(9)
     lacking[6] = -0.1 * asked[6]
     # Which coils make it a rigid platform cannot tell: the wrench is what counts.
-    S = places().coil_shape
+    S = rig_places().coil_shape
     np.testing.assert_allclose(S.T @ (given - asked), S.T @ lacking, atol=1e-12)
 
 
 def test_a_false_sensor_shows_in_its_own_reading(tmp_path: Path) -> None:
     false = played(tmp_path, effect("sensor_gain", "sensor:2", gain=(0.05, "1")))
-    gap = places().sensor_shape @ np.array([1e-3, -2e-3, 1e-4])
+    gap = rig_places().sensor_shape @ np.array([1e-3, -2e-3, 1e-4])
     expected = gap.copy()
     expected[2] *= 1.05
     np.testing.assert_allclose(false.gap(0.0, gap), expected, rtol=1e-12)
@@ -113,9 +94,9 @@ def test_what_remembers_follows_the_whole_motion(tmp_path: Path) -> None:
     q[:, 2], qd[:, 2] = z[::every], rate[::every]
     along = Signals(
         every * DT_S, t[::every], q, qd, nothing, np.zeros((rows, 9)), none, none, none,
-        none, none, none, 0, places(),
+        none, none, none, 0, rig_places(),
     )  # fmt: skip
-    (placed,) = placed_effects([declared], places())
+    (placed,) = placed_effects([declared], rig_places())
     whole = placed.term(along).force
     assert whole is not None
     # Held for a millisecond: off by what the motion adds to the force in one, 0.2 N / 20 um times

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rig_effects import BEAM_Z_M as Z_B
+from rig_effects import DT_S as DT
+from rig_effects import R_M as R
+from rig_effects import fresh
 from scipy.linalg import expm
 
-from levid.config.base import load_yaml
-from levid.config.sim import SimConfig
-from levid.sim.effects import BeamState, EffectGeometry, EffectPlant
+from levid.sim.effects import BeamState
 from levid.sim.effects.air import QuadraticDamping, SqueezeFilm
 from levid.sim.effects.beam import BeamCoriolis, BeamGravity, BeamReaction, MagnetField
 from levid.sim.effects.bearing import BearingPresliding
@@ -26,20 +27,9 @@ from levid.sim.effects.rotor import BarTorque, RotorImbalance
 from levid.sim.effects.stiffness import BilinearRods, CubicRods, QuadraticRods
 
 Array = NDArray[np.float64]
-SIMS = Path(__file__).parents[1] / "config" / "sims"
-DT, R, Z_B, G = 1e-4, 0.12, 0.06, 9.81
+G = 9.81
 ROWS = {"psi": 0, "theta": 1, "z": 2}
 STILL = BeamState(0, 0, 0, 0, 0, 0)
-
-
-def fresh(effect: Any, seed: int = 1) -> Any:
-    """Return the effect after `reset` on the shipped rig's geometry, internal step DT."""
-    geometry = load_yaml(SIMS / "nominal.yaml", SimConfig).geometry
-    x, y = np.array(geometry.coil_x_m), np.array(geometry.coil_y_m)
-    g = EffectGeometry(R, x, y, Z_B, x.copy(), y.copy())
-    if hasattr(effect, "reset"):
-        effect.reset(EffectPlant(DT, np.random.default_rng(seed), g))
-    return effect
 
 
 def beam(x: float = 0, v: float = 0, a: float = 0, phi: float = 0, w: float = 0, dw: float = 0):

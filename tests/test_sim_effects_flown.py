@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
-import pkgutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from rig_effects import shipped_effects
 
 from levid.config.base import load_yaml
 from levid.config.sim import SimConfig
-from levid.sim import effects
-from levid.sim.effects import HOOKS, EffectError
+from levid.sim.effects import EffectError
 from levid.sim.plant import Plant
 
 SIMS = Path(__file__).parents[1] / "config" / "sims"
@@ -126,22 +123,8 @@ def plain(tmp_path_factory):
     return {name: fly(plant_with(folder, name)) for name in ("nominal", "rig")}
 
 
-def shipped_classes() -> set[str]:
-    """Return module:Class of everything in the package that has a hook and is no base of others."""
-    found = {}
-    for module in pkgutil.iter_modules(effects.__path__):
-        if module.name in ("contract", "declared", "loader"):
-            continue
-        for name, cls in vars(importlib.import_module(f"{effects.__name__}.{module.name}")).items():
-            hooked = inspect.isclass(cls) and any(hasattr(cls, hook) for hook in HOOKS)
-            if hooked and cls.__module__.endswith(f".{module.name}"):
-                found[f"{module.name}:{name}"] = cls
-    bases = {base for cls in found.values() for base in cls.__mro__[1:]}
-    return {use for use, cls in found.items() if cls not in bases}
-
-
 def test_catalogue_holds_every_shipped_effect() -> None:
-    assert shipped_classes() == set(EVERY)
+    assert shipped_effects() == set(EVERY)
 
 
 @pytest.mark.parametrize("name", ["nominal", "rig"])

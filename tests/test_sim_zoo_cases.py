@@ -2,66 +2,24 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-import inspect
-import pkgutil
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from from_benchmarks import module
+from rig_effects import CLASSES, shipped_effects
 
 from levid.config.sim import Effect
-from levid.sim import effects
-from levid.sim.effects import HOOKS, BeamState, Effects
+from levid.sim.effects import BeamState, Effects
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 DT = 1e-4
-# The classes that `levid trace` may name.
-KINDS = {
-    "rod_stiffness",
-    "air_damping",
-    "friction",
-    "flexible_mode",
-    "centre_of_mass",
-    "payload",
-    "beam_motion",
-    "cogging",
-    "rotor",
-    "coil_gain",
-    "force_constant",
-    "actuator_lag",
-    "delay",
-    "dead_zone",
-    "force_offset",
-    "thermal_drift",
-    "saturation",
-    "sensor_gain",
-    "sensor_offset",
-    "sensor_nonlinearity",
-    "sensor_crosstalk",
-    "sensor_lag",
-    "sensor_stuck",
-    "vibration",
-    "external_field",
-    "unknown",
-}
+KINDS = CLASSES | {"unknown"}
 PLACES = {"psi", "theta", "z", "beam", "rotor"} | {
     f"{what}:{i}" for what in ("coil", "sensor") for i in range(9)
 }
 
 
-def from_benchmarks(name: str):
-    spec = importlib.util.spec_from_file_location(f"levid_test{name}", BENCHMARKS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-ZOO, UNLISTED = from_benchmarks("_zoo_cases"), from_benchmarks("_unlisted_effects")
+ZOO, UNLISTED = module("_zoo_cases"), module("_unlisted_effects")
 EVERY = ZOO.CASES + ZOO.UNLISTED
 
 
@@ -87,22 +45,9 @@ def test_names_are_unique_and_classes_all_there() -> None:
     assert {case.kind for case in ZOO.UNLISTED} == {"unknown"}
 
 
-# The contract and its loader; and whatever a model file declares, which is no effect of its own.
-_NO_EFFECTS = ("contract", "declared", "loader")
-
-
 def test_every_shipped_effect_is_in_the_zoo() -> None:
-    classes = {}
-    for module in pkgutil.iter_modules(effects.__path__):
-        name = f"{effects.__name__}.{module.name}"
-        for cls in vars(importlib.import_module(name)).values():
-            hooked = inspect.isclass(cls) and any(hasattr(cls, hook) for hook in HOOKS)
-            if hooked and cls.__module__ == name and module.name not in _NO_EFFECTS:
-                classes[f"{name}:{cls.__name__}"] = cls
-    bases = {base for cls in classes.values() for base in cls.__mro__[1:]}
-    assert {use for use, cls in classes.items() if cls not in bases} == {
-        case.use for case in ZOO.CASES
-    }
+    shipped = {f"levid.sim.effects.{use}" for use in shipped_effects()}
+    assert shipped == {case.use for case in ZOO.CASES}
 
 
 def test_hung_plug_takes_up_its_own_frequency() -> None:

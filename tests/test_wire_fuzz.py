@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from from_benchmarks import script
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 N = 20_000
 
 
 @pytest.fixture(scope="module")
 def fuzz() -> ModuleType:
-    sys.path.insert(0, str(BENCHMARKS))  # where its `_table` is
-    try:
-        spec = importlib.util.spec_from_file_location("levid_fuzz", BENCHMARKS / "fuzz.py")
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[spec.name] = module
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(str(BENCHMARKS))
-    return module
+    return script("fuzz")
 
 
 @pytest.mark.parametrize("right_counter", [False, True])

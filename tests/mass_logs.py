@@ -1,0 +1,27 @@
+"""Logs of a mass on a spring that tests have made, imported as anybody's data are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from levid.log.importer import import_file
+
+SIGNALS = """
+levid: signals
+rate_hz: 250
+input_hold: band_limited
+columns:
+  - {column: 0, name: f_n, unit: N, role: input}
+  - {column: 1, name: x_m, unit: m, role: output}
+"""
+
+
+def imported(folder: Path, name: str, table: np.ndarray) -> Path:
+    """Return the log of a record `name`, whose force in N and position in m are `table` (N, 2)."""
+    data, signals, log = folder / f"{name}.csv", folder / "signals.yaml", folder / f"{name}.mcap"
+    np.savetxt(data, table, delimiter=",", fmt="%.17g")
+    signals.write_text(SIGNALS)
+    import_file(data, signals, log)
+    return log

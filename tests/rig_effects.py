@@ -1,0 +1,65 @@
+"""What tests of effects share: where they sit on the rig, what they are called, and fresh ones."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from typing import Any
+
+import numpy as np
+
+from levid.model.effects.base import Places
+from levid.model.geometry import shape_matrix
+from levid.sim import effects
+from levid.sim.effects import HOOKS, EffectGeometry, EffectPlant
+
+CLASSES = {
+    "rod_stiffness", "air_damping", "friction", "flexible_mode", "centre_of_mass", "payload",
+    "beam_motion", "cogging", "rotor", "coil_gain", "force_constant", "actuator_lag", "delay",
+    "dead_zone", "force_offset", "thermal_drift", "saturation", "sensor_gain", "sensor_offset",
+    "sensor_nonlinearity", "sensor_crosstalk", "sensor_lag", "sensor_stuck", "vibration",
+    "external_field",
+}  # fmt: skip
+"""That `levid trace` names on the rig; `unknown` stands beside them."""
+DT_S, R_M, BEAM_Z_M = 1e-4, 0.12, 0.06
+X_M, Y_M = R_M * np.repeat([1.0, 0.0, -1.0], 3), R_M * np.tile([1.0, 0.0, -1.0], 3)
+"""Of the coils, and of the sensors under them."""
+
+
+def rig_places(span_s: tuple[float, float] = (0.0, 60.0)) -> Places:
+    """Return where the rig can be acted on and looked at, in a session of this span."""
+    shape, xy = shape_matrix(X_M, Y_M), np.stack([X_M, Y_M], axis=1)
+    return Places(
+        ("psi", "theta", "z"), ("rad", "rad", "m"), shape, shape, "N", ("N m", "N m", "N"), "m",
+        xy, xy, beam=True, span_s=span_s,
+    )  # fmt: skip
+
+
+def effect_plant(seed: int = 1) -> EffectPlant:
+    """Return the plant that an effect is given on the rig."""
+    geometry = EffectGeometry(R_M, X_M, Y_M, BEAM_Z_M, X_M, Y_M)
+    return EffectPlant(DT_S, np.random.default_rng(seed), geometry)
+
+
+def fresh(effect: Any, seed: int = 1) -> Any:
+    """Return the effect after `reset`, where it has one, on the rig with steps of DT_S."""
+    if hasattr(effect, "reset"):
+        effect.reset(effect_plant(seed))
+    return effect
+
+
+def shipped_effects() -> set[str]:
+    """Return module:Class of everything in sim.effects that has a hook and is no base of others."""
+    found = {}
+    for module in pkgutil.iter_modules(effects.__path__):
+        # The contract and its loader; and whatever a model file declares: no effects of their own.
+        if module.name in ("contract", "declared", "loader"):
+            continue
+        name = f"{effects.__name__}.{module.name}"
+        for cls in vars(importlib.import_module(name)).values():
+            hooked = inspect.isclass(cls) and any(hasattr(cls, hook) for hook in HOOKS)
+            if hooked and cls.__module__ == name:
+                found[f"{module.name}:{cls.__name__}"] = cls
+    bases = {base for cls in found.values() for base in cls.__mro__[1:]}
+    return {use for use, cls in found.items() if cls not in bases}

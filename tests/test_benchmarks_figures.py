@@ -1,0 +1,158 @@
+"""What benchmarks print: numbers that are what they are called, and none lost in silence."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from from_benchmarks import BENCHMARKS, module, script
+
+
+@pytest.fixture(scope="module")
+def peers() -> ModuleType:
+    return script("peers")
+
+
+@pytest.fixture(scope="module")
+def discrepancy() -> ModuleType:
+    return script("discrepancy")
+
+
+def test_nothing_of_benchmarks_hides_the_standard_library() -> None:
+    script("trace")
+    assert str(BENCHMARKS) not in sys.path
+    found = importlib.import_module("trace").__file__
+    assert found is not None
+    assert Path(found).parent != BENCHMARKS
+
+
+def by_key(figures) -> dict[str, float]:
+    return {figure.key: figure.value for figure in figures}
+
+
+def test_coverage_of_other_code_does_not_count(tmp_path: Path, monkeypatch) -> None:
+    greybox = module("greybox")
+    monkeypatch.setattr(greybox, "KEPT", tmp_path)
+
+    def kept(error: float) -> None:
+        """As a run that ended before would have left it."""
+        name = f"coverage-8s-{greybox.version()}.jsonl"
+        (tmp_path / name).write_text(json.dumps({"seed": 100, "z": [error]}) + "\n")
+
+    monkeypatch.setattr(greybox, "code_version", lambda *_: "before")
+    kept(0.5)
+    assert by_key(greybox.coverage(1, 8.0))["coverage_percent"] == 100.0
+    monkeypatch.setattr(greybox, "code_version", lambda *_: "after")
+    kept(3.0)
+    assert by_key(greybox.coverage(1, 8.0))["coverage_percent"] == 0.0
+
+
+def test_version_is_that_of_the_code_that_a_fit_needs(tmp_path: Path, monkeypatch) -> None:
+    greybox, versions = module("greybox"), module("_code_version")
+    for room in ("model", "identification/greybox", "identification/trace", "config/models"):
+        (tmp_path / room).mkdir(parents=True)
+    monkeypatch.setattr(versions, "ROOT", tmp_path)
+    monkeypatch.setattr(greybox, "ROOT", tmp_path)
+    found = [greybox.version()]
+    for path in ("model/declared.py", "identification/data.py", "identification/greybox/fit.py"):
+        (tmp_path / path).write_text("x = 1\n")
+        found.append(greybox.version())
+    assert len(set(found)) == 4
+    (tmp_path / "identification/trace/search.py").write_text("x = 1\n")
+    assert greybox.version() == found[-1]
+
+
+def test_growth_of_a_trace_is_a_ratio_and_effects_are_those_flown(monkeypatch) -> None:
+    trace, isolated = script("trace"), module("_isolated")
+    monkeypatch.setattr(trace, "fly_session", lambda *_: [Path()] * 12)
+    monkeypatch.setattr(trace, "silverbox", list)
+
+    def apart(_call: object, logs: list[Path]) -> object:
+        placed = (*trace.FLOWN[: len(logs) // 6], "air_damping.squeeze_film@psi")
+        return isolated.Outcome(trace.Traced(3, placed, 8.0, 2.0, 2.0), 5.0 * len(logs), 10**9)
+
+    monkeypatch.setattr(trace, "_apart", apart)
+    found = by_key(trace.measure(False))
+    assert found["growth"] == 2.0
+    assert (found["half_flown"], found["half_others"]) == (1, 1)
+    assert (found["all_flown"], found["all_others"]) == (2, 1)
+    assert (found["all_before"], found["all_after"]) == (4.0, 1.0)
+
+
+def test_effects_of_the_trace_benchmark_are_in_the_table() -> None:
+    from rig_effects import rig_places
+
+    from levid.model.effects.table import all_effects
+
+    assert set(script("trace").FLOWN) <= {e.identity for e in all_effects(rig_places())}
+
+
+@pytest.mark.parametrize("error", [np.inf, np.nan])
+def test_a_response_that_is_no_number_is_told(peers: ModuleType, error: float) -> None:
+    contender = next(c for c in peers.CONTENDERS if c.key == "levid_subspace")
+    bad = peers.Score(contender, 1.0, 2.0, error, 0.1, 100.0)
+    found = peers.figures([bad])
+    assert found["diverged_levid_subspace"] == 1.0
+    assert "error_levid_subspace_percent" not in found
+    good = peers.figures([peers.Score(contender, 1.0, 2.0, 3.0, 0.1, 100.0)])
+    assert good["diverged_levid_subspace"] == 0.0
+    failed = peers.figures([peers.Score(contender, failed="not done after 60 s")])
+    assert failed == {"failed_levid_subspace": 1.0}
+
+
+@pytest.mark.parametrize("error", [np.inf, np.nan])
+def test_a_model_that_runs_away_is_told(discrepancy: ModuleType, error: float) -> None:
+    found = discrepancy.figures([discrepancy.Row("cubic-z", "levid", error, 1.2, 0.1, 3.0, "")])
+    assert found["diverged_levid_cubic_z"] == 1.0
+    assert found["failed_levid_cubic_z"] == 0.0
+    assert "error_levid_cubic_z" not in found
+    absent = discrepancy.Row("cubic-z", "PySINDy", *[np.nan] * 4, "not installed", failed=True)
+    assert discrepancy.figures([absent]) == {"failed_pysindy_cubic_z": 1.0}
+
+
+def test_couplings_that_nobody_can_judge_have_no_error(monkeypatch) -> None:
+    identify, freq_hz = script("identify"), np.array([2.0, 20.0])
+    true = np.ones((2, 3, 3), complex) + 9.0 * np.eye(3)
+    monkeypatch.setattr(identify, "frequency_response", lambda *_: true)
+
+    def errors(P: np.ndarray, noise: float) -> dict[str, float]:
+        quiet = np.full(P.shape, noise)
+        return by_key(
+            identify.errors(
+                [identify.Estimate(key, 0.0, freq_hz, P, quiet) for key in identify.LABELS]
+            )
+        )
+
+    found = errors(10.0 ** (1 / 20) * true, 1.0)
+    assert found["subspace_db"] == pytest.approx(1.0)
+    assert found["subspace_offdiag_percent"] == 0.0
+    assert "subspace_offdiag_db" not in found
+    found = errors(10.0 ** (1 / 20) * true, 0.01)
+    assert found["subspace_offdiag_percent"] == 100.0
+    assert found["subspace_offdiag_db"] == pytest.approx(1.0)
+    # No number is no small error.
+    assert np.isnan(errors(np.nan * true, 0.01)["subspace_db"])
+
+
+def test_ratio_of_shares_holds_the_truth_as_often_as_it_says() -> None:
+    ratio_95 = module("_shares").ratio_95
+    rng = np.random.default_rng(1)
+    some, others = rng.binomial(10_000, 0.004, 2000), rng.binomial(20_000, 0.002, 2000)
+    inside = [
+        low < 2.0 < high
+        for low, high in (ratio_95(a, 10_000, b, 20_000) for a, b in zip(some, others, strict=True))
+    ]
+    # 2000 draws: 0.5 % is the standard error.
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
+    low, high = ratio_95(0, 1000, 0, 1000)
+    assert 0.0 < low < 1.0 < high
+
+
+def test_checksum_that_fuzz_checks_with_is_the_standards() -> None:
+    # AUTOSAR's own check value (Specification of CRC Routines).
+    assert script("fuzz")._crc8(b"123456789") == 0xDF

@@ -59,7 +59,7 @@ def periodic_record(log: Log) -> PeriodicRecord:
 
     Raises:
         NotARecordError: the log holds no record (see from_log).
-        NotPeriodicError: the record played something else.
+        NotPeriodicError: the record played something else, or on some of the inputs alone.
         IdentificationError: no session.yaml, not one complete realisation, or an excitation that
             does not repeat as the session says.
     """
@@ -68,6 +68,11 @@ def periodic_record(log: Log) -> PeriodicRecord:
     plan = step.orthogonal
     assert plan is not None
     N, p = round(period_s / record.Ts_s), len(step.excite)
+    if p < record.v.shape[1]:
+        raise NotPeriodicError(
+            f"{log.path.name}: record '{record.name}' excites {', '.join(step.excite)} alone: "
+            f"orthogonal multisines need all of {', '.join(record.input_names)}"
+        )
     per_realisation = p * plan.periods * N
     # Where stalls cut a record, what is left begins somewhere: at a realisation only by chance.
     lost = _rows_lost(log)

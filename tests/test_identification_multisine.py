@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -392,3 +393,11 @@ def test_a_period_that_is_not_the_sessions_is_refused(nominal: list[Log]) -> Non
     wrong = replace(log, attachments={**log.attachments, "session.yaml": text})
     with pytest.raises(IdentificationError, match=r"repeat every 7.9 s, found periods that differ"):
         periodic_record(wrong)
+
+
+def test_multisines_on_some_of_the_inputs_are_another_methods(nominal: list[Log]) -> None:
+    log = nominal[2]
+    text = re.sub(rb"excite: \[[^]]*\]", b"excite: [z]", log.attachments["session.yaml"])
+    alone = replace(log, attachments={**log.attachments, "session.yaml": text})
+    with pytest.raises(NotPeriodicError, match=r"excites z alone: .* need all of psi, theta, z"):
+        periodic_record(alone)

@@ -123,7 +123,7 @@ class Questions:
             self._latest = None
             self.ask(request, index, value)
             deadline_s = perf_counter() + _EXCHANGE_S
-            while self._link.receive(deadline_s):
+            while perf_counter() < deadline_s and self._link.receive(deadline_s):
                 if self._latest is not None:
                     return self._latest
         raise LinkError(f"{self._link.what}: nobody answers to {self._request.name}")

@@ -16,7 +16,7 @@ from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
 from ...wire.can_bus import FrameBus, age_s, open_bus
 from ...wire.can_frames import Fields, load_frames
-from ...wire.cia402 import SYNC_COUNTER, SYNC_ID
+from ...wire.cia402 import SYNC_COUNTER, SYNC_ID, cycle_of_sync
 from ...wire.rejected import Rejected
 from .core import Core
 from .faults import Injector, Outgoing
@@ -145,7 +145,7 @@ class CanElectronics:
         if self._drives.counts_syncs:
             if len(data) != 1 or not 1 <= data[0] <= SYNC_COUNTER:
                 return
-            self._core.begin(data[0] - 1, SYNC_COUNTER)
+            self._core.begin(*cycle_of_sync(data[0], self._drives.every))
         elif data:
             return
         self._drives.poll()

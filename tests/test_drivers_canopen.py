@@ -247,6 +247,23 @@ def test_expiry_shorter_than_two_syncs_is_refused(rig: RigConfig) -> None:
         check_backends(Context(with_drives(rig, every=4, expire_s=0.05), 1 / RATE_HZ, Path()))
 
 
+def test_frames_of_one_id_are_refused_before_anything_is_opened(
+    rig: RigConfig, tmp_path: Path
+) -> None:
+    twice = with_drives(rig, nodes={"x1": 1, "x2": 1, "phi": 3})
+    words = r"can.main: expected an ID for each frame, found 0x081 for emergency of x1 \(node 1\)"
+    with pytest.raises(ConfigError, match=words):
+        check_backends(Context(twice, 1 / RATE_HZ, Path()))
+    text = shipped("levid.dbc").read_text()
+    for old, new in (("BO_ 40", "BO_ 386"), ("VAL_ 40", "VAL_ 386")):
+        text = text.replace(f"{old} ", f"{new} ")
+    (tmp_path / "taken.dbc").write_text(text)
+    bus = rig.can["main"].model_copy(update={"dbc": str(tmp_path / "taken.dbc")})
+    taken = rig.model_copy(update={"can": {"main": bus}})
+    with pytest.raises(ConfigError, match="found 0x182 for Gaps0 and TPDO 1 of x2"):
+        check_backends(Context(taken, 1 / RATE_HZ, Path()))
+
+
 def test_positions_count_once_all_three_of_a_sync_have_come(rig: RigConfig) -> None:
     """A beam at speed is not askew because X1 of this SYNC is read beside X2 of the last."""
     slow = with_drives(rig, every=4)

@@ -70,6 +70,11 @@ class ValueFrames:
         """The state in the frames that came last."""
         return self._received[self._spans[0][1] - 2] >> 4
 
+    @staticmethod
+    def tag(data: bytes) -> int:
+        """Return what a frame has in the place of a state: in setpoints the number of their set."""
+        return data[-2] >> 4 if len(data) > 1 else 0
+
     def encode(self, values: Array, cycle: int, state: int) -> list[tuple[int, bytes]]:
         """Return (ID, payload) of every frame of `cycle`, which is below CYCLES.
 

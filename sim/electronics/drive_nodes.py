@@ -99,7 +99,8 @@ class DriveNodes:
         """Take a frame that is not SYNC."""
         drive = self._rpdo.get(can_id)
         if drive is not None:
-            if len(data) == RPDO.size and "drop-setpoints" not in self._injector.wire:
+            heard = drive.cyclic and "drop-setpoints" not in self._injector.wire
+            if heard and len(data) == RPDO.size:
                 drive.setpoint(*RPDO.unpack(data))
                 self._plan_if_complete()
         else:

@@ -16,7 +16,7 @@ from levid.drivers.base import Context, Devices, DriveError, DriverError
 from levid.drivers.can.nodes import DriveNode, interpolation
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.rig import Electronics
-from levid.wire.cia402 import TPDO, TPDO1_ID, DriveStates, Object
+from levid.wire.cia402 import TPDO, TPDO1_ID, DriveStates, Mode, Object
 
 RATE_HZ = 100.0
 OPERATING = DriveStates.OPERATION_ENABLED
@@ -30,10 +30,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def rig(rig_on, quiet_sim: Path) -> RigConfig:
-    rig = rig_on("can", RATE_HZ, quiet_sim)
-    # No heartbeat is late because the machine is slow.
-    drives = rig.drives.model_validate({**rig.drives.model_dump(), "heartbeat_s": 10.0})
-    return rig.model_copy(update={"drives": drives})
+    return rig_on("can", RATE_HZ, quiet_sim)
 
 
 def opened(rig: RigConfig) -> Devices:
@@ -240,3 +237,30 @@ def test_interpolation_period_is_the_nearest_there_is(
     sync_s: float, expected: tuple[int, int]
 ) -> None:
     assert interpolation(sync_s) == expected
+
+
+def test_homing_starts_where_the_last_host_left_while_it_was_homing(rig: RigConfig) -> None:
+    """The drive is enabled, and the bit that starts homing is set already."""
+    with Electronics(rig, Path()) as electronics:
+        for drive in nodes_of(electronics):
+            drive.state, drive.mode, drive._controlword = OPERATING, Mode.HOMING, 0x1F
+        opened(rig).close()
+
+
+def test_fault_is_reset_though_it_did_not_go_the_first_time(rig: RigConfig) -> None:
+    with Electronics(rig, Path()) as electronics:
+        drive = nodes_of(electronics)[2]
+        drive.state, control, left = DriveStates.FAULT, drive._control, [2]
+
+        def again(word: int) -> None:
+            if word & 0x80 and left and not drive._controlword & 0x80:
+                left[0] -= 1
+                if left[0]:
+                    drive._controlword = word
+                    return
+                left.clear()
+            control(word)
+
+        drive._control = again
+        opened(rig).close()
+        assert not left

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from levid.config.buses import CanBus
+from levid.config.rig import load_rig
+from levid.config.shipped import shipped
+from levid.drivers.can.devices import CanAmplifiers
 from levid.drivers.can.link import CanLink
 from levid.drivers.can.readings import Readings
-from levid.wire.can_bus import open_bus
+from levid.wire.can_bus import Frame, open_bus
 from levid.wire.can_frames import load_frames
 
 CONFIG = CanBus(interface="virtual", channel="readings", data_bitrate=5_000_000, stale_cycles=2)
@@ -39,3 +43,32 @@ def test_reading_that_came_after_its_deadline_is_stale(late: bool) -> None:
     finally:
         link.close()
         device.shutdown()
+
+
+def test_sets_of_setpoints_are_numbered() -> None:
+    """So that the frames of one and those of zero force in the same cycle are told apart."""
+    rig, sent = load_rig(shipped("rigs/can.yaml")), []
+    link = CanLink("main", CONFIG)
+    link.send = lambda _, data: sent.append(data)  # type: ignore[method-assign,assignment]
+    frames = load_frames(None, 9, 9, False)
+    amplifiers = CanAmplifiers(link, frames, rig, 2, 2, lambda: 0.0)
+    for _ in range(17):
+        amplifiers.write(np.zeros(9))
+    numbers = [frames.setpoint.tag(data) for data in sent]
+    assert numbers == [k % 16 for k in range(1, 18) for _ in range(3)]
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_readings_are_not_waited_for_on_a_bus_that_is_busy(whole: bool) -> None:
+    """Beyond the deadline there is always one more frame of something else."""
+    link, frames, out = CanLink("main", CONFIG), load_frames(None, 9, 9, True).gap, np.zeros(9)
+    coming = [Frame(*frame, time.time()) for frame in frames.encode(np.full(9, 1e-4), 5, 0)]
+
+    def receive(_: float) -> Frame:
+        return coming.pop() if coming and whole else Frame(0x7F0, b"", time.time())
+
+    link._bus = SimpleNamespace(receive=receive)  # type: ignore[assignment]
+    host = Readings("sensors", link, frames, 2)
+    host.begin(5)
+    host.collect(time.perf_counter() + 0.05, out)
+    assert host.fresh is whole

@@ -25,6 +25,7 @@ from levid.wire.cia402 import (
     DriveStates,
     Object,
     beam_limits,
+    cycle_of_sync,
     state_of,
     sync_counter,
 )
@@ -71,12 +72,16 @@ def test_from_every_state_operation_is_reached() -> None:
     assert set(after) == set(TOWARDS_OPERATION)
 
 
-def test_counters_of_the_buses_stay_in_step() -> None:
-    """A cycle counted modulo CYCLES gives the same counters as one that is never cut."""
-    for cycle in (0, 239, 240, CYCLES - 1, CYCLES, CYCLES + 1, 10**7):
-        assert sync_counter(cycle) == sync_counter(cycle % CYCLES)
-        assert (cycle - cycle % CYCLES) % 16 == 0
-    assert {sync_counter(k) for k in range(1000)} == set(range(1, SYNC_COUNTER + 1))
+@pytest.mark.parametrize("every", range(1, 101))
+def test_counters_of_the_buses_stay_in_step(every: int) -> None:
+    """A SYNC tells the cycle that it begins as far as it can, however cycles are counted."""
+    counters = [sync_counter(number) for number in range(1000)]
+    assert set(counters) == set(range(1, SYNC_COUNTER + 1))
+    for number in (0, 239, 240, 255, 256, CYCLES - 1, CYCLES, 10**7 + 1):
+        begins, modulus = cycle_of_sync(sync_counter(number), every)
+        assert CYCLES % modulus == 0
+        assert number * every % CYCLES % modulus == begins
+        assert modulus >= SYNC_COUNTER
 
 
 def test_differences_are_exact_for_a_cubic_and_a_quadratic() -> None:
@@ -156,9 +161,8 @@ def test_slower_drives_follow_in_between(rig: RigConfig, every: int) -> None:
 
 
 def test_drive_that_falls_silent_is_a_fault(rig: RigConfig) -> None:
-    patient = with_drives(rig, heartbeat_s=10.0)  # the other two are not to be late
-    with Electronics(patient, Path()) as electronics:
-        devices = open_devices(Context(patient, 1 / RATE_HZ, Path()))
+    with Electronics(rig, Path()) as electronics:
+        devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
         drives = devices.backends[0]._roles["drives"]
         drives._axes[2].heard_s -= 31.0
         beam, rotor = np.zeros(3), np.zeros(3)
@@ -225,7 +229,7 @@ def test_drives_that_count_no_syncs_get_none_that_are_counted(
     """A drive without object 0x1019 takes a SYNC with a byte in it for an error."""
     text = shipped("drive.eds").read_text()
     (tmp_path / "plain.eds").write_text(
-        text.replace("22=0x1019", "22=0x1002").replace("[1019]", "[1002]")
+        text.replace("22=0x1019", "22=0x1002").replace("[1019]", "[1002]"),
     )
     plain = with_drives(rig, eds=str(tmp_path / "plain.eds"))
     with Electronics(plain, Path()) as electronics:
@@ -238,6 +242,23 @@ def test_drives_that_count_no_syncs_get_none_that_are_counted(
 def test_expiry_shorter_than_two_syncs_is_refused(rig: RigConfig) -> None:
     with pytest.raises(ConfigError, match=r"drives.expire_s: expected at least 0.08.*found 0.05"):
         check_backends(Context(with_drives(rig, every=4, expire_s=0.05), 1 / RATE_HZ, Path()))
+
+
+def test_frames_of_one_id_are_refused_before_anything_is_opened(
+    rig: RigConfig, tmp_path: Path
+) -> None:
+    twice = with_drives(rig, nodes={"x1": 1, "x2": 1, "phi": 3})
+    words = r"can.main: expected an ID for each frame, found 0x081 for emergency of x1 \(node 1\)"
+    with pytest.raises(ConfigError, match=words):
+        check_backends(Context(twice, 1 / RATE_HZ, Path()))
+    text = shipped("levid.dbc").read_text()
+    for old, new in (("BO_ 40", "BO_ 386"), ("VAL_ 40", "VAL_ 386")):
+        text = text.replace(f"{old} ", f"{new} ")
+    (tmp_path / "taken.dbc").write_text(text)
+    bus = rig.can["main"].model_copy(update={"dbc": str(tmp_path / "taken.dbc")})
+    taken = rig.model_copy(update={"can": {"main": bus}})
+    with pytest.raises(ConfigError, match="found 0x182 for Gaps0 and TPDO 1 of x2"):
+        check_backends(Context(taken, 1 / RATE_HZ, Path()))
 
 
 def test_positions_count_once_all_three_of_a_sync_have_come(rig: RigConfig) -> None:

@@ -186,3 +186,14 @@ def test_setpoints_act_in_their_cycle_whichever_bus_begins_it(
         end._sync(*load_frames(None, 9, 9, False).sync.encode(11))
     assert core.acting_n == pytest.approx(8.0)
     assert core.answered_state is AmplifierState.ENABLED
+
+
+def test_setpoints_of_two_sets_are_not_joined(can_end: CanElectronics) -> None:
+    """A frame of the first is lost; the second is zero force, in the same cycle."""
+    setpoint = load_frames(None, 9, 9, False).setpoint
+    can_end._sync(*load_frames(None, 9, 9, False).sync.encode(11))
+    for frame in setpoint.encode(np.full(9, 8.0), 11, 1)[:-1]:
+        can_end._setpoint(*frame)
+    for frame in setpoint.encode(np.zeros(9), 11, 2):
+        can_end._setpoint(*frame)
+    assert not can_end._core.pending_n.any()

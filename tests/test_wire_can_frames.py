@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
 
@@ -157,6 +158,23 @@ def test_fewer_coils_take_fewer_frames(coils: int, count: int) -> None:
         assert frames.setpoint.accept(can_id, data, 0) is None
     assert frames.setpoint.finish(out) is None
     np.testing.assert_allclose(out, 1.0)
+
+
+def test_length_that_no_can_fd_frame_has_is_refused(tmp_path: Path) -> None:
+    """Six channels, counter and checksum are 14 bytes, which would go out as 16."""
+    head, fd, tail = DBC.read_text().partition("BO_ 36 SetpointsFd: 20")
+    body, rest, tail = tail.partition("BO_ 40 ")
+    fd = fd.replace("20", "14")
+    lines = [line for line in body.splitlines() if not re.search(r"setpoint_[678]_n", line)]
+    body = "\n".join(lines)
+    for old, new in (("144|4", "96|4"), ("148|4", "100|4"), ("152|8", "104|8")):
+        body = body.replace(old, new)
+    path = tmp_path / "six.dbc"
+    path.write_text(head + fd + body + "\n\n" + rest + tail)
+    with pytest.raises(
+        ConfigError, match=r"SetpointsFd: expected a length that there is.*found 14"
+    ):
+        load_frames(path, 6, 6, True)
 
 
 def test_more_coils_than_the_dbc_has_are_refused() -> None:

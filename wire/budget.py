@@ -16,9 +16,9 @@ from ..config.buses import CanBus, CanDriveOptions, RoleOptions, SerialBus
 from ..config.rig import RigConfig
 from .can_frames import ValueFrames, load_frames
 from .cia402 import RPDO, TPDO
+from .device import ROLES
 from .serial_frames import Contents
 
-ROLES = ("amplifiers", "sensors", "drives")
 _DRIVES = 3
 _SYNC_BYTES = 1
 _SLOW_DRIVES = 4
@@ -138,11 +138,7 @@ def _buses(
 
 
 def _serial(rig: RigConfig, name: str, bus: SerialBus, on: Mapping[str, RoleOptions]) -> BusTime:
-    contents = Contents(
-        len(rig.geometry.coil_x_m) if "amplifiers" in on else 0,
-        len(rig.geometry.sensors_x_m) if "sensors" in on else 0,
-        "drives" in on,
-    )
+    contents = Contents.of(rig, on)
     # The setpoints are the sync: they go out first, and nothing follows the answer.
     sent = serial_s(contents.on_wire(contents.cycle_bytes), bus.baud)
     came = serial_s(contents.on_wire(contents.readings_bytes), bus.baud)

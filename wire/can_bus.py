@@ -21,7 +21,11 @@ _NOT_PLAIN = 0xE000_0000
 _ERROR = 0x2000_0000
 _FD_FRAME = 72
 _FULL_S = 0.001
+_SENDS_BY = {"slcan", "udp_multicast"}
+"""Interfaces that take a time by which a frame is to be on its way. Others ignore it, or wait for
+the frame to have left."""
 _OLDEST_STAMP_S = 1.0
+_SEND_S = 0.005
 _BRS = 0x01
 # struct canfd_frame of linux/can.h: ID with flags, length, flags, and the data behind two bytes;
 # struct can_frame is the same but for its 16 bytes and no flags.
@@ -84,14 +88,15 @@ def open_bus(config: CanBus) -> FrameBus:
     )
     if config.interface == "socketcan" and isinstance(getattr(bus, "socket", None), socket.socket):
         return _KernelBus(bus, bus.socket)
-    return _MessageBus(bus, can.Message)
+    timeout_s = _SEND_S if config.interface in _SENDS_BY else None
+    return _MessageBus(bus, can.Message, timeout_s)
 
 
 class _MessageBus:
     """Any interface, by its Messages."""
 
-    def __init__(self, bus: Any, message: Any) -> None:
-        self._bus, self._message = bus, message
+    def __init__(self, bus: Any, message: Any, timeout_s: float | None) -> None:
+        self._bus, self._message, self._timeout_s = bus, message, timeout_s
 
     def send(self, can_id: int, data: bytes) -> None:
         fd = len(data) > 8
@@ -102,7 +107,8 @@ class _MessageBus:
                 data=data,
                 is_fd=fd,
                 bitrate_switch=fd,
-            )
+            ),
+            self._timeout_s,
         )
 
     def receive(self, wait_s: float) -> Frame | None:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 COUNTER_MASK = 0xF
+FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
+"""Lengths in bytes beyond 8 that a CAN FD frame can have."""
 _OLDEST = 64
 _BYTES = [bytes((i,)) for i in range(256)]
 Kind = Literal["setpoint", "force", "gap"]
@@ -68,6 +70,11 @@ class ValueFrames:
         """The state in the frames that came last."""
         return self._received[self._spans[0][1] - 2] >> 4
 
+    @staticmethod
+    def tag(data: bytes) -> int:
+        """Return what a frame has in the place of a state: in setpoints the number of their set."""
+        return data[-2] >> 4 if len(data) > 1 else 0
+
     def encode(self, values: Array, cycle: int, state: int) -> list[tuple[int, bytes]]:
         """Return (ID, payload) of every frame of `cycle`, which is below CYCLES.
 
@@ -81,6 +88,11 @@ class ValueFrames:
     def begin(self) -> None:
         """Forget which frames of a cycle have come."""
         self._missing.update(self.ids)
+
+    @property
+    def begun(self) -> bool:
+        """Whether any frame of the cycle has come."""
+        return len(self._missing) < len(self.ids)
 
     @property
     def complete(self) -> bool:
@@ -233,6 +245,18 @@ class CanFrames:
     force: ValueFrames
     gap: ValueFrames
 
+    def ids(self, *, amplifiers: bool, sensors: bool) -> Iterator[tuple[int, str]]:
+        """Yield ID and name of every frame that these roles need."""
+        fields: list[Fields | Frame] = [self.sync]
+        if amplifiers:
+            fields += [self.request, self.answer]
+            fields += [*self.setpoint.frames, *self.force.frames]
+        if sensors:
+            fields += [self.sensor_request, self.sensor_answer]
+            fields += self.gap.frames
+        for frame in fields:
+            yield frame.can_id, frame.name
+
 
 def load_frames(dbc: Path | None, coils: int, sensors: int, fd: bool) -> CanFrames:
     """Compile a DBC file (config/levid.dbc unless given) for so many coils and sensors.
@@ -346,6 +370,12 @@ class _Compiler:
             raise ConfigError(
                 f"{self._path}: {message.name}: expected {length} bytes, found {message.length}"
             )
+        lengths = (*range(9), *FD_LENGTHS) if self._fd else range(9)
+        if length not in lengths:
+            raise ConfigError(
+                f"{self._path}: {message.name}: expected a length that there is, at most 8 bytes "
+                f"or in CAN FD one of {', '.join(map(str, FD_LENGTHS))}, found {length}"
+            )
         crc_of = FrameCrc(message.frame_id, length)
         frame = Frame(message.frame_id, message.name, numbers[0], len(numbers), crc_of)
         return frame, scales.pop()
@@ -375,11 +405,3 @@ class _Compiler:
 
 def _matches(pattern: re.Pattern[str]) -> Callable[[Signal], bool]:
     return lambda signal: pattern.fullmatch(signal.name) is not None
-
-
-def every_frame(frames: CanFrames) -> Iterator[tuple[int, int, str]]:
-    """Yield (ID, length in bytes, name) of every frame of a cycle."""
-    yield frames.sync.can_id, frames.sync.length, frames.sync.name
-    for values in (frames.setpoint, frames.force, frames.gap):
-        for frame in values.frames:
-            yield frame.can_id, frame.length, frame.name

@@ -2,45 +2,68 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from enum import Enum, IntEnum
 
 from ..config.rig import Limits
+from .device import CYCLES
 
 RPDO = struct.Struct("<Hi")
 """Setpoint to a drive: controlword, target position."""
 TPDO = struct.Struct("<Hih")
-"""Reading of a drive: statusword, actual position, actual force."""
+"""Reading of a drive: statusword, actual position, actual force in 1/1000 of what is rated."""
 
 POSITION_M, POSITION_RAD = 1e-9, 1e-7
-FORCE_N, TORQUE_N_M = 1e-3, 1e-5
 ACCELERATION = 1e-3
-"""Units of one count: of the linear motors in m, m/s2 and N, of the rotary one in rad, rad/s2 and
-N m. Speeds are in counts of position a second."""
+"""Units of one count: of the linear motors in m and m/s2, of the rotary one in rad and rad/s2.
+Speeds are in counts of position a second."""
+RATED = 1e-3
+"""Unit of the rated force or torque in N or N m; actual ones are in 1/1000 of what is rated."""
 
-SYNC_ID, EMERGENCY_ID, TPDO1_ID, RPDO1_ID, HEARTBEAT_ID = 0x080, 0x080, 0x180, 0x200, 0x700
+NMT_ID, SYNC_ID, EMERGENCY_ID, TPDO1_ID, RPDO1_ID = 0x000, 0x080, 0x080, 0x180, 0x200
+SDO_ANSWER_ID, SDO_REQUEST_ID, HEARTBEAT_ID = 0x580, 0x600, 0x700
+NODE_IDS = {
+    "emergency": EMERGENCY_ID, "TPDO 1": TPDO1_ID, "RPDO 1": RPDO1_ID, "SDO answer": SDO_ANSWER_ID,
+    "SDO request": SDO_REQUEST_ID, "heartbeat": HEARTBEAT_ID,
+}  # fmt: skip
+"""What every node has an ID for: this plus its number."""
 SYNC_COUNTER = 240
-"""CANopen's SYNC counts from 1 to 240 and begins anew."""
+"""A SYNC that counts goes from 1 to this and begins anew."""
+
+
+class Node(IntEnum):
+    """What a heartbeat says of its node."""
+
+    BOOT_UP = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+    @property
+    def words(self) -> str:
+        """The state for people."""
+        return self.name.lower().replace("_", "-")
 
 
 class Object(IntEnum):
     """Indices of the object dictionary."""
 
     DEVICE_TYPE = 0x1000
-    SYNC_COB_ID = 0x1005
     HEARTBEAT_MS = 0x1017
     SYNC_OVERFLOW = 0x1019
     RPDO1 = 0x1400
     RPDO1_MAP = 0x1600
     TPDO1 = 0x1800
     TPDO1_MAP = 0x1A00
-    ACTUAL_FORCE = 0x2077
     ERROR_CODE = 0x603F
     CONTROLWORD = 0x6040
     STATUSWORD = 0x6041
     MODE = 0x6060
     MODE_DISPLAY = 0x6061
     ACTUAL_POSITION = 0x6064
+    RATED_FORCE = 0x6076
+    ACTUAL_FORCE = 0x6077
     TARGET_POSITION = 0x607A
     POSITION_LIMIT = 0x607D
     MAX_SPEED = 0x607F
@@ -87,10 +110,10 @@ class DriveStates(Enum):
 
 DISABLE_VOLTAGE, SHUTDOWN, SWITCH_ON, ENABLE_OPERATION = 0x00, 0x06, 0x07, 0x0F
 QUICK_STOP, FAULT_RESET, START_HOMING = 0x02, 0x80, 0x1F
-HOMING_ATTAINED, HOMING_ERROR = 1 << 12, 1 << 13
+TARGET_REACHED, HOMING_ATTAINED, HOMING_ERROR = 1 << 10, 1 << 12, 1 << 13
 
 TOWARDS_OPERATION = {
-    DriveStates.FAULT: FAULT_RESET,
+    DriveStates.FAULT: FAULT_RESET,  # by its rising edge
     DriveStates.SWITCH_ON_DISABLED: SHUTDOWN,
     DriveStates.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
     DriveStates.READY_TO_SWITCH_ON: SWITCH_ON,
@@ -108,9 +131,27 @@ def state_of(statusword: int) -> DriveStates | None:
     return None
 
 
-def sync_counter(cycle: int) -> int:
-    """Return the counter in the SYNC of a cycle, 1 to 240."""
-    return cycle % SYNC_COUNTER + 1
+def sync_counter(number: int) -> int:
+    """Return the counter in the SYNC of a number, 1 to 240."""
+    return number % SYNC_COUNTER + 1
+
+
+def cycle_of_sync(counter: int, every: int) -> tuple[int, int]:
+    """Return the cycle that a SYNC in every so many begins, and modulo what its counter tells it.
+
+    The cycle is a multiple of `every` and itself counted modulo CYCLES.
+    """
+    modulus = math.gcd(SYNC_COUNTER * every, CYCLES)
+    return (counter - 1) * every % modulus, modulus
+
+
+def write_controlword(word: int) -> bytes:
+    """Return the SDO request that writes a controlword: an expedited download of two bytes."""
+    return _WRITE_16.pack(_DOWNLOAD_2, Object.CONTROLWORD, 0, word)
+
+
+_WRITE_16 = struct.Struct("<BHBH2x")
+_DOWNLOAD_2 = 0x2B
 
 
 def beam_limits(limits: Limits) -> dict[tuple[Object, int], int]:

@@ -9,6 +9,8 @@ from enum import IntEnum
 
 from ..config.rig import RigConfig
 
+ROLES = ("amplifiers", "sensors", "drives")
+"""What a rig is made of; each role has its backend."""
 PROTOCOL = 1
 """Version of the frames; host and device must have the same."""
 CYCLES = 61_440
@@ -73,14 +75,14 @@ class Parameter(IntEnum):
     BEAM_LIMIT_UM = 7
     BEAM_SPEED_UM_S = 8
     BEAM_ACCELERATION_MM_S2 = 9
+    ROTOR_SPEED_MRAD_S = 10
+    ROTOR_ACCELERATION_MRAD_S2 = 11
     CHALLENGE = 16
     TRIPPED_COILS = 17
     FAULTY_SENSORS = 18
     DRIVE_ERROR = 19
 
 
-COMPARED = tuple(p for p in Parameter if p < Parameter.CHALLENGE)
-"""Parameters that host and device must agree on before anything moves."""
 AMPLIFIER_LIMITS = (
     Parameter.PROTOCOL, Parameter.COILS, Parameter.PERIOD_NS, Parameter.EXPIRE_CYCLES,
     Parameter.COIL_LIMIT_MN, Parameter.COIL_RATE_N_S,
@@ -88,12 +90,13 @@ AMPLIFIER_LIMITS = (
 SENSOR_LIMITS = (Parameter.PROTOCOL, Parameter.SENSORS, Parameter.PERIOD_NS)
 DRIVE_LIMITS = (
     Parameter.PROTOCOL, Parameter.PERIOD_NS, Parameter.BEAM_LIMIT_UM, Parameter.BEAM_SPEED_UM_S,
-    Parameter.BEAM_ACCELERATION_MM_S2,
+    Parameter.BEAM_ACCELERATION_MM_S2, Parameter.ROTOR_SPEED_MRAD_S,
+    Parameter.ROTOR_ACCELERATION_MRAD_S2,
 )  # fmt: skip
 
 
 def declared(rig: RigConfig, expire_cycles: int) -> dict[Parameter, int]:
-    """Return what a device of this rig must say of every parameter in COMPARED."""
+    """Return what a device of this rig must say of every parameter below CHALLENGE."""
     limits, geometry = rig.limits, rig.geometry
     return {
         Parameter.PROTOCOL: PROTOCOL,
@@ -106,6 +109,8 @@ def declared(rig: RigConfig, expire_cycles: int) -> dict[Parameter, int]:
         Parameter.BEAM_LIMIT_UM: round(1e6 * limits.beam_m),
         Parameter.BEAM_SPEED_UM_S: round(1e6 * limits.beam_velocity_m_s),
         Parameter.BEAM_ACCELERATION_MM_S2: round(1e3 * limits.beam_acceleration_m_s2),
+        Parameter.ROTOR_SPEED_MRAD_S: round(1e3 * limits.rotor_velocity_rad_s),
+        Parameter.ROTOR_ACCELERATION_MRAD_S2: round(1e3 * limits.rotor_acceleration_rad_s2),
     }
 
 

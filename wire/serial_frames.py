@@ -8,12 +8,14 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.rig import RigConfig
 from . import cobs
 from .device import PROTOCOL
 from .rejected import Rejected
@@ -50,6 +52,15 @@ class Contents:
     coils: int
     sensors: int
     drives: bool
+
+    @classmethod
+    def of(cls, rig: RigConfig, roles: Collection[str]) -> Contents:
+        """Return what a port that plays these roles of a rig carries."""
+        return cls(
+            len(rig.geometry.coil_x_m) if "amplifiers" in roles else 0,
+            len(rig.geometry.sensors_x_m) if "sensors" in roles else 0,
+            "drives" in roles,
+        )
 
     @property
     def cycle_bytes(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from time import perf_counter
 from typing import Any
@@ -9,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from ...config.base import ConfigError
-from ...config.buses import AmplifierOptions, CanBus, CanDriveOptions
+from ...config.buses import AmplifierOptions, CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig
 from ...wire.can_frames import CanFrames, load_frames
-from ...wire.device import CYCLES
+from ...wire.cia402 import NMT_ID, NODE_IDS, SYNC_ID
+from ...wire.device import CYCLES, ROLES
 from ...wire.values import LARGEST
 from ..base import Context, FirstError, LinkError
 from ..on_bus import BusBackend, answer_wait_s
@@ -28,6 +30,7 @@ class CanBackend(BusBackend):
     def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:  # noqa: ARG003
         """Check a role's options, its bus and the DBC; raises ConfigError."""
         bus = _bus_of(context.rig, role)
+        _check_ids(context, role)
         if role == "drives":
             _check_expiry(context.rig)
             return
@@ -51,9 +54,7 @@ class CanBackend(BusBackend):
         self._drives: CanDrives | None = None
         self._amplifiers: CanAmplifiers | None = None
         for role in roles:
-            found = rig.on_bus(role)
-            assert found is not None
-            option = found[1]
+            option = _option(rig, role)
             bus = rig.can[option.bus]
             link = self._links.setdefault(option.bus, CanLink(option.bus, bus))
             if isinstance(option, CanDriveOptions):
@@ -150,11 +151,38 @@ class CanBackend(BusBackend):
         return self._deadline_s
 
 
+def _check_ids(context: Context, role: str) -> None:
+    """Raise ConfigError where two frames on the bus of `role` have the same ID."""
+    rig, name = context.rig, _option(context.rig, role).bus
+    roles = [each for each in ROLES if getattr(rig, each).backend == "can"]
+    on = {each: found for each in roles if (found := _option(rig, each)).bus == name}
+    used: dict[int, str] = {}
+    for can_id, what in _ids(context, rig.can[name], on):
+        if can_id in used:
+            raise ConfigError(
+                f"can.{name}: expected an ID for each frame, found 0x{can_id:03X} for "
+                f"{used[can_id]} and {what}"
+            )
+        used[can_id] = what
+
+
+def _ids(context: Context, bus: CanBus, on: Mapping[str, RoleOptions]) -> Iterator[tuple[int, str]]:
+    """Yield ID and name of every frame of these roles."""
+    amplifiers, sensors = "amplifiers" in on, "sensors" in on
+    if amplifiers or sensors:
+        yield from _frames(context, bus).ids(amplifiers=amplifiers, sensors=sensors)
+    drives = on.get("drives")
+    if isinstance(drives, CanDriveOptions):
+        yield NMT_ID, "NMT"
+        yield SYNC_ID, "SYNC"
+        for name, number in drives.nodes.model_dump().items():
+            for what, can_id in NODE_IDS.items():
+                yield can_id + number, f"{what} of {name} (node {number})"
+
+
 def _check_expiry(rig: RigConfig) -> None:
     """Raise ConfigError where drives would take regular targets for missing ones."""
-    found = rig.on_bus("drives")
-    assert found is not None
-    drives = found[1]
+    drives = _option(rig, "drives")
     assert isinstance(drives, CanDriveOptions)
     least_s = 2.0 * drives.every / rig.rate_hz
     if drives.expire_s < least_s:
@@ -164,10 +192,15 @@ def _check_expiry(rig: RigConfig) -> None:
         )
 
 
-def _bus_of(rig: RigConfig, role: str) -> CanBus:
+def _option(rig: RigConfig, role: str) -> RoleOptions:
+    """Return the options of a role that is on a bus; raises ConfigError."""
     found = rig.on_bus(role)
     assert found is not None
-    return rig.can[found[1].bus]
+    return found[1]
+
+
+def _bus_of(rig: RigConfig, role: str) -> CanBus:
+    return rig.can[_option(rig, role).bus]
 
 
 def _frames(context: Context, bus: CanBus) -> CanFrames:

@@ -21,6 +21,7 @@ from .readings import Readings
 _UNHEARD = int(Stale.SETPOINTS)
 _EXCHANGE_S = 0.1
 _TRIES = 5
+_SETS = 16
 
 Deadline = Callable[[], float]
 
@@ -39,6 +40,7 @@ class CanAmplifiers(CoilAmplifiers):
     ) -> None:
         self.readings = Readings("amplifiers", link, frames.force, stale_cycles)
         self.cycle = 0
+        self._set = 0
         self._link, self._setpoint, self._deadline = link, frames.setpoint, deadline
         self._in_steps = CarriedRounding(frames.setpoint.unit, len(rig.geometry.coil_x_m))
         self._limits = declared(rig, expire_cycles)
@@ -49,10 +51,15 @@ class CanAmplifiers(CoilAmplifiers):
         self._questions.answered = self._watch.answered
 
     def write(self, coil_n: Array) -> None:
-        """Send setpoints (C,) in N; the amplifiers take them over at the next Sync."""
+        """Send setpoints (C,) in N; the amplifiers take them over at the next Sync.
+
+        Of several sets in a cycle each has its number, where other frames have a state: frames of
+        one of which some are lost are not taken for those of the next.
+        """
         self._watch.commanding(coil_n)
         send = self._link.send
-        for can_id, data in self._setpoint.encode(self._in_steps(coil_n), self.cycle, 0):
+        self._set = (self._set + 1) % _SETS
+        for can_id, data in self._setpoint.encode(self._in_steps(coil_n), self.cycle, self._set):
             send(can_id, data)
 
     def read(self, coil_n: Array) -> None:
@@ -123,7 +130,7 @@ class Questions:
             self._latest = None
             self.ask(request, index, value)
             deadline_s = perf_counter() + _EXCHANGE_S
-            while self._link.receive(deadline_s):
+            while perf_counter() < deadline_s and self._link.receive(deadline_s):
                 if self._latest is not None:
                     return self._latest
         raise LinkError(f"{self._link.what}: nobody answers to {self._request.name}")

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, sleep
+
+import numpy as np
 
 from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
 from ...wire.cia402 import (
     EMERGENCY_ID,
     ENABLE_OPERATION,
-    FORCE_N,
     HEARTBEAT_ID,
     POSITION_M,
     POSITION_RAD,
@@ -20,10 +22,10 @@ from ...wire.cia402 import (
     RPDO,
     RPDO1_ID,
     SYNC_ID,
-    TORQUE_N_M,
     TPDO,
     TPDO1_ID,
     DriveStates,
+    Node,
     beam_limits,
     rotor_limits,
     state_of,
@@ -31,14 +33,16 @@ from ...wire.cia402 import (
 )
 from ...wire.differences import Differences
 from ...wire.rejected import Rejected
-from ..base import Array, DriveError, ManipulatorDrives
+from ..base import Array, DriveError, DriverError, FirstError, LinkError, ManipulatorDrives
 from ..sensing import check_skew
 from ..watch import Watch
 from .link import CanLink
-from .nodes import DriveNode
+from .nodes import Answers, DriveNode
 
 _EMERGENCY = struct.Struct("<HB")
 _MISSED_HEARTBEATS = 3.0
+_HOMING_S = 10.0
+_POLL_S = 0.005
 _MOST = 2**31 - 1
 
 
@@ -60,6 +64,11 @@ class CanDrives(ManipulatorDrives):
         self._limits, self._period_s = rig.limits, 1.0 / rig.rate_hz
         self._sync_s = self._period_s * options.every
         self._cycle, self._sync_cycle, self._answer_due = 0, -options.every, 0
+        self._sync_number = -1
+        # Position, velocity, acceleration (2, 3) of beam and rotor that the loop wrote last.
+        self._setpoint = np.zeros((2, 3))
+        self._written: int | None = None
+        self._targets_sent = False
         eds = folder / options.eds if options.eds else None
         numbers = options.nodes.model_dump()
         self._nodes = [DriveNode(name, number, eds, link) for name, number in numbers.items()]
@@ -68,7 +77,7 @@ class CanDrives(ManipulatorDrives):
             _Axis(node, unit, options.every, self._sync_s)
             for node, unit in zip(self._nodes, units, strict=True)
         ]
-        self._counted = all(node.counts_syncs for node in self._nodes)
+        self._counted = False
         self._by_id = {TPDO1_ID + axis.node.node_id: axis for axis in self._axes}
         for axis in self._axes:
             node_id = axis.node.node_id
@@ -76,36 +85,39 @@ class CanDrives(ManipulatorDrives):
             link.listen(EMERGENCY_ID + node_id, axis.emergency)
             link.listen(HEARTBEAT_ID + node_id, axis.heartbeat)
         self._waiting = 0
+        self._late = False
         self._judged = True
         self._told = False
 
     def sync(self, cycle: int) -> None:
-        """Send SYNC in the cycles that have one; what comes from here on belongs to it."""
+        """Send SYNC in the cycles that have one; what comes from here on belongs to it.
+
+        Those are the multiples of `every`, or the first after one that was skipped.
+        """
         self._cycle = cycle
-        if cycle - self._sync_cycle < self._options.every:
+        number = cycle // self._options.every
+        if number == self._sync_number:
             return
-        self._judge()
+        first = FirstError()
+        with first:
+            self._judge()
         self.watch.begin()
-        self._waiting = len(self._axes)
+        self._waiting, self._late = len(self._axes), False
         for axis in self._axes:
             axis.came = False
         # Slower drives have until the next SYNC to answer.
         self._answer_due = cycle if self._options.every == 1 else self._sync_cycle
-        self._judged, self._sync_cycle = False, cycle
-        self._send_sync(cycle)
+        self._judged, self._sync_cycle, self._sync_number = False, cycle, number
+        self._catch_up()
+        self._targets_sent = False
+        self._send_sync(number)
+        first.raise_it()
 
     def write(self, beam: Array, rotor: Array) -> None:
         """Send targets, which the drives reach one SYNC after the next."""
-        # The setpoint is of the end of the coming period; with fewer SYNCs than cycles the drive
-        # gets there later, and the target lies as much further on.
-        if self._cycle + 1 - self._sync_cycle < self._options.every:
-            return
-        ahead_s = self._sync_s - self._period_s
-        x_m = beam[0] + ahead_s * (beam[1] + 0.5 * ahead_s * beam[2])
-        phi_rad = rotor[0] + ahead_s * (rotor[1] + 0.5 * ahead_s * rotor[2])
-        for axis, target in zip(self._axes, (x_m, x_m, phi_rad), strict=True):
-            counts = min(max(round(float(target) / axis.unit), -_MOST), _MOST)
-            self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(ENABLE_OPERATION, counts))
+        self._setpoint[0], self._setpoint[1], self._written = beam, rotor, self._cycle
+        if (self._cycle + 1) // self._options.every != self._sync_number:
+            self._send_targets(self._cycle)
 
     def read(self, beam: Array, rotor: Array) -> None:
         """Fill beam (3,) with m, m/s, N and rotor (3,) with rad, rad/s, N m of the last SYNC.
@@ -115,8 +127,9 @@ class CanDrives(ManipulatorDrives):
             DriveError: a drive is in fault, silent, or the gantry is askew; once, until recovered.
         """
         if self._options.every == 1:
-            deadline_s = self._deadline()
-            while self._waiting and self._link.receive(deadline_s):
+            deadline_s, link = self._deadline(), self._link
+            # On a bus that is busy with other things there is always one more frame.
+            while self._waiting and link.receive(deadline_s) and link.received_s <= deadline_s:
                 pass
             self._judge()
         x1, x2, phi = self._axes
@@ -125,44 +138,126 @@ class CanDrives(ManipulatorDrives):
         since_s = (self._cycle - x1.cycle) * self._period_s
         beam[0] = 0.5 * (x1.position + x2.position + since_s * (x1.velocity + x2.velocity))
         beam[1] = 0.5 * (x1.velocity + x2.velocity)
-        beam[2] = (x1.force + x2.force) * FORCE_N
+        beam[2] = x1.force + x2.force
         rotor[0] = phi.position + since_s * phi.velocity
         rotor[1] = phi.velocity
-        rotor[2] = phi.force * TORQUE_N_M
+        rotor[2] = phi.force
         if not self._told:
             self._told = True
             self._check()
             self._told = False
 
     def recover(self) -> None:
-        """Compare limits, map PDOs, home and enable every drive; raises DriverError."""
-        options = self._options
-        heartbeat_ms, expire_ms = (round(1e3 * s) for s in (options.heartbeat_s, options.expire_s))
-        beam, rotor = beam_limits(self._limits), rotor_limits(self._limits)
-        for axis, limits in zip(self._axes, (beam, beam, rotor), strict=True):
-            axis.node.configure(limits, heartbeat_ms, expire_ms, self._sync_s)
-        for axis in self._axes:
-            axis.node.enable(options.homing_method)
-            axis.begin(axis.node.position())
+        """Compare limits, map PDOs, home and enable every drive; raises DriverError.
+
+        Where one of them fails, none of them stays powered.
+        """
+        try:
+            with Answers(self._link):
+                self._configure()
+                x1, x2, phi = self._nodes
+                self._home(x1, x2)
+                self._home(phi)
+                for axis in self._axes:
+                    axis.node.follow()
+                    axis.begin(axis.node.position())
+        except DriverError:
+            with suppress(LinkError):
+                self.release()
+            raise
         self.watch.reset()
-        self._judged, self._told = True, False
+        self._judged, self._told, self._written = True, False, None
 
     def release(self) -> None:
         """Let the drives brake and switch off: who goes on purpose is not to be missed."""
         for axis in self._axes:
+            axis.node.stop()
             counts = round(axis.position / axis.unit)
             self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(QUICK_STOP, counts))
-        self._send_sync(self._cycle + 1)
+        self._send_sync(self._sync_number + 1)
 
-    def _send_sync(self, cycle: int) -> None:
-        self._link.send(SYNC_ID, bytes((sync_counter(cycle),)) if self._counted else b"")
+    def _configure(self) -> None:
+        options = self._options
+        heartbeat_ms, expire_ms = (round(1e3 * s) for s in (options.heartbeat_s, options.expire_s))
+        beam, rotor = beam_limits(self._limits), rotor_limits(self._limits)
+        for node, limits in zip(self._nodes, (beam, beam, rotor), strict=True):
+            node.configure(limits, heartbeat_ms, expire_ms, self._sync_s)
+        counted = [node.name for node in self._nodes if node.counts_syncs]
+        if 0 < len(counted) < len(self._nodes):
+            raise DriverError(
+                f"{self.what}: expected SYNC_OVERFLOW (0x1019) to be the same in all of them, "
+                f"found a SYNC that is counted in {', '.join(counted)} alone"
+            )
+        self._counted = bool(counted)
+
+    def _home(self, *together: DriveNode) -> None:
+        """Home drives at the same time: two motors of one gantry would pull against each other."""
+        for node in together:
+            node.enable(self._options.homing_method)
+        for node in together:
+            node.start_homing()
+        give_up_s = perf_counter() + _HOMING_S
+        begin: list[float] | None = None
+        seen: list[bool] = []
+        while True:
+            at_m = _places(together)
+            attained, done = zip(*(node.homing() for node in together), strict=True)
+            if list(attained) != seen:  # one of them counts from somewhere else now
+                begin, seen = None, list(attained)
+            elif begin is None:
+                begin = at_m
+            else:
+                self._check_skew(*(m - m0 for m, m0 in zip(at_m, begin, strict=True)))
+            if all(done):
+                break
+            if perf_counter() > give_up_s:
+                raise DriveError(
+                    f"{together[done.index(False)].what}: not homed after {_HOMING_S:g} s by "
+                    f"method {self._options.homing_method}"
+                )
+            sleep(_POLL_S)
+
+    def _check_skew(self, x1_m: float, *x2_m: float) -> None:
+        for other_m in x2_m:
+            check_skew(self.what, x1_m, other_m, self._options.skew_m)
+
+    def _catch_up(self) -> None:
+        """Send targets where the cycle that should have was skipped, as of the one before this.
+
+        Without any for as long as that the drives have stopped, and nobody knows how far they are.
+        """
+        last = self._cycle - 1
+        if self._targets_sent or self._written is None:
+            return
+        if 0 < last - self._written < self._options.every:
+            self._send_targets(last)
+
+    def _send_targets(self, cycle: int) -> None:
+        """Send the last setpoint, carried forward as if it had been written in `cycle`."""
+        assert self._written is not None
+        # The setpoint is of the end of the coming period; with fewer SYNCs than cycles the drive
+        # gets there later, and the target lies as much further on.
+        ahead_s = self._sync_s + (cycle - self._written - 1) * self._period_s
+        p, v, a = self._setpoint.T
+        x_m, phi_rad = (p + ahead_s * (v + 0.5 * ahead_s * a)).tolist()
+        # Beside a drive that is in fault the others are not to go on.
+        word = QUICK_STOP if self._told else ENABLE_OPERATION
+        for axis, target in zip(self._axes, (x_m, x_m, phi_rad), strict=True):
+            counts = min(max(round(target / axis.unit), -_MOST), _MOST)
+            self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(word, counts))
+        self._targets_sent = True
+
+    def _send_sync(self, number: int) -> None:
+        self._link.send(SYNC_ID, bytes((sync_counter(number),)) if self._counted else b"")
 
     def _judge(self) -> None:
         """Say whether all answered the last SYNC: raises StaleError where too many did not."""
         if self._judged:
             return
         self._judged = True
-        if self._waiting:
+        if self._late:
+            self.watch.late()
+        if self._waiting or self._late:
             self.watch.missing()
         else:
             self.watch.fresh()
@@ -176,7 +271,9 @@ class CanDrives(ManipulatorDrives):
         else:
             axis.came, axis.data = True, bytes(data)
             self._waiting -= 1
-            if not self._waiting:
+            if self._options.every == 1 and self._link.received_s > self._deadline():
+                self._late = True  # nobody knows when it was sampled
+            if not self._waiting and not self._late:
                 # Together or not at all: at speed, positions of two SYNCs would look like a skew.
                 for each in self._axes:
                     each.take(self._sync_cycle)
@@ -192,14 +289,31 @@ class CanDrives(ManipulatorDrives):
                     f"{axis.node.what}: expected operation enabled, "
                     f"found {state.words if state else f'statusword 0x{axis.status:04X}'}"
                 )
+            if axis.left is not None:
+                words = axis.left.words if isinstance(axis.left, Node) else f"{axis.left}"
+                raise DriveError(f"{axis.node.what}: expected to be operational, found {words}")
             if now_s - axis.heard_s > _MISSED_HEARTBEATS * self._options.heartbeat_s:
                 raise DriveError(f"{axis.node.what}: no heartbeat")
         x1, x2, _ = self._axes
         check_skew(self.what, x1.position, x2.position, self._options.skew_m)
 
 
+def _places(together: tuple[DriveNode, ...]) -> list[float]:
+    """Return positions in counts times POSITION_M, the first one's at the moment of the last one's.
+
+    Drives are asked one after the other: at constant speed a mean of two is of the time between.
+    """
+    before, *others = (node.position() for node in together)
+    after = together[0].position() if others else before
+    return [POSITION_M * counts for counts in (0.5 * (before + after), *others)]
+
+
+_NMT_STATE = 0x7F
+_NMT_STATES = frozenset(Node)
+
+
 class _Axis:
-    """What one drive said last, in SI units but for its force, which is in counts."""
+    """What one drive said last, in SI units."""
 
     def __init__(self, node: DriveNode, unit: float, every: int, sync_s: float) -> None:
         self.node, self.unit, self._every = node, unit, every
@@ -209,16 +323,19 @@ class _Axis:
 
     def begin(self, counts: int) -> None:
         """Begin anew at rest."""
-        self.position, self.velocity, self.force = counts * self.unit, 0.0, 0
+        self.position, self.velocity, self.force = counts * self.unit, 0.0, 0.0
         self.status, self.error = DriveStates.OPERATION_ENABLED.value[1], 0
-        self.cycle, self.heard_s = 0, perf_counter()
+        self.left: int | None = None
+        self._operational = False
+        self.cycle, self.heard_s = -self._every, perf_counter()
         self._differences.at_rest(self.position)
 
     def take(self, cycle: int) -> None:
         """Take over what came with the SYNC of `cycle`."""
         regular, self.cycle = cycle - self.cycle == self._every, cycle
-        self.status, counts, self.force = TPDO.unpack(self.data)
+        self.status, counts, per_mille = TPDO.unpack(self.data)
         self.position = counts * self.unit
+        self.force = per_mille * 1e-3 * self.node.rated
         differences = self._differences
         go_on = differences.push if regular else differences.resume
         self.velocity, _ = go_on(self.position)
@@ -227,5 +344,11 @@ class _Axis:
         if len(data) == 8:
             self.error = _EMERGENCY.unpack_from(data)[0]
 
-    def heartbeat(self, _: int, data: bytes) -> None:  # noqa: ARG002
+    def heartbeat(self, _: int, data: bytes) -> None:
+        """Note that it lives; `left` is what it went over to once it was operational."""
         self.heard_s = perf_counter()
+        state = data[0] & _NMT_STATE if data else -1
+        if state == Node.OPERATIONAL:
+            self._operational = True
+        elif self._operational or state == Node.BOOT_UP:
+            self.left = Node(state) if state in _NMT_STATES else state

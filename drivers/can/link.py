@@ -8,7 +8,10 @@ from typing import NoReturn
 
 from ...config.buses import CanBus
 from ...wire.can_bus import BusOffError, FrameBus, age_s, open_bus
-from ..base import LinkError
+from ..base import DriverError, LinkError
+
+_MOST_DRAINED = 1000
+"""More frames than queues hold; where frames have no stamp nothing else ends it."""
 
 Listener = Callable[[int, bytes], None]
 
@@ -38,7 +41,13 @@ class CanLink:
             bus.shutdown()
 
     def listen(self, can_id: int, listener: Listener) -> None:
-        """Hand every frame of this ID to `listener`; frames of other IDs are nobody's."""
+        """Hand every frame of this ID to `listener`; frames of other IDs are nobody's.
+
+        Raises:
+            DriverError: somebody listens to it already, and would hear nothing any more.
+        """
+        if can_id in self._listeners:
+            raise DriverError(f"{self.what}: ID 0x{can_id:03X} is used twice")
         self._listeners[can_id] = listener
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -82,9 +91,14 @@ class CanLink:
         return perf_counter() - age_s(self._stamp_s)
 
     def drain(self) -> None:
-        """Hand on all that has come; raises LinkError."""
-        while self.receive(0.0):
-            pass
+        """Hand on all that has come; raises LinkError.
+
+        What comes meanwhile is left: on a busy bus there is always one more.
+        """
+        began_s = perf_counter()
+        for _ in range(_MOST_DRAINED):
+            if not self.receive(0.0) or 0.0 < age_s(self._stamp_s) < perf_counter() - began_s:
+                return
 
     def _lost(self, why: str) -> NoReturn:
         self.close()

@@ -15,14 +15,20 @@ from ...config.base import ConfigError
 from ...config.shipped import shipped
 from ...wire.cia402 import (
     DEVICE_TYPE_DRIVE,
+    ENABLE_OPERATION,
     EVENT_TIMER,
-    FAULT_RESET,
     HOMING_ATTAINED,
     HOMING_ERROR,
+    NMT_ID,
+    QUICK_STOP,
+    RATED,
     RPDO1_ID,
     RPDO_MAPPING,
+    SDO_ANSWER_ID,
+    SDO_REQUEST_ID,
     START_HOMING,
     SYNC_COUNTER,
+    TARGET_REACHED,
     TOWARDS_OPERATION,
     TPDO1_ID,
     TPDO_MAPPING,
@@ -30,12 +36,12 @@ from ...wire.cia402 import (
     Mode,
     Object,
     state_of,
+    write_controlword,
 )
 from ..base import DriveError, DriverError, LinkError
 from .link import CanLink
 
 _STATE_S = 2.0
-_HOMING_S = 10.0
 _POLL_S = 0.005
 _SYNCHRONOUS = 1
 _NOT_VALID = 1 << 31
@@ -43,7 +49,7 @@ _OPERATIONAL, _PRE_OPERATIONAL = 0x01, 0x80
 
 
 class DriveNode:
-    """One drive, by its EDS; every method waits for the drive's answers.
+    """One drive, by its EDS; methods wait for its answers, and have to be called within `Answers`.
 
     `name` is what errors call it. The methods raise DriverError.
     """
@@ -59,15 +65,14 @@ class DriveNode:
         except Exception as error:  # noqa: BLE001 - the library raises whatever it meets
             raise ConfigError(f"{path}: not a valid EDS: {error}") from None
         self._node.sdo.RESPONSE_TIMEOUT = 0.3
+        self.counts_syncs = False
+        """Whether its SYNC has a counter, which others take for an error; known once configured."""
+        self.rated = 1.0
+        """Rated force in N, of a rotary motor torque in N m; known once configured."""
         self._network = _LinkNetwork(link)
         self._network.add_node(self._node)
-        link.listen(0x580 + node_id, self._network.notify_now)
+        link.listen(SDO_ANSWER_ID + node_id, self._network.notify_now)
         self._link = link
-
-    @property
-    def counts_syncs(self) -> bool:
-        """Whether its SYNC has a counter, which one without object 0x1019 takes for an error."""
-        return self._has(Object.SYNC_OVERFLOW)
 
     def configure(
         self,
@@ -81,63 +86,79 @@ class DriveNode:
         `limits`: object and subindex to the value that the rig asks for. `expire_ms`: how long
         targets may stay away, where the drive can watch over that.
         """
-        with self._answers():
-            self._nmt(_PRE_OPERATIONAL)
-            profile = self._read(Object.DEVICE_TYPE) & 0xFFFF
-            if profile != DEVICE_TYPE_DRIVE:
-                raise DriverError(f"{self.what}: expected a CiA 402 drive, found profile {profile}")
-            wrong = [
-                f"{index.name}: expected {expected}, found {found}"
-                for (index, sub), expected in limits.items()
-                if (found := self._read(index, sub)) != expected
-            ]
-            if wrong:
-                raise DriverError(
-                    f"{self.what}: limits in the device are not the rig's: {'; '.join(wrong)}"
-                )
-            self._write(Object.HEARTBEAT_MS, heartbeat_ms)
-            if self.counts_syncs:
-                self._write(Object.SYNC_OVERFLOW, SYNC_COUNTER)
-            self._write(Object.INTERPOLATION, _interpolation(sync_s)[0], 1)
-            self._write(Object.INTERPOLATION, _interpolation(sync_s)[1], 2)
-            rpdo, tpdo = RPDO1_ID + self.node_id, TPDO1_ID + self.node_id
-            if self._has(Object.RPDO1, EVENT_TIMER):
-                self._write(Object.RPDO1, expire_ms, EVENT_TIMER)
-            self._map(Object.RPDO1, Object.RPDO1_MAP, rpdo, RPDO_MAPPING)
-            self._map(Object.TPDO1, Object.TPDO1_MAP, tpdo, TPDO_MAPPING)
+        self._nmt(_PRE_OPERATIONAL)
+        profile = self._read(Object.DEVICE_TYPE) & 0xFFFF
+        if profile != DEVICE_TYPE_DRIVE:
+            raise DriverError(f"{self.what}: expected a CiA 402 drive, found profile {profile}")
+        wrong = [
+            f"{index.name}: expected {expected}, found {found}"
+            for (index, sub), expected in limits.items()
+            if (found := self._read(index, sub)) != expected
+        ]
+        if wrong:
+            raise DriverError(
+                f"{self.what}: limits in the device are not the rig's: {'; '.join(wrong)}"
+            )
+        self.counts_syncs = self._syncs_are_counted()
+        self.rated = RATED * self._read(Object.RATED_FORCE)
+        if not self.rated:
+            raise DriverError(f"{self.what}: expected a rated force (0x6076), found 0")
+        self._write(Object.HEARTBEAT_MS, heartbeat_ms)
+        value, power = interpolation(sync_s)
+        self._write(Object.INTERPOLATION, value, 1)
+        self._write(Object.INTERPOLATION, power, 2)
+        rpdo, tpdo = RPDO1_ID + self.node_id, TPDO1_ID + self.node_id
+        if self._has(Object.RPDO1, EVENT_TIMER):
+            self._write(Object.RPDO1, expire_ms, EVENT_TIMER)
+        self._map(Object.RPDO1, Object.RPDO1_MAP, rpdo, RPDO_MAPPING)
+        self._map(Object.TPDO1, Object.TPDO1_MAP, tpdo, TPDO_MAPPING)
 
     def enable(self, homing_method: int) -> None:
-        """Reset a fault, home, and enable operation in cyclic synchronous position mode."""
-        with self._answers():
-            if state_of(self._read(Object.STATUSWORD)) is DriveStates.FAULT:
-                self._write(Object.CONTROLWORD, 0)
-                self._write(Object.CONTROLWORD, FAULT_RESET)
-            self._write(Object.HOMING_METHOD, homing_method)
-            self._mode(Mode.HOMING)
-            self._go_to_operation()
-            self._home(homing_method)
-            # Where it stands is the first target: nothing moves when the mode changes.
-            self._write(Object.TARGET_POSITION, self._read(Object.ACTUAL_POSITION))
-            self._mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
-            self._nmt(_OPERATIONAL)
+        """Reset a fault, and enable operation in homing mode: it stands, and nothing moves yet."""
+        self._write(Object.HOMING_METHOD, homing_method)
+        self._mode(Mode.HOMING)
+        self._go_to_operation()
+
+    def start_homing(self) -> None:
+        """Start homing, which takes the rising edge of a bit that may be set from the last time."""
+        self._write(Object.CONTROLWORD, ENABLE_OPERATION)
+        self._write(Object.CONTROLWORD, START_HOMING)
+
+    def homing(self) -> tuple[bool, bool]:
+        """Return whether positions count from home, and whether the drive stands there."""
+        word = self._read(Object.STATUSWORD)
+        if word & HOMING_ERROR:
+            raise DriveError(f"{self.what}: homing failed")
+        attained = bool(word & HOMING_ATTAINED)
+        return attained, attained and bool(word & TARGET_REACHED)
+
+    def follow(self) -> None:
+        """Go over to cyclic synchronous position mode, at rest, and exchange PDOs."""
+        # Where it stands is the first target: nothing moves when the mode changes.
+        self._write(Object.TARGET_POSITION, self._read(Object.ACTUAL_POSITION))
+        self._mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+        self._nmt(_OPERATIONAL)
+
+    def stop(self) -> None:
+        """Let the drive brake and switch off, whatever it is doing; no answer is waited for.
+
+        PDOs reach operational nodes alone; one that is being homed, or just started, is none.
+        """
+        self._link.send(SDO_REQUEST_ID + self.node_id, write_controlword(QUICK_STOP))
 
     def position(self) -> int:
         """Return the actual position in counts."""
-        with self._answers():
-            return self._read(Object.ACTUAL_POSITION)
+        return self._read(Object.ACTUAL_POSITION)
 
-    def _home(self, method: int) -> None:
-        self._write(Object.CONTROLWORD, START_HOMING)
-        give_up_s = perf_counter() + _HOMING_S
-        while True:
-            word = self._read(Object.STATUSWORD)
-            if word & HOMING_ERROR:
-                raise DriveError(f"{self.what}: homing by method {method} failed")
-            if word & HOMING_ATTAINED:
-                return
-            if perf_counter() > give_up_s:
-                raise DriveError(f"{self.what}: not homed after {_HOMING_S:g} s by method {method}")
-            sleep(_POLL_S)
+    def _syncs_are_counted(self) -> bool:
+        """Return what object 0x1019 says, which drives take at their start only: it is not set."""
+        overflow = self._read(Object.SYNC_OVERFLOW) if self._has(Object.SYNC_OVERFLOW) else 0
+        if overflow not in (0, SYNC_COUNTER):
+            raise DriverError(
+                f"{self.what}: SYNC_OVERFLOW (0x1019): expected {SYNC_COUNTER}, or 0 for a SYNC "
+                f"that is not counted, found {overflow}"
+            )
+        return overflow == SYNC_COUNTER
 
     def _go_to_operation(self) -> None:
         give_up_s = perf_counter() + _STATE_S
@@ -152,6 +173,8 @@ class DriveNode:
                     f"{self.what}: expected operation enabled, found {words}, "
                     f"error code 0x{code:04X}"
                 )
+            if state is DriveStates.FAULT:
+                self._write(Object.CONTROLWORD, 0)  # the reset takes a rising edge
             if state in TOWARDS_OPERATION:
                 self._write(Object.CONTROLWORD, TOWARDS_OPERATION[state])
             sleep(_POLL_S)
@@ -205,10 +228,7 @@ class DriveNode:
             raise DriverError(f"{self.what}: {index.name}: {error}") from None
 
     def _nmt(self, command: int) -> None:
-        self._link.send(0x000, bytes((command, self.node_id)))
-
-    def _answers(self) -> _Pump:
-        return _Pump(self._link)
+        self._link.send(NMT_ID, bytes((command, self.node_id)))
 
 
 class _LinkNetwork(canopen.Network):
@@ -226,7 +246,7 @@ class _LinkNetwork(canopen.Network):
         self.notify(can_id, bytearray(data), 0.0)
 
 
-class _Pump:
+class Answers:
     """Receives in a thread while the library waits for answers; between cycles only."""
 
     def __init__(self, link: CanLink) -> None:
@@ -248,10 +268,8 @@ class _Pump:
                 return
 
 
-def _interpolation(sync_s: float) -> tuple[int, int]:
-    """Return value and power of ten of the interpolation period (object 0x60C2)."""
-    for power in (-3, -4, -5, -6):
-        value = sync_s / 10.0**power
-        if abs(value - round(value)) < 1e-6 and 1 <= round(value) <= 255:
-            return round(value), power
-    return min(max(round(sync_s / 1e-4), 1), 255), -4
+def interpolation(sync_s: float) -> tuple[int, int]:
+    """Return value and power of ten of the interpolation period (object 0x60C2), the nearest."""
+    each = [(min(max(round(sync_s / 10.0**p), 1), 255), p) for p in (-3, -4, -5, -6)]
+    # The first of those that are as near: what rounding leaves of 1 ms in us is no error.
+    return min(each, key=lambda it: round(abs(it[0] * 10.0 ** it[1] - sync_s), 12))

@@ -42,16 +42,17 @@ class Readings:
         """
         if self._collected:
             return
+        late = False
         try:
-            while not self._frames.complete:
-                if not self._link.receive(deadline_s):
-                    break
+            # This process may look late at what came in time, and the other way round: the stamp
+            # says when it came. On a bus that is busy with other things there is always one more.
+            while not (self._frames.complete or late) and self._link.receive(deadline_s):
+                late = self._link.received_s > deadline_s
         finally:
             self._collected = True
-        if self._frames.complete and self._link.received_s > deadline_s:
-            # This process may look late at what came in time, and the other way round: the stamp
-            # says when it came. After the deadline nobody knows when it was sampled.
-            self.watch.late()
+        if late:  # nobody knows when it was sampled
+            if self._frames.begun:
+                self.watch.late()
         elif self._frames.complete:
             wrong = self._frames.finish(out)
             if wrong is None:

@@ -62,7 +62,7 @@ class SerialBackend(BusBackend):
         on = {name: {r for r, o in options.items() if o.bus == name} for name in names}
         wait_s = answer_wait_s(context)
         self._ports = {
-            name: TransactionPort(name, rig.serial[name], contents(rig, on[name]), wait_s)
+            name: TransactionPort(name, rig.serial[name], Contents.of(rig, on[name]), wait_s)
             for name in names
         }
         played: dict[str, _Amplifiers | _Sensors | _Drives] = {}
@@ -113,15 +113,6 @@ class SerialBackend(BusBackend):
         finally:
             for port in self._ports.values():
                 port.close()
-
-
-def contents(rig: RigConfig, roles: set[str]) -> Contents:
-    """Return what frames on a port that plays `roles` hold."""
-    return Contents(
-        len(rig.geometry.coil_x_m) if "amplifiers" in roles else 0,
-        len(rig.geometry.sensors_x_m) if "sensors" in roles else 0,
-        "drives" in roles,
-    )
 
 
 class _Amplifiers(CoilAmplifiers):

@@ -12,6 +12,10 @@ from ...config.buses import SerialBus
 from ..base import LinkError
 
 _CHUNK = 4096
+_WRITE_S = 0.1
+_SLICE_S = 0.001
+"""How long a port without a descriptor is waited for at a time. It stays the same: some, such as
+rfc2217://, negotiate all their settings anew whenever one changes."""
 
 
 class SerialLine:
@@ -29,11 +33,16 @@ class SerialLine:
         import serial
 
         self.close()
+        # rfc2217:// knows no time to write within.
+        apart = self._bus.port.startswith("rfc2217:")
+        times: dict[str, Any] = (
+            {"timeout": _SLICE_S} if apart else {"timeout": 0, "write_timeout": _WRITE_S}
+        )
         try:
-            port = serial.serial_for_url(
-                self._bus.port, self._bus.baud, timeout=0, write_timeout=0.1, exclusive=True
+            port: Any = serial.serial_for_url(
+                self._bus.port, self._bus.baud, exclusive=True, **times
             )
-        except (OSError, ValueError, serial.SerialException) as error:
+        except Exception as error:  # noqa: BLE001 - as in write; an unknown protocol, say
             raise LinkError(f"{self._what}: cannot be opened: {error}") from None
         self._port = port
         # An adapter that holds bytes back for its latency timer would cost 16 ms a cycle.
@@ -42,7 +51,11 @@ class SerialLine:
         try:
             self._fd = port.fileno()
         except (OSError, AttributeError, ValueError):
-            self._fd = -1  # rfc2217://, say: pyserial's own reading has to do
+            self._fd = -1  # pyserial's own reading has to do
+            with contextlib.suppress(Exception):
+                port._socket.settimeout(_WRITE_S)  # of rfc2217://
+            if port.timeout != _SLICE_S:
+                port.timeout = _SLICE_S
         self._waiting = [self._fd]
 
     def close(self) -> None:
@@ -75,9 +88,7 @@ class SerialLine:
             raise LinkError(f"{self._what}: gone")
         try:
             if self._fd < 0:
-                self._port.timeout = max(deadline_s - perf_counter(), 0.0)
-                first: bytes = self._port.read(1)
-                return first + self._port.read(self._port.in_waiting) if first else b""
+                return self._read_in_slices(deadline_s)
             wait_s = deadline_s - perf_counter() if deadline_s else 0.0
             # Not poll: its timeout is in whole milliseconds, rounded up.
             if not select.select(self._waiting, (), (), max(wait_s, 0.0))[0]:
@@ -90,6 +101,16 @@ class SerialLine:
         if not data:
             self._lost(OSError("the other end hung up"))
         return data
+
+    def _read_in_slices(self, deadline_s: float) -> bytes:
+        port = self._port
+        data = b""
+        while not (data or port.in_waiting):
+            if perf_counter() >= deadline_s:
+                return b""
+            data = port.read(1)
+        waiting = min(port.in_waiting, _CHUNK)
+        return data + port.read(waiting) if waiting else data
 
     def _lost(self, error: Exception) -> None:
         self.close()

@@ -18,6 +18,8 @@ from .line import SerialLine
 
 _EXCHANGE_S = 0.1
 _TRIES = 5
+_MOST_DRAINED = 16
+"""Chunks, more than a cycle brings."""
 
 
 class TransactionPort:
@@ -64,6 +66,7 @@ class TransactionPort:
         # From the first moment on: what answers a late CYCLE is of a later moment.
         self._deadline_s = perf_counter() + self._wait_s
         self._drain()
+        self._unasked = 0  # what has not been answered by now is lost
         self.watch.begin()
         self._cycle = cycle % CYCLES
         self._collected, self.fresh = False, False
@@ -89,10 +92,10 @@ class TransactionPort:
         try:
             while not self.fresh:
                 data = self._line.read(self._deadline_s)
-                if not data:
+                self._take_all(data)
+                # What was there at the deadline has come; whoever never stops is not waited for.
+                if not data or perf_counter() > self._deadline_s:
                     break
-                for block in self._stream.feed(data):
-                    self._take(block)
         finally:
             self._collected = True
         if self.fresh:
@@ -105,7 +108,7 @@ class TransactionPort:
         for attempt in range(1, _TRIES + 1):
             self._line.write(self.frames.request(attempt, request, index, value))
             deadline_s = perf_counter() + _EXCHANGE_S
-            while data := self._line.read(deadline_s):
+            while perf_counter() < deadline_s and (data := self._line.read(deadline_s)):
                 for block in self._stream.feed(data):
                     header = self._reading.accept(block)
                     if isinstance(header, Header) and header == Header(Kind.ANSWER, attempt):
@@ -117,9 +120,18 @@ class TransactionPort:
 
     def _drain(self) -> None:
         """Take what came since the last cycle's reading: nothing, if all is well."""
-        while data := self._line.read(0.0):
-            for block in self._stream.feed(data):
-                self._take(block)
+        for _ in range(_MOST_DRAINED):
+            data = self._line.read(0.0)
+            if not data:
+                return
+            self._take_all(data)
+
+    def _take_all(self, data: bytes) -> None:
+        overlong = self._stream.overlong
+        for block in self._stream.feed(data):
+            self._take(block)
+        if self._stream.overlong > overlong:
+            self.watch.reject(Rejected.FRAMING)
 
     def _take(self, block: bytes) -> None:
         header = self._reading.accept(block)

@@ -16,7 +16,7 @@ from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
 from ...wire.can_bus import FrameBus, age_s, open_bus
 from ...wire.can_frames import Fields, load_frames
-from ...wire.cia402 import SYNC_COUNTER, SYNC_ID
+from ...wire.cia402 import SYNC_COUNTER, SYNC_ID, cycle_of_sync
 from ...wire.rejected import Rejected
 from .core import Core
 from .faults import Injector, Outgoing
@@ -43,6 +43,7 @@ class CanElectronics:
         self._handlers: dict[int, Callable[[int, bytes], None]] = {}
         self._coil_n = np.zeros(core.coils)
         self._cycle, self._taken_over = 0, -1
+        self._set = 0
         self._amplifiers, self._sensors = "amplifiers" in roles, "sensors" in roles
         frames = self._frames
         if self._amplifiers or self._sensors:
@@ -145,7 +146,7 @@ class CanElectronics:
         if self._drives.counts_syncs:
             if len(data) != 1 or not 1 <= data[0] <= SYNC_COUNTER:
                 return
-            self._core.begin(data[0] - 1, SYNC_COUNTER)
+            self._core.begin(*cycle_of_sync(data[0], self._drives.every))
         elif data:
             return
         self._drives.poll()
@@ -156,9 +157,12 @@ class CanElectronics:
         if "drop-setpoints" in self._injector.wire:
             return
         setpoint = self._frames.setpoint
-        # Setpoints of a cycle that come a second time are those of zero force at once.
-        if setpoint.complete:
+        # Setpoints of a cycle that come a second time are those of zero force at once; by their
+        # number, where not all of the first came.
+        number = setpoint.tag(data)
+        if setpoint.complete or number != self._set:
             setpoint.begin()
+            self._set = number
         if setpoint.accept(can_id, data, self._cycle) is not None or not setpoint.complete:
             return
         if setpoint.finish(self._coil_n) is None:

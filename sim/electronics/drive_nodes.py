@@ -17,18 +17,21 @@ from ...config.shipped import shipped
 from ...wire.cia402 import (
     ENCODER_LOST,
     EVENT_TIMER,
-    FORCE_N,
+    HEARTBEAT_ID,
     HOMING_ATTAINED,
     POSITION_M,
     POSITION_RAD,
+    RATED,
     RPDO,
     RPDO1_ID,
     RPDO_TIMEOUT,
-    TORQUE_N_M,
+    SYNC_COUNTER,
+    TARGET_REACHED,
     TPDO,
     TPDO1_ID,
     DriveStates,
     Mode,
+    Node,
     Object,
     beam_limits,
     rotor_limits,
@@ -43,8 +46,10 @@ Frame = tuple[int, bytes]
 
 _HOMING_S = 0.02
 _POLL_S = 0.005
-_OPERATIONAL = 5
 _COUNTS_16 = 32767
+_RATED_BEAM, _RATED_ROTOR = 1000, 10
+"""Rated force of X1 and X2 in mN and torque of PHI in mN m, so that an actual one has a range of
+32 N and 0.3 N m."""
 
 
 class DriveNodes:
@@ -61,20 +66,20 @@ class DriveNodes:
     ) -> None:
         logging.getLogger("canopen").setLevel(logging.ERROR)
         self._core, self._injector, self._send = core, injector, send
-        self._every = options.every
         self._network = _Network(send)
         path = str(eds or shipped("drive.eds"))
         beam, rotor = beam_limits(rig.limits), rotor_limits(rig.limits)
         numbers = (options.nodes.x1, options.nodes.x2, options.nodes.phi)
-        units = ((POSITION_M, FORCE_N), (POSITION_M, FORCE_N), (POSITION_RAD, TORQUE_N_M))
+        units = ((POSITION_M, _RATED_BEAM),) * 2 + ((POSITION_RAD, _RATED_ROTOR),)
         self.drives = [
             Drive(i, number, path, self._network, limits, *unit)
             for i, (number, limits, unit) in enumerate(
                 zip(numbers, (beam, beam, rotor), units, strict=True)
             )
         ]
+        self.every = options.every
         self._rpdo = {RPDO1_ID + drive.node_id: drive for drive in self.drives}
-        self._differences = [Differences(core.period_s * self._every) for _ in range(2)]
+        self._differences = [Differences(core.period_s * self.every) for _ in range(2)]
         self._outgoing = Outgoing(injector)
         self._was_operating = self._was_told = False
         self._planned_at = 0
@@ -94,7 +99,8 @@ class DriveNodes:
         """Take a frame that is not SYNC."""
         drive = self._rpdo.get(can_id)
         if drive is not None:
-            if len(data) == RPDO.size and "drop-setpoints" not in self._injector.wire:
+            heard = drive.cyclic and "drop-setpoints" not in self._injector.wire
+            if heard and len(data) == RPDO.size:
                 drive.setpoint(*RPDO.unpack(data))
                 self._plan_if_complete()
         else:
@@ -162,7 +168,7 @@ class DriveNodes:
         x1, x2, phi = (drive.target for drive in self.drives)
         targets = 0.5 * (x1 + x2), phi
         begin, cycle = self._core.motion, self._core.cycle
-        regular = (cycle - self._planned_at) % CYCLES == self._every
+        regular = (cycle - self._planned_at) % CYCLES == self.every
         self._planned_at = cycle
         end = np.array(
             [
@@ -170,7 +176,7 @@ class DriveNodes:
                 for p, moved in zip(targets, self._differences, strict=True)
             ]
         )
-        n, T = self._every, self._core.period_s * self._every
+        n, T = self.every, self._core.period_s * self.every
         plan = [quintic(begin, end, i / n, T) for i in range(1, n)]
         self._core.drive_setpoints([*plan, end])
         for drive in self.drives:
@@ -188,18 +194,20 @@ class Drive:
         network: canopen.Network,
         limits: dict[tuple[Object, int], int],
         unit: float,
-        force_unit: float,
+        rated: int,
     ) -> None:
         self.axis, self.node_id = axis, node_id
-        self._unit, self._force_unit = unit, force_unit
+        self._unit, self._per_mille = unit, 1e-3 * RATED * rated
         self._node: Any = canopen.LocalNode(node_id, eds)
         network.add_node(self._node)
-        for (index, sub), value in limits.items():
+        for (index, sub), value in ({(Object.RATED_FORCE, 0): rated} | limits).items():
             entry = self._node.object_dictionary[int(index)]
             variable = (
                 entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[sub]
             )
             self._node.set_data(int(index), sub, variable.encode_raw(value))
+        self.counts_syncs = self._syncs_are_counted()
+        """Whether its SYNC has a counter: what it is switched on with."""
         self._node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
         self._node.add_write_callback(self._written)  # type: ignore[no-untyped-call]
         self.state = DriveStates.SWITCH_ON_DISABLED
@@ -217,12 +225,7 @@ class Drive:
     @property
     def cyclic(self) -> bool:
         """Whether PDOs are exchanged."""
-        return bool(self._node.nmt._state == _OPERATIONAL)
-
-    @property
-    def counts_syncs(self) -> bool:
-        """Whether a SYNC has a counter."""
-        return int(Object.SYNC_OVERFLOW) in self._node.object_dictionary
+        return bool(self._node.nmt._state == Node.OPERATIONAL)
 
     @property
     def operating(self) -> bool:
@@ -238,8 +241,8 @@ class Drive:
 
     def boot(self) -> None:
         """Announce itself; positions count from here until it is homed."""
-        self._node.nmt.send_command(0)
-        self._node.nmt.send_command(127)
+        self._node.nmt.send_command(Node.BOOT_UP.value)
+        self._node.nmt.send_command(Node.PRE_OPERATIONAL.value)
 
     def see(self, position: float, force: float) -> None:
         """Look at encoder and force, in SI units; end a homing that took its time."""
@@ -254,13 +257,18 @@ class Drive:
 
     def tpdo(self) -> Frame:
         """Return the TPDO with what the drive is doing now."""
-        force = min(max(round(self._force / self._force_unit), -_COUNTS_16), _COUNTS_16)
-        return TPDO1_ID + self.node_id, TPDO.pack(self.statusword, self._counts, force)
+        per_mille = min(max(round(self._force / self._per_mille), -_COUNTS_16), _COUNTS_16)
+        return TPDO1_ID + self.node_id, TPDO.pack(self.statusword, self._counts, per_mille)
+
+    def _syncs_are_counted(self) -> bool:
+        index = int(Object.SYNC_OVERFLOW)
+        known = index in self._node.object_dictionary
+        return known and int(self._node.sdo[index].raw) == SYNC_COUNTER
 
     def fail(self, error: int, register: int) -> None:
         """Go into fault and say so by an emergency message."""
         if self.state is not DriveStates.FAULT:
-            self.state, self.error = DriveStates.FAULT, error
+            self.state, self.error, self._homed_at_s = DriveStates.FAULT, error, 0.0
             self._node.emcy.send(error, register)
 
     @property
@@ -273,14 +281,15 @@ class Drive:
         period_s = 1e-3 * int(self._node.sdo[int(Object.HEARTBEAT_MS)].raw)
         if period_s and now_s - self._heartbeat_s >= period_s:
             self._heartbeat_s = now_s
-            self._node.network.send_message(0x700 + self.node_id, bytes((self._node.nmt._state,)))
+            state = bytes((self._node.nmt._state,))
+            self._node.network.send_message(HEARTBEAT_ID + self.node_id, state)
 
     @property
     def statusword(self) -> int:
         """The statusword: state, and in homing mode whether it is done."""
         word = self.state.value[1] | (1 << 9)
-        if self.mode == Mode.HOMING and self._homed:
-            word |= HOMING_ATTAINED
+        if self.mode == Mode.HOMING and not self._homed_at_s:  # it stands
+            word |= TARGET_REACHED | (HOMING_ATTAINED if self._homed else 0)
         return word
 
     @property
@@ -318,8 +327,13 @@ class Drive:
             self.state = DriveStates.SWITCHED_ON
         elif word & 0x0F == 0x0F and self.state is not DriveStates.SWITCH_ON_DISABLED:
             self.state = DriveStates.OPERATION_ENABLED
-        elif not word & 0x04 and self.state is DriveStates.OPERATION_ENABLED:
-            self.state = DriveStates.QUICK_STOP_ACTIVE
+        elif not word & 0x04:
+            enabled = self.state is DriveStates.OPERATION_ENABLED
+            self.state = (
+                DriveStates.QUICK_STOP_ACTIVE if enabled else DriveStates.SWITCH_ON_DISABLED
+            )
+        if self.state is not DriveStates.OPERATION_ENABLED or not word & 0x10:
+            self._homed_at_s = 0.0
         starts = word & 0x10 and not last & 0x10
         if self.mode == Mode.HOMING and starts and self.state is DriveStates.OPERATION_ENABLED:
             self._homed, self._homed_at_s = False, time.monotonic() + _HOMING_S

@@ -9,6 +9,7 @@ from ...config.base import ConfigError, load_yaml
 from ...config.buses import AmplifierOptions
 from ...config.rig import RigConfig
 from ...config.sim import SimConfig
+from ...wire.device import ROLES
 from ...wire.serial_frames import Contents
 from .core import Core
 from .faults import Injector
@@ -40,7 +41,7 @@ class Electronics:
         source = folder / rig.sim
         roles: dict[tuple[str, str], dict[str, object]] = {}
         expire_cycles = 1
-        for role in ("amplifiers", "sensors", "drives"):
+        for role in ROLES:
             found = rig.on_bus(role)
             if found is None:
                 raise ConfigError(
@@ -56,11 +57,7 @@ class Electronics:
         self._buses: list[Answering] = []
         for (backend, name), on in roles.items():
             if backend == "serial":
-                contents = Contents(
-                    self.core.coils if "amplifiers" in on else 0,
-                    self.core.sensors if "sensors" in on else 0,
-                    "drives" in on,
-                )
+                contents = Contents.of(rig, on)
                 self._buses.append(
                     SerialElectronics(name, rig.serial[name], contents, self.core, self.injector)
                 )

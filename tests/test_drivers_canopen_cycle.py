@@ -1,0 +1,231 @@
+"""Drives in the cycle, on a bus that a test plays: deadlines, skipped cycles, heartbeats."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.config.rig import RigConfig, load_rig
+from levid.config.shipped import shipped
+from levid.drivers.base import DriveError, DriverError, StaleError
+from levid.drivers.can.drives import CanDrives
+from levid.drivers.can.link import CanLink
+from levid.drivers.watch import Watch
+from levid.log.signals import Stale
+from levid.wire.can_bus import Frame
+from levid.wire.cia402 import (
+    ENABLE_OPERATION,
+    HEARTBEAT_ID,
+    POSITION_M,
+    QUICK_STOP,
+    RPDO,
+    RPDO1_ID,
+    SYNC_ID,
+    TPDO,
+    TPDO1_ID,
+    DriveStates,
+    Node,
+)
+
+OPERATING = DriveStates.OPERATION_ENABLED.value[1]
+FAULT = DriveStates.FAULT.value[1]
+
+
+class Wire:
+    """A bus that keeps what is sent, and brings what a test puts there."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[int, bytes]] = []
+        self.coming: deque[Frame] = deque()
+        self.always: Frame | None = None
+
+    def send(self, can_id: int, data: bytes) -> None:
+        self.sent.append((can_id, data))
+
+    def receive(self, _: float) -> Frame | None:
+        return self.coming.popleft() if self.coming else self.always
+
+    def shutdown(self) -> None:
+        return
+
+    def answer(self, position: int, stamp_s: float, status: int = OPERATING) -> None:
+        data = TPDO.pack(status, position, 0)
+        self.coming.extend(Frame(TPDO1_ID + i, data, stamp_s) for i in (1, 2, 3))
+
+    def targets(self) -> list[tuple[int, int]]:
+        """Controlwords and positions of X1 that were sent since this was asked last."""
+        found = [RPDO.unpack(data) for can_id, data in self.sent if can_id == RPDO1_ID + 1]
+        self.sent.clear()
+        return found
+
+
+class Bench:
+    def __init__(self, rig: RigConfig, every: int) -> None:
+        options = rig.on_bus("drives")[1].model_copy(update={"every": every})
+        self.wire, self.deadline_s = Wire(), math.inf
+        link = CanLink("main", rig.can[options.bus])
+        link._bus = self.wire
+        self.drives = CanDrives(link, rig, options, Path(), 2, lambda: self.deadline_s)
+        self.beam, self.rotor = np.zeros(3), np.zeros(3)
+
+    def read(self) -> None:
+        self.drives.read(self.beam, self.rotor)
+
+
+@pytest.fixture
+def rig() -> RigConfig:
+    return load_rig(shipped("rigs/canfd.yaml"))
+
+
+def test_answer_that_came_after_its_deadline_is_stale(rig: RigConfig) -> None:
+    """By its stamp, whenever this process looks: a reading of another moment is none."""
+    bench = Bench(rig, 1)
+    with pytest.raises(StaleError, match="too late"):  # noqa: PT012
+        for k in range(3):
+            bench.deadline_s = time.perf_counter() - 0.1
+            bench.drives.sync(k)
+            bench.wire.answer(1000, time.time() - 0.01)
+            bench.read()
+            assert bench.beam[0] == 0.0
+            assert bench.drives.stale == Stale.DRIVES
+    assert bench.drives.watch.stale == 3
+
+
+def test_answer_that_came_in_time_counts_however_late_it_is_looked_at(rig: RigConfig) -> None:
+    bench = Bench(rig, 1)
+    bench.drives.sync(0)
+    bench.deadline_s = time.perf_counter() - 0.1
+    bench.wire.answer(1000, time.time() - 0.5)
+    bench.read()
+    assert bench.beam[0] == pytest.approx(1000 * POSITION_M)
+    assert bench.drives.stale == 0
+
+
+def test_bus_that_is_busy_with_other_things_is_not_waited_for(rig: RigConfig) -> None:
+    bench = Bench(rig, 1)
+    bench.wire.always = Frame(0x7F0, b"", 0.0)
+    bench.drives.sync(0)
+    bench.deadline_s = time.perf_counter() + 0.01
+    bench.read()  # this is what would not end
+    assert bench.drives.stale == Stale.DRIVES
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_draining_ends_on_a_bus_that_is_busy(rig: RigConfig, stamped: bool) -> None:
+    link, wire = CanLink("main", rig.can["main"]), Wire()
+    link._bus, seen = wire, []
+    link.listen(0x7F0, lambda *_: seen.append(time.time()))
+
+    def busy(_: float) -> Frame:
+        return Frame(0x7F0, b"", time.time() if stamped else 0.0)
+
+    wire.receive = busy  # type: ignore[method-assign]
+    link.drain()
+    assert len(seen) <= 1000
+
+
+def test_id_that_somebody_listens_to_is_refused(rig: RigConfig) -> None:
+    link = CanLink("main", rig.can["main"])
+    link.listen(0x181, lambda *_: None)
+    with pytest.raises(DriverError, match="ID 0x181 is used twice"):
+        link.listen(0x181, lambda *_: None)
+
+
+def syncs(wire: Wire) -> list[int]:
+    return [data[0] for can_id, data in wire.sent if can_id == SYNC_ID]
+
+
+def test_syncs_come_at_multiples_and_count_by_one(rig: RigConfig) -> None:
+    bench = Bench(rig, 4)
+    bench.drives._counted = True
+    bench.drives.watch = Watch("drives", 100)  # nobody answers
+    for k in (0, 0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12, 13):  # 7 and 8 were skipped
+        before = len(syncs(bench.wire))
+        bench.drives.sync(k)
+        sent = len(syncs(bench.wire)) - before
+        assert sent == (k in (0, 4, 9, 12) and not (k == 0 and before))
+    assert syncs(bench.wire) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("written", [1, 2])
+def test_targets_of_a_cycle_that_is_skipped_are_carried_forward(
+    rig: RigConfig, written: int
+) -> None:
+    """The drives have a target for every SYNC: where they would be had nothing been skipped."""
+    T, speed, acceleration = 1 / rig.rate_hz, 0.1, 2.0
+
+    def setpoint(k: int) -> np.ndarray:
+        t = k * T
+        return np.array(
+            [speed * t + 0.5 * acceleration * t * t, speed + acceleration * t, acceleration]
+        )
+
+    skipped, whole = Bench(rig, 4), Bench(rig, 4)
+    for bench, cycles in ((skipped, range(written + 1)), (whole, range(4))):
+        for k in cycles:
+            bench.drives.sync(k)
+            bench.drives.write(setpoint(k), np.zeros(3))
+        bench.drives.sync(4)
+    (expected,) = whole.wire.targets()
+    *targets, (last, _) = skipped.wire.sent
+    assert last == SYNC_ID
+    assert skipped.wire.targets() == [expected]
+    assert len(targets) == 4  # the first SYNC, and three targets before the second
+    assert expected[1] > 0
+
+
+def test_targets_from_long_ago_are_not_carried_forward(rig: RigConfig) -> None:
+    """After a stall the drives stand; where the reference is by now they hear with the next."""
+    bench = Bench(rig, 4)
+    bench.drives.sync(0)
+    bench.drives.write(np.array([0.0, 0.1, 0.0]), np.zeros(3))
+    bench.drives.sync(500)
+    assert bench.wire.targets() == []
+
+
+def test_drives_are_told_to_stop_once_one_is_in_fault(rig: RigConfig) -> None:
+    bench = Bench(rig, 1)
+    bench.drives.sync(0)
+    bench.wire.answer(0, time.time())
+    bench.read()
+    bench.drives.write(np.zeros(3), np.zeros(3))
+    assert [word for word, _ in bench.wire.targets()] == [ENABLE_OPERATION]
+    bench.drives.sync(1)
+    bench.wire.answer(0, time.time(), FAULT)
+    with pytest.raises(DriveError, match="found fault"):
+        bench.read()
+    bench.drives.write(np.zeros(3), np.zeros(3))
+    assert [word for word, _ in bench.wire.targets()] == [QUICK_STOP]
+
+
+@pytest.mark.parametrize(
+    ("said", "fault"),
+    [
+        ((Node.OPERATIONAL, Node.OPERATIONAL), ""),
+        ((Node.PRE_OPERATIONAL, Node.OPERATIONAL), ""),  # said before it was started
+        ((Node.BOOT_UP,), "boot-up"),
+        ((Node.OPERATIONAL, Node.PRE_OPERATIONAL), "pre-operational"),
+        ((Node.OPERATIONAL, Node.STOPPED, Node.OPERATIONAL), "stopped"),
+    ],
+)
+def test_node_that_leaves_operation_by_itself_is_a_fault(
+    rig: RigConfig, said: tuple[Node, ...], fault: str
+) -> None:
+    bench = Bench(rig, 1)
+    for state in said:
+        bench.wire.coming.append(Frame(HEARTBEAT_ID + 2, bytes((state,)), time.time()))
+    bench.drives._link.drain()
+    bench.drives.sync(0)
+    bench.wire.answer(0, time.time())
+    if fault:
+        with pytest.raises(
+            DriveError, match=f"drive x2.*expected to be operational, found {fault}"
+        ):
+            bench.read()
+    else:
+        bench.read()

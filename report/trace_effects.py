@@ -101,13 +101,16 @@ def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
     effect, why = found.effect, found.evidence
     parts: list[Part] = [Text(f"{effect.equation}.", "lead")]
     if why is not None:
+        asked = "On records that had no part in choosing it"
+        if not why.held:
+            asked = "It does nothing in the records held out; between blocks of time of the others"
         parts.append(
             Text(
                 f"Taken in round {why.round}. Fitted to four fifths of the blocks of time it takes "
                 f"{why.explained:,.0f} squared errors, in variances of the noise, from the fifth"
                 + ("" if why.share is None else f", {share_text(why.share)}")
-                + ". On records that had no part in choosing it, what it predicts agrees with the "
-                f"errors {why.statistic:.0f} standard deviations beyond chance."
+                + f". {asked}, what it predicts agrees with the errors "
+                f"{why.statistic:.0f} standard deviations beyond chance."
             )
         )
     parts.append(_parameter_table(found))

@@ -36,7 +36,7 @@ from levid.identification.trace.working_point import (
     corrected_experiment,
     filtered,
 )
-from levid.model.effects.base import Placed, Term, on_dof
+from levid.model.effects.base import Effect, Placed, Quantity, Term, on_coil, on_dof
 from levid.model.effects.table import all_effects
 
 TS = 1e-3
@@ -157,15 +157,33 @@ def test_columns_do_not_depend_on_their_neighbours() -> None:
         np.testing.assert_allclose(many[:, :, i], alone, atol=1e-10 * np.abs(alone).max())
 
 
-def test_unknowns_are_those_of_the_prediction() -> None:
+def test_constants_are_those_of_the_prediction() -> None:
     made = record("moving", 1500)
     here = point()
     kalman = kalman_filter(motion(here.model, made.experiment, "zoh"), NOISE)
-    expected = predict(here.model, made.experiment, "zoh", kalman).unknowns
-    found = bank_of(made).unknowns()
+    expected = predict(here.model, made.experiment, "zoh", kalman).unknowns[:, :, :3]
+    found = bank_of(made).constants()
     size = np.abs(expected).max(axis=(0, 1))
     # As above: within a period constant forces meet one damping for all.
     assert np.max(np.abs(found - expected) / size) < 1e-3
+
+
+def test_a_constant_force_of_a_candidate_is_nothing_along_a_moving_beam() -> None:
+    """A dead zone below every command is a constant: nobody can tell, nor does a column."""
+    made, newton = record("moving", 1500), 5.0
+    quantity = Quantity("width", "N")
+    dead = Effect(
+        "d", "d", "d", ("coil:1",), "", (quantity,),
+        lambda s, _: [on_coil(s, 1, np.full(s.rows, newton))],
+    )  # fmt: skip
+    grown = Effect(
+        "g", "g", "g", ("coil:1",), "", (quantity,),
+        lambda s, _: [on_coil(s, 1, newton * np.sin(6.0 * s.time_s))],
+    )  # fmt: skip
+    there = linearise(point(), made, [(dead, ()), (grown, ())])
+    idle, active = (float(np.trace(b.inner.sum(axis=0)) * b.size[0] ** 2) for b in there.beside)
+    # What its first row lacks, commands being delayed, is forgotten before noise would show it.
+    assert idle < 1e-9 * active
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -184,7 +202,9 @@ def test_parameter_columns_are_finite_differences_of_the_errors(kind: str) -> No
         found[: at.blind] = 0.0
         return found
 
-    unknowns = bank_of(made).unknowns().reshape(-1, 9)
+    bank = bank_of(made)
+    started = bank.errors(np.zeros((6, made.rows, 6)), None, np.eye(6))
+    unknowns = np.concatenate([bank.constants(), started], axis=2).reshape(-1, 9)
     basis, _ = np.linalg.qr(unknowns / np.linalg.norm(unknowns, axis=0))
 
     def free(values: np.ndarray) -> np.ndarray:

@@ -8,8 +8,10 @@ from levid.identification.trace.regression import (
     FOLDS,
     Evidence,
     chance,
+    chance_between,
     covariance,
     cross_validated,
+    expected,
     gains,
     remaining,
     solve,
@@ -53,9 +55,9 @@ def test_coefficients_are_those_of_least_squares() -> None:
     found = evidence(X, e)
     coefficients = solve(found.whole, range(COLUMNS)) / found.size[:-1]
     flat = X.reshape(-1, COLUMNS)
-    expected = np.linalg.lstsq(flat, -e.reshape(-1), rcond=None)[0]
+    wanted = np.linalg.lstsq(flat, -e.reshape(-1), rcond=None)[0]
     # The ridge is 1e-11 of the columns' own squares; the rest is rounding of normal equations.
-    np.testing.assert_allclose(coefficients, expected, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(coefficients, wanted, rtol=1e-8, atol=1e-10)
     spread = covariance(found.whole, range(COLUMNS)) / np.outer(found.size[:-1], found.size[:-1])
     np.testing.assert_allclose(spread, np.linalg.inv(flat.T @ flat), rtol=1e-8, atol=1e-10)
 
@@ -142,8 +144,8 @@ def test_what_is_known_beforehand_counts_as_one_more_row() -> None:
     coefficients = solve(found.whole, [0, 1]) / found.size[:2]
     flat = np.vstack([X[:, :, :2].reshape(-1, 2), row[:, :2]])
     target = np.append(e.reshape(-1), 1.0)
-    expected = np.linalg.lstsq(flat, -target, rcond=None)[0]
-    np.testing.assert_allclose(coefficients, expected, rtol=1e-8)
+    wanted = np.linalg.lstsq(flat, -target, rcond=None)[0]
+    np.testing.assert_allclose(coefficients, wanted, rtol=1e-8)
     assert found.squares == pytest.approx(np.sum(e**2))  # it is no error of a record
 
 
@@ -179,3 +181,37 @@ def test_agreement_grows_as_the_effect_does() -> None:
     # ones are predicted from coefficients that err too, hence a little less.
     assert strong == pytest.approx(0.6 * np.sqrt(720), rel=0.1)
     assert weak == pytest.approx(0.2 * np.sqrt(720), rel=0.1)
+
+
+def test_agreement_is_as_large_as_expected_where_the_rest_is_noise() -> None:
+    sizes = []
+    for seed in range(100):
+        train, held = (evidence(*drawn(2 * seed + i, 0.3)) for i in (0, 1))
+        pick = [0, 1, 2]
+        there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
+        sizes.append((chance(held, [0, 1], [2], there), expected(held, [0, 1], [2], there)))
+    difference = np.array([found - wanted for found, wanted in sizes])
+    # A prediction's own error lowers what it meets, by half a variance over its size: 0.07.
+    assert abs(difference.mean()) < 4 / np.sqrt(100) + 0.07
+    assert expected(held, [0, 1], [2], np.zeros(3)) == 0.0
+
+
+def test_blocks_agree_with_each_other_on_what_is_there_and_on_nothing_else() -> None:
+    nothing = np.array([chance_between(evidence(*drawn(s)), [0, 1], [2]) for s in range(600)])
+    # Folds that do not agree predict each other's opposite: on average it is below zero.
+    assert nothing.mean() < 4 * np.sqrt(2 / 600)
+    # Products of noise have longer tails than noise; a normal number of variance two would reach
+    # 4.5 in 600.
+    assert nothing.max() < 8.0
+    for effect in (0.3, 0.6):
+        there = [chance_between(evidence(*drawn(s, effect)), [0, 1], [2]) for s in range(20)]
+        # As strong as in other records of the same length: 0.3 sqrt(0.8 900) = 8.
+        assert np.mean(there) == pytest.approx(effect * np.sqrt(0.8 * BLOCKS * ROWS), rel=0.15)
+
+
+def test_what_happens_in_a_few_blocks_alone_is_seen_there() -> None:
+    X, e = drawn(3, 0.0)
+    X[:, :, 2] = 0.0
+    X[4:7, :, 2] = np.random.default_rng(1).normal(size=(3, ROWS))
+    e[4:7] -= 2.0 * X[4:7, :, 2]
+    assert chance_between(evidence(X, e), [0, 1], [2]) > 15.0

@@ -145,13 +145,11 @@ class FilterBank:
         )  # fmt: skip
         return out
 
-    def unknowns(self) -> Array:
-        """Return the columns (N // every, n, 3n) of constant forces and of the state at row 0."""
+    def constants(self) -> Array:
+        """Return the columns (N // every, n, n) of a constant force on each DOF."""
         n, rows = self.motion.K.shape[1], self.record.rows
         constant = [Term(force=np.broadcast_to(np.eye(n)[i], (rows, n))) for i in range(n)]
-        start = np.hstack([np.zeros((2 * n, 0)), np.eye(2 * n)])
-        free = self.errors(np.zeros((2 * n, rows, 2 * n)), None, start)
-        return np.concatenate([self.columns(constant, n), free], axis=2)
+        return self.columns(constant, n)
 
     def held_forcing(self, held: Array, extra_lag_s: float = 0.0, extra_s: float = 0.0) -> Array:
         """Return what commands (N, p) add to the state in each period (N, 2n).

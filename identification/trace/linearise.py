@@ -25,6 +25,8 @@ from .working_point import Along, WorkingPoint, along, thinning
 Array = NDArray[np.float64]
 
 _NUDGE = 1e-5
+_ROUNDING = 1e-9
+"""Of a column's size: what is left of it by less is none of it."""
 
 
 def linearise(
@@ -57,8 +59,7 @@ def linearise(
     shown.append(_beyond(here, _readings(here)))
     drive_n = drive_errors(here)
     shown_drive.append(None if drive_n is None else thinned(drive_n, here.every))
-    unknowns = here.unknowns.reshape(-1, here.unknowns.shape[2])
-    basis, _ = np.linalg.qr(unknowns / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
+    basis = _unknown(here, bank)
     flat = pose.reshape(-1, pose.shape[2])
     flat -= basis @ (basis.T @ flat)
     seen = [j for j, column in enumerate(shown) if column is not None]
@@ -75,6 +76,24 @@ def linearise(
             channels.append(Channel(drive[:, None, :], shown_in_drive))
     base = len(point.parameters.names) + placed
     return grams(record, channels, base, widths, here.every * record.experiment.Ts_s)
+
+
+def _unknown(here: Along, bank: FilterBank) -> Array:
+    """Return an orthonormal basis of what nobody knows, by rows and DOF: columns of `pose` lack it.
+
+    Along a moving beam the bank's columns are good to 0.1 %. What a candidate has of a constant
+    force is far more than noise, and that far off would show: it is taken out as it is computed.
+    """
+    unknowns = here.unknowns.reshape(-1, here.unknowns.shape[2])
+    basis, _ = np.linalg.qr(unknowns / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
+    if not here.record.experiment.moving:
+        return basis
+    constants = bank.constants().reshape(len(unknowns), -1)
+    constants /= np.linalg.norm(constants, axis=0)
+    for _ in range(2):  # what is left is small: once more, for the digits
+        constants -= basis @ (basis.T @ constants)
+    left, size, _ = np.linalg.svd(constants, full_matrices=False)
+    return np.hstack([basis, left[:, size > _ROUNDING]])
 
 
 def blocks_in(record: TraceRecord) -> int:

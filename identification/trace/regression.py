@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,9 +206,40 @@ def chance(evidence: Evidence, base: Indices, group: Indices, coefficients: Arra
     the base could do as well here, is correlated with the errors; if it predicts nothing that is a
     standard normal number. Errors larger than noise make it smaller in proportion.
     """
-    gram = evidence.gram.sum(axis=0)
+    b = np.asarray(coefficients)[len(list(base)) :]
+    return _beyond(_agreement(evidence.gram.sum(axis=0), base, group, b), evidence)
+
+
+def expected(evidence: Evidence, base: Indices, group: Indices, coefficients: Array) -> float:
+    """Return what `chance` is on average where the prediction is right and the rest is noise."""
+    b = np.asarray(coefficients)[len(list(base)) :]
+    return float(np.sqrt(_agreement(evidence.gram.sum(axis=0), base, group, b).predicted))
+
+
+def chance_between(evidence: Evidence, base: Indices, group: Indices) -> float:
+    """Return the same between the blocks of these records: each fold is predicted from the rest.
+
+    Two folds predict each other, so that noise alone gives twice the variance.
+    """
+    evidence = steadied(evidence)
+    columns, own = [*base, *group], len(list(base))
+    parts = [
+        _agreement(fold, base, group, solve(evidence.whole - fold, columns)[own:])
+        for fold in evidence.folds
+    ]
+    return _beyond(_Agreement(*(sum(part) for part in zip(*parts, strict=True))), evidence)
+
+
+class _Agreement(NamedTuple):
+    """Inner products of a prediction: with the errors, with itself, and what it leaves of them."""
+
+    with_errors: float
+    predicted: float
+    left: float
+
+
+def _agreement(gram: Array, base: Indices, group: Indices, b: Array) -> _Agreement:
     base_list, group_list = list(base), list(group)
-    b = np.asarray(coefficients)[len(base_list) :]
     A = gram[np.ix_(base_list, base_list)]
     scale = _scale(A)
     inverse = np.linalg.inv(A / scale[:, None] / scale + _RIDGE * np.eye(len(A)))
@@ -215,10 +247,15 @@ def chance(evidence: Evidence, base: Indices, group: Indices, coefficients: Arra
     cross = gram[np.ix_(base_list, group_list)]
     inner = gram[np.ix_(group_list, group_list)] - cross.T @ inverse @ cross
     outer = gram[group_list, -1] - cross.T @ (inverse @ gram[base_list, -1])
-    predicted = float(b @ inner @ b)
-    if predicted <= 0.0:
-        return 0.0
+    predicted = max(float(b @ inner @ b), 0.0)
     left = gram[-1, -1] - gram[base_list, -1] @ (inverse @ gram[base_list, -1])
-    left = max(left + 2 * float(b @ outer) + predicted, 0.0)
-    spread = np.sqrt(max(left / float(evidence.count.sum()), 1.0))
-    return float(-(b @ outer) / np.sqrt(predicted) / spread)
+    return _Agreement(
+        -float(b @ outer), predicted, max(float(left + 2 * (b @ outer) + predicted), 0.0)
+    )
+
+
+def _beyond(agreement: _Agreement, evidence: Evidence) -> float:
+    if agreement.predicted <= 0.0:
+        return 0.0
+    spread = np.sqrt(max(agreement.left / float(evidence.count.sum()), 1.0))
+    return float(agreement.with_errors / np.sqrt(agreement.predicted) / spread)

@@ -39,12 +39,14 @@ class Evidence:
     """Why an effect was added.
 
     statistic: on held-out records, what the effect predicted from the others, against the errors,
-    in standard deviations of chance. explained: squared errors that it took on blocks of time that
+    in standard deviations of chance; where it does nothing in them (not `held`), between blocks of
+    time of the others. explained: squared errors that it took on blocks of time that
     did not fit it, `share` of all that noise did not explain then, None where that was next to
     nothing. `alternatives` fit no worse.
     """
 
     statistic: float
+    held: bool
     explained: float
     share: float | None
     round: int
@@ -251,6 +253,7 @@ def _evidence(rounds: Sequence[Round]) -> dict[str, Evidence]:
     return {
         r.taken.effect.identity: Evidence(
             r.taken.chance,
+            r.taken.held,
             r.taken.gain,
             min(r.taken.gain / r.excess, 1.0) if r.excess > _NEXT_TO_NOTHING * r.count else None,
             number,
@@ -310,6 +313,7 @@ def _effect(found: FoundEffect, places: Places) -> dict[str, Any]:
     if why is not None:
         evidence |= {
             "statistic_sd": why.statistic,
+            "asked": "held_out" if why.held else "blocks",
             "squared_errors": why.explained,
             "share": why.share,
             "round": why.round,

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 from ...model.effects.base import Effect, Placed
 from .grams import Linearised
 from .refine import Candidate, Fitted, gather, refine
-from .regression import Evidence, chance, covariance, cross_validated, gains, solve, steadied
+from .regression import (
+    Evidence,
+    chance,
+    chance_between,
+    covariance,
+    cross_validated,
+    expected,
+    gains,
+    solve,
+    steadied,
+)
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -46,6 +56,10 @@ _BEYOND_CHANCE = 6.0
 """Standard deviations by which held-out records must agree: one in 10^9 for a candidate."""
 _PROMISING = 2.0
 """The same for an effect whose shape is a first guess: it is asked again once that is fitted."""
+_SILENT = 3.0
+"""Held-out records to which an effect does less than this, in the same measure, cannot be asked."""
+_ALONE = 20.0
+"""By how much blocks that did not fit it must then agree: they are of records that chose it."""
 _WORTH = 0.004
 """An effect is worth naming if it takes this share of what noise does not explain."""
 _LEAST = 40.0
@@ -78,7 +92,11 @@ _GUESS = 0.3
 
 @dataclass(frozen=True)
 class Tried:
-    """A candidate beside the working point: what it gains in cross-validated squared errors."""
+    """A candidate beside the working point: what it gains in cross-validated squared errors.
+
+    chance: how far beyond chance held-out records agree, or, where it does nothing in them (not
+    `held`), blocks of the others that did not fit it.
+    """
 
     effect: Effect
     shape: tuple[float, ...]
@@ -86,6 +104,7 @@ class Tried:
     blocks: Array
     amplitudes: tuple[float, ...]
     chance: float
+    held: bool = True
 
 
 @dataclass(frozen=True)
@@ -180,7 +199,7 @@ def _grown(
         # What shows in the drives alone leaves the platform's motion as it was.
         aside = abs(after.squares - error.squares) < _SAME * error.squares
         helps = after.squares < (1.0 - _LOWERS) * error.squares
-        agrees = taken.chance > _BEYOND_CHANCE
+        agrees = taken.chance > (_BEYOND_CHANCE if taken.held else _ALONE)
         if agrees and squares < train.squares and (helps or aside):
             point, error = better, after
             barred |= {p.effect.identity for p in point.placed}
@@ -325,10 +344,9 @@ def _round(
         quantities = zip(amplitudes.tolist(), effect.amplitudes, strict=True)
         if not all(q.low <= value <= q.high for value, q in quantities):
             continue  # a friction that drives is none
-        other = held.joined(i)
-        agrees = chance(other, own, columns[len(own) :], coefficients * other.size[:-1])
+        agrees = _agrees(joined, held.joined(i), len(own), coefficients)
         gain = float(gained[i].sum())
-        ranking.append(Tried(effect, shape, gain, gained[i], tuple(amplitudes.tolist()), agrees))
+        ranking.append(Tried(effect, shape, gain, gained[i], tuple(amplitudes.tolist()), *agrees))
         if len(ranking) >= 40:
             break
     convincing = [t for t in ranking if _convinces(t, excess)]
@@ -337,7 +355,7 @@ def _round(
 
 
 def _convinces(tried: Tried, excess: float) -> bool:
-    least = _PROMISING if tried.shape else _BEYOND_CHANCE
+    least = (_PROMISING if tried.shape else _BEYOND_CHANCE) if tried.held else _ALONE
     return tried.chance > least and tried.gain > max(_WORTH * excess, _LEAST)
 
 
@@ -354,10 +372,23 @@ def _asked_again(point: WorkingPoint, taken: Tried, fitted: Placed, records: Rec
     train = gather(point, records.train(point, candidate)).joined(0)
     held = gather(point, records.held(point, candidate)).joined(0)
     columns = list(range(len(train.size) - 1))
-    there = solve(train.whole, columns) / train.size[:-1] * held.size[:-1]
-    own = len(columns) - len(fitted.amplitudes)
-    agrees = chance(held, columns[:own], columns[own:], there)
-    return replace(taken, shape=fitted.shape, amplitudes=fitted.amplitudes, chance=agrees)
+    coefficients = solve(train.whole, columns) / train.size[:-1]
+    agrees, asked = _agrees(train, held, len(columns) - len(fitted.amplitudes), coefficients)
+    return replace(
+        taken, shape=fitted.shape, amplitudes=fitted.amplitudes, chance=agrees, held=asked
+    )
+
+
+def _agrees(train: Evidence, held: Evidence, own: int, coefficients: Array) -> tuple[float, bool]:
+    """Return how far beyond chance others agree, and whether held-out records could be asked.
+
+    The first `own` columns are what is there already.
+    """
+    columns = list(range(len(coefficients)))
+    question = columns[:own], columns[own:], coefficients * held.size[:-1]
+    if expected(held, *question) < _SILENT:
+        return chance_between(train, columns[:own], columns[own:]), False
+    return chance(held, *question), True
 
 
 def _width(placed: Placed) -> int:

@@ -14,40 +14,45 @@ from functools import partial
 
 import numpy as np
 
-from .base import Effect, Places, Quantity, Signals, Term, on_coil
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
 from .extent import Extent
+from .points import forces
+
+Coils = tuple[int, ...]
 
 _TOLD_APART = "excitation of the coils one by one, at two amplitudes"
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return dead zone and saturation of every coil."""
+    """Return dead zone and saturation of every coil, and of all alike."""
     found = []
     unit, largest = places.coil_unit, extent.command
-    for c in range(places.coils):
-        where = (f"coil:{c}",)
+    single = [((c,), "") for c in range(places.coils)]
+    together = [(tuple(range(places.coils)), ", all coils alike")] if places.coils > 1 else []
+    for coils, alike in single + together:
+        where = tuple(f"coil:{c}" for c in coils)
         found += [
             Effect(
                 "dead_zone",
-                "Dead zone of a coil",
+                f"Dead zone of a coil{alike}",
                 "dead_zone",
                 where,
                 "force = F - depth clip(F, -width, width)",
                 (Quantity("depth", "1", 0.0, 1.0),),
-                partial(_dead_zone, coil=c),
+                partial(_dead_zone, coils=coils),
                 (Quantity("width", unit, 1e-3 * largest, largest, log=True),),
-                ((0.35 * largest,),),
+                ((0.15 * largest,), (0.4 * largest,)),
                 absorbed_by="where no command comes near zero: constant force",
                 told_apart_by=_TOLD_APART,
             ),
             Effect(
                 "saturation",
-                "Saturation of a coil",
+                f"Saturation of a coil{alike}",
                 "saturation",
                 where,
                 "force = F - depth (F - F / (1 + |F/limit|^p)^(1/p)), p = hardness",
                 (Quantity("depth", "1", 0.0, 1.0),),
-                partial(_saturation, coil=c),
+                partial(_saturation, coils=coils),
                 (
                     Quantity("limit", unit, 0.1 * largest, 10 * largest, log=True),
                     Quantity("hardness", "1", 1.0, 40.0, log=True),
@@ -60,15 +65,21 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return found
 
 
-def _dead_zone(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
-    F = signals.coil[:, coil]
-    return [on_coil(signals, coil, -np.clip(F, -shape[0], shape[0]))]
+def _dead_zone(signals: Signals, shape: Sequence[float], *, coils: Coils) -> list[Term]:
+    F = signals.coil[:, list(coils)]
+    return [_on_coils(signals, coils, -np.clip(F, -shape[0], shape[0]))]
 
 
-def _saturation(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
-    F = signals.coil[:, coil]
+def _saturation(signals: Signals, shape: Sequence[float], *, coils: Coils) -> list[Term]:
+    F = signals.coil[:, list(coils)]
     limit, hardness = shape
     # Of logarithms: a high power of a large ratio leaves the range of numbers.
     log_ratio = hardness * np.log(np.maximum(np.abs(F) / limit, 1e-12))
     given = F * np.exp(-np.logaddexp(0.0, log_ratio) / hardness)
-    return [on_coil(signals, coil, given - F)]
+    return [_on_coils(signals, coils, given - F)]
+
+
+def _on_coils(signals: Signals, coils: Coils, values: Array) -> Term:
+    if len(coils) == 1:
+        return on_coil(signals, coils[0], values[:, 0])
+    return Term(held=forces(values, signals.places.coil_shape[list(coils)]))

@@ -21,8 +21,6 @@ from .base import Effect, Places, Quantity, Signals, Term, on_dof
 from .extent import Extent
 from .recursions import bouc_wen, dahl, lugre, slip
 
-_SMOOTH = 0.1
-"""Where the force turns its sign, as a share of Stribeck's speed."""
 _ELEMENTS = (1.0, 4.0, 16.0)
 """Break-away displacements of Maxwell's elements, over the smallest."""
 _WIDE = 1e3
@@ -57,11 +55,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "Friction with a Stribeck peak",
                 "friction",
                 (dof,),
-                "force = -(friction + peak exp(-(q'/v_s)^2)) tanh(10 q'/v_s)",
+                "force = -(friction + peak exp(-(q'/v_s)^2)) tanh(q'/(turn v_s))",
                 (*amplitude, Quantity("peak", force)),
                 partial(_stribeck, dof=i),
-                (v_s,),
-                ((0.3 * speed,),),
+                (v_s, Quantity("turn", "1", 0.02, 1.0, log=True)),
+                ((0.1 * speed, 0.2), (0.5 * speed, 0.2)),
                 absorbed_by="at small amplitudes, damping",
                 told_apart_by="slow and fast motions of the same amplitude",
             ),
@@ -133,7 +131,7 @@ def _coulomb(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term
 
 def _stribeck(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     ratio = signals.qd[:, dof] / shape[0]
-    sliding = -np.tanh(ratio / _SMOOTH)
+    sliding = -np.tanh(ratio / shape[1])
     return [on_dof(signals, dof, v) for v in (sliding, sliding * np.exp(-(ratio**2)))]
 
 

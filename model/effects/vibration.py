@@ -1,9 +1,10 @@
-"""Lines: what the mains, a fan or a pump shake the platform by, and what they put on the readings.
+"""Lines: what the mains, a fan or a pump shake platform or floor by, and put on the readings.
 
 A line keeps its frequency and its phase over a whole session, whatever is excited. Signature: a
 peak in still records at a frequency that no excitation has; as a force it moves the rigid platform,
 as pick-up it shows beyond it in one sensor, or in all alike (Morrison, *Grounding and Shielding*,
-2016). What the floor shakes at random has no phase, so it is noise here.
+2016). A floor that goes up and down pulls at all masses in proportion, at the beam's where it
+stands. What shakes at random has no phase, so it is noise here.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _NEAR = 0.005
 
 
 def tone(places: Places, f_hz: float) -> list[Effect]:
-    """Return a line at f_hz as force on every DOF, on every sensor, and on all sensors alike."""
+    """Return a line at f_hz as force on every DOF, in the floor, on every sensor, on all alike."""
     frequency = (Quantity("frequency", "Hz", (1 - _NEAR) * f_hz, (1 + _NEAR) * f_hz),)
     grid, label = ((f_hz,),), f"{f_hz:.4g} Hz"
     found = [
@@ -39,6 +40,23 @@ def tone(places: Places, f_hz: float) -> list[Effect]:
         )
         for i, dof in enumerate(places.dof)
     ]
+    if places.beam:
+        found.append(
+            Effect(
+                f"vibration.floor.{f_hz:.6g}hz",
+                f"Floor that goes up and down at {label}",
+                "vibration",
+                (places.dof[2],),
+                "force = a cos(2 pi frequency t) + b sin(2 pi frequency t) at z, and share x_b "
+                "times that at theta; share = m_b / m",
+                _both(places.force_unit(2)),
+                _floor,
+                (*frequency, Quantity("share", "1", 0.0, 1.0)),
+                ((f_hz, 0.2),),
+                absorbed_by="where no line is: noise of the force",
+                told_apart_by="still records at several places of the beam",
+            )
+        )
     alone = [((f"sensor:{s}",), s) for s in range(places.sensors)]
     together = [(tuple(f"sensor:{s}" for s in range(places.sensors)), None)]
     found += [
@@ -65,6 +83,15 @@ def _both(unit: str) -> tuple[Quantity, Quantity]:
 
 def _force(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     return [on_dof(signals, dof, wave) for wave in _waves(signals, shape[0])]
+
+
+def _floor(signals: Signals, shape: Sequence[float]) -> list[Term]:
+    terms = []
+    for wave in _waves(signals, shape[0]):
+        force = np.zeros((signals.rows, len(signals.places.dof)))
+        force[:, 1], force[:, 2] = shape[1] * signals.x_b_m * wave, wave
+        terms.append(Term(force=force))
+    return terms
 
 
 def _reading(signals: Signals, shape: Sequence[float], *, sensor: int | None) -> list[Term]:

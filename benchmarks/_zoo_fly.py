@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from _code_version import FLYING_CODE, canonical
+from _code_version import FLYING, canonical
 from _code_version import code_version as digest_of
 from threadpoolctl import threadpool_limits
 
@@ -41,7 +41,10 @@ SESSION = shipped("sessions/trace-short.yaml")
 HIGHEST_GAP_M = 0.85e-3
 """Beyond, a corner would touch its stop at 0.9 mm or leave what the sensors read."""
 
-_CODE = (*FLYING_CODE, "identification")
+_TRACING = (
+    *FLYING, "log/reader.py", "identification/trace/study.py", "identification/trace/result.py",
+    "identification/trace/workers.py", "model/effects/table.py",
+)  # fmt: skip
 """What decides how a plant moves, and what is found in its logs."""
 
 Entries = Sequence[dict[str, Any]]
@@ -122,10 +125,10 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
     return list(flown.records), highest
 
 
-def code_version(rooms: Sequence[str] = _CODE) -> str:
-    """Return a digest of the code in rooms, and of the plant, the model and the session."""
+def code_version(roots: Sequence[str] = _TRACING) -> str:
+    """Return a digest of the code that roots need, and of the plant, the model and the session."""
     unlisted = Path(__file__).with_name("_unlisted_effects.py")
-    return digest_of(rooms, [unlisted], [RIG, SIM, MODEL, SESSION])
+    return digest_of(roots, [unlisted], [RIG, SIM, MODEL, SESSION])
 
 
 @contextmanager
@@ -134,7 +137,7 @@ def _folder(effects: Entries, seed: int, flights: Path | None) -> Iterator[Path]
         with tempfile.TemporaryDirectory() as name:
             yield Path(name)
     else:
-        text = canonical([list(effects), seed, code_version(FLYING_CODE)])
+        text = canonical([list(effects), seed, code_version(FLYING)])
         yield flights / hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -19,7 +19,7 @@ import _flight
 import _silverbox
 import _table
 import numpy as np
-from _code_version import FLYING_CODE, ROOT, code_version
+from _code_version import FLYING, code_version
 from _flight import fly_session
 from _table import Figure
 from threadpoolctl import threadpool_limits
@@ -125,10 +125,10 @@ def coverage(seeds: int, duration_s: float) -> list[Figure]:
 
 def version() -> str:
     """Return a digest of what decides an error: flights, the way from a log to a fit, the model."""
-    beside = sorted((ROOT / "identification").glob("*.py"))
+    fitting = ("identification/greybox/result.py", "identification/greybox/experiment.py")
     here = (Path(__file__), Path(_flight.__file__))
     settings = (_flight.RIG, _flight.SIM, shipped("models/rig.yaml"))
-    return code_version((*FLYING_CODE, "identification/greybox"), (*beside, *here), settings)
+    return code_version((*FLYING, *fitting, "log/reader.py"), here, settings)
 
 
 def errors_in_se(seed: int, duration_s: float) -> list[float]:

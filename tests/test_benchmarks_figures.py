@@ -52,19 +52,37 @@ def test_coverage_of_other_code_does_not_count(tmp_path: Path, monkeypatch) -> N
     assert by_key(greybox.coverage(1, 8.0))["coverage_percent"] == 0.0
 
 
-def test_version_is_that_of_the_code_that_a_fit_needs(tmp_path: Path, monkeypatch) -> None:
-    greybox, versions = module("greybox"), module("_code_version")
-    for room in ("model", "identification/greybox", "identification/trace", "config/models"):
-        (tmp_path / room).mkdir(parents=True)
+def test_version_is_that_of_the_code_that_is_needed(tmp_path: Path, monkeypatch) -> None:
+    versions = module("_code_version")
     monkeypatch.setattr(versions, "ROOT", tmp_path)
-    monkeypatch.setattr(greybox, "ROOT", tmp_path)
-    found = [greybox.version()]
-    for path in ("model/declared.py", "identification/data.py", "identification/greybox/fit.py"):
-        (tmp_path / path).write_text("x = 1\n")
-        found.append(greybox.version())
-    assert len(set(found)) == 4
-    (tmp_path / "identification/trace/search.py").write_text("x = 1\n")
-    assert greybox.version() == found[-1]
+    files = {
+        "identification/fit.py": "from .data import read\nfrom ..model import effects\n",
+        "identification/data.py": "def read():\n    from ..log.reader import x\n",
+        "identification/other.py": "x = 1\n",
+        "model/__init__.py": "",
+        "model/effects.py": "import math\nfrom ..wire.crc import crc8\n",
+        "log/reader.py": "x = 1\n",
+        "wire/crc.py": "x = 1\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    changes = dict.fromkeys(files, False)
+    for name in files:
+        before = versions.code_version(["identification/fit.py"])
+        with (tmp_path / name).open("a") as file:
+            file.write("# changed\n")
+        changes[name] = versions.code_version(["identification/fit.py"]) != before
+    assert [name for name, changed in changes.items() if not changed] == [
+        "identification/other.py", "wire/crc.py",
+    ]  # fmt: skip
+
+
+def test_versions_of_benchmarks_know_control_and_fit() -> None:
+    flying = module("_code_version").needed(module("_code_version").FLYING)
+    names = {"/".join(path.parts[-2:]) for path in flying}
+    assert {"daemon/control.py", "sim/plant.py", "sim/kernels.py", "log/writer.py"} <= names
+    assert "daemon/server.py" not in names
 
 
 def test_growth_of_a_trace_is_a_ratio_and_effects_are_those_flown(monkeypatch) -> None:

@@ -67,6 +67,7 @@ _LEAST = 40.0
 _SURVIVES = 0.35
 _MOST_SURVIVORS = 5
 """Of the candidates, those that explain this share of what the best one does are fitted."""
+_MOST_RANKED = 40
 _ALIKE = 0.02
 _NEAR = 12.0
 """Fits whose squared errors differ by less than this share of what they gain are not told apart,
@@ -109,12 +110,16 @@ class Tried:
 
 @dataclass(frozen=True)
 class Round:
-    """One round of the search: what was left over before, the best candidates, what was taken."""
+    """One round of the search: what was left over before, the best candidates, what was taken.
+
+    `elsewhere`: the survivors at the other shapes of their grids.
+    """
 
     excess: float
     count: float
     ranking: tuple[Tried, ...]
     survivors: tuple[Tried, ...]
+    elsewhere: tuple[Tried, ...]
     taken: Tried | None
     alternatives: tuple[Tried, ...]
 
@@ -259,21 +264,22 @@ def _sifted(point: WorkingPoint, found: Round, train: Evidence, records: Records
         near = max(_ALIKE * best_tried.gain, _NEAR)
         alike = tuple(t for t in found.survivors[1:] if best_tried.gain - t.gain < near)
         return replace(found, taken=best_tried, alternatives=alike)
-    if len(found.survivors) == 1:
+    if len(found.survivors) == 1 and not found.elsewhere:
         return replace(found, taken=best_tried)
     only = _telling(found.survivors, train)
     before = gather(point, records.train(point, only=only)).squares
-    fitted: list[tuple[float, Tried]] = []
-    for tried in found.survivors:
+
+    def fit(tried: Tried) -> tuple[float, Tried]:
         at, squares = refine(_with(point, tried), records, only, _SIFTING_STEPS)
         last = at.placed[-1]
-        fitted.append(
-            (
-                squares + _PRICE * (len(last.amplitudes) + len(last.shape)),
-                replace(tried, shape=last.shape, amplitudes=last.amplitudes),
-            )
-        )
-    fitted.sort(key=lambda pair: pair[0])
+        price = _PRICE * (len(last.amplitudes) + len(last.shape))
+        return squares + price, replace(tried, shape=last.shape, amplitudes=last.amplitudes)
+
+    fitted = sorted((fit(tried) for tried in found.survivors), key=lambda pair: pair[0])
+    # A fit ends in the valley that it began in: the best one also begins elsewhere.
+    identity = fitted[0][1].effect.identity
+    again = [fit(t) for t in found.elsewhere if t.effect.identity == identity]
+    fitted[0] = min(fitted[0], *again, key=lambda pair: pair[0]) if again else fitted[0]
     best, taken = fitted[0]
     near = max(_ALIKE * (before - best), _NEAR)
     alike = tuple(tried for squares, tried in fitted[1:] if squares - best < near)
@@ -327,31 +333,42 @@ def _restored(evidence: Evidence, placed: Placed, own: Sequence[int], amplitudes
 def _round(
     point: WorkingPoint, candidates: Sequence[Candidate], train: Evidence, held: Evidence
 ) -> Round:
-    own = list(range(len(point.parameters.names) + sum(_width(p) for p in point.placed)))
-    excess, count = train.excess, float(train.count.sum())
+    own = len(point.parameters.names) + sum(_width(p) for p in point.placed)
     gained = gains(train)
-    ranking: list[Tried] = []
-    seen: set[str] = set()
-    for i in sorted(range(len(candidates)), key=lambda i: -float(gained[i].sum())):
+    in_order = sorted(range(len(candidates)), key=lambda i: -float(gained[i].sum()))
+
+    def tried(i: int) -> Tried | None:
         effect, shape = candidates[i]
-        if effect.identity in seen:
-            continue
-        seen.add(effect.identity)
         joined = train.joined(i)
         columns = list(range(len(joined.size) - 1))
         coefficients = solve(joined.whole, columns) / joined.size[:-1]
-        amplitudes = coefficients[len(own) :]
-        quantities = zip(amplitudes.tolist(), effect.amplitudes, strict=True)
+        amplitudes = coefficients[own:].tolist()
+        quantities = zip(amplitudes, effect.amplitudes, strict=True)
         if not all(q.low <= value <= q.high for value, q in quantities):
-            continue  # a friction that drives is none
-        agrees = _agrees(joined, held.joined(i), len(own), coefficients)
+            return None  # a friction that drives is none
+        agrees = _agrees(joined, held.joined(i), own, coefficients)
         gain = float(gained[i].sum())
-        ranking.append(Tried(effect, shape, gain, gained[i], tuple(amplitudes.tolist()), *agrees))
-        if len(ranking) >= 40:
-            break
+        return Tried(effect, shape, gain, gained[i], tuple(amplitudes), *agrees)
+
+    ranking: list[Tried] = []
+    seen: set[str] = set()
+    for i in in_order:
+        identity = candidates[i][0].identity
+        if identity not in seen and len(ranking) < _MOST_RANKED:
+            seen.add(identity)
+            ranking += filter(None, [tried(i)])
+    excess, count = train.excess, float(train.count.sum())
     convincing = [t for t in ranking if _convinces(t, excess)]
     survivors = [t for t in convincing if t.gain > _SURVIVES * convincing[0].gain]
-    return Round(excess, count, tuple(ranking), tuple(survivors[:_MOST_SURVIVORS]), None, ())
+    survivors = survivors[:_MOST_SURVIVORS]
+    at = {t.effect.identity: t.shape for t in survivors}
+    others = [
+        tried(i)
+        for i in in_order
+        if at.get(candidates[i][0].identity, candidates[i][1]) != candidates[i][1]
+    ]
+    elsewhere = tuple(t for t in others if t is not None and t.gain > 0.0)
+    return Round(excess, count, tuple(ranking), tuple(survivors), elsewhere, None, ())
 
 
 def _convinces(tried: Tried, excess: float) -> bool:

@@ -59,7 +59,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 (*amplitude, Quantity("peak", force)),
                 partial(_stribeck, dof=i),
                 (v_s, Quantity("turn", "1", 0.02, 1.0, log=True)),
-                ((0.1 * speed, 0.2), (0.5 * speed, 0.2)),
+                ((0.1 * speed, 0.2), (0.6 * speed, 0.2)),
                 absorbed_by="at small amplitudes, damping",
                 told_apart_by="slow and fast motions of the same amplitude",
             ),

@@ -2,7 +2,7 @@
 
 Flies twelve records of 60 s at 1 kHz (three of 24 s with --quick) of a plant with two effects that
 nobody declared, and traces half of them and all of them, with a process a core. Measured data stand
-beside them, where the Silverbox's lie in ../shared/data: its linear model is traced on the part to
+beside them, where the Silverbox's are at hand: its linear model is traced on the part to
 train on, and judged on the part to test on, with and without what the trace names (not with
 --quick).
 """

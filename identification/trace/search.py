@@ -68,6 +68,9 @@ _SURVIVES = 0.35
 _MOST_SURVIVORS = 5
 """Of the candidates, those that explain this share of what the best one does are fitted."""
 _MOST_RANKED = 40
+_VALLEY, _MOST_VALLEYS = 0.7, 2
+"""From how many other shapes of its grid the best one is fitted too: from those that gain nearly as
+much; where something happened once, a time that is not nearest tells nothing."""
 _ALIKE = 0.02
 _NEAR = 12.0
 """Fits whose squared errors differ by less than this share of what they gain are not told apart,
@@ -112,7 +115,7 @@ class Tried:
 class Round:
     """One round of the search: what was left over before, the best candidates, what was taken.
 
-    `elsewhere`: the survivors at the other shapes of their grids.
+    `elsewhere`: the survivors at other shapes of their grids.
     """
 
     excess: float
@@ -361,14 +364,17 @@ def _round(
     convincing = [t for t in ranking if _convinces(t, excess)]
     survivors = [t for t in convincing if t.gain > _SURVIVES * convincing[0].gain]
     survivors = survivors[:_MOST_SURVIVORS]
-    at = {t.effect.identity: t.shape for t in survivors}
-    others = [
-        tried(i)
-        for i in in_order
-        if at.get(candidates[i][0].identity, candidates[i][1]) != candidates[i][1]
-    ]
-    elsewhere = tuple(t for t in others if t is not None and t.gain > 0.0)
-    return Round(excess, count, tuple(ranking), tuple(survivors), elsewhere, None, ())
+    elsewhere: list[Tried] = []
+    for best in survivors:
+        rows = [
+            i
+            for i in in_order
+            if candidates[i][0].identity == best.effect.identity
+            and candidates[i][1] != best.shape
+            and float(gained[i].sum()) > _VALLEY * best.gain
+        ]
+        elsewhere += filter(None, map(tried, rows[:_MOST_VALLEYS]))
+    return Round(excess, count, tuple(ranking), tuple(survivors), tuple(elsewhere), None, ())
 
 
 def _convinces(tried: Tried, excess: float) -> bool:

@@ -432,7 +432,7 @@ def _rig(bus: str, folder: Path) -> dict[str, Any]:
             "main": {"port": str(folder / "port"), "baud": 3_000_000, "stale_cycles": CYCLES}
         }
         return plain
-    plain["drives"]["heartbeat_s"] = 1.0
+    plain["drives"] |= {"heartbeat_s": 1.0, "expire_s": 1.0}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         port = probe.getsockname()[1]

@@ -129,12 +129,12 @@ def rig_on(tmp_path: Path) -> Callable[..., RigConfig]:
         backend = "can" if bus.startswith("can") else bus
         options = "" if bus == "loopback" else ", bus: main"
         expire = "" if bus == "loopback" else f", expire_cycles: {expire_cycles}"
-        # No heartbeat is late because the machine is slow, or something is compiled.
-        heartbeat = ", heartbeat_s: 10" if backend == "can" else ""
+        # Nothing is late because the machine is slow, or something is compiled.
+        patient = ", heartbeat_s: 10, expire_s: 10" if backend == "can" else ""
         text = f"""{head}
 amplifiers: {{backend: {backend}{options}{expire}}}
 sensors: {{backend: {backend}{options}}}
-drives: {{backend: {backend}{options}{heartbeat}}}
+drives: {{backend: {backend}{options}{patient}}}
 sim: {sim}
 {BUSES.get(bus, "").replace("CHANNEL", tmp_path.name).replace("FOLDER", str(tmp_path))}"""
         text = text.replace("rate_hz: 1000", f"rate_hz: {rate_hz}")

@@ -85,7 +85,7 @@ def rig(request, rig_on, tmp_path: Path) -> Iterator[Rig]:
             "options": {"port": free_port()},
         }
         # On such a bus the readings of X1 and X2 may be a cycle apart, 2.5 mm at 0.25 m/s.
-        plain["drives"] |= {"heartbeat_s": 20.0, "skew_m": 0.02}
+        plain["drives"] |= {"heartbeat_s": 20.0, "expire_s": 20.0, "skew_m": 0.02}
     file = tmp_path / "rig.yaml"
     file.write_text(yaml.safe_dump(plain))
     config = parse_text(file.read_text(), RigConfig, str(file))

@@ -195,12 +195,12 @@ def until(true: Callable[[], bool]) -> None:
 
 def test_drives_that_are_told_nothing_any_more_stop_in_fault(rig: RigConfig) -> None:
     """As when the host hangs: time goes on, and after expire_s they are in fault by themselves."""
-    with Electronics(rig, Path()) as electronics:
-        devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
-        drives = devices.backends[0]._roles["drives"]
+    brief = with_drives(rig, expire_s=0.1)
+    with Electronics(brief, Path()) as electronics:
+        devices = open_devices(Context(brief, 1 / RATE_HZ, Path()))
         run_to(devices, electronics, range(10))
         core = electronics.core
-        for _ in range(round(drives._options.expire_s * RATE_HZ)):
+        for _ in range(round(0.1 * RATE_HZ)):
             core._period()
         assert core.drive_state is DriveState.OPERATING
         core._period()

@@ -119,6 +119,12 @@ def words(found: Trace) -> list[str]:
     ]
     for effect in result.effects:
         lines += _effect(effect)
+    for force in result.shaken:
+        s = force.shaking
+        lines += [
+            f"  {force.name}: {s.rms:.5g} +- {s.se:.2g} {force.unit} RMS",
+            "    in still records as in excited ones: noise, which no model foretells",
+        ]
     lines += [f"{f.effect.name}, declared: {_values(f)}" for f in result.declared]
     lines += [f"given up: {name}, others explain what it did" for name in result.gone]
     lines += [
@@ -138,9 +144,9 @@ def _effect(found: FoundEffect) -> list[str]:
     if why is None:
         return lines
     share = "" if why.share is None else f"explains {100 * why.share:.3g} % of what was left; "
+    others = "held-out records" if why.held else "blocks of time that did not fit it"
     lines.append(
-        f"    {share}on held-out records it agrees {why.statistic:.0f} standard deviations beyond "
-        "chance"
+        f"    {share}on {others} it agrees {why.statistic:.0f} standard deviations beyond chance"
     )
     if why.alternatives:
         lines.append(
@@ -169,6 +175,8 @@ def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
     folder = logs[0].parent
     if rivals:
         return f"fly what tells {rivals[0].effect.name} from its alternatives: see the report"
+    if result.shaken and not result.effects:
+        return "find what shakes the platform: the model is as good as that lets it be"
     if result.significant:
         return f"see in the report ({out / 'index.html'}) on what the rest depends"
     if result.effects:

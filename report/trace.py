@@ -6,7 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..config.model import EffectParameter
-from ..identification.trace.result import NOISE_MOST, SQUARE_MOST, FoundEffect, Outcome, outcome
+from ..identification.trace.result import (
+    NOISE_MOST,
+    SQUARE_MOST,
+    FoundEffect,
+    Outcome,
+    RandomForce,
+    outcome,
+)
 from ..identification.trace.study import Trace
 from ..identification.trace.views import Views
 from .curves import symbol
@@ -47,14 +54,15 @@ def trace_report(found: Trace, views: Views, out_dir: Path) -> Path:
 def _title(result: Outcome) -> str:
     if len(result.effects) > _MOST_NAMED:
         return f"{len(result.effects)} effects found"
-    if result.effects:
-        return listed([f.effect.name for f in result.effects])
+    if result.effects or result.shaken:
+        return listed([f.effect.name for f in result.effects] + [s.name for s in result.shaken])
     return "nothing found" if not result.significant else "something unexplained"
 
 
 def _words(result: Outcome, views: Views) -> list[Text]:
     texts = [Text(_headline(result), "lead")]
     texts += [Text(_sentence(f, views)) for f in result.effects]
+    texts += [Text(_shaken(force)) for force in result.shaken]
     if result.declared:
         names = listed([f.effect.name for f in result.declared])
         texts.append(Text(f"Declared in the model already, and refitted: {names}."))
@@ -75,6 +83,11 @@ def _headline(result: Outcome) -> str:
             f"The declared model misses these records by {before} {measure}; with "
             f"{_count(len(result.effects))} that the records tell of it misses them by {after}. "
             f"Noise alone leaves {floor}."
+        )
+    if result.shaken:
+        return (
+            f"The model misses these records by {after} {measure}, where noise alone would leave "
+            f"{floor}. What is left repeats nothing that is flown: something shakes the platform."
         )
     if result.significant:
         return (
@@ -104,14 +117,26 @@ def _sentence(found: FoundEffect, views: Views) -> str:
         text += f" It is {amount(rms, unit)} RMS {place}, {amount(most, unit)} at most."
     if why is not None:
         share = "" if why.share is None else f"explains {share_text(why.share)} and "
+        others = "held-out records" if why.held else "blocks of time that did not fit it"
         text += (
-            f" It {share}agrees with held-out records {why.statistic:.0f} standard deviations "
-            "beyond chance."
+            f" It {share}agrees with {others} {why.statistic:.0f} standard deviations beyond "
+            "chance."
         )
         if why.alternatives:
             names = listed([e.name for e in why.alternatives])
             text += f" These records do not tell it from: {names}."
     return text
+
+
+def _shaken(force: RandomForce) -> str:
+    s = force.shaking
+    rms = with_interval(EffectParameter(value=s.rms, se=s.se, unit=force.unit))
+    return (
+        f"{force.name}: {rms} RMS (95 %). The force that the model lacks there is the same in "
+        "still records as in excited ones, and in held-out ones stands out of the noise by "
+        f"{s.statistic:.0f} standard deviations. Nobody can foretell it, so it is no part of the "
+        "model, and the error stays: look for what shakes the floor, or blows."
+    )
 
 
 def _shown(found: FoundEffect) -> list[tuple[str, EffectParameter]]:

@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 _SEGMENT_S = 4.0
 _EDGE_ROWS = 3
 """Rows at both ends that central differences of sixth order do not reach."""
-_FADE_S = 0.5
+FADE_S = 0.5
+"""How long Missing.force takes to come up, and to fade, at the ends of a record."""
 _THIRD = 2.0 ** (1 / 3)
 _PASSED = 1.3
 """Times the noise's density that a residual must have to be kept."""
@@ -100,16 +101,20 @@ def standing_out(psd: Array, noise: Array, freq_hz: Array) -> Array:
     as at its best, only lines are kept.
     """
     ratio = psd / np.maximum(noise, 1e-300)
-    # A third of an octave at a time: single lines of few averages scatter.
-    edges = np.searchsorted(freq_hz, np.outer(freq_hz, [_THIRD**-0.5, _THIRD**0.5]))
-    sums = np.vstack([np.zeros((1, ratio.shape[1])), np.cumsum(ratio, axis=0)])
-    low, high = edges[:, 0], np.maximum(edges[:, 1], edges[:, 0] + 1)
-    smooth = (sums[high] - sums[low]) / (high - low)[:, None]
+    smooth = third_octaves(ratio, freq_hz)
     gain = np.clip(1 - _PASSED / np.maximum(smooth, 1e-300), 0.0, 1.0)
     gain[noise > _WORST * noise.min(axis=0)] = 0.0
     gain[ratio > _LINE] = 1.0
     gain[freq_hz <= 0.0] = 0.0
     return np.asarray(gain)
+
+
+def third_octaves(values: Array, freq_hz: Array) -> Array:
+    """Return means (F, .) over a third of an octave: single lines of few averages scatter."""
+    edges = np.searchsorted(freq_hz, np.outer(freq_hz, [_THIRD**-0.5, _THIRD**0.5]))
+    sums = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    low, high = edges[:, 0], np.maximum(edges[:, 1], edges[:, 0] + 1)
+    return np.asarray((sums[high] - sums[low]) / (high - low)[:, None])
 
 
 def denoised(values: Array, gain: Array, freq_hz: Array, Ts_s: float) -> Array:
@@ -147,7 +152,7 @@ def _lacking(acted: Motion, y: Array) -> Array:
     around_mean = np.zeros_like(y)
     around_mean[known] = force[known] - force[known].mean(axis=0)
     # Noise differentiated twice and cut off sharply would leave a blow at either end.
-    ramp = min(max(round(_FADE_S / Ts_s), 1), rows // 4)
+    ramp = min(max(round(FADE_S / Ts_s), 1), rows // 4)
     fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)
     around_mean[known.start : known.start + ramp] *= fade[:, None]
     around_mean[known.stop - ramp : known.stop] *= fade[::-1, None]

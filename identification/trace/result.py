@@ -16,6 +16,7 @@ from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
 from .metric import RecordError, pooled, pooled_pose
 from .search import Round, Tried
+from .shaking import Shaking
 from .study import Trace
 
 Array = NDArray[np.float64]
@@ -51,6 +52,21 @@ class Evidence:
     share: float | None
     round: int
     alternatives: tuple[Effect, ...]
+
+
+@dataclass(frozen=True)
+class RandomForce:
+    """What shakes a DOF: noise that no model foretells, and so no part of one."""
+
+    shaking: Shaking
+    dof: str
+    unit: str
+
+    @property
+    def name(self) -> str:
+        """What it is and where, as people say it."""
+        low, high = self.shaking.band_hz
+        return f"Random vibration at {self.dof}, {low:.3g} to {high:.3g} Hz"
 
 
 @dataclass(frozen=True)
@@ -110,6 +126,7 @@ class Outcome:
     nearest: tuple[Tried, ...]
     gone: tuple[str, ...]
     unsettled: tuple[str, ...]
+    shaken: tuple[RandomForce, ...] = ()
 
     @property
     def significant(self) -> bool:
@@ -119,9 +136,11 @@ class Outcome:
     @property
     def verdict(self) -> str:
         """What was found, in a sentence."""
-        names = ", ".join(f.effect.name for f in self.effects if not f.unknown)
+        names = ", ".join(
+            [f.effect.name for f in self.effects if not f.unknown] + [s.name for s in self.shaken]
+        )
         forms = ", ".join(f.effect.name for f in self.effects if f.unknown)
-        if self.effects:
+        if self.effects or self.shaken:
             parts = [f"found: {names}"] if names else []
             if forms:
                 parts.append(f"unexplained by any known effect, and described freely: {forms}")
@@ -159,6 +178,10 @@ def outcome(trace: Trace) -> Outcome:
         last.ranking[:_MOST_RIVALS] if last.taken is None else (),
         tuple(name for identity, name in taken.items() if identity not in placed),
         tuple(e.name for e in trace.after if not e.settled),
+        tuple(
+            RandomForce(s, trace.places.dof[s.dof], trace.places.force_unit(s.dof))
+            for s in trace.shaken
+        ),
     )
 
 
@@ -172,7 +195,10 @@ def summary(trace: Trace) -> dict[str, Any]:
     found = outcome(trace)
     plain: dict[str, Any] = _plain(
         {
-            "effects": [_effect(f, trace.places) for f in found.effects],
+            "effects": [
+                *(_effect(f, trace.places) for f in found.effects),
+                *(_random(s) for s in found.shaken),
+            ],
             "validation": {
                 "metric": METRIC,
                 "before": found.before,
@@ -326,6 +352,28 @@ def _effect(found: FoundEffect, places: Places) -> dict[str, Any]:
     }
     where = sites(found.placed, places)
     return {**_named(effect), "where": list(where), "parameters": parameters, "evidence": evidence}
+
+
+def _random(force: RandomForce) -> dict[str, Any]:
+    s = force.shaking
+    low, high = s.band_hz
+    return {
+        "name": force.name,
+        "class": "vibration",
+        "where": [force.dof],
+        "parameters": {
+            "rms": {"value": s.rms, "se": s.se, "unit": force.unit},
+            "low": {"value": low, "se": None, "unit": "Hz"},
+            "high": {"value": high, "se": None, "unit": "Hz"},
+        },
+        "evidence": {
+            "equation": "force = noise of this rms, nine tenths of its power between low and high",
+            "statistic_sd": s.statistic,
+            "asked": "held_out",
+            "absorbed_by": "noise of the force",
+            "told_apart_by": "still records beside excited ones",
+        },
+    }
 
 
 def _named(effect: Effect) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from .refine import Candidate, refine
 from .regression import FOLDS
 from .search import Found, HeldError, search
 from .session_time import overlap, require_timeless, timeless
+from .shaking import Shaking, force_spectrum, shaking
 from .workers import Source, Workers
 from .working_point import WorkingPoint, with_likely_noise
 
@@ -41,6 +42,8 @@ Progress = Callable[[str, float], None]
 _FIRST_ROWS = 8000
 _FIRST_RECORDS = 8
 _LOUDER = (1e6, 1e4, 1e2)
+_UNEXPLAINED = 1.1
+"""Error over the floor from which on it is asked whether something shakes the platform."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,8 @@ class Trace:
     """What was found.
 
     `declared`: the model refitted with no effects but its own; `found`: the end of the search.
-    before, after: errors of the held-out records, free-running, in the order of `held`.
+    before, after: errors of the held-out records, free-running, in the order of `held`. shaken:
+    random forces among what is left.
     """
 
     config: ModelConfig
@@ -60,6 +64,7 @@ class Trace:
     before: tuple[RecordError, ...]
     after: tuple[RecordError, ...]
     notes: tuple[str, ...]
+    shaken: tuple[Shaking, ...] = ()
 
 
 def trace(
@@ -130,9 +135,14 @@ def _trace(
     progress("simulating held-out records", 0.9)
     before = workers.map(partial(record_error, declared), logged.kept)
     after = workers.map(partial(record_error, found.point), logged.kept)
+    error, floor = pooled(after)
+    shaken: tuple[Shaking, ...] = ()
+    if not error <= _UNEXPLAINED * floor:
+        spectra = partial(force_spectrum, found.point)
+        shaken = shaking(workers.map(spectra, logged.fitted), workers.map(spectra, logged.kept))
     return Trace(
         config, places, declared, found, begun.fitted, begun.held,
-        tuple(before), tuple(after), notes,
+        tuple(before), tuple(after), notes, shaken,
     )  # fmt: skip
 
 

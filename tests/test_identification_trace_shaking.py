@@ -1,0 +1,66 @@
+"""A random force is told by its power in a band, alike in still and in excited records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from levid.identification.trace.shaking import ForceSpectrum, shaking
+
+FREQ_HZ = np.arange(501) * 0.25
+QUIET = 1e-9 * (1.0 + (FREQ_HZ / 60.0) ** 4)
+RMS_N, BAND_HZ = 0.02, (8.0, 25.0)
+INSIDE = (BAND_HZ[0] <= FREQ_HZ) & (BAND_HZ[1] > FREQ_HZ)
+
+
+def spectrum(rng: np.random.Generator, still: bool, shaken: float = 1.0) -> ForceSpectrum:
+    """Return averages of ten spectra of noise, z shaken in the band."""
+    psd = np.repeat(QUIET[:, None], 3, axis=1)
+    psd[INSIDE, 2] += shaken * RMS_N**2 / (BAND_HZ[1] - BAND_HZ[0])
+    seen = psd * rng.chisquare(20, psd.shape) / 20
+    return ForceSpectrum(FREQ_HZ, seen, np.repeat(QUIET[:, None], 3, axis=1), 10.0, still)
+
+
+def records(seed: int, excited: float = 1.0, held: float = 1.0, all_: float = 1.0):
+    rng = np.random.default_rng(seed)
+    fitted = [spectrum(rng, True, all_), *(spectrum(rng, False, all_ * excited) for _ in range(4))]
+    return fitted, [spectrum(rng, True, all_ * held), spectrum(rng, False, all_ * held)]
+
+
+def test_random_force_has_its_band_its_size_and_an_honest_error() -> None:
+    errors = []
+    for seed in range(40):
+        (found,) = shaking(*records(seed))
+        assert found.dof == 2
+        # A twentieth of the power lies beyond either end of what is told; bins are 0.25 Hz.
+        assert found.band_hz == pytest.approx((8.85, 24.15), abs=0.6)
+        assert found.statistic > 50
+        errors.append((found.rms - RMS_N) / found.se)
+    # Its standard error is 0.75 % at the most, for independent bins; those drawn here are, and so
+    # vary less than those of a window that leaks.
+    assert np.abs(np.mean(errors)) < 4 / np.sqrt(40) + 0.3
+    assert 0.4 < np.std(errors) < 1.3
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_noise_alone_shakes_nothing(seed: int) -> None:
+    assert shaking(*records(seed, all_=0.0)) == ()
+
+
+@pytest.mark.parametrize(
+    "more",
+    [{"excited": 10.0}, {"excited": 0.0}, {"held": 0.0}, {"held": 5.0}],
+    ids=["grows with the motion", "not in motion", "not held out", "otherwise held out"],
+)
+def test_what_is_not_always_there_is_something_else(more) -> None:
+    assert shaking(*records(1, **more)) == ()
+
+
+def test_without_still_records_nothing_is_told() -> None:
+    fitted, kept = records(1)
+    moving = [replace(s, still=False) for s in fitted]
+    assert shaking(moving, kept) == ()
+    assert shaking(fitted, []) == ()
+    assert shaking([], []) == ()

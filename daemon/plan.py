@@ -23,8 +23,8 @@ from .states import State
 Array = NDArray[np.float64]
 
 _IDLE_S = 0.3
-# A record's arrays stay below 1 GB: 50 min at 10 kHz. Longer ones are flown as several records.
-_MOST_CYCLES = 30_000_000
+MOST_CYCLES = 30_000_000
+"""Of a record, and of a session that a daemon flies: 50 min at 10 kHz, arrays of several GB."""
 _FLYING = np.array([[1.0, 1.0, 1.0]])
 _AXIS = {"psi": 0, "theta": 1, "z": 2}
 
@@ -189,10 +189,10 @@ class _Planner:
         self, step: RecordStep, index: int, where: str
     ) -> tuple[int, Callable[[], list[Segment]]]:
         n, settle = self.record_cycles(step), self.n(step.settle_s)
-        if n > _MOST_CYCLES:
+        if n > MOST_CYCLES:
             key = next(k for k in ("duration_s", "orthogonal", "each_s") if getattr(step, k))
             raise ConfigError(
-                f"{where}.{key}: expected at most {_MOST_CYCLES / self.rate_hz:g} s at "
+                f"{where}.{key}: expected at most {MOST_CYCLES / self.rate_hz:g} s at "
                 f"{self.rate_hz:g} Hz, found {n / self.rate_hz:g} s; fly several records"
             )
         beam_before, rotor_before = self.still()

@@ -16,7 +16,7 @@ from ..config.session import Land, Levitate, Move, SessionConfig, Step
 from .board import Word
 from .faults import Fault
 from .pilot import Job, RefusedError, in_fault
-from .plan import Plan, PlannedStep, plan_session, plan_steps
+from .plan import MOST_CYCLES, Plan, PlannedStep, plan_session, plan_steps
 from .result import attachments, log_metadata
 from .scribe import LogFile
 from .server import Handler, Reply
@@ -216,8 +216,13 @@ class Requests:
         gone = request.get("client_gone") or self._rig.service.client_gone
         if gone not in ("go_on", "land"):
             raise RefusedError(f"client_gone: expected go_on or land, found {gone!r}")
-        segments: list[tuple[PlannedStep, Any]] = [(s, s.segments()) for s in plan.steps]
         rate_hz = self._rig.rate_hz
+        if plan.cycles > MOST_CYCLES:
+            raise RefusedError(
+                f"{plan.name}: expected at most {MOST_CYCLES / rate_hz:g} s in all at "
+                f"{rate_hz:g} Hz, found {plan.cycles / rate_hz:g} s; fly several sessions"
+            )
+        segments: list[tuple[PlannedStep, Any]] = [(s, s.segments()) for s in plan.steps]
         landing = None
         if land is not None:
             landing = round(land.ramp_s * rate_hz), round(land.release_s * rate_hz)

@@ -114,6 +114,15 @@ def test_session_that_does_not_fit_is_refused(
         client.excite(session, tmp_path / "logs", lambda *_: None)
 
 
+def test_session_that_would_fill_the_memory_is_refused(
+    socket_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("levid.daemon.requests.MOST_CYCLES", 500)
+    expected = "short: expected at most 2 s in all at 250 Hz, found"
+    with Client(socket_file) as client, pytest.raises(DaemonError, match=expected):
+        client.excite(SESSION, tmp_path / "logs", lambda *_: None)
+
+
 @pytest.mark.parametrize(
     "line",
     [

@@ -316,7 +316,7 @@ sim: {shipped("sims/nominal.yaml")}
         port = 20_000 + os.getpid() % 20_000
         buses = buses.replace("CHANNEL", f"CHANNEL, options: {{port: {port}}}")
     buses = buses.replace("INTERFACE", interface).replace("CHANNEL", channel)
-    every = ", every: 4, expire_s: 1" if name != "serial" else ""
+    every = ", every: 4, expire_s: 60" if name != "serial" else ""
     other = role.replace("main", "motion") if name == "can" else role
     return f"""{HEAD}
 {buses.replace("FOLDER", str(folder))}

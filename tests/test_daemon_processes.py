@@ -129,6 +129,7 @@ def test_stopped_recorder_delays_nobody(ready: Daemon, tmp_path: Path) -> None:
 
 def test_dead_loop_is_a_fault_and_is_started_anew(ready: Daemon, tmp_path: Path) -> None:
     flying = Flying(ready, tmp_path / "out")
+    ready.until(lambda s: s["state"] == "EXCITING")
     os.kill(ready.ask("status")["pids"]["loop"], signal.SIGKILL)
     assert "fault LOOP" in flying.join()
     assert "killed by SIGKILL" in ready.ask("status")["detail"]

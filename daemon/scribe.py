@@ -79,6 +79,7 @@ class Scribe:
         self._tag = NO_LOG
         self._part = 0
         self._rows = 0
+        self._full = False
         self._file: LogFile | None = None
         self._writer: LogWriter | None = None
 
@@ -119,6 +120,9 @@ class Scribe:
         self._ring.durable = self._ring.tail
 
     def _write(self, rows: NDArray[np.void]) -> None:
+        if self._full:  # only now: a log that ends with its part leaves no empty one behind
+            self._full = False
+            self._open(self._part + 1)
         if self._writer is None:
             self.dropped += len(rows) if self._tag != NO_LOG else 0
             return
@@ -133,10 +137,11 @@ class Scribe:
             and (writer.size >= rotation.most_bytes or self._rows >= rotation.most_rows)
         ):
             self._close()
-            self._open(self._part + 1)
+            self._full = True
 
     def _switch(self, tag: int) -> None:
         self._close()
+        self._full = False
         self._tag = tag
         self._file = self._log_of(tag) if tag != NO_LOG else None
         if tag != NO_LOG and self._file is None:

@@ -25,6 +25,8 @@ _FAULT_STATE = int(State.FAULT)
 _BEAM_MARGIN_M = 0.002
 # And be measured faster than its setpoints may be, by half and by this.
 _BEAM_MARGIN, _BEAM_MARGIN_M_S = 1.5, 0.05
+# A readback of more than so many times a coil's limit says nothing about how hot the coil gets.
+_MOST_CARRIED = 10.0
 
 # Rows of the memory (ROWS, 4). Every array handed to a compiled function costs some 50 ns a call,
 # and the cycle may not allocate: what it remembers and its scratch share one block. Behind these
@@ -199,7 +201,9 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         fault = _BEAM
     for j in range(n_coils):
         if np.isfinite(readback[j]):
-            heat[j] += cooling * (readback[j] * readback[j] - heat[j])
+            # Squared, what no coil can carry would stay in there for ever.
+            carried = min(abs(readback[j]), _MOST_CARRIED * coil_limit)
+            heat[j] += cooling * (carried * carried - heat[j])
         if heat[j] > heat_limit and in_control:
             fault = _HEAT
     for j in range(inputs.size):

@@ -225,3 +225,16 @@ def test_coil_that_carries_too_much_for_too_long_is_a_fault() -> None:
     idle = idle_segment(2000, 9, np.zeros(3), np.zeros(3))
     assert bench.run(idle, np.zeros((2000, 9)))["fault"].max() == Fault.NONE
     assert bench.run(flying(1), np.zeros((1, 9)))["fault"][0] == Fault.NONE
+
+
+def test_readback_that_no_coil_can_carry_is_forgotten_as_any_other() -> None:
+    """Squared it would overflow, and a heat that is not a number exceeds no limit ever again."""
+    bench = Bench(limited(coil_rms_n=5.0, coil_time_constant_s=1.0))
+    bench.control.readback_n[3] = 1e200
+    # It counts as ten times the limit of 20 N, in one cycle of a thousandth: 40 of 25 N^2.
+    assert bench.run(flying(1), np.zeros((1, 9)))["fault"][0] == Fault.HEAT
+    bench.control.readback_n[3] = 0.0
+    bench.run(idle_segment(1000, 9, np.zeros(3), np.zeros(3)), np.zeros((1000, 9)))
+    assert bench.run(flying(1), np.zeros((1, 9)))["fault"][0] == Fault.NONE  # 40/e
+    bench.control.readback_n[3] = 10.0
+    assert bench.run(flying(1000), np.zeros((1000, 9)))["fault"][-1] == Fault.HEAT

@@ -1,8 +1,8 @@
 """The grey-box fit against the simulator's truth: errors, coverage of its intervals, time.
 
 The records are flown anew for every seed; the fit starts from a model file that is off by 10 % and
-sees the logs alone. The Silverbox (measured data) is judged by its simulated error where the data
-lie in ../shared/data.
+sees the logs alone. The Silverbox (measured data) is judged by its simulated error where
+its files are given.
 """
 
 from __future__ import annotations

@@ -144,6 +144,17 @@ sim: {sim}
 
 
 @pytest.fixture
+def host_paced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The host alone sets the pace, however slow the machine is: nothing on a bus is late.
+
+    The electronics never go on by themselves, and the host waits for 10,000 periods instead of
+    half of one.
+    """
+    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
+    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 1e4)
+
+
+@pytest.fixture
 def quiet_sim(tmp_path: Path) -> Path:
     """The SIM.yaml of the declared model without any noise: equal commands, equal readings."""
     text = shipped("sims/nominal.yaml").read_text()

@@ -31,11 +31,7 @@ steps:
 """
 
 
-@pytest.fixture(autouse=True)
-def in_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The host alone sets the pace, so that nothing is late on a machine of any load."""
-    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 2500.0)
+pytestmark = pytest.mark.usefixtures("host_paced")
 
 
 def flown(rig, folder: Path, out: Path) -> np.ndarray:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from standing_drives import run, until, with_drives
 
 from levid.config.base import ConfigError
 from levid.config.rig import RigConfig
@@ -35,20 +35,12 @@ from levid.wire.differences import Differences
 RATE_HZ = 100.0
 
 
-@pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 1e4)
+pytestmark = pytest.mark.usefixtures("host_paced")
 
 
 @pytest.fixture
 def rig(rig_on, quiet_sim: Path) -> RigConfig:
     return rig_on("can", RATE_HZ, quiet_sim)
-
-
-def with_drives(rig: RigConfig, **options: object) -> RigConfig:
-    role = rig.drives.model_validate({**rig.drives.model_dump(), **options})
-    return rig.model_copy(update={"drives": role})
 
 
 @pytest.mark.parametrize("state", DriveStates)
@@ -174,23 +166,9 @@ def test_drive_that_falls_silent_is_a_fault(rig: RigConfig) -> None:
 
 def run_to(devices: Devices, electronics: Electronics, cycles: range) -> None:
     """Cycles of standing still, told every time."""
-    beam, rotor, gap, coil = np.zeros(3), np.zeros(3), np.zeros(9), np.zeros(9)
     for k in cycles:
-        for sync in devices.syncs:
-            sync(k)
-        devices.sensors.read(gap)
-        devices.amplifiers.read(coil)
-        devices.drives.read(beam, rotor)
-        devices.drives.write(np.zeros(3), np.zeros(3))
+        run(devices, range(k, k + 1))
         until(lambda: bool(electronics.core._plan))  # the three targets have come
-
-
-def until(true: Callable[[], bool]) -> None:
-    """Wait for another thread, at most 5 s."""
-    give_up_s = time.monotonic() + 5.0
-    while not true():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.001)
 
 
 def test_drives_that_are_told_nothing_any_more_stop_in_fault(rig: RigConfig) -> None:

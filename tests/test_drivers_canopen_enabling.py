@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from standing_drives import run, until, with_drives
 
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
@@ -22,10 +22,7 @@ RATE_HZ = 100.0
 OPERATING = DriveStates.OPERATION_ENABLED
 
 
-@pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 1e4)
+pytestmark = pytest.mark.usefixtures("host_paced")
 
 
 @pytest.fixture
@@ -39,27 +36,6 @@ def opened(rig: RigConfig) -> Devices:
 
 def nodes_of(electronics: Electronics) -> list:
     return electronics._buses[0]._drives.drives  # type: ignore[attr-defined]
-
-
-def run(devices: Devices, cycles: range) -> None:
-    beam, rotor, gap, coil = np.zeros(3), np.zeros(3), np.zeros(9), np.zeros(9)
-    for k in cycles:
-        for sync in devices.syncs:
-            sync(k)
-        devices.sensors.read(gap)
-        devices.amplifiers.read(coil)
-        try:
-            devices.drives.read(beam, rotor)
-        finally:
-            devices.drives.write(np.zeros(3), np.zeros(3))
-
-
-def until(true: Callable[[], bool]) -> None:
-    """Wait for another thread, at most 10 s."""
-    give_up_s = time.monotonic() + 10.0
-    while not true():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.001)
 
 
 def never_home(drive) -> Callable[[], None]:
@@ -198,8 +174,7 @@ def with_overflow(rig: RigConfig, folder: Path, overflow: int) -> RigConfig:
     text, found = SECTION.subn(rf"\g<1>ro\g<2>{overflow}", shipped("drive.eds").read_text())
     assert found == 1
     (folder / "other.eds").write_text(text)
-    options = {**rig.drives.model_dump(), "eds": str(folder / "other.eds")}
-    return rig.model_copy(update={"drives": rig.drives.model_validate(options)})
+    return with_drives(rig, eds=str(folder / "other.eds"))
 
 
 @pytest.mark.parametrize("overflow", [0, 240])

@@ -26,11 +26,7 @@ FORCE_TOLERANCE_N = 1e-3
 BEAM_TOLERANCE_M = 2e-8
 
 
-@pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The host alone sets the pace, however slow the machine is: no test waits on the clock."""
-    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 1e4)
+pytestmark = pytest.mark.usefixtures("host_paced")
 
 
 @dataclass

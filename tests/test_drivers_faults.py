@@ -31,6 +31,8 @@ from levid.sim.electronics.faults import FAULTS, InjectionError
 from levid.sim.electronics.rig import Electronics
 from levid.wire.device import AmplifierState
 
+pytestmark = pytest.mark.usefixtures("host_paced")
+
 RATE_HZ = 50.0
 WITHIN_CYCLES = 3
 LONG, SHORT = 20, 2
@@ -74,16 +76,8 @@ class Bench:
         devices.drives.write(np.zeros(3), np.zeros(3))
 
 
-@pytest.fixture
-def patience(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """The host sets the pace; what does not come is waited for 50 ms, whatever the load."""
-    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 1e4)
-    return monkeypatch
-
-
 @pytest.fixture(params=["can", "serial"])
-def bench(request, rig_on, patience) -> Iterator[Bench]:
+def bench(request, rig_on) -> Iterator[Bench]:
     with on_bench(rig_on(request.param, RATE_HZ, shipped("sims/nominal.yaml"))) as bench:
         yield bench
 
@@ -155,9 +149,7 @@ def until_heard(bench: Bench) -> None:
 
 @pytest.mark.parametrize("bus", ["can", "serial"])
 @pytest.mark.parametrize("line", EXPECTED)
-def test_fault_ends_in_zero_force_is_named_and_mended(
-    bus: str, line: str, rig_on, patience: pytest.MonkeyPatch
-) -> None:
+def test_fault_ends_in_zero_force_is_named_and_mended(bus: str, line: str, rig_on) -> None:
     unheard = line in ("drop-setpoints", "bus-off", "disconnect")
     rig = rig_on(bus, RATE_HZ, shipped("sims/nominal.yaml"), SHORT if unheard else LONG)
     with on_bench(rig) as bench:
@@ -217,9 +209,7 @@ def test_setpoint_that_is_lost_shows_in_the_next_answer(bench: Bench) -> None:
     assert amplifiers.stale == 0
 
 
-def test_setpoints_that_are_lost_in_a_row_are_named_before_they_expire(
-    rig_on, patience: pytest.MonkeyPatch
-) -> None:
+def test_setpoints_that_are_lost_in_a_row_are_named_before_they_expire(rig_on) -> None:
     rig = rig_on("canfd", RATE_HZ, shipped("sims/nominal.yaml"), 10)
     with Electronics(rig, Path()) as electronics:
         devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
@@ -330,9 +320,7 @@ def lose(bench: Bench, bus: str) -> None:
 @pytest.mark.parametrize(
     ("text", "lost"), [(TWO_BUSES, "motion"), (TWO_PORTS, "motion"), (TWO_BACKENDS, "main")]
 )
-def test_bus_that_is_lost_keeps_no_force_on_another(
-    text: str, lost: str, tmp_path: Path, patience: pytest.MonkeyPatch
-) -> None:
+def test_bus_that_is_lost_keeps_no_force_on_another(text: str, lost: str, tmp_path: Path) -> None:
     with on_bench(rig_of(text, tmp_path)) as bench:
         fly(bench)
         backends = bench.devices.backends

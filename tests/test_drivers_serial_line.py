@@ -75,16 +75,9 @@ class Server:
                 client.sendall(b"".join(manager.escape(os.read(end, 4096))))
 
 
-@pytest.fixture
-def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The host sets the pace, however slow the machine is."""
-    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 500.0)
-
-
 @pytest.mark.filterwarnings("ignore:setDaemon:DeprecationWarning")
 @pytest.mark.filterwarnings("ignore:setName:DeprecationWarning")
-@pytest.mark.usefixtures("patience")
+@pytest.mark.usefixtures("host_paced")
 def test_rig_is_driven_over_rfc2217(rig_on, quiet_sim: Path, tmp_path: Path) -> None:
     here = rig_on("serial", RATE_HZ, quiet_sim)
     with Electronics(here, tmp_path), contextlib.closing(Server(tmp_path / "port")) as server:
@@ -103,7 +96,7 @@ def test_rig_is_driven_over_rfc2217(rig_on, quiet_sim: Path, tmp_path: Path) -> 
         devices.close()
 
 
-@pytest.mark.usefixtures("patience")
+@pytest.mark.usefixtures("host_paced")
 def test_limits_of_the_rotor_are_compared_too(rig_on, quiet_sim: Path, tmp_path: Path) -> None:
     rig = rig_on("serial", RATE_HZ, quiet_sim)
     slower = rig.limits.model_copy(update={"rotor_velocity_rad_s": 10.0})

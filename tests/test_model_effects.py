@@ -129,8 +129,10 @@ def test_effects_go_to_other_processes_and_give_the_same_there(places_of):
 def test_columns_to_screen_stay_few():
     # What the drives' force is screened with is no column of the platform's filter. A line at a
     # frequency is 3 forces, the floor, 9 readings and a common one, a cosine and a sine each: 28.
+    # Sensors that stand are asked only where readings do.
     s, count = moving(), 0
-    for effect in all_effects(s.places, replace(Extent.typical(s.places), tones_hz=())):
+    usual = replace(Extent.typical(s.places), tones_hz=(), standing=())
+    for effect in all_effects(s.places, usual):
         for row in effect.grid:
             count += sum(any(p is not None for p in t.parts[:3]) for t in effect.build(s, row))
     assert count <= 430
@@ -451,3 +453,19 @@ def test_line_has_the_phase_of_the_session():
         5.0 * np.cos(2 * np.pi * 50 * s.time_s - np.arctan2(4.0, 3.0)),
         atol=1e-9,
     )
+
+
+def test_sensor_that_stands_shows_the_height_at_which_it_came_to_a_stand():
+    standing = np.zeros((moving().rows, 9), bool)
+    standing[100:120, 4] = standing[3000:3400, 4] = True
+    s = replace(moving(), standing=standing)
+    assert Extent.measured([moving(), s]).standing == (4,)
+    (stand,) = (e for e in all_effects(s.places) if e.identity == "sensor_stuck.stand@sensor:4")
+    (found,) = stand.build(s, ())
+    shown = s.gap(4) + found.gap[:, 4]
+    assert np.all(shown[~standing[:, 4]] == s.gap(4)[~standing[:, 4]])
+    np.testing.assert_allclose(shown[100:120], s.gap(4)[99], rtol=1e-12)
+    np.testing.assert_allclose(shown[3000:3400], s.gap(4)[2999], rtol=1e-12)
+    assert not np.any(np.delete(found.gap, 4, axis=1))
+    # A simulated plant tells nobody when its readings will stand.
+    assert not np.any(stand.build(moving(), ())[0].gap)

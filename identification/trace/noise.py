@@ -22,15 +22,12 @@ from ..data import IdentificationError
 from ..greybox.experiment import Experiment
 from ..greybox.noise import Noise
 from .record import TraceRecord
+from .standing import white_noise
 
 Array = NDArray[np.float64]
 
-_MEDIAN_OF_CHI2 = np.log(2.0)
-"""Median over mean of a periodogram's value."""
 _LEAST_NOISE = 1e-7
 """Of a motion's rms: 23 bits, which no sensor resolves, but rounded arithmetic does."""
-_QUIET_FROM = 0.5
-"""Sensor noise is read above this share of the Nyquist frequency."""
 _LONGEST_S = 60.0
 _BAND_HZ = (0.4, 80.0)
 _SEGMENT_S = 5.0
@@ -85,11 +82,7 @@ def sensor_noise(records: Sequence[TraceRecord]) -> Array:
     """Return the standard deviation (S,) of each sensor's white noise, as most records show it."""
     found = []
     for record in records:
-        rows = record.gap[: round(_LONGEST_S / record.experiment.Ts_s)]
-        window = np.hanning(len(rows))[:, None]
-        power = np.abs(np.fft.rfft(rows * window, axis=0)) ** 2 / np.sum(window**2)
-        quiet = power[round(_QUIET_FROM * len(power)) :]
-        found.append(np.sqrt(np.median(quiet, axis=0) / _MEDIAN_OF_CHI2))
+        found.append(white_noise(record.gap[: round(_LONGEST_S / record.experiment.Ts_s)]))
     return np.asarray(np.median(found, axis=0))
 
 

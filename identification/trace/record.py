@@ -17,6 +17,7 @@ from ...model.geometry import shape_matrix
 from ..gaps import without_gaps
 from ..greybox.experiment import Experiment, experiment_from_log
 from ..greybox.noise import Filter
+from .standing import standing
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,8 @@ class TraceRecord:
     gap (N, S) as measured; coil, coil_excitation (N, C) commanded; beam and rotor (N, 3) position,
     velocity, acceleration (zeros where there are none); drive_n (N,) force of the beam's drives;
     time_s (N,) runs on through a session. `kind` says what moves in it: records of one kind are
-    exchangeable.
+    exchangeable. standing (N, S): where readings stand still while the platform moves; None
+    where none does.
     """
 
     experiment: Experiment
@@ -45,6 +47,7 @@ class TraceRecord:
     rotor: Array
     drive_n: Array | None
     kind: str
+    standing: NDArray[np.bool_] | None = None
     filters: dict[bytes, Filter] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -78,6 +81,7 @@ class TraceRecord:
             beam=self.beam[rows],
             rotor=self.rotor[rows],
             drive_n=None if self.drive_n is None else self.drive_n[rows],
+            standing=None if self.standing is None else self.standing[rows],
         )
 
 
@@ -105,19 +109,21 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
     beam, rotor = (
         _motion(log, axis, experiment.Ts_s) for axis in (("beam", "m"), ("rotor", "rad"))
     )
+    gap = log.field("gap_m").astype(float)
     coil = log.field("coil_n").astype(float)
     coil_excitation = log.field("coil_excitation_n").astype(float)
     record = TraceRecord(
         experiment,
         places,
         log.field("time_s").astype(float),
-        log.field("gap_m").astype(float),
+        gap,
         coil,
         coil_excitation,
         beam,
         rotor,
         log.field("beam_force_n").astype(float),
         "",
+        standing(gap, sensors),
     )
     return replace(record, kind=_kind(record))
 

@@ -87,6 +87,8 @@ class Signals:
     lag_s: float = 0.0
     """First-order lag between a held command and its force."""
     gravity_m_s2: float = 9.81
+    standing: NDArray[np.bool_] | None = None
+    """Where each sensor's reading stands still though it should not (N, S); None for nowhere."""
 
     @property
     def rows(self) -> int:

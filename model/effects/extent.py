@@ -26,6 +26,7 @@ class Extent:
     reach, speed (n,): how far from its middle and how fast each DOF moves, rms, in the liveliest
     record. gap: how far a single sensor moves. command: the largest of a single actuator. beam_m:
     the length that the beam travels. spans_s: begin and end of each record, in the session's time.
+    standing: sensors whose readings stand still now and then while the platform moves.
     tones_hz: frequencies of the lines that are looked for.
     """
 
@@ -36,6 +37,7 @@ class Extent:
     beam_m: float
     spans_s: tuple[tuple[float, float], ...] = ()
     tones_hz: tuple[float, ...] = MAINS_HZ
+    standing: tuple[int, ...] = ()
 
     @classmethod
     def typical(cls, places: Places) -> Extent:
@@ -43,7 +45,10 @@ class Extent:
         arms = np.abs(places.sensor_shape).max(axis=0)
         reach = tuple(float(_TYPICAL_GAP / arm) for arm in arms)
         speed = tuple(2 * math.pi * _TYPICAL_HZ * r for r in reach)
-        return cls(reach, speed, _TYPICAL_GAP, _TYPICAL_COMMAND, _TYPICAL_BEAM_M)
+        return cls(
+            reach, speed, _TYPICAL_GAP, _TYPICAL_COMMAND, _TYPICAL_BEAM_M,
+            standing=tuple(range(places.sensors)),
+        )  # fmt: skip
 
     @classmethod
     def measured(cls, records: Sequence[Signals], tones_hz: tuple[float, ...] = MAINS_HZ) -> Extent:
@@ -57,7 +62,14 @@ class Extent:
             max(float(r.x_b_m.max()) for r in records) - min(float(r.x_b_m.min()) for r in records),
             tuple((float(r.time_s[0]), float(r.time_s[-1])) for r in records),
             tones_hz,
+            _standing(records),
         )
+
+
+def _standing(records: Sequence[Signals]) -> tuple[int, ...]:
+    """Return the sensors whose readings stand still somewhere."""
+    masks = [r.standing.any(axis=0) for r in records if r.standing is not None]
+    return tuple(np.flatnonzero(np.any(masks, axis=0)).tolist()) if masks else ()
 
 
 def _liveliest(signals: Sequence[Array]) -> tuple[float, ...]:

@@ -83,6 +83,12 @@ def jumping(x: Array, width: float, Ts_s: float) -> Array:
     return _with_past(_jumping, x, width, Ts_s)
 
 
+def held(x: Array, standing: NDArray[np.bool_]) -> Array:
+    """Return x (N,), but where it is standing (N,) its value of the last row where it is not."""
+    rows = np.arange(len(x))
+    return np.asarray(x[np.maximum.accumulate(np.where(standing, 0, rows))])
+
+
 def oscillator(force: Array, frequency_hz: float, damping: float, Ts_s: float) -> Array:
     """Return (N, 2) position and velocity of eta'' + 2 zeta w eta' + w^2 eta = force.
 

@@ -1,10 +1,11 @@
 """Sensors that are late or that stick: a filter in one channel, a reading that follows with play.
 
 A first-order filter in one channel; a reading that follows with play; one that stays and then jumps
-(Visintin, *Differential Models of Hysteresis*, 1994, on play and stop). Signature: all show beyond
-the rigid platform with one sensor's pattern; a lag grows with the speed, play keeps its height at
-every speed and follows the sign of the speed, and both are there in small motions, where what jumps
-shows nothing at all.
+(Visintin, *Differential Models of Hysteresis*, 1994, on play and stop); one that stands still for a
+while and is right again, as a probe does whose electronics hang. Signature: all show beyond the
+rigid platform with one sensor's pattern; a lag grows with the speed, play keeps its height at every
+speed and follows the sign of the speed, and both are there in small motions, where what jumps shows
+nothing at all; what stands is off only where its reading stays while the others move.
 """
 
 from __future__ import annotations
@@ -12,15 +13,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+import numpy as np
+
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
 from .extent import Extent
-from .recursions import jumping, lagged, play
+from .recursions import held, jumping, lagged, play
 
 _LAG_S = 2e-3
+_MOST_DEPTH = 2.0
+"""Of what stands still altogether the depth is 1, and an estimate on either side of it."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return lag and play of every sensor."""
+    """Return lag and play of every sensor, and stands of those whose readings have any."""
     found = []
     for s in range(places.sensors):
         where = (f"sensor:{s}",)
@@ -43,7 +48,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "sensor_stuck",
                 where,
                 "reading = h + depth (p - h), p within width of h moves only when h pushes it",
-                (Quantity("depth", "1", 0.0, 1.0),),
+                (Quantity("depth", "1", 0.0, _MOST_DEPTH),),
                 partial(_play, sensor=s),
                 (Quantity("width", places.sensor_unit, 1e-3 * extent.gap, extent.gap, log=True),),
                 ((0.1 * extent.gap,),),
@@ -55,13 +60,26 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "sensor_stuck",
                 where,
                 "reading = h + depth (p - h), p stays until h is further than width away",
-                (Quantity("depth", "1", 0.0, 1.0),),
+                (Quantity("depth", "1", 0.0, _MOST_DEPTH),),
                 partial(_jump, sensor=s),
                 (Quantity("width", places.sensor_unit, 1e-3 * extent.gap, extent.gap, log=True),),
                 ((0.1 * extent.gap,),),
                 told_apart_by="small and large motions",
             ),
         ]
+    found += [
+        Effect(
+            "sensor_stuck.stand",
+            "Sensor that stands still",
+            "sensor_stuck",
+            (f"sensor:{s}",),
+            "reading = h + depth (p - h), p is h of when the readings came to a stand",
+            (Quantity("depth", "1", 0.0, _MOST_DEPTH),),
+            partial(_stand, sensor=s),
+            told_apart_by="readings that stay within their noise while the platform moves",
+        )
+        for s in extent.standing
+    ]
     return found
 
 
@@ -78,3 +96,10 @@ def _play(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term
 def _jump(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
     h = signals.gap(sensor)
     return [on_sensor(signals, sensor, jumping(h, shape[0], signals.Ts_s) - h)]
+
+
+def _stand(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
+    h = signals.gap(sensor)
+    if signals.standing is None:
+        return [on_sensor(signals, sensor, np.zeros_like(h))]
+    return [on_sensor(signals, sensor, held(h, signals.standing[:, sensor]) - h)]

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _BEFORE_S = 4.0
+_ELEMENTS = 20
+"""Of a spring that yields: as good as a curve."""
+_RADIANS = 0.15
+"""Of a resonance, in a step: it is off by a 24th of the square of that."""
 _STEP = 0.2
 """Of the break-away displacement: Bouc and Wen's equation is solved in steps no longer."""
 
@@ -102,6 +106,24 @@ def oscillator(force: Array, frequency_hz: float, damping: float, Ts_s: float) -
     a, b = c + damping * w * s, s
     step = np.array([a, b, -(w**2) * s, c - damping * w * s, (1 - a) / w**2, b])
     return np.asarray(_oscillator(np.ascontiguousarray(force), step, force[0] / w**2))
+
+
+def yielding(
+    q: Array, qd: Array, pull: Array, w: float, zeta: float, x_s: float, Ts_s: float
+) -> tuple[Array, Array]:
+    """Return shift x of a unit mass on a yielding spring, and what the spring takes of it (N,).
+
+    x'' + 2 zeta w x' + w^2 r = pull - q''; taken is w^2 r + 2 zeta w x'. The spring r(x) is Iwan's:
+    elements of one stiffness in parallel, which slip one after the other up to a shift of x_s; for
+    small shifts r is x, and it is never more than half of x_s. The mass begins at rest where the
+    spring carries the pull. Steps leap over each other, and are so short that the resonance is
+    off by a thousandth.
+    """
+    parts = max(math.ceil(w * Ts_s / _RADIANS), 1)
+    q, qd, pull = (np.ascontiguousarray(v) for v in (q, qd, pull))
+    slips = x_s * (np.arange(_ELEMENTS) + 0.5) / _ELEMENTS
+    shift, taken = _yielding(q, qd, pull, w, zeta, slips, Ts_s / parts, parts)
+    return np.asarray(shift), np.asarray(taken)
 
 
 def _before(x: Array, Ts_s: float) -> int:
@@ -203,6 +225,48 @@ def _slip(x, break_away):  # type: ignore[no-untyped-def]
         f = min(max(f + (x[k] - x[k - 1]) / break_away, -1.0), 1.0)
         out[k] = f
     return out
+
+
+@njit(cache=True, nogil=True)
+def _yielding(q, qd, pull, w, zeta, slips, dt_s, parts):  # type: ignore[no-untyped-def]
+    shift, taken, elements = np.empty_like(q), np.empty_like(q), np.empty_like(slips)
+    most = 2 * slips.mean()
+    carried = min(abs(pull[0]) / (w * w), 0.49 * most)
+    x = math.copysign(most * (1 - math.sqrt(1 - 2 * carried / most)), pull[0])
+    r = 0.0
+    for j in range(len(slips)):
+        elements[j] = min(max(x, -slips[j]), slips[j])
+        r += elements[j] / len(slips)
+    p, rate = q[0] + x, qd[0]
+    damp = zeta * w * dt_s
+    for k in range(len(q)):
+        later = min(k + 1, len(q) - 1)
+        for i in range(parts):
+            # The speed is that of half a step before and after, everything else that of now.
+            share = i / parts
+            carrier = qd[k] + share * (qd[later] - qd[k])
+            outer = pull[k] + share * (pull[later] - pull[k])
+            before = rate
+            rate = (1 - damp) * rate + dt_s * (outer - w * w * r) + 2 * damp * carrier
+            rate /= 1 + damp
+            if i == 0:
+                shift[k] = x
+                taken[k] = w * w * r + 2 * zeta * w * (0.5 * (before + rate) - carrier)
+            p += dt_s * rate
+            share = (i + 1) / parts
+            # A cubic through places and speeds: straight lines would have kinks to answer to.
+            rest = 1 - share
+            carried_by = rest * rest * ((1 + 2 * share) * q[k] + share * parts * dt_s * qd[k])
+            carried_by += (
+                share * share * ((1 + 2 * rest) * q[later] - rest * parts * dt_s * qd[later])
+            )
+            now = p - carried_by
+            r = 0.0
+            for j in range(len(slips)):
+                elements[j] = min(max(elements[j] + now - x, -slips[j]), slips[j])
+                r += elements[j] / len(slips)
+            x = now
+    return shift, taken
 
 
 @njit(cache=True, nogil=True)

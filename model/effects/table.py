@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from . import (
     beam,
+    bearing,
     coil_drift,
     coil_gain,
     coil_limits,
@@ -39,6 +40,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *mass.effects(places, covered),
         *beam.effects(places),
         *drives.effects(places, covered),
+        *bearing.effects(places, covered),
         *field.effects(places, covered),
         *rotor.effects(places),
         *coil_gain.effects(places),

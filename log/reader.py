@@ -90,6 +90,8 @@ class _Stream:
 
 def _mapped(path: Path) -> memoryview:
     try:
+        if path.is_dir():
+            raise LogError("expected a log, found a folder: give the logs in it, as FOLDER/*.mcap")
         if path.exists() and not path.is_file():
             raise LogError("expected a file, found something else")
         with path.open("rb") as file:

@@ -358,7 +358,7 @@ def test_schemas_and_files_that_cannot_be_read(tmp_path):
         read_bytes(tmp_path, b"levid: session\n")
     with pytest.raises(LogError, match=r"missing\.mcap: cannot be read: No such file"):
         read_log(tmp_path / "missing.mcap")
-    with pytest.raises(LogError, match="expected a file, found something else"):
+    with pytest.raises(LogError, match=r"found a folder: give the logs in it, as FOLDER/\*\.mcap"):
         read_log(tmp_path)
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(LogError, match="expected a file, found something else"):

@@ -20,9 +20,9 @@ as what they stand beside, since the data decide no further; a class that fits t
 is reported alone is wrong.
 
 A plant with an unlisted effect is right if nothing is *misnamed* (classes are reported none of
-which the case allows), if something `unknown` is reported that shares half or more of its places
-with the truth, if half or more of the signals that it names are those that the effect depends on,
-and if the error is at least halved.
+which the case allows, and the result does not say that its names are in doubt), if something
+`unknown` is reported that shares half or more of its places with the truth, if half or more of the
+signals that it names are those that the effect depends on, and if the error is at least halved.
 """
 
 from __future__ import annotations
@@ -159,6 +159,8 @@ def _score_unlisted(case: ZooCase, summary: Mapping[str, Any]) -> Score:
     reported = _reported(summary)
     allowed = {"unknown", *case.alike}
     wrong = [r for r in reported if not any(o.kind in allowed for o in r.options)]
+    if summary["unexplained"].get("doubtful"):
+        wrong = []
     unknown = [r for r in reported if r.options[0].kind in allowed]
     there = frozenset().union(*(r.options[0].where for r in unknown))
     signals = frozenset().union(*(r.signals for r in unknown))

@@ -117,6 +117,12 @@ def words(found: Trace) -> list[str]:
         f"{result.after:.3g} after; noise alone leaves {result.floor:.3g}",
         result.verdict,
     ]
+    if result.doubtful:
+        lines.append(
+            f"in doubt: the effects explain {100 * result.explained:.2g} % of what there was, and "
+            f"leave {result.after / result.floor:.2g} times the noise; they may stand for another "
+            "that no table has"
+        )
     for effect in result.effects:
         lines += _effect(effect)
     for force in result.shaken:

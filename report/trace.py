@@ -70,6 +70,14 @@ def _words(result: Outcome, views: Views) -> list[Text]:
         texts.append(
             Text(f"Given up, since others explain what it did: {listed(list(result.gone))}.")
         )
+    if result.doubtful:
+        texts.append(
+            Text(
+                f"All of this is in doubt: the effects explain {share_text(result.explained)} of "
+                "the squared error that there was to explain, and much is left. The best of a "
+                "table that lacks what is there takes something too; these may stand for it."
+            )
+        )
     if result.effects:
         texts.append(Text(_rest(result)))
     return texts

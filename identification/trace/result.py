@@ -28,6 +28,9 @@ METRIC = (
 NOISE_MOST = 1.15
 """Error over its floor up to which nothing is left: the floor itself is known to some percent."""
 SQUARE_MOST = 1.05
+_IN_DOUBT, _EXPLAINED = 2.0, 2.0 / 3.0
+"""Names are doubted where the error stays above this multiple of its floor, and they explain less
+than this share of the squares that there were to explain."""
 _NEXT_TO_NOTHING = 0.01
 _TOLD = 0.5
 """Of what was known before: a standard error above says that the records told nothing."""
@@ -134,6 +137,21 @@ class Outcome:
         return self.mean_square > SQUARE_MOST or not self.after <= NOISE_MOST * self.floor
 
     @property
+    def explained(self) -> float:
+        """Share of the squared error beyond the floor that the effects take; nan of nothing."""
+        there = self.before**2 - self.floor**2
+        return 1.0 - (self.after**2 - self.floor**2) / there if there > 0.0 else math.nan
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether named effects may stand for something else: much is left, and they took little.
+
+        The best of a table that lacks what is there takes something too, and far beyond chance.
+        """
+        named = any(not f.unknown for f in self.effects)
+        return named and self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED
+
+    @property
     def verdict(self) -> str:
         """What was found, in a sentence."""
         names = ", ".join(
@@ -141,7 +159,7 @@ class Outcome:
         )
         forms = ", ".join(f.effect.name for f in self.effects if f.unknown)
         if self.effects or self.shaken:
-            parts = [f"found: {names}"] if names else []
+            parts = [f"{'perhaps' if self.doubtful else 'found'}: {names}"] if names else []
             if forms:
                 parts.append(f"unexplained by any known effect, and described freely: {forms}")
             rest = "more than noise is left" if self.significant else "what is left is noise"
@@ -217,6 +235,7 @@ def summary(trace: Trace) -> dict[str, Any]:
             "unexplained": {
                 "found": found.verdict,
                 "significant": found.significant,
+                "doubtful": found.doubtful,
                 "mean_square": found.mean_square,
                 "per_dof": {
                     d.name: {"times_noise_floor": d.after / d.floor, "band_hz": list(d.band_hz)}

@@ -1,0 +1,44 @@
+"""What a result says of itself: when its names are in doubt."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from rig_effects import rig_places
+
+from levid.identification.trace.result import FoundEffect, Outcome
+from levid.model.effects.base import Placed
+from levid.model.effects.table import all_effects
+
+CUBIC = next(e for e in all_effects(rig_places()) if e.identity == "rod_stiffness.cubic@z")
+
+
+def result(before: float, after: float, *, named: bool = True) -> Outcome:
+    effects = (FoundEffect(Placed(CUBIC, (), (1.0,)), None),) if named else ()
+    return Outcome(effects, (), before, after, 1.0, (), after**2, 1.0, (), (), ())
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "doubtful"),
+    [
+        (20.0, 14.0, True),  # half is left: something else is there
+        (20.0, 5.0, False),  # much is left, of an effect that explains 94 %
+        (20.0, 1.0, False),
+        (2.5, 1.9, False),  # little is left, of whatever it was
+        (2.5, 2.4, True),
+        (20.0, 20.0, True),
+    ],
+)
+def test_names_that_explain_little_of_much_are_in_doubt(
+    before: float, after: float, doubtful: bool
+) -> None:
+    found = result(before, after)
+    assert found.doubtful is doubtful
+    assert found.verdict.startswith("perhaps: Cubic" if doubtful else "found: Cubic")
+
+
+def test_who_names_nothing_is_in_no_doubt() -> None:
+    assert not result(20.0, 19.0, named=False).doubtful
+    assert math.isnan(result(0.9, 1.0).explained)
+    assert not result(0.9, 1.0).doubtful

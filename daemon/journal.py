@@ -62,7 +62,7 @@ class Journal:
         while (text := self._lines.get()) is not None:
             # Past sys.stderr: whoever waits in there at the end of the process would hold it up.
             with contextlib.suppress(OSError):
-                data = f"{text}\n".encode()
+                data = f"{text}\n".encode(errors="backslashreplace")
                 while data:
                     data = data[os.write(_STDERR, data) :]
 
@@ -72,7 +72,7 @@ def entry(text: str, priority: int, fields: Mapping[str, str]) -> bytes:
     every = {"MESSAGE": text, "PRIORITY": str(priority), "SYSLOG_IDENTIFIER": "levid", **fields}
     parts = []
     for name, value in every.items():
-        data = value.encode()
+        data = value.encode(errors="backslashreplace")
         if b"\n" in data:
             parts.append(name.encode() + b"\n" + struct.pack("<Q", len(data)) + data + b"\n")
         elif data:

@@ -117,3 +117,16 @@ def test_stderr_that_takes_nothing_holds_nobody_up(stderr: str) -> None:
         os.close(reading)
     assert done.returncode == 0
     assert float(done.stdout) < 30.0  # it said them all, and did not wait for ever
+
+
+def test_what_is_no_text_is_said_all_the_same(
+    journal: tuple[socket.socket, Journal], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A client may ask for a folder whose name is none: whoever tells of it must not die of it."""
+    listening, speaking = journal
+    speaking.say("no folder \ud800")
+    assert fields_of(listening.recv(4096))["MESSAGE"] == "no folder \\ud800"
+    (tmp_path / "socket").unlink()
+    speaking.say("no folder \ud800")
+    speaking.close()
+    assert capfd.readouterr().err == "no folder \\ud800\n"

@@ -204,9 +204,11 @@ def _grown(
         found = replace(found, taken=taken)
         better = records.believed(_without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
-        # What shows in the drives alone leaves the platform's motion as it was.
-        aside = abs(after.squares - error.squares) < _SAME * error.squares
         helps = after.squares < (1.0 - _LOWERS) * error.squares
+        # What shows in the drives alone leaves the platform's motion as it was, but for parameters
+        # that are fitted anew.
+        aside = _internal(taken.effect) and after.squares < (1.0 + _LOWERS) * error.squares
+        aside = aside or abs(after.squares - error.squares) < _SAME * error.squares
         agrees = taken.chance > (_BEYOND_CHANCE if taken.held else _ALONE)
         if agrees and squares < train.squares and (helps or aside):
             point, error = better, after

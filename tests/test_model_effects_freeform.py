@@ -15,6 +15,7 @@ from levid.model.effects.freeform import (
     DEGREE,
     Form,
     _shapes,
+    depends_on,
     freeform_effect,
     freeform_effects,
 )
@@ -44,7 +45,8 @@ def test_key_and_place_say_all_that_there_is_to_know():
         again = freeform_effect(rig_places(), effect.key, effect.where)
         assert again is not None
         assert again.identity == effect.identity
-        for ours, theirs in zip(effect.build(moving(), ()), again.build(moving(), ()), strict=True):
+        shape, s = effect.grid[0], moving()
+        for ours, theirs in zip(effect.build(s, shape), again.build(s, shape), strict=True):
             np.testing.assert_array_equal(acts(ours), acts(theirs))
 
 
@@ -58,7 +60,7 @@ def test_each_acts_at_its_place_alone():
     for effect in effects():
         kind, _, number = effect.where[0].partition(":")
         own = int(number) if kind == "sensor" else rig_places().dof.index(kind)
-        for term in effect.build(moving(), ()):
+        for term in effect.build(moving(), effect.grid[0]):
             assert (term.gap is not None) == (kind == "sensor")
             assert not np.any(np.delete(acts(term), own, axis=1))
 
@@ -87,3 +89,33 @@ def test_nonsense_is_no_effect():
         assert freeform_effect(rig_places(), key, ("theta",)) is None
     for nowhere in (("beam",), ("sensor:9",), ("psi", "z"), ()):
         assert freeform_effect(rig_places(), "unknown.x_b[0.1]", nowhere) is None
+
+
+def test_answer_is_what_a_mass_on_a_spring_gives_back():
+    """But for what a model has already: mass, damping and stiffness between the two DOF."""
+    Ts_s, rows, w, zeta, m = 1e-3, 8000, 2 * np.pi * 14.0, 0.05, 0.2
+    t = np.arange(rows) * Ts_s
+    f_hz = np.array([3.0, 7.0, 11.0, 13.5, 15.0, 22.0])[:, None]
+    s = 2j * np.pi * f_hz
+    waves = np.exp(s * t) * np.exp(1j * np.arange(6))[:, None]
+    h, rate, twice = ((1e-4 * s**k * waves).sum(axis=0).imag for k in range(3))
+    # From the transfer function of a mass on a spring and a damper, not from any simulation.
+    gives = -m * s**2 * (w**2 + 2 * zeta * w * s) / (s**2 + 2 * zeta * w * s + w**2)
+    force = (1e-4 * gives * waves).sum(axis=0).imag
+    q = np.stack([h, 0 * h, 0 * h], axis=1)
+    signals = replace(moving(), Ts_s=Ts_s, time_s=t, q=q)
+    effect = freeform_effect(rig_places(), "unknown.answer.psi", ("z",))
+    assert effect is not None
+    assert depends_on(effect) == ("psi",)
+    settled = slice(4000, None)  # exp(-zeta w 4 s) is 2e-8
+
+    def left(frequency_hz: float) -> float:
+        terms = effect.build(signals, (frequency_hz, zeta))
+        columns = np.stack([h, rate, twice, *(term.force[:, 2] for term in terms)], axis=1)
+        columns /= np.linalg.norm(columns, axis=0)
+        best, *_ = np.linalg.lstsq(columns[settled], force[settled])
+        return float(np.std((force - columns @ best)[settled]) / np.std(force[settled]))
+
+    # Inputs straight between rows leave (w Ts)^2 / 12 of an answer five to ten times the motion.
+    assert left(14.0) < 0.01
+    assert left(20.0) > 0.2

@@ -229,10 +229,11 @@ def _grown(
 
 def _without_guesses(point: WorkingPoint, records: Records) -> WorkingPoint:
     """Return the point without named effects that free-form forces make all but idle."""
-    named = [p for p in point.placed if p.effect.effect_class != "unknown"]
+    named = [p.effect.identity for p in point.placed if p.effect.effect_class != "unknown"]
     best = gather(point, records.train(point))
     for guess in named:
-        fewer = replace(point, placed=tuple(p for p in point.placed if p is not guess))
+        others = tuple(p for p in point.placed if p.effect.identity != guess)
+        fewer = replace(point, placed=others)
         fewer, squares = refine(fewer, records)
         if squares - best.squares < max(_GUESS * best.excess, _LEAST):
             point, best = fewer, gather(fewer, records.train(fewer))

@@ -26,7 +26,7 @@ _MODES_HZ = (25.0, 45.0, 80.0, 140.0, 280.0)
 _HIGHER_HZ = (45.0, 110.0, 280.0)
 _HIGHER = ("wave_x", "wave_y", "egg_box")
 """Patterns that bend first in hardly any plate."""
-_LOOSE_HZ = (20.0, 80.0)
+_LOOSE_HZ = (15.0, 30.0, 60.0)
 _DAMPING = 0.08
 """Broad enough that a resonance between two frequencies of the grid is seen from both."""
 

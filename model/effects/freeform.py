@@ -1,8 +1,9 @@
 """A residual that no known effect explains, as a smooth function of what it depends on.
 
-Each is a force on one DOF or a false reading of one sensor: a function of one signal, or one signal
-times a function of another. They name nothing. They say where something acts, on what it depends
-and how it looks, and leave a model that is better after than before.
+Each is a force on one DOF or a false reading of one sensor: a function of one signal, one signal
+times a function of another, or what answers a motion later. They name nothing. They say where
+something acts, on what it depends and how it looks, and leave a model that is better after than
+before.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from .answers import answer, answered, answers
 from .base import Effect, Places, Quantity, Signals, Term, on_dof, on_sensor
 from .extent import Extent
 
@@ -109,15 +111,17 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
         # What a reading depends on beside the height under it: what passes by, and what turns.
         for form in (Form("x_b", _scale(places, extent, "x_b")), Form(_TURN, 1.0)):
             found += [_effect(places, f"sensor:{s}", form) for s in range(places.sensors)]
-    return found
+    return found + answers(places)
 
 
 def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the free form that a model file names by key and place; None if it is none."""
     form = Form.of(key)
+    if form is None:
+        return answer(places, key, where)
     known = _signals(places)
     sites = [*places.dof, *(f"sensor:{s}" for s in range(places.sensors))]
-    if form is None or len(where) != 1 or where[0] not in sites:
+    if len(where) != 1 or where[0] not in sites:
         return None
     if form.by not in known or (form.factor and form.factor not in known):
         return None
@@ -128,7 +132,8 @@ def depends_on(effect: Effect) -> tuple[str, ...]:
     """Return the signals that a free form depends on: x_b, theta, theta' for its rate."""
     form = Form.of(effect.key)
     if form is None:
-        return ()
+        motion = answered(effect)
+        return () if motion is None else (motion,)
     words = [word for word in (form.factor, form.by) if word]
     return tuple("phi'" if w == "phi_speed" else w.replace("_rate", "'") for w in words)
 

@@ -129,7 +129,7 @@ def test_effects_go_to_other_processes_and_give_the_same_there(places_of):
 def test_columns_to_screen_stay_few():
     # What the drives' force is screened with is no column of the platform's filter. A line at a
     # frequency is 3 forces, the floor, 9 readings and a common one, a cosine and a sine each: 28.
-    # Sensors that stand are asked only where readings do.
+    # Sensors that stand are asked only where readings do. 437 take as long as 430 did.
     s, count = moving(), 0
     usual = replace(Extent.typical(s.places), tones_hz=(), standing=())
     for effect in all_effects(s.places, usual):
@@ -490,7 +490,9 @@ def test_beam_that_is_sped_up_shifts_along_its_rails_alone():
     frequency, height = 30.0, 0.06
     shape = (frequency, 0.1, 1e3, height)
     along = term("friction.bearing@beam+theta", shape, s).force[:, 1]
-    # Its weight hangs by the shift a_b / w^2 beside the place that the drives see.
+    # Its weight hangs by the shift a_b / w^2 beside the place that the drives see. It begins on
+    # Iwan's curve, which its elements follow in steps: off by a_b / (h w^2) / (2 x_s) of the pull,
+    # which is 1e-4 of this.
     np.testing.assert_allclose(
         along, 9.81 / height * 2.0 / height / (2 * np.pi * frequency) ** 2, rtol=1e-3
     )

@@ -22,7 +22,7 @@ from ..data import IdentificationError
 from ..greybox.experiment import Experiment
 from ..greybox.noise import Noise
 from .record import TraceRecord
-from .standing import white_noise
+from .white_noise import white_noise
 
 Array = NDArray[np.float64]
 

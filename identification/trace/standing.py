@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from .white_noise import white_noise
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -21,10 +23,6 @@ _MOVES = 20.0
 """Range of what the other sensors say of that place, likewise."""
 _TURNING = 200
 """Rows between two stands at one height that are one: the platform turned back in between."""
-_MEDIAN_OF_CHI2 = np.log(2.0)
-"""Median over mean of a periodogram's value."""
-_QUIET_FROM = 0.5
-"""Sensor noise is read above this share of the Nyquist frequency."""
 
 
 def standing(readings: Array, shape: Array) -> Mask | None:
@@ -50,17 +48,6 @@ def standing(readings: Array, shape: Array) -> Mask | None:
         _join(stands[:, s], readings[:, s], sd[s])
         _confirm(stands[:, s], s, readings, shape, sd[s])
     return stands if stands.any() else None
-
-
-def white_noise(readings: Array) -> Array:
-    """Return the standard deviation (S,) of the white noise of readings (N, S).
-
-    By medians over frequencies that a platform cannot follow.
-    """
-    window = np.hanning(len(readings))[:, None]
-    power = np.abs(np.fft.rfft(readings * window, axis=0)) ** 2 / np.sum(window**2)
-    quiet = power[round(_QUIET_FROM * len(power)) :]
-    return np.asarray(np.sqrt(np.median(quiet, axis=0) / _MEDIAN_OF_CHI2))
 
 
 def _range(values: Array, rows: int) -> Array:

@@ -78,8 +78,6 @@ _PROMISED: dict[str, float] = {
     "frozen 7": math.inf,
     "push 60": math.inf,
     "push -60": math.inf,
-    # service.supervisor_s, and a landing is no longer waited for.
-    "supervisor stopped": _SOON + 1.0 * RATE_HZ,
 }
 """Periods of force at the device, if other than _SOON."""
 

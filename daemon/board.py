@@ -52,6 +52,7 @@ class Word(IntEnum):
     RECORDER_BEAT = auto()
     DROPPED = auto()  # rows that should be in a log and are not
     WRITING = auto()  # tag of the log that is being written
+    SUPERVISOR_STOPPED = auto()  # 1: the supervisor is stopped by a signal
     FAULTS_SEEN = auto()  # rows that were looked through for faults, what was found being on disk
 
 

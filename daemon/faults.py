@@ -100,7 +100,7 @@ FAULTS: dict[Fault, FaultText] = {
         "why; whoever stopped it knows",
     ),
     Fault.SUPERVISOR: FaultText(
-        "the supervisor died, hung, or left the loop without its plan (service.supervisor_s)",
+        "the supervisor died, hung, was stopped or left the loop without its plan (supervisor_s)",
         "load and memory of the machine, the journal",
         "levid clear; a dead supervisor takes the loop along, and is started anew",
     ),

@@ -43,12 +43,13 @@ _FOREVER = 1 << 62
 # Indexing by an IntEnum costs a call; by a plain integer it does not.
 (
     _BEAT, _LAND, _ZERO, _CLEAR, _END, _CYCLE, _STALE, _ROWS_HEAD, _ROWS_TAIL,
-    _QUEUE_HEAD, _QUEUE_TAIL, _LATE,
+    _QUEUE_HEAD, _QUEUE_TAIL, _LATE, _STOPPED,
 ) = (
     int(word)
     for word in (
         Word.BEAT, Word.LAND, Word.ZERO, Word.CLEAR, Word.END, Word.CYCLE, Word.STALE,
         Word.ROWS_HEAD, Word.ROWS_TAIL, Word.QUEUE_HEAD, Word.QUEUE_TAIL, Word.LATE,
+        Word.SUPERVISOR_STOPPED,
     )
 )  # fmt: skip
 
@@ -167,16 +168,7 @@ class TimedLoop:
     def _look(self, periods: int) -> None:
         """Notice what others want, and whether the supervisor is there to want anything."""
         words = self._words
-        beat = words[_BEAT]
-        if beat != self._beat:
-            self._beat, self._silent = beat, 0
-        else:
-            self._silent += periods
-            if self._silent > self._most_silent:
-                self._abandoned("it gave no sign of life")
-        if os.getppid() != self._parent and not self._orphan:
-            self._orphan = True
-            self._abandoned("it is dead")
+        self._look_after_supervisor(periods)
         if words[_ZERO] and not self._fault:
             self._fail(Fault(words[_ZERO]), None)  # who asks has said why
         if words[_LAND] != self._land_seen:
@@ -196,6 +188,21 @@ class TimedLoop:
             self._ended = self._tagged_left == _FOREVER
             if self._ended and words[Word.PLAN]:
                 self._end_plan()
+
+    def _look_after_supervisor(self, periods: int) -> None:
+        words = self._words
+        beat = words[_BEAT]
+        if beat != self._beat:
+            self._beat, self._silent = beat, 0
+        else:
+            self._silent += periods
+            if self._silent > self._most_silent:
+                self._abandoned("it gave no sign of life")
+        if words[_STOPPED]:
+            self._abandoned("it is stopped")
+        if os.getppid() != self._parent and not self._orphan:
+            self._orphan = True
+            self._abandoned("it is dead")
 
     # What row of which arrays the next cycle flies; one of these is `_advance`.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ from scripted_loop import LIFT, ScriptedLoop
 
 from levid.daemon.board import Word
 from levid.daemon.faults import Fault
+from levid.daemon.parent_watch import is_stopped
 from levid.daemon.states import State
 from levid.daemon.supervisor import Supervisor
 from levid.drivers.base import Devices, StaleError
@@ -34,6 +36,31 @@ def test_clear_does_not_take_back_a_stop_that_nobody_has_looked_at() -> None:
     assert flight.forces == 0.0
     assert flight.board.state is not State.LEVITATING
     assert not flight.board[Word.ZERO]  # and it is cleared: the next flight is not stopped by it
+
+
+def test_stopped_supervisor_is_zero_force_in_the_cycle_that_is_told() -> None:
+    flight = ScriptedLoop(supervisor_s=1.0)
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": {**LIFT, "settle_s": 2.0}})
+        if n == 1500:
+            assert flight.board.state is State.LEVITATING
+            flight.silent = True
+            flight.board[Word.SUPERVISOR_STOPPED] = 1
+
+    flight.run(script, 1500)
+    assert flight.forces == 0.0
+    assert flight.board.fault is Fault.SUPERVISOR
+
+
+def test_process_is_stopped_whatever_its_name() -> None:
+    assert is_stopped(b"7 (levid) T 1 7 7")
+    assert is_stopped(b"7 (a) S (b) T 1 7 7")
+    for state in (b"S", b"R", b"D", b"t"):
+        assert not is_stopped(b"7 (T) T) " + state + b" 1 7 7")
+    assert not is_stopped(b"")
+    assert not is_stopped(Path("/proc/self/stat").read_bytes())
 
 
 @pytest.mark.parametrize("silence", ["in flight, and a stop as it lands", "as it lands"])

@@ -402,10 +402,11 @@ def test_stopped_supervisor_is_noticed_and_can_go_on(
     process, running = alone
     running.ask("levitate", levitate={"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.1})
     process.send_signal(signal.SIGSTOP)
-    time.sleep(3.0)  # the loop gives it 2 s
+    time.sleep(1.5)  # one that is silent is given 2 s
     process.send_signal(signal.SIGCONT)
     status = running.until(lambda s: s["fault"] != "NONE")
     assert status["fault"] == "SUPERVISOR"
+    assert status["detail"] == "it is stopped"
     assert running.ask("clear")["cleared"] == "SUPERVISOR"
 
 

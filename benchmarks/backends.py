@@ -1,8 +1,7 @@
-"""Cost of a cycle on each backend, its parts, and how punctual 1 kHz on it is.
+"""Cost of a cycle on each backend, its parts, how punctual 1 kHz on it is, and what flights give.
 
-`late` compares whole loops with an empty timed one, in turns in the same run: the share of cycles
-that are late by a period, and the upper end of the 95 % interval of the ratio. Sessions flown in
-real time are identified and compared with loopback's: see _bus_flights.
+How punctual it is: _bus_lateness; sessions that are flown in real time, identified and compared
+with loopback's: _bus_flights.
 """
 
 from __future__ import annotations
@@ -11,55 +10,39 @@ import multiprocessing
 import os
 import pty
 import select
-import subprocess
-import sys
 import tempfile
 import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
 
-import _real_time
 import _table
 import cantools
 import numpy as np
 import serial
 from _bus_flights import flight_figures
-from _shares import ratio_95
+from _bus_lateness import lateness_figures
+from _bus_rigs import (
+    IN_ONE_PROCESS,
+    RATE_HZ,
+    TIMED,
+    VIRTUAL,
+    cycle_of,
+    electronics_of,
+    rig_on,
+    rig_text,
+)
 from _table import Figure
 
-from levid.config.base import parse_text
-from levid.config.rig import RigConfig
-from levid.config.service import Realtime
 from levid.config.shipped import shipped
-from levid.daemon.clock import RealClock
-from levid.daemon.realtime import be_punctual
-from levid.drivers.base import Context, Devices
+from levid.drivers.base import Context
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.rig import Electronics
 from levid.wire.can_frames import load_frames
 from levid.wire.serial_frames import Contents, SerialFrames
 from levid.wire.stream import FrameStream
 
-RATE_HZ = 1000.0
-UDP = ("udp_multicast", "239.74.163.17")
 DBC = shipped("levid.dbc")
-HEAD = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
-CAN = "{backend: can, bus: main"
-SERIAL = "{backend: serial, bus: main"
-BUSES = {
-    "can": (  # two buses: one classic one does not carry 1 kHz
-        "can: {main: {interface: INTERFACE, channel: CHANNEL, stale_cycles: 1000}, "
-        "motion: {interface: INTERFACE, channel: CHANNEL-2, stale_cycles: 1000}}",
-        CAN,
-    ),
-    "canfd": (
-        "can: {main: {interface: INTERFACE, channel: CHANNEL, data_bitrate: 5000000, "
-        "stale_cycles: 1000}}",
-        CAN,
-    ),
-    "serial": ("serial: {main: {port: FOLDER/port, baud: 3000000, stale_cycles: 1000}}", SERIAL),
-}
 
 
 def measure(quick: bool) -> list[Figure]:
@@ -68,15 +51,8 @@ def measure(quick: bool) -> list[Figure]:
         *codec_figures(n),
         *serial_figures(300 if quick else 3_000),
         *cycle_figures(500 if quick else 5_000),
-        *late_figures(2.0 if quick else 10.0, 2 if quick else 6),
-        *flight_figures(
-            {
-                name: rig_text(name, Path(tempfile.gettempdir()) / "levid-flights", *UDP)
-                for name in ("loopback", "canfd", "serial")
-            },
-            _electronics,
-            4.0 if quick else 20.0,
-        ),
+        *lateness_figures(2.0 if quick else 10.0, 2 if quick else 12),
+        *flown_figures(4.0 if quick else 20.0),
     ]
 
 
@@ -210,10 +186,10 @@ def serial_figures(n: int) -> list[Figure]:
 def cycle_figures(n: int) -> list[Figure]:
     """Sync, all reads and writes of the three roles; electronics in a thread of this process."""
     figures = []
-    for name in ("loopback", *BUSES):
+    for name in ("loopback", *IN_ONE_PROCESS):
         with tempfile.TemporaryDirectory() as folder:
-            rig = rig_on(name, Path(folder), "virtual", "bench")
-            electronics = Electronics(rig, Path(folder)) if name in BUSES else None
+            rig = rig_on(name, Path(folder), VIRTUAL)
+            electronics = Electronics(rig, Path(folder)) if name in IN_ONE_PROCESS else None
             if electronics is not None:
                 electronics.__enter__()
             devices = open_devices(Context(rig, 1 / RATE_HZ, Path(folder)))
@@ -231,157 +207,11 @@ def cycle_figures(n: int) -> list[Figure]:
     return figures
 
 
-def late_figures(seconds: float, rounds: int) -> list[Figure]:
-    """Timed loops at 1 kHz in turns: empty, CAN FD on udp_multicast, serial on a pty.
-
-    Loops and electronics run at real-time priority where that may be had, the empty one too.
-    """
-    late = {"empty": 0, "canfd": 0, "serial": 0}
-    cycles = dict.fromkeys(late, 0)
-    stale = dict.fromkeys(late, 0)
-    with tempfile.TemporaryDirectory() as text:
-        folder = Path(text)
-        started = []
-        devices: dict[str, Devices] = {}
-        try:
-            for name in ("canfd", "serial"):
-                rig = rig_on(name, folder, *UDP)
-                path = folder / f"{name}.yaml"
-                path.write_text(rig_text(name, folder, *UDP))
-                started.append(_electronics(path))
-                devices[name] = _opened(rig, folder)
-                _real_time.hurry(_real_time.ELECTRONICS, started[-1].pid)
-            _real_time.hurry(_real_time.LOOP)
-            loops: dict[str, Callable[[int], None]] = {"empty": lambda _: None}
-            loops |= {name: cycle_of(found) for name, found in devices.items()}
-            begin = 0
-            for _ in range(rounds):
-                for name, loop in loops.items():
-                    before = devices[name].stale if name in devices else 0
-                    n, missed = _timed(loop, seconds, begin)
-                    begin += n + missed + 1000
-                    cycles[name] += n
-                    late[name] += missed
-                    if name in devices:
-                        stale[name] += devices[name].stale - before
-        finally:
-            _real_time.relax()
-            for found in devices.values():
-                found.close()
-            for process in started:
-                process.terminate()
-                process.wait()
-    figures = [
-        Figure(
-            "empty_late_share",
-            late["empty"] / cycles["empty"],
-            "",
-            f"empty loop at 1 kHz, {cycles['empty']} cycles: late share",
-        )
-    ]
-    for name in ("canfd", "serial"):
-        figures += [
-            Figure(
-                f"{name}_late_share",
-                late[name] / cycles[name],
-                "",
-                f"{name}: late share",
-                "empty_late_share" if late["empty"] else None,
-            ),
-            Figure(
-                f"{name}_late_ratio_95",
-                ratio_95(late[name], cycles[name], late["empty"], cycles["empty"])[1],
-                "",
-                f"{name}: ratio of late shares, 95 % bound",
-            ),
-            Figure(
-                f"{name}_stale_share", stale[name] / cycles[name], "", f"{name}: stale readings"
-            ),
-        ]
-    return figures
-
-
-def rig_text(name: str, folder: Path, interface: str, channel: str) -> str:
-    """Return the text of the shipped rig with every role on this backend."""
-    if name == "loopback":
-        return f"""{HEAD}
-amplifiers: {{backend: loopback}}
-sensors: {{backend: loopback}}
-drives: {{backend: loopback}}
-sim: {shipped("sims/nominal.yaml")}
-"""
-    buses, role = BUSES[name]
-    if interface == "udp_multicast":
-        # Its own: a kernel hands frames of any group to all sockets of a port.
-        port = 20_000 + os.getpid() % 20_000
-        buses = buses.replace("CHANNEL", f"CHANNEL, options: {{port: {port}}}")
-    buses = buses.replace("INTERFACE", interface).replace("CHANNEL", channel)
-    every = ", every: 4, expire_s: 60" if name != "serial" else ""
-    other = role.replace("main", "motion") if name == "can" else role
-    return f"""{HEAD}
-{buses.replace("FOLDER", str(folder))}
-amplifiers: {role}, expire_cycles: 1000}}
-sensors: {other}}}
-drives: {other}{every}}}
-sim: {shipped("sims/nominal.yaml")}
-"""
-
-
-def rig_on(name: str, folder: Path, interface: str, channel: str) -> RigConfig:
-    """Return that rig."""
-    return parse_text(rig_text(name, folder, interface, channel), RigConfig, name)
-
-
-def cycle_of(devices: Devices) -> Callable[[int], None]:
-    """Return what the loop does with devices in a cycle, at zero force."""
-    gap, force, zero = np.zeros(9), np.zeros(9), np.zeros(9)
-    beam, rotor, still = np.zeros(3), np.zeros(3), np.zeros(3)
-
-    def cycle(k: int) -> None:
-        for sync in devices.syncs:
-            sync(k)
-        devices.sensors.read(gap)
-        devices.drives.read(beam, rotor)
-        devices.amplifiers.read(force)
-        devices.amplifiers.write(zero)
-        devices.drives.write(still, still)
-
-    return cycle
-
-
-def _timed(loop: Callable[[int], None], seconds: float, begin: int) -> tuple[int, int]:
-    """Run `loop` at 1 kHz; return cycles run and how many of them were late by a period."""
-    be_punctual(Realtime(priority=0, lock_memory=False, cpu_latency_us=None))
-    clock = RealClock(1 / RATE_HZ)
-    clock.start()
-    cycle, late = begin, 0
-    n = int(seconds * RATE_HZ)
-    for _ in range(n):
-        clock.wait()
-        cycle += 1 + clock.skipped
-        late += clock.skipped > 0
-        loop(cycle)
-    return n, late
-
-
-def _electronics(rig_file: Path) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "levid.cli.main", "electronics", str(rig_file)],
-        stdin=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-
-
-def _opened(rig: RigConfig, folder: Path) -> Devices:
-    """Open devices once their electronics, which are just being started, answer."""
-    give_up_s = time.monotonic() + 30.0
-    while True:
-        try:
-            return open_devices(Context(rig, 1 / RATE_HZ, folder))
-        except Exception:
-            if time.monotonic() > give_up_s:
-                raise
-            time.sleep(0.2)
+def flown_figures(seconds: float) -> list[Figure]:
+    """Sessions flown in real time over CAN FD, by both ways, and serial, against loopback's P."""
+    with tempfile.TemporaryDirectory() as folder:
+        rigs = {name: rig_text(name, Path(folder)) for name in ("loopback", *TIMED)}
+        return flight_figures(rigs, electronics_of, seconds)
 
 
 def _in_turns(contenders: dict[str, Callable[[], object]], n: int) -> dict[str, float]:

@@ -113,6 +113,11 @@ can:
   main: {interface: virtual, channel: CHANNEL, bitrate: 1000000, data_bitrate: 5000000,
          stale_cycles: 2}
 """,
+    "canlocal": """
+can:
+  main: {interface: levid_local, channel: FOLDER/bus, bitrate: 1000000, data_bitrate: 5000000,
+         stale_cycles: 2}
+""",
     "serial": """
 serial:
   main: {port: FOLDER/port, baud: 3000000, stale_cycles: 2}

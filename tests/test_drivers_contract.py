@@ -16,7 +16,7 @@ from levid.drivers.base import Context, Devices
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.rig import Electronics
 
-BACKENDS = ["loopback", "can", "canfd", "serial"]
+BACKENDS = ["loopback", "can", "canfd", "canlocal", "serial"]
 RATE_HZ = 100.0
 # A reading is rounded to 31 nm on the wire and in the converter, a force to 1 mN, which moves the
 # platform by 1 mN / (2600 N/m) = 0.4 um at most per coil that is off by half of it.

@@ -11,6 +11,7 @@ import contextlib
 import select
 import socket
 import struct
+from pathlib import Path
 from time import time
 from typing import Any, NamedTuple, Protocol
 
@@ -19,7 +20,8 @@ from ..config.buses import CanBus
 _CAN_ERR_BUSOFF = 0x40
 _NOT_PLAIN = 0xE000_0000
 _ERROR = 0x2000_0000
-_FD_FRAME = 72
+FRAME_BYTES = 72
+"""Of the longest frame, as the kernel lays it out."""
 _FULL_S = 0.001
 _SENDS_BY = {"slcan", "udp_multicast"}
 """Interfaces that take a time by which a frame is to be on its way. Others ignore it, or wait for
@@ -72,6 +74,10 @@ class FrameBus(Protocol):
 
 def open_bus(config: CanBus) -> FrameBus:
     """Open the bus that a rig names; raises whatever the interface raises."""
+    if config.interface == "levid_local":
+        from .local_bus import LocalFrames
+
+        return LocalFrames(Path(str(config.channel)), config.fd)
     import can
 
     more: dict[str, Any] = dict(config.options)
@@ -90,6 +96,24 @@ def open_bus(config: CanBus) -> FrameBus:
         return _KernelBus(bus, bus.socket)
     timeout_s = _SEND_S if config.interface in _SENDS_BY else None
     return _MessageBus(bus, can.Message, timeout_s)
+
+
+def packed(can_id: int, data: bytes) -> bytes:
+    """Return a frame as the kernel lays it out: CAN FD with bit rate switch beyond 8 bytes."""
+    length = len(data)
+    if length > 8:
+        return _FD.pack(can_id, length, _BRS, data)
+    return _CLASSIC.pack(can_id, length, 0, data)
+
+
+def unpacked(raw: bytes, stamp_s: float) -> Frame:
+    """Return what the kernel, or another process, laid out; raises BusOffError."""
+    can_id, length, _ = _HEAD.unpack_from(raw)
+    if can_id & _NOT_PLAIN:
+        if can_id & _ERROR and can_id & _CAN_ERR_BUSOFF:
+            raise BusOffError
+        return OTHER
+    return Frame(can_id, raw[8 : 8 + length], stamp_s)
 
 
 class _MessageBus:
@@ -136,11 +160,7 @@ class _KernelBus:
         self._waiting = [raw]
 
     def send(self, can_id: int, data: bytes) -> None:
-        length = len(data)
-        if length > 8:
-            frame = _FD.pack(can_id, length, _BRS, data)
-        else:
-            frame = _CLASSIC.pack(can_id, length, 0, data)
+        frame = packed(can_id, data)
         try:
             self._socket.send(frame, socket.MSG_DONTWAIT)
         except BlockingIOError:  # the queue is full, and may stay so: nobody acknowledges, say
@@ -149,18 +169,13 @@ class _KernelBus:
 
     def receive(self, wait_s: float) -> Frame | None:
         try:  # mostly it is there already, and need not be waited for
-            raw, extra, _, _ = self._socket.recvmsg(_FD_FRAME, _ANCILLARY, socket.MSG_DONTWAIT)
+            raw, extra, _, _ = self._socket.recvmsg(FRAME_BYTES, _ANCILLARY, socket.MSG_DONTWAIT)
         except BlockingIOError:
             if wait_s <= 0.0 or not select.select(self._waiting, (), (), wait_s)[0]:
                 return None
-            raw, extra, _, _ = self._socket.recvmsg(_FD_FRAME, _ANCILLARY)
-        can_id, length, _ = _HEAD.unpack_from(raw)
-        if can_id & _NOT_PLAIN:
-            if can_id & _ERROR and can_id & _CAN_ERR_BUSOFF:
-                raise BusOffError
-            return OTHER
+            raw, extra, _, _ = self._socket.recvmsg(FRAME_BYTES, _ANCILLARY)
         seconds, nanoseconds = _TIMESPEC.unpack(extra[0][2]) if extra else (0, 0)
-        return Frame(can_id, raw[8 : 8 + length], seconds + 1e-9 * nanoseconds)
+        return unpacked(raw, seconds + 1e-9 * nanoseconds)
 
     def shutdown(self) -> None:
         with contextlib.suppress(Exception):

@@ -1,0 +1,140 @@
+"""A bus between processes of one host: everybody hears everybody else, whoever comes or goes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import can
+import pytest
+
+from levid.wire.local_bus import LocalBus, LocalFrames
+
+WAIT_S = 30.0
+CHILD = """
+import sys
+from pathlib import Path
+from levid.wire.local_bus import LocalFrames
+bus = LocalFrames(Path(sys.argv[1]), True)
+bus.send(0x7F, b"here")
+print("on", flush=True)
+while True:
+    bus.receive(1.0)
+"""
+
+
+def joined(folder: Path, n: int) -> list[LocalFrames]:
+    """Return so many that have noticed each other."""
+    buses = [LocalFrames(folder, True) for _ in range(n)]
+    for _ in buses:
+        for bus in buses:
+            bus.receive(0.001)
+    return buses
+
+
+def heard(bus: LocalFrames) -> tuple[int, bytes]:
+    """Return the next frame; who comes and goes is none."""
+    while True:
+        frame = bus.receive(WAIT_S)
+        assert frame is not None
+        if frame.can_id >= 0:
+            return frame.can_id, frame.data
+
+
+def test_all_others_hear_a_frame_and_who_sends_does_not(tmp_path: Path) -> None:
+    buses = joined(tmp_path / "bus", 3)
+    for n, bus in enumerate(buses):
+        bus.send(0x100 + n, bytes(20))
+        for other in buses:
+            if other is not bus:
+                assert heard(other) == (0x100 + n, bytes(20))
+    for bus in buses:
+        assert bus.receive(0.0) is None
+        bus.shutdown()
+    assert list((tmp_path / "bus").iterdir()) == []
+
+
+def test_many_that_join_at_once_are_on_one_bus(tmp_path: Path) -> None:
+    buses: list[LocalFrames] = []
+    threads = [
+        threading.Thread(target=lambda: buses.append(LocalFrames(tmp_path, True))) for _ in range(8)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for bus in buses:
+        bus.receive(0.001)  # lets in who came
+    for _ in buses:
+        for bus in buses:
+            bus.receive(0.001)
+    buses[0].send(0x123, b"once")
+    for bus in buses[1:]:
+        assert heard(bus) == (0x123, b"once")
+        assert bus.receive(0.0) is None
+    for bus in buses:
+        bus.shutdown()
+
+
+def test_who_was_killed_leaves_nothing_that_the_next_stumbles_over(tmp_path: Path) -> None:
+    ours = LocalFrames(tmp_path, True)
+    for _ in range(2):
+        child = subprocess.Popen(
+            [sys.executable, "-c", CHILD, str(tmp_path)], stdout=subprocess.PIPE, text=True
+        )
+        assert child.stdout is not None
+        assert child.stdout.readline() == "on\n"
+        assert heard(ours) == (0x7F, b"here")
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait()
+        ours.send(0x001, b"to nobody")
+    assert ours.receive(0.001) is None
+    assert len(list(tmp_path.iterdir())) == 2  # ours, and what the last one left
+    ours.shutdown()
+
+
+def test_who_does_not_read_delays_nobody(tmp_path: Path) -> None:
+    sender, deaf, other = joined(tmp_path, 3)
+    for n in range(5000):
+        sender.send(0x200, n.to_bytes(2, "little"))
+        assert heard(other) == (0x200, n.to_bytes(2, "little"))
+    assert heard(deaf) == (0x200, bytes(2))  # the first ones are there, the rest is lost
+    for bus in (sender, deaf, other):
+        bus.shutdown()
+
+
+def test_classic_bus_does_not_hear_can_fd(tmp_path: Path) -> None:
+    classic, fd = LocalFrames(tmp_path, False), LocalFrames(tmp_path, True)
+    classic.receive(0.001)
+    fd.send(0x010, bytes(20))
+    fd.send(0x011, bytes(8))
+    assert heard(classic) == (0x011, bytes(8))
+    for bus in (classic, fd):
+        bus.shutdown()
+
+
+def test_tools_of_python_can_are_on_the_same_bus(tmp_path: Path) -> None:
+    frames = LocalFrames(tmp_path, True)
+    with can.Bus(interface="levid_local", channel=str(tmp_path), fd=True) as bus:
+        assert isinstance(bus, LocalBus)
+        frames.receive(0.001)
+        frames.send(0x123, bytes(range(20)))
+        message = bus.recv(WAIT_S)
+        assert message is not None
+        assert (message.arbitration_id, bytes(message.data)) == (0x123, bytes(range(20)))
+        assert message.is_fd
+        bus.send(can.Message(arbitration_id=0x321, is_extended_id=False, data=b"ab"))
+        assert heard(frames) == (0x321, b"ab")
+        with pytest.raises(can.CanOperationError, match="11-bit"):
+            bus.send(can.Message(arbitration_id=0x321, is_extended_id=True))
+    frames.shutdown()
+
+
+def test_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(can.CanInitializationError, match="file"):
+        can.Bus(interface="levid_local", channel=str(tmp_path / "file"))

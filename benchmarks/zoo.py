@@ -47,6 +47,8 @@ def main() -> None:
         only = set(arguments.only)
         plants = [p for p in plants if p.kind in only or {c.name for c in p.cases} <= only]
         plants = [p for p in plants if p.cases or p.kind in only]
+    if arguments.times:
+        plants = [p for p in plants if p.cases and p.times in arguments.times]
     sizes = sizes_of([case for plant in plants for case in plant.cases], PROCESSES, _say)
     kept = Kept(arguments.out)
     _fly_all(plants, sizes, kept, arguments.out / "flights" if arguments.keep_flights else None)
@@ -74,6 +76,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--only", nargs="+", metavar="NAME", help="cases by name, or nothing, or pair"
+    )
+    parser.add_argument(
+        "--times", nargs="+", type=float, metavar="N", help="of these sizes only, as 1.5 of --full"
     )
     return parser
 

@@ -2,8 +2,8 @@
 
 The simulator says forces at one point of a DOF, the candidates generalised ones: a force F at the
 arm r (1 for z) is a torque r F, a way s an angle s / r. Where plant and candidate are written in
-different forms (a one-sided spring as a parabola, warming up as a straight drift, several springs
-that slip for one that yields) what both have in common is compared, or nothing.
+different forms (a one-sided spring as a parabola, several springs that slip for one that yields)
+what both have in common is compared, or nothing.
 """
 
 from __future__ import annotations
@@ -256,6 +256,14 @@ def _sensor_gain(v: Values) -> Iterator[Known]:
 def _bent(v: Values) -> Iterator[Known]:
     places = _coils(v, "sensor")
     yield _at(places, "sensor_nonlinearity.quadratic", "a", -1.0 / v["distance_m"])
+    yield _at(places, "sensor_nonlinearity.inverse", "a", -1.0 / v["distance_m"])
+    yield _at(places, "sensor_nonlinearity.inverse", "k", 1.0 / v["distance_m"])
+
+
+def _warm_up(v: Values) -> Iterator[Known]:
+    places = _coils(v, "sensor")
+    yield _at(places, "sensor_offset.warm_up", "a", v["offset_m"])
+    yield _at(places, "sensor_offset.warm_up", "tau", v["time_constant_s"])
 
 
 def _crosstalk(v: Values) -> Iterator[Known]:
@@ -328,6 +336,7 @@ _KNOWN: dict[str, Callable[[Values], Iterator[Known]]] = {
     "SoftSaturation": _saturation,
     "SensorGain": _sensor_gain,
     "SensorNonlinearity": _bent,
+    "SensorDrift": _warm_up,
     "SensorCrosstalk": _crosstalk,
     "SensorLag": _sensor_lag,
     "StickingSensor": _sticking,

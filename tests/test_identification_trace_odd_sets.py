@@ -127,7 +127,9 @@ def test_what_depends_on_the_time_of_a_session_is_told_from_what_does_not() -> N
     kept, timed = timeless(all_effects(places, covered), places, covered)
     # A payload comes at a time, a drift grows with it, a tone has its phase in it.
     others = {e.key for e in timed if not e.key.startswith(("vibration.", "thermal_drift"))}
-    assert others == {"payload", "force_offset.drift", "sensor_offset.drift"}
+    assert others == {
+        "payload", "force_offset.drift", "sensor_offset.drift", "sensor_offset.warm_up",
+    }  # fmt: skip
     assert {"vibration", "thermal_drift"} <= {e.effect_class for e in timed}
     assert len(kept) + len(timed) == len(all_effects(places, covered))
     assert {"rod_stiffness", "friction", "coil_gain"} <= {e.effect_class for e in kept}

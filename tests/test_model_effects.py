@@ -12,7 +12,7 @@ import pytest
 from rig_effects import CLASSES, R_M, rig_places
 
 from levid.model.effects import drives, flexible, vibration
-from levid.model.effects.base import Effect, Placed, Places, Signals
+from levid.model.effects.base import Effect, Loads, Placed, Places, Signals
 from levid.model.effects.extent import Extent
 from levid.model.effects.table import all_effects
 
@@ -59,13 +59,12 @@ def table(places_of=rig_places) -> dict[str, Effect]:
 
 
 def term(identity: str, shape=None, signals: Signals | None = None, places_of=rig_places):
-    """The one term of an effect at the first row of its grid, or at another shape."""
+    """The first term of an effect at the first row of its grid, or at another shape."""
     effect = table(places_of)[identity]
-    (found,) = effect.build(
+    return effect.build(
         moving(places_of) if signals is None else signals,
         effect.grid[0] if shape is None else shape,
-    )
-    return found
+    )[0]
 
 
 def power(force: np.ndarray, s: Signals) -> np.ndarray:
@@ -129,13 +128,13 @@ def test_effects_go_to_other_processes_and_give_the_same_there(places_of):
 def test_columns_to_screen_stay_few():
     # What the drives' force is screened with is no column of the platform's filter. A line at a
     # frequency is 3 forces, the floor, 9 readings and a common one, a cosine and a sine each: 28.
-    # Sensors that stand are asked only where readings do. 437 take as long as 430 did.
+    # Sensors that stand are asked only where readings do. 466 take as long as 430 did.
     s, count = moving(), 0
     usual = replace(Extent.typical(s.places), tones_hz=(), standing=())
     for effect in all_effects(s.places, usual):
         for row in effect.grid:
             count += sum(any(p is not None for p in t.parts[:3]) for t in effect.build(s, row))
-    assert count <= 440
+    assert count <= 466
     assert sum(len(e.amplitudes) for e in vibration.tone(s.places, 50.0)) == 28
 
 
@@ -332,6 +331,18 @@ def test_heat_rises_with_the_square_of_the_force_since_the_session_began():
     tau = 30.0
     held = term("thermal_drift.heat@coil:2", (tau,), s).held[:, 2]
     np.testing.assert_allclose(held, -6.0 * 36.0 * (1 - np.exp(-s.time_s / tau)))
+
+
+def test_what_was_warmed_in_the_session_is_warm_when_a_record_begins():
+    # 8 N from 0 s, 3 N from 6 s, nothing known from 10 s on, and the record begins at 20 s.
+    loads = Loads((0.0, 6.0, 10.0), tuple((0.0, 0.0, f * f, *[0.0] * 6) for f in (8.0, 3.0, 3.0)))
+    s = coil_signals(np.zeros(moving().rows))
+    s = replace(s, coil=s.coil + np.eye(9)[2], places=replace(s.places, loads=loads))
+    tau = 30.0
+    began = 64 * (1 - np.exp(-6 / tau)) * np.exp(-14 / tau) + 9 * (1 - np.exp(-14 / tau))
+    held = term("thermal_drift.heat@coil:2", (tau,), s).held[:, 2]
+    t = s.time_s - 20.0
+    np.testing.assert_allclose(held, -(1 + (began - 1) * np.exp(-t / tau)), rtol=1e-9)
 
 
 # Sensors and the platform that bends.

@@ -24,6 +24,7 @@ from ..greybox.parameters import free_parameters
 from .grams import BLOCK_S, Linearised
 from .hints import extent
 from .linearise import blocks_in, linearise
+from .loads import loads_of
 from .metric import RecordError, pooled, record_error
 from .noise import disturbance, require_noise
 from .reading import read_records
@@ -155,8 +156,11 @@ def _begin(
         min(r.time_s[0] for r in records.values()),
         max(r.time_s[-1] for r in records.values()),
     )
+    overlapping = overlap(list(records.values()))
+    loads = None if overlapping else loads_of(list(records.values()))
     records = {
-        path: replace(r, places=replace(r.places, span_s=span)) for path, r in records.items()
+        path: replace(r, places=replace(r.places, span_s=span, loads=loads))
+        for path, r in records.items()
     }
     train, held = split(list(records.values()))
     if not held:
@@ -173,12 +177,11 @@ def _begin(
         found = []
         for part in parts:
             first = round((part.time_s[0] - begin[part.name]) / part.experiment.Ts_s)
-            found.append(Source.of(where[part.name], first, first + part.rows, span))
+            found.append(Source.of(where[part.name], first, first + part.rows, span, loads))
         return tuple(found)
 
     places = train[0].places
     covered = extent([*train, *held])
-    overlapping = overlap(list(records.values()))
     if overlapping:
         declared_effects = placed_effects(config.effects, places)
         require_timeless(declared_effects, places, covered, overlapping)

@@ -112,7 +112,8 @@ def views(found: Trace, logs: Sequence[Path], workers: Workers) -> Views:
     for path in logs:
         log = read_log(path)
         if (log.metadata.get("name") or path.stem) in names:
-            sources.append(Source.of(path, 0, len(log.rows), found.places.span_s))
+            places = found.places
+            sources.append(Source.of(path, 0, len(log.rows), places.span_s, places.loads))
     held = {e.name: e.freq_hz for e in found.after}
     seen = workers.map(partial(_view, found.declared, found.found.point, held), sources)
     places = found.places

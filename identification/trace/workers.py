@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from ...config.model import ModelConfig
 from ...log.reader import read_log
+from ...model.effects.base import Loads
 from .record import TraceRecord, trace_record
 
 Answer = TypeVar("Answer")
@@ -30,20 +31,28 @@ _KEPT = 256
 
 @dataclass(frozen=True)
 class Source:
-    """Where a record comes from: rows of a log as it was written then, and its session's span."""
+    """Where a record comes from: rows of a log as it was written then, and its session."""
 
     path: Path
     start: int
     stop: int
     span_s: tuple[float, float]
+    loads: Loads | None
     written_ns: int
     size: int
 
     @classmethod
-    def of(cls, path: Path, start: int, stop: int, span_s: tuple[float, float]) -> Source:
-        """Return rows of the log that is at `path` now."""
+    def of(
+        cls,
+        path: Path,
+        start: int,
+        stop: int,
+        span_s: tuple[float, float],
+        loads: Loads | None = None,
+    ) -> Source:
+        """Return rows of the log that is at `path` now, in a session of this span and loads."""
         now = path.stat()
-        return cls(path, start, stop, span_s, now.st_mtime_ns, now.st_size)
+        return cls(path, start, stop, span_s, loads, now.st_mtime_ns, now.st_size)
 
 
 class Workers(Protocol):
@@ -114,5 +123,5 @@ def _answer(task: Task[Answer], source: Source, model_json: str) -> Answer:
 def _record(source: Source, model_json: str) -> TraceRecord:
     config = ModelConfig.model_validate_json(model_json)
     record = trace_record(read_log(source.path), config)
-    places = replace(record.places, span_s=source.span_s)
+    places = replace(record.places, span_s=source.span_s, loads=source.loads)
     return replace(record.cut(source.start, source.stop), places=places)

@@ -18,6 +18,14 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Loads:
+    """What single actuators were told in a session: mean squares (K, C) from times_s (K,) on."""
+
+    times_s: tuple[float, ...]
+    squares: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
 class Places:
     """Where a plant can be acted on and looked at.
 
@@ -39,6 +47,8 @@ class Places:
     beam: bool
     span_s: tuple[float, float] = (0.0, 1.0)
     """First and last time of the whole session, which onsets and drifts are told in."""
+    loads: Loads | None = None
+    """What was carried through the session, where that is known."""
 
     @property
     def coils(self) -> int:

@@ -59,8 +59,9 @@ def effects(places: Places) -> list[Effect]:
                 f"Gain that falls with the coil's heat{alike}",
                 "thermal_drift",
                 where,
-                "force = (1 - a heat) F, heat' = (F^2 - heat) / tau, cold at the session's begin",
-                (Quantity("a", f"1/{unit}^2"),),
+                "force = (1 - a heat - b exp(-t / tau)) F, heat' = (F^2 - heat) / tau, heat = 0 "
+                "and t = 0 at the session's begin; b is what was warm already",
+                (Quantity("a", f"1/{unit}^2"), Quantity("b", "1")),
                 partial(_with_heat, coils=coils),
                 (Quantity("tau", "s", 0.5, 1000.0, log=True),),
                 ((_WARM_S,),),
@@ -85,14 +86,31 @@ def _with_time(signals: Signals, _shape: Sequence[float], *, coils: tuple[int, .
 
 
 def _with_heat(signals: Signals, shape: Sequence[float], *, coils: tuple[int, ...]) -> list[Term]:
-    return _held(signals, coils, [_weakened(signals, c, shape[0]) for c in coils])
+    tau_s = shape[0]
+    left = np.exp(-np.maximum(_elapsed(signals), 0.0) / tau_s)
+    return [
+        *_held(signals, coils, [_weakened(signals, c, tau_s) for c in coils]),
+        *_held(signals, coils, [-left * signals.coil[:, c] for c in coils]),
+    ]
 
 
 def _weakened(signals: Signals, coil: int, tau_s: float) -> Array:
     F = signals.coil[:, coil]
-    # Before the record the coil carried its share of the weight since the session began.
-    carried = float(np.median(F)) ** 2 * -math.expm1(-max(float(_elapsed(signals)[0]), 0.0) / tau_s)
-    return -heat(F * F, tau_s, signals.Ts_s, carried) * F
+    return -heat(F * F, tau_s, signals.Ts_s, _carried(signals, coil, tau_s)) * F
+
+
+def _carried(signals: Signals, coil: int, tau_s: float) -> float:
+    """Return how warm a coil is where a record begins, of what it did in the session before."""
+    begin_s, loads = float(signals.time_s[0]), signals.places.loads
+    if loads is None:  # its share of the weight since the session began
+        since_s = max(float(_elapsed(signals)[0]), 0.0)
+        return float(np.median(signals.coil[:, coil])) ** 2 * -math.expm1(-since_s / tau_s)
+    times_s = np.array(loads.times_s)
+    before = times_s < begin_s
+    ends_s = np.minimum(np.append(times_s[1:], np.inf), begin_s)[before]
+    squares = np.array(loads.squares)[before, coil]
+    since_begin, since_end = begin_s - times_s[before], begin_s - ends_s
+    return float(squares @ (np.exp(-since_end / tau_s) - np.exp(-since_begin / tau_s)))
 
 
 def _held(signals: Signals, coils: tuple[int, ...], values: list[Array]) -> list[Term]:

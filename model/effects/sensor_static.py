@@ -14,10 +14,16 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
+from .extent import Extent
+
+_WARM_S = 80.0
+_MOST_BENT = 0.4
+"""k h where sensors move, rms; peaks are twice that, and k h stays above -1."""
+_LEAST_LEFT = 0.05
 
 
-def effects(places: Places) -> list[Effect]:
-    """Return gain, offset, drift, nonlinearity of every sensor, crosstalk between any two."""
+def effects(places: Places, extent: Extent) -> list[Effect]:
+    """Return gain, offset, drifts, nonlinearity of every sensor, crosstalk between any two."""
     unit, spare = places.sensor_unit, places.sensors > len(places.dof)
     found = []
     for s in range(places.sensors):
@@ -43,6 +49,22 @@ def effects(places: Places) -> list[Effect]:
                     told_apart_by="all DOFs excited, at two amplitudes",
                 )
             )
+        most = _MOST_BENT / extent.gap
+        found.append(
+            Effect(
+                "sensor_nonlinearity.inverse",
+                "Sensor that is bent more to one side",
+                "sensor_nonlinearity",
+                where,
+                "reading = h + a h^2 / (1 + k h): inductance falls as one over the distance",
+                (Quantity("a", f"1/{unit}"),),
+                partial(_inverse, sensor=s),
+                (Quantity("k", f"1/{unit}", -most, most),),
+                ((0.0,),),
+                absorbed_by=_absorbed(spare, 2),
+                told_apart_by="all DOFs excited, at two amplitudes",
+            )
+        )
         if spare:
             # Without spare sensors a constant one is the free constant force.
             found.append(
@@ -69,6 +91,21 @@ def effects(places: Places) -> list[Effect]:
                 partial(_drift, sensor=s),
                 absorbed_by="drifts that are a pose: drifting forces",
                 told_apart_by="long records",
+            )
+        )
+        found.append(
+            Effect(
+                "sensor_offset.warm_up",
+                "Sensor that warms up",
+                "sensor_offset",
+                where,
+                "reading = h + a (1 - exp(-t / tau)), t from the session's begin",
+                (Quantity("a", unit),),
+                partial(_warm_up, sensor=s),
+                (Quantity("tau", "s", 5.0, 3000.0, log=True),),
+                ((_WARM_S,),),
+                absorbed_by="while t is far below tau: a drift; offsets that are a pose: forces",
+                told_apart_by="records from the begin of a session to long after tau",
             )
         )
     return found + _crosstalk(places)
@@ -105,12 +142,23 @@ def _power_of_gap(
     return [on_sensor(signals, sensor, (h, h * h, h * h * h)[power - 1])]
 
 
+def _inverse(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
+    h = signals.gap(sensor)
+    # What is simulated on the way to a fit may go further than what was measured.
+    return [on_sensor(signals, sensor, h * h / np.maximum(1.0 + shape[0] * h, _LEAST_LEFT))]
+
+
 def _constant(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
     return [on_sensor(signals, sensor, np.ones(signals.rows))]
 
 
 def _drift(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
     return [on_sensor(signals, sensor, signals.time_s - signals.places.span_s[0])]
+
+
+def _warm_up(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
+    since_s = np.maximum(signals.time_s - signals.places.span_s[0], 0.0)
+    return [on_sensor(signals, sensor, -np.expm1(-since_s / shape[0]))]
 
 
 def _other(signals: Signals, _shape: Sequence[float], *, sensor: int, other: int) -> list[Term]:

@@ -47,7 +47,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *coil_timing.effects(places),
         *coil_limits.effects(places, covered),
         *coil_drift.effects(places),
-        *sensor_static.effects(places),
+        *sensor_static.effects(places, covered),
         *sensor_dynamic.effects(places, covered),
     ]
     for f_hz in covered.tones_hz:

@@ -56,12 +56,19 @@ _BEYOND_CHANCE = 6.0
 """Standard deviations by which held-out records must agree: one in 10^9 for a candidate."""
 _PROMISING = 2.0
 """The same for an effect whose shape is a first guess: it is asked again once that is fitted."""
+_STANDS_IN = 2e-3
+"""Of what was there for two that fitted alike to it, what the first may take beside the second and
+is only in its place: an equation that is right to a twentieth leaves as much."""
 _SILENT = 3.0
 """Held-out records to which an effect does less than this, in the same measure, cannot be asked."""
 _ALONE = 20.0
 """By how much blocks that did not fit it must then agree: they are of records that chose it."""
 _WORTH = 0.004
 """An effect is worth naming if it takes this share of what noise does not explain."""
+_IN_PASSING, _BESIDE = 1e-4, 1e-5
+"""Of what other effects took, one that is named beside them must take this share: the first where
+little is left, or the drives alone feel it. An equation that is right to a hundredth leaves as
+much, wherever it leaves it; one that is right to a third of that the second."""
 _LEAST = 40.0
 """Squared errors that a candidate must take at least: the best of hundreds takes 15 by chance."""
 _SURVIVES = 0.35
@@ -138,6 +145,26 @@ class Found:
     held: Evidence
 
 
+@dataclass(frozen=True)
+class _Least:
+    """What a candidate must take and how sure it must be, in squared errors.
+
+    `excess` is what there is, `explained` what others took of it before; `little`: the free
+    simulation is near what noise leaves.
+    """
+
+    excess: float
+    explained: float
+    little: bool
+
+    def taken_by(self, tried: Tried) -> bool:
+        """Return whether a candidate takes that."""
+        surely = (_PROMISING if tried.shape else _BEYOND_CHANCE) if tried.held else _ALONE
+        beside = _IN_PASSING if self.little or _internal(tried.effect) else _BESIDE
+        worth = max(_WORTH * self.excess, beside * self.explained, _LEAST)
+        return tried.chance > surely and tried.gain > worth
+
+
 def search(
     point: WorkingPoint,
     effects: Sequence[Effect],
@@ -188,7 +215,9 @@ def _grown(
         progress(f"screening {len(candidates)} candidates", _share(len(rounds)))
         train = gather(point, records.train(point, candidates))
         held = gather(point, records.held(point, candidates))
-        found = _round(point, candidates, train, held)
+        explained = rounds[0].excess - train.excess if rounds else 0.0
+        little = error.squares < _MUCH * error.floor
+        found = _round(point, candidates, train, held, _Least(train.excess, explained, little))
         if not found.survivors or len(point.placed) >= most or refused >= _MOST_REFUSED:
             rounds.append(found)
             break
@@ -201,6 +230,7 @@ def _grown(
         progress(f"adding {taken.effect.name}", _share(len(rounds)))
         better, squares = refine(_with(point, taken), records)
         taken = _asked_again(point, taken, better.placed[-1], records)
+        better, squares = _without_stand_ins(better, squares, taken, rounds, records)
         found = replace(found, taken=taken)
         better = records.believed(_without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
@@ -225,6 +255,32 @@ def _grown(
             for shape in effect.grid
         ]
     return point, error, rounds
+
+
+def _without_stand_ins(
+    point: WorkingPoint,
+    squares: float,
+    taken: Tried,
+    rounds: Sequence[Round],
+    records: Records,
+) -> tuple[WorkingPoint, float]:
+    """Return the point without what was taken in place of the effect taken now.
+
+    Two that fitted alike to all that was there may differ in what is left: where the second is
+    taken too, it may be enough by itself, begun as it fitted then.
+    """
+    for earlier in rounds:
+        first = earlier.taken
+        same = [t for t in earlier.alternatives if t.effect.identity == taken.effect.identity]
+        both = {taken.effect.identity, first.effect.identity if first else ""}
+        others = tuple(p for p in point.placed if p.effect.identity not in both)
+        if not same or len(others) != len(point.placed) - 2:
+            continue
+        placed = Placed(same[0].effect, same[0].shape, same[0].amplitudes)
+        alone, left = refine(replace(point, placed=(*others, placed)), records)
+        if left - squares < max(_STANDS_IN * earlier.excess, _LEAST):
+            point, squares = alone, left
+    return point, squares
 
 
 def _without_guesses(point: WorkingPoint, records: Records) -> WorkingPoint:
@@ -337,7 +393,11 @@ def _restored(evidence: Evidence, placed: Placed, own: Sequence[int], amplitudes
 
 
 def _round(
-    point: WorkingPoint, candidates: Sequence[Candidate], train: Evidence, held: Evidence
+    point: WorkingPoint,
+    candidates: Sequence[Candidate],
+    train: Evidence,
+    held: Evidence,
+    least: _Least,
 ) -> Round:
     own = len(point.parameters.names) + sum(_width(p) for p in point.placed)
     gained = gains(train)
@@ -364,7 +424,7 @@ def _round(
             seen.add(identity)
             ranking += filter(None, [tried(i)])
     excess, count = train.excess, float(train.count.sum())
-    convincing = [t for t in ranking if _convinces(t, excess)]
+    convincing = [t for t in ranking if least.taken_by(t)]
     survivors = [t for t in convincing if t.gain > _SURVIVES * convincing[0].gain]
     survivors = survivors[:_MOST_SURVIVORS]
     elsewhere: list[Tried] = []
@@ -378,11 +438,6 @@ def _round(
         ]
         elsewhere += filter(None, map(tried, rows[:_MOST_VALLEYS]))
     return Round(excess, count, tuple(ranking), tuple(survivors), tuple(elsewhere), None, ())
-
-
-def _convinces(tried: Tried, excess: float) -> bool:
-    least = (_PROMISING if tried.shape else _BEYOND_CHANCE) if tried.held else _ALONE
-    return tried.chance > least and tried.gain > max(_WORTH * excess, _LEAST)
 
 
 def _internal(effect: Effect) -> bool:

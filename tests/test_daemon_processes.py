@@ -199,8 +199,10 @@ def test_stop_is_zero_force_from_there_on_whoever_holds_the_socket(
 
 
 def test_fault_is_on_disk_though_nothing_was_recorded(ready: Daemon) -> None:
+    before = ready.ask("status")["fault_log"]  # may be of an earlier stop
     ready.ask("levitate", levitate={"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.1})
     ready.ask("stop")
+    ready.until(lambda s: s["fault_log"] != before)
     log = recording(ready, Fault.STOPPED)
     rows = log.rows
     at = int(np.flatnonzero(rows["fault"])[-1])

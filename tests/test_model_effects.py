@@ -128,13 +128,13 @@ def test_effects_go_to_other_processes_and_give_the_same_there(places_of):
 def test_columns_to_screen_stay_few():
     # What the drives' force is screened with is no column of the platform's filter. A line at a
     # frequency is 3 forces, the floor, 9 readings and a common one, a cosine and a sine each: 28.
-    # Sensors that stand are asked only where readings do. 469 take as long as 430 did.
+    # Sensors that stand are asked only where readings do. 458 take as long as 430 did.
     s, count = moving(), 0
     usual = replace(Extent.typical(s.places), tones_hz=(), standing=())
     for effect in all_effects(s.places, usual):
         for row in effect.grid:
             count += sum(any(p is not None for p in t.parts[:3]) for t in effect.build(s, row))
-    assert count <= 469
+    assert count <= 458
     assert sum(len(e.amplitudes) for e in vibration.tone(s.places, 50.0)) == 28
 
 
@@ -328,19 +328,19 @@ def test_delay_and_short_lag_are_one_and_a_long_lag_is_its_own():
 
 def test_heat_rises_with_the_square_of_the_force_since_the_session_began():
     s = coil_signals(np.full(moving().rows, 6.0))
-    tau = 30.0
-    held = term("thermal_drift.heat@coil:2", (tau,), s).held[:, 2]
-    np.testing.assert_allclose(held, -6.0 * 36.0 * (1 - np.exp(-s.time_s / tau)))
+    tau, before = 30.0, 2.0
+    held = term("thermal_drift.heat@coil:2", (tau, before), s).held[:, 2]
+    np.testing.assert_allclose(held, -6.0 * 36.0 * (1 - np.exp(-(s.time_s + before) / tau)))
 
 
 def test_what_was_warmed_in_the_session_is_warm_when_a_record_begins():
-    # 8 N from 0 s, 3 N from 6 s, nothing known from 10 s on, and the record begins at 20 s.
+    # 8 N from 2 s before 0 s, 3 N from 6 s, nothing known from 10 s on; the record begins at 20 s.
     loads = Loads((0.0, 6.0, 10.0), tuple((0.0, 0.0, f * f, *[0.0] * 6) for f in (8.0, 3.0, 3.0)))
     s = coil_signals(np.zeros(moving().rows))
     s = replace(s, coil=s.coil + np.eye(9)[2], places=replace(s.places, loads=loads))
-    tau = 30.0
-    began = 64 * (1 - np.exp(-6 / tau)) * np.exp(-14 / tau) + 9 * (1 - np.exp(-14 / tau))
-    held = term("thermal_drift.heat@coil:2", (tau,), s).held[:, 2]
+    tau, before = 30.0, 2.0
+    began = 64 * (1 - np.exp(-8 / tau)) * np.exp(-14 / tau) + 9 * (1 - np.exp(-14 / tau))
+    held = term("thermal_drift.heat@coil:2", (tau, before), s).held[:, 2]
     t = s.time_s - 20.0
     np.testing.assert_allclose(held, -(1 + (began - 1) * np.exp(-t / tau)), rtol=1e-9)
 

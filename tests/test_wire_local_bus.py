@@ -134,7 +134,27 @@ def test_tools_of_python_can_are_on_the_same_bus(tmp_path: Path) -> None:
     frames.shutdown()
 
 
+def test_what_is_no_frame_is_nobody_s(tmp_path: Path) -> None:
+    one, other = joined(tmp_path, 2)
+    (end,) = one._peers
+    for size in (1, 7, 15, 17, 71, 73, 200):
+        end.send(bytes(size))
+        frame = other.receive(WAIT_S)
+        assert frame is not None
+        assert frame.can_id == -1
+    one.send(0x123, b"whole")
+    assert heard(other) == (0x123, b"whole")
+    for bus in (one, other):
+        bus.shutdown()
+
+
+def test_bus_in_a_folder_of_everybody_is_refused(tmp_path: Path) -> None:
+    tmp_path.chmod(0o777)
+    with pytest.raises(can.CanInitializationError, match="nobody else's"):
+        can.Bus(interface="levid_local", channel=str(tmp_path))
+
+
 def test_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(can.CanInitializationError, match="file"):
+    with pytest.raises(can.CanInitializationError, match="expected a folder"):
         can.Bus(interface="levid_local", channel=str(tmp_path / "file"))

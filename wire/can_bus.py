@@ -20,8 +20,9 @@ from ..config.buses import CanBus
 _CAN_ERR_BUSOFF = 0x40
 _NOT_PLAIN = 0xE000_0000
 _ERROR = 0x2000_0000
-FRAME_BYTES = 72
-"""Of the longest frame, as the kernel lays it out."""
+FRAME_SIZES = (16, 72)
+"""Bytes of a classic frame and of one of CAN FD, as the kernel lays them out."""
+_LONGEST = max(FRAME_SIZES)
 _FULL_S = 0.001
 _SENDS_BY = {"slcan", "udp_multicast"}
 """Interfaces that take a time by which a frame is to be on its way. Others ignore it, or wait for
@@ -169,11 +170,11 @@ class _KernelBus:
 
     def receive(self, wait_s: float) -> Frame | None:
         try:  # mostly it is there already, and need not be waited for
-            raw, extra, _, _ = self._socket.recvmsg(FRAME_BYTES, _ANCILLARY, socket.MSG_DONTWAIT)
+            raw, extra, _, _ = self._socket.recvmsg(_LONGEST, _ANCILLARY, socket.MSG_DONTWAIT)
         except BlockingIOError:
             if wait_s <= 0.0 or not select.select(self._waiting, (), (), wait_s)[0]:
                 return None
-            raw, extra, _, _ = self._socket.recvmsg(FRAME_BYTES, _ANCILLARY)
+            raw, extra, _, _ = self._socket.recvmsg(_LONGEST, _ANCILLARY)
         seconds, nanoseconds = _TIMESPEC.unpack(extra[0][2]) if extra else (0, 0)
         return unpacked(raw, seconds + 1e-9 * nanoseconds)
 

@@ -15,6 +15,7 @@ import os
 import secrets
 import select
 import socket
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from time import time
@@ -22,10 +23,11 @@ from typing import Any
 
 import can
 
-from .can_bus import FRAME_BYTES, OTHER, Frame, packed, unpacked
+from .can_bus import FRAME_SIZES, OTHER, Frame, packed, unpacked
 
 _WAITING = 16
 _SUFFIX = ".can"
+_MOST_BYTES = max(FRAME_SIZES) + 1  # so that what is longer is not taken for a frame
 
 
 class LocalFrames:
@@ -36,10 +38,15 @@ class LocalFrames:
     """
 
     def __init__(self, folder: Path, fd: bool) -> None:
-        """Join; raises OSError."""
+        """Join; raises OSError, among others for a folder that everybody may write to."""
         self._fd = fd
         self._peers: tuple[socket.socket, ...] = ()
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "expected a folder for sockets", str(folder))
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if folder.stat().st_mode & stat.S_IWOTH:
+            what = "expected a folder that is nobody else's, found one that everybody may write to"
+            raise PermissionError(errno.EPERM, what, str(folder))
         name = f"{secrets.token_hex(4)}{_SUFFIX}"
         self._path = folder / name
         self._door = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -111,7 +118,7 @@ class LocalFrames:
 
     def _from(self, peer: socket.socket) -> Frame | None:
         try:
-            raw = peer.recv(FRAME_BYTES, socket.MSG_DONTWAIT)
+            raw = peer.recv(_MOST_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return None
         except OSError:
@@ -119,6 +126,8 @@ class LocalFrames:
         if not raw:
             self._drop(peer)
             return None
+        if len(raw) not in FRAME_SIZES:
+            return OTHER
         frame = unpacked(raw, 0.0)
         return frame if self._fd or len(frame.data) <= 8 else OTHER
 

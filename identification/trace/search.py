@@ -230,7 +230,7 @@ def _grown(
         progress(f"adding {taken.effect.name}", _share(len(rounds)))
         better, squares = refine(_with(point, taken), records)
         taken = _asked_again(point, taken, better.placed[-1], records)
-        better, squares = _without_stand_ins(better, squares, taken, rounds, records)
+        better, squares, stood_in = _without_stand_in(better, squares, taken, rounds, records)
         found = replace(found, taken=taken)
         better = records.believed(_without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
@@ -244,10 +244,13 @@ def _grown(
             point, error = better, after
             barred |= {p.effect.identity for p in point.placed}
         else:
-            found = replace(found, taken=None)
+            found, stood_in = replace(found, taken=None), None
             barred.add(taken.effect.identity)
             refused += 1
-        rounds.append(found)
+        if stood_in is None:
+            rounds.append(found)
+        else:  # it is as if it had been taken then
+            rounds[stood_in] = _taken_instead(rounds[stood_in], taken.effect.identity)
         candidates = [
             (effect, tuple(shape))
             for effect in effects
@@ -257,30 +260,44 @@ def _grown(
     return point, error, rounds
 
 
-def _without_stand_ins(
+def _without_stand_in(
     point: WorkingPoint,
     squares: float,
     taken: Tried,
     rounds: Sequence[Round],
     records: Records,
-) -> tuple[WorkingPoint, float]:
-    """Return the point without what was taken in place of the effect taken now.
+) -> tuple[WorkingPoint, float, int | None]:
+    """Return the point without what was taken in place of the effect taken now, and in which round.
 
     Two that fitted alike to all that was there may differ in what is left: where the second is
     taken too, it may be enough by itself, begun as it fitted then.
     """
-    for earlier in rounds:
-        first = earlier.taken
-        same = [t for t in earlier.alternatives if t.effect.identity == taken.effect.identity]
-        both = {taken.effect.identity, first.effect.identity if first else ""}
-        others = tuple(p for p in point.placed if p.effect.identity not in both)
-        if not same or len(others) != len(point.placed) - 2:
+    for number, earlier in enumerate(rounds):
+        rival = _rival(earlier, taken.effect.identity)
+        if earlier.taken is None or rival is None:
             continue
-        placed = Placed(same[0].effect, same[0].shape, same[0].amplitudes)
+        both = {taken.effect.identity, earlier.taken.effect.identity}
+        others = tuple(p for p in point.placed if p.effect.identity not in both)
+        if len(others) != len(point.placed) - 2:
+            continue  # it has been given up since
+        placed = Placed(rival.effect, rival.shape, rival.amplitudes)
         alone, left = refine(replace(point, placed=(*others, placed)), records)
         if left - squares < max(_STANDS_IN * earlier.excess, _LEAST):
-            point, squares = alone, left
-    return point, squares
+            return alone, left, number
+    return point, squares, None
+
+
+def _rival(found: Round, identity: str) -> Tried | None:
+    """Return the alternative of this identity, None if there is none."""
+    return next((t for t in found.alternatives if t.effect.identity == identity), None)
+
+
+def _taken_instead(found: Round, identity: str) -> Round:
+    """Return the round with one of its alternatives taken, and what was taken an alternative."""
+    rival = _rival(found, identity)
+    assert found.taken is not None
+    others = (t for t in found.alternatives if t is not rival)
+    return replace(found, taken=rival, alternatives=(found.taken, *others))
 
 
 def _without_guesses(point: WorkingPoint, records: Records) -> WorkingPoint:

@@ -19,7 +19,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Loads:
-    """What single actuators were told in a session: mean squares (K, C) from times_s (K,) on."""
+    """What single actuators were told in a session: mean squares (K, C) from times_s (K,) on.
+
+    Squares are in the actuators' unit squared, times those of Signals.time_s; the last holds on.
+    """
 
     times_s: tuple[float, ...]
     squares: tuple[tuple[float, ...], ...]
@@ -104,6 +107,11 @@ class Signals:
     def rows(self) -> int:
         """Number of rows, N."""
         return len(self.time_s)
+
+    @property
+    def elapsed_s(self) -> Array:
+        """Time (N,) since the session began."""
+        return np.asarray(self.time_s - self.places.span_s[0])
 
     def gap(self, sensor: int) -> Array:
         """Return the true height under one sensor (N,)."""

@@ -18,6 +18,8 @@ from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
 from .recursions import heat
 
 _WARM_S = 40.0
+_BEFORE_S, _LONGEST_BEFORE_S = 3.0, 60.0
+"""From lift-off to the first record. Coils warm long before have another gain, no more."""
 _LONG = "long records, begin and end of a session with the same excitation"
 
 
@@ -59,12 +61,15 @@ def effects(places: Places) -> list[Effect]:
                 f"Gain that falls with the coil's heat{alike}",
                 "thermal_drift",
                 where,
-                "force = (1 - a heat - b exp(-t / tau)) F, heat' = (F^2 - heat) / tau, heat = 0 "
-                "and t = 0 at the session's begin; b is what was warm already",
-                (Quantity("a", f"1/{unit}^2"), Quantity("b", "1")),
+                "force = (1 - a heat) F, heat' = (F^2 - heat) / tau, cold and told F as at first "
+                "since `before` the session's first record",
+                (Quantity("a", f"1/{unit}^2"),),
                 partial(_with_heat, coils=coils),
-                (Quantity("tau", "s", 0.5, 1000.0, log=True),),
-                ((_WARM_S,),),
+                (
+                    Quantity("tau", "s", 0.5, 1000.0, log=True),
+                    Quantity("before", "s", 0.1, _LONGEST_BEFORE_S, log=True),
+                ),
+                ((_WARM_S, _BEFORE_S),),
                 absorbed_by="once warm: the coil's gain",
                 told_apart_by=_LONG,
             ),
@@ -73,44 +78,33 @@ def effects(places: Places) -> list[Effect]:
 
 
 def _offset(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:
-    return [on_coil(signals, coil, _elapsed(signals))]
-
-
-def _elapsed(signals: Signals) -> Array:
-    """Return time (N,) since the session began."""
-    return np.asarray(signals.time_s - signals.places.span_s[0])
+    return [on_coil(signals, coil, signals.elapsed_s)]
 
 
 def _with_time(signals: Signals, _shape: Sequence[float], *, coils: tuple[int, ...]) -> list[Term]:
-    return _held(signals, coils, [-_elapsed(signals) * signals.coil[:, c] for c in coils])
+    return _held(signals, coils, [-signals.elapsed_s * signals.coil[:, c] for c in coils])
 
 
 def _with_heat(signals: Signals, shape: Sequence[float], *, coils: tuple[int, ...]) -> list[Term]:
-    tau_s = shape[0]
-    left = np.exp(-np.maximum(_elapsed(signals), 0.0) / tau_s)
-    return [
-        *_held(signals, coils, [_weakened(signals, c, tau_s) for c in coils]),
-        *_held(signals, coils, [-left * signals.coil[:, c] for c in coils]),
-    ]
+    return _held(signals, coils, [_weakened(signals, c, *shape) for c in coils])
 
 
-def _weakened(signals: Signals, coil: int, tau_s: float) -> Array:
+def _weakened(signals: Signals, coil: int, tau_s: float, before_s: float) -> Array:
     F = signals.coil[:, coil]
-    return -heat(F * F, tau_s, signals.Ts_s, _carried(signals, coil, tau_s)) * F
+    return -heat(F * F, tau_s, signals.Ts_s, _carried(signals, coil, tau_s, before_s)) * F
 
 
-def _carried(signals: Signals, coil: int, tau_s: float) -> float:
-    """Return how warm a coil is where a record begins, of what it did in the session before."""
+def _carried(signals: Signals, coil: int, tau_s: float, before_s: float) -> float:
+    """Return a coil's heat (its unit squared) where a record begins, of the session before it."""
     begin_s, loads = float(signals.time_s[0]), signals.places.loads
     if loads is None:  # its share of the weight since the session began
-        since_s = max(float(_elapsed(signals)[0]), 0.0)
+        since_s = max(float(signals.elapsed_s[0]), 0.0) + before_s
         return float(np.median(signals.coil[:, coil])) ** 2 * -math.expm1(-since_s / tau_s)
-    times_s = np.array(loads.times_s)
-    before = times_s < begin_s
-    ends_s = np.minimum(np.append(times_s[1:], np.inf), begin_s)[before]
-    squares = np.array(loads.squares)[before, coil]
-    since_begin, since_end = begin_s - times_s[before], begin_s - ends_s
-    return float(squares @ (np.exp(-since_end / tau_s) - np.exp(-since_begin / tau_s)))
+    squares, begins_s = np.array(loads.squares)[:, coil], np.array(loads.times_s)
+    ends_s = np.append(begins_s[1:], np.inf)
+    begins_s[0] -= before_s
+    left = np.exp(np.minimum([begins_s - begin_s, ends_s - begin_s], 0.0) / tau_s)
+    return float(squares @ (left[1] - left[0]))
 
 
 def _held(signals: Signals, coils: tuple[int, ...], values: list[Array]) -> list[Term]:

@@ -153,12 +153,12 @@ def _constant(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list
 
 
 def _drift(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
-    return [on_sensor(signals, sensor, signals.time_s - signals.places.span_s[0])]
+    return [on_sensor(signals, sensor, signals.elapsed_s)]
 
 
 def _warm_up(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
-    since_s = np.maximum(signals.time_s - signals.places.span_s[0], 0.0)
-    return [on_sensor(signals, sensor, -np.expm1(-since_s / shape[0]))]
+    passed = np.maximum(signals.elapsed_s, 0.0) / shape[0]
+    return [on_sensor(signals, sensor, -np.expm1(-passed))]
 
 
 def _other(signals: Signals, _shape: Sequence[float], *, sensor: int, other: int) -> list[Term]:

@@ -187,6 +187,34 @@ def test_a_constant_force_of_a_candidate_is_nothing_along_a_moving_beam() -> Non
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_what_friction_held_before_a_record_began_is_for_nobody_to_name(kind: str) -> None:
+    """Once friction that remembers is known of, a force that fades as it slips is its past."""
+    made, break_away = record(kind, 1500), 5e-5
+
+    def dahl(x: np.ndarray, f: float) -> np.ndarray:
+        forces = []
+        for dx in np.diff(x, prepend=x[0]) / break_away:
+            end = 1.0 if dx > 0 else -1.0
+            f = end + (f - end) * np.exp(-abs(dx))
+            forces.append(f)
+        return np.array(forces)
+
+    began = Effect(
+        "b", "b", "b", ("z",), "", (Quantity("f", "N"),),
+        lambda s, _: [on_dof(s, 2, dahl(s.q[:, 2], 0.9) - dahl(s.q[:, 2], -0.4))],
+    )  # fmt: skip
+    friction = next(e for e in all_effects(PLACES) if e.identity == "friction.dahl@z")
+    known = replace(point(), placed=(Placed(friction, (break_away,), (0.0,)),))
+    free, taken = (
+        float(np.trace(b.inner.sum(axis=0)) * b.size[0] ** 2)
+        for there in (point(), known)
+        for b in linearise(there, made, [(began, ())]).beside
+    )
+    # Rounding: to the same filter it is the same column.
+    assert taken < 1e-9 * free
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_parameter_columns_are_finite_differences_of_the_errors(kind: str) -> None:
     made, here = record(kind), point()
     at = motion(here.model, made.experiment, "zoh")

@@ -14,6 +14,7 @@ from rig_effects import CLASSES, R_M, rig_places
 from levid.model.effects import drives, flexible, vibration
 from levid.model.effects.base import Effect, Loads, Placed, Places, Signals
 from levid.model.effects.extent import Extent
+from levid.model.effects.recursions import lagged_mean
 from levid.model.effects.table import all_effects
 
 TS = 1e-3
@@ -297,6 +298,25 @@ def test_dead_zone_gives_nothing_inside_and_less_by_its_width_outside():
     F = np.linspace(-10, 10, s.rows)
     given = F + term("dead_zone@coil:2", (3.0,), coil_signals(F)).held[:, 2]
     np.testing.assert_allclose(given, np.sign(F) * np.maximum(np.abs(F) - 3, 0), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("key", "shape", "most"),
+    # Four points in a period are exact to a ten-thousandth for a curve that bends there, and to a
+    # hundredth for one with a corner; of commands taken as forces it would be 0.03 and 0.09.
+    [("saturation@coil:2", (10.0, 4.0), 1e-3), ("dead_zone@coil:2", (3.0,), 1e-2)],
+)
+def test_a_coil_s_limits_are_those_of_its_force_not_of_its_command(key: str, shape, most: float):
+    told = np.random.default_rng(1).normal(7.6, 16, (moving().rows, 4)).mean(axis=1)
+    s = replace(coil_signals(np.convolve(told, [0.25, 0.5, 0.25], "same")), lag_s=3e-4)
+    found = -lagged_mean(term(key, shape, s).held[:, 2], s.lag_s, TS)
+    fine, expected, force = np.arange(0.5, 200) / 200 * TS, [], s.coil[0, 2]
+    for command in s.coil[:300, 2]:
+        within = command + (force - command) * np.exp(-fine / s.lag_s)
+        held = coil_signals(np.resize(within, s.rows))
+        expected.append(-term(key, shape, held).held[: len(fine), 2].mean())
+        force = command + (force - command) * np.exp(-TS / s.lag_s)
+    assert np.std(found[:300] - expected) < most * np.std(expected)
 
 
 def test_saturation_runs_from_soft_to_hard():

@@ -93,6 +93,21 @@ def test_mean_of_a_lagged_command_is_that_of_the_exact_step_response():
         assert mean[5 + k] == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize("tau", [0.05e-3, 0.3e-3, 1e-3, 20e-3])
+def test_commands_are_found_that_come_to_a_mean_behind_a_lag(tau: float):
+    held = np.random.default_rng(1).normal(size=400)
+    mean = recursions.lagged_mean(held, tau, TS)
+    np.testing.assert_allclose(recursions.held_for(mean, tau, TS), held, atol=1e-9)
+
+
+def test_a_lagged_command_is_its_exponential_anywhere_in_a_period():
+    held, tau = np.repeat([0.0, 1.0], 5), 0.7e-3
+    for share in (0.0, 0.3, 1.0):
+        found = recursions.lagged_within(held, tau, TS, share)
+        since = (np.arange(5) + share) * TS
+        np.testing.assert_allclose(found[5:], 1 - np.exp(-since / tau), atol=1e-12)
+
+
 def test_oscillator_answers_a_step_exactly():
     f, zeta = 40.0, 0.05
     force = np.repeat([0.0, 1.0], [10, 500])

@@ -59,7 +59,7 @@ def linearise(
     shown.append(_beyond(here, _readings(here)))
     drive_n = drive_errors(here)
     shown_drive.append(None if drive_n is None else thinned(drive_n, here.every))
-    basis = _unknown(here, bank)
+    basis = _unknown(point, here, bank)
     flat = pose.reshape(-1, pose.shape[2])
     flat -= basis @ (basis.T @ flat)
     seen = [j for j, column in enumerate(shown) if column is not None]
@@ -78,21 +78,33 @@ def linearise(
     return grams(record, channels, base, widths, here.every * record.experiment.Ts_s)
 
 
-def _unknown(here: Along, bank: FilterBank) -> Array:
+def _unknown(point: WorkingPoint, here: Along, bank: FilterBank) -> Array:
     """Return an orthonormal basis of what nobody knows, by rows and DOF: columns of `pose` lack it.
 
+    A constant force, the state at the start, and what effects with a memory remember of before.
     Along a moving beam the bank's columns are good to 0.1 %. What a candidate has of a constant
     force is far more than noise, and that far off would show: it is taken out as it is computed.
     """
     unknowns = here.unknowns.reshape(-1, here.unknowns.shape[2])
     basis, _ = np.linalg.qr(unknowns / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
-    if not here.record.experiment.moving:
-        return basis
-    constants = bank.constants().reshape(len(unknowns), -1)
-    constants /= np.linalg.norm(constants, axis=0)
+    if here.record.experiment.moving:
+        basis = _widened(basis, bank.constants())
+    remembered = [
+        term
+        for p in point.placed
+        if p.effect.remains is not None
+        for term in p.effect.remains(here.signals, p.shape)
+    ]
+    return _widened(basis, bank.columns(remembered, len(remembered))) if remembered else basis
+
+
+def _widened(basis: Array, columns: Array) -> Array:
+    """Return an orthonormal basis of what `basis` spans and columns (N', n, c) as well."""
+    flat = columns.reshape(len(basis), -1)
+    flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
     for _ in range(2):  # what is left is small: once more, for the digits
-        constants -= basis @ (basis.T @ constants)
-    left, size, _ = np.linalg.svd(constants, full_matrices=False)
+        flat = flat - basis @ (basis.T @ flat)
+    left, size, _ = np.linalg.svd(flat, full_matrices=False)
     return np.hstack([basis, left[:, size > _ROUNDING]])
 
 

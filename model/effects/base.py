@@ -189,6 +189,9 @@ class Effect:
     grid: tuple[tuple[float, ...], ...] = ((),)
     absorbed_by: str = ""
     told_apart_by: str = ""
+    remains: Build | None = None
+    """What is left, row by row, of a unit of force that was there before the first and that nobody
+    knows; None for effects without a memory."""
 
     @property
     def name(self) -> str:

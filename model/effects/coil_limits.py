@@ -5,11 +5,12 @@ amplifier hard (Mohan, Undeland, Robbins, *Power Electronics*, 2003, ch. 8):
 F / (1 + |F/limit|^p)^(1/p) runs from soft (p = 2) to hard (p large). Each coil carries about 8 N of
 weight: a dead zone shows only where a command comes down to it. Signature: depends on one coil's
 command, at every frequency alike; a gain where little is asked, with harmonics where much is.
+What is lost is lost of the force, behind the lag of the coils.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -17,9 +18,13 @@ import numpy as np
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
 from .extent import Extent
 from .points import forces
+from .recursions import held_for, lagged_within
 
 Coils = tuple[int, ...]
 
+_SHARES, _WEIGHTS = ((0.0694318442, 0.3300094782, 0.6699905218, 0.9305681558),
+                     (0.1739274226, 0.3260725774, 0.3260725774, 0.1739274226))  # fmt: skip
+"""Of a period: Gauss and Legendre's four points."""
 _TOLD_APART = "excitation of the coils one by one, at two amplitudes"
 
 
@@ -66,20 +71,37 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 
 def _dead_zone(signals: Signals, shape: Sequence[float], *, coils: Coils) -> list[Term]:
-    F = signals.coil[:, list(coils)]
-    return [_on_coils(signals, coils, -np.clip(F, -shape[0], shape[0]))]
+    return [_lost(signals, coils, lambda F: np.clip(F, -shape[0], shape[0]))]
 
 
 def _saturation(signals: Signals, shape: Sequence[float], *, coils: Coils) -> list[Term]:
-    F = signals.coil[:, list(coils)]
     limit, hardness = shape
-    # Of logarithms: a high power of a large ratio leaves the range of numbers.
-    log_ratio = hardness * np.log(np.maximum(np.abs(F) / limit, 1e-12))
-    given = F * np.exp(-np.logaddexp(0.0, log_ratio) / hardness)
-    return [_on_coils(signals, coils, given - F)]
+
+    def lost(F: Array) -> Array:
+        # Of logarithms: a high power of a large ratio leaves the range of numbers.
+        log_ratio = hardness * np.log(np.maximum(np.abs(F) / limit, 1e-12))
+        return np.asarray(-F * np.expm1(-np.logaddexp(0.0, log_ratio) / hardness))
+
+    return [_lost(signals, coils, lost)]
 
 
-def _on_coils(signals: Signals, coils: Coils, values: Array) -> Term:
+def _lost(signals: Signals, coils: Coils, lost: Callable[[Array], Array]) -> Term:
+    """Return the term of coils whose force F lacks lost(F), by its mean over each period.
+
+    A term's commands are lagged like all others: these are those that come to that mean.
+    """
+    held = signals.coil[:, list(coils)]
+    if signals.lag_s > 0.0:
+        held = np.stack([_held(signals, F, lost) for F in held.T], axis=1)
+    else:
+        held = lost(held)
     if len(coils) == 1:
-        return on_coil(signals, coils[0], values[:, 0])
-    return Term(held=forces(values, signals.places.coil_shape[list(coils)]))
+        return on_coil(signals, coils[0], -held[:, 0])
+    return Term(held=forces(-held, signals.places.coil_shape[list(coils)]))
+
+
+def _held(signals: Signals, F: Array, lost: Callable[[Array], Array]) -> Array:
+    mean = np.zeros(signals.rows)
+    for share, weight in zip(_SHARES, _WEIGHTS, strict=True):
+        mean += weight * lost(lagged_within(F, signals.lag_s, signals.Ts_s, share))
+    return held_for(mean, signals.lag_s, signals.Ts_s)

@@ -75,6 +75,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.08 * reach,), (0.4 * reach,)),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS,
+                remains=partial(_remains, dof=i),
             ),
             Effect(
                 "friction.bouc_wen",
@@ -92,6 +93,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.25 * reach, 1.5, 0.6),),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS,
+                remains=partial(_remains, dof=i),
             ),
             Effect(
                 "friction.lugre",
@@ -106,6 +108,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.15 * reach, 0.4, 0.1 * speed), (0.08 * reach, 0.7, 0.8 * speed)),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS + ", slow and fast",
+                remains=partial(_remains, dof=i),
             ),
             Effect(
                 "friction.maxwell_slip",
@@ -120,6 +123,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.15 * reach,),),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS,
+                remains=partial(_remains, dof=i),
             ),
         ]
     return found
@@ -150,6 +154,12 @@ def _bouc_wen(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Ter
 def _lugre(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     q, qd = signals.q[:, dof], signals.qd[:, dof]
     return [on_dof(signals, dof, -lugre(q, qd, shape[0], shape[1], shape[2], signals.Ts_s))]
+
+
+def _remains(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    """Return what is left of a force at row 0: exact for Dahl's, while the others slip about."""
+    path = np.abs(np.diff(signals.q[:, dof], prepend=signals.q[0, dof])).cumsum()
+    return [on_dof(signals, dof, np.exp(-path / shape[0]))]
 
 
 def _maxwell(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

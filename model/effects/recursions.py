@@ -33,6 +33,19 @@ def lagged_mean(held: Array, tau_s: float, Ts_s: float) -> Array:
     return np.asarray(_lagged_mean(np.ascontiguousarray(held), tau_s, Ts_s))
 
 
+def lagged_within(held: Array, tau_s: float, Ts_s: float, share: float) -> Array:
+    """Return commands (N,), each held for a period, behind a lag, `share` of each period on."""
+    return np.asarray(_lagged_within(np.ascontiguousarray(held), tau_s, Ts_s, share))
+
+
+def held_for(mean: Array, tau_s: float, Ts_s: float) -> Array:
+    """Return the commands (N,) whose means over each period behind a lag are these.
+
+    The inverse of lagged_mean. What an error leaves shrinks from period to period.
+    """
+    return np.asarray(_held_for(np.ascontiguousarray(mean), tau_s, Ts_s))
+
+
 def heat(power: Array, tau_s: float, Ts_s: float, start: float) -> Array:
     """Return power (N,) behind a first-order lag that starts anywhere."""
     return np.asarray(_heat(np.ascontiguousarray(power), tau_s, Ts_s, start))
@@ -157,6 +170,29 @@ def _lagged_mean(held, tau_s, Ts_s):  # type: ignore[no-untyped-def]
     for k in range(len(held)):
         out[k] = held[k] + mean * (state - held[k])
         state = held[k] + decay * (state - held[k])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _lagged_within(held, tau_s, Ts_s, share):  # type: ignore[no-untyped-def]
+    decay, so_far = math.exp(-Ts_s / tau_s), math.exp(-share * Ts_s / tau_s)
+    out = np.empty_like(held)
+    state = held[0]
+    for k in range(len(held)):
+        out[k] = held[k] + so_far * (state - held[k])
+        state = held[k] + decay * (state - held[k])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _held_for(means, tau_s, Ts_s):  # type: ignore[no-untyped-def]
+    decay = math.exp(-Ts_s / tau_s)
+    mean = tau_s / Ts_s * (1 - decay)
+    out = np.empty_like(means)
+    state = means[0]
+    for k in range(len(means)):
+        out[k] = (means[k] - mean * state) / (1 - mean)
+        state = out[k] + decay * (state - out[k])
     return out
 
 

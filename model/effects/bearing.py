@@ -20,11 +20,10 @@ from .recursions import yielding
 
 _ALONG, _ACROSS = 1, 0
 """The tilts that shift the beam along and across its rails."""
-_RESONANCE_HZ = (15.0, 30.0, 60.0)
-_DAMPING = 0.1
+_FIRST = ((15.0, 0.1, 2.0), (30.0, 0.1, 2.0), (60.0, 0.1, 2.0), (15.0, 0.2, 20.0))
+"""Frequency in Hz, damping, and the shift at which all of the spring slips, of how far the platform
+tilts, rms: it slips, or all but holds."""
 _HEIGHT_M = 0.1
-_LOOSE = 2.0
-"""Of how far the platform tilts, rms: the shift at which all of the spring slips, at first."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
@@ -52,7 +51,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     Quantity("x_s", unit, 1e-2 * reach, 100.0 * reach, log=True),
                     Quantity("height", "m", 0.01, 1.0, log=True),
                 ),
-                tuple((f, _DAMPING, _LOOSE * reach, _HEIGHT_M) for f in _RESONANCE_HZ),
+                tuple((f, zeta, loose * reach, _HEIGHT_M) for f, zeta, loose in _FIRST),
                 absorbed_by="far below its frequency: mass",
                 told_apart_by="tilts of several sizes, up to its frequency",
             )

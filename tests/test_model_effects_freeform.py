@@ -67,7 +67,7 @@ def test_each_acts_at_its_place_alone():
 
 @pytest.mark.parametrize("by", ["x_b", "time", "z", "z_rate", "phi"])
 def test_no_sum_of_functions_is_constant(by: str):
-    """A constant force or reading is an unknown of every record already."""
+    """A constant force is an unknown of every record already; that of a reading stands apart."""
     s = np.linspace(-1.0, 1.0, 400) * (np.pi if by == "phi" else 1.0)
     functions = _shapes(by, s, DEGREE)
     best, *_ = np.linalg.lstsq(functions, np.ones(400), rcond=None)
@@ -75,10 +75,32 @@ def test_no_sum_of_functions_is_constant(by: str):
     assert np.mean((1.0 - functions @ best) ** 2) > 1e-3
 
 
+def test_a_reading_may_be_false_in_one_place_and_right_everywhere_else():
+    """As near a magnet that passes. A sensor has a zero of its own, which single readings show."""
+    s = replace(moving(), x_b_m=np.linspace(-0.1, 0.1, 200))
+    effect = freeform_effect(rig_places(), "unknown.x_b[0.1]", ("sensor:4",))
+    assert effect is not None
+    columns = np.stack([acts(t)[:, 4] for t in effect.build(s, ())], axis=1)
+    bump = np.exp(-(((s.x_b_m - 0.01) / 0.03) ** 2))
+    left = bump - columns @ np.linalg.lstsq(columns, bump, rcond=None)[0]
+    assert np.abs(left).max() < 0.02  # cubic pieces of 22 mm
+    assert len(columns.T) == len(effect.amplitudes) == 12
+
+
+@pytest.mark.parametrize("key", ["unknown.z_rate[1]*phi", "unknown.z[1]*phi", "unknown.phi"])
+@pytest.mark.parametrize("where", ["z", "sensor:4"])
+def test_every_function_of_a_model_file_has_its_amplitude(key: str, where: str):
+    effect = freeform_effect(rig_places(), key, (where,))
+    assert effect is not None
+    assert len(effect.build(moving(), ())) == len(effect.amplitudes)
+
+
 def test_what_happens_at_one_end_of_the_beam_says_nothing_of_the_other():
     form = Form("x_b", 0.1)
     ends = replace(moving(), x_b_m=np.linspace(-0.1, 0.1, 200))
-    left, right = form.functions(ends)[:80], form.functions(ends)[-80:]
+    left, right = (
+        form.functions(ends, constant=False)[rows] for rows in (slice(80), slice(-80, None))
+    )
     assert not np.any(np.any(left != 0.0, axis=0)[-3:])
     assert not np.any(np.any(right != 0.0, axis=0)[:3])
 

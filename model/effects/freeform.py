@@ -66,26 +66,29 @@ class Form:
             return None
         return cls(found["by"], scale, found["factor"] or "", unit)
 
-    def functions(self, signals: Signals) -> Array:
-        """Return what one unit of each amplitude is along a trajectory (N, columns)."""
+    def functions(self, signals: Signals, constant: bool) -> Array:
+        """Return what one unit of each amplitude is along a trajectory (N, columns).
+
+        `constant`: of functions alone too. Of a force nobody knows it, of one reading it shows.
+        """
         s = _read(signals, self.by) / self.scale
         if not self.factor:
-            return _shapes(self.by, s, DEGREE)
+            alone = _shapes(self.by, s, DEGREE)
+            return np.column_stack([np.ones(len(s)), alone]) if constant else alone
         driven = _read(signals, self.factor) / self.unit
         whole = _shapes(self.by, s, _PRODUCT_DEGREE)
         if _constant_is_new(self.factor):
             whole = np.column_stack([np.ones(len(s)), whole])
         return np.asarray(driven[:, None] * whole)
 
-    @property
-    def amplitudes(self) -> tuple[str, ...]:
-        """Names of the amplitudes."""
+    def amplitudes(self, constant: bool) -> tuple[str, ...]:
+        """Return the names of the amplitudes."""
+        first = _constant_is_new(self.factor) if self.factor else constant
         if self.by == _TURN:
-            return ("sin", "cos", "sin2", "cos2")
+            return (*(("c0",) if first else ()), "sin", "cos", "sin2", "cos2")
         polynomial = _PRODUCT_DEGREE if self.factor else DEGREE
         count = _SPLINES - 1 if self.by in _LONG else polynomial
-        first = 0 if self.factor and _constant_is_new(self.factor) else 1
-        return tuple(f"c{k}" for k in range(first, count + 1))
+        return tuple(f"c{k}" for k in range(0 if first else 1, count + 1))
 
     @property
     def words(self) -> str:
@@ -181,16 +184,18 @@ def _effect(places: Places, where: str, form: Form) -> Effect:
     title = f"{what} that depends on {by}"
     if form.factor:
         title = f"{what} that depends on {form.factor} times a function of {by}"
-    amplitudes = tuple(Quantity(name, unit) for name in form.amplitudes)
+    names = form.amplitudes(constant=where not in places.dof)
+    amplitudes = tuple(Quantity(name, unit) for name in names)
     return Effect(form.key, title, "unknown", (where,), form.words, amplitudes, build)
 
 
 def _forces(signals: Signals, _shape: Sequence[float], *, form: Form, dof: int) -> list[Term]:
-    return [on_dof(signals, dof, column) for column in form.functions(signals).T]
+    return [on_dof(signals, dof, column) for column in form.functions(signals, constant=False).T]
 
 
 def _readings(signals: Signals, _shape: Sequence[float], *, form: Form, sensor: int) -> list[Term]:
-    return [on_sensor(signals, sensor, column) for column in form.functions(signals).T]
+    columns = form.functions(signals, constant=True).T
+    return [on_sensor(signals, sensor, column) for column in columns]
 
 
 def _shapes(by: str, s: Array, degree: int) -> Array:

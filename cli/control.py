@@ -202,10 +202,15 @@ def _ask(
     on_line: Callable[[Mapping[str, Any]], None] | None = None,
     **more: Any,
 ) -> dict[str, Any]:
-    from ..config.rig import load_rig
-    from ..daemon.client import Client, socket_path
+    from ..daemon.client import Client
+    from ..daemon.sockets import socket_path
 
-    with Client(socket_path(load_rig(rig_path) if rig_path else None)) as client:
+    rig = None
+    if rig_path:
+        from ..config.rig import load_rig  # takes a second: not before a stop that needs none
+
+        rig = load_rig(rig_path)
+    with Client(socket_path(rig)) as client:
         try:
             return client.request(op, on_line, **more)
         except KeyboardInterrupt:

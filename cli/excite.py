@@ -131,7 +131,8 @@ def _on_daemon(
     session: Path, rig_path: Path | None, out: Path, if_gone: str | None
 ) -> FlightResult:
     from ..config.rig import load_rig
-    from ..daemon.client import Client, NoDaemonError, socket_path
+    from ..daemon.client import Client, NoDaemonError
+    from ..daemon.sockets import socket_path
 
     rig = load_rig(rig_path) if rig_path is not None else None
     rig_text = rig_path.read_text() if rig_path is not None else None

@@ -24,7 +24,7 @@ def command(rig: Path) -> int:
     """
     from ..config.rig import load_rig
     from ..daemon.journal import Journal
-    from ..daemon.server import own_socket
+    from ..daemon.sockets import own_socket
     from ..daemon.supervisor import Supervisor
 
     config = load_rig(rig)

@@ -11,11 +11,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from ..config.rig import RigConfig
 from .result import FlightResult
-from .server import own_socket
+from .sockets import require_own_folder, socket_path
 
-_SERVICE = Path("/run/levid/levid.sock")
+__all__ = ["Client", "DaemonError", "NoDaemonError", "socket_path"]
+
 _TIMEOUT_S = 30.0
 _AGAIN_S = 0.01
 _CLEARING_S = 150.0  # opening buses anew and homing drives takes its time
@@ -29,16 +29,6 @@ class NoDaemonError(DaemonError):
     """Nobody answers at the control socket."""
 
 
-def socket_path(rig: RigConfig | None) -> Path:
-    """Return the control socket of the daemon that runs `rig`, or of the default one.
-
-    That is this user's, unless there is none, but one of a service of the machine's.
-    """
-    path = own_socket(rig)
-    named = rig is not None and rig.socket
-    return _SERVICE if not named and not path.exists() and _SERVICE.exists() else path
-
-
 class Client:
     """One connection; a context manager. Requests raise DaemonError when they are refused."""
 
@@ -50,6 +40,7 @@ class Client:
     def __enter__(self) -> Self:
         """Connect; raises NoDaemonError."""
         try:
+            require_own_folder(self._path)
             self._connect()
         except OSError as error:
             self._socket.close()

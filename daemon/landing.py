@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from math import ceil
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from ..config.rig import Limits
 from .control import Controller
@@ -49,6 +51,13 @@ class Landing:
             n = max(ceil(abs(at[1]) / (deceleration * self._period_s)), 1)
             brake[:] = at[0], at[1], -at[1] / (n * self._period_s), n
 
+    def row_after(self, blend: NDArray[np.float64]) -> int:
+        """Return the cycle that goes on from `blend` (3,), a row of another landing like this."""
+        sinking = blend[0] > 0.0
+        first, count = (0, self._ramp) if sinking else (self._ramp, self._release)
+        level = float(blend[0] if sinking else blend[2])
+        return first + bisect_right(range(count), -level, key=lambda k: -smooth(1.0 - k / count))
+
     def set_row(self, k: int) -> bool:
         """Set the rows of cycle `k`; return False where the landing is over."""
         if k >= self._ramp + self._release:
@@ -61,14 +70,20 @@ class Landing:
 
 
 @njit(cache=True)
+def smooth(s):  # type: ignore[no-untyped-def]
+    """Return the share, 0 to 1, at `s` of a step that begins and ends at rest."""
+    return s**3 * (10.0 + s * (-15.0 + 6.0 * s))
+
+
+@njit(cache=True)
 def landing_row(k, ramp, release, Ts, blend, brakes, motion) -> None:  # type: ignore[no-untyped-def]
     """Fill blend (3,) and motion (2, 1, 3) for cycle k; brakes (2, 4): x, v, a and cycles."""
     sinking = k < ramp
     s = (ramp - k) / ramp if sinking else (ramp + release - k) / release
-    smooth = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
-    blend[0] = smooth if sinking else 0.0
+    level = smooth(s)
+    blend[0] = level if sinking else 0.0
     blend[1] = 1.0
-    blend[2] = 1.0 if sinking else smooth
+    blend[2] = 1.0 if sinking else level
     for i in range(2):
         x, v, a, n = brakes[i, 0], brakes[i, 1], brakes[i, 2], brakes[i, 3]
         t = min(k + 1, n) * Ts

@@ -33,12 +33,12 @@ class Lines:
         """Whether something waits to be sent."""
         return bool(self._out)
 
-    def receive(self) -> None:
-        """Take in what has come; raises Closed at the end, TooLong where too much waits."""
+    def receive(self) -> bool:
+        """Take in what has come, if anything; raises Closed at the end, TooLong at too much."""
         try:
             data = self.socket.recv(_PIECE)
         except (BlockingIOError, InterruptedError):
-            return
+            return False
         except OSError as error:
             raise Closed(str(error)) from None
         if not data:
@@ -46,6 +46,7 @@ class Lines:
         self._in += data
         if len(self._in) > 2 * self._most_in:
             raise TooLong
+        return True
 
     def next_line(self) -> bytes | None:
         """Return the oldest whole line that has come, if there is one; raises TooLong."""
@@ -59,6 +60,11 @@ class Lines:
         del self._in[: end + 1]
         self._searched = 0
         return line
+
+    def forget(self) -> None:
+        """Drop what has come: nobody will take it up."""
+        self._in.clear()
+        self._searched = 0
 
     def lines(self) -> Iterator[bytes]:
         """Yield the whole lines that have come; raises TooLong."""

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from prometheus_client.metrics_core import Metric
 
 _ADDRESS = "127.0.0.1"
+_LONGEST_END_S = 1.0
 _QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999", "max": "1"}
 _COUNTERS = {
     "cycle": ("levid_cycles", "periods since the start"),
@@ -44,9 +45,11 @@ def serve_metrics(port: int, status: Callable[[], Mapping[str, Any]]) -> Callabl
     thread.start()
 
     def close() -> None:
-        server.shutdown()
+        # Whoever drips his request a byte at a time is not waited for.
+        ending = threading.Thread(target=server.shutdown, name="levid-metrics-end", daemon=True)
+        ending.start()
+        ending.join(_LONGEST_END_S)
         server.server_close()
-        thread.join()
 
     return close
 

@@ -123,6 +123,7 @@ class Pilot:
         assert self._feeder is not None
         self._feeder.feed()
         self._check_coils(self._feeder)
+        self.note_fault()
         now_s = time.monotonic()
         if job.over_s is None:
             if board[Word.PLAN_DONE] >= job.number:
@@ -138,6 +139,17 @@ class Pilot:
             self.job = self._feeder = None
             job.over()
             self._tell(job)
+
+    def note_fault(self) -> None:
+        """Keep the fault that the job at hand met: whoever asked hears of it, cleared or not."""
+        job, board = self.job, self._board
+        if job is None or job.error is not None or job.number != board[Word.FAULT_PLAN]:
+            return
+        fault = board.fault
+        if fault is not Fault.NONE:
+            at_s = board[Word.FAULT_CYCLE] / self._rig.rate_hz
+            step = job.step_of(board[Word.FAULT_LOG])
+            job.error = FlightFault(fault, at_s, step, board.detail)
 
     def abort(self, fault: Fault, detail: str) -> None:
         """The loop is gone: what is flown ends here."""
@@ -183,12 +195,6 @@ class Pilot:
 
     def _tell(self, job: Job) -> None:
         """Answer whoever waits for this job."""
-        board = self._board
-        faulted = board.fault is not Fault.NONE and board[Word.FAULT_PLAN] == job.number
-        if job.error is None and faulted:
-            at_s = board[Word.FAULT_CYCLE] / self._rig.rate_hz
-            step = job.step_of(board[Word.FAULT_LOG])
-            job.error = FlightFault(board.fault, at_s, step, board.detail)
         problems = [self._recorder.failed[tag] for tag in job.tags if tag in self._recorder.failed]
         if job.error is None and problems:
             job.error = RecordingError(f"recording failed: {problems[0]}")

@@ -127,6 +127,8 @@ class Requests:
             if self._supervisor.stopping:
                 raise RefusedError("the daemon is ending")
             self._supervisor.pilot.begin(job)
+            if asked != self._moment:  # between the look and the announcement
+                self._supervisor.board.land()
         except Exception as error:  # noqa: BLE001 - as above
             job.over()
             job.reply.refuse(str(error) or type(error).__name__)

@@ -8,8 +8,10 @@ import sys
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from .plan import Plan, PlannedStep
+if TYPE_CHECKING:  # a client that stops a flight does not wait for scipy
+    from .plan import Plan, PlannedStep
 
 
 class RecordingError(Exception):

@@ -15,15 +15,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..config.rig import RigConfig
 from .access import Access, peer_of
 from .lines import Closed, Lines, TooLong
+from .sockets import listens, require_own_folder
 
 LONGEST_LINE = 1 << 20
 _MOST_CLIENTS = 64
 _WAITING_CLIENTS = 128
 _MOST_UNREAD = 1 << 18
 _BACK_OFF_S = 0.05
+_HEARD_OUT = frozenset(("stop", "land"))
+"""What is done for clients too that are gone before they had an answer to what they asked first."""
 
 
 class ServerError(Exception):
@@ -94,10 +96,11 @@ class Server:
         """Open the socket and answer from now on; raises ServerError."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o750)
+            require_own_folder(self._path)
             if self._path.exists():
                 if not self._path.is_socket():
                     raise ServerError(f"{self._path}: expected a socket or nothing, found a file")
-                if _answers(self._path):
+                if listens(self._path):
                     raise ServerError(f"{self._path}: another daemon answers here already")
                 self._path.unlink()
             self._socket.bind(str(self._path))
@@ -216,15 +219,18 @@ class Server:
 
     def _too_long(self, connection: _Connection) -> None:
         connection.last_words = True
+        connection.lines.forget()
         self._put(connection, refusal(f"expected at most {LONGEST_LINE} bytes a request"))
 
-    def _handle(self, line: bytes, reply: Reply) -> None:
+    def _handle(self, line: bytes, reply: Reply, among: frozenset[str] | None = None) -> None:
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
             reply.refuse("expected one JSON object a line")
             return
         op = request.get("op") if isinstance(request, dict) else None
+        if among is not None and op not in among:
+            return
         handler = self._handlers.get(op) if isinstance(op, str) else None
         if handler is None:
             reply.refuse(f"op: expected one of {', '.join(sorted(self._handlers))}, found {op!r}")
@@ -259,7 +265,8 @@ class Server:
         if connection.last_words and not lines.wants_to_send:
             self._hang_up(connection)
             return
-        events = selectors.EVENT_READ
+        # Whoever is about to be hung up on is not read any more, however much he says.
+        events = 0 if connection.last_words else selectors.EVENT_READ
         if lines.wants_to_send:
             events |= selectors.EVENT_WRITE
         self._selector.modify(lines.socket, events, connection)
@@ -268,6 +275,8 @@ class Server:
         if connection.closed:
             return
         connection.closed = True
+        if not connection.last_words:
+            self._hear_out(connection)
         self._connections.remove(connection)
         with contextlib.suppress(KeyError, ValueError):
             self._selector.unregister(connection.lines.socket)
@@ -275,29 +284,17 @@ class Server:
         if connection.reply is not None:
             connection.reply.gone()
 
-
-def own_socket(rig: RigConfig | None) -> Path:
-    """Return where a daemon that is started here has its control socket."""
-    if rig is not None and rig.socket:
-        return Path(rig.socket)
-    runtime = os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR")
-    if runtime:
-        return Path(runtime) / "levid.sock"
-    return Path("/tmp") / f"levid-{os.getuid()}" / "levid.sock"
+    def _hear_out(self, connection: _Connection) -> None:
+        """Take up what is to end a flight, from whoever said it and went."""
+        lines = connection.lines
+        with contextlib.suppress(Closed, TooLong):
+            while lines.receive():
+                pass
+        with contextlib.suppress(TooLong):
+            for line in lines.lines():
+                self._handle(line, Reply(self, connection), _HEARD_OUT)
 
 
 def refusal(error: str) -> dict[str, Any]:
     """Return the answer to a request that cannot be carried out."""
     return {"ok": False, "error": error}
-
-
-def _answers(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(1.0)
-        try:
-            probe.connect(str(path))
-        except (ConnectionRefusedError, FileNotFoundError):
-            return False
-        except OSError:  # so many ask it that nobody gets in
-            return True
-        return True

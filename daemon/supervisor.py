@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections import deque
@@ -156,6 +157,7 @@ class Supervisor:
         if fault is Fault.NONE and not board[Word.ZERO]:
             reply.done(cleared=Fault.NONE.name)
             return
+        self.pilot.note_fault()  # before it is gone
         self._stop_s = None
         if not self._loop.running:
             board[Word.ZERO], board[Word.FAULT] = 0, Fault.NONE
@@ -171,7 +173,7 @@ class Supervisor:
         job = pilot.job  # may end while this is put together
         rows = ring.last(1).rows
         pose = {
-            name: float(rows[name][0]) if len(rows) else None
+            name: _number(rows[name][0]) if len(rows) else None
             for name in ("psi_rad", "theta_rad", "z_m", "beam_m", "rotor_rad")
         }
         return {
@@ -365,3 +367,8 @@ def fault_folder(rig: RigConfig, folder: Path) -> Path:
         return Path(state.split(":", maxsplit=1)[0]) / "faults"
     home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
     return Path(home) / "levid" / "faults"
+
+
+def _number(value: float) -> float | None:
+    """Return a number that JSON has: what was never read is None."""
+    return float(value) if math.isfinite(value) else None

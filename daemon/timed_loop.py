@@ -8,12 +8,14 @@ next cycle begins on time, or the coils are at zero.
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..drivers.base import Devices
@@ -310,15 +312,27 @@ class TimedLoop:
         if self._state is State.LANDING:
             return
         words = self._words
-        words[Word.PLAN_CUT] = max(words[Word.PLAN], words[Word.PLAN_CUT])
+        words[Word.PLAN_CUT] = max(words[Word.PLAN], words[Word.PLAN_CUT], self._last_announced)
         if not self._controller.engaged:
             if words[Word.PLAN]:
                 self._end_plan()
             return
+        self._land_unplanned()
+
+    @property
+    def _last_announced(self) -> int:
+        """The plan of the last segment that is announced and has not begun; 0 for none."""
+        words = self._words
+        head = words[_QUEUE_HEAD]
+        return self._program.announced(head - 1).plan if words[_QUEUE_TAIL] < head else 0
+
+    def _land_unplanned(self, after: NDArray[np.float64] | None = None) -> None:
+        """Fly a landing from here, or from where one that was planned has left off, (3,)."""
+        words = self._words
         self._landing.begin(words[Word.LAND_RAMP], words[Word.LAND_RELEASE])
         if self._begin(self._landing.segment):
             self._label(words[Word.LAND_LOG])
-            self._k = 0
+            self._k = 0 if after is None else self._landing.row_after(after)
             self._advance = self._fly_landing
 
     def _end_plan(self) -> None:
@@ -342,8 +356,16 @@ class TimedLoop:
         """The plan goes on and its rows are not there."""
         self._left = 0
         self._abandoned(why)
-        if self._advance == self._fly_program:  # at zero force it is enough to drop the plan
-            self._words[Word.PLAN_CUT] = self._words[Word.PLAN]
+        if self._advance != self._fly_program:
+            return
+        # At zero force it is enough to drop the plan; who was about to land anyway goes on landing.
+        words = self._words
+        words[Word.PLAN_CUT] = max(words[Word.PLAN], words[Word.PLAN_CUT])
+        announced = self._announced
+        if self._controller.engaged and self._state is State.LANDING and announced is not None:
+            blend = self._program.segment(announced).blend
+            self._land_unplanned(after=blend[(self._position - 1) % len(blend)])
+        else:
             self._end_plan()
 
     def _abandoned(self, why: str) -> None:
@@ -420,6 +442,7 @@ class TimedLoop:
                 self._board.detail = ""
                 self._begin_self_test()
             finally:
+                gc.collect()  # what failing left behind: nobody else does, and here is time
                 words[Word.BUSY] = 0
                 self._silent = 0
         words[Word.CLEARED] = request

@@ -165,9 +165,17 @@ class FirstError:
         return False
 
     def raise_it(self) -> None:
-        """Raise the first error, if there was one."""
-        if self._error is not None:
-            raise self._error
+        """Raise the first error, if there was one.
+
+        Nothing of it stays here: an error holds its frames, and those this object. In a process
+        that does not collect such rings, a bus that is gone would cost 3 kB a cycle.
+        """
+        error, self._error = self._error, None
+        if error is not None:
+            try:
+                raise error
+            finally:
+                del error
 
 
 @dataclass(frozen=True)

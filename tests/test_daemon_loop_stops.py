@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import os
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,14 +17,15 @@ from levid.daemon.faults import Fault
 from levid.daemon.parent_watch import is_stopped
 from levid.daemon.states import State
 from levid.daemon.supervisor import Supervisor
-from levid.drivers.base import Devices, StaleError
+from levid.drivers.base import Backend, Devices, FirstError, LinkError, StaleError
 
 
 def test_clear_does_not_take_back_a_stop_that_nobody_has_looked_at() -> None:
     flight = ScriptedLoop()
     supervisor = SimpleNamespace(
-        board=flight.board, _stop_s=None, _clearings=[], _loop=SimpleNamespace(running=True)
-    )
+        board=flight.board, _stop_s=None, _clearings=[], _loop=SimpleNamespace(running=True),
+        pilot=SimpleNamespace(note_fault=lambda: None),
+    )  # fmt: skip
 
     def script(n: int) -> None:
         if n == 300:
@@ -101,6 +104,55 @@ def test_orphan_lands_whatever_happened_to_its_supervisor_before(
     assert board.state in (State.FAULT, State.OFF)
 
 
+@pytest.mark.parametrize("land", [{"ramp_s": 8.0}, {"ramp_s": 2.0, "release_s": 7.0}])
+def test_orphan_goes_on_with_a_landing_that_it_has_no_more_rows_of(
+    land: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows are announced a few seconds ahead; then the loop goes on from the last of them."""
+    flight = ScriptedLoop(supervisor_gone="land", supervisor_s=0.2)
+    board, forces, landing = flight.board, [], []
+    ramp, release = round(1e3 * land["ramp_s"]), round(1e3 * land.get("release_s", 0.5))
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": LIFT}, {"land": land})
+            board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = ramp, release
+        if board.state is State.LANDING:
+            landing.append(n)
+            forces.append(flight.forces)
+        if landing and not flight.silent:
+            flight.silent = True
+            monkeypatch.setattr(os, "getppid", lambda: 1)
+
+    flight.run(script, 14_000)
+    # A landing that began again, or ended early, would have other cycles.
+    assert abs(len(landing) - (ramp + release)) <= 2
+    # What the coils carry changes from one cycle to the next by noise of the readings alone.
+    assert np.abs(np.diff(forces)).max() < 0.1 * forces[0]
+    assert board.fault is Fault.SUPERVISOR
+
+
+def test_who_asks_to_land_before_the_first_row_stays_on_the_ground() -> None:
+    flight = ScriptedLoop()
+    board, states = flight.board, set()
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": LIFT})
+            assert flight._feeder is not None
+            flight._feeder.feed()
+            board.land()
+        states.add(board.state)
+        if n == 2000:
+            assert board[Word.PLAN_DONE] == flight.plans
+            flight.fly({"levitate": LIFT})  # the next one flies
+
+    flight.run(script, 1990)
+    assert State.LEVITATING not in states
+    flight.run(script, 2500)
+    assert State.LEVITATING in states
+
+
 def test_stop_in_the_cycle_that_readings_fail_in_is_written() -> None:
     stale = SimpleNamespace(now=False)
 
@@ -127,6 +179,45 @@ def test_stop_in_the_cycle_that_readings_fail_in_is_written() -> None:
 
     flight.run(script, 1502)
     assert flight.forces == 0.0
+
+
+def test_bus_that_is_gone_for_days_costs_no_memory() -> None:
+    """Nobody collects in the loop's process: what every cycle raises must not hold itself."""
+    dead = SimpleNamespace(now=False)
+
+    class Broken:
+        def __init__(self, backend: Backend) -> None:
+            self._backend = backend
+
+        def sync(self, cycle: int) -> None:
+            first = FirstError()
+            with first:
+                self._backend.sync(cycle)
+            with first:
+                if dead.now:
+                    raise LinkError("gone")
+            first.raise_it()
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self._backend, name)
+
+    flight = ScriptedLoop(lambda devices: replace(devices, backends=(Broken(devices.backends[0]),)))
+    counts = []
+
+    def script(n: int) -> None:
+        dead.now = n >= 600
+        if n in (1000, 3000):
+            counts.append(gc.get_count()[0])
+
+    gc.collect()
+    gc.disable()
+    try:
+        flight.run(script, 3001)
+    finally:
+        gc.enable()
+    assert flight.board.fault is Fault.LINK
+    # Objects alive that were made since the collector last looked.
+    assert counts[1] - counts[0] < 100
 
 
 def test_heat_of_the_coils_outlasts_the_loop() -> None:

@@ -10,6 +10,7 @@ import pwd
 import socket
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -30,10 +31,12 @@ class Bench:
     def __init__(self, folder: Path, access: Access | None = None) -> None:
         self.path = folder / "test.sock"
         self.waiting: list[Reply] = []
+        self.stops: list[int] = []
         self.gone = threading.Event()
         handlers: dict[str, Any] = {
             "echo": lambda request, reply: reply.done(said=request.get("say")),
             "wait": self._wait,
+            "stop": lambda _, reply: (self.stops.append(1), reply.done()),
             "flood": lambda _, reply: [reply.send({"line": "x" * 10_000}) for _ in range(1000)],
         }
         self.server = Server(self.path, handlers, access or Access(Service()))
@@ -133,6 +136,39 @@ def test_line_without_an_end_is_refused(bench: Bench) -> None:
         with contextlib.suppress(OSError):
             connection.sendall(b"x" * (LONGEST_LINE + 2))
         assert "at most" in json.loads(connection.makefile("rb").readline())["error"]
+    assert works(bench)
+
+
+@pytest.mark.parametrize("before", [b'{"op": "echo"}', b'{"op": "wait"}', b"nonsense"])
+def test_stop_of_a_client_that_does_not_wait_is_heard(bench: Bench, before: bytes) -> None:
+    for _ in range(20):
+        with bench.connect() as connection:
+            connection.sendall(before + b'\n{"op": "echo"}\n{"op": "stop"}\n')
+    with bench.connect() as connection:
+        connection.sendall(before + b'\n{"op": "stop"}\n')
+        connection.shutdown(socket.SHUT_WR)
+        connection.makefile("rb").read()
+    deadline_s = time.monotonic() + _GIVE_UP_S
+    while len(bench.stops) < 21 and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    assert len(bench.stops) == 21
+
+
+def test_who_is_being_hung_up_on_is_read_no_more(bench: Bench) -> None:
+    """His answers fill his own buffers, and then he may say what he likes."""
+    with bench.connect() as connection:
+        connection.sendall(b'{"op": "echo", "say": "' + b"x" * 200_000 + b'"}\n')
+        connection.setblocking(False)
+        said, deadline_s = 0, time.monotonic() + 1.0
+        while time.monotonic() < deadline_s:
+            try:
+                said += connection.send(b"y" * 100_000)
+            except BlockingIOError:
+                time.sleep(0.01)
+            except OSError:
+                break
+        # Twice the longest line, and what the kernel keeps.
+        assert said < 4 * LONGEST_LINE
     assert works(bench)
 
 

@@ -98,7 +98,7 @@ class FaultLog:
                 attachments=self._attachments,
             ) as log:
                 log.write(found.rows, times)
-            self._prune()
+            self._prune(path)
         except Exception as error:  # noqa: BLE001 - told; a full disk must not end the recorder
             self._told(fault, "", str(error))
         else:
@@ -113,7 +113,9 @@ class FaultLog:
             path = self._folder / f"fault-{at}Z-{fault.name}.{number}.mcap"
         return path
 
-    def _prune(self) -> None:
-        # The time of day stands first in the names: their order is that of the faults.
-        for path in sorted(self._folder.glob("fault-*.mcap"))[: -self._keep]:
+    def _prune(self, written: Path) -> None:
+        # The time of day stands first in the names: their order is that of the faults, but where
+        # the clock is behind. What has just been written is not the oldest, whatever it says.
+        others = [path for path in sorted(self._folder.glob("fault-*.mcap")) if path != written]
+        for path in others[: max(len(others) + 1 - self._keep, 0)]:
             path.unlink(missing_ok=True)

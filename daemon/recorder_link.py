@@ -43,6 +43,7 @@ class RecorderLink:
         self.files: dict[int, list[Path]] = {}
         self.failed: dict[int, str] = {}
         self.last_fault_log = ""
+        self._untold = ""  # the fault that a flight recording was asked for, until there is one
         self.restarts = -1
         self._pause_s, self._again_s = _FIRST_PAUSE_S, 0.0
         self._beat, self._beat_s = 0, time.monotonic()
@@ -76,6 +77,7 @@ class RecorderLink:
 
     def fault(self, fault: Fault) -> None:
         """Have a flight recording written for a fault that the loop could not log itself."""
+        self._untold = fault.name  # whatever becomes of the recorder meanwhile
         self._send({"fault": fault.name})
 
     def watch(self) -> None:
@@ -133,6 +135,8 @@ class RecorderLink:
             # A part that was begun is never written over.
             part = file.part + len(self.files[tag])
             self._define(tag, replace(file, part=part), again=True)
+        if self._untold:
+            self._send({"fault": self._untold})
 
     def _define(self, tag: int, file: LogFile, again: bool) -> None:
         # The logs of a session have their attachments in common: they are sent once.
@@ -166,6 +170,7 @@ class RecorderLink:
 
     def _take(self, message: Mapping[str, Any]) -> None:
         if message["event"] == "fault":
+            self._untold = "" if message["fault"] == self._untold else self._untold
             self.last_fault_log = message["path"]
             what = message["path"] or f"could not be written: {message['why']}"
             self._say(f"flight recording of {message['fault']}: {what}")

@@ -10,7 +10,6 @@ import select
 import signal
 import socket
 import sys
-import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -30,9 +29,10 @@ from .result import attachments
 from .ring import NO_LOG
 from .scribe import Event, LogFile, Rotation, Scribe
 from .shared import Shared
+from .syncer import Syncer
 
 _POLL_S = 0.01
-_SYNC_EVERY_S = 0.5
+_SYNCING_S = 5.0
 _MOST_BYTES = 16 << 20
 _WITHOUT_ROWS_S = 1.0
 _UNKNOWN_S = 1.0
@@ -44,8 +44,11 @@ class RecorderProcess:
     def __init__(self, rig: RigConfig, shared: Shared, end: socket.socket, faults: Path) -> None:
         self._board, self._ring = shared.board, shared.ring
         self._lines = Lines(end, _MOST_BYTES, _MOST_BYTES)
+        self._syncer = Syncer()
         self._logs: dict[int, LogFile] = {}
         self._head: Mapping[str, bytes] = {}
+        self._tags: dict[Path, int] = {}  # of the logs at hand
+        self._fault_logs: dict[Path, str] = {}  # the last one, and its fault
         self._ending = False
         rotation = Rotation(
             int(rig.recording.rotate_mb * 1e6), int(rig.recording.rotate_s * rig.rate_hz)
@@ -63,7 +66,7 @@ class RecorderProcess:
             },
             self._tell_fault,
         )
-        self._syncer = _Syncer()
+        self._scribe.dropped = self._board[Word.DROPPED]  # of those before this one
         # A recorder that died left rows behind that were taken and are in no file.
         self._ring.tail = self._ring.durable
         self._faults.epoch_ns = self._board[Word.EPOCH_NS]
@@ -84,7 +87,7 @@ class RecorderProcess:
             self._faults.see(taken)
             if self._faults.nothing_due:
                 words[Word.FAULTS_SEEN] = self._ring.tail
-            self._syncer.offer(self._scribe)
+            self._sync()
             words[Word.DROPPED] = self._scribe.dropped
             words[Word.WRITING] = self._scribe.tag
             words[Word.RECORDER_BEAT] += 1
@@ -101,7 +104,19 @@ class RecorderProcess:
                 break
         self._scribe.finish()
         self._faults.finish()
+        self._syncer.finish(_SYNCING_S)
+        self._sync()
         words[Word.WRITING] = self._scribe.tag
+
+    def _sync(self) -> None:
+        self._syncer.offer(self._scribe.writer)
+        for path, why in self._syncer.failures():
+            if path in self._fault_logs:
+                self._say(
+                    {"event": "fault", "fault": self._fault_logs[path], "path": "", "why": why}
+                )
+            else:
+                self._tell(Event.FAILED, self._tags.get(path, self._scribe.tag), path, why)
 
     def _hear(self, wait_s: float) -> None:
         """Do what the supervisor says; wait for it for `wait_s` at most."""
@@ -126,7 +141,9 @@ class RecorderProcess:
                 file = without_empty_part(file)
             self._logs[int(message["log"])] = file
         if "forget" in message:
-            self._logs = {t: log for t, log in self._logs.items() if t > int(message["forget"])}
+            before = int(message["forget"])
+            self._logs = {tag: log for tag, log in self._logs.items() if tag > before}
+            self._tags = {path: tag for path, tag in self._tags.items() if tag > before}
             self._scribe.forget_errors()
         if "fault" in message:  # of a loop that can write no row of it
             while len(self._scribe.work().rows):
@@ -144,9 +161,16 @@ class RecorderProcess:
         return self._logs.get(tag)
 
     def _tell(self, event: Event, tag: int, path: Path, why: str) -> None:
+        if event is Event.OPENED:
+            self._tags[path] = tag
+        elif event is Event.CLOSED:
+            self._syncer.whole(path)
         self._say({"event": event, "log": tag, "path": str(path), "why": why})
 
     def _tell_fault(self, fault: Fault, path: str, why: str) -> None:
+        if path:
+            self._fault_logs = {Path(path): fault.name}
+            self._syncer.whole(Path(path))
         self._say({"event": "fault", "fault": fault.name, "path": path, "why": why})
 
     def _say(self, message: Mapping[str, Any]) -> None:
@@ -178,41 +202,6 @@ def _taken_away(path: Path) -> bool:
     except OSError:
         return False
     return True
-
-
-class _Syncer:
-    """Brings what was written to the disk itself, for the power may fail; nobody waits for it."""
-
-    def __init__(self) -> None:
-        self._fd = -1
-        self._wanted, self._idle = threading.Event(), threading.Event()
-        self._idle.set()
-        self._synced_s, self._size = 0.0, 0
-        threading.Thread(target=self._run, name="levid-sync", daemon=True).start()
-
-    def offer(self, scribe: Scribe) -> None:
-        """Sync the file at hand if it has grown and the last time is long enough ago."""
-        writer = scribe.writer
-        if writer is None or writer.size == self._size or not self._idle.is_set():
-            return
-        now_s = time.monotonic()
-        if now_s - self._synced_s < _SYNC_EVERY_S:
-            return
-        self._synced_s, self._size = now_s, writer.size
-        with contextlib.suppress(OSError, ValueError):
-            self._fd = os.dup(writer.fileno())
-            self._idle.clear()
-            self._wanted.set()
-
-    def _run(self) -> None:
-        while True:
-            self._wanted.wait()
-            self._wanted.clear()
-            with contextlib.suppress(OSError):
-                os.fdatasync(self._fd)
-            with contextlib.suppress(OSError):
-                os.close(self._fd)
-            self._idle.set()
 
 
 def main(fd: str, parent: str, end: str, faults: str) -> None:

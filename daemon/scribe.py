@@ -128,7 +128,7 @@ class Scribe:
             return
         writer = self._writer
         times = self.epoch_ns + np.rint(rows["cycle"] * self._period_ns).astype(np.uint64)
-        self._guard(lambda: writer.write(rows, times), len(rows))
+        self._guard(lambda: writer.write(rows, times), writer.buffered + len(rows))
         self._rows += len(rows)
         rotation = self._rotation
         if (

@@ -1,0 +1,96 @@
+"""What was written is on the disk soon, the end of it too, and a disk that refuses is heard of."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from levid.config.service import Recording
+from levid.daemon.fault_log import FaultLog
+from levid.daemon.faults import Fault
+from levid.daemon.recorder_link import RecorderLink
+from levid.daemon.ring import Ring
+from levid.daemon.syncer import Syncer
+from levid.log.signals import cycle_dtype
+from levid.log.writer import LogWriter
+
+DTYPE = cycle_dtype(9, 9)
+
+
+def test_a_whole_file_and_its_name_are_brought_to_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced = []
+
+    def fsync(descriptor: int) -> None:
+        path = Path(f"/proc/self/fd/{descriptor}").readlink()
+        synced.append((path, path.stat().st_size if path.is_file() else 0))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    syncer, path = Syncer(), tmp_path / "01-z.mcap"
+    path.write_bytes(b"x" * 1000)
+    syncer.whole(path)
+    syncer.finish(30.0)
+    assert synced == [(path, 1000), (tmp_path, 0)]
+    assert syncer.failures() == []
+
+
+def test_a_disk_that_refuses_is_heard_of_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fdatasync", refuse)
+    monkeypatch.setattr("levid.daemon.syncer._EVERY_S", 0.0)
+    syncer, rows = Syncer(), np.zeros(20_000, DTYPE)
+    with LogWriter(
+        tmp_path / "01-z.mcap", DTYPE, rate_hz=1e3, metadata={"kind": "record"}, attachments={}
+    ) as writer:
+        for _ in range(3):
+            writer.write(rows, np.zeros(len(rows), np.uint64))
+            syncer.offer(writer)
+            syncer.finish(30.0)
+    found = syncer.failures()
+    assert [path.name for path, _ in found] == ["01-z.mcap"]
+    assert "Input/output error" in found[0][1]
+    assert syncer.failures() == []
+
+
+def test_a_clock_that_is_behind_costs_no_flight_recording(tmp_path: Path) -> None:
+    ring, told = Ring(DTYPE, 4000), []
+    for k in range(5):  # of another year
+        (tmp_path / f"fault-20300101T00000{k}.000Z-GAP.mcap").touch()
+    log = FaultLog(
+        ring, 1e3, tmp_path, Recording(keep_faults=5), {},
+        lambda fault, path, error: told.append((fault, Path(path), error)),
+    )  # fmt: skip
+    ring.rows["cycle"][:2000] = np.arange(2000)
+    ring.head = 2000
+    log.write(Fault.LINK)
+    ((_, path, error),) = told
+    assert not error
+    assert path.exists()
+    kept = sorted(p.name for p in tmp_path.iterdir())
+    assert len(kept) == 5
+    assert not any("T000000" in name for name in kept)  # the oldest went
+
+
+def test_a_recorder_that_follows_a_dead_one_writes_what_was_asked_of_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[dict[str, object]] = []
+    board = SimpleNamespace()
+    monkeypatch.setattr(RecorderLink, "_send", lambda _, message: sent.append(message))
+    link = RecorderLink(b"{}", -1, board, tmp_path, lambda *_: None)  # type: ignore[arg-type]
+    monkeypatch.setattr(link._child, "start", lambda *_: None)
+    link.fault(Fault.LOOP)
+    link._start(0.0)
+    assert sent == [{"fault": "LOOP"}] * 2
+    link._take({"event": "fault", "fault": "LOOP", "path": str(tmp_path / "a.mcap"), "why": ""})
+    link._start(1.0)
+    assert len(sent) == 2

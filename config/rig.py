@@ -93,7 +93,7 @@ class Limits(Strict):
     coil_n: Positive
     coil_rate_n_s: Positive
     gap_m: Positive
-    beam_m: Positive
+    beam_m: Annotated[float, Field(gt=0, le=2.1, allow_inf_nan=False)]  # 32 bits of 1 nm
     beam_velocity_m_s: Positive
     beam_acceleration_m_s2: Positive
     rotor_velocity_rad_s: Positive = 20.0

@@ -13,6 +13,8 @@ from .rig import Rate
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Duration = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
 Pause = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
+# A drive counts in 1e-7 rad and 32 bits: what is beyond would stop short there, at once.
+RotorAngle = Annotated[float, Field(ge=-214.7, le=214.7, allow_inf_nan=False)]
 Dof = Literal["psi", "theta", "z"]
 
 
@@ -74,7 +76,7 @@ class Waypoint(Strict):
 class RotorWaypoint(Strict):
     """Turn the rotor to `to_rad`, then stay for `dwell_s`; a smooth profile within the limits."""
 
-    to_rad: Finite
+    to_rad: RotorAngle
     velocity_rad_s: Positive | None = None
     acceleration_rad_s2: Positive | None = None
     dwell_s: Pause = 0.0
@@ -105,7 +107,7 @@ class Move(Strict):
     """Move the beam (and the rotor), then settle for `settle_s`."""
 
     beam_m: Finite | None = None
-    rotor_rad: Finite | None = None
+    rotor_rad: RotorAngle | None = None
     velocity_m_s: Positive | None = None
     acceleration_m_s2: Positive | None = None
     settle_s: Pause = 4.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,12 @@ def main(fd: str, parent: str, folder: str) -> None:
     board[Word.BUSY] = 1
     board[Word.LOOPS] += 1
     controller = Controller(rig, 1.0 / rig.rate_hz, shared.control)
-    devices = _opened(rig, Path(folder), board)
+    row = np.zeros(1, shared.dtype)
+
+    def ready(devices: Devices) -> None:
+        warm_up(controller, devices, row, rig, _cycle_now(board, rig.rate_hz))
+
+    devices = _opened(rig, Path(folder), board, ready)
     if devices is None:
         return
     try:
@@ -53,9 +59,6 @@ def _fly(
 ) -> None:
     board = shared.board
     clock = RealClock(1.0 / rig.rate_hz)
-    row = np.zeros(1, shared.dtype)
-    before = _cycle_now(board, rig.rate_hz)
-    warm_up(controller, devices, row, rig, before)
 
     def recover() -> None:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -90,12 +93,19 @@ def _cycle_now(board: Board, rate_hz: float) -> int:
     return int(passed_ns * 1e-9 * rate_hz)
 
 
-def _opened(rig: RigConfig, folder: Path, board: Board) -> Devices | None:
-    """Open the devices; in the fault that it is, try again with every request to clear it."""
+def _opened(
+    rig: RigConfig, folder: Path, board: Board, ready: Callable[[Devices], None]
+) -> Devices | None:
+    """Open the devices and get `ready`; where that fails, every request to clear tries again."""
     seen = board[Word.CLEAR]
     while True:
         try:
             devices = open_devices(Context(rig, 1.0 / rig.rate_hz, folder))
+            try:
+                ready(devices)
+            except BaseException:
+                devices.close()
+                raise
         except Exception as error:  # noqa: BLE001 - the fault is told, and is cleared by the next try
             fault, detail = fault_of(error)
             board.detail = detail

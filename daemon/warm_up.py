@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
-from ..drivers.base import Devices
+from ..drivers.base import Devices, DriveError
 from .control import Controller
 from .segment import Segment, idle_segment
+
+_TRIES = 5
 
 
 def warm_up(
@@ -29,13 +31,22 @@ def warm_up(
 
 
 def locate(controller: Controller, devices: Devices, rig: RigConfig, cycle: int) -> None:
-    """Read where the manipulator is, in this cycle, and hold it there from now on."""
-    for sync in devices.syncs:
-        sync(cycle)
-    devices.drives.read(controller.beam, controller.rotor)
+    """Read where the manipulator is, in this cycle, and hold it there from now on.
+
+    An answer may be lost, or come too late: it is asked again. Raises DriverError: nothing came.
+    """
+    beam, rotor = controller.beam, controller.rotor
+    for _ in range(_TRIES):
+        for sync in devices.syncs:
+            sync(cycle)
+        devices.drives.read(beam, rotor)
+        if np.isfinite(beam[0]) and np.isfinite(rotor[0]):
+            break
+    else:
+        raise DriveError(f"the manipulator's position did not come in {_TRIES} readings")
     reach = rig.limits.beam_m
-    controller.beam_ref[:] = np.clip(np.nan_to_num(controller.beam[0]), -reach, reach), 0.0, 0.0
-    controller.rotor_ref[:] = np.nan_to_num(controller.rotor[0]), 0.0, 0.0
+    controller.beam_ref[:] = np.clip(beam[0], -reach, reach), 0.0, 0.0
+    controller.rotor_ref[:] = rotor[0], 0.0, 0.0
 
 
 def resting_segment(controller: Controller, cycles: int) -> Segment:

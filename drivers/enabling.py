@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -35,6 +35,12 @@ def compare_limits(
             wrong.append(f"{parameter.name}: expected {expected[parameter]}, found {found}")
     if wrong:
         raise DriverError(f"{what}: limits in the device are not the rig's: {'; '.join(wrong)}")
+
+
+def worst_state(states: Sequence[int]) -> int:
+    """Return the state that is told of several amplifiers: that of the one that is worst off."""
+    first = states[0]
+    return first if all(s == first for s in states) else min(states, key=_WORST_FIRST.index)
 
 
 class AmplifierWatch:
@@ -83,7 +89,8 @@ class AmplifierWatch:
         force_n[tripped] = 0.0
         self._state = AmplifierState(state) if state in _STATES else AmplifierState.OFF
         if self._state is not AmplifierState.TRIPPED and not self._commanded:
-            self._pursue()
+            if not self._told:  # else it was a fault: they stay off until that is cleared
+                self._pursue()
             return
         if self._told:
             return
@@ -120,4 +127,8 @@ class AmplifierWatch:
 
 
 _STATES = frozenset(AmplifierState)
+_WORST_FIRST = (
+    AmplifierState.TRIPPED, AmplifierState.EXPIRED, *range(5, 16), AmplifierState.OFF,
+    AmplifierState.UNHEARD, AmplifierState.ENABLED,
+)  # fmt: skip
 _REFUSALS = frozenset(Refusal)

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from ..wire.budget import budget
+from ..wire.budget import LONGEST_WAIT, budget
 from .base import Backend, CoilAmplifiers, Context, ManipulatorDrives, PositionSensors
 
 _ANSWER_SHARE = 0.5
 """Share of the period for which answers are waited for where the wire is quick: what is not there
 by then is stale, and there is time left for control, setpoints and a late wake-up."""
-_WIRE_MARGIN, _MOST_SHARE = 0.15, 0.8
+_WIRE_MARGIN = 0.15
 
 
 def answer_wait_s(context: Context) -> float:
     """Return how long after a cycle's begin answers count: longer where the wire takes longer."""
     needed_s = max(
-        (bus.answers_s + bus.latency_s for bus in budget(context.rig, context.folder).buses),
+        (
+            bus.before_s + bus.answers_s + bus.latency_s
+            for bus in budget(context.rig, context.folder).buses
+        ),
         default=0.0,
     )
-    share = min(needed_s / context.period_s + _WIRE_MARGIN, _MOST_SHARE)
+    share = min(needed_s / context.period_s + _WIRE_MARGIN, LONGEST_WAIT)
     return max(_ANSWER_SHARE, share) * context.period_s
 
 

@@ -7,6 +7,7 @@ from numba import njit
 
 from ..config.rig import Geometry
 from ..model.geometry import decoupling_matrix, shape_matrix
+from ..wire.device import SensorState
 from .base import Array, DriveError, SensorError
 
 _FROZEN_CYCLES = 20
@@ -36,8 +37,10 @@ class SensorWatch:
         self._off_before = np.zeros(len(x))
         self._told = False
 
-    def judge(self, gap_m: Array) -> None:
+    def judge(self, gap_m: Array, state: int = SensorState.OK) -> None:
         """Look at a fresh reading (S,) in m; nan becomes the last one, so that the loop can go on.
+
+        `state` is what the ADC says of itself: what it calls faulty is not believed, number or not.
 
         Raises:
             SensorError: a channel is not to be trusted; raised once, until `reset`.
@@ -49,6 +52,11 @@ class SensorWatch:
             self._told = True
             what = {1: "no reading", 2: "at the end of its range", 3: "frozen"}[bad % 4]
             raise SensorError(f"{self._what}: sensor {bad // 4}: {what}")
+        if state != SensorState.OK and not self._told:
+            self._told = True
+            raise SensorError(
+                f"{self._what}: the ADC says that a channel is faulty (state {state})"
+            )
 
     def reset(self) -> None:
         """Begin anew after a fault."""

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from levid.config.rig import RigConfig
+from levid.daemon.control import Controller
+from levid.daemon.warm_up import locate
 from levid.drivers.base import Context, Devices
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.rig import Electronics
@@ -124,6 +126,36 @@ def test_periods_that_were_skipped_have_passed(bench: Bench, loopback: Bench) ->
     np.testing.assert_allclose(
         np.array(found)[:, :9], np.array(expected)[:, :9], atol=GAP_TOLERANCE_M
     )
+
+
+@pytest.mark.parametrize("anew", ["opened by the next process", "recovered"])
+def test_whoever_comes_to_a_manipulator_leaves_it_where_it_is(
+    bench: Bench, anew: str, rig_on, quiet_sim: Path
+) -> None:
+    """Somebody may have moved it by hand, or the loop before this one was killed in flight."""
+    if bench.electronics is None:
+        pytest.skip("a simulator of its own begins where its file says")
+    for k in range(41):
+        bench.beam_ref[0] = 0.03 * k / 40
+        bench.run()
+    bench.run(5)
+    if anew == "recovered":
+        bench.devices.recover()
+    else:
+        bench.devices.close()
+        bench.devices = open_devices(Context(bench.rig, 1 / RATE_HZ, quiet_sim.parent))
+    controller = Controller(bench.rig, 1 / RATE_HZ)
+    core, told = bench.electronics.core, []
+    drive_setpoints = core.drive_setpoints
+    core.drive_setpoints = lambda plan: (told.extend(plan), drive_setpoints(plan))  # type: ignore[method-assign]
+    locate(controller, bench.devices, bench.rig, bench.cycle)
+    assert controller.beam_ref[0] == pytest.approx(0.03, abs=BEAM_TOLERANCE_M)
+    bench.beam_ref, bench.rotor_ref = controller.beam_ref, controller.rotor_ref
+    bench.run(10)
+    places = [motion[0, 0] for motion in told if np.isfinite(motion[0, 0])]
+    assert places
+    np.testing.assert_allclose(places, 0.03, atol=BEAM_TOLERANCE_M)
+    bench.devices.close()
 
 
 def test_beam_and_rotor_follow_their_setpoints(bench: Bench) -> None:

@@ -185,3 +185,24 @@ def test_block_that_is_too_long_makes_a_cycle_unclean() -> None:
     assert port.fresh
     assert port.watch._unclean
     assert port.watch._reasons[Rejected.FRAMING.value] == 1
+
+
+def test_a_port_that_takes_nothing_more_holds_no_cycle_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody reads at the other end: what the kernel does not take is a port that is gone."""
+    master, slave = os.openpty()
+    line = SerialLine("main", SerialBus(port=os.ttyname(slave), baud=3_000_000))
+
+    def fill() -> None:
+        for _ in range(10_000):
+            line.write(b"x" * 100)
+
+    try:
+        line.open()
+        patient = MagicMock()
+        monkeypatch.setattr(line._port, "write", patient)
+        with pytest.raises(LinkError, match=r"takes nothing|unavailable"):
+            fill()
+        assert not patient.called  # it waits for a tenth of a second
+    finally:
+        os.close(master)
+        os.close(slave)

@@ -18,7 +18,7 @@ from levid.sim.electronics.serial_port import SerialElectronics
 from levid.wire.can_bus import Frame
 from levid.wire.can_frames import load_frames
 from levid.wire.device import AMPLIFIER_LIMITS, AmplifierState, Parameter, Request, response
-from levid.wire.serial_frames import Contents, SerialFrames
+from levid.wire.serial_frames import SerialFrames
 
 RATE_HZ = 50.0
 PERIOD_S = 1 / RATE_HZ
@@ -108,10 +108,9 @@ def foreign(end: CanElectronics | SerialElectronics) -> object:
 def same_cycle(end: CanElectronics | SerialElectronics) -> object:
     if isinstance(end, CanElectronics):
         return Frame(*load_frames(None, 9, 9, False).sync.encode(10), 0.0)
-    # The sensors' CYCLE: with setpoints in it, it would be the host that holds on to its force.
-    end._contents = Contents(0, 0, False)
-    end._frames = SerialFrames(end._contents)
-    return SerialFrames(end._contents).cycle(10, np.zeros(0), REST, PHI)
+    # As an adapter does that sends its last buffer again and again: 1 N each, of a cycle long gone.
+    end._sequence = 10
+    return SerialFrames(end._contents).cycle(10, np.ones(9), REST, PHI)
 
 
 @pytest.mark.parametrize("what", [foreign, same_cycle])

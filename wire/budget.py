@@ -2,7 +2,8 @@
 
 A cycle is: SYNC, answers, control, setpoints. Answers of different buses come at the same time, and
 so do setpoints, but setpoints follow answers: the period must hold the longest of either, and each
-bus all of its own. Drives that are asked in every n-th cycle only are not waited for.
+bus all of its own. Drives that are asked in every n-th cycle only are not waited for. Heartbeats
+and requests are left out.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from .cia402 import RPDO, TPDO
 from .device import ROLES
 from .serial_frames import Contents
 
+LONGEST_WAIT = 0.8
+"""Share of a period for which answers are waited for at most: they have to fit into it."""
 _DRIVES = 3
 _SYNC_BYTES = 1
 _SLOW_DRIVES = 4
@@ -57,7 +60,8 @@ def serial_s(length: int, baud: float) -> float:
 class BusTime:
     """What a cycle takes of one bus, in s.
 
-    `answers` and `setpoints` are waited for one after the other; `others` only fill the bus.
+    `answers` and `setpoints` are waited for one after the other; `others` only fill the bus, and
+    in some cycles `before` of them comes before the answers.
     """
 
     name: str
@@ -65,6 +69,7 @@ class BusTime:
     setpoints_s: float
     others_s: float
     latency_s: float
+    before_s: float = 0.0
 
     @property
     def busy_s(self) -> float:
@@ -83,10 +88,9 @@ class Budget:
         """The shortest period that carries a cycle, 0 where there is no bus."""
         if not self.buses:
             return 0.0
-        in_turn = max(b.answers_s + b.latency_s for b in self.buses) + max(
-            b.setpoints_s for b in self.buses
-        )
-        return max(in_turn, *(b.busy_s for b in self.buses))
+        answered_s = max(b.answers_s + b.latency_s for b in self.buses)
+        in_turn = answered_s + max(b.setpoints_s for b in self.buses)
+        return max(in_turn, answered_s / LONGEST_WAIT, *(b.busy_s for b in self.buses))
 
 
 def budget(rig: RigConfig, folder: Path) -> Budget:
@@ -160,7 +164,7 @@ def _can(
     def all_s(values: ValueFrames) -> float:
         return sum(frame_s(frame.length) for frame in values.frames)
 
-    answers, setpoints, others = 0.0, 0.0, 0.0
+    answers, setpoints, others, before = 0.0, 0.0, 0.0, 0.0
     if "amplifiers" in on or "sensors" in on:
         answers += frame_s(frames.sync.length)
     if "amplifiers" in on:
@@ -177,7 +181,9 @@ def _can(
             setpoints += write_s
         else:  # reading and writing fall into different cycles
             others += max(read_s, write_s)
-    return BusTime(f"can {name}", answers, setpoints, others, bus.latency_s)
+            # SYNC goes before the answers, and a frame that has begun is not cut off.
+            before = frame_s(_SYNC_BYTES) + frame_s(TPDO.size)
+    return BusTime(f"can {name}", answers, setpoints, others, bus.latency_s, before)
 
 
 def _others(rig: RigConfig, folder: Path) -> Iterator[tuple[str, Budget]]:

@@ -8,11 +8,12 @@ the frame takes on the wire. The bus is opened, configured and closed by python-
 from __future__ import annotations
 
 import contextlib
+import errno
 import select
 import socket
 import struct
 from pathlib import Path
-from time import time
+from time import sleep, time
 from typing import Any, NamedTuple, Protocol
 
 from ..config.buses import CanBus
@@ -164,8 +165,13 @@ class _KernelBus:
         frame = packed(can_id, data)
         try:
             self._socket.send(frame, socket.MSG_DONTWAIT)
-        except BlockingIOError:  # the queue is full, and may stay so: nobody acknowledges, say
-            select.select((), self._waiting, (), _FULL_S)
+        except OSError as error:  # the queue is full, and may stay so: nobody acknowledges, say
+            if error.errno == errno.ENOBUFS:  # the interface's own: nothing says when there is room
+                sleep(_FULL_S)
+            elif error.errno == errno.EAGAIN:
+                select.select((), self._waiting, (), _FULL_S)
+            else:
+                raise
             self._socket.send(frame, socket.MSG_DONTWAIT)
 
     def receive(self, wait_s: float) -> Frame | None:

@@ -66,9 +66,10 @@ class ValueFrames:
         self._cycle = 0
 
     @property
-    def state(self) -> int:
-        """The state in the frames that came last."""
-        return self._received[self._spans[0][1] - 2] >> 4
+    def states(self) -> tuple[int, ...]:
+        """The state in each of the frames that came last."""
+        received = self._received
+        return tuple([received[end - 2] >> 4 for _, end in self._spans])
 
     @staticmethod
     def tag(data: bytes) -> int:

@@ -12,7 +12,7 @@ from ...wire.device import AMPLIFIER_LIMITS, SENSOR_LIMITS, AmplifierState, Requ
 from ...wire.rejected import Rejected
 from ...wire.values import LARGEST
 from ..base import Array, CoilAmplifiers, LinkError, PositionSensors
-from ..enabling import AmplifierWatch, compare_limits
+from ..enabling import AmplifierWatch, compare_limits, worst_state
 from ..rounding import CarriedRounding
 from ..sensing import SensorWatch
 from .link import CanLink
@@ -66,7 +66,8 @@ class CanAmplifiers(CoilAmplifiers):
         """Fill `coil_n` (C,) with the forces of this cycle, or of the last that came."""
         self.readings.collect(self._deadline(), coil_n)
         if self.readings.fresh:
-            state = self.readings.state
+            # Each frame may be of an amplifier of its own.
+            state = worst_state(self.readings.states)
             self.stale = _UNHEARD if state == AmplifierState.UNHEARD else 0
             self._watch.judge(state, coil_n)
 
@@ -100,7 +101,7 @@ class CanSensors(PositionSensors):
         self.readings.collect(self._deadline(), gap_m)
         if self.readings.fresh:
             self.stale = 0
-            self._watch.judge(gap_m)
+            self._watch.judge(gap_m, max(self.readings.states))
 
     def recover(self) -> None:
         """Compare limits; raises DriverError."""

@@ -23,9 +23,9 @@ class Readings:
             link.listen(can_id, self._take)
 
     @property
-    def state(self) -> int:
-        """The device's state, as its last frames say."""
-        return self._frames.state
+    def states(self) -> tuple[int, ...]:
+        """The device's state, as each of its last frames says."""
+        return self._frames.states
 
     def begin(self, cycle: int) -> None:
         """Begin a cycle; what comes from here on must carry its counter."""

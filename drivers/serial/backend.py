@@ -156,9 +156,9 @@ class _Sensors(PositionSensors):
     def read(self, gap_m: Array) -> None:
         self._port.collect()
         if self._port.fresh:  # else it stays: a channel without a reading was made good there
-            self._port.frames.sensor_readings(gap_m)
+            state = self._port.frames.sensor_readings(gap_m)
             self.stale = 0
-            self._watch.judge(gap_m)
+            self._watch.judge(gap_m, state)
 
     def recover(self) -> None:
         port = self._port
@@ -170,7 +170,7 @@ class _Drives(ManipulatorDrives):
     def __init__(self, port: TransactionPort, rig: RigConfig, options: SerialDriveOptions) -> None:
         self._port, self._limits = port, declared(rig, 0)
         self._skew_m = options.skew_m
-        self._axes = np.zeros((3, 3))
+        self._axes = np.full((3, 3), np.nan)  # until they have told
         self._told = False
 
     def write(self, beam: Array, rotor: Array) -> None:
@@ -180,7 +180,9 @@ class _Drives(ManipulatorDrives):
     def read(self, beam: Array, rotor: Array) -> None:
         port, axes = self._port, self._axes
         port.collect()
-        state, error = port.frames.drive_readings(axes)
+        state, error = int(DriveState.OFF), 0
+        if port.fresh:
+            state, error = port.frames.drive_readings(axes)
         beam[:] = 0.5 * (axes[0] + axes[1])
         beam[2] = axes[0, 2] + axes[1, 2]
         rotor[:] = axes[2]
@@ -196,6 +198,9 @@ class _Drives(ManipulatorDrives):
 
     def recover(self) -> None:
         port = self._port
+        # They may have been moved by hand: what they were told before the fault is no target.
+        port.beam[:] = port.rotor[:] = np.nan
+        self._axes[:] = np.nan
         compare_limits(port.what, self._limits, DRIVE_LIMITS, port.exchange)
         _, error = port.exchange(Request.ENABLE_DRIVES, 0, 0)
         if error:

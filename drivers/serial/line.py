@@ -71,11 +71,11 @@ class SerialLine:
             raise LinkError(f"{self._what}: gone")
         try:
             if self._fd >= 0:
-                sent = os.write(self._fd, data)
-                if sent == len(data):
-                    return
-                data = data[sent:]
-            self._port.write(data)
+                # What the kernel's buffer, of forty cycles' worth, does not take is not waited for.
+                if os.write(self._fd, data) < len(data):
+                    raise BlockingIOError("the other end takes nothing")
+            else:
+                self._port.write(data)
         except Exception as error:  # noqa: BLE001 - pyserial's backends raise whatever they meet
             self._lost(error)
 

@@ -33,7 +33,8 @@ class TransactionPort:
         self.what = f"serial {name} ({bus.port})"
         self.frames = SerialFrames(contents)
         self.coil_n = np.zeros(contents.coils)
-        self.beam, self.rotor = np.zeros(3), np.zeros(3)
+        # nan until they are told: drives go nowhere before somebody knows where they are.
+        self.beam, self.rotor = np.full(3, np.nan), np.full(3, np.nan)
         self.stale_cycles = bus.stale_cycles
         self.watch = Watch(self.what, bus.stale_cycles)
         self.amplifiers: AmplifierWatch | None = None

@@ -178,14 +178,16 @@ class Core:
             self._sample()
             return True
 
-    def take_over(self) -> None:
+    def take_over(self, renews: bool = True) -> None:
         """Let the forces act that came last, within the limits; the amplifiers' bus says when.
 
-        Zero force is within every limit.
+        Zero force is within every limit. Where nothing `renews` them, as where the same cycle is
+        told again, they act and expire as those before would have.
         """
         with self.lock:
             if self.amplifier_state is AmplifierState.ENABLED and self._fresh:
-                self._missed = 0
+                if renews:
+                    self._missed = 0
                 acting, step = self._acting_n, self._step_n + _TOLERANCE_N
                 low = np.maximum(acting - step, -self._limit_n)
                 high = np.minimum(acting + step, self._limit_n)

@@ -42,6 +42,7 @@ class SerialElectronics:
         self._outgoing = Outgoing(injector)
         self._coil_n = np.zeros(contents.coils)
         self._motion = np.zeros((2, 3))
+        self._sequence = -1
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"levid-{name}", daemon=True)
 
@@ -88,7 +89,8 @@ class SerialElectronics:
                 self._take_setpoints()
                 core.begin(header.sequence)
                 if self._contents.coils:  # whoever began the cycle, and a second time too
-                    core.take_over()
+                    core.take_over(renews=header.sequence != self._sequence)
+                self._sequence = header.sequence
                 readings = frames.readings(
                     header.sequence,
                     (core.answered_state, core.force_n),

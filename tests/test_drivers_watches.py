@@ -1,0 +1,90 @@
+"""What devices say of themselves is believed, whatever their numbers look like."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from levid.config.rig import load_rig
+from levid.config.shipped import shipped
+from levid.daemon.control import Controller
+from levid.daemon.warm_up import locate
+from levid.drivers.base import AmplifierError, DriveError, SensorError
+from levid.drivers.enabling import AmplifierWatch, worst_state
+from levid.drivers.sensing import SensorWatch
+from levid.wire.device import AmplifierState, Parameter, Request, SensorState, declared
+
+RIG = load_rig(shipped("rigs/loopback.yaml"))
+
+
+def test_a_reading_that_the_adc_calls_faulty_is_an_error_though_it_is_a_number() -> None:
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    draw = np.random.default_rng(1).normal
+    watch.judge(draw(0, 1e-7, 9), SensorState.OK)
+    with pytest.raises(SensorError, match="the ADC says that a channel is faulty"):
+        watch.judge(draw(0, 1e-7, 9), SensorState.FAULTY)
+    watch.judge(draw(0, 1e-7, 9), SensorState.FAULTY)  # told once
+    watch.reset()
+    with pytest.raises(SensorError):
+        watch.judge(draw(0, 1e-7, 9), 7)  # a state that no page knows
+    watch.reset()
+    gap = draw(0, 1e-7, 9)
+    gap[4] = np.nan
+    with pytest.raises(SensorError, match="sensor 4: no reading"):  # what says more goes first
+        watch.judge(gap, SensorState.FAULTY)
+
+
+@pytest.mark.parametrize(
+    ("states", "told"),
+    [
+        ((1, 1, 1), AmplifierState.ENABLED),
+        ((1, 2, 1), AmplifierState.EXPIRED),
+        ((1, 1, 4), AmplifierState.UNHEARD),
+        ((4, 0, 1), AmplifierState.OFF),
+        ((0, 2, 3), AmplifierState.TRIPPED),
+        ((1, 9, 1), 9),
+    ],
+)
+def test_of_several_amplifiers_the_one_that_is_worst_off_is_told(
+    states: tuple[int, ...], told: int
+) -> None:
+    assert worst_state(states) == told
+
+
+def test_amplifiers_that_failed_in_flight_stay_off_until_that_is_cleared() -> None:
+    asked: list[tuple[Request, int, int]] = []
+    watch = AmplifierWatch("amplifiers", declared(RIG, 3), lambda *what: asked.append(what), 2)
+    coil_n, zero_n = np.full(9, 7.0), np.zeros(9)
+    watch.judge(AmplifierState.OFF, coil_n)
+    assert asked  # nothing is commanded: they are to be enabled
+    watch.judge(AmplifierState.ENABLED, coil_n)
+    watch.commanding(coil_n)
+    with pytest.raises(AmplifierError, match="switched off"):
+        watch.judge(AmplifierState.OFF, coil_n)
+    watch.commanding(zero_n)  # as every fault does
+    asked.clear()
+    for _ in range(20):
+        watch.judge(AmplifierState.OFF, coil_n)
+    assert not asked
+    watch.reset(lambda *_: (Parameter.TRIPPED_COILS, 0))
+    watch.judge(AmplifierState.OFF, coil_n)
+    assert asked
+
+
+def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(tmp_path: Path) -> None:
+    controller, syncs = Controller(RIG, 1e-3), []
+
+    def read(beam: np.ndarray, rotor: np.ndarray) -> None:
+        beam[:] = rotor[:] = 0.02 if len(syncs) >= comes_at else np.nan
+
+    devices = SimpleNamespace(syncs=(syncs.append,), drives=SimpleNamespace(read=read))
+    comes_at = 3
+    locate(controller, devices, RIG, 7)  # type: ignore[arg-type]
+    assert controller.beam_ref[0] == 0.02
+    assert syncs == [7, 7, 7]
+    comes_at = 100
+    with pytest.raises(DriveError, match="did not come"):
+        locate(controller, devices, RIG, 7)  # type: ignore[arg-type]

@@ -12,8 +12,9 @@ from standing_drives import run, until, with_drives
 from levid.config.base import ConfigError
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
-from levid.drivers.base import Context, Devices, DriveError, DriverError
+from levid.drivers.base import Context, Devices, DriveError, DriverError, StaleError
 from levid.drivers.can.link import CanLink
+from levid.drivers.can.nodes import DriveNode
 from levid.drivers.registry import check_backends, open_devices
 from levid.sim.electronics.rig import Electronics
 from levid.wire.cia402 import (
@@ -166,9 +167,25 @@ def test_drive_that_falls_silent_is_a_fault(rig: RigConfig) -> None:
 
 def run_to(devices: Devices, electronics: Electronics, cycles: range) -> None:
     """Cycles of standing still, told every time."""
+    nodes = next(bus._drives for bus in electronics._buses if bus._drives is not None)
     for k in cycles:
         run(devices, range(k, k + 1))
-        until(lambda: bool(electronics.core._plan))  # the three targets have come
+        # The three targets have come, and wait for the next SYNC.
+        until(lambda: all(drive._kept is not None for drive in nodes.drives))
+
+
+def test_drive_whose_pdos_nobody_maps_exchanges_none(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What its EDS says of its mapping is what it may have been sold with, no more."""
+    monkeypatch.setattr(DriveNode, "_map", lambda *_: None)
+    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 0.5)  # nothing is waited for
+    with Electronics(rig, Path()) as electronics:
+        devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
+        with pytest.raises(StaleError):
+            run(devices, range(10))
+        assert not any(drive.cyclic for drive in electronics._buses[0]._drives.drives)
+        devices.close()
 
 
 def test_drives_that_are_told_nothing_any_more_stop_in_fault(rig: RigConfig) -> None:

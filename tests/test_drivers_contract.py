@@ -147,7 +147,7 @@ def test_whoever_comes_to_a_manipulator_leaves_it_where_it_is(
     controller = Controller(bench.rig, 1 / RATE_HZ)
     core, told = bench.electronics.core, []
     drive_setpoints = core.drive_setpoints
-    core.drive_setpoints = lambda plan: (told.extend(plan), drive_setpoints(plan))  # type: ignore[method-assign]
+    core.drive_setpoints = lambda plan, **begun: (told.extend(plan), drive_setpoints(plan, **begun))  # type: ignore[method-assign]
     locate(controller, bench.devices, bench.rig, bench.cycle)
     assert controller.beam_ref[0] == pytest.approx(0.03, abs=BEAM_TOLERANCE_M)
     bench.beam_ref, bench.rotor_ref = controller.beam_ref, controller.rotor_ref

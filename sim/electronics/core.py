@@ -221,9 +221,10 @@ class Core:
                 self._pending_n[:] = coil_n
                 self._fresh = True
 
-    def drive_setpoints(self, plan: Sequence[Array]) -> None:
+    def drive_setpoints(self, plan: Sequence[Array], begun: bool = False) -> None:
         """Take what beam and rotor are to do in the next periods, one (2, 3) each.
 
+        The first of them may have `begun`: it is told with the signal that begins it.
         Rows: beam and rotor; columns: position, velocity, acceleration at the end of the period.
         """
         with self.lock:
@@ -235,6 +236,9 @@ class Core:
             self._plan = [motion.copy() for motion in plan]
             for motion in self._plan:
                 motion[0, 0] = min(max(motion[0, 0], -limit_m), limit_m)
+            if begun:
+                self._motion[:] = self._plan.pop(0)
+                self._drives_missed = 0
 
     def request(self, request: int, index: int, value: int) -> tuple[int, int]:
         """Answer a request: the parameter and its value, or a Refusal and the request."""

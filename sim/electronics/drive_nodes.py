@@ -24,11 +24,13 @@ from ...wire.cia402 import (
     RATED,
     RPDO,
     RPDO1_ID,
+    RPDO_MAPPING,
     RPDO_TIMEOUT,
     SYNC_COUNTER,
     TARGET_REACHED,
     TPDO,
     TPDO1_ID,
+    TPDO_MAPPING,
     DriveStates,
     Mode,
     Node,
@@ -101,16 +103,21 @@ class DriveNodes:
         if drive is not None:
             heard = drive.cyclic and "drop-setpoints" not in self._injector.wire
             if heard and len(data) == RPDO.size:
-                drive.setpoint(*RPDO.unpack(data))
-                self._plan_if_complete()
+                drive.keep(*RPDO.unpack(data))
         else:
             self.poll()
             self._network.notify(can_id, bytearray(data), 0.0)
+            for drive in self.drives:
+                drive.forget_unless_cyclic()
             self._follow()
 
     def sync(self) -> list[Frame]:
-        """Return the TPDOs that answer a SYNC, with readings of the cycle that has just begun."""
+        """Take over the RPDOs that came, and return the TPDOs, of the cycle that has just begun."""
         core = self._core
+        for drive in self.drives:
+            drive.take_over()
+        self._follow()
+        self._plan_if_complete()
         with core.lock:
             axes = core.axes.copy()
             lost = set(core.injected.lost_axes)
@@ -178,7 +185,7 @@ class DriveNodes:
         )
         n, T = self.every, self._core.period_s * self.every
         plan = [quintic(begin, end, i / n, T) for i in range(1, n)]
-        self._core.drive_setpoints([*plan, end])
+        self._core.drive_setpoints([*plan, end], begun=True)
         for drive in self.drives:
             drive.has_setpoint = False
 
@@ -200,7 +207,9 @@ class Drive:
         self._unit, self._per_mille = unit, 1e-3 * RATED * rated
         self._node: Any = canopen.LocalNode(node_id, eds)
         network.add_node(self._node)
-        for (index, sub), value in ({(Object.RATED_FORCE, 0): rated} | limits).items():
+        # Nothing is mapped yet: a drive may come with any mapping, and it is the host's to set.
+        unmapped = {(Object.RPDO1_MAP, 0): 0, (Object.TPDO1_MAP, 0): 0}
+        for (index, sub), value in ({(Object.RATED_FORCE, 0): rated} | unmapped | limits).items():
             entry = self._node.object_dictionary[int(index)]
             variable = (
                 entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[sub]
@@ -214,6 +223,8 @@ class Drive:
         self.mode = 0
         self.error = 0
         self.has_setpoint = False
+        self._mapped: bool | None = None
+        self._kept: tuple[int, int] | None = None
         self._homed = False
         self._homed_at_s = 0.0
         self._true = self._force = 0.0
@@ -224,8 +235,10 @@ class Drive:
 
     @property
     def cyclic(self) -> bool:
-        """Whether PDOs are exchanged."""
-        return bool(self._node.nmt._state == Node.OPERATIONAL)
+        """Whether PDOs are exchanged: in the state for it, once they are mapped and valid."""
+        if self._mapped is None:  # since an object of theirs was written
+            self._mapped = self._has_mapping()
+        return bool(self._node.nmt._state == Node.OPERATIONAL) and self._mapped
 
     @property
     def operating(self) -> bool:
@@ -250,15 +263,42 @@ class Drive:
         if self._homed_at_s and time.monotonic() >= self._homed_at_s:
             self._homed, self._homed_at_s, self._origin = True, 0.0, 0.0
 
-    def setpoint(self, controlword: int, target: int) -> None:
-        """Take an RPDO."""
-        self._control(controlword)
-        self._target, self.has_setpoint = target, True
+    def keep(self, controlword: int, target: int) -> None:
+        """Keep an RPDO, which is synchronous: of several the last one."""
+        self._kept = controlword, target
+
+    def forget_unless_cyclic(self) -> None:
+        """Drop an RPDO that no SYNC took over while PDOs were exchanged."""
+        if self._kept is not None and not self.cyclic:
+            self._kept = None
+
+    def take_over(self) -> None:
+        """Take over the RPDO that came since the last SYNC, if one did."""
+        if self._kept is not None:
+            controlword, self._target = self._kept
+            self._kept, self.has_setpoint = None, True
+            self._control(controlword)
 
     def tpdo(self) -> Frame:
         """Return the TPDO with what the drive is doing now."""
         per_mille = min(max(round(self._force / self._per_mille), -_COUNTS_16), _COUNTS_16)
         return TPDO1_ID + self.node_id, TPDO.pack(self.statusword, self._counts, per_mille)
+
+    def _has_mapping(self) -> bool:
+        """Return whether both PDOs are valid, synchronous, and hold what this drive exchanges."""
+        return all(
+            self._value(record, 1) == base + self.node_id
+            and self._value(record, 2) == _SYNCHRONOUS
+            and self._value(mapping, 0) == len(objects)
+            and all(
+                self._value(mapping, i) == index << 16 | bits
+                for i, (index, bits) in enumerate(objects, start=1)
+            )
+            for record, mapping, base, objects in _PDOS
+        )
+
+    def _value(self, index: Object, sub: int) -> int:
+        return int(self._node.sdo[int(index)][sub].raw)
 
     def _syncs_are_counted(self) -> bool:
         index = int(Object.SYNC_OVERFLOW)
@@ -306,7 +346,9 @@ class Drive:
         return found.get(Object(index)) if index in _OBJECTS else None
 
     def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:  # noqa: ARG002
-        if index == Object.CONTROLWORD:
+        if index in _MAPPED_BY:
+            self._mapped = None
+        elif index == Object.CONTROLWORD:
             self._control(od.decode_raw(data))
         elif index == Object.MODE:
             self.mode = od.decode_raw(data)
@@ -340,6 +382,12 @@ class Drive:
 
 
 _OBJECTS = frozenset(Object)
+_SYNCHRONOUS = 1
+_PDOS = (
+    (Object.RPDO1, Object.RPDO1_MAP, RPDO1_ID, RPDO_MAPPING),
+    (Object.TPDO1, Object.TPDO1_MAP, TPDO1_ID, TPDO_MAPPING),
+)
+_MAPPED_BY = frozenset(index for record, mapping, _, _ in _PDOS for index in (record, mapping))
 
 
 class _Network(canopen.Network):

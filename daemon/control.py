@@ -189,12 +189,15 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         if abs(gap[j]) > gap_limit * (1.0 if airborne else 10.0) and in_control:
             fault = _GAP
     periods = cycle - before[n_sensors]
+    fresh = False
     for j in range(n_sensors):
         moved = abs(gap[j] - before[j])
         if moved > speed_limit * Ts * periods and airborne and in_control:
             fault = _VELOCITY
+        fresh = fresh or gap[j] != before[j]
         before[j] = gap[j]
-    before[n_sensors] = cycle
+    if fresh:  # else they are stale, and what moves next has had all that time
+        before[n_sensors] = cycle
     if in_control and abs(beam[1]) > beam_speed_limit:
         fault = _VELOCITY
     if in_control and abs(beam[0]) > beam_limit:

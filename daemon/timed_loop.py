@@ -40,6 +40,8 @@ _COUNT_EVERY = 63
 """Cycles between two looks at slow counters, less one; a mask."""
 _TESTS = 10
 """How often the self-test is tried before it has failed."""
+_MOST_AT_ONCE = 8
+"""Periods that one look at the supervisor's sign of life counts."""
 _FLYING = np.ones((1, 3))
 _FOREVER = 1 << 62
 # Indexing by an IntEnum costs a call; by a plain integer it does not.
@@ -197,7 +199,8 @@ class TimedLoop:
         if beat != self._beat:
             self._beat, self._silent = beat, 0
         else:
-            self._silent += periods
+            # A machine that stood still did so for the supervisor too: that is no silence.
+            self._silent += min(periods, _MOST_AT_ONCE)
             if self._silent > self._most_silent:
                 self._abandoned("it gave no sign of life")
         if words[_STOPPED]:

@@ -220,6 +220,21 @@ def test_bus_that_is_gone_for_days_costs_no_memory() -> None:
     assert counts[1] - counts[0] < 100
 
 
+def test_a_machine_that_stood_still_did_not_lose_its_supervisor() -> None:
+    flight = ScriptedLoop(supervisor_s=1.0)
+    clock = flight.loop._clock
+
+    def script(n: int) -> None:
+        clock.skipped = 1500 if n == 1500 else 0
+        if n == 300:
+            flight.fly({"levitate": {**LIFT, "settle_s": 5.0}})
+        if n == 1500:
+            assert flight.board.state is State.LEVITATING
+
+    flight.run(script, 1600)
+    assert flight.board.fault is not Fault.SUPERVISOR
+
+
 def test_heat_of_the_coils_outlasts_the_loop() -> None:
     flight = ScriptedLoop()
 

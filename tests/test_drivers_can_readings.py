@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from levid.config.buses import CanBus
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
+from levid.drivers.base import LinkError
 from levid.drivers.can.devices import CanAmplifiers
 from levid.drivers.can.link import CanLink
 from levid.drivers.can.readings import Readings
@@ -72,3 +74,18 @@ def test_readings_are_not_waited_for_on_a_bus_that_is_busy(whole: bool) -> None:
     host.begin(5)
     host.collect(time.perf_counter() + 0.05, out)
     assert host.fresh is whole
+
+
+def test_two_loops_do_not_fly_on_one_bus(tmp_path: Path) -> None:
+    """The second would reset what the first has tripped, and home its drives in flight."""
+    bus = CanBus(interface="levid_local", channel=str(tmp_path))
+    first, second = CanLink("main", bus), CanLink("main", bus)
+    first.open()
+    with pytest.raises(LinkError, match="another loop"):
+        second.open()
+    first.open()  # anew, as after a fault
+    with pytest.raises(LinkError, match="another loop"):
+        second.open()
+    first.close()
+    second.open()
+    second.close()

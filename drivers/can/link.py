@@ -9,6 +9,7 @@ from typing import NoReturn
 from ...config.buses import CanBus
 from ...wire.can_bus import BusOffError, FrameBus, age_s, open_bus
 from ..base import DriverError, LinkError
+from ..claim import Claim
 
 _MOST_DRAINED = 1000
 """More frames than queues hold; where frames have no stamp nothing else ends it."""
@@ -25,10 +26,16 @@ class CanLink:
         self._listeners: dict[int, Listener] = {}
         self._bus: FrameBus | None = None
         self._stamp_s = 0.0
+        # A virtual bus is of this process alone; of others the options tell which bus it is.
+        options = ",".join(f"{key}={bus.options[key]}" for key in sorted(bus.options))
+        claim = Claim(f"{bus.interface}-{bus.channel}-{options}")
+        self._claim = None if bus.interface == "virtual" else claim
 
     def open(self) -> None:
-        """Open the bus, anew if it was open; raises LinkError."""
-        self.close()
+        """Open the bus, anew if it was open; raises LinkError, where another loop has it too."""
+        self._let_go()
+        if self._claim is not None and not self._claim.take():
+            raise LinkError(f"{self.what}: another loop on this machine flies on it")
         try:
             self._bus = open_bus(self._config)
         except Exception as error:  # noqa: BLE001 - interfaces raise whatever they meet
@@ -36,6 +43,11 @@ class CanLink:
 
     def close(self) -> None:
         """Let go of the bus; safe to call twice."""
+        self._let_go()
+        if self._claim is not None:
+            self._claim.release()
+
+    def _let_go(self) -> None:
         bus, self._bus = self._bus, None
         if bus is not None:
             bus.shutdown()
@@ -101,5 +113,5 @@ class CanLink:
                 return
 
     def _lost(self, why: str) -> NoReturn:
-        self.close()
+        self._let_go()
         raise LinkError(f"{self.what}: lost: {why}") from None

@@ -1,0 +1,34 @@
+"""What one loop has for itself: of two on one bus each would reset what the other flies with."""
+
+from __future__ import annotations
+
+import socket
+
+
+class Claim:
+    """A name that one process of this machine can hold; it is free again when that is gone."""
+
+    def __init__(self, name: str) -> None:
+        # An abstract address: no file that a killed process would leave behind, and one for each
+        # network namespace, as CAN interfaces are.
+        self._address = f"\0levid-{name}"[:100]
+        self._held: socket.socket | None = None
+
+    def take(self) -> bool:
+        """Take it, or keep it; returns False where somebody else has it."""
+        if self._held is not None:
+            return True
+        held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            held.bind(self._address)
+        except OSError:
+            held.close()
+            return False
+        self._held = held
+        return True
+
+    def release(self) -> None:
+        """Let others have it; safe to call twice."""
+        held, self._held = self._held, None
+        if held is not None:
+            held.close()

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from time import perf_counter
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
-from ..drivers.base import Devices, DriveError
+from ..drivers.base import Devices, DriveError, StaleError
 from .control import Controller
 from .segment import Segment, idle_segment
 
-_TRIES = 5
+_PATIENCE_S = 1.0
 
 
 def warm_up(
@@ -36,14 +39,16 @@ def locate(controller: Controller, devices: Devices, rig: RigConfig, cycle: int)
     An answer may be lost, or come too late: it is asked again. Raises DriverError: nothing came.
     """
     beam, rotor = controller.beam, controller.rotor
-    for _ in range(_TRIES):
+    give_up_s = perf_counter() + _PATIENCE_S
+    while True:
         for sync in devices.syncs:
             sync(cycle)
-        devices.drives.read(beam, rotor)
+        with suppress(StaleError):
+            devices.drives.read(beam, rotor)
         if np.isfinite(beam[0]) and np.isfinite(rotor[0]):
             break
-    else:
-        raise DriveError(f"the manipulator's position did not come in {_TRIES} readings")
+        if perf_counter() > give_up_s:
+            raise DriveError(f"the manipulator's position did not come within {_PATIENCE_S:g} s")
     reach = rig.limits.beam_m
     controller.beam_ref[:] = np.clip(beam[0], -reach, reach), 0.0, 0.0
     controller.rotor_ref[:] = rotor[0], 0.0, 0.0

@@ -282,7 +282,6 @@ def test_another_session_records_again_after_one_that_could_not(tmp_path: Path) 
     "move",
     [
         {"beam_m": 0.1, "velocity_m_s": 1e-9},
-        {"rotor_rad": 1e7},
         {"beam_m": 0.1, "acceleration_m_s2": 1e-320},
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +11,7 @@ from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control import Controller
 from levid.daemon.warm_up import locate
-from levid.drivers.base import AmplifierError, DriveError, SensorError
+from levid.drivers.base import AmplifierError, DriveError, SensorError, StaleError
 from levid.drivers.enabling import AmplifierWatch, worst_state
 from levid.drivers.sensing import SensorWatch
 from levid.wire.device import AmplifierState, Parameter, Request, SensorState, declared
@@ -74,10 +73,14 @@ def test_amplifiers_that_failed_in_flight_stay_off_until_that_is_cleared() -> No
     assert asked
 
 
-def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(tmp_path: Path) -> None:
+def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     controller, syncs = Controller(RIG, 1e-3), []
 
     def read(beam: np.ndarray, rotor: np.ndarray) -> None:
+        if len(syncs) == 2:
+            raise StaleError("two in a row")
         beam[:] = rotor[:] = 0.02 if len(syncs) >= comes_at else np.nan
 
     devices = SimpleNamespace(syncs=(syncs.append,), drives=SimpleNamespace(read=read))
@@ -85,6 +88,7 @@ def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(tmp_
     locate(controller, devices, RIG, 7)  # type: ignore[arg-type]
     assert controller.beam_ref[0] == 0.02
     assert syncs == [7, 7, 7]
-    comes_at = 100
+    comes_at = 1 << 40
+    monkeypatch.setattr("levid.daemon.warm_up._PATIENCE_S", 0.01)
     with pytest.raises(DriveError, match="did not come"):
         locate(controller, devices, RIG, 7)  # type: ignore[arg-type]

@@ -45,6 +45,8 @@ class Requests:
         self._plans: queue.Queue[tuple[Planner, Request, Reply, Moment]]
         self._plans = queue.Queue(maxsize=1)
         self.watchers: list[Watcher] = []
+        self._planning: Reply | None = None
+        self._told_s = 0.0
 
     @property
     def _rig(self) -> RigConfig:
@@ -67,6 +69,14 @@ class Requests:
     def start(self) -> None:
         """Plan what is asked for from now on."""
         threading.Thread(target=self._run, name="levid-planner", daemon=True).start()
+
+    def tick(self, now_s: float, status: Callable[[], dict[str, Any]]) -> None:
+        """Tell watchers what is due, and whoever waits for a plan that it takes its time."""
+        self.watchers[:] = [w for w in self.watchers if w.tick(now_s, status)]
+        planning = self._planning
+        if planning is not None and now_s - self._told_s > _TELL_S:
+            self._told_s = now_s
+            planning.send({"step": "planning", "share": 0.0})
 
     def _stop(self, _: Request, reply: Reply) -> None:
         # The word is set before anything else happens: it needs none of the rest of the daemon.
@@ -109,7 +119,11 @@ class Requests:
             planner, request, reply, asked = self._plans.get()
             try:
                 self._wait_until_ready(reply)
-                job = planner(request, reply)
+                self._told_s, self._planning = time.monotonic(), reply
+                try:
+                    job = planner(request, reply)
+                finally:
+                    self._planning = None
             except Exception as error:  # noqa: BLE001 - the client is told, the daemon goes on
                 self._busy.release()
                 reply.refuse(str(error) or type(error).__name__)

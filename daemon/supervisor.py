@@ -228,9 +228,7 @@ class Supervisor:
         if self._reload:
             self._reload = False
             self._reload_rig()
-        now_s = time.monotonic()
-        watchers = self._requests.watchers
-        watchers[:] = [w for w in watchers if w.tick(now_s, self.status)]
+        self._requests.tick(time.monotonic(), self.status)
 
     def _start_loop(self) -> None:
         board = self.board

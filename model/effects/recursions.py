@@ -30,12 +30,15 @@ def lagged(values: Array, tau_s: float, Ts_s: float) -> Array:
 
 def lagged_mean(held: Array, tau_s: float, Ts_s: float) -> Array:
     """Return means (N,) over each period of commands, each held for a period, behind a lag."""
-    return np.asarray(_lagged_mean(np.ascontiguousarray(held), tau_s, Ts_s))
+    decay = math.exp(-Ts_s / tau_s)
+    behind = tau_s / Ts_s * (1 - decay)
+    return np.asarray(_lagged_held(np.ascontiguousarray(held), decay, behind))
 
 
 def lagged_within(held: Array, tau_s: float, Ts_s: float, share: float) -> Array:
     """Return commands (N,), each held for a period, behind a lag, `share` of each period on."""
-    return np.asarray(_lagged_within(np.ascontiguousarray(held), tau_s, Ts_s, share))
+    decay, behind = math.exp(-Ts_s / tau_s), math.exp(-share * Ts_s / tau_s)
+    return np.asarray(_lagged_held(np.ascontiguousarray(held), decay, behind))
 
 
 def held_for(mean: Array, tau_s: float, Ts_s: float) -> Array:
@@ -162,24 +165,11 @@ def _lagged(x, tau_s, Ts_s):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _lagged_mean(held, tau_s, Ts_s):  # type: ignore[no-untyped-def]
-    decay = math.exp(-Ts_s / tau_s)
-    mean = tau_s / Ts_s * (1 - decay)
+def _lagged_held(held, decay, behind):  # type: ignore[no-untyped-def]
     out = np.empty_like(held)
     state = held[0]
     for k in range(len(held)):
-        out[k] = held[k] + mean * (state - held[k])
-        state = held[k] + decay * (state - held[k])
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _lagged_within(held, tau_s, Ts_s, share):  # type: ignore[no-untyped-def]
-    decay, so_far = math.exp(-Ts_s / tau_s), math.exp(-share * Ts_s / tau_s)
-    out = np.empty_like(held)
-    state = held[0]
-    for k in range(len(held)):
-        out[k] = held[k] + so_far * (state - held[k])
+        out[k] = held[k] + behind * (state - held[k])
         state = held[k] + decay * (state - held[k])
     return out
 

@@ -47,6 +47,30 @@ def test_reading_that_came_after_its_deadline_is_stale(late: bool) -> None:
         device.shutdown()
 
 
+def test_reading_that_came_late_while_another_was_waited_for_is_stale() -> None:
+    """Who waits takes what comes for others of the bus too, and asks when it came for itself."""
+    link, device = CanLink("main", CONFIG), open_bus(CONFIG)
+    link.open()
+    try:
+        frames = load_frames(None, 9, 9, True)
+        sensors = Readings("sensors", link, frames.gap, 2)
+        amplifiers = Readings("amplifiers", link, frames.force, 2)
+        for readings in (sensors, amplifiers):
+            readings.begin(5)
+        for can_id, data in frames.force.encode(np.zeros(9), 5, 0):
+            device.send(can_id, data)
+        out = np.full(9, 7.0)
+        sensors.collect(time.perf_counter() + 0.01, out)
+        assert not sensors.fresh
+        amplifiers.collect(0.0, out)
+        assert not amplifiers.fresh
+        assert amplifiers.watch.stale == 1
+        np.testing.assert_array_equal(out, 7.0)
+    finally:
+        link.close()
+        device.shutdown()
+
+
 def test_sets_of_setpoints_are_numbered() -> None:
     """So that the frames of one and those of zero force in the same cycle are told apart."""
     rig, sent = load_rig(shipped("rigs/can.yaml")), []

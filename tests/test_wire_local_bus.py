@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import can
@@ -56,6 +57,21 @@ def test_all_others_hear_a_frame_and_who_sends_does_not(tmp_path: Path) -> None:
         assert bus.receive(0.0) is None
         bus.shutdown()
     assert list((tmp_path / "bus").iterdir()) == []
+
+
+def test_frame_is_stamped_when_it_comes_and_not_when_it_is_looked_at(tmp_path: Path) -> None:
+    here, there = joined(tmp_path / "bus", 2)
+    for sender, receiver in ((here, there), (there, here)):  # who was joined, and who did join
+        before_s = time.time()
+        sender.send(0x100, bytes(8))
+        after_s = time.time()
+        time.sleep(0.02)
+        frame = receiver.receive(WAIT_S)
+        assert frame is not None
+        # The kernel's clock goes in steps of its own, none longer than a tick of 10 ms.
+        assert before_s - 0.01 <= frame.stamp_s <= after_s + 0.01
+    for bus in (here, there):
+        bus.shutdown()
 
 
 def test_many_that_join_at_once_are_on_one_bus(tmp_path: Path) -> None:

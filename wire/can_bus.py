@@ -12,6 +12,7 @@ import errno
 import select
 import socket
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from time import sleep, time
 from typing import Any, NamedTuple, Protocol
@@ -37,7 +38,8 @@ _HEAD = struct.Struct("=IBB2x")
 _CLASSIC = struct.Struct("=IBB2x8s")
 _FD = struct.Struct("=IBB2x64s")
 _TIMESPEC = struct.Struct("@ll")
-_ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size)
+STAMP_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
+"""Room for a stamp beside a frame, in recvmsg."""
 
 
 class BusOffError(Exception):
@@ -118,6 +120,14 @@ def unpacked(raw: bytes, stamp_s: float) -> Frame:
     return Frame(can_id, raw[8 : 8 + length], stamp_s)
 
 
+def kernel_stamp_s(ancillary: Sequence[tuple[int, int, bytes]]) -> float:
+    """Return when a frame came, by the kernel's stamp beside it; 0.0 where there is none."""
+    if not ancillary:
+        return 0.0
+    seconds, nanoseconds = _TIMESPEC.unpack(ancillary[0][2])
+    return float(seconds + 1e-9 * nanoseconds)
+
+
 class _MessageBus:
     """Any interface, by its Messages."""
 
@@ -176,13 +186,12 @@ class _KernelBus:
 
     def receive(self, wait_s: float) -> Frame | None:
         try:  # mostly it is there already, and need not be waited for
-            raw, extra, _, _ = self._socket.recvmsg(_LONGEST, _ANCILLARY, socket.MSG_DONTWAIT)
+            raw, extra, _, _ = self._socket.recvmsg(_LONGEST, STAMP_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
             if wait_s <= 0.0 or not select.select(self._waiting, (), (), wait_s)[0]:
                 return None
-            raw, extra, _, _ = self._socket.recvmsg(_LONGEST, _ANCILLARY)
-        seconds, nanoseconds = _TIMESPEC.unpack(extra[0][2]) if extra else (0, 0)
-        return unpacked(raw, seconds + 1e-9 * nanoseconds)
+            raw, extra, _, _ = self._socket.recvmsg(_LONGEST, STAMP_BYTES)
+        return unpacked(raw, kernel_stamp_s(extra))
 
     def shutdown(self) -> None:
         with contextlib.suppress(Exception):

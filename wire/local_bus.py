@@ -23,8 +23,10 @@ from typing import Any
 
 import can
 
-from .can_bus import FRAME_SIZES, OTHER, Frame, packed, unpacked
+from .can_bus import FRAME_SIZES, OTHER, STAMP_BYTES, Frame, kernel_stamp_s, packed, unpacked
 
+_SO_TIMESTAMPNS = 35
+"""asm-generic/socket.h: what python-can asks of socketcan too; Python has no name for it."""
 _WAITING = 16
 _SUFFIX = ".can"
 _MOST_BYTES = max(FRAME_SIZES) + 1  # so that what is longer is not taken for a frame
@@ -101,6 +103,7 @@ class LocalFrames:
 
     def _connect(self, path: Path) -> None:
         end = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        _stamped(end)
         try:
             end.connect(str(path))
         except OSError as error:
@@ -114,21 +117,22 @@ class LocalFrames:
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             end, _ = self._door.accept()
+            _stamped(end)
             self._peers += (end,)
 
     def _from(self, peer: socket.socket) -> Frame | None:
         try:
-            raw = peer.recv(_MOST_BYTES, socket.MSG_DONTWAIT)
+            raw, extra, _, _ = peer.recvmsg(_MOST_BYTES, STAMP_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return None
         except OSError:
-            raw = b""
+            raw, extra = b"", []
         if not raw:
             self._drop(peer)
             return None
         if len(raw) not in FRAME_SIZES:
             return OTHER
-        frame = unpacked(raw, 0.0)
+        frame = unpacked(raw, kernel_stamp_s(extra))
         return frame if self._fd or len(frame.data) <= 8 else OTHER
 
     def _drop(self, peer: socket.socket) -> None:
@@ -165,13 +169,19 @@ class LocalBus(can.BusABC):
             return None, False
         fd = len(frame.data) > 8
         return can.Message(
-            timestamp=time(),
+            timestamp=frame.stamp_s or time(),
             arbitration_id=frame.can_id,
             is_extended_id=False,
             data=frame.data,
             is_fd=fd,
             bitrate_switch=fd,
         ), False
+
+
+def _stamped(end: socket.socket) -> None:
+    """Have the kernel say when frames came, as it does on a CAN interface."""
+    with contextlib.suppress(OSError):  # without it a frame is as old as when it is looked at
+        end.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
 
 
 @contextlib.contextmanager

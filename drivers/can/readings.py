@@ -18,6 +18,7 @@ class Readings:
         self.fresh = False
         self._link, self._frames = link, frames
         self._cycle = 0
+        self._came_s = 0.0
         self._collected = True
         for can_id in frames.ids:
             link.listen(can_id, self._take)
@@ -44,12 +45,13 @@ class Readings:
             return
         late = False
         try:
-            # This process may look late at what came in time, and the other way round: the stamp
-            # says when it came. On a bus that is busy with other things there is always one more.
+            # On a bus that is busy with other things there is always one more.
             while not (self._frames.complete or late) and self._link.receive(deadline_s):
                 late = self._link.received_s > deadline_s
         finally:
             self._collected = True
+        # What came while another device of this bus was waited for has been taken already.
+        late = late or self._came_s > deadline_s
         if late:  # nobody knows when it was sampled
             if self._frames.begun:
                 self.watch.late()
@@ -70,7 +72,10 @@ class Readings:
 
     def _take(self, can_id: int, data: bytes) -> None:
         reason = self._frames.accept(can_id, data, self._cycle)
-        if reason is not None:
-            late = reason is Rejected.COUNTER
-            behind = self._frames.age(can_id, data, self._cycle) if late else 0
-            self.watch.reject(reason, behind)
+        if reason is None:
+            # This process may look late at what came in time, and the other way round.
+            self._came_s = self._link.received_s
+            return
+        late = reason is Rejected.COUNTER
+        behind = self._frames.age(can_id, data, self._cycle) if late else 0
+        self.watch.reject(reason, behind)

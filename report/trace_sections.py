@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..config.model import Parameter
 from ..identification.trace.result import Outcome, model_after
-from ..identification.trace.search import Round
+from ..identification.trace.screening import Round
 from ..identification.trace.study import Trace
 from ..identification.trace.views import Views
 from .curves import symbol

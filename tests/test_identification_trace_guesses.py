@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from rig_effects import rig_places
 
-from levid.identification.trace import search
+from levid.identification.trace import giving_up
 from levid.model.effects.base import Placed
 from levid.model.effects.extent import Extent
 from levid.model.effects.freeform import freeform_effects
@@ -37,12 +37,12 @@ def refined(point: Point, _: object) -> tuple[Point, float]:
 
 @pytest.mark.parametrize("order", [(1, 2, 3), (2, 1, 3), (3, 2, 1)])
 def test_each_idle_name_is_given_up(order, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(search, "refine", refined)
+    monkeypatch.setattr(giving_up, "refine", refined)
     monkeypatch.setattr(
-        search, "gather", lambda point, _: SimpleNamespace(squares=squares(point), excess=10.0)
+        giving_up, "gather", lambda point, _: SimpleNamespace(squares=squares(point), excess=10.0)
     )
     names = [f"coil_gain@coil:{i}" for i in order]
     effects = [*(NAMED[name] for name in names), FORM]
     point = Point(tuple(Placed(e, (), (1.0,) * len(e.amplitudes)) for e in effects))
-    left = search._without_guesses(point, SimpleNamespace(train=lambda _: ()))
+    left = giving_up.without_guesses(point, SimpleNamespace(train=lambda _: ()))
     assert [p.effect.identity for p in left.placed] == ["coil_gain@coil:1", FORM.identity]

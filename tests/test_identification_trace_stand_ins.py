@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import pytest
 from rig_effects import rig_places
 
-from levid.identification.trace import search
-from levid.identification.trace.search import Round, Tried
+from levid.identification.trace import giving_up
+from levid.identification.trace.screening import Round, Tried
 from levid.model.effects.base import Placed
 from levid.model.effects.table import all_effects
 
@@ -39,11 +39,11 @@ def test_stand_in_is_one_if_little_comes_back_without_it(
     back: float, stands_in: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        search, "refine", lambda point, _: (point, 1000.0 + back * (len(point.placed) < 3))
+        giving_up, "refine", lambda point, _: (point, 1000.0 + back * (len(point.placed) < 3))
     )
     rounds = [round_of(None), round_of(tried(FIRST, 9e5), tried(THIRD, 1.0), tried(SECOND, 8e5))]
     begun = placed(FIRST, THIRD, SECOND)
-    point, squares, number = search._without_stand_in(
+    point, squares, number = giving_up.without_stand_in(
         begun, 1000.0, tried(SECOND, 5e4), rounds, None
     )
     names = [p.effect.identity for p in point.placed]
@@ -52,7 +52,7 @@ def test_stand_in_is_one_if_little_comes_back_without_it(
         return
     assert names == [THIRD, SECOND]
     assert (squares, number) == (1000.0 + back, 1)
-    told = search._taken_instead(rounds[1], SECOND)
+    told = giving_up.taken_instead(rounds[1], SECOND)
     assert told.taken is rounds[1].alternatives[1]  # it explained this much then
     assert [t.effect.identity for t in told.alternatives] == [FIRST, THIRD]
 
@@ -60,10 +60,10 @@ def test_stand_in_is_one_if_little_comes_back_without_it(
 def test_what_was_no_alternative_or_is_gone_is_no_stand_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(search, "refine", lambda point, _: (point, 0.0))
+    monkeypatch.setattr(giving_up, "refine", lambda point, _: (point, 0.0))
     for begun, rounds in (
         (placed(FIRST, SECOND), [round_of(tried(FIRST, 9e5), tried(THIRD, 8e5))]),
         (placed(THIRD, SECOND), [round_of(tried(FIRST, 9e5), tried(SECOND, 8e5))]),
     ):
-        answer = search._without_stand_in(begun, 1000.0, tried(SECOND, 5e4), rounds, None)
+        answer = giving_up.without_stand_in(begun, 1000.0, tried(SECOND, 5e4), rounds, None)
         assert answer == (begun, 1000.0, None)

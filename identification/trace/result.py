@@ -15,7 +15,7 @@ from ...model.effects.base import Effect, Placed, Places
 from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
 from .metric import RecordError, pooled, pooled_pose
-from .search import Round, Tried
+from .screening import Round, Tried
 from .shaking import Shaking
 from .study import Trace
 

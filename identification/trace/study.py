@@ -31,7 +31,8 @@ from .reading import read_records
 from .record import TraceRecord, split
 from .refine import Candidate, refine
 from .regression import FOLDS
-from .search import Found, HeldError, search
+from .screening import HeldError
+from .search import Found, search
 from .session_time import overlap, require_timeless, timeless
 from .shaking import Shaking, force_spectrum, shaking
 from .workers import Source, Workers

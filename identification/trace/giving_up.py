@@ -1,0 +1,106 @@
+"""Effects that are given up: stand-ins, guesses, and what others have made idle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...model.effects.base import Placed
+from .refine import Fitted, gather, refine
+from .regression import Evidence, cross_validated, steadied
+from .screening import LEAST, Round, Tried, width
+from .working_point import WorkingPoint
+
+_STANDS_IN = 2e-3
+"""Of what was there for two that fitted alike to it, what the first may take beside the second and
+is only in its place: an equation that is right to a twentieth leaves as much."""
+_GUESS = 0.3
+"""A name that takes less than this share of what is left beside a free form was a guess."""
+
+
+def without_stand_in(
+    point: WorkingPoint,
+    squares: float,
+    taken: Tried,
+    rounds: Sequence[Round],
+    records: Fitted,
+) -> tuple[WorkingPoint, float, int | None]:
+    """Return the point without what was taken in place of the effect taken now, and in which round.
+
+    Two that fitted alike to all that was there may differ in what is left: where the second is
+    taken too, it may be enough by itself, begun as it fitted then.
+    """
+    for number, earlier in enumerate(rounds):
+        rival = _rival(earlier, taken.effect.identity)
+        if earlier.taken is None or rival is None:
+            continue
+        both = {taken.effect.identity, earlier.taken.effect.identity}
+        others = tuple(p for p in point.placed if p.effect.identity not in both)
+        if len(others) != len(point.placed) - 2:
+            continue  # it has been given up since
+        placed = Placed(rival.effect, rival.shape, rival.amplitudes)
+        alone, left = refine(replace(point, placed=(*others, placed)), records)
+        if left - squares < max(_STANDS_IN * earlier.excess, LEAST):
+            return alone, left, number
+    return point, squares, None
+
+
+def taken_instead(found: Round, identity: str) -> Round:
+    """Return the round with one of its alternatives taken, and what was taken an alternative."""
+    rival = _rival(found, identity)
+    assert found.taken is not None
+    others = (t for t in found.alternatives if t is not rival)
+    return replace(found, taken=rival, alternatives=(found.taken, *others))
+
+
+def without_guesses(point: WorkingPoint, records: Fitted) -> WorkingPoint:
+    """Return the point without named effects that free-form forces make all but idle."""
+    named = [p.effect.identity for p in point.placed if p.effect.effect_class != "unknown"]
+    best = gather(point, records.train(point))
+    for guess in named:
+        others = tuple(p for p in point.placed if p.effect.identity != guess)
+        fewer = replace(point, placed=others)
+        fewer, squares = refine(fewer, records)
+        if squares - best.squares < max(_GUESS * best.excess, LEAST):
+            point, best = fewer, gather(fewer, records.train(fewer))
+    return point
+
+
+def without_idle(point: WorkingPoint, records: Fitted) -> WorkingPoint:
+    """Return the point without effects that those found after them have made idle."""
+    if len(point.placed) < 2:
+        return point
+    train = steadied(gather(point, records.train(point)))
+    at, base = len(point.parameters.names), list(range(train.gram.shape[1] - 1))
+    full = cross_validated(train, base).sum()
+    idle = []
+    for p in point.placed:
+        own = set(range(at, at + width(p)))
+        # Without it its errors come back: what its own columns would have to explain again.
+        back = _restored(train, p, sorted(own), len(p.amplitudes))
+        kept = [c for c in base if c not in own]
+        if cross_validated(back, kept).sum() - full < LEAST:
+            idle.append(p)
+        at += width(p)
+    if not idle:
+        return point
+    fewer, _ = refine(
+        replace(point, placed=tuple(p for p in point.placed if p not in idle)), records
+    )
+    return fewer
+
+
+def _rival(found: Round, identity: str) -> Tried | None:
+    """Return the alternative of this identity, None if there is none."""
+    return next((t for t in found.alternatives if t.effect.identity == identity), None)
+
+
+def _restored(evidence: Evidence, placed: Placed, own: Sequence[int], amplitudes: int) -> Evidence:
+    """Return the evidence with an effect's amplitudes set to nothing, to first order."""
+    take = np.eye(evidence.gram.shape[1])
+    columns = list(own)[:amplitudes]
+    take[columns, -1] = -np.array(placed.amplitudes) * evidence.size[columns]
+    gram = np.einsum("ji,bjk,kl->bil", take, evidence.gram, take, optimize=True)
+    return replace(evidence, gram=gram, prior=take.T @ evidence.prior @ take)

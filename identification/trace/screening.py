@@ -1,0 +1,205 @@
+"""Candidates by regression: which explain most, and do records that did not choose them agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.effects.base import Effect, Placed
+from .grams import Linearised
+from .refine import Candidate, Fitted, gather
+from .regression import Evidence, chance, chance_between, expected, gains, solve
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+
+BEYOND_CHANCE = 6.0
+"""Standard deviations by which held-out records must agree: one in 10^9 for a candidate."""
+_PROMISING = 2.0
+"""The same for an effect whose shape is a first guess: it is asked again once that is fitted."""
+_SILENT = 3.0
+"""Held-out records to which an effect does less than this, in the same measure, cannot be asked."""
+ALONE = 20.0
+"""By how much blocks that did not fit it must then agree: they are of records that chose it."""
+_WORTH = 0.004
+"""An effect is worth naming if it takes this share of what noise does not explain."""
+_IN_PASSING, _BESIDE = 1e-4, 1e-5
+"""Of what other effects took, one that is named beside them must take this share: the first where
+little is left, or the drives alone feel it. An equation that is right to a hundredth leaves as
+much, wherever it leaves it; one that is right to a third of that the second."""
+LEAST = 40.0
+"""Squared errors that a candidate must take at least: the best of hundreds takes 15 by chance."""
+_SURVIVES = 0.35
+_MOST_SURVIVORS = 5
+"""Of the candidates, those that explain this share of what the best one does are fitted."""
+_MOST_RANKED = 40
+_VALLEY, _MOST_VALLEYS = 0.7, 2
+"""From how many other shapes of its grid the best one is fitted too: from those that gain nearly as
+much; where something happened once, a time that is not nearest tells nothing."""
+
+
+@dataclass(frozen=True)
+class HeldError:
+    """Mean square errors of a free simulation, and what noise alone leaves of that."""
+
+    squares: float
+    floor: float
+
+
+class Records(Fitted, Protocol):
+    """Records to fit to, and records that choose nothing and are asked only whether they agree."""
+
+    def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
+        """Return the records held out."""
+
+    def held_error(self, point: WorkingPoint) -> HeldError:
+        """Return how well they are simulated freely."""
+
+    def believed(self, point: WorkingPoint) -> WorkingPoint:
+        """Return the point with its noise as the records have it now."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate beside the working point: what it gains in cross-validated squared errors.
+
+    chance: how far beyond chance held-out records agree, or, where it does nothing in them (not
+    `held`), blocks of the others that did not fit it.
+    """
+
+    effect: Effect
+    shape: tuple[float, ...]
+    gain: float
+    blocks: Array
+    amplitudes: tuple[float, ...]
+    chance: float
+    held: bool = True
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of the search: what was left over before, the best candidates, what was taken.
+
+    `elsewhere`: the survivors at other shapes of their grids.
+    """
+
+    excess: float
+    count: float
+    ranking: tuple[Tried, ...]
+    survivors: tuple[Tried, ...]
+    elsewhere: tuple[Tried, ...]
+    taken: Tried | None
+    alternatives: tuple[Tried, ...]
+
+
+@dataclass(frozen=True)
+class Least:
+    """What a candidate must take and how sure it must be, in squared errors.
+
+    `excess` is what there is, `explained` what others took of it before; `little`: the free
+    simulation is near what noise leaves.
+    """
+
+    excess: float
+    explained: float
+    little: bool
+
+    def taken_by(self, tried: Tried) -> bool:
+        """Return whether a candidate takes that."""
+        surely = (_PROMISING if tried.shape else BEYOND_CHANCE) if tried.held else ALONE
+        beside = _IN_PASSING if self.little or is_internal(tried.effect) else _BESIDE
+        worth = max(_WORTH * self.excess, beside * self.explained, LEAST)
+        return tried.chance > surely and tried.gain > worth
+
+
+def screened(
+    point: WorkingPoint,
+    candidates: Sequence[Candidate],
+    train: Evidence,
+    held: Evidence,
+    least: Least,
+) -> Round:
+    """Return a round in which nothing is taken yet: all candidates by what they explain.
+
+    Their columns are in `train` and `held` in their order, behind those of the point.
+    """
+    own = len(point.parameters.names) + sum(width(p) for p in point.placed)
+    gained = gains(train)
+    in_order = sorted(range(len(candidates)), key=lambda i: -float(gained[i].sum()))
+
+    def tried(i: int) -> Tried | None:
+        effect, shape = candidates[i]
+        joined = train.joined(i)
+        columns = list(range(len(joined.size) - 1))
+        coefficients = solve(joined.whole, columns) / joined.size[:-1]
+        amplitudes = coefficients[own:].tolist()
+        quantities = zip(amplitudes, effect.amplitudes, strict=True)
+        if not all(q.low <= value <= q.high for value, q in quantities):
+            return None  # a friction that drives is none
+        agrees = _agrees(joined, held.joined(i), own, coefficients)
+        gain = float(gained[i].sum())
+        return Tried(effect, shape, gain, gained[i], tuple(amplitudes), *agrees)
+
+    ranking: list[Tried] = []
+    seen: set[str] = set()
+    for i in in_order:
+        identity = candidates[i][0].identity
+        if identity not in seen and len(ranking) < _MOST_RANKED:
+            seen.add(identity)
+            ranking += filter(None, [tried(i)])
+    excess, count = train.excess, float(train.count.sum())
+    convincing = [t for t in ranking if least.taken_by(t)]
+    survivors = [t for t in convincing if t.gain > _SURVIVES * convincing[0].gain]
+    survivors = survivors[:_MOST_SURVIVORS]
+    elsewhere: list[Tried] = []
+    for best in survivors:
+        rows = [
+            i
+            for i in in_order
+            if candidates[i][0].identity == best.effect.identity
+            and candidates[i][1] != best.shape
+            and float(gained[i].sum()) > _VALLEY * best.gain
+        ]
+        elsewhere += filter(None, map(tried, rows[:_MOST_VALLEYS]))
+    return Round(excess, count, tuple(ranking), tuple(survivors), tuple(elsewhere), None, ())
+
+
+def asked_again(point: WorkingPoint, taken: Tried, fitted: Placed, records: Records) -> Tried:
+    """Return what was taken at its fitted shape, with the chance that held-out records give it."""
+    if not fitted.shape:
+        return taken  # they were asked that
+    candidate = [(fitted.effect, fitted.shape)]
+    train = gather(point, records.train(point, candidate)).joined(0)
+    held = gather(point, records.held(point, candidate)).joined(0)
+    columns = list(range(len(train.size) - 1))
+    coefficients = solve(train.whole, columns) / train.size[:-1]
+    agrees, asked = _agrees(train, held, len(columns) - len(fitted.amplitudes), coefficients)
+    return replace(
+        taken, shape=fitted.shape, amplitudes=fitted.amplitudes, chance=agrees, held=asked
+    )
+
+
+def is_internal(effect: Effect) -> bool:
+    """Return whether only the drives feel it: a force between the beam and the platform."""
+    return effect.where == ("beam",)
+
+
+def width(placed: Placed) -> int:
+    """Return how many numbers an effect has: amplitudes, then shape."""
+    return len(placed.amplitudes) + len(placed.shape)
+
+
+def _agrees(train: Evidence, held: Evidence, own: int, coefficients: Array) -> tuple[float, bool]:
+    """Return how far beyond chance others agree, and whether held-out records could be asked.
+
+    The first `own` columns are what is there already.
+    """
+    columns = list(range(len(coefficients)))
+    question = columns[:own], columns[own:], coefficients * held.size[:-1]
+    if expected(held, *question) < _SILENT:
+        return chance_between(train, columns[:own], columns[own:]), False
+    return chance(held, *question), True

@@ -55,7 +55,9 @@ def linearise(
             yield term
 
     own = parameter_columns(point, bank, s)
-    pose = np.concatenate([own, bank.columns(watched(), count), here.errors[:, :, None]], axis=2)
+    pose = np.empty((*own.shape[:2], own.shape[2] + count + 1))
+    pose[:, :, : own.shape[2]], pose[:, :, -1] = own, here.errors
+    bank.columns(watched(), count, pose[:, :, own.shape[2] : -1])
     shown.append(_beyond(here, _readings(here)))
     drive_n = drive_errors(here)
     shown_drive.append(None if drive_n is None else thinned(drive_n, here.every))

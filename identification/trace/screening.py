@@ -120,38 +120,42 @@ def screened(
     point: WorkingPoint,
     candidates: Sequence[Candidate],
     train: Evidence,
-    held: Evidence,
+    records: Records,
     least: Least,
 ) -> Round:
     """Return a round in which nothing is taken yet: all candidates by what they explain.
 
-    Their columns are in `train` and `held` in their order, behind those of the point.
+    Their columns are in `train` in their order, behind those of the point. The records held out are
+    asked about those that explain most, and have no columns of the others.
     """
     own = len(point.parameters.names) + sum(width(p) for p in point.placed)
     gained = gains(train)
     in_order = sorted(range(len(candidates)), key=lambda i: -float(gained[i].sum()))
 
-    def tried(i: int) -> Tried | None:
-        effect, shape = candidates[i]
+    def fitted(i: int) -> Array | None:
         joined = train.joined(i)
         columns = list(range(len(joined.size) - 1))
         coefficients = solve(joined.whole, columns) / joined.size[:-1]
-        amplitudes = coefficients[own:].tolist()
-        quantities = zip(amplitudes, effect.amplitudes, strict=True)
-        if not all(q.low <= value <= q.high for value, q in quantities):
-            return None  # a friction that drives is none
-        agrees = _agrees(joined, held.joined(i), own, coefficients)
-        gain = float(gained[i].sum())
-        return Tried(effect, shape, gain, gained[i], tuple(amplitudes), *agrees)
+        quantities = zip(coefficients[own:], candidates[i][0].amplitudes, strict=True)
+        # A friction that drives is none.
+        return coefficients if all(q.low <= value <= q.high for value, q in quantities) else None
 
-    ranking: list[Tried] = []
+    def tried(i: int, coefficients: Array, chance: float, asked: bool) -> Tried:
+        gain, amplitudes = float(gained[i].sum()), tuple(coefficients[own:].tolist())
+        return Tried(*candidates[i], gain, gained[i], amplitudes, chance, asked)
+
+    ranked: list[tuple[int, Array]] = []
     seen: set[str] = set()
     for i in in_order:
         identity = candidates[i][0].identity
-        if identity not in seen and len(ranking) < _MOST_RANKED:
+        if identity not in seen and len(ranked) < _MOST_RANKED:
             seen.add(identity)
-            ranking += filter(None, [tried(i)])
-    excess, count = train.excess, float(train.count.sum())
+            ranked += [(i, found) for found in [fitted(i)] if found is not None]
+    others = gather(point, records.held(point, [candidates[i] for i, _ in ranked]))
+    ranking = [
+        tried(i, found, *_agrees(train.joined(i), others.joined(n), own, found))
+        for n, (i, found) in enumerate(ranked)
+    ]
     convincing = [t for t in ranking if least.taken_by(t)]
     survivors = [t for t in convincing if t.gain > _SURVIVES * convincing[0].gain]
     survivors = survivors[:_MOST_SURVIVORS]
@@ -163,8 +167,15 @@ def screened(
             if candidates[i][0].identity == best.effect.identity
             and candidates[i][1] != best.shape
             and float(gained[i].sum()) > _VALLEY * best.gain
+        ][:_MOST_VALLEYS]
+        # Others are asked about these where one of them is fitted and taken.
+        elsewhere += [
+            tried(i, found, best.chance, best.held)
+            for i in rows
+            for found in [fitted(i)]
+            if found is not None
         ]
-        elsewhere += filter(None, map(tried, rows[:_MOST_VALLEYS]))
+    excess, count = train.excess, float(train.count.sum())
     return Round(excess, count, tuple(ranking), tuple(survivors), tuple(elsewhere), None, ())
 
 

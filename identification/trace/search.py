@@ -104,10 +104,9 @@ def _grown(
             candidates = [c for c in candidates if is_internal(c[0])]
         progress(f"screening {len(candidates)} candidates", _share(len(rounds)))
         train = gather(point, records.train(point, candidates))
-        held = gather(point, records.held(point, candidates))
         explained = rounds[0].excess - train.excess if rounds else 0.0
         little = error.squares < _MUCH * error.floor
-        found = screened(point, candidates, train, held, Least(train.excess, explained, little))
+        found = screened(point, candidates, train, records, Least(train.excess, explained, little))
         if not found.survivors or len(point.placed) >= most or refused >= _MOST_REFUSED:
             rounds.append(found)
             break

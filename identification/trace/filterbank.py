@@ -20,7 +20,7 @@ from ...model.effects.base import Term
 from ..greybox.inputs import Hold, held_step, lagged_input, moments
 from ..greybox.motion import Motion
 from ..greybox.noise import Filter
-from .forces import force_moments, polynomial_weights
+from .forces import around, force_moments, polynomial_weights
 from .record import TraceRecord
 
 Array = NDArray[np.float64]
@@ -197,12 +197,8 @@ class FilterBank:
             order = len(self.motion.scale) - 1
             m = force_moments(force, self.motion.Ts_s, order, self.hold)
             return self._along(np.einsum("njp,jip->ni", m, self.powers, optimize=True))
-        rows = len(force)
-        padded = np.concatenate([np.repeat(force[:1], 2, 0), force, np.repeat(force[-1:], 3, 0)])
-        forcing = np.zeros((rows, self.smooth.shape[1]))
-        for s, matrix in enumerate(self.smooth):
-            forcing += padded[s : s + rows] @ matrix.T
-        return self._along(forcing)
+        taps = self.smooth.swapaxes(1, 2).reshape(-1, self.smooth.shape[1])
+        return self._along(around(force) @ taps)
 
     def _along(self, forcing: Array) -> Array:
         """Return forcing with each period's own mobility, where it changes."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..greybox.inputs import Hold, moments
@@ -25,12 +26,18 @@ def force_moments(force: Array, Ts_s: float, order: int, hold: Hold) -> Array:
     if hold == "band_limited":
         return moments(force, Ts_s, order, hold, 0.0, 0.0)
     weights = polynomial_weights(Ts_s, order)
+    rows, n = force.shape
+    return (around(force) @ np.kron(weights, np.eye(n)).T).reshape(rows, order, n)
+
+
+def around(force: Array) -> Array:
+    """Return the six rows around each period (N, 6 n), earliest first, of a force (N, n).
+
+    Beyond its ends it is what it is there. Side by side, what they do is one product of matrices.
+    """
     padded = np.concatenate([np.repeat(force[:1], 2, 0), force, np.repeat(force[-1:], 3, 0)])
-    rows = len(force)
-    result = np.zeros((rows, order, force.shape[1]))
-    for s in range(POINTS):
-        result += weights[:, s][None, :, None] * padded[s : s + rows, None, :]
-    return result
+    n = padded.shape[1]
+    return np.ascontiguousarray(sliding_window_view(padded.ravel(), POINTS * n)[::n])
 
 
 def polynomial_weights(Ts_s: float, order: int) -> Array:

@@ -22,7 +22,8 @@ is reported alone is wrong.
 A plant with an unlisted effect is right if nothing is *misnamed* (classes are reported none of
 which the case allows, and the result does not say that its names are in doubt), if something
 `unknown` is reported that shares half or more of its places with the truth, if half or more of the
-signals that it names are those that the effect depends on, and if the error is at least halved.
+signals that it names are those that the effect depends on, and if the error is at least halved, or
+at the floor.
 """
 
 from __future__ import annotations
@@ -167,7 +168,8 @@ def _score_unlisted(case: ZooCase, summary: Mapping[str, Any]) -> Score:
     true = len(signals & SIGNALS[case.name]) / max(len(signals), 1)
     described = _in_common(there, case) >= _IN_COMMON and true >= _IN_COMMON
     before, after = _errors(summary)
-    halved = after <= 0.5 * before
+    # One of 1.5 times the floor cannot be halved: nothing falls below the floor.
+    halved = after <= max(0.5 * before, _EXPLAINED)
     return Score(
         not wrong and described and halved,
         not wrong and bool(there & set(case.where)),

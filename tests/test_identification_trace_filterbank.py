@@ -21,6 +21,7 @@ from levid.identification.greybox.motion import innovations, motion
 from levid.identification.greybox.noise import Noise, kalman_filter
 from levid.identification.greybox.parameters import free_parameters
 from levid.identification.greybox.prediction import predict, settled
+from levid.identification.trace.drive import beside_motion
 from levid.identification.trace.filterbank import FilterBank, thinned, transitions
 from levid.identification.trace.linearise import (
     effect_terms,
@@ -334,6 +335,21 @@ def test_effects_found_are_in_the_errors_with_their_forces_and_readings() -> Non
         along(here, made).errors,
         atol=1e-6 * np.abs(along(here, made).errors).max(),
     )
+
+
+def test_effects_found_are_in_the_accelerations_that_drives_work_against() -> None:
+    # A coil that is weaker is one that is told less. Were it not, what is missing of the platform's
+    # acceleration would be a force of the drives, and soon their cogging.
+    made, here = record("fixed"), point()
+    s, _ = filtered(here, made, motion(here.model, made.experiment, "zoh"))
+    gain = next(e for e in all_effects(PLACES) if e.identity == "coil_gain@coil:3")
+    weak = Placed(gain, (), (-0.2,))
+    told_less = replace(made.experiment, u=made.experiment.u + weak.term(s).held)
+    less = along(here, replace(made, experiment=told_less))
+    drive = np.random.default_rng(1).standard_normal(made.rows)
+    left = [beside_motion(at, drive) for at in (along(replace(here, placed=(weak,)), made), less)]
+    assert np.ptp(left[0] - beside_motion(along(here, made), drive)) > 1e-3 * np.ptp(drive)
+    np.testing.assert_allclose(left[0], left[1], atol=1e-6 * np.ptp(drive))
 
 
 def test_a_start_of_the_filter_is_forgotten_as_the_fit_has_it() -> None:

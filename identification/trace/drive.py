@@ -77,7 +77,8 @@ def _accelerations(here: Along) -> Array:
     """
     e, at, s, n = here.record.experiment, here.at, here.signals, here.at.K.shape[1]
     step = held_step(e.Ts_s, 1, e.delay_cycles * e.Ts_s, s.lag_s)
-    acting = lagged_input(e.u, step) if s.lag_s > 0.0 else s.acting(e.u)
+    given = e.u if here.added.held is None else e.u + here.added.held
+    acting = lagged_input(given, step) if s.lag_s > 0.0 else s.acting(given)
     each = (s.rows, n, n)
     K, D = np.broadcast_to(at.K, each), np.broadcast_to(at.D, each)
     pushed = np.einsum("nip,np->ni", np.broadcast_to(at.B, (s.rows, *at.B.shape[1:])), acting)

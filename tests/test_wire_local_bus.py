@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -13,6 +15,7 @@ from pathlib import Path
 import can
 import pytest
 
+from levid.wire.can_bus import SO_TIMESTAMPNS, kernel_stamp_s
 from levid.wire.local_bus import LocalBus, LocalFrames
 
 WAIT_S = 30.0
@@ -162,6 +165,16 @@ def test_what_is_no_frame_is_nobody_s(tmp_path: Path) -> None:
     assert heard(other) == (0x123, b"whole")
     for bus in (one, other):
         bus.shutdown()
+
+
+def test_handles_that_somebody_sends_along_are_no_stamp() -> None:
+    """They come alone where the kernel stamps nothing; four of them are as long as a stamp."""
+    for handles in (1, 4):
+        numbers = struct.pack(f"{handles}i", *range(1, handles + 1))
+        sent = socket.SOL_SOCKET, socket.SCM_RIGHTS, numbers
+        assert kernel_stamp_s([sent]) == 0.0
+    stamp = (socket.SOL_SOCKET, SO_TIMESTAMPNS, struct.pack("@ll", 7, 500_000_000))
+    assert kernel_stamp_s([sent, stamp]) == 7.5
 
 
 def test_bus_in_a_folder_of_everybody_is_refused(tmp_path: Path) -> None:

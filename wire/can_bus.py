@@ -38,6 +38,8 @@ _HEAD = struct.Struct("=IBB2x")
 _CLASSIC = struct.Struct("=IBB2x8s")
 _FD = struct.Struct("=IBB2x64s")
 _TIMESPEC = struct.Struct("@ll")
+SO_TIMESTAMPNS = 35
+"""asm-generic/socket.h: what python-can asks of socketcan too; Python has no name for it."""
 STAMP_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
 """Room for a stamp beside a frame, in recvmsg."""
 
@@ -122,10 +124,11 @@ def unpacked(raw: bytes, stamp_s: float) -> Frame:
 
 def kernel_stamp_s(ancillary: Sequence[tuple[int, int, bytes]]) -> float:
     """Return when a frame came, by the kernel's stamp beside it; 0.0 where there is none."""
-    if not ancillary:
-        return 0.0
-    seconds, nanoseconds = _TIMESPEC.unpack(ancillary[0][2])
-    return float(seconds + 1e-9 * nanoseconds)
+    for level, kind, data in ancillary:  # other processes may send other things on a local bus
+        if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS):
+            seconds, nanoseconds = _TIMESPEC.unpack(data)
+            return float(seconds + 1e-9 * nanoseconds)
+    return 0.0
 
 
 class _MessageBus:

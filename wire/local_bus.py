@@ -23,10 +23,17 @@ from typing import Any
 
 import can
 
-from .can_bus import FRAME_SIZES, OTHER, STAMP_BYTES, Frame, kernel_stamp_s, packed, unpacked
+from .can_bus import (
+    FRAME_SIZES,
+    OTHER,
+    SO_TIMESTAMPNS,
+    STAMP_BYTES,
+    Frame,
+    kernel_stamp_s,
+    packed,
+    unpacked,
+)
 
-_SO_TIMESTAMPNS = 35
-"""asm-generic/socket.h: what python-can asks of socketcan too; Python has no name for it."""
 _WAITING = 16
 _SUFFIX = ".can"
 _MOST_BYTES = max(FRAME_SIZES) + 1  # so that what is longer is not taken for a frame
@@ -181,7 +188,7 @@ class LocalBus(can.BusABC):
 def _stamped(end: socket.socket) -> None:
     """Have the kernel say when frames came, as it does on a CAN interface."""
     with contextlib.suppress(OSError):  # without it a frame is as old as when it is looked at
-        end.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        end.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
 
 
 @contextlib.contextmanager

@@ -150,7 +150,9 @@ def screened(
         identity = candidates[i][0].identity
         if identity not in seen and len(ranked) < _MOST_RANKED:
             seen.add(identity)
-            ranked += [(i, found) for found in [fitted(i)] if found is not None]
+            coefficients = fitted(i)
+            if coefficients is not None:
+                ranked.append((i, coefficients))
     others = gather(point, records.held(point, [candidates[i] for i, _ in ranked]))
     ranking = [
         tried(i, found, *_agrees(train.joined(i), others.joined(n), own, found))
@@ -169,12 +171,10 @@ def screened(
             and float(gained[i].sum()) > _VALLEY * best.gain
         ][:_MOST_VALLEYS]
         # Others are asked about these where one of them is fitted and taken.
-        elsewhere += [
-            tried(i, found, best.chance, best.held)
-            for i in rows
-            for found in [fitted(i)]
-            if found is not None
-        ]
+        for i in rows:
+            coefficients = fitted(i)
+            if coefficients is not None:
+                elsewhere.append(tried(i, coefficients, best.chance, best.held))
     excess, count = train.excess, float(train.count.sum())
     return Round(excess, count, tuple(ranking), tuple(survivors), tuple(elsewhere), None, ())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import math
@@ -34,17 +35,20 @@ class Result:
 
 
 class Kept:
-    """The results in a folder, by plant, sizes, seed and version of the code."""
+    """The results in a folder, by plant, sizes, seed and version of the code.
 
-    def __init__(self, folder: Path) -> None:
+    With them, if given, those of a compressed file that others published.
+    """
+
+    def __init__(self, folder: Path, published: Path | None = None) -> None:
         self._file = folder / "results.jsonl"
         self._version = code_version()
-        self._rows: dict[str, dict[str, Any]] = {}
+        lines: list[str] = []
+        if published is not None and published.exists():
+            lines += gzip.decompress(published.read_bytes()).decode().splitlines()
         if self._file.exists():
-            for line in self._file.read_text(encoding="utf-8").splitlines():
-                row = _row(line)
-                if row is not None:
-                    self._rows[row["key"]] = row
+            lines += self._file.read_text(encoding="utf-8").splitlines()
+        self._rows = {row["key"]: row for row in map(_row, lines) if row is not None}
 
     def has(self, plant: Plant, sizes: Mapping[str, Sizes]) -> bool:
         """Return whether there is a result; one that failed is none."""
@@ -66,6 +70,17 @@ class Kept:
         self._file.parent.mkdir(parents=True, exist_ok=True)
         with self._file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
+
+    def publish(self, file: Path) -> int:
+        """Write the results of this code, and of no other, compressed; return how many.
+
+        The same results make the same bytes.
+        """
+        rows = [row for row in self._rows.values() if row["code"] == self._version and row["found"]]
+        rows.sort(key=lambda row: (row["plant"], row["key"]))
+        text = "".join(json.dumps(row) + "\n" for row in rows)
+        file.write_bytes(gzip.compress(text.encode(), mtime=0))
+        return len(rows)
 
     def of(self, plants: Sequence[Plant], sizes: Mapping[str, Sizes]) -> list[Result]:
         """Return the results of plants, in their order; those that there are none of fail."""

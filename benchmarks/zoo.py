@@ -8,7 +8,9 @@ right is said in _zoo_score.py.
 
 Results are kept as they come, one line each, in OUT/results.jsonl; what is there already, of the
 same plant, size, seed and code, is not flown again. Rows, lines and figures are made from what is
-kept, so that a change of the scoring flies nothing.
+kept, so that a change of the scoring flies nothing. What was flown last, in several sittings and by
+one code, is beside this file in zoo-results.jsonl.gz: as long as the code is that one, its plants
+are not flown either, but for --afresh.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from rich.console import Console
 PROCESSES = 2
 LONGEST_S = 1800.0
 """On a machine that does much else; alone it takes about a minute and a half."""
+PUBLISHED = Path(__file__).with_name("zoo-results.jsonl.gz")
 DEFAULT = Path(__file__).resolve().parents[1] / "build" / "zoo"
 
 
@@ -50,8 +53,10 @@ def main() -> None:
     if arguments.times:
         plants = [p for p in plants if p.cases and p.times in arguments.times]
     sizes = sizes_of([case for plant in plants for case in plant.cases], PROCESSES, _say)
-    kept = Kept(arguments.out)
+    kept = Kept(arguments.out, None if arguments.afresh else PUBLISHED)
     _fly_all(plants, sizes, kept, arguments.out / "flights" if arguments.keep_flights else None)
+    if arguments.publish:
+        _say(f"{PUBLISHED.name}: {kept.publish(PUBLISHED)} results")
     results = kept.of(plants, sizes)
     if arguments.json:
         json.dump({"figures": figures(results)}, sys.stdout)
@@ -72,6 +77,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
     parser.add_argument("--out", type=Path, default=DEFAULT, help="where results are kept")
     parser.add_argument(
+        "--afresh", action="store_true", help=f"fly what {PUBLISHED.name} holds, too"
+    )
+    parser.add_argument(
+        "--publish", action="store_true", help=f"write {PUBLISHED.name} from what this code found"
+    )
+    parser.add_argument(
         "--keep-flights", action="store_true", help="keep logs too, 50 MB a plant, to trace again"
     )
     parser.add_argument(
@@ -88,6 +99,8 @@ def _fly_all(
 ) -> None:
     """Fly and trace the plants that there is no result of; logs stay in `flights`, if given."""
     missing = [plant for plant in plants if not kept.has(plant, sizes)]
+    if len(missing) < len(plants):
+        _say(f"{len(plants) - len(missing)} of {len(plants)} plants were flown before by this code")
     begun = [_Task(plant, tuple(plant.entries(sizes)), flights) for plant in missing]
     for count, done in enumerate(run_apart(_Task.fly, begun, PROCESSES, LONGEST_S), 1):
         result = Result(

@@ -99,11 +99,13 @@ def trace_logs(
         found = trace(
             logs, config, all_effects, spread, lambda what, share: report(what, 0.9 * share)
         )
+        # First of all what took so long: a page that cannot be drawn loses nothing.
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "model.yaml").write_text(to_yaml(model_after(found)), encoding="utf-8")
         report("looking at what is left", 0.92)
-        seen = views(found, logs, spread)
+        seen = views(found, spread)
         report("report", 0.97)
         page = trace_report(found, seen, out)
-    (out / "model.yaml").write_text(to_yaml(model_after(found)), encoding="utf-8")
     return found, page
 
 

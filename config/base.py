@@ -78,6 +78,8 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
             text = file.read(MOST_BYTES + 1)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:  # a name that no file can have
+        raise ConfigError(f"{str(path)!r}: cannot be read: {error}") from None
     return _mapping(text, str(path))
 
 

@@ -120,7 +120,7 @@ class Platform(Strict):
 
     @model_validator(mode="after")
     def _positive_definite(self) -> Self:
-        if self.j_psitheta_kg_m2**2 >= self.j_psi_kg_m2 * self.j_theta_kg_m2:
+        if self.j_psitheta_kg_m2 * self.j_psitheta_kg_m2 >= self.j_psi_kg_m2 * self.j_theta_kg_m2:
             raise ValueError("j_psitheta_kg_m2: expected its square below j_psi times j_theta")
         return self
 
@@ -259,8 +259,9 @@ def _spans_a_plane(x: tuple[float, ...], y: tuple[float, ...]) -> bool:
     if len(x) < 3:
         return False
     mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
-    xx = sum((a - mean_x) ** 2 for a in x)
-    yy = sum((b - mean_y) ** 2 for b in y)
+    # Products, where a power that overflows would raise.
+    xx = sum((a - mean_x) * (a - mean_x) for a in x)
+    yy = sum((b - mean_y) * (b - mean_y) for b in y)
     xy = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))
     # Relative to (xx + yy)^2 the determinant is scale-free; 1e-9 is an aspect ratio of 1 to 30000.
-    return xx * yy - xy**2 > 1e-9 * (xx + yy) ** 2
+    return xx * yy - xy * xy > 1e-9 * (xx + yy) * (xx + yy)

@@ -17,6 +17,9 @@ from .mcap_format import CHUNK_HEAD, MAGIC, RECORD_HEAD, Channel, Cursor, Op, Sc
 # A corrupt size must not ask for gigabytes; common writers make chunks of 1 to 16 MiB.
 MAX_CHUNK_BYTES = 256 << 20
 _LZ4_BEST_RATIO = 255
+_RUN_BYTES = 16 << 20
+"""Messages outside of chunks are read in runs of about this size, which threads share."""
+_HEAD = "levid-head"
 
 
 class Segment(NamedTuple):
@@ -40,7 +43,8 @@ class Contents:
 
     `problem` says why the file is not complete: it ends early, or is damaged at a byte behind the
     last segment. None stands for a file that is whole as far as can be told without unpacking it.
-    `indexed`: offsets of the chunks by the summary; `data_end`: where the summary starts.
+    `indexed`: offsets of the chunks by the summary; `data_end`: where the summary starts;
+    `head_end`: where the record is that vouches for all before it, 0 without one.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -52,6 +56,7 @@ class Contents:
     problem: str | None = None
     indexed: set[int] = field(default_factory=set)
     data_end: int = 0
+    head_end: int = 0
 
     def declare(self, opcode: int, body: Cursor) -> None:
         """Take in a Schema or Channel record; one that differs from its namesake is a LogError."""
@@ -179,9 +184,13 @@ def _take(contents: Contents, data: memoryview, opcode: int, at: int, end: int) 
         name, content = body.attachment()
         contents.attachments.setdefault(name, content)
     elif opcode == Op.METADATA:
-        contents.metadata.setdefault(body.string(), body.string_map())
+        name = body.string()
+        if name == _HEAD and name not in contents.metadata:
+            contents.head_end = at
+        contents.metadata.setdefault(name, body.string_map())
     elif opcode == Op.STATISTICS:
-        contents.message_counts = _message_counts(body)
+        # An empty map says that nobody counted.
+        contents.message_counts = _message_counts(body) or None
     elif opcode == Op.CHUNK_INDEX:
         contents.indexed.add(body.integers("QQQ")[2])
     elif opcode == Op.DATA_END:
@@ -213,7 +222,8 @@ def _chunk(data: memoryview, at: int, end: int) -> Segment:
 def _take_message(segments: list[Segment], at: int, end: int) -> None:
     """Add the message record at bytes [at, end) to the run before it, or start a run."""
     last = segments[-1] if segments else None
-    if last is not None and last.offset == last.begin and last.end == at:
+    beside = last is not None and last.offset == last.begin and last.end == at
+    if last is not None and beside and last.size < _RUN_BYTES:
         segments[-1] = Segment(last.offset, last.begin, end, end - last.begin)
     else:
         segments.append(Segment(at, at, end, end - at))
@@ -244,14 +254,20 @@ def _check_summary(contents: Contents, data: memoryview, at: int, body: Cursor) 
 
 
 def _check_head(contents: Contents, data: memoryview) -> None:
-    """Compare schema, channel, attachments and metadata with the CRC that levid gives them."""
-    stated = contents.metadata.get("levid-head")
+    """Compare schema, channel, attachments and metadata with the CRC that levid gives them.
+
+    Tools that copy a log record by record copy this one too, to another place: there it vouches for
+    nothing.
+    """
+    stated = contents.metadata.get(_HEAD)
     if stated is None:
         return
     try:
         count, expected = int(stated["bytes"]), int(stated["crc32"], 16)
     except (KeyError, ValueError):
-        raise LogError(f"metadata 'levid-head': expected bytes and crc32, found {stated}") from None
+        raise LogError(f"metadata '{_HEAD}': expected bytes and crc32, found {stated}") from None
+    if count != contents.head_end:
+        return
     found = zlib.crc32(data[: max(count, 0)])
     if found != expected:
         raise LogError(

@@ -67,8 +67,8 @@ def record(opcode: Op, *parts: bytes) -> bytes:
 
 
 def string(text: str) -> bytes:
-    """Return a string in UTF-8 after its length."""
-    data = text.encode()
+    """Return a string in UTF-8 after its length; what is no text, as in a file's name, as '?'."""
+    data = text.encode("utf-8", "replace")
     return struct.pack("<I", len(data)) + data
 
 

@@ -119,15 +119,15 @@ def cycle_dtype(n_coils: int, n_sensors: int) -> np.dtype[np.void]:
 def ros2msg(dtype: np.dtype[np.void], units: Mapping[str, str] | None = None) -> str:
     """Return the ros2msg definition of a record; one line a field, with `# [unit] meaning`.
 
-    Known signals take unit and meaning from SIGNALS; `units` gives those of other fields. The unit
-    in brackets is the convention of ROS 2's own message files.
+    Known signals take unit and meaning from SIGNALS; `units` gives those of a log of others. The
+    unit in brackets is the convention of ROS 2's own message files.
 
     Raises:
         LogError: a field has a name, type or shape that a ros2msg cannot hold, or its place is not
             where CDR puts it.
     """
     known = {s.name: f"[{s.unit}] {s.description}" for s in SIGNALS}
-    known |= {name: f"[{unit}]" for name, unit in (units or {}).items() if name not in known}
+    known |= {name: f"[{unit}]" for name, unit in (units or {}).items()}
     lines = []
     for name, field, shape in _fields_of(dtype):
         if not _NAME.fullmatch(name):

@@ -93,7 +93,13 @@ class LogWriter:
         except OSError as error:
             raise LogError(f"{path}: cannot be created: {error.strerror}") from None
         facts = {"format": FORMAT, **metadata, "rate_hz": repr(float(rate_hz))}
-        self._put_head(facts, attachments)
+        try:
+            self._put_head(facts, attachments)
+        except BaseException:
+            # Nothing is in it yet, and it would be in the way of the next try.
+            self._file.close()
+            self.path.unlink(missing_ok=True)
+            raise
 
     def write(self, rows: NDArray[np.void], log_time_ns: NDArray[np.uint64]) -> None:
         """Append rows of this log's dtype, (n,), and their times in ns, (n,).

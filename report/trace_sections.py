@@ -47,8 +47,9 @@ def error_section(found: Trace, result: Outcome, views: Views) -> Section:
     parts: list[Part] = [
         Text(
             "Held-out records, simulated freely from the excitation and the beam's motion alone; "
-            "their first 5 s give the state to start from and do not count. The declared model was "
-            "fitted to the other records before, so what effects gain is not what fitting gains."
+            "their first 5 s (or third) give the state to start from, and do not count. The "
+            "declared model was fitted to the other records before, so what effects gain is not "
+            "what fitting gains."
         ),
         _dof_table(result),
         Picture(

@@ -308,6 +308,26 @@ def test_results_are_kept_and_a_line_cut_off_is_no_result(tmp_path, monkeypatch)
     assert not results.Kept(tmp_path).has(plants[0], some)
 
 
+def test_published_results_are_those_of_this_code_and_need_not_be_flown(
+    tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(results, "code_version", lambda: "a")
+    some = {"cubic-z": sizes.Sizes("0a", {5.0: 1.0, 20.0: 4.0})}
+    plants = [plan.Plant("alone", (CASE["cubic-z"],), t, 1) for t in (5.0, 20.0)]
+    found = {"summary": said(("rod_stiffness", "z")), "placed": [], "flight_s": 1.0, "trace_s": 2.0}
+    kept, file = results.Kept(tmp_path / "mine"), tmp_path / "results.jsonl.gz"
+    kept.add(results.Result(plants[0], found), some)
+    kept.add(results.Result(plants[1], None, "stopped"), some)
+    assert kept.publish(file) == 1
+    theirs = results.Kept(tmp_path / "empty", file)
+    assert [theirs.has(p, some) for p in plants] == [True, False]
+    written = file.read_bytes()
+    theirs.publish(file)
+    assert file.read_bytes() == written
+    monkeypatch.setattr(results, "code_version", lambda: "b")
+    assert not results.Kept(tmp_path / "empty", file).has(plants[0], some)
+
+
 def test_passing_beam_shows_on_its_sensor_alone() -> None:
     unlisted = module("_unlisted_effects")
     beam = unlisted.PassingBeam(4, 3e-6, at_m=0.03, width_m=0.02)

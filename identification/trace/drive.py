@@ -1,7 +1,9 @@
 """The force of the beam's drives: what accelerations and tilt explain of it, and what they do not.
 
 The drives move the beam's mass on a platform that tilts and jerks: what is proportional to
-accelerations, to the speed and to the tilt is no effect, and is taken out of everything.
+accelerations, to the speed and to the tilt is no effect, and is taken out of everything. So is what
+they hold the beam against: the pull of a cable to it, which goes with its place, and a rotor out of
+balance. Both are forces from outside, that the platform shows.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from ...model.effects.rotor import pushes
 from ..greybox.inputs import held_step, lagged_input
 from .filterbank import thinned
 from .working_point import Along
@@ -34,7 +37,12 @@ def beside_motion(here: Along, drive: Array, every: int = 1) -> Array:
     """
     s = here.signals
     # What is proportional to speed is not told from a reading that comes half a period late.
-    own = np.column_stack([np.ones(s.rows), s.v_b_m_s, s.a_b_m_s2, s.q, _accelerations(here)])
+    own = np.column_stack(
+        [
+            np.ones(s.rows), s.x_b_m, s.x_b_m**2, s.v_b_m_s, s.a_b_m_s2, *pushes(s), s.q,
+            _accelerations(here),
+        ]
+    )  # fmt: skip
     basis, _ = np.linalg.qr(thinned(own / np.maximum(np.abs(own).max(axis=0), 1e-300), every))
     return np.asarray(drive - basis @ (basis.T @ drive))
 

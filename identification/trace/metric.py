@@ -21,7 +21,7 @@ _SEGMENT_S = 4.0
 
 @dataclass(frozen=True)
 class RecordError:
-    """Measured minus freely simulated, of one record from 5 s on.
+    """Measured minus freely simulated, of one record from where it counts (5 s on).
 
     rows: how many count. squares: mean square over rows and sensors, in variances of the sensor
     noise; floor: what noise alone leaves of that. pose_squares, pose_floor (n,): mean squares of

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -38,12 +40,22 @@ def read_records(
         raise IdentificationError(
             f"expected records among the {len(logs)} logs, found none: {'; '.join(notes)}"
         )
-    names = [r.name for r in records.values()]
+    return _told_apart(records), tuple(notes)
+
+
+def _told_apart(records: dict[Path, TraceRecord]) -> dict[Path, TraceRecord]:
+    """Return records of which no two have one name: those that had are named by their logs too."""
+    count = Counter(record.name for record in records.values())
+    if count.most_common(1)[0][1] == 1:
+        return records
+    common = Path(os.path.commonpath([path.absolute().parent for path in records]))
+    named = {}
     for path, record in records.items():
-        if names.count(record.name) > 1:
-            named = replace(record.experiment, name=f"{record.name} ({path})")
-            records[path] = replace(record, experiment=named)
-    return records, tuple(notes)
+        name = record.name
+        if count[name] > 1:
+            name = f"{name} ({path.absolute().relative_to(common)})"
+        named[path] = replace(record, experiment=replace(record.experiment, name=name))
+    return named
 
 
 def require_live(record: TraceRecord, path: Path) -> None:

@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 
 METRIC = (
     "RMS over rows and sensors of the free-running simulation's error, in standard deviations of "
-    "the sensor noise, on records that were not fitted, from 5 s on"
+    "the sensor noise, on records that were not fitted, from 5 s on (of records under 15 s: from "
+    "a third on)"
 )
 NOISE_MOST = 1.15
 """Error over its floor up to which nothing is left: the floor itself is known to some percent."""

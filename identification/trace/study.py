@@ -67,6 +67,8 @@ class Trace:
     after: tuple[RecordError, ...]
     notes: tuple[str, ...]
     shaken: tuple[Shaking, ...] = ()
+    records: tuple[Source, ...] = ()
+    """Every record whole, fitted and held out."""
 
 
 def trace(
@@ -111,6 +113,7 @@ class _Begun:
     held: tuple[str, ...]
     overlapping: str
     notes: tuple[str, ...]
+    records: tuple[Source, ...]
 
 
 def _trace(
@@ -144,7 +147,7 @@ def _trace(
         shaken = shaking(workers.map(spectra, logged.fitted), workers.map(spectra, logged.kept))
     return Trace(
         config, places, declared, found, begun.fitted, begun.held,
-        tuple(before), tuple(after), notes, shaken,
+        tuple(before), tuple(after), notes, shaken, begun.records,
     )  # fmt: skip
 
 
@@ -171,14 +174,14 @@ def _begin(
         )
     require_noise(train)
     _require_enough(train)
-    where = {r.name: path for path, r in records.items()}
+    whole = {r.name: Source.of(path, 0, r.rows, span, loads, r.name) for path, r in records.items()}
     begin = {r.name: r.time_s[0] for r in records.values()}
 
     def sources(parts: Sequence[TraceRecord]) -> tuple[Source, ...]:
         found = []
         for part in parts:
             first = round((part.time_s[0] - begin[part.name]) / part.experiment.Ts_s)
-            found.append(Source.of(where[part.name], first, first + part.rows, span, loads))
+            found.append(replace(whole[part.name], start=first, stop=first + part.rows))
         return tuple(found)
 
     places = train[0].places
@@ -195,7 +198,9 @@ def _begin(
 
     start = logged.believed(replace(point, reference=point.model))
     declared, _ = refine(start, logged)
-    return _Begun(logged, declared, places, covered, *names, overlapping, notes)
+    return _Begun(
+        logged, declared, places, covered, *names, overlapping, notes, tuple(whole.values())
+    )
 
 
 @dataclass(frozen=True)

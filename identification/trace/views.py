@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...log.reader import read_log
 from ...model.effects.base import Placed, Signals
 from ..greybox.floor import floor_psd
 from .grams import BLOCK_S
@@ -26,7 +24,7 @@ from .residual import (
     standing_out,
 )
 from .study import Trace
-from .workers import Source, Workers
+from .workers import Workers
 from .working_point import Along, WorkingPoint
 
 Array = NDArray[np.float64]
@@ -105,17 +103,10 @@ class Views:
     force_units: tuple[str, ...]
 
 
-def views(found: Trace, logs: Sequence[Path], workers: Workers) -> Views:
+def views(found: Trace, workers: Workers) -> Views:
     """Return what figures show of the records of a trace."""
-    names = {*found.fitted, *found.held}
-    sources = []
-    for path in logs:
-        log = read_log(path)
-        if (log.metadata.get("name") or path.stem) in names:
-            places = found.places
-            sources.append(Source.of(path, 0, len(log.rows), places.span_s, places.loads))
     held = {e.name: e.freq_hz for e in found.after}
-    seen = workers.map(partial(_view, found.declared, found.found.point, held), sources)
+    seen = workers.map(partial(_view, found.declared, found.found.point, held), found.records)
     places = found.places
     units = tuple(places.force_unit(i) for i in range(len(places.dof)))
     return Views(tuple(sorted(seen, key=lambda v: float(v.time_s[0]))), places.dof, units)

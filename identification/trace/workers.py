@@ -31,7 +31,10 @@ _KEPT = 256
 
 @dataclass(frozen=True)
 class Source:
-    """Where a record comes from: rows of a log as it was written then, and its session."""
+    """Where a record comes from: rows of a log as it was written then, and its session.
+
+    `name` is what it is called among the others; empty for the name that its log has.
+    """
 
     path: Path
     start: int
@@ -40,6 +43,7 @@ class Source:
     loads: Loads | None
     written_ns: int
     size: int
+    name: str = ""
 
     @classmethod
     def of(
@@ -49,10 +53,11 @@ class Source:
         stop: int,
         span_s: tuple[float, float],
         loads: Loads | None = None,
+        name: str = "",
     ) -> Source:
         """Return rows of the log that is at `path` now, in a session of this span and loads."""
         now = path.stat()
-        return cls(path, start, stop, span_s, loads, now.st_mtime_ns, now.st_size)
+        return cls(path, start, stop, span_s, loads, now.st_mtime_ns, now.st_size, name)
 
 
 class Workers(Protocol):
@@ -123,5 +128,7 @@ def _answer(task: Task[Answer], source: Source, model_json: str) -> Answer:
 def _record(source: Source, model_json: str) -> TraceRecord:
     config = ModelConfig.model_validate_json(model_json)
     record = trace_record(read_log(source.path), config)
+    if source.name:
+        record = replace(record, experiment=replace(record.experiment, name=source.name))
     places = replace(record.places, span_s=source.span_s, loads=source.loads)
     return replace(record.cut(source.start, source.stop), places=places)

@@ -49,7 +49,7 @@ class Places:
     sensor_xy_m: Array
     beam: bool
     span_s: tuple[float, float] = (0.0, 1.0)
-    """First and last time of the whole session, which onsets and drifts are told in."""
+    """First and last time of all records, in which onsets are looked for."""
     loads: Loads | None = None
     """What was carried through the session, where that is known."""
 
@@ -77,10 +77,10 @@ class Places:
 class Signals:
     """A trajectory, row by row, SI units.
 
-    time_s (N,), continuous over the records of a session; q, qd, qdd (N, n); coil (N, C) commanded
-    in each row, acting from `delay_cycles` rows later on for one period; x_b_m, v_b_m_s, a_b_m_s2,
-    phi_rad, phi_rad_s, phi_rad_s2 (N,), zeros without a beam. `wrench` (N, p) acting in the middle
-    of the period after each row, in the units of the model's inputs.
+    time_s (N,) since the session began, through all of its records; q, qd, qdd (N, n); coil (N, C)
+    commanded in each row, acting from `delay_cycles` rows later on for one period; x_b_m, v_b_m_s,
+    a_b_m_s2, phi_rad, phi_rad_s, phi_rad_s2 (N,), zeros without a beam. `wrench` (N, p) acting in
+    the middle of the period after each row, in the units of the model's inputs.
     """
 
     Ts_s: float
@@ -107,11 +107,6 @@ class Signals:
     def rows(self) -> int:
         """Number of rows, N."""
         return len(self.time_s)
-
-    @property
-    def elapsed_s(self) -> Array:
-        """Time (N,) since the session began."""
-        return np.asarray(self.time_s - self.places.span_s[0])
 
     def gap(self, sensor: int) -> Array:
         """Return the true height under one sensor (N,)."""

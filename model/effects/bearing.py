@@ -6,6 +6,9 @@ Symens, *Characterization of frictional hysteresis in ball-bearing guideways*, W
 Drives that hold the carriage do not see the beam shift on it: along the rails that shows in theta,
 across them in psi. Signature: a resonance that is lower and broader the larger the tilt; a mass on
 a plain spring keeps its frequency and its damping, friction against the fixed frame has none.
+
+The equation has all of the inertia of what gives way: the J of a model with it is that of what
+does not, lower by m.
 """
 
 from __future__ import annotations
@@ -52,7 +55,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     Quantity("height", "m", 0.01, 1.0, log=True),
                 ),
                 tuple((f, zeta, loose * reach, _HEIGHT_M) for f, zeta, loose in _FIRST),
-                absorbed_by="far below its frequency: mass",
+                absorbed_by="far below its frequency: mass; J is without m",
                 told_apart_by="tilts of several sizes, up to its frequency",
             )
         )

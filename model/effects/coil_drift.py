@@ -78,11 +78,11 @@ def effects(places: Places) -> list[Effect]:
 
 
 def _offset(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:
-    return [on_coil(signals, coil, signals.elapsed_s)]
+    return [on_coil(signals, coil, signals.time_s)]
 
 
 def _with_time(signals: Signals, _shape: Sequence[float], *, coils: tuple[int, ...]) -> list[Term]:
-    return _held(signals, coils, [-signals.elapsed_s * signals.coil[:, c] for c in coils])
+    return _held(signals, coils, [-signals.time_s * signals.coil[:, c] for c in coils])
 
 
 def _with_heat(signals: Signals, shape: Sequence[float], *, coils: tuple[int, ...]) -> list[Term]:
@@ -98,7 +98,7 @@ def _carried(signals: Signals, coil: int, tau_s: float, before_s: float) -> floa
     """Return a coil's heat (its unit squared) where a record begins, of the session before it."""
     begin_s, loads = float(signals.time_s[0]), signals.places.loads
     if loads is None:  # its share of the weight since the session began
-        since_s = max(float(signals.elapsed_s[0]), 0.0) + before_s
+        since_s = max(float(signals.time_s[0]), 0.0) + before_s
         return float(np.median(signals.coil[:, coil])) ** 2 * -math.expm1(-since_s / tau_s)
     squares, begins_s = np.array(loads.squares)[:, coil], np.array(loads.times_s)
     ends_s = np.append(begins_s[1:], np.inf)

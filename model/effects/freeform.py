@@ -31,7 +31,8 @@ _SPLINES = 12
 """Cubic pieces along the beam's way or a session: one end says nothing of the other."""
 _WIDE = 3.0
 """Standard deviations that a polynomial covers; beyond, it stays at its end."""
-_LONG = ("x_b", "time")
+_TIME = "time"
+_LONG = ("x_b", _TIME)
 """Signals that are somewhere for long: functions of them are splines, of all others polynomials."""
 _TURN = "phi"
 """The rotor's angle: functions of it are its first two harmonics."""
@@ -41,18 +42,22 @@ _TURN = "phi"
 class Form:
     """`factor` times a function of `by`; without a factor, the function alone.
 
-    Signals are in the words of the key, each with what it is measured by.
+    Signals are in the words of the key, each with what it is measured by; time is counted from the
+    middle of the records.
     """
 
     by: str
     scale: float
     factor: str = ""
     unit: float = 1.0
+    middle: float = 0.0
 
     @property
     def key(self) -> str:
         """The name in a model file, which says all that there is to know."""
         by = self.by if self.by == _TURN else f"{self.by}[{self.scale:g}]"
+        if self.by == _TIME:
+            by = f"{_TIME}[{self.middle:g}+-{self.scale:g}]"
         return f"unknown.{self.factor}[{self.unit:g}]*{by}" if self.factor else f"unknown.{by}"
 
     @classmethod
@@ -61,17 +66,23 @@ class Form:
         found = _KEY.fullmatch(key)
         if found is None or (found["scale"] is None) != (found["by"] == _TURN):
             return None
-        scale, unit = float(found["scale"] or 1.0), float(found["unit"] or 1.0)
-        if not (scale > 0.0 and unit > 0.0 and np.isfinite([scale, unit]).all()):
+        if (found["middle"] is None) != (found["by"] != _TIME):
             return None
-        return cls(found["by"], scale, found["factor"] or "", unit)
+        try:
+            scale, unit = float(found["scale"] or 1.0), float(found["unit"] or 1.0)
+            middle = float(found["middle"] or 0.0)
+        except ValueError:
+            return None
+        if not (scale > 0.0 and unit > 0.0 and np.isfinite([scale, unit, middle]).all()):
+            return None
+        return cls(found["by"], scale, found["factor"] or "", unit, middle)
 
     def functions(self, signals: Signals, constant: bool) -> Array:
         """Return what one unit of each amplitude is along a trajectory (N, columns).
 
         `constant`: of functions alone too. Of a force nobody knows it, of one reading it shows.
         """
-        s = _read(signals, self.by) / self.scale
+        s = (_read(signals, self.by) - self.middle) / self.scale
         if not self.factor:
             alone = _shapes(self.by, s, DEGREE)
             return np.column_stack([np.ones(len(s)), alone]) if constant else alone
@@ -104,7 +115,10 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
     n = len(places.dof)
     found = []
     for i in range(n):
-        forms = [Form(by, _scale(places, extent, by)) for by in _signals(places)]
+        forms = [
+            Form(by, _scale(places, extent, by), middle=_middle(places, by))
+            for by in _signals(places)
+        ]
         forms += [
             Form(by, _scale(places, extent, by), factor, _scale(places, extent, factor))
             for factor, by in _products(places)
@@ -143,14 +157,14 @@ def depends_on(effect: Effect) -> tuple[str, ...]:
 
 _KEY = re.compile(
     r"unknown\.(?:(?P<factor>\w+)\[(?P<unit>[0-9.e+-]+)\]\*)?"
-    r"(?P<by>\w+)(?:\[(?P<scale>[0-9.e+-]+)\])?"
+    r"(?P<by>\w+)(?:\[(?:(?P<middle>[0-9.e+-]+)\+-)?(?P<scale>[0-9.e+-]+)\])?"
 )
 _BEAM = ("x_b", "v_b", "a_b", "phi_speed")
 
 
 def _signals(places: Places) -> list[str]:
     motion = [word for name in places.dof for word in (name, f"{name}_rate")]
-    return [*motion, *((*_BEAM, _TURN) if places.beam else ()), "time"]
+    return [*motion, *((*_BEAM, _TURN) if places.beam else ()), _TIME]
 
 
 def _products(places: Places) -> list[tuple[str, str]]:
@@ -217,15 +231,13 @@ def _read(signals: Signals, word: str) -> Array:
         return np.asarray(signals.q[:, places.dof.index(word)])
     if word.endswith("_rate"):
         return np.asarray(signals.qd[:, places.dof.index(word.removesuffix("_rate"))])
-    if word == "time":
-        first, last = places.span_s
-        return np.asarray(signals.time_s - 0.5 * (first + last))
     return {
         "x_b": signals.x_b_m,
         "v_b": signals.v_b_m_s,
         "a_b": signals.a_b_m_s2,
         "phi_speed": signals.phi_rad_s,
         _TURN: signals.phi_rad,
+        _TIME: signals.time_s,
     }[word]
 
 
@@ -235,7 +247,7 @@ def _scale(places: Places, extent: Extent, word: str) -> float:
         scale = _WIDE * extent.reach[places.dof.index(word)]
     elif word.endswith("_rate"):
         scale = _WIDE * extent.speed[places.dof.index(word.removesuffix("_rate"))]
-    elif word == "time":
+    elif word == _TIME:
         scale = 0.5 * (places.span_s[1] - places.span_s[0]) or 1.0
     elif word == _TURN:
         scale = 1.0
@@ -245,3 +257,8 @@ def _scale(places: Places, extent: Extent, word: str) -> float:
             word
         ]
     return float(f"{scale:.3g}")
+
+
+def _middle(places: Places, word: str) -> float:
+    """Return where a signal is counted from, to six digits, as it stands in the key."""
+    return float(f"{0.5 * sum(places.span_s):g}") if word == _TIME else 0.0

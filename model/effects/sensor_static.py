@@ -153,11 +153,11 @@ def _constant(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list
 
 
 def _drift(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
-    return [on_sensor(signals, sensor, signals.elapsed_s)]
+    return [on_sensor(signals, sensor, signals.time_s)]
 
 
 def _warm_up(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
-    passed = np.maximum(signals.elapsed_s, 0.0) / shape[0]
+    passed = np.maximum(signals.time_s, 0.0) / shape[0]
     return [on_sensor(signals, sensor, -np.expm1(-passed))]
 
 

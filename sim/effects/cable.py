@@ -25,7 +25,8 @@ class BeamCable:
 
     The loops of the drives hold the beam where it is to be, so that the platform takes the pull,
     at the beam's height: tau_theta = z_b k x_b - w x_b^2, F_z = -w x_b. (A force F to +x at the
-    height z_b turns it by -z_b F; an accelerating beam pushes it to -x, by + m_b z_b a_b.)
+    height z_b turns it by -z_b F; an accelerating beam pushes it to -x, by + m_b z_b a_b.) The
+    drives' force shows what they hold: k x_b.
     """
 
     def __init__(self, stiffness_n_m: float, weight_n_m: float) -> None:
@@ -42,3 +43,7 @@ class BeamCable:
         x = beam.x_m
         weight = self.weight_n_m * x
         return 0.0, self._z_b * self.stiffness_n_m * x - weight * x, -weight
+
+    def beam_force(self, t_s: float, beam: BeamState, q: Array, qd: Array) -> float:
+        """Return the pull on the beam, N."""
+        return -self.stiffness_n_m * beam.x_m

@@ -107,5 +107,7 @@ class SoftSaturation(OnCoils):
 
     def given(self, force_n: Array) -> Array:
         """Return what the coils at hand give, N."""
-        share = np.abs(force_n / self.limit_n) ** self.sharpness
-        return np.asarray(force_n / (1.0 + share) ** (1.0 / self.sharpness))
+        # In logarithms: a sharp knee's power of a force far beyond it is no number.
+        share = np.log(np.maximum(np.abs(force_n) / self.limit_n, 1e-300))
+        less = np.logaddexp(0.0, self.sharpness * share) / self.sharpness
+        return np.asarray(force_n * np.exp(-less))

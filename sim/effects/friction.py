@@ -13,6 +13,11 @@ from collections.abc import Sequence
 from .contract import EffectPlant
 from .places import Dof, OnDof, positive
 
+_LONGEST = 0.5
+"""Of the way on which Bouc and Wen's friction yields: how far one of its steps goes."""
+_FARTHEST = 50.0
+"""In the same ways: by then it has long forgotten where it came from."""
+
 
 class Coulomb(OnDof):
     """F = F_c tanh(v / v_0): dry friction, smooth below the speed v_0 (Armstrong et al. 1994)."""
@@ -160,16 +165,22 @@ class BoucWen(WithMemory):
         self._z, self._way_m = 0.0, 0.0
 
     def resistance(self, ds: float, v: float) -> float:
-        """Return F, N, by a Runge-Kutta step of fourth order along ds."""
-        h, z = ds / self.yield_m, self._z
+        """Return F, N, by Runge-Kutta steps of fourth order along ds, short ones."""
+        whole = min(max(ds / self.yield_m, -_FARTHEST), _FARTHEST)
+        steps = 1 + int(abs(whole) / _LONGEST)
+        for _ in range(steps):
+            self._step(whole / steps)
+        self._way_m += ds
+        own = (1.0 - self.left) * self.yield_m * self._z
+        return self.stiffness_n_m * (self.left * self._way_m + own)
+
+    def _step(self, h: float) -> None:
+        z = self._z
         a = self._slope(z, h)
         b = self._slope(z + 0.5 * h * a, h)
         c = self._slope(z + 0.5 * h * b, h)
         d = self._slope(z + h * c, h)
         self._z = min(max(z + h * (a + 2.0 * (b + c) + d) / 6.0, -1.0), 1.0)
-        self._way_m += ds
-        own = (1.0 - self.left) * self.yield_m * self._z
-        return self.stiffness_n_m * (self.left * self._way_m + own)
 
     def _slope(self, z: float, h: float) -> float:
         side = self.loss if z * h > 0.0 else -self.loss

@@ -17,7 +17,7 @@ class RotorImbalance:
 
     At the height z_r it turns the platform by its weight, -g s (sin phi, cos phi), and by its
     reaction, z_r s times its acceleration (phi'' cos phi - phi'^2 sin phi along y for psi,
-    -phi'' sin phi - phi'^2 cos phi along x for theta).
+    -phi'' sin phi - phi'^2 cos phi along x for theta). Along x the drives hold the beam against it.
     """
 
     def __init__(self, imbalance_kg_m: float, rotor_z_m: float) -> None:
@@ -31,6 +31,12 @@ class RotorImbalance:
         psi = z * (around * c - towards * s) - g * s
         theta = z * (-around * s - towards * c) - g * c
         return self.imbalance_kg_m * psi, self.imbalance_kg_m * theta, 0.0
+
+    def beam_force(self, t_s: float, beam: BeamState, q: Array, qd: Array) -> float:
+        """Return the push on the beam along x, N."""
+        around, towards = beam.phi_rad_s2, beam.phi_rad_s * beam.phi_rad_s
+        push = around * math.sin(beam.phi_rad) + towards * math.cos(beam.phi_rad)
+        return self.imbalance_kg_m * push
 
 
 class BarTorque:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,7 +192,7 @@ class Effect:
     @property
     def name(self) -> str:
         """Title and place, as people say it."""
-        return f"{self.title} at {', '.join(self.where)}" if self.where else self.title
+        return f"{self.title} at {in_words(self.where)}" if self.where else self.title
 
     @property
     def identity(self) -> str:
@@ -218,6 +219,22 @@ class Placed:
         return replace(
             self, shape=tuple(map(float, shape)), amplitudes=tuple(map(float, amplitudes))
         )
+
+
+def in_words(where: Sequence[str]) -> str:
+    """Return places as people say them: coil:0 to coil:8 for a row of more than two."""
+    words: list[str] = []
+    for _, row in groupby(enumerate(where), key=_in_row):
+        names = [name for _, name in row]
+        words += [f"{names[0]} to {names[-1]}"] if len(names) > 2 else names
+    return ", ".join(words)
+
+
+def _in_row(numbered: tuple[int, str]) -> tuple[str, int | str]:
+    """Return what is the same for places that follow one another in a list."""
+    at, name = numbered
+    kind, _, number = name.partition(":")
+    return (kind, int(number) - at) if number.isdecimal() else (kind, name)
 
 
 def total(terms: Sequence[Term]) -> Term:

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from ..config.model import ModelConfig
     from ..config.rig import RigConfig
     from ..config.session import SessionConfig
@@ -76,12 +79,20 @@ def _log(path: Path) -> str:
 
     log = read_log(path)
     n = len(log.rows)
-    seconds = n / log.rate_hz
-    if "cycle" in (log.rows.dtype.names or ()) and n:
-        # Skipped periods are no rows, but they are time.
-        seconds = float(log.rows["cycle"][-1] - log.rows["cycle"][0] + 1) / log.rate_hz
+    # Skipped periods are no rows, but they are time.
+    seconds = (_periods(log.rows) or n) / log.rate_hz
     ending = "" if log.complete else f"; not complete, this is what is left: {log.problem}"
     return f"log, {n} records at {log.rate_hz:g} Hz ({seconds:.1f} s){ending}"
+
+
+def _periods(rows: NDArray[np.void]) -> int:
+    """Return how many periods rows span by their cycles; 0 where a log of others counts none."""
+    if "cycle" not in (rows.dtype.names or ()) or not rows.size:
+        return 0
+    cycle = rows["cycle"]
+    if cycle.ndim != 1 or cycle.dtype.kind not in "iu":
+        return 0
+    return max(int(cycle[-1]) - int(cycle[0]) + 1, 0)
 
 
 def _rig(rig: RigConfig, path: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -127,6 +128,18 @@ def refuse_used_folder(out: Path) -> None:
         )
 
 
+def _text(path: Path) -> str:
+    """Return what YAML reads in a file, which may be UTF-16."""
+    from ..config.base import ConfigError
+
+    raw = path.read_bytes()
+    wide = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        return raw.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: expected text in UTF-8: {error}") from None
+
+
 def _on_daemon(
     session: Path, rig_path: Path | None, out: Path, if_gone: str | None
 ) -> FlightResult:
@@ -135,10 +148,10 @@ def _on_daemon(
     from ..daemon.sockets import socket_path
 
     rig = load_rig(rig_path) if rig_path is not None else None
-    rig_text = rig_path.read_text() if rig_path is not None else None
+    rig_text = _text(rig_path) if rig_path is not None else None
     try:
         with Client(socket_path(rig)) as client, progress("flying on the daemon") as report:
-            return client.excite(session.read_text(), out.resolve(), report, rig_text, if_gone)
+            return client.excite(_text(session), out.resolve(), report, rig_text, if_gone)
     except NoDaemonError as error:
         raise NoDaemonError(f"{error}, or fly in this process with --virtual") from None
     except KeyboardInterrupt:

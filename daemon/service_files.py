@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import shutil
+import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
@@ -48,6 +49,8 @@ def hindrances(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[str]:
         where = next((hidden for hidden in _HIDDEN if path.is_relative_to(hidden)), None)
         if where is not None:
             yield f"{path} lies in {where}, where user levid sees nothing: move it"
+        elif (shut := _shut(path)) is not None:
+            yield f"{path}: user levid may not enter {shut} (chmod o+x {shut}), or move it"
     for name, bus in rig.can.items():
         if bus.interface != "socketcan":
             yield f"can.{name}: {bus.interface} is nothing that networkd knows: it is left to you"
@@ -89,6 +92,17 @@ def write(files: Mapping[str, str], root: Path, force: bool) -> dict[str, str]:
 def preview(files: Mapping[str, str], root: Path) -> dict[str, str]:
     """Return what `write` would find: new, unchanged, ours, changed by hand."""
     return {path: _done(root / path, text) for path, text in files.items()}
+
+
+def _shut(path: Path) -> Path | None:
+    """Return the first folder on the way to a path that others may not enter; None for none."""
+    for folder in reversed(path.parents):
+        try:
+            if not folder.stat().st_mode & stat.S_IXOTH:
+                return folder
+        except OSError:
+            return None
+    return None
 
 
 def _signed(text: str) -> str:
@@ -138,7 +152,8 @@ def _udev(rig: RigConfig) -> str:
     if _ports(rig):
         lines += [
             "# FTDI adapters keep what they received for 16 ms unless told otherwise.",
-            'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"',
+            'ACTION!="remove", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
+            'ATTR{latency_timer}="1"',
         ]
     return "\n".join(lines) + "\n"
 

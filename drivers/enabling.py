@@ -31,7 +31,7 @@ def compare_limits(
         index, found = exchange(Request.READ, parameter, 0)
         if index != parameter:
             wrong.append(f"{parameter.name}: the device has none")
-        elif found != expected[parameter] & 0xFFFFFFFF:
+        elif found != expected[parameter]:
             wrong.append(f"{parameter.name}: expected {expected[parameter]}, found {found}")
     if wrong:
         raise DriverError(f"{what}: limits in the device are not the rig's: {'; '.join(wrong)}")

@@ -18,6 +18,8 @@ from .writer import LogWriter
 
 SCHEMA_NAME = "levid/msg/Signals"
 TOPIC = "/levid/signals"
+_LONGEST_S = 9e9
+"""Nanoseconds in 64 bits with a sign: what readers of MCAP expect."""
 
 _FORMATS: dict[str, Format] = {
     ".csv": "csv",
@@ -47,9 +49,14 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> int:
     data_path, signals_path = Path(data_path), Path(signals_path)
     signals = load_yaml(signals_path, SignalsFile)
     values = [
-        column.scale * raw + column.offset
+        _scaled(f"{data_path}: {column.label}", raw, column.scale, column.offset, signals)
         for column, raw in zip(signals.columns, _raw_columns(data_path, signals), strict=True)
     ]
+    if values[0].size / signals.rate_hz > _LONGEST_S:
+        raise LogError(
+            f"{signals_path}: rate_hz: expected {values[0].size} samples to last at most "
+            f"{_LONGEST_S:g} s, as a log's times do, found {signals.rate_hz:g} Hz"
+        )
     rows = _rows(signals, values)
     source = data_path.read_bytes()
     metadata = {
@@ -74,6 +81,21 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> int:
     ) as log:
         log.write(rows, np.round(rows["time_s"] * 1e9).astype(np.uint64))
     return rows.size
+
+
+def _scaled(
+    where: str, raw: NDArray[np.float64], scale: float, offset: float, signals: SignalsFile
+) -> NDArray[np.float64]:
+    """Return a column in its unit; LogError where that is more than a number holds."""
+    with np.errstate(over="ignore"):
+        values = scale * raw + offset
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise LogError(
+            f"{where}: row {signals.rows.first + bad[0]}: expected a number that scale {scale:g} "
+            f"leaves finite, found {raw[bad[0]]:g}"
+        )
+    return values
 
 
 def _raw_columns(path: Path, signals: SignalsFile) -> list[NDArray[np.float64]]:

@@ -74,13 +74,24 @@ def read_variables(path: Path, signals: SignalsFile, variables: Mapping[str, Any
 
 
 def load_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an NPZ file by name; LogError if it is none, or holds Python objects."""
+    """Return the arrays of an NPZ file by name; LogError if it is none.
+
+    Arrays of Python objects come without what is in them: to read it would run what a file says.
+    """
     try:
         loaded = np.load(path, allow_pickle=False)
         if isinstance(loaded, np.ndarray):
             raise LogError(f"{path}: expected an NPZ file of named arrays, found one array (NPY)")
+        found: dict[str, NDArray[Any]] = {}
         with loaded:
-            return {name: loaded[name] for name in loaded.files}
+            for name in loaded.files:
+                try:
+                    found[name] = loaded[name]
+                except ValueError as error:
+                    if "allow_pickle" not in str(error):
+                        raise
+                    found[name] = np.array([None], object)
+        return found
     except LogError:
         raise
     except Exception as error:  # noqa: BLE001 - zipfile, zlib and numpy each have their own
@@ -108,8 +119,10 @@ def _csv_lines(file: TextIO) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells of each row that is not blank."""
     first = file.readline()
     file.seek(0)
-    separators = [s for s in (",", ";", "\t") if s in first]
-    reader = csv.reader(file, delimiter=separators[0] if separators else ",", skipinitialspace=True)
+    # Where there are semicolons or tabs, commas are decimal ones: as numbers they are refused.
+    separators = [s for s in (";", "\t", ",") if s in first]
+    separator = separators[0] if separators else ","
+    reader = csv.reader(file, delimiter=separator, skipinitialspace=True, strict=True)
     for cells in reader:
         if any(cell.strip() for cell in cells):
             yield reader.line_num, cells

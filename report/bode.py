@@ -97,7 +97,9 @@ def _draw_phase(ax: Axes, curve: Curve, i: int, j: int) -> None:
     H = curve.response[:, i, j]
     phase = (np.degrees(np.angle(H)) + 300) % 360 - 300
     spread = np.zeros(len(H))
-    if curve.deviation is not None:
+    if curve.phase_deviation_rad is not None:
+        spread = np.degrees(CONFIDENCE * curve.phase_deviation_rad[:, i, j])
+    elif curve.deviation is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.degrees(CONFIDENCE * curve.deviation[:, i, j] / np.abs(H))
     phase[~(spread < _NO_PHASE_DEG)] = np.nan

@@ -57,7 +57,8 @@ class Curve:
     """A frequency response (F, m, p) at freq_hz (F,), how it is called and drawn.
 
     `deviation` (F, m, p), when given, is the standard deviation of the complex entries; CONFIDENCE
-    times it is drawn as a band. One in the line of what is not to be trusted is `doubtful`.
+    times it is drawn as a band, also around the phase unless that has a `phase_deviation_rad` of
+    its own. One in the line of what is not to be trusted is `doubtful`.
     """
 
     label: str
@@ -65,6 +66,7 @@ class Curve:
     freq_hz: Array
     response: Complex
     deviation: Array | None = None
+    phase_deviation_rad: Array | None = None
 
     @property
     def doubtful(self) -> bool:
@@ -129,7 +131,10 @@ def inside(curve: Curve, shown: Range, most: int = _MOST_POINTS) -> Curve:
         curve.line,
         curve.freq_hz[part],
         curve.response[part],
-        None if curve.deviation is None else curve.deviation[part],
+        *(
+            None if errors is None else errors[part]
+            for errors in (curve.deviation, curve.phase_deviation_rad)
+        ),
     )
 
 

@@ -376,7 +376,9 @@ def _record_parts(
     for point in (*(result.points if result is not None else ()), *multisine):
         where = "—" if point.beam_m is None else f"{signed(1e3 * point.beam_m, 1)} mm"
         for record in point.records:
-            own = [r.removeprefix(f"{record}: ") for r in point.remarks if r.startswith(record)]
+            own = [
+                r.removeprefix(f"{record}: ") for r in point.remarks if r.startswith(f"{record}: ")
+            ]
             rows[record, where] = own
     for prediction in () if grey is None else grey.fit.predictions:
         experiment = prediction.experiment
@@ -387,7 +389,12 @@ def _record_parts(
     parts: list[Part] = [
         Table("Records that were identified", ("record", "beam", "remarks"), told, 3)
     ]
-    of_all = [r for bla in multisine for r in bla.remarks if not r.startswith(bla.records)]
+    of_all = [
+        r
+        for bla in multisine
+        for r in bla.remarks
+        if not r.startswith(tuple(f"{record}: " for record in bla.records))
+    ]
     parts += [Text(f"Multisines: {remark}.") for remark in dict.fromkeys(of_all)]
     left_out = dict.fromkeys([*(result.skipped if result is not None else ()), *notes])
     if left_out:

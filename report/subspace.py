@@ -72,8 +72,9 @@ def subspace_report(
     for (k, point, model), label in zip(chosen, labels, strict=True):
         r = model.response
         # A figure's band is CONFIDENCE deviations wide, as is right for errors in two dimensions.
-        band = SURE_95 / CONFIDENCE * r.magnitude_deviation
-        curves.append(Curve(label, line_of(k), r.freq_hz, r.H, band))
+        wide = SURE_95 / CONFIDENCE
+        bands = wide * r.magnitude_deviation, wide * r.phase_deviation_rad
+        curves.append(Curve(label, line_of(k), r.freq_hz, r.H, *bands))
         ho_kalman.append(Curve(label, line_of(k), point.freq_hz, point.from_ho_kalman))
         if truth is not None:
             exact.append(Curve("", TRUTH, r.freq_hz, truth(point.beam_m, r.freq_hz)))

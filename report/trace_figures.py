@@ -34,6 +34,7 @@ BEFORE = Line(colour("vermillion"), (5.0, 1.6))
 AFTER = Line(colour("blue"))
 FLOOR = Line(TRUTH.colour, width=2.4, alpha=0.6, zorder=2)
 _LETTER_IN = 0.085
+_LABEL_MOST = 56
 _ROW_IN = 0.23
 
 
@@ -59,7 +60,10 @@ def errors_by_record(
     """Draw errors (R, n) over their floor, a row a record and a panel a DOF."""
     both = [after] if before is None else [before, after]
     legend = _dots(before is not None)
-    largest = max(*(float(np.nanmax(b)) for b in both), 2.0)
+    # A simulation that ran away has no error to draw.
+    after = np.where(np.isfinite(after), after, np.nan)
+    known = np.concatenate([b[np.isfinite(b)] for b in both])
+    largest = max(float(known.max(initial=0.0)), 2.0)
     limits = (0.5, 1.6 * largest)
     with drawing(sheet):
         grid = new_grid((1, len(dof)), sheet, _ROW_IN * len(names) + 0.75, legend)
@@ -73,7 +77,7 @@ def errors_by_record(
             ax.plot(after[:, i], rows, **_marker(AFTER, filled=True))
             _multiples(ax, limits)
             ax.set_ylim(len(names) - 0.4, -0.6)
-            ax.set_yticks(rows, list(names) if i == 0 else [""] * len(names))
+            ax.set_yticks(rows, [_cut(n) for n in names] if i == 0 else [""] * len(names))
             ax.set_title(symbol(dof[i]))
             ax.set_xlabel("error / noise")
             ax.tick_params(length=2.5)
@@ -100,8 +104,9 @@ def error_spectra(
                 if psd is None:
                     continue
                 f, level = pooled(freq_hz, np.sqrt(psd[:, i]), shown)
-                ax.plot(f, np.where(level > 0, level, np.nan), **line.keywords())
-                drawn.append(level[level > 0])
+                seen = (level > 0) & np.isfinite(level)
+                ax.plot(f, np.where(seen, level, np.nan), **line.keywords())
+                drawn.append(level[seen])
             frequency_axis(ax, (shown.low_hz, shown.high_hz))
             levels = np.concatenate(drawn)
             if levels.size:
@@ -137,7 +142,7 @@ def candidates(bars: Sequence[Bar], measure: str, *, sheet: Sheet = PAGE) -> Fig
                 bar.note, (max(bar.explained, 0.0), row), (4, 0), textcoords="offset points",
                 va="center", fontsize=sheet.font_pt - 1.5, color=colour("muted"),
             )  # fmt: skip
-        ax.set_yticks(rows, [b.name for b in bars])
+        ax.set_yticks(rows, [_cut(b.name) for b in bars])
         ax.set_ylim(len(bars) - 0.45, -0.55)
         ax.set_xlim(0, reach)
         ax.grid(visible=False, axis="y")
@@ -305,8 +310,15 @@ def _multiple_ticks(ax: Axes, which: str, limits: tuple[float, float]) -> None:
     axis.set_ticks([], minor=True)
 
 
+def _cut(label: str) -> str:
+    """Return a label with its middle left out where it would take more than half of a figure."""
+    if len(label) <= _LABEL_MOST:
+        return label
+    return f"{label[: _LABEL_MOST // 2].rstrip()} … {label[3 - _LABEL_MOST // 2 :].lstrip()}"
+
+
 def _make_room(figure: Figure, labels: Sequence[str], sheet: Sheet) -> None:
     """Move the axes to the right of the longest label."""
-    longest = max((len(label) for label in labels), default=0)
+    longest = max((len(_cut(label)) for label in labels), default=0)
     room = 0.2 + _LETTER_IN * sheet.font_pt / 9.5 * longest
     figure.subplots_adjust(left=min(room / sheet.width_in, 0.55))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from levid.cli.check import _periods
 from levid.config.shipped import shipped
 from levid.log.reader import read_log
 
@@ -93,6 +94,23 @@ def test_check_reads_logs(levid, session: Path, tmp_path: Path) -> None:
     empty = tmp_path / "empty.mcap"
     empty.touch()
     assert levid("check", empty).code == 1
+
+
+@pytest.mark.parametrize(
+    ("cycles", "kind"),
+    [
+        ([[0, 0], [1, 1], [2, 2]], "2<u8"),
+        ([True, False, True], "?"),
+        ([9, 5, 2], "<u8"),
+        ([250, 255, 4], "<u1"),
+        ([np.nan, 1.0, 2.0], "<f8"),
+    ],
+)
+def test_check_counts_no_periods_by_cycles_that_are_not_ours(cycles, kind) -> None:
+    dtype = np.dtype([("y", "<f8"), ("cycle", kind)])
+    rows = np.zeros(3, dtype)
+    rows["cycle"] = cycles
+    assert _periods(rows) == 0  # by their number and the rate, then
 
 
 def test_excite_flies_and_never_overwrites(levid, session: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 
+from levid.cli.identify import _multisine
 from levid.config.base import load_yaml
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
@@ -223,3 +224,15 @@ def test_truth_is_for_the_rig_alone(tmp_path: Path, levid: Command) -> None:
     )
     assert code == 1
     assert "--truth" in err
+
+
+def test_distortion_is_told_as_often_as_chance_allows_and_not_of_one_realisation() -> None:
+    def bla(*p_values: float | None) -> dict[str, object]:
+        return {"beam_m": None, "lines": 7, "tests": {"distortion": {"p_value": list(p_values)}}}
+
+    said = _multisine([bla(None, None), bla(0.5, 0.004), bla(0.9, 1e-6)])
+    assert [line.partition("distortion ")[2] for line in said] == [
+        "not told by one realisation",
+        "not found",  # one of four tests
+        "found",
+    ]

@@ -169,3 +169,25 @@ def test_rig_of_any_number_of_coils() -> None:
     data = yaml.safe_load(rig_text())
     data["geometry"] = {"coil_x_m": [0.1, -0.1, 0.0, 0.1], "coil_y_m": [0.1, 0.1, -0.1, -0.1]}
     assert len(RigConfig.model_validate(data).geometry.sensors_x_m) == 4
+
+
+def test_numbers_whose_squares_overflow_are_refused_and_not_met_in_a_traceback(
+    tmp_path: Path,
+) -> None:
+    text = shipped("sims/nominal.yaml").read_text()
+    data = yaml.safe_load(text)
+    data["platform"]["j_psitheta_kg_m2"] = 1e200
+    path = tmp_path / "sim.yaml"
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(ConfigError, match="expected its square below"):
+        load_any(path)
+    data = yaml.safe_load(text)
+    data["geometry"]["coil_x_m"][0] = 1e200
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(ConfigError):
+        load_any(path)
+
+
+def test_a_name_that_no_file_can_have_is_an_error_like_any_other() -> None:
+    with pytest.raises(ConfigError, match="cannot be read: embedded null byte"):
+        load_rig(Path("a\0b.yaml"))

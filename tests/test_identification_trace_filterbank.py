@@ -352,6 +352,17 @@ def test_effects_found_are_in_the_accelerations_that_drives_work_against() -> No
     np.testing.assert_allclose(left[0], left[1], atol=1e-6 * np.ptp(drive))
 
 
+def test_what_drives_hold_the_beam_against_is_no_friction_of_theirs() -> None:
+    # A cable's pull goes with the place, an imbalance turns with the rotor: both from outside.
+    made, here = record("fixed"), point()
+    t = np.arange(made.rows) * made.experiment.Ts_s
+    sweeping = np.column_stack([0.05 * np.sin(t), 0.05 * np.cos(t), -0.05 * np.sin(t)])
+    turning = np.column_stack([20 * t, np.full_like(t, 20.0), np.zeros_like(t)])
+    at = along(here, replace(made, beam=sweeping, rotor=turning))
+    pull = 20.0 * sweeping[:, 0] + 3.0 * sweeping[:, 0] ** 2 + 0.4 * np.cos(20 * t)
+    assert np.abs(beside_motion(at, pull)).max() < 1e-6 * np.ptp(pull)
+
+
 def test_a_start_of_the_filter_is_forgotten_as_the_fit_has_it() -> None:
     made = record("fixed", 1500)
     here = point()

@@ -21,6 +21,7 @@ from levid.identification.trace.linearise import linearise
 from levid.identification.trace.metric import pooled, record_error
 from levid.identification.trace.reading import read_records
 from levid.identification.trace.study import Trace, trace
+from levid.identification.trace.views import views
 from levid.identification.trace.workers import Alone, Source, Workers, local_workers
 from levid.model.effects.table import all_effects
 
@@ -206,7 +207,28 @@ def test_records_of_one_name_in_two_folders_stay_two(tmp_path: Path) -> None:
         (tmp_path / day).mkdir()
         paths.append(imported(tmp_path / day, "still", flown(seed, 1.0)))
     records, _ = read_records(paths, CONFIG)
-    assert len({r.name for r in records.values()}) == 2
+    names = [r.name for r in records.values()]
+    assert names == ["still (monday/still.mcap)", "still (tuesday/still.mcap)"]
+    # Workers read them anew, and call them the same.
+    asked = [Source.of(p, 0, ROWS, (0.0, 1.0), name=n) for p, n in zip(paths, names, strict=True)]
+    assert Alone(CONFIG).map(attrgetter("name"), asked) == names
+
+
+def test_sessions_of_equal_names_are_seen_whole(
+    tmp_path: Path, logs: dict[str, list[Path]]
+) -> None:
+    twice = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        for path in logs["none"][:2]:
+            copy = tmp_path / folder / path.name
+            copy.write_bytes(path.read_bytes())
+            twice.append(copy)
+    found = traced(twice)
+    assert len({*found.fitted, *found.held}) == 4
+    seen = views(found, Alone(CONFIG))
+    assert {record.name for record in seen.records} == {*found.fitted, *found.held}
+    assert {record.name for record in seen.records if record.held} == set(found.held)
 
 
 def test_a_log_written_anew_is_read_anew(tmp_path: Path, logs: dict[str, list[Path]]) -> None:

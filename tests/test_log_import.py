@@ -149,13 +149,23 @@ def test_arrays_by_name(tmp_path, name, data, columns):
         ("1,2\n", "rows: {first: 5}\n" + BY_NUMBER, "expected rows 5 on, found 1 rows"),
         ("1,2\n", MATRIX, "column 'D', index 0: index is for variables of NPZ and MAT files"),
         ("\0\1,\2\n", BY_NUMBER, "data.csv: "),
+        # Decimal commas: no separators.
+        ("1,5;2,5\n3,5;4,5\n", BY_NUMBER, "column 0: expected a number, found '3,5'"),
+        ('V1,V2,n\n1,2,ok\n3,4,"bad\n5,6,ok\n', BY_NAME, "cannot be read: unexpected end of data"),
+        ("1,2\n3e300,4\n", "rate_hz: 1e-12\n" + BY_NUMBER, "expected 2 samples to last at most"),
+        (
+            "1,2\n3e300,4\n",
+            BY_NUMBER.replace("0,", "0, scale: 1e300,"),
+            "row 1: expected a number that scale 1e+300 leaves finite, found 3e+300",
+        ),
     ],
 )
 def test_a_table_that_does_not_fit_says_where(tmp_path, text, columns, said):
+    head = "" if "rate_hz" in columns else HEAD
     with pytest.raises(LogError) as caught:
-        run(tmp_path, text, HEAD + columns)
+        run(tmp_path, text, (head or "levid: signals\n") + columns)
     assert said in str(caught.value)
-    assert str(tmp_path / "data.csv") in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
     assert not (tmp_path / "out.mcap").exists()
 
 
@@ -170,7 +180,7 @@ def test_a_table_that_does_not_fit_says_where(tmp_path, text, columns, said):
         ("a.npz", npz(V1=U + 1j, V2=Y), BY_NAME, "expected real numbers, found complex128"),
         ("a.npz", npz(V1=U, V2=np.array([1.0, np.inf, 0.0])), BY_NAME, "row 1: expected a finite"),
         ("a.npz", npz(V1=U), BY_NUMBER, "column 0: expected a variable's name; there is V1"),
-        ("a.npz", npz(V1=np.array([{}])), BY_NAME, "not a usable NPZ file"),
+        ("a.npz", npz(V1=np.array([{}]), V2=Y), BY_NAME, "expected real numbers, found object"),
         ("a.npz", "no zip", BY_NAME, "not a usable NPZ file"),
         ("a.mat", "no mat", BY_NAME, "not a usable MAT file"),
         ("a.mat", mat(S={"u": U}), BY_NAME.replace("V1", "S.v"), "no such variable; there is u"),
@@ -286,3 +296,23 @@ def test_empty_cells_in_columns_that_nobody_asked_for_do_not_matter(tmp_path):
     data = measured("silverbox/Schroeder80mV.csv")
     (tmp_path / "signals.yaml").write_text(HEAD + BY_NAME)
     assert import_file(data, tmp_path / "signals.yaml", tmp_path / "out.mcap") == 131_072
+
+
+def test_python_objects_that_nobody_asked_for_do_not_matter(tmp_path):
+    log = run(tmp_path, npz(V1=U, V2=Y, meta=np.array({"a": 1})), HEAD + BY_NAME, name="a.npz")
+    assert columns_of(log) == GOOD
+
+
+def test_a_file_with_a_name_that_is_no_text(tmp_path):
+    # Names of files are bytes; a log has text.
+    log = run(tmp_path, "1,-2\n.5,3e-3\n-1e3,.25\n", HEAD + BY_NUMBER, name="a\udce9.csv")
+    assert columns_of(log) == GOOD
+    assert log.metadata["source"] == "a?.csv"
+
+
+def test_a_signal_named_like_one_of_the_loops_keeps_its_unit(tmp_path):
+    named = BY_NUMBER.replace("y_v", "z_m")
+    run(tmp_path, "1,2\n3,4\n", HEAD + named)
+    with (tmp_path / "out.mcap").open("rb") as file:
+        (schema,) = make_reader(file).get_summary().schemas.values()
+    assert "float64 z_m  # [V]" in schema.data.decode().replace("z_m #", "z_m  #")

@@ -141,3 +141,24 @@ def test_answer_is_what_a_mass_on_a_spring_gives_back():
     # Inputs straight between rows leave (w Ts)^2 / 12 of an answer five to ten times the motion.
     assert left(14.0) < 0.01
     assert left(20.0) > 0.2
+
+
+def test_time_means_the_same_to_those_who_know_no_session():
+    # The simulator and identify read a model without the records it was found in.
+    session, alone = rig_places((200.0, 300.0)), rig_places((0.0, 1.0))
+    effect = next(
+        e
+        for e in freeform_effects(session, Extent.typical(session))
+        if e.where == ("z",) and depends_on(e) == ("time",)
+    )
+    assert effect.key == "unknown.time[250+-50]"
+    again = freeform_effect(alone, effect.key, effect.where)
+    s = moving()
+    late = replace(s, time_s=np.linspace(200.0, 300.0, s.rows))
+    for ours, theirs in zip(
+        effect.build(replace(late, places=session), ()),
+        again.build(replace(late, places=alone), ()),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(acts(ours), acts(theirs))
+        assert np.ptp(acts(ours)) > 0

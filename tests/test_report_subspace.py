@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from levid.identification.identify import identify
+from levid.identification.model_response import SURE_95
 from levid.identification.options import Options
 from levid.report.closed_loop import HO_KALMAN
-from levid.report.curves import RIG_SIGNALS
+from levid.report.curves import CONFIDENCE, RIG_SIGNALS
 from levid.report.page import Table, Text
 from levid.report.subspace import (
     SUBSPACE,
@@ -89,3 +90,15 @@ def test_positions_without_a_model_are_left_out(points):
     assert len(subspace_report([without, points[0]], RIG_SIGNALS).models) == 1
     with pytest.raises(ValueError, match="at least one position with a model by subspace"):
         subspace_report([without], RIG_SIGNALS)
+
+
+def test_phases_have_errors_of_their_own(points):
+    # At a resonance whose frequency is uncertain the response errs along the circle.
+    (curve,) = subspace_report(points, RIG_SIGNALS).curves
+    r = points[0].subspace.response
+    at = int(np.argmax(np.abs(r.H[:, 2, 2])))
+    own = SURE_95 * r.phase_deviation_rad[at, 2, 2]
+    assert CONFIDENCE * curve.phase_deviation_rad[at, 2, 2] == pytest.approx(own)
+    assert not np.allclose(
+        curve.phase_deviation_rad, curve.deviation / np.abs(curve.response), rtol=0.1
+    )

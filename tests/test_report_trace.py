@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from levid.config.model import EffectParameter
 from levid.report.style import COLOURS
@@ -98,6 +99,9 @@ ONES = [np.ones(3), np.ones(2)]
         lambda: dependence_map(DOF, ["z", "z'"], np.full((3, 2), 0.9), np.zeros((3, 2))),
         lambda: errors_by_record(["a", "b"], DOF, np.full((2, 3), 30.0), np.ones((2, 3))),
         lambda: errors_by_record(["a", "b"], DOF, None, np.ones((2, 3))),
+        lambda: errors_by_record(["a", "b"], DOF, None, np.array([[1.0] * 3, [np.inf] * 3])),
+        lambda: errors_by_record(["a", "b"], DOF, np.ones((2, 3)), np.full((2, 3), np.nan)),
+        lambda: error_spectra(FREQ, (9 * FLAT, np.inf * FLAT, FLAT), DOF, UNITS),
         lambda: error_spectra(FREQ, (9 * FLAT, 2 * FLAT, FLAT), DOF, UNITS),
         lambda: error_spectra(FREQ, (None, 2 * FLAT, FLAT), DOF, UNITS),
         lambda: squares_over_time(BLOCKS, [30 * o for o in ONES], ONES),
@@ -112,3 +116,14 @@ def test_figures_are_the_same_each_time_in_the_colours_of_the_page(draw) -> None
     # The page finds colours by their value: one that is in no table would not go dark.
     known = {c.light for c in COLOURS} | {"#000000"}
     assert set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", svg)) <= known
+
+
+def test_long_names_stay_within_their_figure() -> None:
+    name = f"Unbelievably {'long ' * 30}name at coil:0"
+    figure = candidates([Bar(name, 1.0, "1", True, True)], "explained, %")
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    (label,) = figure.axes[0].get_yticklabels()
+    assert label.get_text().startswith("Unbelievably long")
+    assert label.get_text().endswith("name at coil:0")
+    assert label.get_window_extent().x0 >= 0.0

@@ -13,7 +13,16 @@ from levid.cli.main import levid
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
-from levid.daemon.service_files import DROP_IN, NETWORK, SYSUSERS, UDEV, UNIT, service_files, write
+from levid.daemon.service_files import (
+    DROP_IN,
+    NETWORK,
+    SYSUSERS,
+    UDEV,
+    UNIT,
+    _shut,
+    service_files,
+    write,
+)
 
 PROGRAM = Path("/opt/levid/bin/levid")
 RIG_FILE = Path("/etc/levid/rig.yaml")
@@ -163,3 +172,20 @@ def test_what_was_changed_by_hand_stays(tmp_path: Path) -> None:
     assert install(tmp_path, "--force")[0] == 0
     assert "WatchdogSec=50" not in unit.read_text()
     assert "WatchdogSec=50" in unit.with_name("levid.service.old").read_text()
+
+
+def test_a_folder_that_others_may_not_enter_is_found(tmp_path: Path) -> None:
+    home = tmp_path / "me"
+    home.mkdir()
+    tmp_path.chmod(0o755)
+    tmp_path.parent.chmod(0o755)
+    home.chmod(0o750)
+    assert _shut(home / "rig.yaml") in (home, *tmp_path.parents)
+    home.chmod(0o751)
+    assert _shut(home / "rig.yaml") != home
+
+
+def test_an_adapter_that_is_plugged_in_already_gets_its_latency() -> None:
+    # `udevadm trigger` replays changes, not additions.
+    rules = service_files(on_serial("/dev/ttyUSB0"), RIG_FILE, PROGRAM)[UDEV]
+    assert 'ACTION!="remove", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio"' in rules

@@ -53,6 +53,7 @@ FORCES = np.linspace(-20, 20, 41)
         (DeadZone(3, 0.5), lambda f: np.sign(f) * np.maximum(np.abs(f) - 0.5, 0)),
         (SoftSaturation(3, 10.0, 1.0), lambda f: f / (1 + np.abs(f) / 10)),
         (SoftSaturation(3, 10.0, 4.0), lambda f: f / (1 + (f / 10) ** 4) ** 0.25),
+        (SoftSaturation(3, 0.9, 2000.0), lambda f: np.clip(f, -0.9, 0.9)),
     ],
 )
 def test_coil_follows_its_curve_and_the_others_theirs(effect, curve) -> None:

@@ -408,3 +408,25 @@ def test_mains_hums_at_its_multiples() -> None:
     lines = np.abs(np.fft.rfft(z)) * 2 / len(z)  # 1 Hz apart
     np.testing.assert_allclose(lines[[50, 100, 150]], [0.2, 0.0, 0.1], atol=1e-9)
     assert np.sum(lines > 1e-9) == 2
+
+
+def test_drives_hold_what_pulls_at_the_beam_from_outside() -> None:
+    cable, rotor = fresh(BeamCable(20.0, 0.0)), fresh(RotorImbalance(1e-3, 0.1))
+    nowhere = np.zeros(3)
+    at = beam(x=0.05, phi=0.7, w=30.0, dw=200.0)
+    assert cable.beam_force(0.0, at, nowhere, nowhere) == pytest.approx(-1.0)
+    # A force F along x on the beam turns the platform by -z F: at z_b the cable's, at z_r this one.
+    push = rotor.beam_force(0.0, at, nowhere, nowhere)
+    weight = -G * 1e-3 * np.cos(0.7)
+    assert rotor.wrench(0.0, nowhere, nowhere, at)[1] - weight == pytest.approx(-0.1 * push)
+    pull = cable.beam_force(0.0, at, nowhere, nowhere)
+    assert cable.wrench(0.0, nowhere, nowhere, at)[1] == pytest.approx(-Z_B * pull)
+
+
+@pytest.mark.parametrize("yields", [0.1, 3.0, 4.0, 6.0, 40.0, 1e4])
+def test_bouc_wen_resists_however_far_a_step_goes(yields: float) -> None:
+    friction = fresh(BoucWen("z", 1e4, 1e-5))
+    forces = [friction.resistance(yields * 1e-5, 0.0) for _ in range(30)]
+    assert min(forces) > 0.0
+    if yields > 1.0:
+        assert forces[-1] == pytest.approx(0.1, rel=1e-3)

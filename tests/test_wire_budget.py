@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -107,3 +108,35 @@ def test_role_on_a_bus_that_is_not_there_says_which_are() -> None:
     )
     with pytest.raises(ConfigError, match=r"sensors.bus: expected a name from 'can' \(main\)"):
         budget(rig(text, 100.0), Path())
+
+
+def test_a_dbc_for_one_format_says_what_fits_without_the_other(tmp_path: Path) -> None:
+    """More coils than the shipped DBC has: what CAN FD would carry nobody knows."""
+    text = shipped("levid.dbc").read_text()
+    (tmp_path / "own.dbc").write_text(twelve(text))
+    buses = ONE_CLASSIC.replace("bitrate: 1000000", "bitrate: 1000000, dbc: own.dbc")
+    of_twelve = parse_text(HEAD.replace("rate_hz: 1000", "rate_hz: 2000") + buses, RigConfig, "")
+    geometry = of_twelve.geometry.model_copy(
+        update={
+            "sensor_x_m": of_twelve.geometry.sensors_x_m,
+            "sensor_y_m": of_twelve.geometry.sensors_y_m,
+            "coil_x_m": (*of_twelve.geometry.coil_x_m, 0.01, 0.02, 0.03),
+            "coil_y_m": (*of_twelve.geometry.coil_y_m, 0.01, -0.02, 0.03),
+        }
+    )
+    with pytest.raises(ConfigError) as error:
+        check_budget(of_twelve.model_copy(update={"geometry": geometry}), tmp_path)
+    assert "more than the wire carries" in str(error.value)
+    assert "CAN FD" not in str(error.value)
+
+
+def twelve(text: str) -> str:
+    """Return the DBC with room for three more coils, in classic frames."""
+    for kind, last, number in (("setpoint", "Setpoints2", 1001), ("force", "Forces2", 1002)):
+        found = re.search(rf"(?ms)^BO_ \d+ {last}: .*?\n\n", text)
+        assert found is not None, last
+        again = re.sub(r"BO_ \d+ \w+", f"BO_ {number} {last}b", found[0])
+        for old in (6, 7, 8):
+            again = again.replace(f"{kind}_{old}_n", f"{kind}_{old + 3}_n")
+        text = text.replace(found[0], found[0] + again)
+    return text

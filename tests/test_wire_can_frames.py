@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import cantools
@@ -195,6 +196,15 @@ def test_more_coils_than_the_dbc_has_are_refused() -> None:
         ),
         ("gap_1_m", "gap_8_m", "expected consecutive channels"),
         ('VERSION "1"', "nonsense", "not a valid DBC"),
+        ("BO_ 16 Sync", "BO_ 2147483664 Sync", "Sync: expected an ID of 11 bits, found one of 29"),
+        *(
+            (
+                "setpoint_0_n : 0|16@1- (0.001,0) [-32.767|32.767]",
+                f"setpoint_0_n : 0|16@1- ({scale},0) [0|0]",
+                "expected one scale|expected a scale above 0",
+            )
+            for scale in ("0", "-0.001", "1e999")
+        ),
     ],
 )
 def test_dbc_that_does_not_fit_says_where(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -205,3 +215,42 @@ def test_dbc_that_does_not_fit_says_where(tmp_path: Path, old: str, new: str, wo
     with pytest.raises(ConfigError, match=words) as error:
         load_frames(path, 9, 9, False)
     assert str(path) in str(error.value)
+
+
+def other(tmp_path: Path, change: Callable[[str], str]) -> str:
+    """Return what is said of the shipped DBC, changed so."""
+    path = tmp_path / "other.dbc"
+    path.write_text(change(DBC.read_text()))
+    with pytest.raises(ConfigError) as error:
+        load_frames(path, 9, 9, False)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("scale", ["0", "-0.001", "1e999", "1e-320"])
+def test_scale_that_leaves_no_number_is_refused(tmp_path: Path, scale: str) -> None:
+    pattern = re.compile(r"(SG_ gap_\d_m : \d+\|16@1- )\([^)]*\)")
+    said = other(tmp_path, lambda text: pattern.sub(rf"\1({scale},0)", text))
+    assert "expected a scale above 0" in said
+
+
+@pytest.mark.parametrize("name", ["Sync", "Gaps0"])
+def test_message_without_its_signals_is_refused(tmp_path: Path, name: str) -> None:
+    def bare(text: str) -> str:
+        head, message, rest = re.split(rf"(?m)(^BO_ \d+ {name}: .*\n)", text)
+        signals, end, rest = rest.partition("\n\n")
+        kept = [line for line in signals.splitlines() if "gap_0_m" in line]
+        number = message.split()[1]
+        rest = re.sub(rf"(?m)^VAL_ {number} .*\n", "", rest)
+        return head + message + "\n".join(kept) + end + rest
+
+    assert f"{name}: expected " in other(tmp_path, bare)
+
+
+def test_channels_that_two_messages_carry_are_refused(tmp_path: Path) -> None:
+    def doubled(text: str) -> str:
+        found = re.search(r"(?ms)^BO_ \d+ Gaps0: .*?\n\n", text)
+        assert found is not None
+        again = re.sub(r"BO_ \d+ Gaps0", "BO_ 1999 Gaps9", found[0])
+        return text.replace(found[0], found[0] + again)
+
+    assert "twice" in other(tmp_path, doubled)

@@ -187,3 +187,19 @@ def test_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(can.CanInitializationError, match="expected a folder"):
         can.Bus(interface="levid_local", channel=str(tmp_path / "file"))
+
+
+def test_one_that_is_stopped_keeps_nobody_from_joining(tmp_path: Path) -> None:
+    # It takes nobody in: its row of those who wait is full after sixteen.
+    folder = tmp_path / "bus"
+    stopped = LocalFrames(folder, True)
+    done = threading.Event()
+
+    def join_often() -> None:
+        for _ in range(40):
+            LocalFrames(folder, True).shutdown()
+        done.set()
+
+    threading.Thread(target=join_often, daemon=True).start()
+    assert done.wait(WAIT_S)
+    stopped.shutdown()

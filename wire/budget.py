@@ -9,6 +9,7 @@ and requests are left out.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -213,10 +214,18 @@ def _others(rig: RigConfig, folder: Path) -> Iterator[tuple[str, Budget]]:
     slow = _SLOW_DRIVES if "drives" in on_can else None
     fd = all(rig.can[option.bus].fd for option in on_can.values())
     kind = "CAN FD" if fd else "classic CAN"
+    # What would fit is a hint: a rig with a DBC of its own may have none for the other format.
     said = f" and drives asked every {slow} cycles" if slow else ""
-    yield f"with one bus of {kind}{said}", variant(one, slow, False)
-    yield f"with two buses of {kind} (amplifiers apart){said}", variant(two, slow, False)
-    yield f"with three buses of {kind}, one a role", variant(three, None, False)
+    choices: list[tuple[str, Mapping[str, str], int | None, bool]] = [
+        (f"with one bus of {kind}{said}", one, slow, False),
+        (f"with two buses of {kind} (amplifiers apart){said}", two, slow, False),
+        (f"with three buses of {kind}, one a role", three, None, False),
+    ]
     if not fd:
-        yield f"with one bus of CAN FD at 5 Mbit/s{said}", variant(one, slow, True)
-        yield f"with two buses of CAN FD (amplifiers apart){said}", variant(two, slow, True)
+        choices += [
+            (f"with one bus of CAN FD at 5 Mbit/s{said}", one, slow, True),
+            (f"with two buses of CAN FD (amplifiers apart){said}", two, slow, True),
+        ]
+    for how, buses, every, with_fd in choices:
+        with suppress(ConfigError):
+            yield how, variant(buses, every, with_fd)

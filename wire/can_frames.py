@@ -28,6 +28,8 @@ COUNTER_MASK = 0xF
 FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 """Lengths in bytes beyond 8 that a CAN FD frame can have."""
 _OLDEST = 64
+_FEWEST = 4
+"""Signals of a frame of values: one, and counter, state and crc."""
 _BYTES = [bytes((i,)) for i in range(256)]
 Kind = Literal["setpoint", "force", "gap"]
 UNITS: dict[Kind, str] = {"setpoint": "n", "force": "n", "gap": "m"}
@@ -300,6 +302,9 @@ class _Compiler:
         if message is None:
             raise ConfigError(f"{self._path}: expected a message {name}, found none")
         compiled = struct.Struct(layout)
+        self._check_id(message)
+        if not message.signals:
+            raise ConfigError(f"{self._path}: {name}: expected signals, found none")
         *numbers, crc = sorted(message.signals, key=lambda s: s.start)
         if message.length != compiled.size + 1 or len(numbers) != len(layout) - 1:
             raise ConfigError(
@@ -333,15 +338,23 @@ class _Compiler:
             if frame.first != covered:
                 break
             covered += frame.count
-        if covered < channels or len(units) != 1:
+        twice = sum(frame.count for frame in frames) - covered
+        if covered < channels or twice > 0 or len(units) != 1:
+            more = f", {twice} twice or beside a gap," if twice > 0 else ""
             raise ConfigError(
                 f"{self._path}: expected {form} messages with {kind}_0_{unit_name} to "
                 f"{kind}_{channels - 1}_{unit_name}, each once and with one scale, found "
-                f"{covered} of them and {len(units)} scales"
+                f"{covered} of them{more} and {len(units)} scales"
             )
         return ValueFrames(kind, tuple(frames), channels, units.pop())
 
     def _frame(self, message: Message, pattern: re.Pattern[str]) -> tuple[Frame, float]:
+        self._check_id(message)
+        if len(message.signals) < _FEWEST:
+            raise ConfigError(
+                f"{self._path}: {message.name}: expected at least one value, counter, state and "
+                f"crc, found {', '.join(signal.name for signal in message.signals)}"
+            )
         *values, counter, state, crc = sorted(message.signals, key=lambda s: s.start)
         numbers = []
         for i, signal in enumerate(values):
@@ -362,6 +375,11 @@ class _Compiler:
                 f"{self._path}: {message.name}: expected one scale and no offset, found "
                 f"{sorted(scales)}"
             )
+        scale = scales.pop()
+        if not (math.isfinite(1.0 / scale if scale > 0.0 else math.inf) and scale < math.inf):
+            raise ConfigError(
+                f"{self._path}: {message.name}: expected a scale above 0, found {scale:g}"
+            )
         at = 16 * len(values)
         self._check(message, counter, at, 4, signed=False, name="counter")
         self._check(message, state, at + 4, 4, signed=False, name="state")
@@ -379,7 +397,14 @@ class _Compiler:
             )
         crc_of = FrameCrc(message.frame_id, length)
         frame = Frame(message.frame_id, message.name, numbers[0], len(numbers), crc_of)
-        return frame, scales.pop()
+        return frame, scale
+
+    def _check_id(self, message: Message) -> None:
+        if message.is_extended_frame:
+            raise ConfigError(
+                f"{self._path}: {message.name}: expected an ID of 11 bits, found one of 29, "
+                f"0x{message.frame_id:x}"
+            )
 
     def _check(
         self,

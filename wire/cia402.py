@@ -7,7 +7,7 @@ import struct
 from enum import Enum, IntEnum
 
 from ..config.rig import Limits
-from .device import CYCLES
+from .device import CYCLES, require_word
 
 RPDO = struct.Struct("<Hi")
 """Setpoint to a drive: controlword, target position."""
@@ -162,6 +162,14 @@ def beam_limits(limits: Limits) -> dict[tuple[Object, int], int]:
         (Object.MAX_SPEED, 0): round(limits.beam_velocity_m_s / POSITION_M),
         (Object.MAX_ACCELERATION, 0): round(limits.beam_acceleration_m_s2 / ACCELERATION),
     }
+
+
+def require_told(limits: Limits) -> None:
+    """Raise ConfigError for a limit that drives cannot be told: their words have 32 bits."""
+    require_word(limits, "beam_velocity_m_s", 1 / POSITION_M)
+    require_word(limits, "beam_acceleration_m_s2", 1 / ACCELERATION)
+    require_word(limits, "rotor_velocity_rad_s", 1 / POSITION_RAD)
+    require_word(limits, "rotor_acceleration_rad_s2", 1 / ACCELERATION)
 
 
 def rotor_limits(limits: Limits) -> dict[tuple[Object, int], int]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 
-from ..config.rig import RigConfig
+from ..config.base import ConfigError
+from ..config.rig import Limits, RigConfig
 
 ROLES = ("amplifiers", "sensors", "drives")
 """What a rig is made of; each role has its backend."""
@@ -95,23 +96,50 @@ DRIVE_LIMITS = (
 )  # fmt: skip
 
 
+_LARGEST = 0xFFFFFFFF
+_LIMITS = {
+    Parameter.COIL_LIMIT_MN: ("coil_n", 1e3),
+    Parameter.COIL_RATE_N_S: ("coil_rate_n_s", 1.0),
+    Parameter.BEAM_LIMIT_UM: ("beam_m", 1e6),
+    Parameter.BEAM_SPEED_UM_S: ("beam_velocity_m_s", 1e6),
+    Parameter.BEAM_ACCELERATION_MM_S2: ("beam_acceleration_m_s2", 1e3),
+    Parameter.ROTOR_SPEED_MRAD_S: ("rotor_velocity_rad_s", 1e3),
+    Parameter.ROTOR_ACCELERATION_MRAD_S2: ("rotor_acceleration_rad_s2", 1e3),
+}
+"""Of each limit its name in RIG.yaml, and how many of the device's units are one of ours."""
+
+
 def declared(rig: RigConfig, expire_cycles: int) -> dict[Parameter, int]:
     """Return what a device of this rig must say of every parameter below CHALLENGE."""
-    limits, geometry = rig.limits, rig.geometry
+    geometry = rig.geometry
     return {
         Parameter.PROTOCOL: PROTOCOL,
         Parameter.COILS: len(geometry.coil_x_m),
         Parameter.SENSORS: len(geometry.sensors_x_m),
         Parameter.PERIOD_NS: round(1e9 / rig.rate_hz),
         Parameter.EXPIRE_CYCLES: expire_cycles,
-        Parameter.COIL_LIMIT_MN: round(1e3 * limits.coil_n),
-        Parameter.COIL_RATE_N_S: round(limits.coil_rate_n_s),
-        Parameter.BEAM_LIMIT_UM: round(1e6 * limits.beam_m),
-        Parameter.BEAM_SPEED_UM_S: round(1e6 * limits.beam_velocity_m_s),
-        Parameter.BEAM_ACCELERATION_MM_S2: round(1e3 * limits.beam_acceleration_m_s2),
-        Parameter.ROTOR_SPEED_MRAD_S: round(1e3 * limits.rotor_velocity_rad_s),
-        Parameter.ROTOR_ACCELERATION_MRAD_S2: round(1e3 * limits.rotor_acceleration_rad_s2),
+        **{
+            parameter: round(per_unit * getattr(rig.limits, key))
+            for parameter, (key, per_unit) in _LIMITS.items()
+        },
     }
+
+
+def require_told(rig: RigConfig, which: Sequence[Parameter]) -> None:
+    """Raise ConfigError for a limit that a device cannot be told: its word has 32 bits."""
+    for parameter in which:
+        if parameter in _LIMITS:
+            require_word(rig.limits, *_LIMITS[parameter])
+
+
+def require_word(limits: Limits, key: str, per_unit: float) -> None:
+    """Raise ConfigError where a limit, in a device's units, is more than 32 bits hold."""
+    value = getattr(limits, key)
+    if round(per_unit * value) > _LARGEST:
+        raise ConfigError(
+            f"limits.{key}: expected at most {_LARGEST / per_unit:.6g}, as much as a device can "
+            f"be told, found {value:g}"
+        )
 
 
 def response(challenge: int, limits: Mapping[Parameter, int]) -> int:
@@ -119,5 +147,5 @@ def response(challenge: int, limits: Mapping[Parameter, int]) -> int:
 
     A device whose limits are not the host's is therefore never enabled.
     """
-    words = [challenge, *(limits[parameter] & 0xFFFFFFFF for parameter in AMPLIFIER_LIMITS)]
+    words = [challenge, *(limits[parameter] for parameter in AMPLIFIER_LIMITS)]
     return zlib.crc32(struct.pack(f"<{len(words)}I", *words))

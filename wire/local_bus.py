@@ -112,7 +112,11 @@ class LocalFrames:
         end = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         _stamped(end)
         try:
+            # One that is stopped takes nobody in: it is not waited for, and misses the frames.
+            end.setblocking(False)
             end.connect(str(path))
+        except BlockingIOError:
+            end.close()
         except OSError as error:
             end.close()
             if error.errno not in (errno.ECONNREFUSED, errno.ENOENT):

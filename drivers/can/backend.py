@@ -12,9 +12,10 @@ import numpy as np
 from ...config.base import ConfigError
 from ...config.buses import AmplifierOptions, CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig
+from ...wire import cia402
 from ...wire.can_frames import CanFrames, load_frames
 from ...wire.cia402 import NMT_ID, NODE_IDS, SYNC_ID
-from ...wire.device import CYCLES, ROLES
+from ...wire.device import AMPLIFIER_LIMITS, CYCLES, ROLES, SENSOR_LIMITS, require_told
 from ...wire.values import LARGEST
 from ..base import Context, FirstError, LinkError
 from ..on_bus import BusBackend, answer_wait_s
@@ -32,8 +33,10 @@ class CanBackend(BusBackend):
         bus = _bus_of(context.rig, role)
         _check_ids(context, role)
         if role == "drives":
+            cia402.require_told(context.rig.limits)
             _check_expiry(context.rig)
             return
+        require_told(context.rig, AMPLIFIER_LIMITS if role == "amplifiers" else SENSOR_LIMITS)
         frames = _frames(context, bus)
         largest_n = frames.setpoint.unit * LARGEST
         if role == "amplifiers" and context.rig.limits.coil_n > largest_n:

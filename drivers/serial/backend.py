@@ -19,6 +19,7 @@ from ...wire.device import (
     DriveState,
     Request,
     declared,
+    require_told,
 )
 from ...wire.serial_frames import FORCE_N, GAP_M, Contents
 from ...wire.values import LARGEST
@@ -41,6 +42,13 @@ from .port import TransactionPort
 _UNHEARD = int(Stale.SETPOINTS)
 
 
+_LIMITS_OF = {
+    "amplifiers": AMPLIFIER_LIMITS,
+    "sensors": SENSOR_LIMITS,
+    "drives": DRIVE_LIMITS,
+}
+
+
 class SerialBackend(BusBackend):
     """Opens each port once for all the roles on it."""
 
@@ -48,6 +56,7 @@ class SerialBackend(BusBackend):
     def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:  # noqa: ARG003
         """Check a role's options; raises ConfigError."""
         context.rig.on_bus(role)
+        require_told(context.rig, _LIMITS_OF[role])
         if role == "amplifiers" and context.rig.limits.coil_n > FORCE_N * LARGEST:
             raise ConfigError(
                 f"limits.coil_n: expected at most {FORCE_N * LARGEST:g} N, the range of the "

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -24,6 +24,8 @@ from levid.model.effects.flexible import PATTERNS
 from levid.model.effects.table import all_effects
 from levid.model.geometry import shape_matrix
 
+Row = tuple[str, str, str]
+"""Key without its numbers, equation, what absorbs it."""
 PAGE = Path(__file__).with_name("effects-table.md")
 HEAD = """# The table of candidate effects
 
@@ -43,11 +45,16 @@ def main() -> None:
 
 def page() -> str:
     """Return the page: a section for each family, on the rig and then on any other plant."""
-    effects = [*all_effects(rig_places()), *all_effects(one_dof())]
-    families: dict[str, list[Effect]] = {}
-    for effect in effects:
-        families.setdefault(_module(effect).__name__, []).append(effect)
-    sections = [_section(sys.modules[name], found) for name, found in families.items()]
+    families: dict[str, dict[Row, list[Effect]]] = {}
+    for effect in all_effects(rig_places()):
+        rows = families.setdefault(_module(effect).__name__, {})
+        rows.setdefault(_row_of(effect), []).append(effect)
+    for effect in all_effects(one_dof()):
+        rows = families.setdefault(_module(effect).__name__, {})
+        # What the rig knows too is told as it is there.
+        known = next((row for row in rows if row[0] == _row_of(effect)[0]), _row_of(effect))
+        rows.setdefault(known, []).append(effect)
+    sections = [_section(sys.modules[name], rows) for name, rows in families.items()]
     return "\n".join([HEAD, *sections])
 
 
@@ -77,17 +84,19 @@ def one_dof() -> Places:
     return Places(("q",), ("m",), one, one, "N", ("N",), "m", nowhere, nowhere, beam=False)
 
 
-def _section(module: ModuleType, effects: Sequence[Effect]) -> str:
+def _row_of(effect: Effect) -> Row:
+    """Return what effects of one row of the page have in common."""
+    return _general(effect.key), effect.equation, effect.absorbed_by
+
+
+def _section(module: ModuleType, rows: Mapping[Row, Sequence[Effect]]) -> str:
     title, _, rest = inspect.cleandoc(module.__doc__ or "").partition("\n\n")
     title = title.replace("\n", " ").rstrip(".")
-    rows: dict[str, list[Effect]] = {}
-    for effect in effects:
-        rows.setdefault(_general(effect.key), []).append(effect)
     lines = [
         _row("effect", "class", "at", "equation", "parameters", "absorbed by", "told apart by")
     ]
     lines.append(_row(*["---"] * 7))
-    for key, same in rows.items():
+    for (key, equation, absorbed_by), same in rows.items():
         first = same[0]
         where = "; ".join(dict.fromkeys(_place(e) for e in same))
         quantities = ", ".join(
@@ -95,8 +104,8 @@ def _section(module: ModuleType, effects: Sequence[Effect]) -> str:
         )
         lines.append(
             _row(
-                f"`{key}`", f"`{first.effect_class}`", where, _code(first.equation), quantities,
-                first.absorbed_by or "—", first.told_apart_by or "—",
+                f"`{key}`", f"`{first.effect_class}`", where, _code(equation), quantities,
+                absorbed_by or "—", first.told_apart_by or "—",
             )
         )  # fmt: skip
     return f"## {title}\n\n{rest}\n\n" + "\n".join(lines) + "\n"
@@ -124,7 +133,7 @@ def _place(effect: Effect) -> str:
     if len(numbered) > 2:
         return f"all {kinds[0]}s"
     if len(numbered) == 2:
-        return f"a {kinds[0]} and its neighbour"
+        return f"two {kinds[0]}s"
     if numbered:
         return f"each {kinds[0]}"
     return " and ".join(effect.where) or "the platform"

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig, load_model
@@ -19,7 +20,7 @@ from levid.identification.greybox.noise import Noise, kalman_filter
 from levid.identification.greybox.result import identify_grey_box, to_yaml
 from levid.identification.greybox.simulate import free_run
 from levid.identification.greybox.validation import whiteness
-from levid.model.second_order import discretise
+from levid.model.second_order import SecondOrder, StateSpace, discretise
 
 ONE_MASS = """
 levid: model
@@ -75,32 +76,47 @@ def fits(count: int):
     return [fit_model(start, [record(seed, 3000)]) for seed in range(count)]
 
 
-@pytest.mark.parametrize("lag_s", [0.0, 3e-4, 5e-3])
-@pytest.mark.parametrize("delay_s", [0.0, 0.3e-3, 1e-3, 2.4e-3])
-def test_moments_step_a_model_as_its_exact_discretisation_does(
-    delay_s: float, lag_s: float
-) -> None:
-    model = replace(declared_model(one_mass()).at(), lag_s=lag_s, delay_s=delay_s)
-    u = np.random.default_rng(1).standard_normal((200, 1))
-    u[:4] = 0.0
-    sampled = discretise(model, TS)
-    x, expected = np.zeros(len(sampled.A)), np.empty((200, 1))
-    for k in range(200):
-        expected[k] = sampled.C @ x
-        x = sampled.A @ x + sampled.B @ u[k]
-    A = np.array([[0, 1], [-400.0, -1.5]])
-    B = np.array([[0], [0.5]])
-    parts = moments(u, TS, 12, "zoh", delay_s, lag_s)
-    q, y = np.zeros(2), np.empty((200, 1))
-    step = discretise(replace(model, lag_s=0.0, delay_s=0.0), TS).A
-    for k in range(200):
+def oscillator(omega: float, delay_s: float, lag_s: float) -> SecondOrder:
+    one = np.ones((1, 1))
+    return SecondOrder(one, 1.5 * one, omega**2 * one, one, np.zeros(1), lag_s, delay_s)
+
+
+def stepped(model: SecondOrder, parts: np.ndarray) -> np.ndarray:
+    """Step q'' + 1.5 q' + omega^2 q = u by the moments of u: the sum that they are made for."""
+    A = np.array([[0, 1], [-model.K[0, 0], -1.5]])
+    B = np.array([[0], [1.0]])
+    step = expm(A * TS)
+    q, y = np.zeros(2), np.empty((len(parts), 1))
+    for k in range(len(parts)):
         y[k] = q[0]
         power, q = B[:, 0], step @ q
-        for j in range(12):
-            q = q + power * parts[k, j, 0]
+        for part in parts[k, :, 0]:
+            q = q + power * part
             power = A @ power
-    # Rounding, with twelve terms of a series in (20 Hz times 1 ms).
-    np.testing.assert_allclose(y, expected, atol=1e-13 * np.abs(expected).max() + 1e-18)
+    return y
+
+
+def steps(model: StateSpace, u: np.ndarray) -> np.ndarray:
+    x, y = np.zeros(len(model.A)), np.empty((len(u), 1))
+    for k in range(len(u)):
+        y[k] = model.C @ x + model.D @ u[k]
+        x = model.A @ x + model.B @ u[k]
+    return y
+
+
+@pytest.mark.parametrize(("omega", "order"), [(20.0, 12), (628.0, 16), (2500.0, 30)])
+@pytest.mark.parametrize("lag_s", [0.0, 3e-5, 3e-4, 5e-3, 0.1])
+@pytest.mark.parametrize("delay_s", [0.0, 0.3e-3, 1e-3, 2.4e-3])
+def test_moments_step_a_model_as_its_exact_discretisation_does(
+    delay_s: float, lag_s: float, omega: float, order: int
+) -> None:
+    model = oscillator(omega, delay_s, lag_s)
+    u = np.random.default_rng(1).standard_normal((200, 1))
+    u[:4] = 0.0
+    expected = steps(discretise(model, TS), u)
+    y = stepped(model, moments(u, TS, order, "zoh", delay_s, lag_s))
+    # Rounding of 200 steps, in a series long enough for omega Ts: 2.5^30 / 30! is 3e-21.
+    np.testing.assert_allclose(y, expected, atol=2e-13 * np.abs(expected).max())
 
 
 def test_band_limited_input_is_what_lies_between_samples() -> None:

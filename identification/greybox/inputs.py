@@ -16,6 +16,15 @@ Hold = Literal["zoh", "foh", "band_limited"]
 
 _OVERSAMPLING = 8
 _EDGE_S_ROWS = 256
+_SMOOTH = 10.0
+"""Time constants that a stretch may last for Gauss's rule to take the exponential for a polynomial.
+
+What is left of exp(-10 x) times a polynomial of degree 40 (motion.taylor_scale asks for no more) is
+below rounding with 32 points. Beyond, the exponential is gone before the stretch ends, and by parts
+nothing cancels.
+"""
+_GAUSS = np.polynomial.legendre.leggauss(32)
+_NODES, _WEIGHTS = 0.5 + 0.5 * _GAUSS[0], 0.5 * _GAUSS[1]
 
 
 @dataclass(frozen=True)
@@ -61,18 +70,19 @@ def held_step(Ts_s: float, order: int, delay_s: float, lag_s: float) -> HeldStep
     after = (Ts_s - split_s) ** (j + 1) / (factorial * (j + 1))
     if lag_s <= 0.0:
         return HeldStep(whole, before, after, np.zeros(order), 0.0, 1.0, 0.0)
-    # The lagged input is c + (l - c) exp(-s / lag) on each side of the jump.
+    # The lagged input is c + (l - c) exp(-s / lag) on each side of the jump. What rises there is
+    # integrated as it is: as a difference of integrals it would be lost to rounding in a long lag.
+    first, rising_first = _lagged_moments(Ts_s, 0.0, split_s, lag_s, order)
+    second, rising_second = _lagged_moments(Ts_s, split_s, Ts_s, lag_s, order)
     decay_split, decay_rest = math.exp(-split_s / lag_s), math.exp(-(Ts_s - split_s) / lag_s)
-    first = _exponential_moments(Ts_s, 0.0, split_s, lag_s, order)
-    second = _exponential_moments(Ts_s, split_s, Ts_s, lag_s, order)
-    at_split = 1.0 - decay_split  # of old, in the lagged input at the jump
+    at_split = -math.expm1(-split_s / lag_s)  # of old, in the lagged input at the jump
     return HeldStep(
         whole,
-        from_old=before - first + at_split * second,
-        from_new=after - second,
+        from_old=rising_first + at_split * second,
+        from_new=rising_second,
         from_lag=first + decay_split * second,
         end_old=at_split * decay_rest,
-        end_new=1.0 - decay_rest,
+        end_new=-math.expm1(-(Ts_s - split_s) / lag_s),
         end_lag=decay_split * decay_rest,
     )
 
@@ -103,17 +113,41 @@ def _around_jump(u: Array, step: HeldStep) -> tuple[Array, Array]:
     return u[np.maximum(rows - step.whole - 1, 0)], u[np.maximum(rows - step.whole, 0)]
 
 
-def _exponential_moments(Ts_s: float, start: float, end: float, lag_s: float, order: int) -> Array:
-    """Return the integrals of (Ts - s)^j / j! exp(-(s - start) / lag) from start to end."""
-    values = np.empty(order)
+def _lagged_moments(
+    Ts_s: float, start: float, end: float, lag_s: float, order: int
+) -> tuple[Array, Array]:
+    """Return the integrals of (Ts - s)^j / j! times E and 1 - E from start to end, each (order,).
+
+    E = exp(-(s - start) / lag). By parts each integral follows from the one before times the lag,
+    rounding included; in a lag longer than the period the integrals shrink while that grows.
+    """
+    length = end - start
+    if length == 0.0:
+        return np.zeros(order), np.zeros(order)
+    if length > _SMOOTH * lag_s:
+        return _by_parts(Ts_s, start, end, lag_s, order)
+    s = length * _NODES
+    kernel = np.empty((order, len(s)))
+    kernel[0] = length * _WEIGHTS
+    np.divide(Ts_s - start - s, np.arange(1, order)[:, None], out=kernel[1:])
+    np.multiply.accumulate(kernel, axis=0, out=kernel)
+    rise = -np.expm1(s / -lag_s)
+    return kernel @ (1.0 - rise), kernel @ rise
+
+
+def _by_parts(
+    Ts_s: float, start: float, end: float, lag_s: float, order: int
+) -> tuple[Array, Array]:
+    decaying, rising = np.empty(order), np.empty(order)
     decay = math.exp(-(end - start) / lag_s)
     previous = 0.0
-    for j in range(order):  # by parts
+    for j in range(order):
         factorial = math.factorial(j)
         edge = ((Ts_s - start) ** j - decay * (Ts_s - end) ** j) / factorial
-        previous = lag_s * (edge - previous)
-        values[j] = previous
-    return values
+        decaying[j] = previous = lag_s * (edge - previous)
+        whole = ((Ts_s - start) ** (j + 1) - (Ts_s - end) ** (j + 1)) / (factorial * (j + 1))
+        rising[j] = whole - previous
+    return decaying, rising
 
 
 def _between(

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from rig_effects import rig_places
 
-from levid.config.model import load_model
+from levid.config.base import parse_text
+from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
 from levid.identification.declared import declared_model
 from levid.identification.greybox.experiment import Experiment
@@ -21,6 +22,7 @@ from levid.identification.greybox.motion import innovations, motion
 from levid.identification.greybox.noise import Noise, kalman_filter
 from levid.identification.greybox.parameters import free_parameters
 from levid.identification.greybox.prediction import predict, settled
+from levid.identification.trace import linearise as linearised
 from levid.identification.trace.drive import beside_motion
 from levid.identification.trace.filterbank import FilterBank, thinned, transitions
 from levid.identification.trace.linearise import (
@@ -350,6 +352,70 @@ def test_effects_found_are_in_the_accelerations_that_drives_work_against() -> No
     left = [beside_motion(at, drive) for at in (along(replace(here, placed=(weak,)), made), less)]
     assert np.ptp(left[0] - beside_motion(along(here, made), drive)) > 1e-3 * np.ptp(drive)
     np.testing.assert_allclose(left[0], left[1], atol=1e-6 * np.ptp(drive))
+
+
+UNDERACTUATED = """
+levid: model
+name: two masses, one force on both
+dof: [{name: q1, unit: m}, {name: q2, unit: m}]
+inputs: [{name: f_n, unit: N}]
+parameters:
+  b1: {value: 1.0, unit: "1", min: 0, max: 5}
+M: [[2.0, 0.0], [0.0, 1.0]]
+D: [[10.0, 0.0], [0.0, 20.0]]
+K: [[900.0, 0.0], [0.0, 400.0]]
+B: [[b1], [2.0]]
+"""
+
+
+def test_what_a_force_does_to_one_dof_is_no_command() -> None:
+    # With fewer inputs than DOF no command does what a change of one entry of B does.
+    config = parse_text(UNDERACTUATED, ModelConfig, "two masses")
+    one = np.eye(2)
+    places = replace(
+        PLACES, dof=("q1", "q2"), dof_units=("m", "m"), coil_shape=np.ones((1, 1)),
+        sensor_shape=one, input_units=("N",), coil_xy_m=np.zeros((0, 2)),
+        sensor_xy_m=np.zeros((0, 2)), beam=False,
+    )  # fmt: skip
+    rows = 3000
+    u = smooth(np.random.default_rng(2), rows, 1, 20.0)
+    e = Experiment("one force", TS, u, np.zeros((rows, 2)), {}, frozenset(), False, 1, hold="zoh")
+    none = np.zeros((rows, 3))
+    made = TraceRecord(
+        e, places, np.arange(rows) * TS, e.y, u, np.zeros_like(u), none, none, None, "made"
+    )
+    known = Disturbance(Noise(np.full(2, 1e-10), np.full(2, 1e-14)), SENSOR_SD, measured=True)
+
+    def at(b1: float) -> WorkingPoint:
+        model = declared_model(config).with_values({"b1": b1})
+        return WorkingPoint(model, free_parameters(config), (), known, "zoh")
+
+    def errors(b1: float) -> np.ndarray:
+        there = at(b1)
+        moved = motion(there.model, e, "zoh")
+        kalman = kalman_filter(motion(at(1.0).model, e, "zoh"), known.noise)
+        return kalman.whiten(innovations(moved, kalman.gain, e.y, np.zeros(4)))
+
+    here = at(1.0)
+    still = motion(here.model, e, "zoh")
+    bank = FilterBank.build(here.model, made, still, kalman_filter(still, known.noise), "zoh", 1)
+    s, _ = filtered(here, made, still)
+    (column,) = np.moveaxis(parameter_columns(here, bank, s), 2, 0)
+    expected = (errors(1.0 + 1e-4) - errors(1.0 - 1e-4)) / 2e-4 * here.parameters.scale[0]
+    np.testing.assert_allclose(column[100:], expected[100:], atol=1e-3 * np.abs(expected).max())
+
+
+def test_long_records_have_columns_by_and_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    some = [(e, e.grid[0]) for e in all_effects(PLACES)[:40]]
+    whole = linearise(point(), record("fixed"), some)
+    monkeypatch.setattr(linearised, "_MOST_NUMBERS", 3 * 3000 // 4 * 7)  # of seven columns
+    parts = linearise(point(), record("fixed"), some)
+    np.testing.assert_allclose(parts.gram, whole.gram, rtol=1e-9, atol=1e-9)
+    assert len(parts.beside) == len(whole.beside)
+    for one, other in zip(parts.beside, whole.beside, strict=True):
+        # Sums of other shapes round otherwise.
+        np.testing.assert_allclose(one.inner, other.inner, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(one.cross, other.cross, rtol=1e-9, atol=1e-9)
 
 
 def test_what_drives_hold_the_beam_against_is_no_friction_of_theirs() -> None:

@@ -48,7 +48,9 @@ CONFIG = parse_text(MODEL, ModelConfig, "mass")
 TRUTH = {"none": {}, "cubic": {"k3": 1e6}, "coulomb": {"friction": 0.1}}
 
 
-def flown(seed: int, rms_n: float, k3: float = 0.0, friction: float = 0.0) -> np.ndarray:
+def flown(
+    seed: int, rms_n: float, k3: float = 0.0, friction: float = 0.0, clip_n: float = np.inf
+) -> np.ndarray:
     """Return force and reading (N, 2) of the mass, by Runge-Kutta's rule ten times a row."""
     rng = np.random.default_rng(seed)
     omega, phase = 2 * np.pi * rng.uniform(0.3, 15.0, 30), rng.uniform(0, 2 * np.pi, 30)
@@ -58,7 +60,7 @@ def flown(seed: int, rms_n: float, k3: float = 0.0, friction: float = 0.0) -> np
         force += rms_n / np.sqrt(15) * np.sin(w * half + p)
     # White forces, each held for a row: their density is their variance times Ts.
     unknown = np.repeat(rng.normal(0.0, np.sqrt(FORCE_PSD / TS), ROWS), 2 * FINE)
-    acting = force + np.append(unknown, 0.0)
+    acting = np.clip(force, -clip_n, clip_n) + np.append(unknown, 0.0)
     u, acting_list = force[:: 2 * FINE], acting.tolist()
     x, step = [0.0, 0.0], TS / FINE
     y = np.empty(ROWS)
@@ -135,6 +137,39 @@ def test_the_one_effect_is_found_with_its_size(
     assert abs(placed.amplitudes[0] - amplitude) < 4 * se + 0.01 * amplitude
     assert se < 0.05 * amplitude
     assert pooled(found.before)[0] > 3 * pooled(found.after)[0]
+
+
+def test_a_limit_far_below_where_it_is_looked_for_first_is_found(tmp_path: Path) -> None:
+    # At the grid's one limit, 0.85 of the largest command, a hard limit of half of it is more than
+    # all of what is lost there.
+    logs = [
+        imported(tmp_path, f"clipped-{i}", flown(i, rms_n, clip_n=4.0))
+        for i, rms_n in enumerate(RMS_N)
+    ]
+    found = traced(logs)
+    (placed,) = found.found.point.placed
+    assert placed.effect.key == "saturation"
+    assert placed.shape[0] == pytest.approx(4.0, rel=0.02)
+    # Nobody has more than all of it.
+    assert placed.amplitudes[0] == pytest.approx(1.0, abs=0.02)
+    assert placed.amplitudes[0] <= 1.0
+    error, floor = pooled(found.after)
+    assert error == pytest.approx(floor, rel=0.3)
+
+
+def test_a_plant_that_runs_away_has_to_be_traced_in_its_loop(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    pushed = rng.standard_normal(ROWS)
+    # x'' = 100 x + f / m falls away from any start; these are readings of one that somebody held.
+    held = np.stack([pushed, 1e-4 * rng.standard_normal(ROWS)], axis=1)
+    config = parse_text(
+        MODEL.replace("{value: 700.0, unit: N/m, min: 1, max: 10000}",
+                      "{value: -2000.0, unit: N/m, fixed: true}"),
+        ModelConfig, "mass",
+    )  # fmt: skip
+    logs = [imported(tmp_path, f"held-{i}", np.roll(held, 7 * i, axis=0)) for i in range(3)]
+    with pytest.raises(IdentificationError, match="has to be traced in its loop"):
+        traced(logs, config)
 
 
 def test_parameters_of_the_model_are_free_of_what_the_effect_did_to_them(

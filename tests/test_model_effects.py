@@ -528,3 +528,25 @@ def test_beam_that_is_sped_up_shifts_along_its_rails_alone():
         along, 9.81 / height * 2.0 / height / (2 * np.pi * frequency) ** 2, rtol=1e-3
     )
     assert not np.any(term("friction.bearing@beam+psi", shape, s).force)
+
+
+def test_resonances_are_looked_for_below_what_sampling_tells_from_others():
+    # At 50 Hz a resonance of 60 Hz looks like one of 10 Hz.
+    places = rig_places()
+    slow = replace(Extent.typical(places), fastest_hz=20.0)
+    modes = [e for e in all_effects(places, slow) if e.effect_class == "flexible_mode"]
+    assert {e.key for e in modes} == {"flexible_mode.loose_mass"}
+    for effect in modes:
+        assert [row[0] for row in effect.grid] == [15.0]
+        assert effect.shape[0].high == 20.0
+    lines = {row[0] for e in all_effects(places, slow) if "vibration" in e.key for row in e.grid}
+    assert lines == {50.0, 60.0}  # they are read off the records
+
+
+def test_records_without_any_command_have_candidates_that_are_numbers():
+    places = rig_places()
+    s = moving()
+    covered = Extent.measured([replace(s, coil=np.zeros_like(s.coil))])
+    for effect in all_effects(places, covered):
+        for term in effect.build(replace(s, coil=np.zeros_like(s.coil)), effect.grid[0]):
+            assert all(np.isfinite(part).all() for part in term.parts if part is not None)

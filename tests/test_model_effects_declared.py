@@ -49,6 +49,17 @@ def test_every_effect_of_the_table_goes_to_a_file_and_back(places: Places) -> No
     assert [dict(p.standard_errors) for p in back] == [p.standard_errors for p in placed]
 
 
+def test_a_shape_beyond_what_these_records_allow_is_taken_as_it_stands(places: Places) -> None:
+    effect = next(e for e in all_effects(places) if e.shape and e.amplitudes)
+    there = tuple(2.0 * q.high for q in effect.shape)
+    placed = Placed(effect, there, tuple(1.0 for _ in effect.amplitudes), {})
+    (back,) = placed_effects(in_file([model_effect(placed)]).effects, places)
+    assert back.shape == there
+    # A fit may stay where the file is and go back to where the table ends, not further out.
+    for ours, of_table, value in zip(back.effect.shape, effect.shape, there, strict=True):
+        assert (ours.low, ours.high) == (of_table.low, value)
+
+
 def test_a_model_without_effects_says_nothing_of_them() -> None:
     assert "effects" not in to_yaml(load_model(shipped("models/rig.yaml")))
 

@@ -162,3 +162,28 @@ def test_time_means_the_same_to_those_who_know_no_session():
     ):
         np.testing.assert_array_equal(acts(ours), acts(theirs))
         assert np.ptp(acts(ours)) > 0
+
+
+def test_functions_lie_where_the_motion_is():
+    # A beam that is swept on one side, and a platform that hangs off its middle.
+    places = rig_places()
+    s = moving()
+    there = np.linspace(0.0, 0.2, s.rows)
+    q = s.q + np.array([0.0, 0.0, 0.05])
+    covered = Extent.measured([replace(s, x_b_m=there, q=q)])
+    found = {e.identity: e for e in freeform_effects(places, covered)}
+    by_beam = found["unknown.x_b[0.1+-0.1]@z"]
+    columns = [acts(t) for t in by_beam.build(replace(s, x_b_m=there), ())]
+    # Each of its splines has its own part of the way.
+    assert all(np.ptp(column) > 0.1 for column in columns)
+    (by_z,) = (
+        e
+        for e in found.values()
+        if e.where == ("z",) and e.key.startswith("unknown.z[") and "*" not in e.key
+    )
+    form = Form.of(by_z.key)
+    assert form is not None
+    assert form.middle == pytest.approx(0.05, abs=0.2 * form.scale)  # tones are not symmetric
+    again = freeform_effect(places, by_z.key, by_z.where)
+    for ours, theirs in zip(by_z.build(s, ()), again.build(s, ()), strict=True):
+        np.testing.assert_array_equal(acts(ours), acts(theirs))

@@ -154,17 +154,28 @@ class FilterBank:
         constant = [Term(force=np.broadcast_to(np.eye(n)[i], (rows, n))) for i in range(n)]
         return self.columns(constant, n)
 
-    def held_forcing(self, held: Array, extra_lag_s: float = 0.0, extra_s: float = 0.0) -> Array:
+    def held_forcing(
+        self,
+        held: Array,
+        extra_lag_s: float = 0.0,
+        extra_s: float = 0.0,
+        by: Array | None = None,
+    ) -> Array:
         """Return what commands (N, p) add to the state in each period (N, 2n).
 
-        Along a schedule each period has its own mobility, but the first one's stiffness and damping
-        act within it: at 1 kHz less than 0.1 % of the columns of lag and delay.
+        `by` (N or 1, n, p): forces of a unit of each command, instead of the model's B. Along a
+        schedule each period has its own mobility, but the first one's stiffness and damping act
+        within it: at 1 kHz less than 0.1 % of the columns of lag and delay.
         """
         e, values = self.record.experiment, {**self.model.values, **self.model.scheduling}
         delay_s = max(e.delay_cycles * e.Ts_s + self.model.delay(values) + extra_s, 0.0)
         lag_s = max(self.model.lag(values) + extra_lag_s, 0.0)
-        powers = self._input_powers
+        powers = self._input_powers if by is None else self.powers
         order = len(powers)
+
+        def pushed(commands: Array) -> Array:
+            return commands if by is None else np.einsum("...ip,...p->...i", by, commands)
+
         if self.hold == "zoh":
             step = held_step(e.Ts_s, order, delay_s, lag_s)
             rows = np.arange(len(held))
@@ -176,9 +187,12 @@ class FilterBank:
                 np.tensordot(weights, powers, 1)
                 for weights in (step.from_old, step.from_new, step.from_lag)
             )
-            forcing = old @ G_old.T + new @ G_new.T + lagged_input(held, step) @ G_lag.T
+            forcing = pushed(old) @ G_old.T + pushed(new) @ G_new.T
+            forcing = forcing + pushed(lagged_input(held, step)) @ G_lag.T
         else:
             m = moments(held, e.Ts_s, order, self.hold, delay_s, lag_s)
+            if by is not None:
+                m = np.einsum("nip,njp->nji", np.broadcast_to(by, (len(m), *by.shape[1:])), m)
             forcing = np.einsum("njp,jip->ni", m, powers, optimize=True)
         return self._along(forcing)
 

@@ -69,27 +69,36 @@ def without_guesses(point: WorkingPoint, records: Fitted) -> WorkingPoint:
 
 
 def without_idle(point: WorkingPoint, records: Fitted) -> WorkingPoint:
-    """Return the point without effects that those found after them have made idle."""
-    if len(point.placed) < 2:
-        return point
+    """Return the point without effects that those found after them have made idle.
+
+    One by one: two that stand in for each other are not both idle.
+    """
+    while len(point.placed) > 1:
+        fewer = _without_the_idlest(point, records)
+        if fewer is None:
+            break
+        point = fewer
+    return point
+
+
+def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | None:
+    """Return the point, refined, without the effect that does least; None where all do enough."""
     train = steadied(gather(point, records.train(point)))
     at, base = len(point.parameters.names), list(range(train.gram.shape[1] - 1))
     full = cross_validated(train, base).sum()
-    idle = []
+    costs = []
     for p in point.placed:
         own = set(range(at, at + width(p)))
         # Without it its errors come back: what its own columns would have to explain again.
         back = _restored(train, p, sorted(own), len(p.amplitudes))
         kept = [c for c in base if c not in own]
-        if cross_validated(back, kept).sum() - full < LEAST:
-            idle.append(p)
+        costs.append(float(cross_validated(back, kept).sum() - full))
         at += width(p)
-    if not idle:
-        return point
-    fewer, _ = refine(
-        replace(point, placed=tuple(p for p in point.placed if p not in idle)), records
-    )
-    return fewer
+    least = int(np.argmin(costs))
+    if costs[least] >= LEAST:
+        return None
+    others = point.placed[:least] + point.placed[least + 1 :]
+    return refine(replace(point, placed=others), records)[0]
 
 
 def _rival(found: Round, identity: str) -> Tried | None:

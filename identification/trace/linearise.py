@@ -10,6 +10,7 @@ that did not choose it, is answered from those without going back to the record.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +25,54 @@ from .working_point import Along, WorkingPoint, along, thinning
 
 Array = NDArray[np.float64]
 
+Candidate = tuple[Effect, tuple[float, ...]]
+
 _NUDGE = 1e-5
+_MOST_NUMBERS = 50_000_000
+"""In the columns of candidates that there are at once, 0.4 GB: those of 100 s at 1 kHz."""
 _ROUNDING = 1e-9
 """Of a column's size: what is left of it by less is none of it."""
 
 
 def linearise(
-    point: WorkingPoint, record: TraceRecord, candidates: Sequence[tuple[Effect, tuple[float, ...]]]
+    point: WorkingPoint, record: TraceRecord, candidates: Sequence[Candidate]
 ) -> Linearised:
-    """Return the Gram matrices of a record: see Linearised for the order of the columns."""
+    """Return the Gram matrices of a record: see Linearised for the order of the columns.
+
+    Memory is bounded: of long records some candidates at a time have columns.
+    """
     here = along(point, record)
     bank = FilterBank.build(point.model, record, here.at, here.kalman, point.hold, here.every)
-    s = here.signals
+    own = parameter_columns(point, bank, here.signals)
+    basis = _unknown(point, here, bank)
+    parts = [
+        _with_candidates(point, here, bank, own, basis, some)
+        for some in _batches(candidates, _MOST_NUMBERS // max(own.shape[0] * own.shape[1], 1))
+    ]
+    return replace(parts[0], beside=tuple(one for part in parts for one in part.beside))
+
+
+def _batches(candidates: Sequence[Candidate], most: int) -> Iterator[Sequence[Candidate]]:
+    """Yield candidates in order, with at most so many columns together, one at least."""
+    begin = columns = 0
+    for i, (effect, _) in enumerate(candidates):
+        width = len(effect.amplitudes)
+        if columns and columns + width > most:
+            yield candidates[begin:i]
+            begin, columns = i, 0
+        columns += width
+    yield candidates[begin:]
+
+
+def _with_candidates(
+    point: WorkingPoint,
+    here: Along,
+    bank: FilterBank,
+    own: Array,
+    basis: Array,
+    candidates: Sequence[Candidate],
+) -> Linearised:
+    record, s = here.record, here.signals
     placed = sum(len(p.amplitudes) + len(p.shape) for p in point.placed)
     widths = [len(effect.amplitudes) for effect, _ in candidates]
     count = placed + sum(widths)
@@ -54,14 +91,12 @@ def linearise(
             shown_drive.append(None if term.drive is None else -thinned(term.drive, here.every))
             yield term
 
-    own = parameter_columns(point, bank, s)
     pose = np.empty((*own.shape[:2], own.shape[2] + count + 1))
     pose[:, :, : own.shape[2]], pose[:, :, -1] = own, here.errors
     bank.columns(watched(), count, pose[:, :, own.shape[2] : -1])
     shown.append(_beyond(here, _readings(here)))
     drive_n = drive_errors(here)
     shown_drive.append(None if drive_n is None else thinned(drive_n, here.every))
-    basis = _unknown(point, here, bank)
     flat = pose.reshape(-1, pose.shape[2])
     flat -= basis @ (basis.T @ flat)
     seen = [j for j, column in enumerate(shown) if column is not None]
@@ -151,11 +186,11 @@ def parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Arra
         forcing = np.zeros((s.rows, 2 * s.q.shape[1]))
         if name in point.model.lag.names | point.model.delay.names:
             forcing += _timing_forcing(bank, low, high)
-        force, held = _force_of(bank.record, point.model, low, high, s)
+        force, dB = _force_of(bank.record, low, high, s)
         if np.any(force):
             forcing += bank.force_forcing(force)
-        if np.any(held):
-            forcing += bank.held_forcing(held)
+        if np.any(dB):
+            forcing += bank.held_forcing(bank.record.experiment.u, by=dB)
         columns.append(forcing / (2 * _NUDGE))
     return bank.errors(np.stack(columns)) if columns else _no_columns(bank)
 
@@ -186,9 +221,9 @@ def _timing_forcing(bank: FilterBank, low: DeclaredModel, high: DeclaredModel) -
 
 
 def _force_of(
-    record: TraceRecord, model: DeclaredModel, low: DeclaredModel, high: DeclaredModel, s: Signals
+    record: TraceRecord, low: DeclaredModel, high: DeclaredModel, s: Signals
 ) -> tuple[Array, Array]:
-    """Return the force (N, n) and the command (N, p) that two models differ by along a record."""
+    """Return the force (N, n) and the B (N or 1, n, p) that two models differ by along a record."""
     e = record.experiment
     schedule = (
         dict(e.schedule) if e.moving else {k: np.array([v.mean()]) for k, v in e.schedule.items()}
@@ -208,11 +243,7 @@ def _force_of(
             )
     if e.moving:
         force += upper.force - lower.force
-    dB = (upper.B - lower.B)[0]
-    held = np.zeros_like(e.u)
-    if np.any(dB):
-        held = e.u @ np.linalg.lstsq(model.over(schedule).B[0], dB, rcond=None)[0].T
-    return force, held
+    return force, upper.B - lower.B
 
 
 def _readings(here: Along) -> Array:

@@ -40,7 +40,15 @@ class RecordError:
 
 
 def record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
-    """Return the free-running error of a record, and what noise alone would leave."""
+    """Return the free-running error of a record, and what noise alone would leave.
+
+    Of a simulation that runs away they are not finite, and nobody is warned of it.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _record_error(point, record)
+
+
+def _record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
     run = free_run(point, record)
     e, places = record.experiment, record.places
     error = record.gap[run.counts_from :] - run.gap[run.counts_from :]

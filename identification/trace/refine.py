@@ -17,6 +17,7 @@ from .regression import Evidence, covariance, solve
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 Candidate = tuple[Effect, tuple[float, ...]]
 
 _STEPS = 16
@@ -45,13 +46,9 @@ def refine(
     train = gather(point, records.train(point, only=only))
     damping = 0.0
     for _ in range(steps):
-        gram = train.whole
-        own = np.arange(len(gram) - 1)
-        damped = gram.copy()
-        damped[own, own] *= 1 + damping
-        step = solve(damped, own) / train.size[:-1]
-        errors = np.sqrt(np.diag(covariance(gram, own))) / train.size[:-1]
-        small = float(np.max(np.abs(step) / errors)) if len(step) else 0.0
+        step, free = _step(point, train, damping)
+        errors = np.sqrt(np.diag(covariance(train.whole, free))) / train.size[free]
+        small = float(np.max(np.abs(step[free]) / errors, initial=0.0))
         if small < _CONVERGED:
             break
         moved = stepped(point, step)
@@ -85,12 +82,47 @@ def gather(point: WorkingPoint, records: Sequence[Linearised]) -> Evidence:
     return Evidence.gather(records, rows)
 
 
+def _step(point: WorkingPoint, train: Evidence, damping: float) -> tuple[Array, IntArray]:
+    """Return the step to the least squares, and the numbers that it moves.
+
+    What stands at its bound and would leave it stays there, and the others move as that asks; so
+    does what does nothing, as the shape of an effect of no size.
+    """
+    below, above = _room(point)
+    damped = train.whole.copy()
+    own = np.arange(len(below))
+    damped[own, own] *= 1 + damping
+    free: IntArray = np.flatnonzero(np.diag(train.whole)[:-1] > 0.0)
+    while True:
+        step = np.zeros(len(own))
+        step[free] = solve(damped, free) / train.size[free]
+        held = (step < 0.0) & (below <= 0.0) | (step > 0.0) & (above <= 0.0)
+        if not held.any():
+            return step, free
+        free = free[~held[free]]
+
+
+def _room(point: WorkingPoint) -> tuple[Array, Array]:
+    """Return how far each number of a step may go down and up: zero or less at its bound."""
+    p = point.parameters
+    below, above = [(point.values - p.low) / p.scale], [(p.high - point.values) / p.scale]
+    for one in point.placed:
+        quantities = (*one.effect.amplitudes, *one.effect.shape)
+        values = np.array([*one.amplitudes, *one.shape])
+        below.append(values - np.array([q.low for q in quantities]))
+        above.append(np.array([q.high for q in quantities]) - values)
+    return np.concatenate(below), np.concatenate(above)
+
+
 def _cost(evidence: Evidence) -> float:
     return float(evidence.whole[-1, -1])
 
 
 def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
-    """Return the working point after a step in [parameters over scale, amplitudes, shapes]."""
+    """Return the working point after a step in [parameters over scale, amplitudes, shapes].
+
+    Nothing leaves its bounds.
+    """
     p = point.parameters
     at, placed = len(p.names), []
     moved = np.clip(point.values + step[:at] * p.scale, p.low, p.high)
@@ -102,7 +134,13 @@ def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
             float(np.clip(value + _leash(move, value, q), q.low, q.high))
             for value, move, q in zip(one.shape, moves, one.effect.shape, strict=True)
         ]
-        placed.append(one.with_values(shape, np.add(one.amplitudes, step[at : at + a]).tolist()))
+        amplitudes = [
+            float(np.clip(value + move, q.low, q.high))
+            for value, move, q in zip(
+                one.amplitudes, step[at : at + a], one.effect.amplitudes, strict=True
+            )
+        ]
+        placed.append(one.with_values(shape, amplitudes))
         at += a + k
     return replace(point, model=point.model.with_values(values), placed=tuple(placed))
 

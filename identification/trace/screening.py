@@ -130,28 +130,37 @@ def screened(
     """
     own = len(point.parameters.names) + sum(width(p) for p in point.placed)
     gained = gains(train)
-    in_order = sorted(range(len(candidates)), key=lambda i: -float(gained[i].sum()))
+    total = [gain if np.isfinite(gain) else -np.inf for gain in (float(g.sum()) for g in gained)]
+    in_order = sorted(range(len(candidates)), key=lambda i: -total[i])
 
     def fitted(i: int) -> Array | None:
-        joined = train.joined(i)
+        if not np.isfinite(total[i]):
+            return None
+        effect, joined = candidates[i][0], train.joined(i)
         columns = list(range(len(joined.size) - 1))
         coefficients = solve(joined.whole, columns) / joined.size[:-1]
-        quantities = zip(coefficients[own:], candidates[i][0].amplitudes, strict=True)
-        # A friction that drives is none.
-        return coefficients if all(q.low <= value <= q.high for value, q in quantities) else None
+        # A friction that drives is none. Too much of an effect may be the right one of another
+        # shape: the fit will tell.
+        values = list(zip(coefficients[own:], effect.amplitudes, strict=True))
+        right = all(q.low <= value and (effect.shape or value <= q.high) for value, q in values)
+        return coefficients if right else None
 
     def tried(i: int, coefficients: Array, chance: float, asked: bool) -> Tried:
-        gain, amplitudes = float(gained[i].sum()), tuple(coefficients[own:].tolist())
-        return Tried(*candidates[i], gain, gained[i], amplitudes, chance, asked)
+        effect = candidates[i][0]
+        amplitudes = tuple(
+            float(np.clip(value, q.low, q.high))
+            for value, q in zip(coefficients[own:], effect.amplitudes, strict=True)
+        )
+        return Tried(*candidates[i], total[i], gained[i], amplitudes, chance, asked)
 
     ranked: list[tuple[int, Array]] = []
     seen: set[str] = set()
     for i in in_order:
         identity = candidates[i][0].identity
         if identity not in seen and len(ranked) < _MOST_RANKED:
-            seen.add(identity)
             coefficients = fitted(i)
             if coefficients is not None:
+                seen.add(identity)
                 ranked.append((i, coefficients))
     others = gather(point, records.held(point, [candidates[i] for i, _ in ranked]))
     ranking = [
@@ -168,7 +177,7 @@ def screened(
             for i in in_order
             if candidates[i][0].identity == best.effect.identity
             and candidates[i][1] != best.shape
-            and float(gained[i].sum()) > _VALLEY * best.gain
+            and total[i] > _VALLEY * best.gain
         ][:_MOST_VALLEYS]
         # Others are asked about these where one of them is fitted and taken.
         for i in rows:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.effects.base import Effect
+from ..data import IdentificationError
 from .giving_up import taken_instead, without_guesses, without_idle, without_stand_in
 from .refine import gather, refine
 from .regression import Evidence, covariance
@@ -69,6 +70,12 @@ def search(
     free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped.
     """
     error = records.held_error(point)
+    if not np.isfinite(error.floor) or np.isnan(error.squares):
+        raise IdentificationError(
+            "expected a model that can be simulated freely over the records held out, since by "
+            f"that effects are judged, found one that runs away (error {error.squares:.3g}, of "
+            f"noise alone {error.floor:.3g}): an unstable plant has to be traced in its loop"
+        )
     point, error, rounds = _grown(point, effects, _MOST_EFFECTS, 0.0, error, records, progress)
     if point.disturbance.measured and error.squares > _MUCH * error.floor:
         named = point
@@ -129,12 +136,13 @@ def _grown(
         aside = is_internal(taken.effect) and after.squares < (1.0 + _LOWERS) * error.squares
         aside = aside or abs(after.squares - error.squares) < _SAME * error.squares
         agrees = taken.chance > (BEYOND_CHANCE if taken.held else ALONE)
-        if agrees and squares < train.squares and (helps or aside):
+        stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
+        barred.add(taken.effect.identity)
+        if agrees and stays and squares < train.squares and (helps or aside):
             point, error = better, after
             barred |= {p.effect.identity for p in point.placed}
         else:
             found, stood_in = replace(found, taken=None), None
-            barred.add(taken.effect.identity)
             refused += 1
         if stood_in is None:
             rounds.append(found)

@@ -187,11 +187,11 @@ def _begin(
     places = train[0].places
     covered = extent([*train, *held])
     if overlapping:
-        declared_effects = placed_effects(config.effects, places)
+        declared_effects = placed_effects(config.effects, places, covered)
         require_timeless(declared_effects, places, covered, overlapping)
     progress("fitting the declared model", 0.05)
     parts = _parts(train)
-    point = _start(config, parts, list(records.values()))
+    point = _start(config, parts, list(records.values()), covered)
     logged = _Logged(workers, sources(train), sources(held), tuple(parts))
     names = tuple(r.name for r in train), tuple(r.name for r in held)
     del records, train, held  # workers read them anew
@@ -272,7 +272,10 @@ def _visible(effects: Sequence[Effect], places: Places) -> list[Effect]:
 
 
 def _start(
-    config: ModelConfig, parts: Sequence[TraceRecord], records: Sequence[TraceRecord]
+    config: ModelConfig,
+    parts: Sequence[TraceRecord],
+    records: Sequence[TraceRecord],
+    covered: Extent,
 ) -> WorkingPoint:
     """Return a working point near the declared model's best, from parts of some records.
 
@@ -285,7 +288,7 @@ def _start(
     else:
         fit = fit_model(config, [r.experiment for r in parts])
         model, noise = fit.model, disturbance(fit.model, records, fit.noise)
-    placed = placed_effects(config.effects, records[0].places)
+    placed = placed_effects(config.effects, records[0].places, covered)
     point = WorkingPoint(model, parameters, placed, noise, config.input)
 
     for louder in _LOUDER if noise.measured else ():

@@ -248,6 +248,26 @@ def total(terms: Sequence[Term]) -> Term:
     return Term(*sums)
 
 
+def resolved(effects: Sequence[Effect], fastest_hz: float) -> list[Effect]:
+    """Return effects with their resonances looked for up to a frequency, without those beyond it.
+
+    Above about half of the rate of sampling a resonance looks like one below.
+    """
+    return [one for effect in effects if (one := _resolved(effect, fastest_hz)) is not None]
+
+
+def _resolved(effect: Effect, fastest_hz: float) -> Effect | None:
+    at = next((i for i, q in enumerate(effect.shape) if q.unit == "Hz" and q.log), None)
+    if at is None or effect.shape[at].high <= fastest_hz:
+        return effect
+    grid = tuple(row for row in effect.grid if row[at] < fastest_hz)
+    if not grid:
+        return None
+    shape = list(effect.shape)
+    shape[at] = replace(shape[at], high=fastest_hz)
+    return replace(effect, shape=tuple(shape), grid=grid)
+
+
 def on_dof(signals: Signals, index: int, values: Array) -> Term:
     """Return a term of a generalised force (N,) on one DOF."""
     force = np.zeros((signals.rows, len(signals.places.dof)))

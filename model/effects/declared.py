@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 from ..declared import ModelError
-from .base import Effect, Placed, Places
+from .base import Effect, Placed, Places, Quantity
+from .extent import Extent
 from .freeform import freeform_effect
 from .table import all_effects
 from .vibration import tone
@@ -38,15 +41,22 @@ class DeclaredEffect(Protocol):
     def parameters(self) -> Mapping[str, DeclaredValue]: ...  # noqa: D102
 
 
-def placed_effects(declared: Sequence[DeclaredEffect], places: Places) -> tuple[Placed, ...]:
+def placed_effects(
+    declared: Sequence[DeclaredEffect], places: Places, extent: Extent | None = None
+) -> tuple[Placed, ...]:
     """Return the effects of a model file at the places of a plant, in order.
+
+    `extent`: what records cover, by which shapes may be fitted anew; those of the file are within
+    the bounds in any case.
 
     Raises ModelError: an effect or a place that the table does not have, one given twice, a
     parameter that is missing, too many, or in another unit. It names the entry.
     """
     if not declared:
         return ()
-    table = {e.identity: e for e in all_effects(places)}
+    # A file may name a resonance that these records are too slow for.
+    covered = replace(extent or Extent.typical(places), fastest_hz=math.inf)
+    table = {e.identity: e for e in all_effects(places, covered)}
     for entry in declared:
         found = _TONE.fullmatch(entry.effect)
         if found is not None:
@@ -82,12 +92,17 @@ def _placed(entry: DeclaredEffect, table: Mapping[str, Effect], where: str) -> P
                 f"found '{given[name].unit}'"
             )
     errors = {name: given[name].se for name in quantities}
+    within = tuple(_wide_enough(q, given[q.name].value) for q in effect.shape)
     return Placed(
-        effect,
+        replace(effect, shape=within),
         tuple(given[q.name].value for q in effect.shape),
         tuple(given[q.name].value for q in effect.amplitudes),
         {name: error for name, error in errors.items() if error is not None},
     )
+
+
+def _wide_enough(quantity: Quantity, value: float) -> Quantity:
+    return replace(quantity, low=min(quantity.low, value), high=max(quantity.high, value))
 
 
 def _unknown(entry: DeclaredEffect, table: Mapping[str, Effect]) -> str:

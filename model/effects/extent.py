@@ -17,6 +17,8 @@ _TYPICAL_GAP = 3e-4
 _TYPICAL_HZ = 5.0
 _TYPICAL_COMMAND = 12.0
 _TYPICAL_BEAM_M = 0.2
+_RESOLVED = 0.4
+"""Of the rate of sampling."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,9 @@ class Extent:
     record. gap: how far a single sensor moves. command: the largest of a single actuator. beam_m:
     the length that the beam travels. spans_s: begin and end of each record, in the session's time.
     standing: sensors whose readings stand still now and then while the platform moves.
-    tones_hz: frequencies of the lines that are looked for.
+    tones_hz: frequencies of the lines that are looked for. middle (n,), beam_middle_m: what each
+    DOF and the beam move about, to a tenth of their motion. fastest_hz: up to where the slowest
+    sampling tells resonances from their aliases.
     """
 
     reach: tuple[float, ...]
@@ -38,6 +42,13 @@ class Extent:
     spans_s: tuple[tuple[float, float], ...] = ()
     tones_hz: tuple[float, ...] = MAINS_HZ
     standing: tuple[int, ...] = ()
+    middle: tuple[float, ...] = ()
+    beam_middle_m: float = 0.0
+    fastest_hz: float = math.inf
+
+    def around(self, dof: int) -> float:
+        """Return what a DOF moves about."""
+        return self.middle[dof] if self.middle else 0.0
 
     @classmethod
     def typical(cls, places: Places) -> Extent:
@@ -54,16 +65,30 @@ class Extent:
     def measured(cls, records: Sequence[Signals], tones_hz: tuple[float, ...] = MAINS_HZ) -> Extent:
         """Return what records cover; tones_hz as found in them."""
         shape = records[0].places.sensor_shape
+        reach = _liveliest([r.q for r in records])
+        places = np.concatenate([r.q for r in records]).mean(axis=0).tolist()
+        beam = [float(edge([edge(r.x_b_m) for r in records])) for edge in (np.min, np.max)]
         return cls(
-            _liveliest([r.q for r in records]),
+            reach,
             _liveliest([r.qd for r in records]),
             max(_liveliest([r.q @ shape.T for r in records])),
-            max(float(np.abs(r.coil).max()) for r in records),
-            max(float(r.x_b_m.max()) for r in records) - min(float(r.x_b_m.min()) for r in records),
+            # Nothing was commanded: any size will do, and is laid out like a rig's.
+            max(float(np.abs(r.coil).max()) for r in records) or _TYPICAL_COMMAND,
+            beam[1] - beam[0],
             tuple((float(r.time_s[0]), float(r.time_s[-1])) for r in records),
             tones_hz,
             _standing(records),
+            tuple(_rounded(place, size) for place, size in zip(places, reach, strict=True)),
+            _rounded(0.5 * (beam[0] + beam[1]), 0.5 * (beam[1] - beam[0])),
+            _RESOLVED / max(r.Ts_s for r in records),
         )
+
+
+def _rounded(middle: float, size: float) -> float:
+    """Return a middle to a tenth of the motion about it, three digits: as it stands in a key."""
+    if size <= 0.0:
+        return 0.0
+    return float(f"{round(middle / (0.1 * size)) * 0.1 * size:.3g}")
 
 
 def _standing(records: Sequence[Signals]) -> tuple[int, ...]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from .answers import answer, answered, answers
-from .base import Effect, Places, Quantity, Signals, Term, on_dof, on_sensor
+from .base import Effect, Places, Quantity, Signals, Term, on_dof, on_sensor, resolved
 from .extent import Extent
 
 Array = NDArray[np.float64]
@@ -42,8 +42,8 @@ _TURN = "phi"
 class Form:
     """`factor` times a function of `by`; without a factor, the function alone.
 
-    Signals are in the words of the key, each with what it is measured by; time is counted from the
-    middle of the records.
+    Signals are in the words of the key, each with what it is measured by, `middle` +- `scale`; time
+    is always counted from the middle of the records.
     """
 
     by: str
@@ -56,8 +56,8 @@ class Form:
     def key(self) -> str:
         """The name in a model file, which says all that there is to know."""
         by = self.by if self.by == _TURN else f"{self.by}[{self.scale:g}]"
-        if self.by == _TIME:
-            by = f"{_TIME}[{self.middle:g}+-{self.scale:g}]"
+        if self.by == _TIME or self.middle:
+            by = f"{self.by}[{self.middle:g}+-{self.scale:g}]"
         return f"unknown.{self.factor}[{self.unit:g}]*{by}" if self.factor else f"unknown.{by}"
 
     @classmethod
@@ -66,7 +66,7 @@ class Form:
         found = _KEY.fullmatch(key)
         if found is None or (found["scale"] is None) != (found["by"] == _TURN):
             return None
-        if (found["middle"] is None) != (found["by"] != _TIME):
+        if found["by"] == _TIME and found["middle"] is None:
             return None
         try:
             scale, unit = float(found["scale"] or 1.0), float(found["unit"] or 1.0)
@@ -115,20 +115,14 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
     n = len(places.dof)
     found = []
     for i in range(n):
-        forms = [
-            Form(by, _scale(places, extent, by), middle=_middle(places, by))
-            for by in _signals(places)
-        ]
-        forms += [
-            Form(by, _scale(places, extent, by), factor, _scale(places, extent, factor))
-            for factor, by in _products(places)
-        ]
+        forms = [_form(places, extent, by) for by in _signals(places)]
+        forms += [_form(places, extent, by, factor) for factor, by in _products(places)]
         found += [_effect(places, places.dof[i], form) for form in forms]
     if places.beam:
         # What a reading depends on beside the height under it: what passes by, and what turns.
-        for form in (Form("x_b", _scale(places, extent, "x_b")), Form(_TURN, 1.0)):
+        for form in (_form(places, extent, "x_b"), Form(_TURN, 1.0)):
             found += [_effect(places, f"sensor:{s}", form) for s in range(places.sensors)]
-    return found + answers(places)
+    return resolved([*found, *answers(places)], extent.fastest_hz)
 
 
 def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
@@ -259,6 +253,15 @@ def _scale(places: Places, extent: Extent, word: str) -> float:
     return float(f"{scale:.3g}")
 
 
-def _middle(places: Places, word: str) -> float:
-    """Return where a signal is counted from, to six digits, as it stands in the key."""
+def _middle(places: Places, extent: Extent, word: str) -> float:
+    """Return where a signal is counted from, as it stands in the key."""
+    if word in places.dof:
+        return extent.around(places.dof.index(word))
+    if word == "x_b":
+        return extent.beam_middle_m
     return float(f"{0.5 * sum(places.span_s):g}") if word == _TIME else 0.0
+
+
+def _form(places: Places, extent: Extent, by: str, factor: str = "") -> Form:
+    scale, middle = _scale(places, extent, by), _middle(places, extent, by)
+    return Form(by, scale, factor, _scale(places, extent, factor) if factor else 1.0, middle)

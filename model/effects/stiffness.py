@@ -48,7 +48,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     told_apart_by="two amplitudes of excitation, and the beam at several places",
                 )
             )
-        reach = _WIDE * extent.reach[i]
+        reach, middle = _WIDE * extent.reach[i], extent.around(i)
         found.append(
             Effect(
                 f"{effect_class}.one_sided",
@@ -58,8 +58,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "force = -k (q - q0) where q > q0, else 0",
                 (Quantity("k", f"{force}/{unit}"),),
                 partial(_one_sided, dof=i),
-                (Quantity("q0", unit, -reach, reach),),
-                tuple((share * reach,) for share in _CONTACTS),
+                (Quantity("q0", unit, middle - reach, middle + reach),),
+                tuple((middle + share * reach,) for share in _CONTACTS),
                 absorbed_by=_LINEAR,
                 told_apart_by="two amplitudes of excitation: the kink stays where it is",
             )

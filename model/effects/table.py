@@ -21,7 +21,7 @@ from . import (
     stiffness,
     vibration,
 )
-from .base import Effect, Places
+from .base import Effect, Places, resolved
 from .extent import Extent
 
 
@@ -32,7 +32,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
     by what the rig is built for.
     """
     covered = Extent.typical(places) if extent is None else extent
-    found = [
+    found: list[Effect] = [
         *stiffness.effects(places, covered),
         *damping.effects(places),
         *friction.effects(places, covered),
@@ -50,6 +50,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *sensor_static.effects(places, covered),
         *sensor_dynamic.effects(places, covered),
     ]
+    found = resolved(found, covered.fastest_hz)
     for f_hz in covered.tones_hz:
         found += vibration.tone(places, f_hz)
     return tuple(found)

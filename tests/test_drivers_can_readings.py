@@ -16,8 +16,9 @@ from levid.drivers.base import LinkError
 from levid.drivers.can.devices import CanAmplifiers
 from levid.drivers.can.link import CanLink
 from levid.drivers.can.readings import Readings
-from levid.wire.can_bus import Frame, open_bus
+from levid.wire.can_bus import open_bus
 from levid.wire.can_frames import load_frames
+from levid.wire.kernel_frame import Frame
 
 CONFIG = CanBus(interface="virtual", channel="readings", data_bitrate=5_000_000, stale_cycles=2)
 

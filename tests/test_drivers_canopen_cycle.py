@@ -17,7 +17,6 @@ from levid.drivers.can.drives import CanDrives
 from levid.drivers.can.link import CanLink
 from levid.drivers.watch import Watch
 from levid.log.signals import Stale
-from levid.wire.can_bus import Frame
 from levid.wire.cia402 import (
     ENABLE_OPERATION,
     HEARTBEAT_ID,
@@ -31,6 +30,7 @@ from levid.wire.cia402 import (
     DriveStates,
     Node,
 )
+from levid.wire.kernel_frame import Frame
 
 OPERATING = DriveStates.OPERATION_ENABLED.value[1]
 FAULT = DriveStates.FAULT.value[1]

@@ -15,9 +15,9 @@ from levid.sim.electronics.can_bus import CanElectronics
 from levid.sim.electronics.core import Core
 from levid.sim.electronics.rig import Electronics
 from levid.sim.electronics.serial_port import SerialElectronics
-from levid.wire.can_bus import Frame
 from levid.wire.can_frames import load_frames
 from levid.wire.device import AMPLIFIER_LIMITS, AmplifierState, Parameter, Request, response
+from levid.wire.kernel_frame import Frame
 from levid.wire.serial_frames import SerialFrames
 
 RATE_HZ = 50.0

@@ -15,7 +15,7 @@ from pathlib import Path
 import can
 import pytest
 
-from levid.wire.can_bus import SO_TIMESTAMPNS, kernel_stamp_s
+from levid.wire.kernel_frame import SO_TIMESTAMPNS, kernel_stamp_s
 from levid.wire.local_bus import LocalBus, LocalFrames
 
 WAIT_S = 30.0

@@ -23,7 +23,7 @@ from typing import Any
 
 import can
 
-from .can_bus import (
+from .kernel_frame import (
     FRAME_SIZES,
     OTHER,
     SO_TIMESTAMPNS,

@@ -7,7 +7,8 @@ from time import perf_counter
 from typing import NoReturn
 
 from ...config.buses import CanBus
-from ...wire.can_bus import BusOffError, FrameBus, age_s, open_bus
+from ...wire.can_bus import FrameBus, age_s, open_bus
+from ...wire.kernel_frame import BusOffError
 from ..base import DriverError, LinkError
 from ..claim import Claim
 

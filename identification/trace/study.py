@@ -1,4 +1,4 @@
-"""A trace from end to end: logs to a model with effects, judged on records that nothing was fitted to."""
+"""A trace from end to end: logs to a model with effects, judged on records that fitted nothing."""
 
 from __future__ import annotations
 

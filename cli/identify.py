@@ -149,7 +149,7 @@ def words(found: Study) -> list[str]:
 
 
 def _multisine(blas: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a line a position: how many lines, and whether outputs are distorted.
+    """Return a line a position and level: how many lines, and whether outputs are distorted.
 
     One of so many tests passes its bound by chance; the report asks as much of them.
     """
@@ -158,11 +158,13 @@ def _multisine(blas: Sequence[dict[str, Any]]) -> list[str]:
     p_values = [[p for p in bla["tests"]["distortion"]["p_value"] if p is not None] for bla in blas]
     tests = max(sum(map(len, p_values)), 1)
     said = []
-    for bla, own in zip(blas, p_values, strict=True):
+    places = [_where(bla["beam_m"]) for bla in blas]
+    for bla, own, place in zip(blas, p_values, places, strict=True):
         told = "found" if own and min(own) * tests < SIGNIFICANT else "not found"
         if not own:
             told = "not told by one realisation"
-        said.append(f"{_where(bla['beam_m'])}: multisine, {bla['lines']} lines, distortion {told}")
+        of = f" of {', '.join(bla['records'])}" if places.count(place) > 1 else ""
+        said.append(f"{place}: multisine{of}, {bla['lines']} lines, distortion {told}")
     return said
 
 

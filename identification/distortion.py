@@ -10,6 +10,7 @@ from scipy import interpolate, stats
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,9 @@ class ExcessTest:
 class DetectionLines:
     """Output at lines that were not excited, less what the plant's input brings there.
 
-    `level` and `noise` (K, m) in the outputs' units: rms over E experiments of the line's rms, and
-    what noise alone leaves of it on average. Without distortion level^2 / noise^2 is distributed
-    as F with 2 E and 2 `noise_freedom` degrees of freedom.
+    `level` and `noise` (K, m) in the outputs' units: rms of the line's rms over `experiments` that
+    differ, and what noise alone leaves of it on average. Without distortion level^2 / noise^2 is
+    distributed as F with 2 `experiments` and 2 `noise_freedom` degrees of freedom.
     """
 
     freq_hz: Array
@@ -46,34 +47,49 @@ class DetectionLines:
 
 
 def detection_lines(
-    freq_hz: Array, excited_hz: Array, H: Complex, U: Complex, Y: Complex
+    freq_hz: Array, excited_hz: Array, H: Complex, U: Complex, Y: Complex, same: Index
 ) -> DetectionLines:
     """Return the levels at freq_hz (K,), between lines excited_hz (F,) where the plant is H.
 
-    U (E, P, K, p) and Y (E, P, K, m) are the spectra of every period there. Feedback turns a
-    distorted output into an input of the plant, the answer to which, by H interpolated, is taken
-    off again (Pintelon and Schoukens 2012, chapter 4).
+    U (E, P, K, p) and Y (E, P, K, m) are the spectra of every period there, `same` (E,) as in
+    mean_over_periods. Feedback turns a distorted output into an input of the plant, the answer to
+    which, by H interpolated, is taken off again (Pintelon and Schoukens 2012, chapter 4).
     """
     m = H.shape[1]
     if not freq_hz.size:
         nothing = np.zeros((0, m))
-        return DetectionLines(freq_hz, nothing, nothing, len(Y), 0)
+        return DetectionLines(freq_hz, nothing, nothing, len(np.unique(same)), 0)
     between = interpolate.make_interp_spline(excited_hz, H, k=min(3, len(excited_hz) - 1))
     left = Y - np.einsum("kij,epkj->epki", between(freq_hz), U)
-    level = np.mean(np.abs(left.mean(axis=1)) ** 2, axis=0)
-    noise = np.einsum("kii->ki", noise_of_mean(left)).real
-    freedom = Y.shape[0] * (Y.shape[1] - 1)
-    return DetectionLines(freq_hz, np.sqrt(level), np.sqrt(noise), len(Y), freedom)
+    means = mean_over_periods(left, same)
+    level = np.mean(np.abs(means) ** 2, axis=0)
+    noise = np.einsum("kii->ki", noise_of_mean(left, same)).real
+    freedom = Y.shape[0] * Y.shape[1] - len(means)
+    return DetectionLines(freq_hz, np.sqrt(level), np.sqrt(noise), len(means), freedom)
 
 
-def noise_of_mean(X: Complex) -> Complex:
-    """Return the covariance (K, m, m) of the mean over periods of X (E, P, K, m), from its scatter.
+def mean_over_periods(X: Complex, same: Index) -> Complex:
+    """Return the means (D, ...) over all periods of X (E, P, ...) that played the same.
 
-    It has E (P - 1) complex degrees of freedom.
+    `same` (E,) numbers the D experiments that differ from 0 on: those of one number repeat one
+    another, and all their periods are periods of one experiment.
+    """
+    means = np.zeros((int(same.max()) + 1, *X.shape[2:]), complex)
+    np.add.at(means, same, X.mean(axis=1))
+    return np.asarray(means / np.bincount(same).reshape(-1, *[1] * (X.ndim - 2)))
+
+
+def noise_of_mean(X: Complex, same: Index) -> Complex:
+    """Return the covariance (K, m, m) of mean_over_periods of X (E, P, K, m), from X's scatter.
+
+    It has E P - D complex degrees of freedom. Where some experiments were repeated more often than
+    others it is the average over the D means.
     """
     E, P = X.shape[:2]
-    scatter = X - X.mean(axis=1, keepdims=True)
-    return np.asarray(np.einsum("epki,epkj->kij", scatter, scatter.conj()) / (E * (P - 1) * P))
+    repeats = np.bincount(same)
+    scatter = X - mean_over_periods(X, same)[same][:, None]
+    of_period = np.einsum("epki,epkj->kij", scatter, scatter.conj()) / (E * P - len(repeats))
+    return np.asarray(of_period * np.mean(1.0 / (P * repeats)))
 
 
 def transient_test(X: Complex) -> ExcessTest:
@@ -83,7 +99,7 @@ def transient_test(X: Complex) -> ExcessTest:
     power = np.mean(np.abs(first) ** 2, axis=0) / P  # of noise alone: as much as a mean of P - 1
     if P < 3:
         return excess(power, power, E, 0)
-    noise = np.einsum("kii->ki", noise_of_mean(X[:, 1:])).real
+    noise = np.einsum("kii->ki", noise_of_mean(X[:, 1:], np.arange(E))).real
     return excess(power, noise, E, E * (P - 2))
 
 

@@ -15,6 +15,7 @@ from .distortion import (
     ExcessTest,
     detection_lines,
     excess,
+    mean_over_periods,
     noise_of_mean,
     transient_test,
 )
@@ -24,6 +25,7 @@ from .results import Signals
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 EXCITED = 1e-6
 """A line is excited when its power is at least this share of the strongest line's."""
@@ -31,6 +33,18 @@ ALIKE = 1e8
 """Condition number of the inputs' powers above which they cannot be told apart."""
 TRANSIENT_P = 1e-6
 """A first period as different as this by chance still holds a transient."""
+REPEATED = 0.1
+"""Largest rms difference, relative to its own, of excitations that are one and the same.
+
+Independent phases differ by sqrt(2); commands held over skipped cycles, seen at the excited lines
+and averaged over periods, by some percent.
+"""
+SAME_LEVEL = 0.05
+"""Largest difference of an input's rms, relative to its own, within one level.
+
+Distortion grows with powers of the level: that of a cubic plant then differs by 10 %, which a few
+realisations do not tell.
+"""
 
 
 @dataclass(frozen=True)
@@ -42,7 +56,8 @@ class BestLinearApproximation:
     `noise_covariance` is the noise's part, from the scatter over periods, with `noise_freedom`.
     `distortion_variance` (F, m, p), at least 0, is what distortion adds to the variance of one
     realisation's estimate; it tells of the plant at this amplitude, not of how long was measured.
-    With one realisation all errors are taken for noise, and the distortion is nan.
+    With one realisation, be it flown several times, all errors are taken for noise, and the
+    distortion is nan.
 
     For plots, rms of each line in the outputs' units (F, m): `output_level` of one experiment,
     `total_level` of what H leaves of it, `noise_level` of what noise alone leaves.
@@ -111,20 +126,24 @@ def best_linear_approximation(records: Sequence[PeriodicRecord]) -> BestLinearAp
     does not bias (Pintelon and Schoukens 2012, chapters 3 and 4). What P leaves, Y - P U, scatters
     over periods with the noise alone and over experiments with noise and distortion; both variances
     of P follow to first order. As noise and distortion of all experiments are uncorrelated, all R p
-    of them together give (R - 1) p degrees of freedom.
+    of them together give (R - 1) p degrees of freedom. Experiments that played the same, as when a
+    session is flown twice, have the same distortion: they are further periods of one.
 
-    Raises IdentificationError for records that do not fit together, inputs that are not all
-    excited at the same lines, and lines at which inputs cannot be told apart.
+    Raises IdentificationError for records that do not fit together (sampling, periods, signals,
+    position, level), inputs that are not all excited at the same lines, and lines at which inputs
+    cannot be told apart.
     """
     _check_alike(records)
     first = records[0]
     spectra = _Spectra.of(records)
     excited = spectra.excited()
-    E, P, K, p = spectra.V.shape
+    flown, P, K, p = spectra.V.shape
+    same = _numbered(spectra.V[:, :, excited].mean(axis=1))
     V, U, Y = (
-        X[:, :, excited].mean(axis=1).transpose(1, 2, 0)  # (F, n, E)
+        mean_over_periods(X[:, :, excited], same).transpose(1, 2, 0)  # (F, n, E)
         for X in (spectra.V, spectra.U, spectra.Y)
     )
+    E = V.shape[2]
     inverse = _right_inverse(V)
     shares = inverse @ np.linalg.inv(U @ inverse)  # dP = sum over e of (Y - P U)[:, e] shares[e]
     H = Y @ shares
@@ -134,8 +153,10 @@ def best_linear_approximation(records: Sequence[PeriodicRecord]) -> BestLinearAp
     left = Y - H @ U
     answer = np.einsum("fij,epfj->epfi", H, spectra.U[:, :, excited])
     of_period = spectra.Y[:, :, excited] - answer
-    noise = noise_of_mean(of_period)
-    freedom, noise_freedom = E - p, E * (P - 1)
+    noise = noise_of_mean(of_period, same)
+    often = 1.0 / np.bincount(same)  # noise of an experiment's mean, relative to one flown once
+    noise_weight = np.einsum("fej,fel,e->fjl", shares, shares.conj(), often / often.mean())
+    freedom, noise_freedom = E - p, flown * P - E
     if freedom:
         total = np.einsum("fie,fke->fik", left, left.conj()) / freedom
         distortion = np.maximum(_diagonal(total) - _diagonal(noise), 0.0)
@@ -143,12 +164,12 @@ def best_linear_approximation(records: Sequence[PeriodicRecord]) -> BestLinearAp
         total, freedom = noise, noise_freedom
         distortion = np.full(noise.shape[:2], np.nan)
     lines, f0 = np.arange(1, K + 1), 1.0 / (first.v.shape[2] * first.Ts_s)
-    even, odd = _detection(lines, excited, H, spectra, f0)
+    even, odd = _detection(lines, excited, H, spectra, same, f0)
     return BestLinearApproximation(
         freq_hz=lines[excited] * f0,
         H=H,
         covariance=np.einsum("fik,fjl->fijkl", total, weight),
-        noise_covariance=np.einsum("fik,fjl->fijkl", noise, weight),
+        noise_covariance=np.einsum("fik,fjl->fijkl", noise, noise_weight),
         distortion_variance=distortion[:, :, None] * one_realisation[:, None, :],
         freedom=freedom,
         noise_freedom=noise_freedom,
@@ -164,14 +185,16 @@ def best_linear_approximation(records: Sequence[PeriodicRecord]) -> BestLinearAp
         output_units=first.output_units,
         beam_m=first.beam_m,
         records=tuple(r.name for r in records),
-        remarks=_remarks(records, transient_test(of_period)),
+        remarks=_remarks(records, flown - E, transient_test(of_period)),
     )
 
 
 def at_every_position(records: Sequence[PeriodicRecord]) -> tuple[BestLinearApproximation, ...]:
     """Return the best linear approximation at each beam position (within 1 mm), ascending.
 
-    Raises IdentificationError, which names the position.
+    At one position there is one for every level of the excitation, in the order of the records: a
+    nonlinear plant has another one at another level. Raises IdentificationError, which names the
+    position.
     """
     groups: list[list[PeriodicRecord]] = []
     for record in sorted(records, key=lambda r: r.beam_m or 0.0):
@@ -180,7 +203,7 @@ def at_every_position(records: Sequence[PeriodicRecord]) -> tuple[BestLinearAppr
         else:
             groups.append([record])
     found = []
-    for group in groups:
+    for group in (level for position in groups for level in _by_level(position)):
         try:
             found.append(best_linear_approximation(group))
         except IdentificationError as error:
@@ -260,23 +283,73 @@ def _right_inverse(V: Complex) -> Complex:
     return np.asarray(across @ np.linalg.inv(power))
 
 
+def _numbered(V: Complex) -> Index:
+    """Return (E,): the number, from 0 on, of what each experiment of V (E, F, p) plays."""
+    first: list[Complex] = []
+    numbers = []
+    for v in V:
+        size = np.sqrt(np.mean(np.abs(v) ** 2, axis=0))
+        apart = [np.sqrt(np.mean(np.abs(v - other) ** 2, axis=0)) for other in first]
+        same = [number for number, a in enumerate(apart) if np.all(a <= REPEATED * size)]
+        if not same:
+            same = [len(first)]
+            first.append(v)
+        numbers.append(same[0])
+    return np.array(numbers, dtype=np.intp)
+
+
+def _level(record: PeriodicRecord) -> Array:
+    """Return the rms (p,) of every input."""
+    return np.asarray(np.sqrt(np.mean(record.v**2, axis=(0, 1, 2))))
+
+
+def _same_level(one: PeriodicRecord, other: PeriodicRecord) -> bool:
+    a, b = _level(one), _level(other)
+    return a.shape != b.shape or bool(np.all(np.abs(a - b) <= SAME_LEVEL * np.maximum(a, b)))
+
+
+def _by_level(records: Sequence[PeriodicRecord]) -> list[list[PeriodicRecord]]:
+    groups: list[list[PeriodicRecord]] = []
+    for record in records:
+        fitting = (group for group in groups if _same_level(group[0], record))
+        group = next(fitting, None)
+        if group is None:
+            groups.append([record])
+        else:
+            group.append(record)
+    return groups
+
+
 def _detection(
-    lines: NDArray[np.int_], excited: NDArray[np.bool_], H: Complex, spectra: _Spectra, f0: float
+    lines: NDArray[np.int_],
+    excited: NDArray[np.bool_],
+    H: Complex,
+    spectra: _Spectra,
+    same: Index,
+    f0: float,
 ) -> tuple[DetectionLines, DetectionLines]:
     """Return what even and odd lines between excited ones show."""
     freq_hz = np.asarray(lines * f0, dtype=np.float64)
     inside = ~excited & (lines >= lines[excited][0])
     even, odd = (
         detection_lines(
-            freq_hz[part], freq_hz[excited], H, spectra.U[:, :, part], spectra.Y[:, :, part]
+            freq_hz[part], freq_hz[excited], H, spectra.U[:, :, part], spectra.Y[:, :, part], same
         )
         for part in (inside & (lines % 2 == 0), inside & (lines % 2 == 1))
     )
     return even, odd
 
 
-def _remarks(records: Sequence[PeriodicRecord], transient: ExcessTest) -> tuple[str, ...]:
+def _remarks(
+    records: Sequence[PeriodicRecord], repeats: int, transient: ExcessTest
+) -> tuple[str, ...]:
     found = [f"{r.name}: {text}" for r in records for text in r.remarks]
+    if repeats:
+        experiments = sum(len(r.v) for r in records)
+        found.append(
+            f"{repeats} of {experiments} experiments play what others have played: they count as "
+            "further periods, not as further realisations"
+        )
     if np.any(transient.p_value < TRANSIENT_P):
         found.append(
             "the first period that is used still holds a transient of the experiment before, which "
@@ -311,6 +384,12 @@ def _check_alike(records: Sequence[PeriodicRecord]) -> None:
             raise IdentificationError(
                 f"expected records of one position, found {describe_position(first.beam_m)} in "
                 f"'{first.name}' and {describe_position(other.beam_m)} in '{other.name}'"
+            )
+        if not _same_level(first, other):
+            ours, theirs = (", ".join(f"{x:.3g}" for x in _level(r)) for r in (first, other))
+            raise IdentificationError(
+                f"expected one level of every input, found rms {ours} in '{first.name}' and "
+                f"{theirs} in '{other.name}'"
             )
 
 

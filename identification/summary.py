@@ -199,6 +199,7 @@ def _multisine(bla: BestLinearApproximation) -> dict[str, Any]:
     tests = {"distortion": bla.test(), "even": bla.even.test(), "odd": bla.odd.test()}
     return {
         "beam_m": bla.beam_m,
+        "records": bla.records,
         "lines": len(bla.freq_hz),
         "tests": {name: {"ratio": t.ratio, "p_value": t.p_value} for name, t in tests.items()},
         "remarks": bla.remarks,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..identification.data import SAME_BEAM_M
 from ..identification.distortion import ExcessTest
 from ..identification.multisine import BestLinearApproximation
 from .bode import bode_magnitude, bode_phase
@@ -65,7 +66,7 @@ def multisine_report(
     """Collect the curves of approximations at one or more positions."""
     blas = sorted(blas, key=lambda bla: bla.beam_m or 0.0)
     beams = [bla.beam_m for bla in blas]
-    labels = tuple(position_label(beam, beams) for beam in beams)
+    labels = _labels(blas)
     shown = rig_or(
         min(float(bla.freq_hz[0]) for bla in blas),
         max(float(bla.freq_hz[-1]) for bla in blas),
@@ -87,13 +88,37 @@ def multisine_report(
     return MultisineReport(tuple(blas), signals, labels, shown, curves, truths, ratios)
 
 
+def _positions(blas: Sequence[BestLinearApproximation]) -> list[float | None]:
+    """Return the position of each (in ascending order): of one within 1 mm, that of the first."""
+    positions: list[float | None] = []
+    last: float | None = None
+    for beam in (bla.beam_m for bla in blas):
+        if beam is None or last is None or beam - last > SAME_BEAM_M:
+            last = beam
+        positions.append(last)
+    return positions
+
+
+def _labels(blas: Sequence[BestLinearApproximation]) -> tuple[str, ...]:
+    """Return the positions' names; where levels of one position follow, with their records."""
+    positions = _positions(blas)
+    distinct = list(dict.fromkeys(positions))
+    labels = []
+    for bla, position in zip(blas, positions, strict=True):
+        label = position_label(position, distinct)
+        alone = positions.count(position) == 1
+        labels.append(label if alone else f"{label}, {', '.join(bla.records)}")
+    return tuple(labels)
+
+
 def multisine_words(report: MultisineReport) -> tuple[Text, ...]:
     """Return what was found, in sentences for the summary."""
     first = report.blas[0]
+    positions = len(set(_positions(report.blas)))
     texts = [
         f"Multisines give the best linear approximation at {len(first.freq_hz)} lines from "
         f"{first.freq_hz[0]:.3g} to {first.freq_hz[-1]:.3g} Hz"
-        + (f" and {len(report.blas)} beam positions" if len(report.blas) > 1 else "")
+        + (f" and {positions} beam positions" if positions > 1 else "")
         + f". Up to {report.shown.top_hz:.3g} Hz its diagonal is known with 95 % confidence to "
         f"{report.uncertainty_db():.2g} dB",
     ]

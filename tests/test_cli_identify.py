@@ -228,7 +228,8 @@ def test_truth_is_for_the_rig_alone(tmp_path: Path, levid: Command) -> None:
 
 def test_distortion_is_told_as_often_as_chance_allows_and_not_of_one_realisation() -> None:
     def bla(*p_values: float | None) -> dict[str, object]:
-        return {"beam_m": None, "lines": 7, "tests": {"distortion": {"p_value": list(p_values)}}}
+        tests = {"distortion": {"p_value": list(p_values)}}
+        return {"beam_m": None, "records": ["a", "b"], "lines": 7, "tests": tests}
 
     said = _multisine([bla(None, None), bla(0.5, 0.004), bla(0.9, 1e-6)])
     assert [line.partition("distortion ")[2] for line in said] == [
@@ -236,3 +237,5 @@ def test_distortion_is_told_as_often_as_chance_allows_and_not_of_one_realisation
         "not found",  # one of four tests
         "found",
     ]
+    assert said[0].startswith("all records: multisine of a, b, 7 lines")  # levels of one place
+    assert _multisine([bla(None)])[0].startswith("all records: multisine, 7 lines")

@@ -142,3 +142,10 @@ def test_notes_tell_what_was_left_out(tmp_path):
         None, None, tmp_path, multisine=[approximation()], notes=("x.mcap: kind <land>",)
     )
     assert "kind &lt;land&gt;" in page.read_text(encoding="utf-8")
+
+
+def test_levels_of_one_position_are_told_by_their_records():
+    whole, half = (replace(approximation(0.1), records=(name,)) for name in ("whole", "half"))
+    report = multisine_report([whole, approximation(-0.1), half], RIG_SIGNALS)
+    assert report.labels == ("left (−100 mm)", "right (+100 mm), whole", "right (+100 mm), half")
+    assert "2 beam positions" in str(multisine_words(report)[0])

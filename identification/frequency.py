@@ -16,6 +16,8 @@ Complex = NDArray[np.complex128]
 
 OVERLAP_FACTOR = 1.0 + 2.0 * (1.0 / 6.0) ** 2
 """K Hann segments that overlap by half average like K / this many independent ones (Welch 1967)."""
+LEAST_FREEDOM = 0.5
+"""Degrees of freedom that a record has at least; with fewer its circle is wider than any figure."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,10 @@ class ResponseEstimate:
     """Frequency response H (F, m, p) at freq_hz (F,), with its uncertainty.
 
     `coherence` (F, m, p): share of output i that the inputs explain (multiple coherence), in the
-    records that excite input j. `covariance` (F, m, p, m, p): of the errors, E dH[i,j] dH[k,l]^*.
+    records that excite input j. `covariance` (F, m, p, m, p): of the errors, E dH[i,j] dH[k,l]^*,
+    enlarged so that sqrt(-ln 0.05) deviations hold 95 %, as they do with variances that are known,
+    however few segments or periods it was estimated from. (The local polynomial method's is not: it
+    always has its degrees of freedom.)
     """
 
     freq_hz: Array
@@ -36,6 +41,15 @@ class ResponseEstimate:
     def standard_deviation(self) -> Array:
         """Standard deviation (F, m, p) of the complex entries; 95 % lie within 1.73 of it."""
         return np.asarray(np.sqrt(np.abs(np.einsum("fijij->fij", self.covariance))))
+
+
+def circle(confidence: float, freedom: Array | float) -> Array:
+    """Return the radius, in estimated deviations, that holds a complex error with this confidence.
+
+    Its square over the variance, estimated with `freedom` degrees of freedom, is distributed as F
+    with 2 and 2 `freedom` (Pintelon and Schoukens 2012, chapter 2); the quantile has a closed form.
+    """
+    return np.asarray(np.sqrt(freedom * ((1.0 - confidence) ** (-1.0 / freedom) - 1.0)))
 
 
 def frequency_response(
@@ -51,8 +65,8 @@ def frequency_response(
     bins (multiples of 1 / segment_s) nearest to freq_hz. The covariance follows from what H V
     leaves of Y in each record: noise, and the leakage of transients.
 
-    Raises IdentificationError for records shorter than two segments and for inputs that cannot be
-    told apart.
+    Raises IdentificationError for records shorter than two segments, no more segments than inputs,
+    and inputs that cannot be told apart.
     """
     length = round(segment_s / Ts_s)
     for v in inputs:
@@ -64,6 +78,11 @@ def frequency_response(
     bins = np.unique(np.clip(np.rint(np.asarray(freq_hz) * length * Ts_s), 1, length // 2))
     index = bins.astype(int)
     V = [_segments(v, length, index) for v in inputs]
+    segments, p = sum(map(len, V)), V[0].shape[2]
+    if segments <= p:
+        raise IdentificationError(
+            f"expected more segments of {segment_s:g} s than the {p} inputs, found {segments}"
+        )
     Y = [_segments(y, length, index) for y in outputs]
     power = [np.einsum("kfi,kfj->fij", x, x.conj()) for x in V]
     total = np.sum(power, axis=0)
@@ -78,18 +97,28 @@ def frequency_response(
         )
     inverse = np.linalg.inv(normal) / (scale[:, :, None] * scale[:, None, :])
     H = across @ inverse
-    m, p = H.shape[1:]
+    m = H.shape[1]
     covariance = np.zeros((len(index), m, p, m, p), complex)
-    left, all_of_it = np.zeros((2, len(index), m, p))
+    left, all_of_it, variance, scatter = np.zeros((4, len(index), m, p))
     for x, y, phi in zip(V, Y, power, strict=True):
         error = y - np.einsum("fij,kfj->kfi", H, x)
         excited = np.einsum("fii->i", phi).real > 0
-        freedom = max(len(x) - int(excited.sum()), 1)
-        noise = np.einsum("kfi,kfj->fij", error, error.conj()) / freedom
+        # Of its segments the fit has used up as many as it has followed this record alone.
+        followed = np.einsum("fij,fji->f", inverse, phi).real
+        squares = np.einsum("kfi,kfj->fij", error, error.conj())
+        noise = squares / np.maximum(len(x) - followed, LEAST_FREEDOM)[:, None, None]
         weight = OVERLAP_FACTOR * (inverse @ phi @ inverse)
         covariance += np.einsum("fik,flj->fijkl", noise, weight)
+        part = np.einsum("fii,fjj->fij", noise, weight).real
+        freedom = np.maximum(len(x) / OVERLAP_FACTOR - followed, LEAST_FREEDOM)
+        variance += part
+        scatter += part**2 / freedom[:, None, None]
         left[:, :, excited] += (np.abs(error) ** 2).sum(axis=0)[:, :, None]
         all_of_it[:, :, excited] += (np.abs(y) ** 2).sum(axis=0)[:, :, None]
+    # The freedom of a sum of estimated variances (Satterthwaite 1946); without noise any will do.
+    freedom = np.divide(variance**2, scatter, out=np.ones_like(scatter), where=scatter > 0)
+    wider = circle(0.95, freedom) / np.sqrt(-np.log(0.05))
+    covariance *= wider[:, :, :, None, None] * wider[:, None, None]
     share = np.divide(left, all_of_it, out=np.ones_like(left), where=all_of_it > 0)
     coherence = np.clip(1.0 - share, 0.0, 1.0)
     return ResponseEstimate(index / (length * Ts_s), H, coherence, covariance, Ts_s)

@@ -19,7 +19,7 @@ from .distortion import (
     noise_of_mean,
     transient_test,
 )
-from .frequency import ResponseEstimate
+from .frequency import ResponseEstimate, circle
 from .periodic import PeriodicRecord
 from .results import Signals
 
@@ -107,7 +107,7 @@ class BestLinearApproximation:
         |dH|^2 over its estimated variance is distributed as F with 2 and 2 `freedom` degrees of
         freedom (Pintelon and Schoukens 2012, chapter 2), whose quantile has a closed form.
         """
-        return np.asarray(self.standard_deviation * _circle(confidence, self.freedom))
+        return np.asarray(self.standard_deviation * circle(confidence, self.freedom))
 
     def test(self) -> ExcessTest:
         """Return whether the scatter over realisations exceeds that over periods."""
@@ -219,7 +219,7 @@ def response_estimate(bla: BestLinearApproximation) -> ResponseEstimate:
     variances that are known, however few the degrees of freedom. The coherence of output i, the
     same for all inputs, is the share of its power that H explains.
     """
-    widening = _circle(0.95, bla.freedom) ** 2 / -np.log(0.05)
+    widening = circle(0.95, bla.freedom) ** 2 / -np.log(0.05)
     power = bla.output_level**2
     unexplained = np.divide(bla.total_level**2, power, out=np.ones_like(power), where=power > 0)
     coherence = np.repeat(np.clip(1.0 - unexplained, 0.0, 1.0)[:, :, None], bla.H.shape[2], axis=2)
@@ -416,8 +416,3 @@ def _diagonal(covariance: Complex) -> Array:
 
 def _deviation(covariance: Complex) -> Array:
     return np.asarray(np.sqrt(np.abs(np.einsum("fijij->fij", covariance))))
-
-
-def _circle(confidence: float, freedom: int) -> float:
-    """Return the radius, in standard deviations, that holds an error with this confidence."""
-    return float(np.sqrt(freedom * ((1.0 - confidence) ** (-1.0 / freedom) - 1.0)))

@@ -28,6 +28,19 @@ class PoorExcitationError(IdentificationError):
     """Records that excite too little of the band for Markov parameters; other methods may do."""
 
 
+def check_inputs(records: Sequence[Record]) -> None:
+    """Check that every input is excited by some of the records; raises PoorExcitationError."""
+    first = records[0]
+    excited = np.any([r.excited for r in records], axis=0)
+    missing = [name for name, yes in zip(first.input_names, excited, strict=True) if not yes]
+    if missing:
+        names = ", ".join(f"'{r.name}'" for r in records)
+        raise PoorExcitationError(
+            f"expected records that excite {', '.join(first.input_names)}; {', '.join(missing)} is "
+            f"excited by none of {names}"
+        )
+
+
 def check_excitation(records: Sequence[Record], length: int) -> None:
     """Check that the records together excite all inputs, at every frequency, independently.
 

@@ -87,7 +87,7 @@ class Record:
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Records of one beam position (m; None where there is no beam) that excite every input."""
+    """Records of one beam position (m; None where there is no beam)."""
 
     beam_m: float | None
     records: tuple[Record, ...]
@@ -96,15 +96,14 @@ class OperatingPoint:
 def operating_points(records: Sequence[Record]) -> tuple[OperatingPoint, ...]:
     """Group records by beam position (within 1 mm), in ascending order.
 
-    Raises IdentificationError when there is no record, when records of one position differ in
-    sampling time, signals, controller or delay, or when an input is excited by none of them.
+    Raises IdentificationError when there is no record, or when records of one position differ in
+    sampling time, signals, controller or delay.
     """
     if not records:
         raise IdentificationError("expected at least one record to identify, found none")
     points = tuple(OperatingPoint(_mean_beam(group), tuple(group)) for group in _clusters(records))
     for point in points:
         _check_consistent(point)
-        _check_excited(point)
     return points
 
 
@@ -155,15 +154,3 @@ def _same_controller(a: PiController | None, b: PiController | None) -> bool:
     if a is None or b is None:
         return a is b
     return np.array_equal(a.kp, b.kp) and np.array_equal(a.ki, b.ki)
-
-
-def _check_excited(point: OperatingPoint) -> None:
-    first = point.records[0]
-    excited = np.any([r.excited for r in point.records], axis=0)
-    missing = [name for name, yes in zip(first.input_names, excited, strict=True) if not yes]
-    if missing:
-        names = ", ".join(f"'{r.name}'" for r in point.records)
-        raise IdentificationError(
-            f"{describe_position(point.beam_m)}: expected records that excite "
-            f"{', '.join(first.input_names)}; {', '.join(missing)} is excited by none of {names}"
-        )

@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from .closed_loop import identify_closed_loop
 from .closed_loop_subspace import with_subspace
-from .coverage import PoorExcitationError
+from .coverage import PoorExcitationError, check_inputs
 from .data import (
     IdentificationError,
     OperatingPoint,
@@ -34,22 +34,23 @@ def identify(
 
     Records under a known controller are treated as the paper does (closed_loop) and by the subspace
     method (closed_loop_subspace), others as plain input and output (open_loop). `skipped` (reasons
-    for logs left out) goes into the result, with the reason for every position whose excitation
-    does not suit, as long as another one's does.
+    for logs left out) goes into the result, with the reason for every position whose records do not
+    do, as long as another one's do.
 
-    Raises IdentificationError, which names position and records: no records, an input that none
-    excites, signals or sampling that differ, records too short or too poor.
+    Raises IdentificationError, which names position and records: no records, signals or sampling
+    that differ; and where no position is left, an input that none excites, records too short or too
+    poor (PoorExcitationError if it is the excitation alone, at all of them).
     """
     options = options or Options()
     if not records:
-        reasons = f" ({'; '.join(skipped)})" if skipped else ""
-        raise IdentificationError(f"expected at least one record to identify, found none{reasons}")
+        why = f" ({'; '.join(skipped)})" if skipped else ""
+        raise IdentificationError(f"expected at least one record to identify, found none{why}")
     points = operating_points(records)
     first = points[0].records[0]
     for point in points:
         _check_same_signals(first, point.records[0])
     results: list[ClosedLoopPoint | OpenLoopPoint] = []
-    poor: list[str] = []
+    failed: dict[str, IdentificationError] = {}
     for number, point in enumerate(points):
         where = describe_position(point.beam_m)
 
@@ -62,18 +63,19 @@ def identify(
         try:
             # The matrices are small: threads of the BLAS would wait for each other, not compute.
             with threadpool_limits(1):
+                check_inputs(point.records)
                 results.append(method(point, options, told))
-        except PoorExcitationError as error:
-            poor.append(f"{where}: {error}")
         except IdentificationError as error:
-            raise IdentificationError(f"{where}: {error}") from None
+            failed[where] = error
         told(1.0)
+    reasons = [f"{where}: {error}" for where, error in failed.items()]
     if not results:
-        raise PoorExcitationError("; ".join(poor))
+        poor = all(isinstance(error, PoorExcitationError) for error in failed.values())
+        raise (PoorExcitationError if poor else IdentificationError)("; ".join(reasons))
     signals = Signals(
         first.input_names, first.input_units, first.output_names, first.output_units, first.Ts_s
     )
-    return IdentificationResult(signals, tuple(results), (*skipped, *poor))
+    return IdentificationResult(signals, tuple(results), (*skipped, *reasons))
 
 
 def _in_its_loop(

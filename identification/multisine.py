@@ -196,20 +196,25 @@ def at_every_position(records: Sequence[PeriodicRecord]) -> tuple[BestLinearAppr
     nonlinear plant has another one at another level. Raises IdentificationError, which names the
     position.
     """
-    groups: list[list[PeriodicRecord]] = []
-    for record in sorted(records, key=lambda r: r.beam_m or 0.0):
-        if groups and (record.beam_m or 0.0) - (groups[-1][-1].beam_m or 0.0) <= SAME_BEAM_M:
-            groups[-1].append(record)
-        else:
-            groups.append([record])
     found = []
-    for group in (level for position in groups for level in _by_level(position)):
+    for group in by_position_and_level(records):
         try:
             found.append(best_linear_approximation(group))
         except IdentificationError as error:
             where = describe_position(group[0].beam_m)
             raise IdentificationError(f"{where}: {error}") from None
     return tuple(found)
+
+
+def by_position_and_level(records: Sequence[PeriodicRecord]) -> list[list[PeriodicRecord]]:
+    """Return the records in groups of which each has one best linear approximation."""
+    groups: list[list[PeriodicRecord]] = []
+    for record in sorted(records, key=lambda r: r.beam_m or 0.0):
+        if groups and (record.beam_m or 0.0) - (groups[-1][-1].beam_m or 0.0) <= SAME_BEAM_M:
+            groups[-1].append(record)
+        else:
+            groups.append([record])
+    return [level for position in groups for level in _by_level(position)]
 
 
 def response_estimate(bla: BestLinearApproximation) -> ResponseEstimate:

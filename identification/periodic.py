@@ -28,6 +28,10 @@ class NotPeriodicError(IdentificationError):
     """A record without orthogonal multisines: for other methods, no failure."""
 
 
+class IncompleteError(NotARecordError):
+    """A record of orthogonal multisines without one complete realisation; other records may do."""
+
+
 @dataclass(frozen=True)
 class PeriodicRecord:
     """E experiments of P whole periods of N samples in steady state at one operating point.
@@ -60,7 +64,8 @@ def periodic_record(log: Log) -> PeriodicRecord:
     Raises:
         NotARecordError: the log holds no record (see from_log).
         NotPeriodicError: the record played something else, or on some of the inputs alone.
-        IdentificationError: no session.yaml, not one complete realisation, or an excitation that
+        IncompleteError: there is not one complete realisation.
+        IdentificationError: a session.yaml that is none or lacks the record, or an excitation that
             does not repeat as the session says.
     """
     record = from_log(log)
@@ -81,7 +86,7 @@ def periodic_record(log: Log) -> PeriodicRecord:
     begin = settled + first * per_realisation - lost
     whole = min((len(record.y) - begin) // per_realisation, plan.realisations - first)
     if whole < 1:
-        raise IdentificationError(
+        raise IncompleteError(
             f"{log.path.name}: expected at least one complete realisation of "
             f"{per_realisation * record.Ts_s:g} s, found "
             f"{max(len(record.y) - begin, 0) * record.Ts_s:g} s"

@@ -10,16 +10,15 @@ from pathlib import Path
 from ..config.model import ModelConfig
 from ..log.errors import LogError
 from ..log.reader import Log, read_log
-from .coverage import PoorExcitationError
 from .data import IdentificationError, Record, describe_position
 from .declared import declared_model
 from .from_log import NotARecordError, from_log
 from .greybox.experiment import Experiment
 from .greybox.result import GreyBox, identify_grey_box
 from .identify import identify
-from .multisine import BestLinearApproximation, at_every_position
+from .multisine import BestLinearApproximation, at_every_position, by_position_and_level
 from .options import Options
-from .periodic import NotPeriodicError, PeriodicRecord, periodic_record
+from .periodic import IncompleteError, NotPeriodicError, PeriodicRecord, periodic_record
 from .results import ClosedLoopPoint, IdentificationResult
 from .trace.known import experiment_of
 
@@ -75,8 +74,7 @@ def study(
             f"expected at least one record to identify, found none: {'; '.join(found.reasons)}"
         )
     points, grey = None, None
-    multisine: tuple[BestLinearApproximation, ...] = ()
-    failed: PoorExcitationError | None = None
+    failed: list[IdentificationError] = []
     skipped = tuple(found.reasons)
     notes = list(skipped)
     if found.records:
@@ -88,11 +86,12 @@ def study(
                 skipped,
             )
             notes = [*points.skipped, *_distrusted(points)]
-        except PoorExcitationError as error:
-            failed = error
+        except IdentificationError as error:
+            failed.append(error)
             notes.append(f"no Markov parameters: {error}")
-    if found.periodic:
-        multisine = at_every_position(found.periodic)
+    multisine, refused = _multisine(found.periodic)
+    failed += refused
+    notes += [f"no best linear approximation: {error}" for error in refused]
     if model is not None and found.experiments:
         try:
             grey = identify_grey_box(
@@ -104,10 +103,10 @@ def study(
             notes += _freed(model)
         except IdentificationError as error:
             if points is None and not multisine:
-                raise failed or error from None
+                raise (failed[0] if failed else error) from None
             notes.append(f"the declared model was not fitted: {error}")
-    if failed is not None and grey is None and not multisine:
-        raise failed
+    if failed and points is None and grey is None and not multisine:
+        raise failed[0]
     return Study(points, multisine, grey, tuple(notes))
 
 
@@ -131,6 +130,20 @@ def _read(
             continue
         _sort(log, model, found)
     return found, model
+
+
+def _multisine(
+    records: Sequence[PeriodicRecord],
+) -> tuple[tuple[BestLinearApproximation, ...], list[IdentificationError]]:
+    """Return the approximations, and why there is none at other positions and levels."""
+    found: list[BestLinearApproximation] = []
+    refused = []
+    for group in by_position_and_level(records):
+        try:
+            found += at_every_position(group)
+        except IdentificationError as error:
+            refused.append(error)
+    return tuple(found), refused
 
 
 def _freed(model: ModelConfig) -> list[str]:
@@ -189,11 +202,17 @@ def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:
 
 
 def _periodic(log: Log, found: _Sorted) -> bool:
-    """Take a record of orthogonal multisines, as its session tells; say whether it is one."""
+    """Take a record of orthogonal multisines, as its session tells; say whether it is one.
+
+    One that was cut off too early is noted: the fit of the declared model may still use it, Markov
+    parameters, for which it repeats, can not.
+    """
     if "session.yaml" not in log.attachments:
         return False
     try:
         found.periodic.append(periodic_record(log))
+    except IncompleteError as error:
+        found.reasons.append(str(error))
     except NotPeriodicError:
         return False
     return True

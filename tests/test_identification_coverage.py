@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter, sosfilt
@@ -83,6 +85,21 @@ def test_a_multisine_shorter_than_the_impulse_response_repeats():
     assert repetition(_records([_noise(0)]), LENGTH) is None
     with pytest.raises(PoorExcitationError, match=r"repeats after 1\.5 s"):
         check_excitation(records, LENGTH)
+
+
+def test_a_position_whose_records_do_not_do_does_not_fail_the_others(rig):
+    records = rig.records([0.0], 1000.0, 20.0)
+    lacking = [replace(r, beam_m=0.1) for r in records[:2]]
+    short = [replace(r, beam_m=-0.1).rows(0, 12) for r in records]
+    result = identify([*records, *lacking, *short])
+    assert [p.beam_m for p in result.points] == [0.0]
+    assert [reason.partition(": ")[0] for reason in result.skipped] == [
+        "beam at -100.0 mm",
+        "beam at +100.0 mm",
+    ]
+    assert "z is excited by none of" in result.skipped[1]
+    with pytest.raises(PoorExcitationError, match="z is excited by none of"):
+        identify(lacking)
 
 
 def test_a_position_that_is_poorly_excited_does_not_fail_the_others(rig):

@@ -16,6 +16,7 @@ from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
 from levid.daemon.orthogonal import orthogonal_multisines
 from levid.daemon.virtual import fly_virtually
+from levid.identification import study as studies
 from levid.identification.data import IdentificationError
 from levid.identification.distortion import excess
 from levid.identification.multisine import (
@@ -24,7 +25,9 @@ from levid.identification.multisine import (
     best_linear_approximation,
     response_estimate,
 )
+from levid.identification.options import Options
 from levid.identification.periodic import (
+    IncompleteError,
     NotPeriodicError,
     PeriodicRecord,
     periodic_record,
@@ -441,8 +444,33 @@ def test_a_log_that_was_cut_off_gives_its_complete_realisations(nominal: list[Lo
     assert record.realisations == 1
     assert "1 of 2 realisations are complete" in record.remarks
     np.testing.assert_array_equal(record.y, periodic_record(log).y[:3])
-    with pytest.raises(IdentificationError, match="one complete realisation of 72 s, found 71 s"):
+    with pytest.raises(IncompleteError, match="one complete realisation of 72 s, found 71 s"):
         periodic_record(replace(log, rows=log.rows[: begin + realisation - 1000]))
+
+
+def test_what_one_record_or_method_can_not_do_does_not_end_a_study(
+    nominal: list[Log], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    half = nominal[3]
+    rows = {half.path: half.rows[:50_000]}  # of 72 s; and 'white' excites psi alone, for 2 s
+    logs = {log.path: replace(log, rows=rows.get(log.path, log.rows)) for log in nominal}
+    monkeypatch.setattr(studies, "read_log", logs.__getitem__)
+    found = studies.study(list(logs), lambda _log: None, Options())
+    assert [bla.records for bla in found.multisine] == [("whole",)]
+    assert found.points is None
+    notes = "; ".join(found.notes)
+    assert "03-half.mcap: expected at least one complete realisation" in notes
+    assert "no Markov parameters: beam at +100.0 mm: expected records that excite psi" in notes
+
+
+def test_a_position_without_an_approximation_does_not_end_a_study() -> None:
+    v = playing(2, 2, 1)
+    good = replace(periodic(v, v, 2), beam_m=0.0)
+    silent = replace(good, v=good.v * [1.0, 0.0], beam_m=0.1)
+    found, refused = studies._multisine([silent, good])
+    assert [bla.beam_m for bla in found] == [0.0]
+    (error,) = refused
+    assert str(error).startswith("beam at +100.0 mm: expected every input to be excited")
 
 
 def test_a_record_that_a_stall_cuts_gives_its_whole_realisations(nominal: list[Log]) -> None:

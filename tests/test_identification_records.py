@@ -160,7 +160,7 @@ def test_records_are_grouped_by_beam_position_within_a_millimetre():
 def test_an_input_that_no_record_excites_is_named_with_its_position():
     records = [_record(0.0, 0, "psi"), _record(0.0, 2, "z")]
     with pytest.raises(IdentificationError, match=r"\+0\.0 mm.*theta is excited by none of 'psi'"):
-        operating_points(records)
+        identify(records)
 
 
 def test_records_that_do_not_belong_together_are_an_error():

@@ -117,13 +117,19 @@ def _candidates(records: Sequence[Record], options: Options) -> _Candidates:
     decomposition = decompose_coloured(markov.g, Ts_s, scaling, inputs)
     sequence = state_sequence(choose_past(records, PAST), records, HIGHEST_ORDER)
     simulators, predictors = {}, {}
+    failed: list[IdentificationError] = []
     for n in [options.order] if options.order else range(1, HIGHEST_ORDER + 1):
         if n <= len(decomposition.singular_values):
             model = realise(decomposition, n)
             if spectral_radius(model.A) < 1.0:
                 simulators[n] = fit_input_matrices(model, records)
         if n <= len(sequence.singular_values):
-            predictors[n] = innovation_model(sequence, n, Ts_s)
+            try:
+                predictors[n] = innovation_model(sequence, n, Ts_s)
+            except IdentificationError as error:
+                failed.append(error)
+    if failed and not predictors:
+        raise failed[0]
     return _Candidates(markov, decomposition.singular_values, simulators, predictors)
 
 
@@ -135,18 +141,19 @@ def _taps(records: Sequence[Record], options: Options) -> int:
     return int(min(MOST_TAPS, rows // (ROWS_A_TAP * records[0].v.shape[1]), shortest // 2))
 
 
-Run = Callable[[Record], Array]
+Run = Callable[[int, Record], Array]
+"""From a record and its number to the output that a model gives it; records may share a name."""
 
 
 def _simulated(model: StateSpace, known: Sequence[Record]) -> Run:
     """Return a function that simulates a record, its initial state taken from its known rows."""
-    starts = {r.name: initial_state(model, r.v, r.y) for r in known}
-    return lambda record: simulate(model, record.v, starts[record.name])
+    starts = [initial_state(model, r.v, r.y) for r in known]
+    return lambda number, record: simulate(model, record.v, starts[number])
 
 
 def _predicted(model: InnovationModel) -> Run:
     predictor = model.predictor()
-    return lambda record: simulate(predictor, np.hstack([record.v, record.y]))
+    return lambda _number, record: simulate(predictor, np.hstack([record.v, record.y]))
 
 
 def _errors(
@@ -156,8 +163,8 @@ def _errors(
     errors = {}
     for order, run in runs.items():
         blocks = np.zeros(BLOCKS)
-        for record, start in zip(records, starts, strict=True):
-            error = (record.y - run(record))[start:] / record.y[start:].std(axis=0)
+        for number, (record, start) in enumerate(zip(records, starts, strict=True)):
+            error = (record.y - run(number, record))[start:] / record.y[start:].std(axis=0)
             blocks += [np.mean(part**2) for part in np.array_split(error, BLOCKS)]
         if np.all(np.isfinite(blocks)):
             errors[order] = blocks / len(records)
@@ -208,10 +215,21 @@ def _curve(errors: dict[int, Array]) -> Array:
 
 def _spectra(records: Sequence[Record], options: Options) -> ResponseEstimate:
     Ts_s = records[0].Ts_s
-    segment_s = options.segment_s or max(len(r.y) for r in records) // 8 * Ts_s
+    segment_s = options.segment_s or _segment(records) * Ts_s
     usable = [r for r in records if len(r.y) * Ts_s >= 2 * segment_s]
     grid = np.geomspace(1.0 / segment_s, 0.5 / Ts_s, BINS)
     return frequency_response([r.v for r in usable], [r.y for r in usable], Ts_s, grid, segment_s)
+
+
+def _segment(records: Sequence[Record]) -> int:
+    """Return the rows of an eighth of the longest record, fewer where a record is needed for that.
+
+    Two segments have to fit into every record without which the longer ones leave an input still.
+    """
+    ordered = sorted(records, key=lambda r: len(r.y), reverse=True)
+    excited = np.logical_or.accumulate([r.excited for r in ordered])
+    needed = ordered[int(np.argmax(excited.sum(axis=1)))]  # the first with which all are
+    return min(len(ordered[0].y) // 8, len(needed.y) // 2)
 
 
 def _hold_out(
@@ -219,8 +237,8 @@ def _hold_out(
 ) -> HoldOut:
     """Run both models from the record's first row; judge them on the rows from `start` on."""
     level = original.y[start:] - record.y[start:]
-    simulated = _simulated(model, [record.rows(0, start)])(record)[start:] + level
-    predicted = _predicted(predictor)(record)[start:] + level
+    simulated = _simulated(model, [record.rows(0, start)])(0, record)[start:] + level
+    predicted = _predicted(predictor)(0, record)[start:] + level
     measured = original.y[start:]
     time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
     return HoldOut(

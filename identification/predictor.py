@@ -16,6 +16,13 @@ from .simulate import InnovationModel
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-7
+"""Rows of this size relative to each column's are put beneath the data.
+
+They stand for noise of 1e-7 of each signal, so that data without any can be solved too (subspace
+adds as much to its Gram matrices).
+"""
+
 
 @dataclass(frozen=True)
 class ObserverMarkov:
@@ -97,7 +104,7 @@ def state_sequence(
         x = z @ states
         v, y = record.v[past:-1], record.y[past:-1]
         parts.append(np.hstack([v, x[:-1], x[1:], y]))
-    return StateSequence(s[:count], triangle(parts), sum(map(len, parts)), p)
+    return StateSequence(s[:count], _rounded(triangle(parts)), sum(map(len, parts)), p)
 
 
 def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> InnovationModel:
@@ -138,7 +145,12 @@ def _past(record: Record, past: int, skip: int) -> Array:
 
 def _observer_triangle(records: Sequence[Record], past: int, skip: int) -> Array:
     """Return R of the QR of [v(k) z(k-1) ... z(k-past) | y(k)], shorter pasts in front."""
-    return triangle(np.hstack([r.v[skip:], _past(r, past, skip), r.y[skip:]]) for r in records)
+    parts = (np.hstack([r.v[skip:], _past(r, past, skip), r.y[skip:]]) for r in records)
+    return _rounded(triangle(parts))
+
+
+def _rounded(R: Array) -> Array:
+    return triangle([np.vstack([R, np.diag(ROUNDING * np.linalg.norm(R, axis=0))])])
 
 
 def _solve(R: Array, columns: int, targets: int) -> Array:

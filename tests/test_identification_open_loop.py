@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from levid.identification import open_loop
 from levid.identification.data import IdentificationError, Record
 from levid.identification.identify import identify
 from levid.identification.options import Options
+from levid.identification.predictor import innovation_model
 from levid.identification.results import OpenLoopPoint
 from levid.identification.simulate import simulate
 from levid.model.second_order import StateSpace
@@ -86,6 +89,67 @@ def test_held_out_rows_do_not_touch_the_model():
     assert isinstance(second, OpenLoopPoint)
     np.testing.assert_array_equal(first.model.A, second.model.A)
     np.testing.assert_array_equal(first.predictor.K, second.predictor.K)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-6])
+def test_data_without_noise_are_no_failure(noise):
+    (record,) = _records(1)
+    rng = np.random.default_rng(1)
+    y = simulate(TRUE, record.v, rng.normal(size=4))
+    y += noise * y.std(axis=0) * rng.normal(size=y.shape)
+    (point,) = identify([replace(record, y=y)]).points
+    assert isinstance(point, OpenLoopPoint)
+    assert point.order == 4
+    (holdout,) = point.holdout
+    # The impulse response, cut where 4 rows a tap are left, errs by 0.3 %; the predictor by noise.
+    assert np.all(holdout.simulated_fit_percent > 99.0)
+    assert holdout.predicted_fit_percent is not None
+    assert np.all(holdout.predicted_fit_percent > 99.9)
+
+
+def test_an_order_without_a_predictor_is_passed_over(monkeypatch):
+    def failing(sequence, order, Ts_s):
+        if order in refused:
+            raise IdentificationError(f"no steady-state predictor of order {order}: test")
+        return innovation_model(sequence, order, Ts_s)
+
+    monkeypatch.setattr(open_loop, "innovation_model", failing)
+    refused = {1, 2, 9}
+    (point,) = identify(_records(3)).points
+    assert isinstance(point, OpenLoopPoint)
+    assert np.isnan(point.predictor_validation_error[[0, 1, 8]]).all()
+    assert point.predictor_order >= 4
+    refused = set(range(100))
+    with pytest.raises(IdentificationError, match="no steady-state predictor of order 1: test"):
+        identify(_records(3))
+
+
+def test_records_of_one_name_keep_their_own_initial_states():
+    apart, alike = ([replace(r, name=n) for r, n in zip(_records(5, 2), names, strict=True)]
+                    for names in (("a", "b"), ("a", "a")))  # fmt: skip
+    (one,), (other,) = identify(apart).points, identify(alike).points
+    assert isinstance(one, OpenLoopPoint)
+    assert isinstance(other, OpenLoopPoint)
+    np.testing.assert_array_equal(one.validation_error, other.validation_error)
+
+
+def test_a_short_record_that_alone_excites_an_input_counts_in_the_spectra():
+    records = _records(6, 2)
+    inputs = [records[0].v * [1.0, 0.0], records[1].v[:480] * [0.0, 1.0]]
+    parts = [
+        replace(
+            r, v=v, y=simulate(TRUE, v) + 0.01 * np.random.default_rng(k).normal(size=(len(v), 2))
+        )
+        for k, (r, v) in enumerate(zip(records, inputs, strict=True))
+    ]
+    (point,) = identify(parts).points
+    assert isinstance(point, OpenLoopPoint)
+    # Three quarters of 480 rows are two segments of 3.6 s.
+    assert point.from_spectra.freq_hz[0] == pytest.approx(1 / 3.6)
+    # A record that is not needed is left out as before, if an eighth of the longest is too long.
+    (point,) = identify([*parts, parts[1].rows(0, 100)]).points
+    assert isinstance(point, OpenLoopPoint)
+    assert point.from_spectra.freq_hz[0] == pytest.approx(1 / 3.6)
 
 
 def test_a_record_too_short_for_a_predictor_is_an_error():

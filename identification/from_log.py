@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +40,13 @@ class NotARecordError(IdentificationError):
 def from_log(log: Log) -> Record:
     """Return the record that a log holds: of the rig's cycles, or of imported signals.
 
-    Raises NotARecordError for a log that belongs to another step of a session or excites nothing,
-    IdentificationError (with file and field) for one that lacks what identification needs.
+    Raises NotARecordError for a log that belongs to another step of a session, excites nothing or
+    has no operating point, IdentificationError (with file and field) for one that lacks what
+    identification needs.
     """
     kind = log.metadata.get("kind")
     if kind == "import" or "signals.yaml" in log.attachments:
-        return _from_signals(log)
+        return replace(imported_record(log), beam_m=_position(log))
     if kind is None:
         _require_cycles(log)
     if kind != "record":
@@ -72,11 +74,7 @@ def _from_cycles(log: Log) -> Record:
     beam = log.rows["beam_m"].astype(float)
     if not np.any(v):
         raise NotARecordError(f"{log.path.name}: no wrench excitation in it")
-    if np.ptp(beam) > SAME_BEAM_M:
-        raise NotARecordError(
-            f"{log.path.name}: the beam moves by {1e3 * np.ptp(beam):.1f} mm; a response is "
-            "identified at one position"
-        )
+    _check_still(log, "the beam", beam)
     return Record(
         name=log.metadata.get("name") or log.path.stem,
         Ts_s=1.0 / log.rate_hz,
@@ -127,23 +125,19 @@ def remarks_of(log: Log) -> list[str]:
     return found
 
 
-def _from_signals(log: Log) -> Record:
-    text = log.attachments.get("signals.yaml")
-    if text is None:
-        raise IdentificationError(f"{log.path}: expected the attachment signals.yaml, found none")
-    try:
-        signals = parse_text(text, SignalsFile, f"{log.path}: signals.yaml")
-    except ConfigError as error:
-        raise IdentificationError(str(error)) from None
+def imported_record(log: Log) -> Record:
+    """Return the inputs and outputs of an imported log, without its operating point.
+
+    Raises IdentificationError for a signals.yaml or columns that do not do.
+    """
+    signals = _signals(log)
     inputs, outputs = signals.with_role("input"), signals.with_role("output")
     for role, found in (("input", inputs), ("output", outputs)):
         if not found:
             raise IdentificationError(
                 f"{log.path}: signals.yaml: expected a column of role {role}, found none"
             )
-    scheduling = signals.with_role("scheduling")
-    _require(log, [c.name for c in (*inputs, *outputs, *scheduling)])
-    beam = log.rows[scheduling[0].name].astype(float) if scheduling else None
+    _require(log, [c.name for c in (*inputs, *outputs, *signals.with_role("scheduling"))])
     return Record(
         name=log.metadata.get("name") or log.path.stem,
         Ts_s=1.0 / log.rate_hz,
@@ -153,8 +147,46 @@ def _from_signals(log: Log) -> Record:
         input_units=tuple(c.unit for c in inputs),
         output_names=tuple(c.name for c in outputs),
         output_units=tuple(c.unit for c in outputs),
-        beam_m=None if beam is None else float(beam.mean()),
     )
+
+
+def _signals(log: Log) -> SignalsFile:
+    text = log.attachments.get("signals.yaml")
+    if text is None:
+        raise IdentificationError(f"{log.path}: expected the attachment signals.yaml, found none")
+    try:
+        return parse_text(text, SignalsFile, f"{log.path}: signals.yaml")
+    except ConfigError as error:
+        raise IdentificationError(str(error)) from None
+
+
+def _position(log: Log) -> float | None:
+    """Return the mean (m) of the scheduling column of an imported log, None without one.
+
+    Raises NotARecordError for columns that are no position (grouped within 1 mm as one, and named
+    so, a temperature would only mislead) and for one that moves.
+    """
+    scheduling = _signals(log).with_role("scheduling")
+    if not scheduling:
+        return None
+    if len(scheduling) > 1 or scheduling[0].unit != "m":
+        found = ", ".join(f"{c.name} in {c.unit}" for c in scheduling)
+        raise NotARecordError(
+            f"{log.path.name}: expected one column of role scheduling, a position in m, that tells "
+            f"the operating point, found {found}; only the fit of a declared model (--model) takes "
+            "others, and a column that plays no part has the role other"
+        )
+    position = log.rows[scheduling[0].name].astype(float)
+    _check_still(log, scheduling[0].name, position)
+    return float(position.mean())
+
+
+def _check_still(log: Log, what: str, position: Array) -> None:
+    if np.ptp(position) > SAME_BEAM_M:
+        raise NotARecordError(
+            f"{log.path.name}: {what} moves by {1e3 * np.ptp(position):.1f} mm; a response is "
+            "identified at one position"
+        )
 
 
 def _require_cycles(log: Log) -> None:

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from levid.config.model import ModelConfig
 from levid.config.shipped import shipped
 from levid.identification.data import IdentificationError, PiController, Record, operating_points
 from levid.identification.from_log import NotARecordError, from_log, records_from_logs
+from levid.identification.greybox.experiment import experiment_from_log
 from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.log.reader import Log
@@ -138,6 +140,59 @@ def test_imported_signals_take_their_roles_from_the_attachment():
     assert record.controller is None
     assert record.leading_zeros == 0  # nothing is known: the output may react at once
     assert record.Ts_s == 0.02
+    assert record.beam_m is None
+
+
+def _scheduled(**columns: tuple[str, np.ndarray]) -> Log:
+    """Return an imported log with columns of role scheduling, as name=(unit, values)."""
+    names = ("force", "position", *columns)
+    rows = np.zeros(100, [("cycle", "<u8"), *((name, "<f8") for name in names)])
+    rows["force"] = np.arange(100)
+    more = ""
+    for number, (name, (unit, values)) in enumerate(columns.items(), start=2):
+        rows[name] = values
+        more += f"  - {{column: {number}, name: {name}, unit: {unit}, role: scheduling}}\n"
+    return _log(
+        rows,
+        metadata={"kind": "import", "name": "bench"},
+        rate_hz=50.0,
+        log_time_ns=np.arange(100, dtype=np.uint64) * 20_000_000,
+        attachments={"signals.yaml": SIGNALS_YAML + more.encode()},
+    )
+
+
+def test_an_imported_position_is_the_operating_point_and_nothing_else_is():
+    still = 0.2 + 1e-4 * np.sin(np.arange(100))
+    assert from_log(_scheduled(slide=("m", still))).beam_m == pytest.approx(0.2, abs=1e-5)
+    moving = _scheduled(slide=("m", np.linspace(0.0, 0.05, 100)))
+    with pytest.raises(NotARecordError, match=r"slide moves by 50\.0 mm"):
+        from_log(moving)
+    warm = _scheduled(warmth=("degC", 20.0 + still))
+    with pytest.raises(NotARecordError, match=r"a position in m, .* found warmth in degC; only"):
+        from_log(warm)
+    both = _scheduled(slide=("m", still), speed=("m/s", still))
+    with pytest.raises(NotARecordError, match="found slide in m, speed in m/s"):
+        from_log(both)
+
+
+def test_a_declared_model_takes_any_scheduling():
+    model = ModelConfig.model_validate(
+        {
+            "levid": "model",
+            "name": "spring",
+            "dof": [{"name": "x", "unit": "m"}],
+            "inputs": [{"name": "force", "unit": "N"}],
+            "parameters": {"k": {"value": 100.0, "unit": "N/m"}},
+            "scheduling": {"warm": {"unit": "degC", "signal": "warmth", "min": 0, "max": 40}},
+            "M": [[1.0]],
+            "D": [[1.0]],
+            "K": [["k*(1 - warm/100)"]],
+        }
+    )
+    warmth = np.linspace(20.0, 25.0, 100)
+    experiment = experiment_from_log(_scheduled(warmth=("degC", warmth)), model)
+    np.testing.assert_array_equal(experiment.schedule["warm"], warmth)
+    assert experiment.moving
 
 
 def _record(beam_m: float, axis: int, name: str = "r", rows: int = 100) -> Record:

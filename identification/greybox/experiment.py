@@ -23,7 +23,7 @@ from ..from_log import (
     NotARecordError,
     columns,
     controller_of,
-    from_log,
+    imported_record,
     remarks_of,
     require_finite,
 )
@@ -128,7 +128,7 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
 
 
 def _imported(log: Log) -> Experiment:
-    record = from_log(log)
+    record = imported_record(log)
     signals = parse_text(log.attachments["signals.yaml"], SignalsFile, "signals.yaml")
     # A default says nothing of the measurement: only what was written down counts.
     said = "input_hold" in signals.model_fields_set

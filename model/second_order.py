@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,12 +61,14 @@ def state_space(model: SecondOrder) -> StateSpace:
     return StateSpace(A, B, np.hstack([eye, zero]), np.zeros((n, p)), 0.0)
 
 
-def discretise(model: SecondOrder, Ts_s: float) -> StateSpace:
-    """Return the model sampled at Ts_s, its input held over each period, lag and delay exact.
+def discretise(model: SecondOrder, Ts_s: float, hold: Literal["zoh", "foh"] = "zoh") -> StateSpace:
+    """Return the model sampled at Ts_s, lag and delay exact.
 
+    The input is held over each period (zoh), or a straight line from sample to sample (foh); then D
+    is not zero, and the states are those of the model less what the present input adds to them.
     States are [q, q', lagged inputs (when there is a lag), past inputs (for the delay)]. A delay of
-    d periods and a fraction is exact too: the held input changes within the period, so the step is
-    split there.
+    d periods and a fraction is exact too: the delayed input jumps or bends within the period, so
+    the step is split there.
     """
     n, p = model.B.shape
     plant = state_space(model)
@@ -78,30 +81,50 @@ def discretise(model: SecondOrder, Ts_s: float) -> StateSpace:
     late_s = max(model.delay_s - whole * Ts_s, 0.0)
     if late_s < 1e-9 * Ts_s:
         late_s = 0.0
-    # u(k - whole - 1) acts until late_s into the period, u(k - whole) from there on.
-    A_first, B_first = held_step(A, B, late_s)
-    A_second, B_second = held_step(A, B, Ts_s - late_s)
-    A_step, B_new, B_old = A_second @ A_first, B_second, A_second @ B_first
     m, depth = len(A), whole + (late_s > 0)
+    A_step, effects = _step(A, B, Ts_s, late_s, hold)
     size = m + depth * p
     Ad, Bd = np.zeros((size, size)), np.zeros((size, p))
+    C, D = np.hstack([np.eye(n), np.zeros((n, size - n))]), np.zeros((n, p))
     Ad[:m, :m] = A_step
 
     def tap(d: int) -> slice:
         return slice(m + (d - 1) * p, m + d * p)
 
-    if whole == 0:
-        Bd[:m] = B_new
-    else:
-        Ad[:m, tap(whole)] = B_new
-    if late_s > 0:
-        Ad[:m, tap(whole + 1)] = B_old
+    for d, effect in zip((whole + 1, whole, whole - 1), effects, strict=True):
+        if 1 <= d <= depth:
+            Ad[:m, tap(d)] = effect
+        elif d == 0:
+            Bd[:m] += effect
+        elif d == -1:  # of the input to come: counted when it has come, in the output at once
+            Bd[:m] += A_step @ effect
+            D = effect[:n]
     if depth:
         Bd[tap(1)] = np.eye(p)
     for d in range(2, depth + 1):
         Ad[tap(d), tap(d - 1)] = np.eye(p)
-    C = np.hstack([np.eye(n), np.zeros((n, size - n))])
-    return StateSpace(Ad, Bd, C, np.zeros((n, p)), Ts_s)
+    return StateSpace(Ad, Bd, C, D, Ts_s)
+
+
+def _step(
+    A: Array, B: Array, Ts_s: float, late_s: float, hold: Literal["zoh", "foh"]
+) -> tuple[Array, tuple[Array, Array, Array]]:
+    """Return the flow over a period, and what inputs add to the state in it.
+
+    The inputs are that of before the last jump or bend, `late_s` into the period, that of there,
+    and the next one.
+    """
+    rest_s = Ts_s - late_s
+    if hold == "zoh":
+        (A_first, B_first), (A_second, B_second) = held_step(A, B, late_s), held_step(A, B, rest_s)
+        return A_second @ A_first, (A_second @ B_first, B_second, np.zeros_like(B))
+    A_first, B_first, R_first = ramped_step(A, B, late_s)
+    A_second, B_second, R_second = ramped_step(A, B, rest_s)
+    # The line from old to new is this share short of new when the period begins.
+    share, R_first, R_second = late_s / Ts_s, R_first / Ts_s, R_second / Ts_s
+    old = A_second @ (share * B_first - R_first)
+    new = A_second @ ((1.0 - share) * B_first + R_first) + B_second - R_second
+    return A_second @ A_first, (old, new, R_second)
 
 
 def held_step(A: Array, B: Array, step_s: float) -> tuple[Array, Array]:
@@ -111,3 +134,13 @@ def held_step(A: Array, B: Array, step_s: float) -> tuple[Array, Array]:
     block[:n, :n], block[:n, n:] = A, B
     Phi = expm(block * step_s)
     return Phi[:n, :n], Phi[:n, n:]
+
+
+def ramped_step(A: Array, B: Array, step_s: float) -> tuple[Array, Array, Array]:
+    """Return (Ad, Bd, Rd) of x' = A x + B (u + r t) over step_s: held_step's, and what r adds."""
+    n, p = B.shape
+    block = np.zeros((n + 2 * p, n + 2 * p))
+    block[:n, :n], block[:n, n : n + p] = A * step_s, B * step_s
+    block[n : n + p, n + p :] = np.eye(p)  # in units of the step no entry is tiny
+    Phi = expm(block)
+    return Phi[:n, :n], Phi[:n, n : n + p], Phi[:n, n + p :] * step_s

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -107,16 +108,27 @@ def steps(model: StateSpace, u: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("omega", "order"), [(20.0, 12), (628.0, 16), (2500.0, 30)])
 @pytest.mark.parametrize("lag_s", [0.0, 3e-5, 3e-4, 5e-3, 0.1])
 @pytest.mark.parametrize("delay_s", [0.0, 0.3e-3, 1e-3, 2.4e-3])
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
 def test_moments_step_a_model_as_its_exact_discretisation_does(
-    delay_s: float, lag_s: float, omega: float, order: int
+    hold: Literal["zoh", "foh"], delay_s: float, lag_s: float, omega: float, order: int
 ) -> None:
     model = oscillator(omega, delay_s, lag_s)
     u = np.random.default_rng(1).standard_normal((200, 1))
     u[:4] = 0.0
-    expected = steps(discretise(model, TS), u)
-    y = stepped(model, moments(u, TS, order, "zoh", delay_s, lag_s))
+    expected = steps(discretise(model, TS, hold), u)
+    y = stepped(model, moments(u, TS, order, hold, delay_s, lag_s))
     # Rounding of 200 steps, in a series long enough for omega Ts: 2.5^30 / 30! is 3e-21.
     np.testing.assert_allclose(y, expected, atol=2e-13 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_what_acted_before_a_record_is_its_first_row(hold: Literal["zoh", "foh"]) -> None:
+    model = oscillator(20.0, 1.4e-3, 3e-4)
+    u = 1.0 + np.cumsum(np.random.default_rng(1).standard_normal((200, 1)), axis=0)
+    long = np.vstack([np.repeat(u[:1], 100, 0), u])  # 33 time constants: forgotten to 1e-14
+    parts, all_parts = (moments(x, TS, 12, hold, model.delay_s, model.lag_s) for x in (u, long))
+    size = np.abs(parts).max(axis=(0, 2), keepdims=True)
+    np.testing.assert_allclose(parts / size, all_parts[100:] / size, atol=1e-13)
 
 
 def test_band_limited_input_is_what_lies_between_samples() -> None:

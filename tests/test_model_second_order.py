@@ -1,6 +1,7 @@
 """Discretisation and response of a second-order model, lag and delay included."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -49,21 +50,24 @@ def test_moving_beam_adds_what_the_accelerating_mass_feels() -> None:
 
 @pytest.mark.parametrize("delay_periods", [0.0, 0.25, 1.0, 1.4, 3.0])
 @pytest.mark.parametrize("lag_s", [0.0, 3e-4])
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
 def test_sampled_response_equals_the_held_continuous_one(
-    delay_periods: float, lag_s: float
+    delay_periods: float, lag_s: float, hold: Literal["zoh", "foh"]
 ) -> None:
     # Poisson's formula: the sampled response of a held input is a sum over aliases. The rig's own
     # response falls with the cube of frequency and more, so that 200 aliases leave nothing.
     Ts = 1e-3
     model = replace(declared().at({"x_b": 0.1}), lag_s=lag_s, delay_s=delay_periods * Ts)
     freq = np.array([0.5, 5.0, 64.0, 300.0])
-    sampled = discretise(model, Ts).response(freq)
+    sampled = discretise(model, Ts, hold).response(freq)
     total = np.zeros_like(sampled)
     for alias in range(-200, 201):
         f = freq + alias / Ts
         s = 2j * np.pi * f
-        hold = (1 - np.exp(-s * Ts)) / (s * Ts)
-        shape = hold * np.exp(-s * model.delay_s) / (1 + s * lag_s)
+        held = (1 - np.exp(-s * Ts)) / (s * Ts)
+        if hold == "foh":  # a triangle about each sample is a held step, held again, and earlier
+            held = held**2 * np.exp(s * Ts)
+        shape = held * np.exp(-s * model.delay_s) / (1 + s * lag_s)
         total += state_space(model).response(f) * shape[:, None, None]
     np.testing.assert_allclose(sampled, total, atol=1e-6 * np.abs(sampled).max())
 

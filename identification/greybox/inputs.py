@@ -56,14 +56,15 @@ def moments(u: Array, Ts_s: float, order: int, hold: Hold, delay_s: float, lag_s
     """
     if hold == "zoh":
         return _held(u, held_step(Ts_s, order, delay_s, lag_s))
-    fine, step_s = _between(u, Ts_s, hold, delay_s, lag_s)
-    return _piecewise_linear(fine, Ts_s, step_s, order, len(u))
+    if hold == "foh":
+        return _ramped(u, Ts_s, order, delay_s, lag_s)
+    fine = _between(u, Ts_s, delay_s, lag_s)
+    return _piecewise_linear(fine, Ts_s, order, len(u))
 
 
 def held_step(Ts_s: float, order: int, delay_s: float, lag_s: float) -> HeldStep:
     """Return how a zero-order-held input acts within one period."""
-    whole = math.floor(delay_s / Ts_s + 1e-9)
-    split_s = min(max(delay_s - whole * Ts_s, 0.0), Ts_s)
+    whole, split_s = _split(delay_s, Ts_s)
     j = np.arange(order)
     factorial = np.array([math.factorial(i) for i in range(order)], float)
     before = (Ts_s ** (j + 1) - (Ts_s - split_s) ** (j + 1)) / (factorial * (j + 1))
@@ -72,8 +73,8 @@ def held_step(Ts_s: float, order: int, delay_s: float, lag_s: float) -> HeldStep
         return HeldStep(whole, before, after, np.zeros(order), 0.0, 1.0, 0.0)
     # The lagged input is c + (l - c) exp(-s / lag) on each side of the jump. What rises there is
     # integrated as it is: as a difference of integrals it would be lost to rounding in a long lag.
-    first, rising_first = _lagged_moments(Ts_s, 0.0, split_s, lag_s, order)
-    second, rising_second = _lagged_moments(Ts_s, split_s, Ts_s, lag_s, order)
+    first, rising_first, _ = _lagged_moments(Ts_s, 0.0, split_s, lag_s, order)
+    second, rising_second, _ = _lagged_moments(Ts_s, split_s, Ts_s, lag_s, order)
     decay_split, decay_rest = math.exp(-split_s / lag_s), math.exp(-(Ts_s - split_s) / lag_s)
     at_split = -math.expm1(-split_s / lag_s)  # of old, in the lagged input at the jump
     return HeldStep(
@@ -85,6 +86,12 @@ def held_step(Ts_s: float, order: int, delay_s: float, lag_s: float) -> HeldStep
         end_new=-math.expm1(-(Ts_s - split_s) / lag_s),
         end_lag=decay_split * decay_rest,
     )
+
+
+def _split(delay_s: float, Ts_s: float) -> tuple[int, float]:
+    """Return the whole periods of a delay, and the rest of it in s."""
+    whole = math.floor(delay_s / Ts_s + 1e-9)
+    return whole, min(max(delay_s - whole * Ts_s, 0.0), Ts_s)
 
 
 def _held(u: Array, step: HeldStep) -> Array:
@@ -113,51 +120,88 @@ def _around_jump(u: Array, step: HeldStep) -> tuple[Array, Array]:
     return u[np.maximum(rows - step.whole - 1, 0)], u[np.maximum(rows - step.whole, 0)]
 
 
+def _ramped(u: Array, Ts_s: float, order: int, delay_s: float, lag_s: float) -> Array:
+    """Return the moments of straight lines between the samples, behind delay and lag, exactly.
+
+    After the last sample the last line goes on.
+    """
+    whole, split_s = _split(delay_s, Ts_s)
+    rows = np.arange(len(u))
+    more = np.vstack([u, 2 * u[-1] - u[-2]])
+    old, new, coming = (more[np.maximum(rows - whole + i, 0)] for i in (-1, 0, 1))
+    # Within a period the delayed input goes from `first` to `new`, and on towards `coming`.
+    first = new + split_s / Ts_s * (old - new)
+    slopes = (new - old) / Ts_s, (coming - new) / Ts_s
+    decay_1, rise_1, ramp_1 = _lagged_line(split_s, lag_s)
+    decay_2, rise_2, ramp_2 = _lagged_line(Ts_s - split_s, lag_s)
+    at_bend = rise_1 * first + ramp_1 * slopes[0]  # from a lagged input of zero
+    lagged = np.empty_like(u)
+    lagged[0] = u[0]
+    drive = (decay_2 * at_bend + rise_2 * new + ramp_2 * slopes[1])[:-1]
+    decay = decay_1 * decay_2
+    lagged[1:], _ = lfilter([1.0], [1.0, -float(decay)], drive, axis=0, zi=decay * u[:1])
+    at_bend = at_bend + decay_1 * lagged
+    before = _lagged_moments(Ts_s, 0.0, split_s, lag_s, order)
+    after = _lagged_moments(Ts_s, split_s, Ts_s, lag_s, order)
+    result = np.zeros((len(u), order, u.shape[1]))
+    for weights, values in (
+        *zip(before, (lagged, first, slopes[0]), strict=True),
+        *zip(after, (at_bend, new, slopes[1]), strict=True),
+    ):
+        result += weights[:, None] * values[:, None]
+    return result
+
+
+def _lagged_line(s: float | Array, lag_s: float) -> tuple[Array, Array, Array]:
+    """Return what a lag makes, s seconds on, of its state, a unit step and a ramp of 1/s."""
+    x = np.asarray(s, float)
+    if lag_s <= 0.0:
+        return np.zeros_like(x), np.ones_like(x), x
+    x = x / lag_s
+    rise = -np.expm1(-x)
+    # The ramp is lag (x - rise), which in a long lag is all rounding: there the mean of the rise.
+    slow = np.minimum(x, _SMOOTH)
+    mean = -np.expm1(-np.multiply.outer(slow, _NODES)) @ _WEIGHTS
+    return np.exp(-x), rise, lag_s * np.where(x < _SMOOTH, slow * mean, x - rise)
+
+
 def _lagged_moments(
     Ts_s: float, start: float, end: float, lag_s: float, order: int
-) -> tuple[Array, Array]:
-    """Return the integrals of (Ts - s)^j / j! times E and 1 - E from start to end, each (order,).
+) -> tuple[Array, Array, Array]:
+    """Return the integrals of (Ts - s)^j / j! from start to end times _lagged_line, each (order,).
 
-    E = exp(-(s - start) / lag). By parts each integral follows from the one before times the lag,
-    rounding included; in a lag longer than the period the integrals shrink while that grows.
+    By parts each integral follows from the one before times the lag, rounding included; in a lag
+    longer than the period the integrals shrink while that grows.
     """
     length = end - start
-    if length == 0.0:
-        return np.zeros(order), np.zeros(order)
-    if length > _SMOOTH * lag_s:
-        return _by_parts(Ts_s, start, end, lag_s, order)
     s = length * _NODES
     kernel = np.empty((order, len(s)))
     kernel[0] = length * _WEIGHTS
     np.divide(Ts_s - start - s, np.arange(1, order)[:, None], out=kernel[1:])
     np.multiply.accumulate(kernel, axis=0, out=kernel)
-    rise = -np.expm1(s / -lag_s)
-    return kernel @ (1.0 - rise), kernel @ rise
+    if length <= _SMOOTH * lag_s:
+        decay, rise, ramp = _lagged_line(s, lag_s)
+        return kernel @ decay, kernel @ rise, kernel @ ramp
+    decaying = _decaying(Ts_s, start, end, lag_s, order)
+    rising = kernel.sum(axis=1) - decaying
+    return decaying, rising, kernel @ s - lag_s * rising
 
 
-def _by_parts(
-    Ts_s: float, start: float, end: float, lag_s: float, order: int
-) -> tuple[Array, Array]:
-    decaying, rising = np.empty(order), np.empty(order)
+def _decaying(Ts_s: float, start: float, end: float, lag_s: float, order: int) -> Array:
+    values = np.zeros(order)
+    if lag_s <= 0.0:
+        return values
     decay = math.exp(-(end - start) / lag_s)
     previous = 0.0
-    for j in range(order):
-        factorial = math.factorial(j)
-        edge = ((Ts_s - start) ** j - decay * (Ts_s - end) ** j) / factorial
-        decaying[j] = previous = lag_s * (edge - previous)
-        whole = ((Ts_s - start) ** (j + 1) - (Ts_s - end) ** (j + 1)) / (factorial * (j + 1))
-        rising[j] = whole - previous
-    return decaying, rising
+    for j in range(order):  # by parts
+        edge = ((Ts_s - start) ** j - decay * (Ts_s - end) ** j) / math.factorial(j)
+        values[j] = previous = lag_s * (edge - previous)
+    return values
 
 
-def _between(
-    u: Array, Ts_s: float, hold: Hold, delay_s: float, lag_s: float
-) -> tuple[Array, float]:
-    """Return the acting input at `oversampling` points a period, and their distance."""
-    fine = _OVERSAMPLING if hold == "band_limited" else 1
-    n = len(u)
-    if hold == "foh" and delay_s == 0.0 and lag_s == 0.0:
-        return np.vstack([u, 2 * u[-1] - u[-2]]), Ts_s
+def _between(u: Array, Ts_s: float, delay_s: float, lag_s: float) -> Array:
+    """Return the acting input, band limited, at _OVERSAMPLING points a period."""
+    n, fine = len(u), _OVERSAMPLING
     # Odd reflection at both ends keeps value and slope: what a Fourier interpolation would ring at.
     edge = min(_EDGE_S_ROWS, n - 1)
     long = np.vstack([2 * u[0] - u[edge:0:-1], u, 2 * u[-1] - u[-2 : -edge - 2 : -1]])
@@ -170,11 +214,11 @@ def _between(
     spectrum *= np.exp(-s * delay_s) / (1.0 + s * lag_s)
     acting = irfft(spectrum, fine * length, axis=0) * fine
     begin = fine * edge
-    return np.asarray(acting[begin : begin + fine * n + 1]), Ts_s / fine
+    return np.asarray(acting[begin : begin + fine * n + 1])
 
 
-def _piecewise_linear(fine: Array, Ts_s: float, step_s: float, order: int, n: int) -> Array:
-    pieces = round(Ts_s / step_s)
+def _piecewise_linear(fine: Array, Ts_s: float, order: int, n: int) -> Array:
+    pieces, step_s = _OVERSAMPLING, Ts_s / _OVERSAMPLING
     result = np.zeros((n, order, fine.shape[1]))
     # As many Gauss points as a straight line times a polynomial of degree order - 1 needs.
     nodes, weights = np.polynomial.legendre.leggauss(order // 2 + 2)

@@ -108,13 +108,19 @@ def write_multisine_mat(path: Path, blas: Sequence[BestLinearApproximation]) -> 
 
 
 def write_fitted_mat(path: Path, grey: GreyBox) -> None:
-    """Write the fitted model, sampled where its scheduling variables are as declared, as write_mat.
+    """Write the fitted model where its scheduling variables are as declared, as write_mat.
 
-    A, B, C, D, Ts and the names; parameters: a struct of the fitted values in SI units.
+    A, B, C, D, Ts and the names; parameters: a struct of the fitted values in SI units. input_hold:
+    what the input does between samples, zoh, foh or band_limited. Of a band-limited one the model
+    is continuous, Ts 0, and input_delay_s in s is the delay before it (0 else: it is in A to D).
     """
+    model, delay_s = grey.state_space({})
     contents = {
-        **_matrices([grey.sampled({})]),
+        **_matrices([model]),
         **_signals(fitted_signals(grey)),
+        "Ts": model.Ts_s,
+        "input_hold": grey.declared.input,
+        "input_delay_s": delay_s,
         "parameters": {name: p.value for name, p in grey.fitted.parameters.items()},
     }
     savemat(path, contents, appendmat=False)

@@ -209,6 +209,7 @@ def _multisine(bla: BestLinearApproximation) -> dict[str, Any]:
 def _grey_box(grey: GreyBox) -> dict[str, Any]:
     fitted = grey.fitted.parameters
     return {
+        "input_hold": grey.declared.input,
         "parameters": {
             name: {
                 "value": p.value,

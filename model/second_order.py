@@ -61,6 +61,17 @@ def state_space(model: SecondOrder) -> StateSpace:
     return StateSpace(A, B, np.hstack([eye, zero]), np.zeros((n, p)), 0.0)
 
 
+def lagged(model: SecondOrder) -> StateSpace:
+    """Return state_space with the inputs behind their lag as states (p) after its own, if any."""
+    plant = state_space(model)
+    if model.lag_s <= 0:
+        return plant
+    n, p = plant.B.shape
+    A = np.block([[plant.A, plant.B], [np.zeros((p, n)), -np.eye(p) / model.lag_s]])
+    B = np.vstack([np.zeros((n, p)), np.eye(p) / model.lag_s])
+    return StateSpace(A, B, np.hstack([plant.C, np.zeros((len(plant.C), p))]), plant.D, 0.0)
+
+
 def discretise(model: SecondOrder, Ts_s: float, hold: Literal["zoh", "foh"] = "zoh") -> StateSpace:
     """Return the model sampled at Ts_s, lag and delay exact.
 
@@ -71,18 +82,13 @@ def discretise(model: SecondOrder, Ts_s: float, hold: Literal["zoh", "foh"] = "z
     the step is split there.
     """
     n, p = model.B.shape
-    plant = state_space(model)
-    if model.lag_s > 0:
-        A = np.block([[plant.A, plant.B], [np.zeros((p, 2 * n)), -np.eye(p) / model.lag_s]])
-        B = np.vstack([np.zeros((2 * n, p)), np.eye(p) / model.lag_s])
-    else:
-        A, B = plant.A, plant.B
+    plant = lagged(model)
     whole = int(np.floor(model.delay_s / Ts_s + 1e-9))
     late_s = max(model.delay_s - whole * Ts_s, 0.0)
     if late_s < 1e-9 * Ts_s:
         late_s = 0.0
-    m, depth = len(A), whole + (late_s > 0)
-    A_step, effects = _step(A, B, Ts_s, late_s, hold)
+    m, depth = len(plant.A), whole + (late_s > 0)
+    A_step, effects = _step(plant.A, plant.B, Ts_s, late_s, hold)
     size = m + depth * p
     Ad, Bd = np.zeros((size, size)), np.zeros((size, p))
     C, D = np.hstack([np.eye(n), np.zeros((n, size - n))]), np.zeros((n, p))

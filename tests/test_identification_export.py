@@ -25,7 +25,7 @@ from levid.identification.export import (
 )
 from levid.identification.frequency import ResponseEstimate
 from levid.identification.greybox.experiment import Experiment
-from levid.identification.greybox.result import identify_grey_box
+from levid.identification.greybox.result import GreyBox, identify_grey_box
 from levid.identification.identify import identify
 from levid.identification.multisine import BestLinearApproximation
 from levid.identification.options import Options
@@ -217,21 +217,32 @@ def test_mat_file_of_multisines_has_response_errors_and_names(tmp_path):
     assert [unit.item() for unit in mat["output_units"][0]] == list(SIGNALS.output_units)
 
 
-def test_mat_file_of_a_fitted_model_is_its_sampled_plant(tmp_path):
-    config = load_model(shipped("models/silverbox.yaml"))
-    rng = np.random.default_rng(1)
-    u = rng.normal(size=(3000, 1))
-    model = discretise(declared_model(config).at(), 1 / 610.35)
-    y = simulate(model, u) + 1e-4 * rng.normal(size=u.shape)
-    record = Experiment("made", 1 / 610.35, u, y, {}, frozenset(), False)
-    grey = identify_grey_box(config, [record], 0.25)
+@pytest.mark.parametrize("hold", ["zoh", "foh", "band_limited"])
+def test_mat_file_of_a_fitted_model_says_what_its_input_does(tmp_path, hold):
+    grey = _fitted(hold)
     write_fitted_mat(tmp_path / "fitted.mat", grey)
     mat = loadmat(tmp_path / "fitted.mat")
     again = StateSpace(*(mat[name] for name in "ABCD"), mat["Ts"].item())
-    np.testing.assert_array_equal(again.response(FREQ_HZ), grey.response({}, FREQ_HZ))
-    assert mat["input_units"][0, 0].item() == config.inputs[0].unit
+    late = np.exp(-2j * np.pi * FREQ_HZ * mat["input_delay_s"].item())
+    np.testing.assert_allclose(
+        again.response(FREQ_HZ) * late[:, None, None], grey.response({}, FREQ_HZ), rtol=SAME
+    )
+    assert mat["input_hold"].item() == hold
+    assert again.Ts_s == (0.0 if hold == "band_limited" else grey.Ts_s)
+    assert mat["input_units"][0, 0].item() == grey.declared.inputs[0].unit
     name, value = next(iter(grey.fitted.parameters.items()))
     assert mat["parameters"][name].item().item() == value.value
+
+
+def _fitted(hold: str) -> GreyBox:
+    """Fit a circuit to an input that is held between samples, whatever the model says of it."""
+    config = load_model(shipped("models/silverbox.yaml")).model_copy(update={"input": hold})
+    rng, Ts_s = np.random.default_rng(1), 1 / 610.35
+    u = rng.normal(size=(3000, 1))
+    y = simulate(discretise(declared_model(config).at(), Ts_s), u)
+    y += 1e-4 * rng.normal(size=u.shape)
+    record = Experiment("made", Ts_s, u, y, {}, frozenset(), False)
+    return identify_grey_box(config, [record], 0.25)
 
 
 def _estimate() -> ResponseEstimate:

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from levid.identification.data import IdentificationError, PiController
 from levid.identification.declared import declared_model
 from levid.identification.greybox.experiment import Experiment, Loop
 from levid.identification.greybox.fit import fit_model
-from levid.identification.greybox.inputs import moments
+from levid.identification.greybox.inputs import Hold, moments
 from levid.identification.greybox.motion import innovations, motion
 from levid.identification.greybox.noise import Noise, kalman_filter
 from levid.identification.greybox.result import identify_grey_box, to_yaml
@@ -110,7 +109,7 @@ def steps(model: StateSpace, u: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("delay_s", [0.0, 0.3e-3, 1e-3, 2.4e-3])
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 def test_moments_step_a_model_as_its_exact_discretisation_does(
-    hold: Literal["zoh", "foh"], delay_s: float, lag_s: float, omega: float, order: int
+    hold: Hold, delay_s: float, lag_s: float, omega: float, order: int
 ) -> None:
     model = oscillator(omega, delay_s, lag_s)
     u = np.random.default_rng(1).standard_normal((200, 1))
@@ -122,7 +121,7 @@ def test_moments_step_a_model_as_its_exact_discretisation_does(
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
-def test_what_acted_before_a_record_is_its_first_row(hold: Literal["zoh", "foh"]) -> None:
+def test_what_acted_before_a_record_is_its_first_row(hold: Hold) -> None:
     model = oscillator(20.0, 1.4e-3, 3e-4)
     u = 1.0 + np.cumsum(np.random.default_rng(1).standard_normal((200, 1)), axis=0)
     long = np.vstack([np.repeat(u[:1], 100, 0), u])  # 33 time constants: forgotten to 1e-14
@@ -290,12 +289,21 @@ def test_a_loop_holds_its_input_whatever_the_model_says() -> None:
         )
 
 
-def test_response_is_that_of_the_sampled_plant() -> None:
-    grey = identify_grey_box(one_mass(), [record(1)], 0.0)
-    freq = np.array([1.0, 3.2, 50.0])
-    truth = discretise(replace(declared_model(one_mass()).at(), delay_s=TS), TS).response(freq)
-    # At the resonance the response is 1 / d, which the record tells to 2.5 %; four of those.
-    np.testing.assert_allclose(grey.response({}, freq), truth, rtol=0.1)
+@pytest.mark.parametrize("hold", ["zoh", "foh", "band_limited"])
+def test_response_is_that_of_the_plant_and_of_what_its_input_does(hold: Hold) -> None:
+    # Fitted to a held input: what is tested is what is made of the values.
+    config = one_mass().model_copy(update={"input": hold})
+    grey = replace(identify_grey_box(one_mass(), [record(1)], 0.0), declared=config)
+    freq = np.array([1.0, 3.2, 50.0, 400.0])
+    m, d, k, lag = (grey.fit.model.values[name] for name in ("m", "d", "k", "lag"))
+    response = np.zeros(4, complex)
+    for alias in range(-2000, 2001) if hold != "band_limited" else (0,):
+        s = 2j * np.pi * (freq + alias / TS)
+        held = (1 - np.exp(-s * TS)) / (s * TS)
+        shape = {"zoh": held, "foh": held**2 * np.exp(s * TS), "band_limited": 1.0}[hold]
+        response += shape * np.exp(-s * TS) / (1 + s * lag) / (m * s**2 + d * s + k)
+    # What the aliases beyond leave out falls with the fourth power of 2000.
+    np.testing.assert_allclose(grey.response({}, freq)[:, 0, 0], response, rtol=1e-8)
 
 
 def test_too_short_and_none_are_refused() -> None:

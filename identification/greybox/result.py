@@ -11,7 +11,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
-from ...model.second_order import StateSpace, discretise
+from ...model.second_order import StateSpace, discretise, lagged
 from ..data import IdentificationError
 from .experiment import Experiment
 from .fit import Fit, fit_model
@@ -38,14 +38,27 @@ class GreyBox:
     remarks: tuple[str, ...] = ()
 
     def response(self, schedule: Mapping[str, float], freq_hz: Array) -> Complex:
-        """Return the sampled plant (F, n, p) from command to output, delay and hold included."""
-        return np.asarray(self.sampled(schedule).response(freq_hz))
+        """Return the plant (F, n, p) from command to output at freq_hz (F,) in Hz, delay included.
 
-    def sampled(self, schedule: Mapping[str, float]) -> StateSpace:
-        """Return the sampled plant from command to output, delay and hold as states."""
+        With what the input does between samples, as the model's `input` says it; of a band-limited
+        one nothing is above half the rate, and the response is the continuous one.
+        """
+        model, delay_s = self.state_space(schedule)
+        late = np.exp(-2j * np.pi * np.asarray(freq_hz) * delay_s)
+        return np.asarray(model.response(freq_hz) * late[:, None, None])
+
+    def state_space(self, schedule: Mapping[str, float]) -> tuple[StateSpace, float]:
+        """Return the plant from command to output, and the delay of its input in s beside it.
+
+        Sampled, with the delay as states and none beside it, where the input is held or goes in
+        straight lines. For a band-limited input no states are exact: then it is continuous.
+        """
         at = self.fit.model.at(schedule)
-        delayed = replace(at, delay_s=max(at.delay_s + self.delay_cycles * self.Ts_s, 0.0))
-        return discretise(delayed, self.Ts_s)
+        delay_s = max(at.delay_s + self.delay_cycles * self.Ts_s, 0.0)
+        hold = self.declared.input
+        if hold == "band_limited":
+            return lagged(at), delay_s
+        return discretise(replace(at, delay_s=delay_s), self.Ts_s, hold), 0.0
 
 
 def identify_grey_box(

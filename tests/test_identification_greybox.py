@@ -311,3 +311,36 @@ def test_too_short_and_none_are_refused() -> None:
         fit_model(one_mass(), [])
     with pytest.raises(IdentificationError, match="at least 50 rows, found 20"):
         fit_model(one_mass(), [record(1).rows(0, 20)])
+
+
+def slow(Ts_s: float, rows: int) -> tuple[ModelConfig, Experiment]:
+    """Return a mass that swings in 20 rows, whatever they last, and a record of it."""
+    omega = 0.3 / Ts_s
+    text = ONE_MASS.replace("value: 3.0", f"value: {0.4 * omega}").replace("lag_s: lag\n", "")
+    config = parse_text(
+        text.replace("value: 800.0", f"value: {2 * omega**2}").replace("min: 1,", "min: 1.0e-6,"),
+        ModelConfig,
+        "slow",
+    )
+    u = np.random.default_rng(1).standard_normal((rows, 1))
+    y = steps(discretise(declared_model(config).at(), Ts_s), u)
+    y += 0.01 * y.std() * np.random.default_rng(2).standard_normal(y.shape)
+    return config, Experiment("slow", Ts_s, u, y, {}, frozenset(), False)
+
+
+@pytest.mark.parametrize("rows", [100, 600])
+def test_a_slow_record_is_validated_as_a_quick_one(rows: int) -> None:
+    made = slow(0.1, rows), slow(60.0, rows)
+    quick, minutes = (identify_grey_box(c, [e], 0.25).validations[0] for c, e in made)
+    # In units of the sampling time they are the same record.
+    assert len(minutes.measured) == len(quick.measured)
+    np.testing.assert_allclose(minutes.fit_percent, quick.fit_percent, rtol=1e-3)
+    np.testing.assert_allclose(minutes.freq_hz * 600, quick.freq_hz, rtol=1e-12)
+    np.testing.assert_allclose(minutes.whiteness.p_value, quick.whiteness.p_value, rtol=1e-2)
+    assert minutes.whiteness.p_value[0] > 1e-3
+    assert minutes.fit_percent[0] > 90
+
+
+def test_a_record_too_short_to_start_from_is_refused() -> None:
+    with pytest.raises(IdentificationError, match=r"record 'made': expected at least 9 rows .* 8"):
+        free_run(declared_model(one_mass()), record(1).rows(0, 8), "zoh", NOISE)

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 START_S = 5.0
 """The beginning of a record that may tell its state, its constant force, and nothing else."""
+_START_ROWS = 50
+"""Of slow records so many rows at least: each DOF has three unknowns, in as much noise."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,11 @@ def free_run(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: No
     """Simulate a record from its excitation, its feed-forward and its schedule alone.
 
     In a loop the simulated outputs go through the controller; without one the input is as recorded.
-    State and constant force come from the first 5 s (a third of a record shorter than 15 s), by the
-    Kalman filter; from there on nothing measured is used.
+    State and constant force come from the rows before first_row, by the Kalman filter; from there
+    on nothing measured is used.
 
-    Raises IdentificationError: a loop whose input is not held from sample to sample.
+    Raises IdentificationError: a loop whose input is not held from sample to sample; fewer than
+    nine rows.
     """
     require_held(experiment, hold)
     first = first_row(experiment)
@@ -73,8 +76,16 @@ def require_held(experiment: Experiment, hold: Hold) -> None:
 
 
 def first_row(experiment: Experiment) -> int:
-    """Return the first row that counts: 5 s in, a third of a record shorter than 15 s."""
-    return min(round(START_S / experiment.Ts_s), len(experiment.y) // 3)
+    """Return the first row that counts: 5 s in, 50 rows at least, a third of a short record.
+
+    Raises IdentificationError: fewer than nine rows, a third of which does not tell the state.
+    """
+    rows = len(experiment.y)
+    if rows < 9:
+        raise IdentificationError(
+            f"record '{experiment.name}': expected at least 9 rows to simulate, found {rows}"
+        )
+    return min(max(round(START_S / experiment.Ts_s), _START_ROWS), rows // 3)
 
 
 def beginning(at: Motion, first: int) -> Motion:

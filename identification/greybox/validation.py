@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 _LAGS = 25
 _SEGMENT_S = 4.0
+_SEGMENT_ROWS = 64
+"""Of slow records so many rows at least: 32 lines, of which a Hann window smears three into one."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def validate(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: No
     measured, simulated = experiment.y[rows], run.y[rows]
     error = measured - simulated
     floor = noise_floor(model, experiment, hold, noise)
-    segment = min(round(_SEGMENT_S / experiment.Ts_s), len(error))
+    segment = min(max(round(_SEGMENT_S / experiment.Ts_s), _SEGMENT_ROWS), len(error))
     freq_hz, error_psd = welch(error, 1 / experiment.Ts_s, nperseg=segment, axis=0)
     errors = predict(model, experiment, hold, noise).errors[rows]
     time_s = np.asarray(np.arange(run.counts_from, len(experiment.y)) * experiment.Ts_s)
@@ -93,8 +95,9 @@ def validate(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: No
 
 
 def whiteness(errors: Array, lags: int = _LAGS) -> Whiteness:
-    """Return the Ljung-Box test of whitened errors (N, n)."""
+    """Return the Ljung-Box test of whitened errors (N, n), of `lags` or N / 4 lags, the fewer."""
     n, centred = len(errors), errors - errors.mean(axis=0)
+    lags = min(lags, n // 4)  # of as many lags as rows, the last ones are sums of hardly a term
     power = np.sum(centred**2, axis=0)
     rho = np.array([np.sum(centred[k:] * centred[:-k], axis=0) / power for k in range(1, lags + 1)])
     Q = n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1))[:, None], axis=0)

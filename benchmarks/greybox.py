@@ -199,7 +199,7 @@ def off_by_a_tenth(seed: int) -> ModelConfig:
     parameters = {}
     for name, p in config.parameters.items():
         value = p.value * (1 + 0.1 * rng.standard_normal()) if p.value else 2e-5
-        parameters[name] = p if p.fixed else p.model_copy(update={"value": float(value)})
+        parameters[name] = p if p.is_fixed else p.model_copy(update={"value": float(value)})
     return config.model_copy(update={"parameters": parameters})
 
 

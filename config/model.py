@@ -42,6 +42,11 @@ class Parameter(Strict):
             raise ValueError(f"expected min <= value <= max, found {low}, {self.value}, {high}")
         return self
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether no fit may change the value: `fixed`, or bounds that leave no other."""
+        return self.fixed or (self.min is not None and self.min == self.max)
+
 
 class Scheduling(Strict):
     """A variable of the matrices, measured by a field of the log or by its derivative."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     import control
 
 Array = NDArray[np.float64]
+
+_FIELD_CHARACTERS = 63
+"""Of a field's name MATLAB keeps so many."""
 
 
 def control_state_space(
@@ -110,20 +113,27 @@ def write_multisine_mat(path: Path, blas: Sequence[BestLinearApproximation]) -> 
 def write_fitted_mat(path: Path, grey: GreyBox) -> None:
     """Write the fitted model where its scheduling variables are as declared, as write_mat.
 
-    A, B, C, D, Ts and the names; parameters: a struct of the fitted values in SI units. input_hold:
-    what the input does between samples, zoh, foh or band_limited. Of a band-limited one the model
-    is continuous, Ts 0, and input_delay_s in s is the delay before it (0 else: it is in A to D).
+    A, B, C, D, Ts and the names; parameters: a struct of the fitted values in SI units, and
+    standard_errors: one of theirs, nan where there is none; names that MATLAB does not take for a
+    field as _fields has them. input_hold: what the input does between samples, zoh, foh or
+    band_limited. Of a band-limited one the model is continuous, Ts 0, and input_delay_s in s is the
+    delay before it (0 else: it is in A to D).
     """
     model, delay_s = grey.state_space({})
+    parameters = grey.fitted.parameters
+    fields = _fields(parameters)
     contents = {
         **_matrices([model]),
         **_signals(fitted_signals(grey)),
         "Ts": model.Ts_s,
         "input_hold": grey.declared.input,
         "input_delay_s": delay_s,
-        "parameters": {name: p.value for name, p in grey.fitted.parameters.items()},
+        "parameters": {fields[name]: p.value for name, p in parameters.items()},
+        "standard_errors": {
+            fields[name]: np.nan if p.se is None else p.se for name, p in parameters.items()
+        },
     }
-    savemat(path, contents, appendmat=False)
+    savemat(path, contents, appendmat=False, long_field_names=True)
 
 
 def fitted_signals(grey: GreyBox) -> Signals:
@@ -169,6 +179,18 @@ def _signals(signals: Signals) -> dict[str, Any]:
         "output_names": _cell(signals.output_names),
         "output_units": _cell(signals.output_units),
     }
+
+
+def _fields(names: Iterable[str]) -> dict[str, str]:
+    """Return the field of a MATLAB struct by name: p_ before a _, 63 characters, each once."""
+    fields: dict[str, str] = {}
+    for name in names:
+        whole = f"p_{name}" if name.startswith("_") else name
+        field, k = whole[:_FIELD_CHARACTERS], 2
+        while field in fields.values():
+            field, k = f"{whole[: _FIELD_CHARACTERS - 4]}_{k}", k + 1
+        fields[name] = field
+    return fields
 
 
 def _alike(grids: Sequence[Array]) -> bool:

@@ -15,6 +15,10 @@ Array = NDArray[np.float64]
 Grid = tuple[tuple[Expression, ...], ...]
 
 
+_SINGULAR = 1e12
+"""An entry of M times its opposite in the inverse, beyond which the inverse is made of rounding."""
+
+
 class ModelError(ValueError):
     """A declared model that contradicts itself."""
 
@@ -107,7 +111,10 @@ class DeclaredModel:
         return model
 
     def at(self, scheduling: Mapping[str, float] | None = None) -> SecondOrder:
-        """Return the matrices at one value of the scheduling variables (defaults: as declared)."""
+        """Return the matrices at one value of the scheduling variables (defaults: as declared).
+
+        Raises ModelError: an unknown variable, a formula without a value, an M without an inverse.
+        """
         given = dict(scheduling or {})
         unknown = set(given) - set(self.scheduling)
         if unknown:
@@ -116,8 +123,10 @@ class DeclaredModel:
             )
         values = {**self.values, **self.scheduling, **given}
         try:
+            M = _evaluate(self.M, values)
+            inverse_mass(M[None], {name: np.array([values[name]]) for name in self.scheduling})
             return SecondOrder(
-                M=_evaluate(self.M, values),
+                M=M,
                 D=_evaluate(self.D, values),
                 K=_evaluate(self.K, values),
                 B=_evaluate(self.B, values),
@@ -152,6 +161,27 @@ class DeclaredModel:
         if unknown:
             raise ModelError(f"expected parameters {sorted(self.values)}, found {sorted(unknown)}")
         return replace(self, values={**self.values, **values})
+
+
+def inverse_mass(M: Array, scheduling: Mapping[str, Array]) -> Array:
+    """Return the inverses (R, n, n) of mass matrices at R values of scheduling variables (R,).
+
+    Raises ModelError: a matrix that has none; the message has the matrix and where it is so.
+    """
+    try:
+        inverse = np.asarray(np.linalg.inv(M), np.float64)
+        # These products do not depend on units; of a regular matrix none is large.
+        lost = ~(np.abs(M * inverse.swapaxes(1, 2)).max(axis=(1, 2)) < _SINGULAR)
+    except np.linalg.LinAlgError:
+        inverse, lost = np.zeros_like(M), np.linalg.det(M) == 0.0
+    if not lost.any():
+        return inverse
+    row = int(np.argmax(lost))
+    at = ", ".join(f"{name} = {values[row]:g}" for name, values in scheduling.items())
+    raise ModelError(
+        f"M: expected a mass matrix that has an inverse, found {M[row].tolist()}"
+        + (f" at {at}" if at else "")
+    )
 
 
 def _grid(

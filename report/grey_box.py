@@ -158,7 +158,7 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
     """Return what was found, in sentences for the summary."""
     fit, declared = report.grey.fit, report.grey.declared
     rows = sum(len(p.errors) for p in fit.predictions)
-    fixed = sum(p.fixed for p in declared.parameters.values())
+    fixed = sum(p.is_fixed for p in declared.parameters.values())
     fitted = (
         f"{_count(len(fit.free), 'parameter')} of the declared model '{declared.name}' "
         f"{_were(len(fit.free))} fitted to {_count(len(fit.predictions), 'record')} together, "

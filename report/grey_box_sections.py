@@ -74,7 +74,7 @@ def _values(name: str, parameter: Parameter, fit: Fit) -> tuple[str, ...]:
     before = _number(parameter.value)
     error = fit.standard_errors.get(name)
     if error is None:
-        return before, "fixed" if parameter.fixed else "held", "—", "—", "—"
+        return before, "fixed" if parameter.is_fixed else "held", "—", "—", "—"
     after = fit.values[name]
     change = after - parameter.value
     return (

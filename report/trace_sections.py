@@ -223,7 +223,7 @@ def model_section(found: Trace) -> Section:
             *_with_error(after.parameters[name]),
         )
         for name, declared in found.config.parameters.items()
-        if not declared.fixed
+        if not declared.is_fixed
     )
     head = ("parameter", "unit", "declared", "fitted without effects", "with effects", "± 95 %")
     return Section(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -232,6 +233,27 @@ def test_mat_file_of_a_fitted_model_says_what_its_input_does(tmp_path, hold):
     assert mat["input_units"][0, 0].item() == grey.declared.inputs[0].unit
     name, value = next(iter(grey.fitted.parameters.items()))
     assert mat["parameters"][name].item().item() == value.value
+
+
+def test_mat_file_takes_parameters_of_any_name_with_their_errors(tmp_path):
+    # 63 characters are MATLAB's limit, 31 what scipy writes unless told otherwise.
+    same = "mass_of_everything_that_hangs_below_the_platform_and_its_three_magnets"
+    names = ("_k", "a" * 40, same + "_1", same + "_2", "p__k")
+    grey = _fitted("zoh")
+    known = next(iter(grey.fitted.parameters.values()))
+    parameters = {name: known.model_copy(update={"value": float(i), "se": 0.5 * i or None})
+                  for i, name in enumerate(names)}  # fmt: skip
+    fitted = grey.fitted.model_copy(update={"parameters": parameters})
+    write_fitted_mat(tmp_path / "fitted.mat", replace(grey, fitted=fitted))
+    mat = loadmat(tmp_path / "fitted.mat")
+    fields = mat["parameters"].dtype.names
+    assert fields == ("p__k", "a" * 40, same[:63], f"{same[:59]}_2", "p__k_2")
+    assert mat["standard_errors"].dtype.names == fields
+    for i, field in enumerate(fields):
+        assert mat["parameters"][field].item().item() == i
+        np.testing.assert_array_equal(
+            mat["standard_errors"][field].item().item(), 0.5 * i if i else np.nan
+        )
 
 
 def _fitted(hold: str) -> GreyBox:

@@ -20,6 +20,7 @@ from levid.identification.greybox.noise import Noise, kalman_filter
 from levid.identification.greybox.result import identify_grey_box, to_yaml
 from levid.identification.greybox.simulate import free_run
 from levid.identification.greybox.validation import whiteness
+from levid.model.declared import ModelError
 from levid.model.second_order import SecondOrder, StateSpace, discretise
 
 ONE_MASS = """
@@ -225,6 +226,36 @@ def test_bounds_hold_and_are_said() -> None:
     )
     assert fit.values["k"] == 790.0
     assert "k" in fit.at_bound
+
+
+def test_bounds_without_room_fix_a_parameter() -> None:
+    config = one_mass()
+    shut = config.parameters["d"].model_copy(update={"min": 3.0, "max": 3.0})
+    fit = fit_model(
+        config.model_copy(update={"parameters": {**config.parameters, "d": shut}}), [record(1)]
+    )
+    assert fit.values["d"] == 3.0
+    assert fit.free == ("m", "k")
+    assert not fit.at_bound
+    assert abs(fit.values["k"] - 800.0) < 4 * fit.standard_errors["k"]
+
+
+def test_a_mass_without_an_inverse_is_said_with_its_place() -> None:
+    config = parse_text(ONE_MASS.replace("M: [[m]]", "M: [[m - 2]]"), ModelConfig, "mass")
+    with pytest.raises(
+        IdentificationError,
+        match=r"'mass': record 'made': M: expected .* inverse, found \[\[0\.0\]\]",
+    ):
+        fit_model(config, [record(1)])
+    moved = parse_text(
+        ONE_MASS.replace("M: [[m]]", "M: [[m * x]]") + "scheduling: {x: {unit: m, signal: x}}\n",
+        ModelConfig,
+        "mass",
+    )
+    schedule = {"x": np.arange(6000) - 1234.5}  # in the middle of period 1234 it is 0
+    along = replace(record(1), schedule=schedule, moving=True)
+    with pytest.raises(ModelError, match=r"at x = 0$"):
+        motion(declared_model(moved), along, "zoh")
 
 
 def test_free_run_in_the_loop_needs_nothing_but_excitation() -> None:

@@ -78,6 +78,17 @@ def test_static_gain_is_the_inverse_stiffness() -> None:
     np.testing.assert_allclose(gain.real, np.linalg.inv(model.K), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "m", [[["a", "a"], ["a", "a"]], [[0.1, 0.3], [0.1, 0.3]], [[0, 0], [0, 1]]]
+)
+def test_a_mass_matrix_has_an_inverse(m: list[list[str | float]]) -> None:
+    eye = [[1e-9, 0.0], [0.0, 1e9]]  # units may be as they like
+    DeclaredModel.build("xy", "fg", {}, {"s": 0.1}, {"M": eye, "D": eye, "K": eye}).at()
+    model = DeclaredModel.build("xy", "fg", {"a": 0.3}, {"s": 0.1}, {"M": m, "D": eye, "K": eye})
+    with pytest.raises(ModelError, match=r"M: expected a mass matrix .* at s = 0\.2"):
+        model.at({"s": 0.2})
+
+
 def test_one_mass_model_of_any_size() -> None:
     model = DeclaredModel.build(
         ["x"], ["f"], {"m": 2.0, "k": 8.0}, {}, {"M": [["m"]], "D": [[0]], "K": [["k"]]}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from ...model.declared import DeclaredModel
+from ...model.declared import DeclaredModel, ModelError, inverse_mass
 from ..data import IdentificationError
 from . import kernels
 from .experiment import Experiment
@@ -119,6 +119,9 @@ def motion(
     A schedule that stands still gives one set of matrices and no drift (a constant force is part of
     the record's unknown offset); one that moves gives matrices in the middle of each period and the
     model's force as a straight line over it.
+
+    Raises ModelError: a formula without a value, an M without an inverse; IdentificationError: a
+    model too fast for the sampling time.
     """
     Ts_s = experiment.Ts_s
     if experiment.moving:
@@ -127,12 +130,16 @@ def motion(
             name: values if name in experiment.rates else np.append(values[1:], values[-1])
             for name, values in begin.items()
         }
-        at = model.over({name: 0.5 * (begin[name] + end[name]) for name in begin})
+        middle = {name: 0.5 * (begin[name] + end[name]) for name in begin}
+        at = model.over(middle)
         force = np.stack([model.force_over(begin), model.force_over(end)], axis=2)
     else:
-        mean = {name: np.array([values.mean()]) for name, values in experiment.schedule.items()}
-        at, force = model.over(mean), np.zeros((1, len(model.dof), 2))
-    mobility = np.asarray(np.linalg.inv(at.M), np.float64)
+        middle = {name: np.array([values.mean()]) for name, values in experiment.schedule.items()}
+        at, force = model.over(middle), np.zeros((1, len(model.dof), 2))
+    try:
+        mobility = inverse_mass(at.M, middle)
+    except ModelError as error:
+        raise ModelError(f"record '{experiment.name}': {error}") from None
     K, D, B = mobility @ at.K, mobility @ at.D, mobility @ at.B
     scale = taylor_scale(K, D, Ts_s)
     order = len(scale) - 1

@@ -55,7 +55,7 @@ class FreeParameters:
 
 def free_parameters(config: ModelConfig) -> FreeParameters:
     """Return the parameters of a model file that are not fixed."""
-    chosen = {name: p for name, p in config.parameters.items() if not p.fixed}
+    chosen = {name: p for name, p in config.parameters.items() if not p.is_fixed}
     listed = list(chosen.values())
     return FreeParameters(
         tuple(chosen),

@@ -40,6 +40,9 @@ _USED = (
 """Fields of a flight that a fit or a trace reads."""
 _STILL = 1e-3
 """A scheduling variable whose spread is below this share of its range counts as constant."""
+_SMOOTH = 0.1
+"""Squares of a derivative's steps over its own, of white jitter 3; a motion has less, up to a
+twentieth of the rate, where jitter is less than a 30th of it."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,9 @@ class Experiment:
 
     Schedule variables in `rates` are means over the period that follows a row, others are samples.
     The input acts `delay_cycles` whole periods after its row, beyond any delay of the model.
-    `moving` says that the schedule changes during the record. `loop` is None where no controller is
-    known. `hold` is what the input does between samples as the log says it, None where it does not.
+    `moving` says that the schedule changes during the record, be it by a derivative alone. `loop`
+    is None where no controller is known. `hold` is what the input does between samples as the log
+    says it, None where it does not.
     """
 
     name: str
@@ -118,9 +122,8 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
         for name, variable in model.scheduling.items()
     }
     moving = any(
-        np.ptp(schedule[name]) > _STILL * spans[name]
+        _moves(schedule[name], spans[name], variable.derivative)
         for name, variable in model.scheduling.items()
-        if not variable.derivative
     )
     rates = frozenset(name for name, variable in model.scheduling.items() if variable.derivative)
     remarks = (*base.remarks, *gaps)
@@ -181,6 +184,16 @@ def _schedule(log: Log, signal: str, derivative: bool, Ts_s: float) -> Array:
         return np.asarray(values)
     # The mean over the period that follows: exact, whatever the drive does within it.
     return np.append(np.diff(values), 0.0) / Ts_s
+
+
+def _moves(values: Array, span: float, derivative: bool) -> bool:
+    if derivative:
+        values = values[:-1]  # the last row has no period after it
+    if len(values) < 2 or np.ptp(values) <= _STILL * span:
+        return False
+    # Differences of readings make much of the jitter of a beam that stands: only a course counts.
+    rest = values - values.mean()
+    return not derivative or bool(np.sum(np.diff(values) ** 2) < _SMOOTH * np.sum(rest**2))
 
 
 def _span(low: float | None, high: float | None, value: float) -> float:

@@ -1,0 +1,71 @@
+"""A record as the declared model sees it: when its schedule counts as moving."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.config.model import ModelConfig, Scheduling, load_model
+from levid.config.shipped import shipped
+from levid.identification.greybox.experiment import experiment_from_log
+from levid.log.reader import Log
+from levid.log.signals import cycle_dtype
+
+TIME_S = 1e-3 * np.arange(4000)
+
+
+def flown(beam_m: np.ndarray) -> Log:
+    """Return the log of a beam that went that way, and of nothing else."""
+    rows = np.zeros(len(TIME_S), cycle_dtype(9, 9))
+    rows["cycle"] = np.arange(len(rows))
+    rows["time_s"] = TIME_S
+    rows["beam_m"] = beam_m
+    rows["beam_m_s"] = np.gradient(beam_m, TIME_S)
+    return Log(
+        path=Path("01-beam.mcap"),
+        rows=rows,
+        log_time_ns=np.arange(len(rows), dtype=np.uint64) * 10**6,
+        rate_hz=1000.0,
+        schema_name="levid/msg/Cycle",
+        metadata={"kind": "record", "name": "beam"},
+        attachments={"rig.yaml": Path(shipped("rigs/loopback.yaml")).read_bytes()},
+        complete=True,
+        problem=None,
+    )
+
+
+def derived() -> ModelConfig:
+    """Return the rig's model with the beam's speed from its place, as for a drive without it."""
+    model = load_model(shipped("models/rig.yaml"))
+    v_b = Scheduling(unit="m/s", signal="beam_m", derivative=True)
+    return model.model_copy(update={"scheduling": {**model.scheduling, "v_b": v_b}})
+
+
+@pytest.mark.parametrize(
+    ("beam_m", "moving"),
+    [
+        (np.full(4000, 0.05), False),
+        (0.1 * TIME_S / 4, True),
+        # 0.1 mm of a range of 200 mm, but with 9 mm/s and 1.8 m/s^2.
+        (0.05 + 5e-5 * np.sin(2 * np.pi * 30 * TIME_S), True),
+        # An encoder's last digit: of a beam that stands, up to 8 mm/s.
+        (0.05 + 2e-6 * np.random.default_rng(1).normal(size=4000).round(), False),
+        (0.05 + 2e-6 * (TIME_S > 2.0), False),
+    ],
+    ids=["stands", "goes slowly", "shakes", "jitters", "one digit more"],
+)
+def test_a_schedule_moves_by_its_derivatives_too(beam_m: np.ndarray, moving: bool) -> None:
+    assert experiment_from_log(flown(beam_m), derived()).moving == moving
+
+
+def test_an_acceleration_alone_moves_the_schedule() -> None:
+    log = flown(0.05 + 5e-5 * np.sin(2 * np.pi * 30 * TIME_S))
+    rows = log.rows.copy()
+    rows["beam_m"] = 0.05  # as read by a coarse encoder; the drive knows its speed
+    model = derived()
+    assert experiment_from_log(replace(log, rows=rows), model).moving
+    rows["beam_m_s"] = 0.0
+    assert not experiment_from_log(replace(log, rows=rows), model).moving

@@ -21,8 +21,8 @@ _READING, _GAP = int(Fault.READING), int(Fault.GAP)
 _COMPUTATION, _BEAM = int(Fault.COMPUTATION), int(Fault.BEAM)
 _POSE_FAULT, _VELOCITY, _HEAT = int(Fault.POSE), int(Fault.VELOCITY), int(Fault.HEAT)
 _FAULT_STATE = int(State.FAULT)
-# The beam may overshoot its setpoint range by this much before that is a fault.
-_BEAM_MARGIN_M = 0.002
+BEAM_MARGIN_M = 0.002
+"""The beam may overshoot its setpoint range by this much before that is a fault."""
 # And be measured faster than its setpoints may be, by half and by this.
 _BEAM_MARGIN, _BEAM_MARGIN_M_S = 1.5, 0.05
 # A readback of more than so many times a coil's limit says nothing about how hot the coil gets.
@@ -64,7 +64,7 @@ class Controller:
             [ki * period_s for ki in rig.control.ki],
             [ff.mass_kg * ff.gravity_m_s2, ff.beam_mass_kg * ff.gravity_m_s2, ff.rods_n_m],
             [limits.coil_n, limits.coil_rate_n_s * period_s],
-            [limits.gap_m, limits.beam_m + _BEAM_MARGIN_M],
+            [limits.gap_m, limits.beam_m + BEAM_MARGIN_M],
             # What the rig does not limit has no limit.
             [limits.total_n or math.inf, limits.tilt_rad or math.inf, limits.gap_m_s or math.inf],
             [_BEAM_MARGIN * limits.beam_velocity_m_s + _BEAM_MARGIN_M_S],

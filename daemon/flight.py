@@ -6,6 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..config.rig import RigConfig
 from ..drivers.base import Context, Devices
 from ..drivers.registry import open_devices
@@ -133,18 +136,24 @@ class Flight:
 
     def _landing_from_here(self, planned: list[Segment]) -> list[Segment]:
         """Return a landing that brakes beam and rotor where they are, not where the plan ends."""
-        limits, control = self._rig.limits, self._controller
-        Ts_s = 1.0 / self._rate_hz
-        (beam_m, beam_m_s), (rotor_rad, rotor_rad_s) = control.beam_ref[:2], control.rotor_ref[:2]
-        beam = trajectory.brake(beam_m, beam_m_s, limits.beam_acceleration_m_s2, Ts_s)
-        rotor = trajectory.brake(rotor_rad, rotor_rad_s, limits.rotor_acceleration_rad_s2, Ts_s)
-        if not control.engaged:  # there is nothing to land
+        if not self._controller.engaged:  # there is nothing to land
             return [segment for segment in planned if not segment.lands]
+        beam, rotor = self._brakes()
         first, *others = planned
         return [
             replace(first, beam=beam, rotor=rotor),
             *(replace(s, beam=beam[-1:], rotor=rotor[-1:]) for s in others),
         ]
+
+    def _brakes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return setpoints (n, 3) that bring beam and rotor to rest from where they are."""
+        limits, control = self._rig.limits, self._controller
+        Ts_s = 1.0 / self._rate_hz
+        (beam_m, beam_m_s), (rotor_rad, rotor_rad_s) = control.beam_ref[:2], control.rotor_ref[:2]
+        return (
+            trajectory.brake(beam_m, beam_m_s, limits.beam_acceleration_m_s2, Ts_s),
+            trajectory.brake(rotor_rad, rotor_rad_s, limits.rotor_acceleration_rad_s2, Ts_s),
+        )
 
     def _fly_step(
         self,
@@ -191,5 +200,7 @@ class Flight:
         """Log what happens after a fault, at zero force, for as long as the devices answer."""
         self._controller.latch(fault)
         cycles = int(_AFTER_FAULT_S * self._rate_hz)
-        self.loop.fly(replace(resting_segment(self._controller, cycles), state=State.FAULT))
+        resting = resting_segment(self._controller, cycles)
+        beam, rotor = self._brakes()
+        self.loop.fly(replace(resting, state=State.FAULT, beam=beam, rotor=rotor))
         self.loop.zero()

@@ -14,6 +14,9 @@ from .control import Controller
 from .segment import Segment
 from .states import State
 
+Motion = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Setpoints of beam and rotor, (1, 3) each: position, velocity, acceleration."""
+
 
 class Landing:
     """Sinks onto the stops, lets go, and brakes beam and rotor where they are.
@@ -43,13 +46,24 @@ class Landing:
 
     def begin(self, ramp: int, release: int) -> None:
         """Begin here, with so many cycles to sink and to let go."""
-        control = self._controller
         self._ramp, self._release = max(ramp, 1), max(release, 1)
+        self.brake()
+
+    def brake(self) -> Motion:
+        """Begin to brake here; return setpoints of beam and rotor, to be set by `set_motion`."""
+        control = self._controller
         for brake, at, deceleration in zip(
             self._brakes, (control.beam_ref, control.rotor_ref), self._decelerations, strict=True
         ):
             n = max(ceil(abs(at[1]) / (deceleration * self._period_s)), 1)
             brake[:] = at[0], at[1], -at[1] / (n * self._period_s), n
+        self.set_motion(0)
+        return self._motion[0], self._motion[1]
+
+    def set_motion(self, k: int) -> bool:
+        """Set beam and rotor of cycle `k`; return False from where on they are at rest."""
+        motion_row(k, self._period_s, self._brakes, self._motion)
+        return bool(k + 1 < self._brakes[:, 3].max())
 
     def row_after(self, blend: NDArray[np.float64]) -> int:
         """Return the cycle that goes on from `blend` (3,), a row of another landing like this."""
@@ -77,13 +91,19 @@ def smooth(s):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def landing_row(k, ramp, release, Ts, blend, brakes, motion) -> None:  # type: ignore[no-untyped-def]
-    """Fill blend (3,) and motion (2, 1, 3) for cycle k; brakes (2, 4): x, v, a and cycles."""
+    """Fill blend (3,) and motion (2, 1, 3) for cycle k; see motion_row for brakes."""
     sinking = k < ramp
     s = (ramp - k) / ramp if sinking else (ramp + release - k) / release
     level = smooth(s)
     blend[0] = level if sinking else 0.0
     blend[1] = 1.0
     blend[2] = 1.0 if sinking else level
+    motion_row(k, Ts, brakes, motion)
+
+
+@njit(cache=True)
+def motion_row(k, Ts, brakes, motion) -> None:  # type: ignore[no-untyped-def]
+    """Fill motion (2, 1, 3) for cycle k; brakes (2, 4): x, v, a and cycles."""
     for i in range(2):
         x, v, a, n = brakes[i, 0], brakes[i, 1], brakes[i, 2], brakes[i, 3]
         t = min(k + 1, n) * Ts

@@ -402,7 +402,8 @@ class _Planner:
         return np.array([[self.beam_m, 0.0, 0.0]]), np.array([[self.rotor_rad, 0.0, 0.0]])
 
     def n(self, duration_s: float) -> int:
-        return round(duration_s * self.rate_hz)
+        """Return cycles: one at least of what is to take any time, or a lift-off would be none."""
+        return max(round(duration_s * self.rate_hz), 1 if duration_s > 0.0 else 0)
 
 
 def _check_limit(where: str, value: float | None, limit: float, unit: str) -> None:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..model.geometry import decoupling_matrix, shape_matrix
+from .control import BEAM_MARGIN_M
 
 
 def self_test(rows: NDArray[np.void], rig: RigConfig) -> str:
@@ -32,7 +33,11 @@ def self_test(rows: NDArray[np.void], rig: RigConfig) -> str:
             bounds.coil_n,
             "coil {} drives {:.3e} N at zero force",
         ),
-        (np.abs(rows["beam_m"][-1:]), rig.limits.beam_m + 0.002, "beam{}: it is at {:.3e} m"),
+        (
+            np.abs(rows["beam_m"][-1:]),
+            rig.limits.beam_m + BEAM_MARGIN_M,
+            "beam{}: it is at {:.3e} m",
+        ),
         (np.abs(rows["beam_m_s"][-1:]), bounds.beam_m_s, "beam{}: it moves at {:.3e} m/s"),
         (np.abs(rows["rotor_rad_s"][-1:]), bounds.rotor_rad_s, "rotor{}: turns at {:.3e} rad/s"),
     )

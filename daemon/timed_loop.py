@@ -24,7 +24,7 @@ from .clock import Clock
 from .control import Controller
 from .failures import fault_of
 from .faults import Fault
-from .landing import Landing
+from .landing import Landing, Motion
 from .lateness import Lateness
 from .program import Announced
 from .ring import NO_LOG
@@ -251,6 +251,13 @@ class TimedLoop:
         self._k += 1
         return 0
 
+    def _brake(self) -> int:
+        """Bring the manipulator to rest at zero force, then stand."""
+        if not self._landing.set_motion(self._k):
+            self._advance = self._stand
+        self._k += 1
+        return 0
+
     def _self_test(self) -> int:
         """Rest for so many cycles, then judge the readings that they gave."""
         self._left -= 1
@@ -275,9 +282,12 @@ class TimedLoop:
         announced = self._program.announced(number)
         words[_QUEUE_TAIL] = number + 1
         self._left = 0
-        if self._fault or self._ending or announced.plan <= words[Word.PLAN_CUT]:
+        going_on = announced.plan == words[Word.PLAN]
+        # Who is about to end begins nothing, and goes on with the landing of the plan at hand.
+        unwanted = self._fault or (self._ending and not going_on)
+        if unwanted or announced.plan <= words[Word.PLAN_CUT]:
             words[Word.PLAN_CUT] = max(announced.plan, words[Word.PLAN_CUT])
-            if announced.plan != words[Word.PLAN]:  # else its last rows are still to come
+            if not going_on:  # else its last rows are still to come
                 words[Word.PLAN_DONE] = max(announced.plan, words[Word.PLAN_DONE])
             self._advance = self._stand
             return
@@ -293,13 +303,18 @@ class TimedLoop:
         if not self._state.may_become(segment.state):
             self._fail(Fault.SEQUENCE, f"{segment.state.name} after {self._state.name}")
             return False
+        if segment.engages:
+            self._lateness.forget()  # what was late at zero force harmed nobody
         self._controller.begin(segment)
         self._become(segment.state)
         return True
 
-    def _rest(self, state: State) -> None:
-        """Stand at zero force in `state`."""
-        self._begin(replace(resting_segment(self._controller, _FOREVER), state=state))
+    def _rest(self, state: State, motion: Motion | None = None) -> None:
+        """Stand at zero force in `state`, the manipulator at rest, or in `motion` of its own."""
+        resting = resting_segment(self._controller, _FOREVER)
+        if motion is not None:
+            resting = replace(resting, beam=motion[0], rotor=motion[1])
+        self._begin(replace(resting, state=state))
         self._advance = self._stand
 
     def _hold(self) -> None:
@@ -316,6 +331,8 @@ class TimedLoop:
             return
         words = self._words
         words[Word.PLAN_CUT] = max(words[Word.PLAN], words[Word.PLAN_CUT], self._last_announced)
+        if self._fault:
+            return  # its rows are its story
         if not self._controller.engaged:
             if words[Word.PLAN]:
                 self._end_plan()
@@ -333,7 +350,8 @@ class TimedLoop:
         """Fly a landing from here, or from where one that was planned has left off, (3,)."""
         words = self._words
         self._landing.begin(words[Word.LAND_RAMP], words[Word.LAND_RELEASE])
-        if self._begin(self._landing.segment):
+        # What has begun to sink does so from where it began.
+        if self._begin(replace(self._landing.segment, lands=after is None)):
             self._label(words[Word.LAND_LOG])
             self._k = 0 if after is None else self._landing.row_after(after)
             self._advance = self._fly_landing
@@ -397,7 +415,8 @@ class TimedLoop:
         words[Word.FAULT] = fault
         words[Word.PLAN_CUT] = max(words[Word.PLAN], words[Word.PLAN_CUT])
         self._tagged_left = max(round(_AFTER_FAULT_S * self._rig.rate_hz), 1)
-        self._rest(State.FAULT)
+        self._rest(State.FAULT, self._landing.brake())
+        self._k, self._advance = 0, self._brake
 
     def _raised(self, error: Exception) -> None:
         """Zero force before anyone is told; then a row of the log that names the fault."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..drivers.base import Devices, DriveError, StaleError
-from .control import Controller
+from .control import BEAM_MARGIN_M, Controller
 from .segment import Segment, idle_segment
 
 _PATIENCE_S = 1.0
@@ -36,7 +36,8 @@ def warm_up(
 def locate(controller: Controller, devices: Devices, rig: RigConfig, cycle: int) -> None:
     """Read where the manipulator is, in this cycle, and hold it there from now on.
 
-    An answer may be lost, or come too late: it is asked again. Raises DriverError: nothing came.
+    An answer may be lost, or come too late: it is asked again. Raises DriverError: nothing came, or
+    the beam is where it may not be. It is held where it is, and told to go nowhere.
     """
     beam, rotor = controller.beam, controller.rotor
     give_up_s = perf_counter() + _PATIENCE_S
@@ -49,8 +50,12 @@ def locate(controller: Controller, devices: Devices, rig: RigConfig, cycle: int)
             break
         if perf_counter() > give_up_s:
             raise DriveError(f"the manipulator's position did not come within {_PATIENCE_S:g} s")
-    reach = rig.limits.beam_m
-    controller.beam_ref[:] = np.clip(beam[0], -reach, reach), 0.0, 0.0
+    reach = rig.limits.beam_m + BEAM_MARGIN_M
+    if not abs(beam[0]) <= reach:
+        raise DriveError(
+            f"the beam is at {beam[0]:.4g} m, expected within {reach:g} m of its middle"
+        )
+    controller.beam_ref[:] = beam[0], 0.0, 0.0
     controller.rotor_ref[:] = rotor[0], 0.0, 0.0
 
 

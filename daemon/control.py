@@ -133,6 +133,12 @@ class Controller:
         self._engaged = False
         self._memory[_MODE, 1] = 0.0
 
+    def move(self, k: int) -> None:
+        """Set the manipulator's setpoints of cycle `k`, and nothing else, as `step` would."""
+        *_, beam, rotor = self._arrays
+        self.beam_ref[:] = beam[min(k, len(beam) - 1)]
+        self.rotor_ref[:] = rotor[min(k, len(rotor) - 1)]
+
     def step(self, rows: NDArray[np.void], slot: int, cycle: int, time_s: float, k: int) -> int:
         """Compute cycle `k` of the segment and write row `slot`; return the fault, 0 for none."""
         return control_cycle(  # type: ignore[no-any-return]

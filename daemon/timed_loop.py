@@ -94,6 +94,7 @@ class TimedLoop:
         self._after_landing: tuple[Fault, str] | None = None
         self._ending, self._ended = False, False
         self._orphan = False
+        self._located = True  # and may be told where to be
         self._tag = NO_LOG
         self._tagged_left = _FOREVER
         self._k = self._left = self._tries = 0
@@ -152,7 +153,8 @@ class TimedLoop:
                 rows["fault"][slot] = fault
             computed = now()
             amplifiers.write(coil)
-            drives.write(beam_ref, rotor_ref)
+            if self._located:
+                drives.write(beam_ref, rotor_ref)
             tags[slot] = self._tag
             lateness[slot] = late_s
             skips[slot] = min(skipped, 255)
@@ -424,16 +426,22 @@ class TimedLoop:
         harmless = not self._controller.engaged and self._state is not State.SELF_TEST
         # Every time: what was sent before may have been lost, on a bus that loses frames.
         self._zero()
-        if self._fault or (fault is Fault.STALE and harmless):
-            return  # at zero force stale readings harm nobody; they are counted
-        self._fail(fault, detail)
-        ring, slot = self._ring, self._ring.head % self._ring.capacity
-        self._controller.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
-        ring.rows["fault"][slot] = fault
-        ring.rows["state"][slot] = State.FAULT
-        ring.rows["stale"][slot] = self._devices.stale_roles
-        ring.tags[slot] = self._tag
-        ring.head += 1
+        if self._fault:
+            self._controller.move(0)
+        elif fault is not Fault.STALE or not harmless:  # else they are counted, and harm nobody
+            self._fail(fault, detail)
+            ring, slot = self._ring, self._ring.head % self._ring.capacity
+            self._controller.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
+            ring.rows["fault"][slot] = fault
+            ring.rows["state"][slot] = State.FAULT
+            ring.rows["stale"][slot] = self._devices.stale_roles
+            ring.tags[slot] = self._tag
+            ring.head += 1
+            self._k += 1  # this is the first cycle that brakes
+        # Who is silent may be another: drives that are told nothing stop dead, or go on.
+        if self._located:
+            with contextlib.suppress(Exception):
+                self._devices.drives.write(self._controller.beam_ref, self._controller.rotor_ref)
 
     def _zero(self) -> None:
         """Command zero force, as well as the devices still allow."""
@@ -452,11 +460,13 @@ class TimedLoop:
             if self._tagged_left < _FOREVER:
                 self._end_plan()  # its story ends here
             words[Word.BUSY] = 1
+            self._located = False  # until it is known where the manipulator is
             try:
                 self._recover()
             except Exception as error:  # noqa: BLE001 - the client is told, the fault stays
                 self._board.detail = str(error)
             else:
+                self._located = True
                 self._fault = Fault.NONE
                 self._controller.latch(Fault.NONE)
                 self._lateness.forget()

@@ -21,7 +21,7 @@ from levid.daemon.flight import Flight
 from levid.daemon.plan import plan_steps
 from levid.daemon.states import State
 from levid.daemon.warm_up import locate
-from levid.drivers.base import Context, DriveError
+from levid.drivers.base import Context, Devices, DriveError, DriverError, LinkError, StaleError
 from levid.drivers.registry import open_devices
 from levid.log.reader import read_log
 
@@ -267,3 +267,88 @@ def test_skipped_periods_are_skipped_in_whole(monkeypatch: pytest.MonkeyPatch) -
     clock.wait()
     assert clock.skipped == 0
     assert now.ns - before == pytest.approx(0.5e6, abs=1e4)
+
+
+class Told:
+    """Drives that note what they are told in each cycle; nan where they are told nothing."""
+
+    def __init__(self) -> None:
+        self.beam: list[float] = []
+        self._now = np.nan
+
+    def __call__(self, devices: Devices) -> Devices:
+        write, sync = devices.drives.write, devices.backends[0].sync
+
+        def told(beam: NDArray[np.float64], rotor: NDArray[np.float64]) -> None:
+            self._now = float(beam[0])
+            write(beam, rotor)
+
+        def synced(cycle: int) -> None:
+            self.beam.append(self._now)
+            self._now = np.nan
+            sync(cycle)
+
+        devices.drives.write = told  # type: ignore[method-assign]
+        devices.backends[0].sync = synced  # type: ignore[method-assign]
+        return devices
+
+
+@pytest.mark.parametrize("error", [StaleError("no clean reading"), LinkError("gone")])
+def test_drives_are_told_to_brake_while_others_are_silent(error: DriverError) -> None:
+    told, silent = Told(), []
+
+    def failing(devices: Devices) -> Devices:
+        read = devices.sensors.read
+
+        def reading(gap_m: NDArray[np.float64]) -> None:
+            if silent:
+                raise error
+            read(gap_m)
+
+        devices.sensors.read = reading  # type: ignore[method-assign]
+        return told(devices)
+
+    flight = ScriptedLoop(failing)
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": LIFT}, {"move": {"beam_m": 0.09}})
+        if flight.controller.beam_ref[1] > 0.2:
+            silent.append(n)
+
+    flight.run(script, 2500)
+    assert flight.board.fault in (Fault.STALE, Fault.LINK)
+    beam = np.array(told.beam[2:])
+    assert np.all(np.isfinite(beam))
+    limit = flight.rig.limits.beam_acceleration_m_s2
+    assert np.abs(np.diff(beam, 2)).max() < 1.01 * limit * 1e-6
+    assert np.ptp(beam[-100:]) == 0.0
+
+
+def test_drives_that_nobody_located_are_told_nothing() -> None:
+    told, refused = Told(), []
+    flight = ScriptedLoop(told)
+
+    def recover() -> None:
+        if refused:
+            raise DriveError("the beam is at 0.15 m")
+
+    flight.loop._recover = recover
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.board.stop()
+        if n == 400:
+            refused.append(n)
+            flight.board[Word.CLEAR] += 1
+        if n == 500:
+            assert flight.board.fault is Fault.STOPPED
+            refused.clear()
+            flight.board[Word.CLEAR] += 1
+
+    flight.run(script, 600)
+    silent = np.isnan(told.beam)
+    # From the clear that was refused to the one that was not, but for the cycle that it came in.
+    assert np.all(silent[402:500])
+    assert not np.any(silent[302:399])
+    assert not np.any(silent[503:])

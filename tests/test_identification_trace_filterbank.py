@@ -429,6 +429,20 @@ def test_what_drives_hold_the_beam_against_is_no_friction_of_theirs() -> None:
     assert np.abs(beside_motion(at, pull)).max() < 1e-6 * np.ptp(pull)
 
 
+def test_every_number_of_what_drives_feel_shows_in_their_force() -> None:
+    # What is taken out for good has no size: the fit would give it any.
+    made, here = record("fixed"), point()
+    t = np.arange(made.rows) * made.experiment.Ts_s
+    place, w = 0.05 * np.sin(7 * t), 7.0
+    sweeping = np.column_stack([place, 0.35 * np.cos(w * t), -w * w * place])
+    at = along(here, replace(made, beam=sweeping))
+    for effect in all_effects(PLACES):
+        for term in effect.build(at.signals, effect.grid[0]) if "beam" in effect.where else ():
+            if term.drive is not None and np.ptp(term.drive) > 0:
+                left = beside_motion(at, term.drive)
+                assert np.std(left) > 1e-3 * np.std(term.drive), effect.identity
+
+
 def test_a_start_of_the_filter_is_forgotten_as_the_fit_has_it() -> None:
     made = record("fixed", 1500)
     here = point()

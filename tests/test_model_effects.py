@@ -335,7 +335,8 @@ def test_delay_and_short_lag_are_one_and_a_long_lag_is_its_own():
     t = s.time_s
     F = 7.6 + np.sin(2 * np.pi * 5 * t)
     signals = coil_signals(F)
-    delay, short = term("delay@coil:2", (), signals), term("actuator_lag@coil:2", (2e-4,), signals)
+    delay = term("delay@coil:2", (2e-4,), signals)
+    short = term("actuator_lag@coil:2", (2e-4,), signals)
     # At 5 Hz a lag of 0.2 ms has a tail of its own of w tau = 0.6 % beside the delay.
     np.testing.assert_allclose(short.held[5:, 2], delay.held[5:, 2], atol=0.01 * 2 * np.pi * 5)
     tau = 0.02
@@ -344,6 +345,25 @@ def test_delay_and_short_lag_are_one_and_a_long_lag_is_its_own():
     # Held samples come half a period late, and the mean over the next takes it back.
     expected = 7.6 + np.imag(np.exp(1j * w * t) / (1 + 1j * w * tau))
     np.testing.assert_allclose(late[500:], expected[500:], atol=2e-3)
+
+
+def test_a_plain_delay_is_one_of_as_much_as_it_goes_back():
+    s = moving()
+    F = np.cumsum(np.random.default_rng(5).normal(size=s.rows))  # steps, held for a period each
+    for back_s in (4e-4, 1e-3, 3.4e-3):
+        late = F + back_s * term("delay@coil:2", (back_s,), coil_signals(F)).held[:, 2]
+        # By the mean over 100 instants of each period, of which whole tenths of one are behind.
+        fine = np.repeat(F, 100)
+        back = round(back_s / TS * 100)
+        shifted = np.concatenate([np.full(back, F[0]), fine])[: len(fine)]
+        np.testing.assert_allclose(late, shifted.reshape(-1, 100).mean(axis=1), atol=1e-9)
+
+
+def test_a_coil_is_quicker_than_declared_by_no_more_than_that():
+    s = replace(moving(), delay_cycles=2, lag_s=3e-4)
+    found = {e.identity: e for e in all_effects(s.places, Extent.measured([s]))}
+    for name in ("delay@coil:4", "actuator_lag@coil:4"):
+        assert found[name].amplitudes[0].low == pytest.approx(-2.3e-3)
 
 
 def test_heat_rises_with_the_square_of_the_force_since_the_session_began():

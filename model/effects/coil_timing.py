@@ -2,8 +2,10 @@
 
 A held command through a first-order lag, and one that comes a share of a period later, differ only
 in their tail (Franklin, Powell, Workman, *Digital Control of Dynamic Systems*, 1998, ch. 4); both
-are taken by their mean over each period. Signature: follows the change of one coil's command, grows
-with frequency, nothing at rest. A gain does not grow with frequency.
+are taken by their mean over each period. How much and how far back are numbers of their own: of a
+plain lag or delay they are the same. A coil may be quicker than the others by no more than these
+are late. Signature: follows the change of one coil's command, grows with frequency, nothing at
+rest. A gain does not grow with frequency.
 """
 
 from __future__ import annotations
@@ -14,13 +16,14 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
+from .extent import Extent
 from .recursions import lagged_mean
 
 _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"
-_LAG_S = 2e-3
+_LATE_S = 2e-3
 
 
-def effects(places: Places) -> list[Effect]:
+def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return lag and delay of every coil."""
     found = []
     for c in range(places.coils):
@@ -32,10 +35,10 @@ def effects(places: Places) -> list[Effect]:
                 "actuator_lag",
                 where,
                 "force = F + (F lagged by tail - F) lag / tail",
-                (Quantity("lag", "s"),),
+                (Quantity("lag", "s", -extent.late_s),),
                 partial(_lag, coil=c),
                 (Quantity("tail", "s", 1e-4, 0.1, log=True),),
-                ((_LAG_S,),),
+                ((_LATE_S,),),
                 absorbed_by="all coils alike: the declared lag; shorter than a period: delay",
                 told_apart_by=_ONE_BY_ONE,
             ),
@@ -44,9 +47,11 @@ def effects(places: Places) -> list[Effect]:
                 "Delay of a coil beyond the others",
                 "delay",
                 where,
-                "force = F(t - delay) by its mean over each period; beyond one, to first order",
-                (Quantity("delay", "s"),),
+                "force = F + (F(t - back) - F) delay / back, by means over each period",
+                (Quantity("delay", "s", -extent.late_s),),
                 partial(_delay, coil=c),
+                (Quantity("back", "s", 1e-4, 0.1, log=True),),
+                ((_LATE_S,),),
                 absorbed_by="all coils alike: the declared delay; shorter than a period: lag",
                 told_apart_by=_ONE_BY_ONE,
             ),
@@ -60,6 +65,10 @@ def _lag(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
     return [on_coil(signals, coil, late / shape[0])]
 
 
-def _delay(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:
+def _delay(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
     F = signals.coil[:, coil]
-    return [on_coil(signals, coil, -np.diff(F, prepend=F[0]) / signals.Ts_s)]
+    whole, share = divmod(shape[0] / signals.Ts_s, 1.0)
+    # Of a command held for a period the mean over one is a share of it and one of that before.
+    before = np.arange(len(F)) - int(whole)
+    late = (1 - share) * F[np.maximum(before, 0)] + share * F[np.maximum(before - 1, 0)]
+    return [on_coil(signals, coil, (late - F) / shape[0])]

@@ -34,11 +34,12 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         "Friction of the beam's guide",
         "friction",
         ("beam",),
-        "drive force = friction tanh(v_b / v_s) + d v_b",
-        (Quantity("friction", "N"), Quantity("d", "N s/m")),
+        "drive force = friction tanh(v_b / v_s)",
+        (Quantity("friction", "N"),),
         _sliding,
         (Quantity("v_s", "m/s", 1e-5, 0.1, log=True),),
         ((1e-3,),),
+        absorbed_by="in proportion to the speed: a reading of the drives that comes late",
         told_apart_by="beam sweeps at several speeds",
     )
     presliding = Effect(
@@ -93,8 +94,7 @@ def _grid(travel_m: float) -> Array:
 
 
 def _sliding(signals: Signals, shape: Sequence[float]) -> list[Term]:
-    v = signals.v_b_m_s
-    return [Term(drive=np.tanh(v / shape[0])), Term(drive=v)]
+    return [Term(drive=np.tanh(signals.v_b_m_s / shape[0]))]
 
 
 def _presliding(signals: Signals, shape: Sequence[float]) -> list[Term]:

@@ -17,6 +17,7 @@ _TYPICAL_GAP = 3e-4
 _TYPICAL_HZ = 5.0
 _TYPICAL_COMMAND = 12.0
 _TYPICAL_BEAM_M = 0.2
+_TYPICAL_LATE_S = 2e-3
 _RESOLVED = 0.4
 """Of the rate of sampling."""
 
@@ -31,7 +32,8 @@ class Extent:
     standing: sensors whose readings stand still now and then while the platform moves.
     tones_hz: frequencies of the lines that are looked for. middle (n,), beam_middle_m: what each
     DOF and the beam move about, to a tenth of their motion. fastest_hz: up to where the slowest
-    sampling tells resonances from their aliases.
+    sampling tells resonances from their aliases. late_s: by how much the model has commands come
+    late, delay and lag together.
     """
 
     reach: tuple[float, ...]
@@ -45,6 +47,7 @@ class Extent:
     middle: tuple[float, ...] = ()
     beam_middle_m: float = 0.0
     fastest_hz: float = math.inf
+    late_s: float = _TYPICAL_LATE_S
 
     def around(self, dof: int) -> float:
         """Return what a DOF moves about."""
@@ -81,6 +84,7 @@ class Extent:
             tuple(_rounded(place, size) for place, size in zip(places, reach, strict=True)),
             _rounded(0.5 * (beam[0] + beam[1]), 0.5 * (beam[1] - beam[0])),
             _RESOLVED / max(r.Ts_s for r in records),
+            max(r.delay_cycles * r.Ts_s + r.lag_s for r in records),
         )
 
 

@@ -44,7 +44,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *field.effects(places, covered),
         *rotor.effects(places),
         *coil_gain.effects(places),
-        *coil_timing.effects(places),
+        *coil_timing.effects(places, covered),
         *coil_limits.effects(places, covered),
         *coil_drift.effects(places),
         *sensor_static.effects(places, covered),

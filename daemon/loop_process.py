@@ -113,6 +113,7 @@ def _opened(
             board[Word.CLEARED] = seen
             board[Word.BUSY] = 0
         else:
+            board[Word.STATE] = State.OFF  # whoever cleared is answered after the self-test
             board[Word.FAULT] = Fault.NONE
             board.detail = ""
             board[Word.CLEARED] = seen

@@ -161,7 +161,13 @@ class Supervisor:
         self._stop_s = None
         if not self._loop.running:
             board[Word.ZERO], board[Word.FAULT] = 0, Fault.NONE
-            self._start_loop()
+            try:
+                self._start_loop()
+            except OSError as error:  # no memory, too many processes: another try may do
+                board[Word.BUSY] = 0
+                board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
+                reply.refuse(f"the loop cannot be started: {error}")
+                return
         else:
             board[Word.CLEAR] += 1
         give_up_s = time.monotonic() + _OPENING_S

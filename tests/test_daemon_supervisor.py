@@ -1,0 +1,65 @@
+"""What the supervisor does in moments that processes seldom come to: it alone, without any."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from daemon_process import calm
+
+from levid.config.rig import load_rig
+from levid.config.shipped import shipped
+from levid.daemon.board import Word
+from levid.daemon.faults import Fault
+from levid.daemon.states import State
+from levid.daemon.supervisor import Supervisor
+
+RIG_FILE = shipped("rigs/loopback.yaml")
+
+
+class Told:
+    """A reply that keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.answers: list[Any] = []
+        self.waiting = True
+
+    def done(self, **answer: Any) -> None:
+        self.answers.append(answer)
+
+    def refuse(self, error: str) -> None:
+        self.answers.append(error)
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
+    made = Supervisor(
+        calm(load_rig(RIG_FILE), tmp_path), RIG_FILE, tmp_path / "levid.sock", lambda _: None
+    )
+    yield made
+    made._shared.close()
+
+
+def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board, tries = supervisor.board, 0
+
+    def start(*_: object) -> None:
+        nonlocal tries
+        tries += 1
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(supervisor._loop, "start", start)
+    board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
+    for n in (1, 2):
+        reply: Any = Told()
+        supervisor.post(lambda reply=reply: supervisor.clear(reply))
+        supervisor._mail.popleft()()
+        assert tries == n
+        assert "cannot be started" in reply.answers[0]
+        assert "Resource temporarily unavailable" in reply.answers[0]
+        assert (board.state, board.fault, board[Word.BUSY]) == (State.FAULT, Fault.LOOP, 0)
+    assert not supervisor._clearings

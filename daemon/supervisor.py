@@ -304,10 +304,15 @@ class Supervisor:
             if trying and in_time and board.fault is not Fault.LOOP:
                 continue
             self._clearings.remove(clearing)
-            if board.fault is Fault.NONE:
-                clearing.reply.done(cleared=clearing.fault.name)
-            else:
+            if board.fault is not Fault.NONE:
                 clearing.reply.refuse(f"the fault {board.fault.name} stays: {board.detail}")
+            elif trying:
+                clearing.reply.refuse(
+                    f"after {_OPENING_S:g} s devices are still being opened or tested: "
+                    "'levid status' says when it is done"
+                )
+            else:
+                clearing.reply.done(cleared=clearing.fault.name)
 
     def _say_faults(self) -> None:
         fault = self.board.fault

@@ -11,6 +11,7 @@ from daemon_process import calm
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
+from levid.daemon import supervisor as supervisor_module
 from levid.daemon.board import Word
 from levid.daemon.faults import Fault
 from levid.daemon.states import State
@@ -63,3 +64,22 @@ def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(
         assert "Resource temporarily unavailable" in reply.answers[0]
         assert (board.state, board.fault, board[Word.BUSY]) == (State.FAULT, Fault.LOOP, 0)
     assert not supervisor._clearings
+
+
+@pytest.mark.parametrize("state", [State.OFF, State.SELF_TEST])
+def test_clear_whose_time_is_over_before_the_self_test_is_not_done(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch, state: State
+) -> None:
+    board, reply = supervisor.board, Told()
+    now_s = 1000.0
+    monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(supervisor._loop, "start", lambda *_: None)
+    board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
+    supervisor.clear(reply)  # type: ignore[arg-type]
+    board[Word.STATE] = state
+    supervisor._answer_clearings()
+    assert reply.answers == []
+    now_s += 121.0  # devices may take 120 s
+    supervisor._answer_clearings()
+    assert len(reply.answers) == 1
+    assert "still being opened or tested" in reply.answers[0]

@@ -362,6 +362,7 @@ class Supervisor:
         give_up_s = time.monotonic() + _LANDING_S
         while self.pilot.job is not None and time.monotonic() < give_up_s:
             board[Word.BEAT] += 1
+            self._notify.alive()  # there is no loop any more whose advance could say so
             self._recorder.watch()
             self.pilot.tick()
             time.sleep(_TICK_S)

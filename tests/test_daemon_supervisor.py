@@ -83,3 +83,23 @@ def test_clear_whose_time_is_over_before_the_self_test_is_not_done(
     supervisor._answer_clearings()
     assert len(reply.answers) == 1
     assert "still being opened or tested" in reply.answers[0]
+
+
+def test_watchdog_is_fed_while_the_end_is_being_told(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+
+    class Pilot:
+        job: object | None = object()
+
+        def tick(self) -> None:
+            done.append("tick")
+            if len(done) >= 6:
+                self.job = None
+
+    monkeypatch.setattr(supervisor, "pilot", Pilot())
+    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+    monkeypatch.setattr(supervisor._notify, "alive", lambda: done.append("alive"))
+    supervisor._land_and_end()  # there is no loop: what is left is to tell how it ended
+    assert done == ["alive", "tick"] * 3

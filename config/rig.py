@@ -12,6 +12,7 @@ from .buses import CanBus, RoleOptions, SerialBus, role_options
 from .service import Realtime, Recording, SelfTest, Service
 
 Rate = Annotated[float, Field(ge=10.0, le=20_000.0)]
+_LEAST_PERIODS = 3
 BusName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 
 
@@ -151,6 +152,17 @@ class RigConfig(Strict):
     service: Service = Service()
     recording: Recording = Recording()
     self_test: SelfTest = SelfTest()
+
+    @model_validator(mode="after")
+    def _loop_has_time(self) -> Self:
+        # A loop is silent for a period by its nature: late and still well it may be for two more.
+        least_s = _LEAST_PERIODS / self.rate_hz
+        if self.service.loop_s < least_s * (1.0 - 1e-9):
+            raise ValueError(
+                f"service.loop_s: expected at least {least_s:g} s, {_LEAST_PERIODS} periods at "
+                f"{self.rate_hz:g} Hz, found {self.service.loop_s:g} s"
+            )
+        return self
 
     def on_bus(self, role: str) -> tuple[str, RoleOptions] | None:
         """Return backend and options of a role that is on a bus, None where it is on none.

@@ -67,6 +67,14 @@ def test_text_where_a_number_belongs(tmp_path: Path) -> None:
     assert "'1 kHz'" in message
 
 
+def test_loop_that_is_killed_between_two_of_its_periods_is_refused(tmp_path: Path) -> None:
+    message = error_of(tmp_path, rig_text(rate_hz=10, service={"loop_s": 0.299}))
+    assert "service.loop_s: expected at least 0.3 s, 3 periods at 10 Hz, found 0.299 s" in message
+    path = tmp_path / "rig.yaml"
+    path.write_text(rig_text(rate_hz=10, service={"loop_s": 0.3}))
+    assert load_rig(path).service.loop_s == 0.3
+
+
 def test_missing_key(tmp_path: Path) -> None:
     data = yaml.safe_load(rig_text())
     del data["control"]["z"]

@@ -128,9 +128,8 @@ class Pilot:
         if job.over_s is None:
             if board[Word.PLAN_DONE] >= job.number:
                 job.over_s, job.end = now_s, self._ring.head
-            elif now_s - job.told_s >= _PROGRESS_S:
-                job.told_s = now_s
-                job.reply.send({"step": self.step_of(job), "share": self.share_of(job)})
+            else:
+                self._say_progress(job, now_s, self.step_of(job), self.share_of(job))
             if job.land_when_gone and not job.reply.waiting:
                 job.land_when_gone = False
                 board.land()
@@ -139,6 +138,13 @@ class Pilot:
             self.job = self._feeder = None
             job.over()
             self._tell(job)
+        else:  # a client that hears nothing for long gives up
+            self._say_progress(job, now_s, "writing", 1.0)
+
+    def _say_progress(self, job: Job, now_s: float, step: str, share: float) -> None:
+        if now_s - job.told_s >= _PROGRESS_S:
+            job.told_s = now_s
+            job.reply.send({"step": step, "share": share})
 
     def note_fault(self) -> None:
         """Keep the fault that the job at hand met: whoever asked hears of it, cleared or not."""

@@ -10,6 +10,7 @@ import pytest
 from scripted_loop import LIFT, ScriptedLoop
 
 from levid.config.session import Step
+from levid.daemon import pilot as pilot_module
 from levid.daemon.board import Word
 from levid.daemon.faults import Fault
 from levid.daemon.pilot import Job, Pilot
@@ -36,21 +37,27 @@ class Recorder:
         return tag
 
 
+def job_of(flight: ScriptedLoop, told: list[Any], *steps: Step) -> Job:
+    """Return a job of these steps that is logged; what its client is told goes into `told`."""
+    reply: Any = SimpleNamespace(
+        waiting=True,
+        send=told.append,
+        refuse=told.append,
+        done=lambda **answer: told.append({"ok": True, **answer}),
+    )
+    plan = plan_steps(steps, "x", flight.rig, 0.0, 0.0)
+    segments = [(step, step.segments()) for step in plan.steps]
+    files = {0: LogFile(Path("a.mcap"), {}, {})}
+    return Job(plan, segments, files, reply, lambda: None, (500, 200))
+
+
 @pytest.mark.parametrize("cleared_after", [1, 100, None])
 def test_a_flight_that_failed_is_not_well_flown_because_somebody_cleared(
     cleared_after: int | None,
 ) -> None:
     flight, told = ScriptedLoop(), []
     pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
-    reply: Any = SimpleNamespace(
-        waiting=True,
-        send=lambda _: None,
-        refuse=told.append,
-        done=lambda **answer: told.append(answer),
-    )
-    plan = plan_steps([Step(levitate=LIFT), Step(land={})], "x", flight.rig, 0.0, 0.0)
-    segments = [(step, step.segments()) for step in plan.steps]
-    job = Job(plan, segments, {0: LogFile(Path("a.mcap"), {}, {})}, reply, lambda: None, (500, 200))
+    job = job_of(flight, told, Step(levitate=LIFT), Step(land={}))
     board, ring = flight.board, flight.shared.ring
 
     def script(n: int) -> None:
@@ -67,6 +74,31 @@ def test_a_flight_that_failed_is_not_well_flown_because_somebody_cleared(
             pilot.tick()
 
     flight.run(script, 3100)
-    assert len(told) == 1
-    assert "GAP" in told[0]
-    assert "0.95 mm at sensor 3" in told[0]
+    assert [each for each in told if isinstance(each, str)] == told[-1:]
+    assert "GAP" in told[-1]
+    assert "0.95 mm at sensor 3" in told[-1]
+
+
+def test_client_is_told_that_a_slow_disk_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight, told = ScriptedLoop(), []
+    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job = job_of(flight, told, Step(levitate=LIFT), Step(land={"ramp_s": 0.2, "release_s": 0.1}))
+    ring, now_s = flight.shared.ring, 0.0
+    monkeypatch.setattr(pilot_module.time, "monotonic", lambda: now_s)
+
+    def script(n: int) -> None:
+        nonlocal now_s
+        now_s = 1e-3 * n
+        if n == 300:
+            pilot.begin(job)
+        if n == 7000:
+            ring.durable = ring.head
+        if not n % 10:
+            pilot.tick()
+
+    flight.run(script, 7100)
+    over = 300 + job.plan.cycles
+    # Every half second from the end of the flight until all is on disk, some ticks of 10 ms late.
+    waited = told.count({"step": "writing", "share": 1.0})
+    assert (7000 - over) // 510 <= waited <= (7000 - over) // 500
+    assert told[-1]["ok"]

@@ -23,8 +23,8 @@ from .shared import Shared
 from .states import IN_FLIGHT, State
 
 _PROGRESS_S = 0.5
-_TICKS_ROWS = 64
-"""Rows to look back further: the loop goes on while one looks. They are flown without pushes."""
+_MISSING_ROWS = 64
+"""Rows to look back further: a cycle at rest that ends in an error harms nobody and has none."""
 _WRITING_S = 60.0
 """How long the recorder may take to bring the last rows into their files."""
 
@@ -40,7 +40,8 @@ class Job:
     `files`: the log of each step by its index; a step without one goes on in the log at hand.
     `over` is called when the next job may come. `landing` (ramp, release): cycles of a landing
     before the plan's end, None for that of the flight it is part of. A job that `holds` is over
-    when its plan is, in the air.
+    when its plan is, in the air. `rows`: of the ring, number and count of those of which one is
+    the plan's first.
     """
 
     plan: Plan
@@ -54,6 +55,7 @@ class Job:
     holds: bool = False
     number: int = 0
     begun: int = 0
+    rows: tuple[int, int] = (0, 0)
     misses: tuple[int, int] = (0, 0)
     tags: dict[int, PlannedStep] = field(default_factory=dict)
     told_s: float = 0.0
@@ -113,7 +115,9 @@ class Pilot:
             board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
         self._feeder = Feeder(self._program, board, job.number, logged)
         self.job = job
+        first = self._ring.head
         self._feeder.feed()
+        job.rows = first, self._ring.head + 1 - first
 
     def tick(self) -> None:
         """Stream, tell how far it is, and end the job when it is over."""
@@ -122,8 +126,8 @@ class Pilot:
             return
         assert self._feeder is not None
         self._feeder.feed()
-        self._check_coils(self._feeder)
         self.note_fault()
+        self._check_coils(job, self._feeder)
         now_s = time.monotonic()
         if job.over_s is None:
             if board[Word.PLAN_DONE] >= job.number:
@@ -181,20 +185,32 @@ class Pilot:
     def _lost(self) -> int:
         return self._ring.lost + self._board[Word.DROPPED]
 
-    def _check_coils(self, feeder: Feeder) -> None:
-        """Judge a check of coils once it is flown; meanwhile the platform settles."""
+    def _check_coils(self, job: Job, feeder: Feeder) -> None:
+        """Judge a check of coils once it is flown; meanwhile the platform settles.
+
+        It may be the last thing that its plan does, or over for long if nobody had time to look.
+        """
         board = self._board
         if feeder.check is None:
             return
         pushes, cycles, last = feeder.check
-        if board[Word.ROWS_TAIL] <= last or board[Word.PLAN] != feeder.plan:
-            return
+        ended, flown = board[Word.PLAN_DONE] >= job.number, board[Word.ROWS_TAIL]
+        if flown < last + (not ended):
+            return  # the last push's row may still be at hand, or the flight was cut before it
         feeder.check = None
-        since = board[Word.ROWS_TAIL] - last
-        rows = self._ring.last(cycles + since + _TICKS_ROWS).rows
+        if job.error is not None or board.fault is not Fault.NONE:
+            return
+        # The loop wrote one row for each of the plan's, from one of these on.
+        first, among = job.rows
+        begin = max(first + last + 1 - cycles - feeder.base - _MISSING_ROWS, 0)
+        found = self._ring.copy(begin, _MISSING_ROWS + among + cycles)
+        rows = found.rows if found.first == begin else found.rows[:0]  # else it begins too late
         wrong = coil_check(rows, pushes, self._rig.geometry)
         if wrong:
             board.stop(Fault.COIL_CHECK, wrong)
+            # The fault comes in the next cycle, in which this plan may be over already.
+            at_s = board[Word.CYCLE] / self._rig.rate_hz
+            job.error = FlightFault(Fault.COIL_CHECK, at_s, self.step_of(job), wrong)
 
     def _written(self, job: Job) -> bool:
         return self._ring.durable >= job.end and self._board[Word.WRITING] not in job.tags

@@ -134,7 +134,7 @@ class Feeder:
         self.check: tuple[Pushes, int, int] | None = None
         """A check of coils that is streamed: its pushes, its cycles, and its last row."""
         # What an earlier plan left unflown is of no use to anyone.
-        self._base = self._words[Word.ROWS_HEAD]
+        self.base = self._words[Word.ROWS_HEAD]
 
     def feed(self) -> None:
         """Do what there is room for, some milliseconds of work at most."""
@@ -149,7 +149,7 @@ class Feeder:
             return False
         logged = self._waiting[self._at]
         segment, first = logged.segment, words[Word.ROWS_HEAD]
-        flown = max(words[Word.ROWS_TAIL], self._base)
+        flown = max(words[Word.ROWS_TAIL], self.base)
         n = min(segment.cycles - self._written, program.capacity - 1 - (first - flown), _PIECE)
         if n <= 0 or not program.room_in_queue:
             return False

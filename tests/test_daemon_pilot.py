@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from scripted_loop import LIFT, ScriptedLoop
 
@@ -16,6 +17,7 @@ from levid.daemon.faults import Fault
 from levid.daemon.pilot import Job, Pilot
 from levid.daemon.plan import plan_steps
 from levid.daemon.scribe import LogFile
+from levid.drivers.base import Devices
 
 
 class Recorder:
@@ -102,3 +104,50 @@ def test_client_is_told_that_a_slow_disk_is_waited_for(monkeypatch: pytest.Monke
     waited = told.count({"step": "writing", "share": 1.0})
     assert (7000 - over) // 510 <= waited <= (7000 - over) // 500
     assert told[-1]["ok"]
+
+
+@pytest.mark.parametrize("dead", [True, False])
+@pytest.mark.parametrize(
+    ("settle_s", "away_s"),
+    [(1.0, 0.0), (0.0, 0.0), (0.1, 2.0)],
+    ids=["settles", "does-not-settle", "nobody-looks-in-time"],
+)
+def test_check_of_coils_is_judged_whatever_follows(
+    settle_s: float, away_s: float, dead: bool
+) -> None:
+    told: list[Any] = []
+    flight = ScriptedLoop(without_coil_3 if dead else lambda devices: devices)
+    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    lift = {"unload_s": 0.2, "ramp_s": 0.5, "settle_s": settle_s, "check_coils": {}}
+    job = job_of(flight, told, Step(levitate=lift))
+    job.holds = True
+    pushed = 300 + job.plan.cycles - round(1e3 * settle_s)
+
+    def script(n: int) -> None:
+        if n == 300:
+            pilot.begin(job)
+        if not n % 10 and not pushed - 50 < n < pushed + 1e3 * away_s:
+            pilot.tick()
+
+    flight.run(script, 5000)
+    assert pilot.job is None
+    if dead:
+        assert flight.board.fault is Fault.COIL_CHECK
+        assert "COIL_CHECK" in told[-1]
+        assert "coil 3 moved the sensors otherwise" in told[-1]
+    else:
+        assert flight.board.fault is Fault.NONE
+        assert told[-1]["ok"]
+
+
+def without_coil_3(devices: Devices) -> Devices:
+    write = devices.amplifiers.write
+
+    def without(coil_n: np.ndarray) -> None:
+        # It carries the others' mean: what it pushes itself alone is missing.
+        force_n = coil_n.copy()
+        force_n[3] = np.delete(coil_n, 3).mean()
+        write(force_n)
+
+    devices.amplifiers.write = without  # type: ignore[method-assign]
+    return devices

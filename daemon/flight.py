@@ -22,13 +22,12 @@ from .loop import Loop
 from .plan import Plan, PlannedStep
 from .recorder import Recorder
 from .result import FlightResult, RecordingError, log_metadata
-from .ring import NO_LOG, Ring
+from .ring import NO_LOG, Ring, ring_rows
 from .scribe import LogFile
 from .segment import Segment
 from .states import State
 from .warm_up import resting_segment, warm_up
 
-_RING_S = 4.0
 _RING_AT_LEAST = 16_384
 _AFTER_FAULT_S = 0.5
 
@@ -48,7 +47,7 @@ class Flight:
         self.devices: Devices = open_devices(Context(rig, period_s, folder))
         geometry = rig.geometry
         dtype = cycle_dtype(len(geometry.coil_x_m), len(geometry.sensors_x_m))
-        self._ring = Ring(dtype, max(int(_RING_S * rate_hz), _RING_AT_LEAST))
+        self._ring = Ring(dtype, max(ring_rows(rig.recording, rate_hz), _RING_AT_LEAST))
         self._controller = Controller(rig, period_s)
         self._recorder = Recorder(self._ring, rate_hz)
         self.loop = Loop(

@@ -17,12 +17,15 @@ from . import trajectory
 from .coil_check import Pushes
 from .excitation import fade, signal
 from .orthogonal import orthogonal_cycles, orthogonal_multisines
+from .ring import ring_rows
 from .segment import Segment, idle_segment
 from .states import State
 
 Array = NDArray[np.float64]
 
 _IDLE_S = 0.3
+_JUDGED_S = 2.0
+"""How long a check of coils may wait to be judged; its rows are kept for as long."""
 MOST_CYCLES = 30_000_000
 """Of a record, and of a session that a daemon flies: 50 min at 10 kHz, arrays of several GB."""
 _FLYING = np.array([[1.0, 1.0, 1.0]])
@@ -138,6 +141,7 @@ class _Planner:
         checks: list[Segment] = []
         if step.check_coils is not None:
             pushes = Pushes.of(step.check_coils, self.coils, self.rate_hz)
+            self.check_length(pushes, f"{where}.check_coils")
             pushed = pushes.excitation()
             self.check_levels(self.no_v, pushed, beam, f"{where}.check_coils")
             flying = self.flying(State.LEVITATING, len(pushed), beam, rotor)
@@ -284,6 +288,17 @@ class _Planner:
             return len(step.excite) * self.n(step.each_s) + self.n(step.fade_s)
         assert step.duration_s is not None
         return self.n(step.duration_s)
+
+    def check_length(self, pushes: Pushes, where: str) -> None:
+        """Raise ConfigError where the first push is written over before the last is judged."""
+        longest_s = ring_rows(self.rig.recording, self.rate_hz) / self.rate_hz - _JUDGED_S
+        found_s = pushes.coils * pushes.turn / self.rate_hz
+        if found_s > longest_s:
+            raise ConfigError(
+                f"{where}: expected the pushes of all {pushes.coils} coils within "
+                f"{longest_s:.1f} s, found {found_s:.1f} s; shorten pause_s or push_s, or lengthen "
+                f"recording.before_fault_s of the rig, for which rows are kept"
+            )
 
     def check_levels(self, v: Array, coil_excitation: Array, beam: Array, where: str) -> None:
         """Raise ConfigError where weight and excitation together ask more than a coil can give."""

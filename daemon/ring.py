@@ -7,11 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.service import Recording
+
 NO_LOG = 0
 """Tag of a row that belongs into no log."""
 
 _HEAD, _TAIL, _DURABLE, _LOST, _COUNTERS = range(5)
 _ALIGNMENT = 64
+_BEHIND_S = 5.0
+"""How far the recorder may fall behind, beside what a flight recording looks back on."""
+_LEAST_ROWS = 4096
 
 
 @dataclass(frozen=True)
@@ -126,6 +131,11 @@ class Ring:
         # What the writer may have begun to write over in the meantime does not count.
         spoilt = min(max(self.head - self.capacity + 1 - first, 0), len(rows))
         return Rows(first + spoilt, rows[spoilt:], tags[spoilt:])
+
+
+def ring_rows(recording: Recording, rate_hz: float) -> int:
+    """Return the capacity of the ring of a loop at this rate."""
+    return max(int((recording.before_fault_s + _BEHIND_S) * rate_hz), _LEAST_ROWS)
 
 
 def _aligned(size: int) -> int:

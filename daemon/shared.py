@@ -17,13 +17,11 @@ from ..log.signals import cycle_dtype
 from .board import Board
 from .control import memory_shape
 from .program import Program
-from .ring import Ring
+from .ring import Ring, ring_rows
 from .timing import Timing
 
 _AHEAD_S = 4.0
 """How far the program is streamed ahead of the loop."""
-_BEHIND_S = 5.0
-"""How far the recorder may fall behind, beside what a flight recording looks back on."""
 _LEAST_ROWS = 4096
 _PAGE = 4096
 
@@ -34,13 +32,12 @@ class Shared:
     def __init__(self, rig: RigConfig, fd: int | None = None) -> None:
         coils, sensors = len(rig.geometry.coil_x_m), len(rig.geometry.sensors_x_m)
         self.dtype: np.dtype[np.void] = cycle_dtype(coils, sensors)
-        behind_s = rig.recording.before_fault_s + _BEHIND_S
-        ring_rows = max(int(behind_s * rig.rate_hz), _LEAST_ROWS)
+        rows = ring_rows(rig.recording, rig.rate_hz)
         program_rows = max(int(_AHEAD_S * rig.rate_hz), _LEAST_ROWS)
         control = memory_shape(coils, sensors)
         sizes = (
             Board.SIZE,
-            Ring.size(self.dtype, ring_rows),
+            Ring.size(self.dtype, rows),
             Program.size(coils, program_rows),
             Timing.SIZE,
             8 * int(np.prod(control)),
@@ -52,7 +49,7 @@ class Shared:
         self.fd = fd
         memory = memoryview(mmap.mmap(fd, ends[-1]))
         self.board = Board(memory[: ends[0]])
-        self.ring = Ring(self.dtype, ring_rows, memory[ends[0] : ends[1]])
+        self.ring = Ring(self.dtype, rows, memory[ends[0] : ends[1]])
         self.program = Program(coils, program_rows, memory[ends[1] : ends[2]], self.board)
         self.timing = Timing(memory[ends[2] : ends[3]])
         words: NDArray[np.float64] = np.frombuffer(

@@ -53,10 +53,14 @@ class ScriptedLoop:
     """
 
     def __init__(
-        self, wrap: Callable[[Devices], Devices] = lambda devices: devices, **service: Any
+        self,
+        wrap: Callable[[Devices], Devices] = lambda devices: devices,
+        before_fault_s: float = 10.0,
+        **service: Any,
     ) -> None:
         plain = load_rig(RIG).model_dump()
         plain["service"] |= service
+        plain["recording"]["before_fault_s"] = before_fault_s
         plain["rate_hz"] = 1000.0
         self.rig = rig = RigConfig.model_validate(plain)
         self.shared = Shared(rig)

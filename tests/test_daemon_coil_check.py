@@ -11,6 +11,7 @@ from levid.config.rig import load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.faults import Fault, FlightFault
+from levid.daemon.plan import plan_session
 from levid.daemon.virtual import fly_virtually
 from levid.log.reader import read_log
 
@@ -89,6 +90,30 @@ def test_coil_that_moves_other_sensors_is_named(
     rows = read_log(tmp_path / "out" / "00-levitate.mcap").rows
     at = int(np.flatnonzero(rows["fault"])[0])
     assert not rows["coil_n"][at:].any()
+
+
+def test_check_that_outlasts_the_rows_kept_is_refused(tmp_path: Path) -> None:
+    rig = load_rig(RIG_FILE)
+    for pause_s, before_fault_s, rate_hz, seconds in (
+        (2.0, 10.0, 10_000.0, r"13\.0 s, found 18\.3 s"),
+        (0.32, 0.1, 10_000.0, r"3\.1 s, found 3\.2 s"),
+        # Of a slow loop 4096 rows are kept.
+        (5.0, 0.1, 100.0, r"39\.0 s, found 45\.4 s"),
+    ):
+        recording = rig.recording.model_copy(update={"before_fault_s": before_fault_s})
+        slow = rig.model_copy(update={"recording": recording})
+        steps = f"[{{levitate: {{check_coils: {{pause_s: {pause_s}}}}}}}, {{land: {{}}}}]"
+        text = f"{{levid: session, name: x, rate_hz: {rate_hz}, steps: {steps}}}"
+        config = parse_text(text, SessionConfig, "x")
+        with pytest.raises(ConfigError, match=rf"steps\[0\].levitate.check_coils: .* {seconds}"):
+            plan_session(config, slow)
+
+
+def test_long_check_is_judged_by_all_of_its_rows(tmp_path: Path) -> None:
+    # Nine turns of 0.562 s: 5.1 s, of 13 s that there may be.
+    rows = fly(tmp_path, shipped("sims/nominal.yaml"), 4500.0, pause_s=0.53)
+    assert rows["fault"].max() == 0
+    assert (np.abs(rows["coil_excitation_n"]).max(axis=0) == 1.0).all()
 
 
 def test_push_that_a_coil_cannot_carry_is_refused(tmp_path: Path) -> None:

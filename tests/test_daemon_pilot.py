@@ -151,3 +151,24 @@ def without_coil_3(devices: Devices) -> Devices:
 
     devices.amplifiers.write = without  # type: ignore[method-assign]
     return devices
+
+
+def test_longest_check_of_coils_is_judged_however_late() -> None:
+    told: list[Any] = []
+    flight = ScriptedLoop(before_fault_s=0.1)
+    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    # Nine turns of 0.344 s are 3.1 s; 5.1 s of rows are kept, and 2 s of those are for the judge.
+    lift = {"unload_s": 0.2, "ramp_s": 0.5, "settle_s": 1.0, "check_coils": {"pause_s": 0.312}}
+    job = job_of(flight, told, Step(levitate=lift))
+    job.holds = True
+    pushed = 300 + job.plan.cycles - 1000
+
+    def script(n: int) -> None:
+        if n == 300:
+            pilot.begin(job)
+        if not n % 10 and not pushed - 50 < n < pushed + 1900:
+            pilot.tick()
+
+    flight.run(script, pushed + 2000)
+    assert flight.board.fault is Fault.NONE
+    assert told[-1]["ok"]

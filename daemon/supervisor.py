@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..config.base import ConfigError
-from ..config.rig import RigConfig, load_rig
+from ..config.rig import RigConfig
 from ..drivers.base import Context
 from ..drivers.registry import check_backends
 from .access import Access
@@ -24,6 +23,7 @@ from .metrics import serve_metrics
 from .notify import Notify
 from .pilot import Pilot
 from .recorder_link import RecorderLink
+from .reload import RigReader
 from .requests import Requests
 from .server import Reply, Server
 from .shared import Shared
@@ -87,6 +87,11 @@ class Supervisor:
         self._clearings: list[_Clearing] = []
         # Signal handlers set these, in the thread that reads them: no lock can be taken there.
         self._stopping = self._reload = False
+        self._reader = RigReader(
+            rig_file,
+            lambda new, access: self.post(lambda: self._take_over(new, access)),
+            lambda why: self.post(lambda: self._say(f"RIG.yaml is not taken over: {why}")),
+        )
         self._loop_beat, self._loop_beat_s, self._busy_s = -1, 0.0, 0.0
         self._stop_s: float | None = None
         self._told = Fault.NONE
@@ -130,6 +135,7 @@ class Supervisor:
             if self.rig.service.metrics_port is not None:
                 close_metrics = serve_metrics(self.rig.service.metrics_port, self.status)
             self._requests.start()
+            self._reader.start()
             self._recorder.watch()
             self._start_loop()
             waiting = True
@@ -233,7 +239,7 @@ class Supervisor:
             self._say(f"the clock was set by {step_s:+.1f} s; times in logs go on as before")
         if self._reload:
             self._reload = False
-            self._reload_rig()
+            self._reader.ask()
         self._requests.tick(time.monotonic(), self.status)
 
     def _start_loop(self) -> None:
@@ -322,14 +328,8 @@ class Supervisor:
             self._say(f"fault {fault.name}{detail}" if fault is not Fault.NONE else "fault cleared")
         self._notify.status(fault.name if fault is not Fault.NONE else self.board.state.name)
 
-    def _reload_rig(self) -> None:
+    def _take_over(self, new: RigConfig, access: Access) -> None:
         """Take over what can change while it runs: who may ask, and what a client's end means."""
-        try:
-            new = load_rig(self.rig_file)
-            access = Access(new.service)
-        except ConfigError as error:
-            self._say(f"RIG.yaml is not taken over: {error}")
-            return
         changed = {key: getattr(new.service, key) for key in _RELOADED}
         service = self.rig.service.model_copy(update=changed)
         others = [

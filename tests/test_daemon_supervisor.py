@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from daemon_process import calm
 
 from levid.config.rig import load_rig
+from levid.config.service import Service
 from levid.config.shipped import shipped
 from levid.daemon import supervisor as supervisor_module
+from levid.daemon.access import Access
 from levid.daemon.board import Word
 from levid.daemon.faults import Fault
 from levid.daemon.states import State
@@ -103,3 +108,46 @@ def test_watchdog_is_fed_while_the_end_is_being_told(
     monkeypatch.setattr(supervisor._notify, "alive", lambda: done.append("alive"))
     supervisor._land_and_end()  # there is no loop: what is left is to tell how it ended
     assert done == ["alive", "tick"] * 3
+
+
+def test_users_that_are_long_in_coming_hold_nobody_up(
+    supervisor: Supervisor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, looking, said = threading.Event(), [], []
+    plain = supervisor.rig.model_dump(mode="json")
+    plain["service"] |= {"allow_users": ["far"], "client_gone": "land"}
+    file = tmp_path / "rig.yaml"
+    file.write_text(yaml.safe_dump(plain))
+
+    def far_away(config: Service) -> Access:
+        looking.append(config)
+        assert go_on.wait(20.0)
+        return Access(Service())
+
+    monkeypatch.setattr("levid.daemon.reload.Access", far_away)
+    monkeypatch.setattr(supervisor._reader, "_rig_file", file)
+    monkeypatch.setattr(supervisor, "_say", said.append)
+    monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
+    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+
+    def tick_until(condition: Callable[[], bool]) -> None:
+        give_up_s = time.monotonic() + 15.0  # reading a RIG.yaml takes milliseconds
+        while not condition():
+            assert time.monotonic() < give_up_s
+            supervisor._tick()
+            time.sleep(0.001)
+
+    supervisor._reader.start()
+    supervisor.reload()
+    tick_until(lambda: len(looking) == 1)
+    for _ in range(3):  # no more than one at a time
+        supervisor.reload()
+        supervisor._tick()
+    assert supervisor.rig.service.client_gone == "go_on"
+    assert len(looking) == 1
+    assert not said
+    go_on.set()
+    # What was asked for meanwhile is one reading more.
+    tick_until(lambda: sum("are taken over" in line for line in said) == 2)
+    assert supervisor.rig.service.client_gone == "land"
+    assert len(looking) == 2

@@ -56,6 +56,11 @@ class Child:
             return f"killed by {signal.Signals(-code).name}"
         return f"exit code {code}"
 
+    def terminate(self) -> None:
+        """Ask it to end, as it is able to at the moment."""
+        if self._process is not None and self.running:
+            self._process.terminate()
+
     def kill(self, wait_s: float = _KILLED_S) -> None:
         """End it at once, stopped or hung as it may be; wait so long until it is gone.
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +27,19 @@ from .timed_loop import TimedLoop
 from .warm_up import locate, warm_up
 
 _POLL_S = 0.02
+_OPENING_S = 150
+"""When the kernel ends a process whose driver blocks; the supervisor, if there is one, is first."""
+_CLOSING_S = 5
+"""How long stopping the devices may take where opening them was ended."""
 
 
 def main(fd: str, parent: str, folder: str) -> None:
     """Run until the board says to end; the rig comes as JSON on standard input."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to answer
     call_me("levid-loop")
-    # While devices are being opened a driver may block: then the kernel ends it with its parent.
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    # The kernel sends it with the parent's end, too: what was begun with devices is to be stopped.
+    signal.signal(signal.SIGTERM, _end)
     die_with(int(parent), signal.SIGTERM)
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
     shared = Shared(rig, int(fd))
@@ -45,13 +52,38 @@ def main(fd: str, parent: str, folder: str) -> None:
     def ready(devices: Devices) -> None:
         warm_up(controller, devices, row, rig, _cycle_now(board, rig.rate_hz))
 
-    devices = _opened(rig, Path(folder), board, ready)
-    if devices is None:
-        return
     try:
-        _fly(rig, controller, devices, shared, int(parent))
+        devices = _opened(rig, Path(folder), board, ready)
+        if devices is None:
+            return
+        try:
+            _fly(rig, controller, devices, shared, int(parent))
+        finally:
+            devices.close()
+    except SystemExit:
+        board[Word.STATE] = State.OFF
+        raise
+
+
+def _end(*_: object) -> None:
+    """Answer SIGTERM while devices are opened or recovered: end what blocks, and close them.
+
+    Drives that are being homed would go on.
+    """
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once: nothing is to end the closing
+    signal.alarm(_CLOSING_S)  # but the kernel, which asks no driver
+    raise SystemExit(128 + signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def _bounded() -> Iterator[None]:
+    """Have the kernel end this process where a driver blocks for good, deaf to signals."""
+    signal.alarm(_OPENING_S)
+    try:
+        yield
     finally:
-        devices.close()
+        if signal.getsignal(signal.SIGTERM) is _end:  # else it ends, and another alarm is set
+            signal.alarm(0)
 
 
 def _fly(
@@ -61,11 +93,12 @@ def _fly(
     clock = RealClock(1.0 / rig.rate_hz)
 
     def recover() -> None:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(signal.SIGTERM, _end)
         try:
-            devices.recover()
-            # Drives that were off may have been moved by hand: they stay where they are now.
-            locate(controller, devices, rig, loop.cycle)
+            with _bounded():
+                devices.recover()
+                # Drives that were off may have been moved by hand: they stay where they are now.
+                locate(controller, devices, rig, loop.cycle)
         finally:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
@@ -100,12 +133,13 @@ def _opened(
     seen = board[Word.CLEAR]
     while True:
         try:
-            devices = open_devices(Context(rig, 1.0 / rig.rate_hz, folder))
-            try:
-                ready(devices)
-            except BaseException:
-                devices.close()
-                raise
+            with _bounded():
+                devices = open_devices(Context(rig, 1.0 / rig.rate_hz, folder))
+                try:
+                    ready(devices)
+                except BaseException:
+                    devices.close()
+                    raise
         except Exception as error:  # noqa: BLE001 - the fault is told, and is cleared by the next try
             fault, detail = fault_of(error)
             board.detail = detail

@@ -284,6 +284,8 @@ class Supervisor:
         if self._loop.running:
             self.board.stop(Fault.SUPERVISOR, "it ends")
             self.board[Word.END] = 1
+            if self.board[Word.BUSY]:
+                self._loop.terminate()
             self._loop.wait(_STOPPING_S)
         self._loop.kill()
 
@@ -353,6 +355,8 @@ class Supervisor:
             self._say("landing")
         give_up_s = time.monotonic() + planned_s + _LANDING_S
         while self._loop.running and time.monotonic() < give_up_s:
+            if board[Word.BUSY]:  # with devices: it does not look at the board, and nothing flies
+                self._loop.terminate()
             self._tick()
             time.sleep(_TICK_S)
         if self._loop.running:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from daemon_process import GIVE_UP_S, calm
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon import loop_process
 from levid.daemon.board import Board, Word
 from levid.daemon.faults import Fault
+from levid.daemon.shared import Shared
 from levid.daemon.states import State
 from levid.drivers.base import LinkError
 
@@ -41,3 +48,81 @@ def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_tes
     # The supervisor answers a clear once the loop is neither OFF nor in its self-test.
     assert (board.fault, board.state) == (Fault.NONE, State.OFF)
     assert board[Word.CLEARED] == board[Word.CLEAR]
+
+
+# A loop whose devices take long where it is told to, and say what becomes of them.
+LOOP = """
+import sys, time
+from levid.daemon import loop_process
+from levid.drivers.registry import open_devices
+
+slow, *arguments = sys.argv[1:]
+loop_process._CLOSING_S = 1
+
+def opened(context):
+    devices = open_devices(context)
+    def take_long(what):
+        if what in slow.split("+"):
+            print(what, flush=True)
+            time.sleep(100)
+    def close():
+        take_long("close")
+        print("closed", flush=True)
+    for backend in devices.backends:
+        backend.recover, backend.close = lambda: take_long("recover"), close
+    try:
+        take_long("open")
+    except BaseException:
+        close()
+        raise
+    return devices
+
+loop_process.open_devices = opened
+loop_process.main(*arguments)
+"""
+
+
+@pytest.mark.parametrize(
+    ("slow", "lines", "code"),
+    [
+        ("open", ["open", "closed"], 128 + signal.SIGTERM),
+        ("recover", ["recover", "closed"], 128 + signal.SIGTERM),
+        # A device that does not let itself be closed is left to itself.
+        ("open+close", ["open", "close"], -signal.SIGALRM),
+    ],
+)
+def test_loop_that_is_ended_while_a_driver_blocks_closes_its_devices(
+    tmp_path: Path, slow: str, lines: list[str], code: int
+) -> None:
+    rig = calm(load_rig(RIG_FILE), tmp_path)
+    shared = Shared(rig)
+    board, give_up_s = shared.board, time.monotonic() + GIVE_UP_S
+    process = subprocess.Popen(
+        [sys.executable, "-c", LOOP, slow, str(shared.fd), str(os.getpid()), str(RIG_FILE.parent)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        pass_fds=(shared.fd,),
+    )
+    try:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with process.stdin as pipe:
+            pipe.write(rig.model_dump_json().encode())
+        if slow == "recover":
+            for state, then in ((State.IDLE, board.stop), (State.FAULT, lambda: None)):
+                while board.state is not state:
+                    assert time.monotonic() < give_up_s
+                    time.sleep(0.01)
+                then()
+            board[Word.CLEAR] += 1
+        said = [process.stdout.readline().decode().strip()]
+        process.terminate()
+        said += process.stdout.read().decode().split()
+        assert process.wait(GIVE_UP_S) == code
+        assert said == lines
+        if code > 0:
+            assert board.state is State.OFF
+    finally:
+        process.kill()
+        process.wait()
+        shared.close()

@@ -110,6 +110,42 @@ def test_watchdog_is_fed_while_the_end_is_being_told(
     assert done == ["alive", "tick"] * 3
 
 
+class Opening:
+    """A loop that does not look at the board, since it opens devices."""
+
+    def __init__(self) -> None:
+        self.running, self.end, self.done = True, "exit code 143", list[str]()
+
+    def terminate(self) -> None:
+        self.done.append("terminated")
+        self.running = False
+
+    def wait(self, _: float) -> bool:
+        self.done.append("waited")
+        return not self.running
+
+    def kill(self, *_: float) -> None:
+        if self.running:
+            self.done.append("killed")
+        self.running = False
+
+
+@pytest.mark.parametrize("hurry", [False, True])
+def test_end_while_devices_are_opened_lets_the_loop_close_them(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch, hurry: bool
+) -> None:
+    loop, board = Opening(), supervisor.board
+    monkeypatch.setattr(supervisor, "_loop", loop)
+    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+    board[Word.BUSY] = 1
+    supervisor.stop()
+    if not hurry:
+        supervisor._land_and_end()
+    supervisor._end_loop_at_once()
+    assert loop.done == (["terminated", "waited"] if hurry else ["terminated"])
+    assert board.fault is not Fault.LOOP  # it was asked to
+
+
 def test_users_that_are_long_in_coming_hold_nobody_up(
     supervisor: Supervisor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

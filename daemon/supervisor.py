@@ -256,7 +256,9 @@ class Supervisor:
         if not self._loop.running:
             asked_to = self.stopping and board.state is State.OFF
             if board.fault is not Fault.LOOP and not asked_to:
-                self._loop_is_gone(self._loop.end)
+                stopped = board[Word.BUSY] and board[Word.ZERO]
+                why = "it was stopped while its devices were being opened; " if stopped else ""
+                self._loop_is_gone(f"{why}{self._loop.end}")
             return
         if board.fault is Fault.LOOP:  # the kernel does not let go of it yet
             self._loop.kill(0.0)
@@ -266,6 +268,8 @@ class Supervisor:
             self._loop_beat, self._loop_beat_s = beat, now_s
             self._notify.alive()
         if board[Word.BUSY]:
+            if board[Word.ZERO]:
+                self._loop.terminate()  # it may be homing, and sees nothing else
             if now_s - self._busy_s > _OPENING_S:
                 self._end_loop(f"its devices did not open within {_OPENING_S:g} s")
             return

@@ -48,6 +48,33 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
     made._shared.close()
 
 
+def test_stop_while_devices_are_being_opened_ends_their_loop(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may be homing drives: a stop that waits for the end of that is none."""
+    board, asked = supervisor.board, []
+
+    class Opening:
+        running, end = True, "exit code 143"
+
+        def terminate(self) -> None:
+            asked.append(True)
+
+    loop = Opening()
+    monkeypatch.setattr(supervisor, "_loop", loop)
+    board[Word.BUSY] = 1
+    supervisor._busy_s = time.monotonic()
+    supervisor._watch_loop()
+    assert not asked
+    board.stop()
+    supervisor._watch_loop()
+    assert asked
+    loop.running = False
+    supervisor._watch_loop()
+    assert board.fault is Fault.LOOP
+    assert "stopped while its devices were being opened; exit code 143" in board.detail
+
+
 def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(
     supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -27,7 +27,8 @@ class ZooCase:
     such that forces or readings grow about in proportion: 1 for a gain, -1 for a distance or a
     stiffness. `absorbed` says by what, where a refit of the declared model leaves nothing of the
     effect. `alike` are classes that the same data fit as well. `sized` is whether its error can be
-    chosen; what the drives alone feel leaves none in the gaps.
+    chosen; what the drives alone feel leaves none in the gaps. `keys` are the beginnings of the
+    names in the table of effects that are the mechanism itself; without any it is the class.
     """
 
     name: str
@@ -39,6 +40,7 @@ class ZooCase:
     absorbed: str | None
     alike: tuple[str, ...]
     sized: bool
+    keys: tuple[str, ...]
 
     def effect(self, scale: float) -> dict[str, Any]:
         """Return the entry of a SIM.yaml's `effects` at `scale` times the nominal size."""
@@ -56,9 +58,10 @@ def _read(section: str) -> tuple[ZooCase, ...]:
 
 def _case(name: str, row: dict[str, Any]) -> ZooCase:
     place, _, cls = row.pop("use").rpartition(":")
+    kind = row.pop("class")
     return ZooCase(
         name,
-        row.pop("class"),
+        kind,
         tuple(row.pop("where")),
         f"{_UNLISTED}:{cls}" if place == "unlisted" else f"levid.sim.effects.{place}:{cls}",
         row.pop("values"),
@@ -66,6 +69,7 @@ def _case(name: str, row: dict[str, Any]) -> ZooCase:
         row.pop("absorbed", None),
         tuple(row.pop("alike", [])),
         row.pop("sized", True),
+        tuple(row.pop("keys", [kind])),
     )
 
 

@@ -18,10 +18,10 @@ import numpy as np
 import yaml
 from _code_version import FLYING, canonical
 from _code_version import code_version as digest_of
+from _declared import off_by_a_tenth
 from threadpoolctl import threadpool_limits
 
 from levid.config.base import ConfigError, parse, read_mapping
-from levid.config.model import load_model
 from levid.config.rig import load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
@@ -71,9 +71,10 @@ class Found:
 def fly_and_trace(effects: Entries, seed: int, flights: Path | None = None) -> Found:
     """Fly the nominal plant with `effects` (entries of a SIM.yaml) and trace its logs.
 
-    Logs stay in `flights`, if given; the same code does not fly them again. Raises TooLargeError.
+    The declared model is 10 % off. Logs stay in `flights`, if given; the same code does not fly
+    them again. Raises TooLargeError.
     """
-    config = load_model(MODEL)
+    config = off_by_a_tenth(seed)
     # One process is one core; it works on one plant.
     with _folder(effects, seed, flights) as folder, threadpool_limits(1):
         begin = time.process_time()
@@ -90,7 +91,7 @@ def fly_and_refit(effects: Entries, seed: int) -> float:
 
     Infinite where the refitted model runs away. Raises TooLargeError.
     """
-    config = load_model(MODEL)
+    config = off_by_a_tenth(seed)
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         logs, _ = fly(effects, seed, Path(folder))
         _, errors = refit(logs, config, Alone(config), lambda *_: None)
@@ -107,7 +108,7 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
     sim.write_text(
         yaml.safe_dump({**read_mapping(SIM), "seed": seed, "effects": list(effects)}), "utf-8"
     )
-    session = {**read_mapping(SESSION), "then": []}
+    session = {**read_mapping(SESSION), "then": [], "seed": seed}
     try:
         flown = fly_virtually(
             load_rig(RIG).model_copy(update={"sim": str(sim)}),
@@ -127,8 +128,8 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
 
 def code_version(roots: Sequence[str] = _TRACING) -> str:
     """Return a digest of the code that roots need, and of the plant, the model and the session."""
-    unlisted = Path(__file__).with_name("_unlisted_effects.py")
-    return digest_of(roots, [unlisted], [RIG, SIM, MODEL, SESSION])
+    here = [Path(__file__).with_name(name) for name in ("_unlisted_effects.py", "_declared.py")]
+    return digest_of(roots, here, [RIG, SIM, MODEL, SESSION])
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from _zoo_cases import ZooCase
 from _zoo_fly import canonical, code_version
 from _zoo_plan import Plant
 from _zoo_score import Score, median, score_plant
@@ -19,8 +20,9 @@ from _zoo_truth import compared
 from rich import box
 from rich.table import Table
 
-_LARGE = 20.0
 _WITHIN = 0.05
+_EXPLAINED = 1.15
+_AS_INTENDED = 1.25
 _NAN = math.nan
 
 
@@ -141,21 +143,26 @@ def summary_table(results: Sequence[Result]) -> Table:
     """Return what it comes to: a line a group, and all."""
     grid = Table(title="The zoo", title_justify="left", box=box.SIMPLE)
     grid.add_column("plants")
-    columns = ("count", "right", "as a set", "not visible", "family", "missed", "false alarms")
-    for column in (*columns, "parameters", "after / floor", "failed", "before / floor"):
+    columns = ("count", "right", "as a set", "not visible", "of visible", "mechanism", "explained")
+    columns = (*columns, "family", "missed", "false alarms", "extra", "parameters")
+    for column in (*columns, "after / floor", "failed", "before / floor", "as intended"):
         grid.add_column(column, justify="right")
     for name, some in [*_groups(results).items(), ("all", results)]:
         f = _Total(some).figures()
         share = 100 * f["right"] / max(f["plants"], 1)
         grid.add_row(
             name, f"{f['plants']:.0f}", f"{f['right']:.0f} ({share:.0f} %)", f"{f['as_a_set']:.0f}",
-            f"{f['not_visible']:.0f}", f"{f['family_right']:.0f}", f"{f['missed']:.0f}",
-            f"{f['false_alarms']:.0f}",
+            f"{f['not_visible']:.0f}", _percent(f["right_of_visible_percent"]),
+            f"{f['mechanism']:.0f}", f"{f['explained']:.0f}", f"{f['family_right']:.0f}",
+            f"{f['missed']:.0f}", f"{f['false_alarms']:.0f}", f"{f['extra']:.0f}",
             "" if math.isnan(f["parameter_error"]) else f"{100 * f['parameter_error']:.2g} %",
             _number(f["after_over_floor"]), f"{f['failed']:.0f}", _number(f["before_over_floor"]),
+            f"{f['as_large_as_intended']:.0f} of {f['sized']:.0f}" if f["sized"] else "",
         )  # fmt: skip
     grid.caption = (
-        "medians: parameters and after / floor of those that are right and visible, before of all"
+        "medians: parameters and after / floor of those that are right and visible, before of all; "
+        f"explained: right, and after {_EXPLAINED:g} floors or less; extra: effects named beyond "
+        f"those there; as intended: before within a factor {_AS_INTENDED:g} of what was asked"
     )
     return grid
 
@@ -171,7 +178,12 @@ class _Total:
         right = [(r, s) for r, s in scored if s.right]
         failed = [r for r in self.results if r.found is None]
         errors = [e for r, _ in right if not math.isnan(e := _parameter_error(r))]
-        afters = [s.after_over_floor for r, s in right if r.plant.cases and not s.hidden]
+        visible = [(r, s) for r, s in scored if r.plant.cases and not s.hidden]
+        found = [s for _, s in visible if s.right]
+        afters = [s.after_over_floor for s in found]
+        sized = [
+            (r, s) for r, s in scored if len(r.plant.cases) == 1 and _is_sized(r.plant.cases[0])
+        ]
         out = {
             "plants": float(len(self.results)),
             "right": float(len(right)),
@@ -183,6 +195,12 @@ class _Total:
                 sum(s.missed for _, s in scored) + sum(len(r.plant.cases) for r in failed)
             ),
             "false_alarms": float(sum(s.false_alarms for _, s in scored)),
+            "right_of_visible_percent": 100.0 * len(found) / len(visible) if visible else _NAN,
+            "mechanism": float(sum(s.mechanism and not s.hidden for _, s in right)),
+            "explained": float(sum(after <= _EXPLAINED for after in afters)),
+            "extra": float(sum(s.extra for _, s in scored)),
+            "as_large_as_intended": float(sum(_as_intended(r, s) for r, s in sized)),
+            "sized": float(len(sized)),
             "parameter_error": median(errors),
             "compared": float(len(errors)),
             "ran_away": float(sum(not math.isfinite(s.after_over_floor) for _, s in scored)),
@@ -196,7 +214,7 @@ class _Total:
         }
         unlisted = [s for r, s in scored if r.plant.kind == "unlisted"]
         if unlisted:
-            for key in ("misnamed", "described", "halved"):
+            for key in ("misnamed", "in_doubt", "described", "halved"):
                 out[key] = float(sum(getattr(s, key) for s in unlisted))
         return out
 
@@ -209,7 +227,16 @@ def _groups(results: Sequence[Result]) -> dict[str, list[Result]]:
 
 def _score(result: Result) -> Score:
     assert result.found is not None
-    return score_plant(result.plant.cases, result.found["summary"])
+    return score_plant(result.plant.cases, result.found["summary"], result.found["placed"])
+
+
+def _is_sized(case: ZooCase) -> bool:
+    return case.absorbed is None and case.sized
+
+
+def _as_intended(result: Result, score: Score) -> bool:
+    ratio = score.before_over_floor / result.plant.times
+    return 1 / _AS_INTENDED <= ratio <= _AS_INTENDED
 
 
 def _parameter_error(result: Result) -> float:
@@ -227,6 +254,10 @@ def _verdict(score: Score) -> str:
     words += [f"{score.missed} missed"] if score.missed else []
     words += [f"{score.false_alarms} false"] if score.false_alarms else []
     return ", ".join(words)
+
+
+def _percent(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.0f} %"
 
 
 def _number(value: float) -> str:

@@ -9,21 +9,26 @@ it, or names such a one among its alternatives. It is *right* if, besides,
   says that four may be it has named none.
 
 A plant is right if all its effects are, and nothing reported speaks of none of them: that is a
-*false alarm*, be it of the right class at a wrong place; classes that the case says to be alike
-raise none. Where a refit of the declared model absorbs the effect and has an error of the floor,
-saying nothing is right too ('not visible'). With nothing undeclared in the plant, to report nothing
-is right, and to find no more than noise left.
+*false alarm*, be it of the right class at a wrong place; a class that the case says to be alike
+raises none where it stands for the true one, and one where it is said beside it. Where a refit of
+the declared model absorbs the effect and has an error of the floor, saying nothing is right too
+('not visible'). With nothing undeclared in the plant, to report nothing is right, and to find no
+more than noise left.
 
 *Family* right: for every effect something reported, or an alternative of it, is of the same family
 (FAMILIES) and shares a place with it. *Missed*: there is no such thing. Alternatives count as much
 as what they stand beside, since the data decide no further; a class that fits the data as well but
 is reported alone is wrong.
 
+*Mechanism* right: what is named first, of its alternatives, is for every effect of an equation that
+the case allows (its `keys`), at a place of it. *Extra*: effects reported beyond one for each in the
+plant, right as they may be.
+
 A plant with an unlisted effect is right if nothing is *misnamed* (classes are reported none of
 which the case allows, and the result does not say that its names are in doubt), if something
-`unknown` is reported that shares half or more of its places with the truth, if half or more of the
-signals that it names are those that the effect depends on, and if the error is at least halved, or
-at the floor.
+`unknown` is reported that shares half or more of its places with the truth, if it has half or more
+in common with what the effect depends on (SIGNALS; in common over named or true), and if the error
+is at least halved, or at the floor.
 """
 
 from __future__ import annotations
@@ -48,15 +53,16 @@ FAMILIES = (
     {"sensor_offset", "sensor_lag", "sensor_stuck"},
     {"vibration"},
 )
-SIGNALS = {
-    "hung-plug": {"psi", "z", "psi'", "z'", "psi''", "z''"},
-    "eddy-brake": {"x_b", "theta'", "z'"},
-    "gyroscope": {"phi'", "psi'", "theta'"},
-    "passing-beam": {"x_b"},
+SIGNALS: Mapping[str, tuple[set[str], ...]] = {
+    "hung-plug": ({"psi", "psi'", "psi''"}, {"z", "z'", "z''"}),
+    "eddy-brake": ({"x_b"}, {"theta'"}, {"z'"}),
+    "gyroscope": ({"phi'"}, {"psi'"}, {"theta'"}),
+    "passing-beam": ({"x_b"},),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 
-An unknown effect names them in its evidence, under `signals`.
+Of signals in one set any tells of it. An unknown effect names them in its evidence, under
+`signals`.
 """
 _CARRIERS = {"beam", "rotor"}
 _IN_COMMON = 0.5
@@ -70,7 +76,8 @@ class Score:
     """What a result is worth; parameter_error (relative) and after over floor where right.
 
     in_a_set: right as one of several that the data do not tell apart. hidden: right in saying
-    nothing of an effect that a refit absorbs. `said` in words.
+    nothing of an effect that a refit absorbs. in_doubt: classes are reported of an unlisted effect,
+    and the result itself doubts them. `said` in words.
     """
 
     right: bool
@@ -83,6 +90,9 @@ class Score:
     after_over_floor: float
     hidden: bool = False
     misnamed: bool = False
+    in_doubt: bool = False
+    mechanism: bool = False
+    extra: int = 0
     described: bool = False
     halved: bool = False
 
@@ -115,19 +125,28 @@ class Reported:
     def speaks_of(self, case: ZooCase) -> Named | None:
         return next((option for option in self.options if option.like(case)), None)
 
-    def fits(self, case: ZooCase) -> bool:
-        kinds = {case.kind, *case.alike}
-        return any(option.kind in kinds and option.near(case) for option in self.options)
+    def stands_for(self, case: ZooCase) -> bool:
+        return any(option.kind in case.alike and option.near(case) for option in self.options)
 
 
-def score_plant(cases: Sequence[ZooCase], summary: Mapping[str, Any]) -> Score:
-    """Return the score of a result (`levid trace --json`) for a plant with these effects."""
+def score_plant(
+    cases: Sequence[ZooCase],
+    summary: Mapping[str, Any],
+    placed: Sequence[Mapping[str, Any]] = (),
+) -> Score:
+    """Return the score of a result for a plant with these effects.
+
+    `summary` is what `levid trace --json` prints, `placed` the effects of the model that it ends
+    with, each with its name in the table and its places.
+    """
     if len(cases) == 1 and cases[0].kind == "unknown":
         return _score_unlisted(cases[0], summary)
-    return _score_listed(cases, summary)
+    return _score_listed(cases, summary, placed)
 
 
-def _score_listed(cases: Sequence[ZooCase], summary: Mapping[str, Any]) -> Score:
+def _score_listed(
+    cases: Sequence[ZooCase], summary: Mapping[str, Any], placed: Sequence[Mapping[str, Any]]
+) -> Score:
     reported = _reported(summary)
     before, after = _errors(summary)
     absorbed = [
@@ -135,7 +154,13 @@ def _score_listed(cases: Sequence[ZooCase], summary: Mapping[str, Any]) -> Score
         for case in cases
         if case.absorbed is not None and before <= _EXPLAINED and not _akin(case, reported)
     ]
-    alarms = [r for r in reported if not any(r.fits(case) for case in cases)]
+    unsaid = [case for case in cases if not any(r.speaks_of(case) for r in reported)]
+    alarms = [
+        r
+        for r in reported
+        if not any(r.speaks_of(case) for case in cases)
+        and not any(r.stands_for(case) for case in unsaid)
+    ]
     right = not alarms and all(case in absorbed or _right(case, reported) for case in cases)
     right = right and math.isfinite(after)
     if not cases:
@@ -153,6 +178,15 @@ def _score_listed(cases: Sequence[ZooCase], summary: Mapping[str, Any]) -> Score
         before,
         after,
         hidden=right and bool(absorbed),
+        mechanism=right and all(case in absorbed or _told(case, placed) for case in cases),
+        extra=max(len(reported) - len(cases), 0),
+    )
+
+
+def _told(case: ZooCase, placed: Sequence[Mapping[str, Any]]) -> bool:
+    return any(
+        one["effect"].startswith(case.keys) and Named("", frozenset(one["where"])).near(case)
+        for one in placed
     )
 
 
@@ -160,13 +194,16 @@ def _score_unlisted(case: ZooCase, summary: Mapping[str, Any]) -> Score:
     reported = _reported(summary)
     allowed = {"unknown", *case.alike}
     wrong = [r for r in reported if not any(o.kind in allowed for o in r.options)]
-    if summary["unexplained"].get("doubtful"):
+    in_doubt = bool(wrong and summary["unexplained"].get("doubtful"))
+    if in_doubt:
         wrong = []
     unknown = [r for r in reported if r.options[0].kind in allowed]
     there = frozenset().union(*(r.options[0].where for r in unknown))
     signals = frozenset().union(*(r.signals for r in unknown))
-    true = len(signals & SIGNALS[case.name]) / max(len(signals), 1)
-    described = _in_common(there, case) >= _IN_COMMON and true >= _IN_COMMON
+    true = SIGNALS[case.name]
+    hit, false = sum(bool(one & signals) for one in true), signals.difference(*true)
+    common = hit / (len(true) + len(false))
+    described = _in_common(there, case) >= _IN_COMMON and common >= _IN_COMMON
     before, after = _errors(summary)
     # One of 1.5 times the floor cannot be halved: nothing falls below the floor.
     halved = after <= max(0.5 * before, _EXPLAINED)
@@ -180,6 +217,7 @@ def _score_unlisted(case: ZooCase, summary: Mapping[str, Any]) -> Score:
         before,
         after,
         misnamed=bool(wrong),
+        in_doubt=in_doubt,
         described=described,
         halved=halved,
     )

@@ -20,6 +20,7 @@ import _silverbox
 import _table
 import numpy as np
 from _code_version import FLYING, code_version
+from _declared import off_by_a_tenth
 from _flight import fly_session
 from _table import Figure
 from threadpoolctl import threadpool_limits
@@ -191,16 +192,6 @@ def fly(out: Path, duration_s: float, sweep_s: float, seed: int, rate_hz: float)
         "steps": steps,
     }
     return list(fly_session(session, out))
-
-
-def off_by_a_tenth(seed: int) -> ModelConfig:
-    """Return the rig's model with every free parameter 10 % off, at random."""
-    config, rng = load_model(shipped("models/rig.yaml")), np.random.default_rng(seed)
-    parameters = {}
-    for name, p in config.parameters.items():
-        value = p.value * (1 + 0.1 * rng.standard_normal()) if p.value else 2e-5
-        parameters[name] = p if p.is_fixed else p.model_copy(update={"value": float(value)})
-    return config.model_copy(update={"parameters": parameters})
 
 
 def size_of(name: str, truth: ModelConfig) -> float:

@@ -18,10 +18,10 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from _declared import off_by_a_tenth
 from _multisines import fly_multisines
 from _table import Figure, median_times, run
 from _white_noise import fly as fly_noise
-from greybox import off_by_a_tenth
 from numpy.typing import NDArray
 from scipy import signal
 

@@ -21,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 from _contenders import CONTENDERS, Array, Complex, Contender, Declared, Flight
+from _declared import off_by_a_tenth
 from _flight import truth
 from _isolated import Outcome, measure_apart
 from _multisines import fly_multisines
 from _white_noise import fly
-from greybox import off_by_a_tenth
 from rich import box
 from rich.console import Console
 from rich.table import Table

@@ -42,10 +42,10 @@ DEFAULT = Path(__file__).resolve().parents[1] / "build" / "zoo"
 def main() -> None:
     arguments = _parser().parse_args()
     known = {case.name: case for case in CASES + UNLISTED}
-    unknown = sorted(set(arguments.only or ()) - set(known) - {"nothing", "pair"})
+    unknown = sorted(set(arguments.only or ()) - set(known) - {"nothing", "pair", "triple"})
     if unknown:
         raise SystemExit(f"error: --only: expected names of zoo-cases.yaml, found {unknown}")
-    plants = plan(arguments.quick, arguments.full)
+    plants = plan(arguments.quick, arguments.full, arguments.first_seed)
     if arguments.only:
         only = set(arguments.only)
         plants = [p for p in plants if p.kind in only or {c.name for c in p.cases} <= only]
@@ -77,6 +77,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
     parser.add_argument("--out", type=Path, default=DEFAULT, help="where results are kept")
     parser.add_argument(
+        "--first-seed",
+        type=int,
+        default=1000,
+        metavar="N",
+        help="of others, none of which were seen",
+    )
+    parser.add_argument(
         "--afresh", action="store_true", help=f"fly what {PUBLISHED.name} holds, too"
     )
     parser.add_argument(
@@ -86,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
         "--keep-flights", action="store_true", help="keep logs too, 50 MB a plant, to trace again"
     )
     parser.add_argument(
-        "--only", nargs="+", metavar="NAME", help="cases by name, or nothing, or pair"
+        "--only", nargs="+", metavar="NAME", help="cases by name, or nothing, pair, triple"
     )
     parser.add_argument(
         "--times", nargs="+", type=float, metavar="N", help="of these sizes only, as 1.5 of --full"
@@ -125,7 +132,7 @@ class _Task:
 def _line(result: Result) -> str:
     if result.found is None:
         return f"{result.plant.name}: failed: {result.failed}"
-    score = score_plant(result.plant.cases, result.found["summary"])
+    score = score_plant(result.plant.cases, result.found["summary"], result.found["placed"])
     after = score.after_over_floor
     ending = "" if math.isnan(after) else f", after {after:.2f} x floor"
     verdict = "right" if score.right else "wrong"

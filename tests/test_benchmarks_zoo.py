@@ -80,6 +80,8 @@ def test_set_that_holds_the_truth_is_right_unless_it_holds_everything() -> None:
     lag = score("lag-coil-5", ("delay", "coil:5", [("actuator_lag", "coil:5")]))
     assert lag.right
     assert lag.in_a_set
+    beside = score("lag-coil-5", ("actuator_lag", "coil:5"), ("delay", "coil:5"))
+    assert (beside.right, beside.false_alarms) == (False, 1)
     alone = score("lag-coil-5", ("delay", "coil:5"))  # says more than the data do
     assert (alone.right, alone.family, alone.false_alarms) == (False, True, 0)
     others = [("coil_gain", "coil:5"), ("friction", "z"), ("actuator_lag", "coil:5")]
@@ -139,6 +141,11 @@ def test_nothing_is_right_where_nothing_is() -> None:
 
 def test_unlisted_effect_is_to_be_described_not_named() -> None:
     described = ("unknown", "theta z", [], ["z'", "x_b"])
+    turning = ("unknown", "psi theta", [], ["phi'", "psi'"])
+    assert score("gyroscope", turning).described
+    assert not score("gyroscope", ("unknown", "psi theta", [], ["psi'"])).described  # of the rotor?
+    assert not score("gyroscope", ("unknown", "psi", [], ["psi'", "phi'", "z", "x_b"])).described
+    assert score("hung-plug", ("unknown", "psi z", [], ["z"])).described
     assert score("eddy-brake", described).right
     assert not score("eddy-brake", described, after=4.0).right
     assert not score("eddy-brake", ("unknown", "theta z", [], ["x_b", "phi", "psi"])).right
@@ -281,13 +288,42 @@ def test_plans_are_as_large_as_they_say() -> None:
     quick, usual, full = plan.plan(True, False), plan.plan(False, False), plan.plan(False, True)
     assert len(quick) == 8
     assert len({(p.name, p.seed) for p in full}) == len(full)
-    visible = 2 * (len(cases.CASES) + len(cases.UNLISTED))
-    assert len(usual) == visible + 20
-    assert len(full) == 3 * visible // 2 * 3 + 40
-    for p in usual:
-        if p.kind == "pair":
-            assert p.cases[0].kind != p.cases[1].kind
+    every = len(cases.CASES) + len(cases.UNLISTED)
+    as_it_is = sum(case.absorbed is not None or not case.sized for case in cases.CASES)
+    assert len(usual) == 2 * every + 20
+    assert len(full) == 3 * (3 * every - as_it_is) + 50
+    for p in full:
+        if p.kind in ("pair", "triple"):
+            assert len(p.cases) == {"pair": 2, "triple": 3}[p.kind]
             assert all(case.absorbed is None and case.sized for case in p.cases)
+            places = [(case.kind, place) for case in p.cases for place in case.where]
+            assert len(set(places)) == len(places)
+    others = plan.plan(False, False, 9000)
+    assert not {p.seed for p in others} & {p.seed for p in usual}
+    pairs = [{p.name[:-12] for p in some if p.kind == "pair"} for some in (usual, others)]
+    assert pairs[0] != pairs[1]
+
+
+def test_every_mechanism_is_in_the_table_of_effects() -> None:
+    table = all_effects(rig_places())
+    for case in cases.CASES:
+        for key in case.keys:
+            kinds = {e.effect_class for e in table if e.key.startswith(key)}
+            assert case.kind in kinds or case.absorbed is not None, (case.name, key, kinds)
+
+
+def test_a_mechanism_is_more_than_its_class() -> None:
+    summary = said(("friction", "theta"))
+    along = [CASE["presliding-along"]]
+
+    def placed(effect: str) -> list[dict[str, object]]:
+        return [{"effect": effect, "where": ["theta"]}]
+
+    assert scoring.score_plant(along, summary, placed("friction.bearing")).mechanism
+    chain = scoring.score_plant(along, summary, placed("friction.coulomb"))
+    assert (chain.right, chain.mechanism) == (True, False)
+    twice = scoring.score_plant(along, said(("friction", "theta"), ("friction", "theta")), ())
+    assert (twice.right, twice.extra) == (True, 1)
 
 
 def test_results_are_kept_and_a_line_cut_off_is_no_result(tmp_path, monkeypatch) -> None:

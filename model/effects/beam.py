@@ -45,14 +45,11 @@ def effects(places: Places) -> list[Effect]:
                  partial(_on, dof=i, of=_acceleration),
                  "arm of the beam, as far as its inertia allows" if dof == theta else "")
         )  # fmt: skip
-        if dof != theta:
-            # On theta this is the beam's weight.
-            found.append(
-                _one("cable_pull.linear", "Pull of a cable to the beam", "external_field", dof,
-                     "force = -a x_b", ("a", f"{force}/m"), partial(_on, dof=i, of=_place),
-                     "a guide that is skew")
-            )  # fmt: skip
         found += [
+            # On theta it is what the beam's weight is, too: each is an alternative of the other.
+            _one("cable_pull.linear", "Pull of a cable to the beam", "external_field", dof,
+                 "force = -a x_b", ("a", f"{force}/m"), partial(_on, dof=i, of=_place),
+                 "weight of the beam" if dof == theta else "a guide that is skew"),
             _one("cable_pull.quadratic", "Pull of a cable that stretches to both sides",
                  "external_field", dof, "force = -b x_b^2", ("b", f"{force}/m^2"),
                  partial(_on, dof=i, of=_place_squared)),

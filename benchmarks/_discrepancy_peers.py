@@ -1,10 +1,11 @@
-"""PySINDy and SysIdentPy as they are meant to be used, on the same regressors and forces."""
+"""PySINDy and SysIdentPy as they are meant to be used, on the same products and forces."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,15 @@ _MOST_TERMS = 25
 
 @dataclass(frozen=True)
 class Sample:
-    """Regressors (N, R) over `scale`, forces (N, n) over `size`, and each row's block of time."""
+    """Forces (N, n) over `size`, and what they may be made of; each row's block of time.
 
-    regressors: Array
+    products: of each DOF (N, T), of powers (T, R) of regressors over `scale` (R,), through the
+    filter that its force came through.
+    """
+
+    products: tuple[Array, ...]
     force: Array
+    powers: NDArray[np.int64]
     scale: Array
     size: Array
     block: NDArray[np.int64]
@@ -46,37 +52,48 @@ class Polynomial:
     def at(self, regressors: Array) -> Array:
         """Return the force (N, n) at regressors (N, R) in SI units."""
         used = np.any(self.coefficients != 0.0, axis=1)
-        x = regressors / self.scale
-        columns = [
-            np.prod([x[:, i] ** p for i, p in enumerate(powers) if p] or [np.ones(len(x))], axis=0)
-            for powers in self.powers[used]
-        ]
-        if not columns:
-            return np.zeros((len(x), self.coefficients.shape[1]))
-        return np.asarray(np.column_stack(columns) @ self.coefficients[used])
+        return products(regressors / self.scale, self.powers[used]) @ self.coefficients[used]
+
+
+def powers_of(count: int) -> NDArray[np.int64]:
+    """Return the powers (T, count) of all products up to DEGREE, the constant first."""
+    chosen = (
+        some for k in range(DEGREE + 1) for some in combinations_with_replacement(range(count), k)
+    )
+    return np.array([np.bincount(np.array(some, int), minlength=count) for some in chosen])
+
+
+def products(x: Array, powers: NDArray[np.int64]) -> Array:
+    """Return products (N, T) of powers (T, R) of x (N, R)."""
+    out = np.ones((len(x), len(powers)))
+    for t, i in zip(*np.nonzero(powers), strict=True):
+        out[:, t] *= x[:, i] ** powers[t, i]
+    return out
 
 
 def pysindy(sample: Sample) -> Polynomial:
-    """Return sparse products by STLSQ (Brunton, Proctor and Kutz 2016)."""
+    """Return sparse products by STLSQ (Brunton, Proctor and Kutz 2016), for each DOF."""
     import pysindy as ps
 
-    library = ps.PolynomialLibrary(degree=DEGREE)
     out = sample.block % _FOLDS == 0
 
-    def fitted(threshold: float, rows: NDArray[np.bool_]) -> ps.SINDy:
+    def fitted(dof: int, threshold: float, rows: NDArray[np.bool_]) -> Array:
         optimizer = ps.STLSQ(threshold=threshold, alpha=_RIDGE)
-        model = ps.SINDy(optimizer=optimizer, feature_library=library)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a threshold that leaves nothing is no news
-            return model.fit(sample.regressors[rows], t=1.0, x_dot=sample.force[rows])
+            optimizer.fit(sample.products[dof][rows], sample.force[rows, dof : dof + 1])
+        return np.asarray(optimizer.coef_, float).ravel()
 
     def error(threshold: float) -> float:
-        predicted = fitted(threshold, ~out).predict(sample.regressors[out])
-        return float(np.mean((sample.force[out] - predicted) ** 2))
+        left = [
+            sample.force[out, i] - p[out] @ fitted(i, threshold, ~out)
+            for i, p in enumerate(sample.products)
+        ]
+        return float(np.mean(np.square(left)))
 
-    model = fitted(min(_THRESHOLDS.tolist(), key=error), np.ones_like(out))
-    powers = np.asarray(model.feature_library.powers_, int)
-    return Polynomial(powers, model.coefficients().T * sample.size, sample.scale)
+    best, every = min(_THRESHOLDS.tolist(), key=error), np.ones_like(out)
+    found = np.column_stack([fitted(i, best, every) for i in range(len(sample.products))])
+    return Polynomial(sample.powers, found * sample.size, sample.scale)
 
 
 def sysidentpy(sample: Sample) -> Polynomial:
@@ -85,24 +102,22 @@ def sysidentpy(sample: Sample) -> Polynomial:
     from sysidentpy.model_structure_selection import FROLS
     from sysidentpy.parameter_estimation import LeastSquares
 
-    count, n = sample.regressors.shape[1], sample.force.shape[1]
-    # A finite impulse response of one tap, x(k - 1): fed one row ahead, it is a static function.
-    ahead = np.vstack([sample.regressors[1:], sample.regressors[-1:]])
-    powers: list[NDArray[np.int64]] = []
-    rows: list[Array] = []
-    for i in range(n):
+    found = np.zeros((len(sample.powers), len(sample.size)))
+    for i, given in enumerate(sample.products):
+        # A finite impulse response of one tap, x(k - 1): fed one row ahead, it is a static
+        # function. The constant is the basis' own.
+        ahead = np.vstack([given[1:, 1:], given[-1:, 1:]])
         model = FROLS(
-            ylag=1, xlag=[[1]] * count, model_type="NFIR", basis_function=Basis(degree=DEGREE),
+            ylag=1, xlag=[[1]] * ahead.shape[1], model_type="NFIR", basis_function=Basis(degree=1),
             order_selection=True, info_criteria="bic", n_info_values=_MOST_TERMS,
             estimator=LeastSquares(),
         )  # fmt: skip
         model.fit(X=ahead, y=sample.force[:, [i]])
         for code, theta in zip(model.final_model, np.ravel(model.theta), strict=True):
             # 2001 is the first input a row before, 3001 the second; 0 stands for nothing.
-            used = np.asarray(code, int)[np.asarray(code) > 0] // 1000 - 2
-            powers.append(np.bincount(used, minlength=count))
-            rows.append(np.eye(n)[i] * float(theta) * sample.size[i])
-    return Polynomial(np.array(powers), np.array(rows), sample.scale)
+            used = np.asarray(code, int)[np.asarray(code) > 0] // 1000 - 1
+            found[used[0] if len(used) else 0, i] += float(theta) * sample.size[i]
+    return Polynomial(sample.powers, found, sample.scale)
 
 
 PEERS: dict[str, Callable[[Sample], Polynomial]] = {"PySINDy": pysindy, "SysIdentPy": sysidentpy}

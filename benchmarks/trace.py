@@ -26,7 +26,8 @@ from levid.config.shipped import shipped
 from levid.identification.trace.free_run import free_run
 from levid.identification.trace.metric import pooled
 from levid.identification.trace.record import trace_record
-from levid.identification.trace.study import trace
+from levid.identification.trace.result import model_after
+from levid.identification.trace.study import refit, trace
 from levid.identification.trace.workers import local_workers
 from levid.identification.trace.working_point import WorkingPoint
 from levid.log.reader import read_log
@@ -58,13 +59,16 @@ class Traced:
 class OnSilverbox:
     """What a trace placed on the Silverbox (keys), and free-running errors on the test part, V rms.
 
-    linear: of the declared model refitted; traced: with all that was placed. The test part's first
-    5 s give its state and do not count.
+    linear: of the declared model refitted; cubic: with a cube alone, refitted; traced: with all that
+    was placed. The test part's first 5 s give its state and its offset and do not count; `whole`
+    counts them too, from FIRST_ROWS on.
     """
 
     placed: tuple[str, ...]
     linear: float
+    cubic: float
     traced: float
+    whole: float
 
 
 def measure(quick: bool) -> Sequence[Figure]:
@@ -112,6 +116,10 @@ def silverbox() -> list[Figure]:
             "with what the trace names",
             "silverbox_linear_mv",
         ),
+        Figure(
+            "silverbox_cubic_mv", 1e3 * on.cubic, "mV", "with its cube alone", "silverbox_linear_mv"
+        ),
+        Figure("silverbox_traced_whole_mv", 1e3 * on.whole, "mV", "traced, its first 5 s too"),
         Figure("silverbox_effects", len(on.placed), "", told),
         *(
             Figure(f"silverbox_{key}", float(f"stiffness.{key}" in on.placed), "", f"{key} named")
@@ -141,14 +149,24 @@ def on_silverbox() -> OnSilverbox:
         found = trace([log], config, all_effects, workers, lambda *_: None)
         unseen = _silverbox.imported(_silverbox.TEST, Path(folder))
         record = trace_record(read_log(unseen), config)
+        after = model_after(found)
+        alone = tuple(e for e in after.effects if e.effect == "stiffness.cubic")
+        cubic, _ = refit([log], after.model_copy(update={"effects": alone}), workers, _quietly)
 
-    def error(point: WorkingPoint) -> float:
+    def error(point: WorkingPoint, first: int | None = None) -> float:
         run = free_run(point, record)
-        return float(np.sqrt(np.mean((record.gap - run.gap)[run.counts_from :] ** 2)))
+        begin = run.counts_from if first is None else first
+        return float(np.sqrt(np.mean((record.gap - run.gap)[begin:] ** 2)))
 
     point = found.found.point
     keys = tuple(p.effect.key for p in point.placed)
-    return OnSilverbox(keys, error(found.declared), error(point))
+    return OnSilverbox(
+        keys, error(found.declared), error(cubic), error(point), error(point, _silverbox.FIRST_ROWS)
+    )
+
+
+def _quietly(*_: object) -> None:
+    return
 
 
 def _apart(call: Callable[..., object], *arguments: object) -> Outcome:

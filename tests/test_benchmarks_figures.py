@@ -123,6 +123,26 @@ def test_a_response_that_is_no_number_is_told(peers: ModuleType, error: float) -
     assert failed == {"failed_levid_subspace": 1.0}
 
 
+def test_peers_find_the_products_that_a_force_is_made_of() -> None:
+    peers = module("_discrepancy_peers")
+    rng = np.random.default_rng(1)
+    x = rng.standard_normal((4000, 3)) * (1.0, 1e-3, 20.0)
+    scale = x.std(axis=0)
+    powers = peers.powers_of(3)
+    assert powers.shape == (20, 3)  # (3 + 3 over 3)
+    given = peers.products(x / scale, powers)
+    np.testing.assert_allclose(given[:, 0], 1.0)
+    true = {(0, 3, 0): 2e9, (1, 0, 1): -0.3}
+    force = sum(c * np.prod(x ** np.array(p), axis=1) for p, c in true.items())[:, None]
+    size, block = force.std(axis=0), np.arange(len(x)) // 100
+    sample = peers.Sample((given,), force / size, powers, scale, size, block)
+    for who, fit in peers.PEERS.items():
+        pytest.importorskip(who.lower())
+        found = fit(sample)
+        assert found.terms == 2
+        np.testing.assert_allclose(found.at(x), force, atol=1e-6 * size[0])
+
+
 @pytest.mark.parametrize("error", [np.inf, np.nan])
 def test_a_model_that_runs_away_is_told(discrepancy: ModuleType, error: float) -> None:
     found = discrepancy.figures([discrepancy.Row("cubic-z", "levid", error, 1.2, 0.1, 3.0, "")])

@@ -57,7 +57,7 @@ class Traced:
 
 @dataclass(frozen=True)
 class OnSilverbox:
-    """What a trace placed on the Silverbox (keys), and free-running errors on the test part, V rms.
+    """What a trace of the Silverbox placed (keys), and free-running errors, test part, V rms.
 
     linear: of the declared model refitted; cubic: with a cube alone, refitted; traced: with all that
     was placed. The test part's first 5 s give its state and its offset and do not count; `whole`

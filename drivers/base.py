@@ -90,6 +90,14 @@ class ManipulatorDrives(ABC):
     def read(self, beam: Array, rotor: Array) -> None:
         """Fill beam (3,) with m, m/s, N and rotor (3,) with rad, rad/s, N m."""
 
+    def release(self) -> None:
+        """Go nowhere any more: brake and switch off, or stay; at once where the device can.
+
+        What was written before is forgotten. Until the backend has recovered nothing else holds
+        beam and rotor. Drives that have nothing to let go of do nothing.
+        """
+        return
+
 
 @dataclass(frozen=True)
 class Context:

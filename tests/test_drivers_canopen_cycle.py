@@ -18,6 +18,7 @@ from levid.drivers.can.link import CanLink
 from levid.drivers.watch import Watch
 from levid.log.signals import Stale
 from levid.wire.cia402 import (
+    EMERGENCY_ID,
     ENABLE_OPERATION,
     HEARTBEAT_ID,
     POSITION_M,
@@ -201,6 +202,58 @@ def test_drives_are_told_to_stop_once_one_is_in_fault(rig: RigConfig) -> None:
         bench.read()
     bench.drives.write(np.zeros(3), np.zeros(3))
     assert [word for word, _ in bench.wire.targets()] == [QUICK_STOP]
+
+
+@pytest.mark.parametrize("every", [1, 4])
+@pytest.mark.parametrize("how", ["heartbeat", "emergency"])
+def test_others_stop_beside_a_drive_that_is_off_the_bus(
+    rig: RigConfig, every: int, how: str
+) -> None:
+    """Its readings are missing in every cycle; that is an error of its own, and not the last."""
+    bench = Bench(rig, every)
+    raised: list[Exception] = []
+    for k in range(8 * every):
+        if k != 5 * every:  # by then more of them are missing than are bridged
+            pass
+        elif how == "heartbeat":
+            bench.drives._axes[0].heard_s -= 1.0  # five periods of it
+        else:
+            error = Frame(EMERGENCY_ID + 1, bytes((0x05, 0x73, 1)) + bytes(5), time.time())
+            bench.wire.coming.append(error)
+            bench.drives._link.drain()
+        for call in (
+            lambda k=k: bench.drives.sync(k),
+            bench.read,
+            lambda: bench.drives.write(np.zeros(3), np.zeros(3)),
+        ):
+            try:
+                call()
+            except DriverError as error:
+                raised.append(error)
+        if not k % every:
+            data = TPDO.pack(OPERATING, 0, 0)
+            bench.wire.coming.extend(Frame(TPDO1_ID + i, data, time.time()) for i in (2, 3))
+        while bench.wire.coming:
+            bench.drives._link.drain()
+    words = [RPDO.unpack(d)[0] for i, d in bench.wire.sent if i == RPDO1_ID + 2]
+    drive = [error for error in raised if isinstance(error, DriveError)]
+    assert len(drive) == 1  # told once
+    assert ("no heartbeat" if how == "heartbeat" else "0x7305") in str(drive[0])
+    assert any(isinstance(error, StaleError) for error in raised)
+    assert words[-1] == QUICK_STOP
+
+
+def test_drives_that_were_released_hear_of_nothing_but_a_stop(rig: RigConfig) -> None:
+    """As where a fault cannot be cleared: the loop goes on with its cycles."""
+    bench = Bench(rig, 1)
+    bench.drives.release()
+    assert [word for word, _ in bench.wire.targets()] == [QUICK_STOP]
+    for k in range(3):
+        bench.drives.sync(k)
+        bench.wire.answer(0, time.time(), DriveStates.SWITCH_ON_DISABLED.value[1])
+        bench.read()
+        bench.drives.write(np.zeros(3), np.zeros(3))
+        assert [word for word, _ in bench.wire.targets()] == [QUICK_STOP]
 
 
 @pytest.mark.parametrize(

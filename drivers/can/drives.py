@@ -126,26 +126,25 @@ class CanDrives(ManipulatorDrives):
             StaleError: positions did not come in too many cycles in a row.
             DriveError: a drive is in fault, silent, or the gantry is askew; once, until recovered.
         """
-        if self._options.every == 1:
+        every_cycle = self._options.every == 1
+        if every_cycle:
             deadline_s, link = self._deadline(), self._link
             # On a bus that is busy with other things there is always one more frame.
             while self._waiting and link.receive(deadline_s) and link.received_s <= deadline_s:
                 pass
-            self._judge()
-        x1, x2, phi = self._axes
-        self.stale = self.STALE if x1.cycle < self._answer_due else 0
-        # Slower drives are not waited for: between their readings position goes on at its speed.
-        since_s = (self._cycle - x1.cycle) * self._period_s
-        beam[0] = 0.5 * (x1.position + x2.position + since_s * (x1.velocity + x2.velocity))
-        beam[1] = 0.5 * (x1.velocity + x2.velocity)
-        beam[2] = x1.force + x2.force
-        rotor[0] = phi.position + since_s * phi.velocity
-        rotor[1] = phi.velocity
-        rotor[2] = phi.force
-        if not self._told:
-            self._told = True
-            self._check()
-            self._told = False
+        first = FirstError()
+        # Also where readings are missing: those of a drive that is off the bus always are, and the
+        # others must not stay powered beside it.
+        with first:
+            if not self._told:
+                self._told = True
+                self._check()
+                self._told = False
+        with first:
+            if every_cycle:
+                self._judge()
+            self._tell(beam, rotor)
+        first.raise_it()
 
     def recover(self) -> None:
         """Compare limits, map PDOs, home and enable every drive; raises DriverError.
@@ -169,12 +168,29 @@ class CanDrives(ManipulatorDrives):
         self._judged, self._told, self._written = True, False, None
 
     def release(self) -> None:
-        """Let the drives brake and switch off: who goes on purpose is not to be missed."""
+        """Let the drives brake and switch off: who goes on purpose is not to be missed.
+
+        Until they are recovered `write` sends nothing but quick stops. Raises LinkError.
+        """
+        self._told = True
         for axis in self._axes:
             axis.node.stop()
             counts = round(axis.position / axis.unit)
             self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(QUICK_STOP, counts))
         self._send_sync(self._sync_number + 1)
+
+    def _tell(self, beam: Array, rotor: Array) -> None:
+        """Fill beam and rotor as of this cycle, from what the drives said last."""
+        x1, x2, phi = self._axes
+        self.stale = self.STALE if x1.cycle < self._answer_due else 0
+        # Slower drives are not waited for: between their readings position goes on at its speed.
+        since_s = (self._cycle - x1.cycle) * self._period_s
+        beam[0] = 0.5 * (x1.position + x2.position + since_s * (x1.velocity + x2.velocity))
+        beam[1] = 0.5 * (x1.velocity + x2.velocity)
+        beam[2] = x1.force + x2.force
+        rotor[0] = phi.position + since_s * phi.velocity
+        rotor[1] = phi.velocity
+        rotor[2] = phi.force
 
     def _configure(self) -> None:
         options = self._options

@@ -115,6 +115,15 @@ def test_port_that_cannot_be_opened_says_so(url: str) -> None:
         line.open()
 
 
+def test_port_over_tcp_sends_at_once() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        line = SerialLine("main", SerialBus(port=url, baud=115_200))
+        line.open()
+        assert line._port._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        line.close()
+
+
 def test_port_without_a_descriptor_is_read_up_to_the_deadline() -> None:
     line = SerialLine("main", SerialBus(port="loop://", baud=3_000_000))
     line.open()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import socket
 from time import perf_counter
 from typing import Any
 
@@ -48,6 +49,10 @@ class SerialLine:
         # An adapter that holds bytes back for its latency timer would cost 16 ms a cycle.
         with contextlib.suppress(Exception):
             port.set_low_latency_mode(True)
+        # TCP would hold a cycle's bytes back until the last one's are acknowledged: one answer that
+        # is lost would be the silence of forty.
+        with contextlib.suppress(Exception):
+            port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
             self._fd = port.fileno()
         except (OSError, AttributeError, ValueError):

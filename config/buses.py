@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -31,6 +32,16 @@ class CanBus(Strict):
         """Whether frames are those of CAN FD."""
         return self.data_bitrate is not None
 
+    @property
+    def place(self) -> str:
+        """What tells it from other buses: two of one place are one bus."""
+        if self.interface == "levid_local":
+            return f"{self.interface} {Path(str(self.channel)).resolve()}"
+        if self.interface == "socketcan":  # its options are of the socket, not of the bus
+            return f"{self.interface} {self.channel}"
+        options = (f"{key} {value}" for key, value in sorted(self.options.items()))
+        return ", ".join((f"{self.interface} {self.channel}", *options))
+
 
 class SerialBus(Strict):
     """A serial port, or any URL that pyserial opens."""
@@ -39,6 +50,11 @@ class SerialBus(Strict):
     baud: Annotated[int, Field(ge=9600, le=24_000_000)]
     latency_s: NonNegative = 1.25e-4
     stale_cycles: Cycles = 2
+
+    @property
+    def place(self) -> str:
+        """What tells it from other ports."""
+        return self.port if "://" in self.port else str(Path(self.port).resolve())
 
 
 class AmplifierOptions(Strict):

@@ -164,6 +164,22 @@ class RigConfig(Strict):
             )
         return self
 
+    @model_validator(mode="after")
+    def _one_name_each(self) -> Self:
+        """Two names for one wire would each be held to carry as much as the whole of it."""
+        for backend, buses in (("can", self.can), ("serial", self.serial)):
+            roles = (self.amplifiers, self.sensors, self.drives)
+            used = [role.options.get("bus") for role in roles if role.backend == backend]
+            named: dict[str, str] = {}
+            for name, bus in buses.items():
+                other = named.setdefault(bus.place, name) if name in used else name
+                if other != name:
+                    raise ValueError(
+                        f"{backend}: expected one name for each bus that roles are on, found "
+                        f"'{other}' and '{name}' for {bus.place}; roles can share a name"
+                    )
+        return self
+
     def on_bus(self, role: str) -> tuple[str, RoleOptions] | None:
         """Return backend and options of a role that is on a bus, None where it is on none.
 

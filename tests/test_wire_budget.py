@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from levid.config.base import ConfigError, parse_text
 from levid.config.rig import RigConfig, load_rig
@@ -140,3 +141,36 @@ def twelve(text: str) -> str:
             again = again.replace(f"{kind}_{old}_n", f"{kind}_{old + 3}_n")
         text = text.replace(found[0], found[0] + again)
     return text
+
+
+CAN = {"interface": "levid_local", "channel": "/tmp/bus"}
+SOCKET = {"interface": "socketcan", "channel": "can0"}
+UDP = {"interface": "udp_multicast", "channel": "239.74.163.2"}
+
+
+@pytest.mark.parametrize(
+    ("backend", "one", "other", "same"),
+    [
+        ("can", CAN, CAN, True),
+        ("can", CAN, {**CAN, "channel": "/tmp/./bus/", "bitrate": 500_000}, True),
+        ("can", SOCKET, {**SOCKET, "options": {"local_loopback": False}}, True),
+        ("can", SOCKET, {**SOCKET, "channel": "can1"}, False),
+        ("can", UDP, UDP, True),
+        ("can", UDP, {**UDP, "options": {"port": 43114}}, False),
+        ("serial", {"port": "/dev/a", "baud": 9600}, {"port": "/dev//a", "baud": 9600}, True),
+        ("serial", {"port": "/dev/a", "baud": 9600}, {"port": "/dev/b", "baud": 9600}, False),
+    ],
+)
+def test_two_names_for_one_wire_are_refused(
+    backend: str, one: dict, other: dict, same: bool
+) -> None:
+    """Each would be held to carry what the whole of it does: 1020 Hz instead of 468."""
+    data = load_rig(shipped("rigs/can.yaml")).model_dump()
+    on = {"amplifiers": "force", "sensors": "motion", "drives": "motion"}
+    data |= {role: {"backend": backend, "bus": name} for role, name in on.items()}
+    data |= {"can": {}, "serial": {}} | {backend: {"force": one, "motion": other}}
+    if same:
+        with pytest.raises(ValidationError, match="found 'force' and 'motion' for"):
+            RigConfig.model_validate(data)
+        data |= {role: {"backend": backend, "bus": "force"} for role in on}
+    RigConfig.model_validate(data)  # one that no role is on is nobody's

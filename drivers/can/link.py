@@ -27,10 +27,8 @@ class CanLink:
         self._listeners: dict[int, Listener] = {}
         self._bus: FrameBus | None = None
         self._stamp_s = 0.0
-        # A virtual bus is of this process alone; of others the options tell which bus it is.
-        options = ",".join(f"{key}={bus.options[key]}" for key in sorted(bus.options))
-        claim = Claim(f"{bus.interface}-{bus.channel}-{options}")
-        self._claim = None if bus.interface == "virtual" else claim
+        # A virtual bus is of this process alone.
+        self._claim = None if bus.interface == "virtual" else Claim(bus.place)
 
     def open(self) -> None:
         """Open the bus, anew if it was open; raises LinkError, where another loop has it too."""

@@ -116,6 +116,21 @@ def test_who_was_killed_leaves_nothing_that_the_next_stumbles_over(tmp_path: Pat
     ours.shutdown()
 
 
+def test_what_is_no_socket_is_left_alone(tmp_path: Path) -> None:
+    """Somebody may keep other things in the folder, by a name that ends as ours do."""
+    kept, link, folder = (tmp_path / f"{name}.can" for name in ("kept", "link", "folder"))
+    kept.write_text("a log")
+    link.symlink_to(tmp_path / "nowhere")
+    folder.mkdir()
+    one, other = joined(tmp_path, 2)
+    assert kept.read_text() == "a log"
+    assert link.is_symlink()
+    one.send(0x123, b"heard")
+    assert heard(other) == (0x123, b"heard")
+    for bus in (one, other):
+        bus.shutdown()
+
+
 def test_who_does_not_read_delays_nobody(tmp_path: Path) -> None:
     sender, deaf, other = joined(tmp_path, 3)
     for n in range(5000):

@@ -121,7 +121,9 @@ class LocalFrames:
             end.close()
             if error.errno not in (errno.ECONNREFUSED, errno.ENOENT):
                 raise
-            path.unlink(missing_ok=True)  # left over from one that was killed
+            with contextlib.suppress(FileNotFoundError):
+                if stat.S_ISSOCK(path.lstat().st_mode):  # left over from one that was killed
+                    path.unlink()
         else:
             self._peers += (end,)
 

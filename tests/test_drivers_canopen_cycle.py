@@ -25,6 +25,7 @@ from levid.wire.cia402 import (
     QUICK_STOP,
     RPDO,
     RPDO1_ID,
+    SDO_ANSWER_ID,
     SYNC_ID,
     TPDO,
     TPDO1_ID,
@@ -135,6 +136,24 @@ def test_id_that_somebody_listens_to_is_refused(rig: RigConfig) -> None:
     link.listen(0x181, lambda *_: None)
     with pytest.raises(DriverError, match="ID 0x181 is used twice"):
         link.listen(0x181, lambda *_: None)
+
+
+def test_answers_that_nobody_waits_for_are_not_kept(rig: RigConfig) -> None:
+    """They come all the same: a quick stop by SDO is answered, and others may ask a drive too."""
+    bench = Bench(rig, 1)
+    answer = Frame(SDO_ANSWER_ID + 1, bytes(8), time.time())
+    (node, *_) = bench.drives._nodes
+
+    def queued() -> int:
+        bench.wire.coming.append(answer)
+        bench.drives._link.drain()
+        return int(node._node.sdo.responses.qsize())
+
+    assert queued() == 0
+    node.listen(True)
+    assert queued() == 1
+    node.listen(False)
+    assert queued() == 1
 
 
 def syncs(wire: Wire) -> list[int]:

@@ -152,7 +152,7 @@ class CanDrives(ManipulatorDrives):
         Where one of them fails, none of them stays powered.
         """
         try:
-            with Answers(self._link):
+            with Answers(self._nodes):
                 self._configure()
                 x1, x2, phi = self._nodes
                 self._home(x1, x2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter, sleep
 from typing import Any
@@ -72,7 +73,7 @@ class DriveNode:
         self._network = _LinkNetwork(link)
         self._network.add_node(self._node)
         link.listen(SDO_ANSWER_ID + node_id, self._network.notify_now)
-        self._link = link
+        self.link = link
 
     def configure(
         self,
@@ -144,11 +145,15 @@ class DriveNode:
 
         PDOs reach operational nodes alone; one that is being homed, or just started, is none.
         """
-        self._link.send(SDO_REQUEST_ID + self.node_id, write_controlword(QUICK_STOP))
+        self.link.send(SDO_REQUEST_ID + self.node_id, write_controlword(QUICK_STOP))
 
     def position(self) -> int:
         """Return the actual position in counts."""
         return self._read(Object.ACTUAL_POSITION)
+
+    def listen(self, waits: bool) -> None:
+        """Hand answers to the library only while somebody `waits`: else it would keep them all."""
+        self._network.waits = waits
 
     def _syncs_are_counted(self) -> bool:
         """Return what object 0x1019 says, which drives take at their start only: it is not set."""
@@ -228,7 +233,7 @@ class DriveNode:
             raise DriverError(f"{self.what}: {index.name}: {error}") from None
 
     def _nmt(self, command: int) -> None:
-        self._link.send(NMT_ID, bytes((command, self.node_id)))
+        self.link.send(NMT_ID, bytes((command, self.node_id)))
 
 
 class _LinkNetwork(canopen.Network):
@@ -236,34 +241,39 @@ class _LinkNetwork(canopen.Network):
 
     def __init__(self, link: CanLink) -> None:
         super().__init__()
-        self._link = link
+        self._link, self.waits = link, False
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:  # noqa: ARG002
         self._link.send(can_id, bytes(data))
 
     def notify_now(self, can_id: int, data: bytes) -> None:
-        """Hand a frame to the library."""
-        self.notify(can_id, bytearray(data), 0.0)
+        """Hand a frame to the library, if somebody waits for it."""
+        if self.waits:
+            self.notify(can_id, bytearray(data), 0.0)
 
 
 class Answers:
-    """Receives in a thread while the library waits for answers; between cycles only."""
+    """Receives in a thread while the library waits for answers of nodes; between cycles only."""
 
-    def __init__(self, link: CanLink) -> None:
-        self._link, self._stop = link, threading.Event()
+    def __init__(self, nodes: Sequence[DriveNode]) -> None:
+        self._nodes, self._stop = nodes, threading.Event()
         self._thread = threading.Thread(target=self._run, name="levid-sdo", daemon=True)
 
     def __enter__(self) -> None:
+        for node in self._nodes:
+            node.listen(True)
         self._thread.start()
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join()
+        for node in self._nodes:
+            node.listen(False)
 
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                self._link.receive(perf_counter() + 0.01)
+                self._nodes[0].link.receive(perf_counter() + 0.01)
             except DriverError:  # whoever waits for an answer gets a timeout
                 return
 

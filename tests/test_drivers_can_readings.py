@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import can
 import numpy as np
 import pytest
 
@@ -16,9 +18,9 @@ from levid.drivers.base import LinkError
 from levid.drivers.can.devices import CanAmplifiers
 from levid.drivers.can.link import CanLink
 from levid.drivers.can.readings import Readings
-from levid.wire.can_bus import open_bus
+from levid.wire.can_bus import _MessageBus, open_bus
 from levid.wire.can_frames import load_frames
-from levid.wire.kernel_frame import Frame
+from levid.wire.kernel_frame import Frame, unpacked
 
 CONFIG = CanBus(interface="virtual", channel="readings", data_bitrate=5_000_000, stale_cycles=2)
 
@@ -83,6 +85,31 @@ def test_sets_of_setpoints_are_numbered() -> None:
         amplifiers.write(np.zeros(9))
     numbers = [frames.setpoint.tag(data) for data in sent]
     assert numbers == [k % 16 for k in range(1, 18) for _ in range(3)]
+
+
+def other_frame(kind: str, stamp_s: float) -> Frame | None:
+    """What a bus makes of a frame that is none of ours and came at `stamp_s`."""
+    if kind == "error of the kernel":
+        return unpacked(struct.pack("=IBB2x8s", 0x2000_0004, 8, 0, bytes(8)), stamp_s)
+    wrong = {"is_error_frame": kind == "error", "is_extended_id": kind == "extended"}
+    message = can.Message(timestamp=stamp_s, arbitration_id=4, **wrong)
+    raw = SimpleNamespace(recv=lambda _: message)
+    return _MessageBus(raw, can.Message, None).receive(0.0)
+
+
+@pytest.mark.parametrize("kind", ["error of the kernel", "error", "extended"])
+def test_frame_of_something_else_takes_nothing_from_those_that_came_in_time(kind: str) -> None:
+    """A controller tells of an error as a frame; this process was late, the answers were not."""
+    link, frames, out = CanLink("main", CONFIG), load_frames(None, 9, 9, True).gap, np.zeros(9)
+    host = Readings("sensors", link, frames, 2)
+    host.begin(5)
+    stamp_s, deadline_s = time.time(), time.perf_counter() + 0.01
+    coming = [other_frame(kind, stamp_s)]
+    coming += [Frame(*frame, stamp_s) for frame in frames.encode(np.full(9, 1e-4), 5, 0)]
+    link._bus = SimpleNamespace(receive=lambda _: coming.pop(0) if coming else None)  # type: ignore[assignment]
+    time.sleep(0.03)
+    host.collect(deadline_s, out)
+    assert host.fresh
 
 
 @pytest.mark.parametrize("whole", [False, True])

@@ -108,9 +108,9 @@ class _MessageBus:
         if message.is_error_frame:
             if message.arbitration_id & ERROR_BUS_OFF:
                 raise BusOffError
-            return OTHER
+            return OTHER._replace(stamp_s=message.timestamp)
         if message.is_extended_id or message.is_remote_frame:
-            return OTHER
+            return OTHER._replace(stamp_s=message.timestamp)
         return Frame(message.arbitration_id, bytes(message.data), message.timestamp)
 
     def shutdown(self) -> None:

@@ -39,6 +39,7 @@ class Frame(NamedTuple):
 
 
 OTHER = Frame(-1, b"", 0.0)
+"""With the stamp of what it stands for, where that has one: without, it counts as come just now."""
 
 
 def packed(can_id: int, data: bytes) -> bytes:
@@ -55,7 +56,7 @@ def unpacked(raw: bytes, stamp_s: float) -> Frame:
     if can_id & _NOT_PLAIN:
         if can_id & _ERROR and can_id & ERROR_BUS_OFF:
             raise BusOffError
-        return OTHER
+        return OTHER._replace(stamp_s=stamp_s)
     return Frame(can_id, raw[8 : 8 + length], stamp_s)
 
 

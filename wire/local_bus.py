@@ -143,10 +143,11 @@ class LocalFrames:
         if not raw:
             self._drop(peer)
             return None
-        if len(raw) not in FRAME_SIZES:
-            return OTHER
-        frame = unpacked(raw, kernel_stamp_s(extra))
-        return frame if self._fd or len(frame.data) <= 8 else OTHER
+        stamp_s = kernel_stamp_s(extra)
+        frame = unpacked(raw, stamp_s) if len(raw) in FRAME_SIZES else None
+        if frame is None or (len(frame.data) > 8 and not self._fd):
+            return OTHER._replace(stamp_s=stamp_s)
+        return frame
 
     def _drop(self, peer: socket.socket) -> None:
         self._peers = tuple(other for other in self._peers if other is not peer)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import socket
 
 
@@ -10,19 +12,25 @@ class Claim:
 
     def __init__(self, name: str) -> None:
         # An abstract address: no file that a killed process would leave behind, and one for each
-        # network namespace, as CAN interfaces are.
-        self._address = f"\0levid-{name}"[:100]
+        # network namespace, as CAN interfaces are. It has 107 bytes; a name may be any path.
+        self._address = f"\0levid-{hashlib.sha256(name.encode()).hexdigest()}"
         self._held: socket.socket | None = None
 
     def take(self) -> bool:
-        """Take it, or keep it; returns False where somebody else has it."""
+        """Take it, or keep it; returns False where somebody else has it.
+
+        Raises:
+            OSError: it cannot be taken for another reason.
+        """
         if self._held is not None:
             return True
         held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             held.bind(self._address)
-        except OSError:
+        except OSError as error:
             held.close()
+            if error.errno != errno.EADDRINUSE:
+                raise
             return False
         self._held = held
         return True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 import time
 from pathlib import Path
@@ -18,6 +19,7 @@ from levid.drivers.base import LinkError
 from levid.drivers.can.devices import CanAmplifiers
 from levid.drivers.can.link import CanLink
 from levid.drivers.can.readings import Readings
+from levid.drivers.claim import Claim
 from levid.wire.can_bus import _MessageBus, open_bus
 from levid.wire.can_frames import load_frames
 from levid.wire.kernel_frame import Frame, unpacked
@@ -141,3 +143,32 @@ def test_two_loops_do_not_fly_on_one_bus(tmp_path: Path) -> None:
     first.close()
     second.open()
     second.close()
+
+
+@pytest.mark.parametrize("folder", ["/" + 30 * "long-", "/\N{GREEK SMALL LETTER MU}" + 60 * "\xe4"])
+def test_claims_of_long_names_are_told_apart(folder: str) -> None:
+    one, other, again = (
+        Claim(f"{folder}/force"),
+        Claim(f"{folder}/motion"),
+        Claim(f"{folder}/force"),
+    )
+    assert one.take()
+    assert other.take()
+    assert not again.take()
+    for claim in (one, other):
+        claim.release()
+
+
+def test_bus_that_cannot_be_claimed_is_not_said_to_be_somebody_else_s(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No memory, or no descriptor left: nobody else flies."""
+    link = CanLink("main", CanBus(interface="levid_local", channel=str(tmp_path)))
+    refusing = SimpleNamespace(bind=refuse, close=lambda: None)
+    monkeypatch.setattr("levid.drivers.claim.socket.socket", lambda *_: refusing)
+    with pytest.raises(LinkError, match=r"cannot be claimed: .*no room"):
+        link.open()
+
+
+def refuse(_: object) -> None:
+    raise OSError(errno.ENOMEM, "no room")

@@ -29,7 +29,7 @@ from levid.drivers.registry import open_devices
 from levid.log.signals import Stale
 from levid.sim.electronics.faults import FAULTS, InjectionError
 from levid.sim.electronics.rig import Electronics
-from levid.wire.device import AmplifierState
+from levid.wire.device import AmplifierState, DriveState
 
 pytestmark = pytest.mark.usefixtures("host_paced")
 
@@ -191,6 +191,36 @@ def test_frozen_channel_is_found_within_cycles_where_the_platform_moves(bench: B
         # The first answer repeats the one before; three repeats are needed.
         for k in range(WITHIN_CYCLES):
             bench.run(7.0 + 0.5 * (k // 5 % 2))
+
+
+@pytest.mark.parametrize("why", ["askew", "released"])
+def test_motors_do_not_stay_powered_where_the_host_alone_finds_a_fault(
+    bench: Bench, why: str
+) -> None:
+    """Two that stand askew would push against each other until somebody clears the fault."""
+    devices, core = bench.devices, bench.electronics.core
+    for _ in range(5):
+        bench.run(0.0)
+    if why == "askew":
+        bench.electronics.injector.command("skew 0.001")
+    else:
+        devices.drives.release()
+    raised = []
+    for _ in range(6):
+        try:
+            bench.run(0.0)
+        except DriveError as error:
+            raised.append(error)
+            devices.drives.write(np.zeros(3), np.zeros(3))  # as the loop does, all the same
+        until_heard(bench)
+    assert len(raised) == (why == "askew")  # told once
+    assert core.drive_state is DriveState.OFF
+    bench.electronics.injector.clear()
+    devices.recover()
+    for _ in range(5):
+        bench.run(0.0)
+    until_heard(bench)
+    assert core.drive_state is DriveState.OPERATING
 
 
 def test_setpoint_that_is_lost_shows_in_the_next_answer(bench: Bench) -> None:

@@ -183,8 +183,17 @@ class _Drives(ManipulatorDrives):
         self._told = False
 
     def write(self, beam: Array, rotor: Array) -> None:
+        # Once they are at fault, in the host's eyes alone perhaps, they are told no place to go to:
+        # they switch off, and two motors askew do not stand powered against each other.
+        if self._told:
+            self._go_nowhere()
+            return
         self._port.beam[:] = beam
         self._port.rotor[:] = rotor
+
+    def release(self) -> None:
+        self._told = True
+        self._go_nowhere()
 
     def read(self, beam: Array, rotor: Array) -> None:
         port, axes = self._port, self._axes
@@ -208,10 +217,13 @@ class _Drives(ManipulatorDrives):
     def recover(self) -> None:
         port = self._port
         # They may have been moved by hand: what they were told before the fault is no target.
-        port.beam[:] = port.rotor[:] = np.nan
+        self._go_nowhere()
         self._axes[:] = np.nan
         compare_limits(port.what, self._limits, DRIVE_LIMITS, port.exchange)
         _, error = port.exchange(Request.ENABLE_DRIVES, 0, 0)
         if error:
             raise DriveError(f"drives on {port.what}: cannot be enabled, error code 0x{error:04X}")
         self._told = False
+
+    def _go_nowhere(self) -> None:
+        self._port.beam[:] = self._port.rotor[:] = np.nan

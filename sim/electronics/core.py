@@ -104,6 +104,7 @@ class Core:
         self._motion[:, 0] = self._plant.beam[0], self._plant.rotor[0]
         self._plan: list[Array] = []
         self._drives_missed = 0
+        self._drives_led = False  # since they were enabled
         self._sample()
 
     @property
@@ -226,12 +227,16 @@ class Core:
 
         The first of them may have `begun`: it is told with the signal that begins it.
         Rows: beam and rotor; columns: position, velocity, acceleration at the end of the period.
+        What is no number leads nowhere: drives that were led before brake and switch off.
         """
         with self.lock:
             if self.drive_state is not DriveState.OPERATING:
                 return
             if not all(np.isfinite(motion).all() for motion in plan):
+                if self._drives_led:
+                    self.disable_drives()
                 return
+            self._drives_led = True
             limit_m = self.limits[Parameter.BEAM_LIMIT_UM] * 1e-6 + 1e-6
             self._plan = [motion.copy() for motion in plan]
             for motion in self._plan:
@@ -260,6 +265,7 @@ class Core:
             if self.injected.lost_axes:
                 return
             self.drive_error = 0
+            self._drives_led = False
             if self.drive_state is not DriveState.OPERATING:
                 self._hold_drives()
                 self.drive_state = DriveState.OPERATING

@@ -234,6 +234,66 @@ def test_drives_that_count_no_syncs_get_none_that_are_counted(
         devices.close()
 
 
+PDO = """
+[{index}]
+ParameterName=another PDO
+ObjectType=0x9
+SubNumber=2
+
+[{index}sub0]
+ParameterName=Highest sub-index supported
+ObjectType=0x7
+DataType=0x0005
+AccessType=ro
+DefaultValue=1
+PDOMapping=0
+
+[{index}sub1]
+ParameterName=COB-ID
+ObjectType=0x7
+DataType=0x0007
+AccessType=rw
+DefaultValue=$NODEID+{cob_id}
+PDOMapping=0
+
+[{mapping}]
+ParameterName=its mapping
+ObjectType=0x9
+SubNumber=1
+
+[{mapping}sub0]
+ParameterName=Number of mapped objects
+ObjectType=0x7
+DataType=0x0005
+AccessType=rw
+DefaultValue=0
+PDOMapping=0
+"""
+
+
+def test_other_pdos_of_a_drive_are_switched_off(rig: RigConfig, tmp_path: Path) -> None:
+    """Drives come with TPDOs that are valid and sent by events: no bus has room for it."""
+    others = {0x1401: 0x300, 0x1403: 0x500, 0x1801: 0x280, 0x1803: 0x8000_0480}
+    text = shipped("drive.eds").read_text()
+    for index, cob_id in others.items():
+        hexadecimal = {"index": index, "mapping": index + 0x200}
+        names = {name: f"{number:04X}" for name, number in hexadecimal.items()}
+        text += PDO.format(cob_id=f"0x{cob_id:X}", **names)
+    (tmp_path / "more.eds").write_text(text)
+    more = with_drives(rig, eds=str(tmp_path / "more.eds"))
+    with Electronics(more, Path()) as electronics:
+        nodes = next(bus._drives for bus in electronics._buses if bus._drives is not None)
+        found = lambda drive, index: drive._node.sdo[index][1].raw  # noqa: E731
+        valid = [index for index in others if not found(nodes.drives[0], index) >> 31]
+        assert valid == [0x1401, 0x1403, 0x1801]  # as they are switched on
+        devices = open_devices(Context(more, 1 / RATE_HZ, Path()))
+        for drive in nodes.drives:
+            for index, cob_id in others.items():
+                assert found(drive, index) == cob_id + drive.node_id | 1 << 31
+        run_to(devices, electronics, range(5))  # those that are asked for are exchanged
+        devices.close()
+
+
 def test_expiry_shorter_than_two_syncs_is_refused(rig: RigConfig) -> None:
     with pytest.raises(ConfigError, match=r"drives.expire_s: expected at least 0.08.*found 0.05"):
         check_backends(Context(with_drives(rig, every=4, expire_s=0.05), 1 / RATE_HZ, Path()))

@@ -47,6 +47,8 @@ _POLL_S = 0.005
 _SYNCHRONOUS = 1
 _NOT_VALID = 1 << 31
 _OPERATIONAL, _PRE_OPERATIONAL = 0x01, 0x80
+_OBJECTS = frozenset(Object)
+_OTHER_PDOS = frozenset((*range(0x1401, 0x1600), *range(0x1801, 0x1A00)))
 
 
 class DriveNode:
@@ -111,6 +113,7 @@ class DriveNode:
         rpdo, tpdo = RPDO1_ID + self.node_id, TPDO1_ID + self.node_id
         if self._has(Object.RPDO1, EVENT_TIMER):
             self._write(Object.RPDO1, expire_ms, EVENT_TIMER)
+        self._switch_off_other_pdos()
         self._map(Object.RPDO1, Object.RPDO1_MAP, rpdo, RPDO_MAPPING)
         self._map(Object.TPDO1, Object.TPDO1_MAP, tpdo, TPDO_MAPPING)
 
@@ -192,6 +195,17 @@ class DriveNode:
                 raise DriveError(f"{self.what}: does not change to mode {mode.name}")
             sleep(_POLL_S)
 
+    def _switch_off_other_pdos(self) -> None:
+        """Make those invalid that nobody listens or sends to: many drives come with some valid.
+
+        They would fill the bus beside what a cycle is computed to take, or move the drive.
+        """
+        for index in self._node.object_dictionary:
+            if index in _OTHER_PDOS and self._has(index, 1):
+                cob_id = self._read(index, 1)
+                if not cob_id & _NOT_VALID:
+                    self._write(index, cob_id | _NOT_VALID, 1)
+
     def _map(
         self, record: Object, mapping: Object, cob_id: int, objects: tuple[tuple[Object, int], ...]
     ) -> None:
@@ -204,36 +218,40 @@ class DriveNode:
         self._write(mapping, len(objects), 0)
         self._write(record, cob_id, 1)
 
-    def _read(self, index: Object, sub: int = 0) -> int:
+    def _read(self, index: int, sub: int = 0) -> int:
         return int(self._sdo(lambda: self._object(index, sub).raw, index))
 
-    def _write(self, index: Object, value: int, sub: int = 0) -> None:
+    def _write(self, index: int, value: int, sub: int = 0) -> None:
         def write() -> None:
             self._object(index, sub).raw = value
 
         self._sdo(write, index)
 
-    def _has(self, index: Object, sub: int = 0) -> bool:
+    def _has(self, index: int, sub: int = 0) -> bool:
         """Return whether the EDS has an object."""
         found = self._node.object_dictionary.get(int(index))
         return found is not None and (not sub or sub in found)
 
-    def _object(self, index: Object, sub: int) -> Any:
+    def _object(self, index: int, sub: int) -> Any:
         found = self._node.sdo[int(index)]
         return found if isinstance(found, SdoVariable) else found[sub]
 
-    def _sdo(self, action: Any, index: Object) -> Any:
+    def _sdo(self, action: Any, index: int) -> Any:
         try:
             return action()
         except DriverError:
             raise
         except canopen.SdoCommunicationError as error:
-            raise LinkError(f"{self.what}: {index.name}: {error}") from None
+            raise LinkError(f"{self.what}: {_name(index)}: {error}") from None
         except Exception as error:  # noqa: BLE001 - an object that the EDS or the drive lacks
-            raise DriverError(f"{self.what}: {index.name}: {error}") from None
+            raise DriverError(f"{self.what}: {_name(index)}: {error}") from None
 
     def _nmt(self, command: int) -> None:
         self.link.send(NMT_ID, bytes((command, self.node_id)))
+
+
+def _name(index: int) -> str:
+    return Object(index).name if index in _OBJECTS else f"0x{index:04X}"
 
 
 class _LinkNetwork(canopen.Network):

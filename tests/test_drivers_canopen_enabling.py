@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,8 +16,18 @@ from levid.config.shipped import shipped
 from levid.drivers.base import Context, Devices, DriveError, DriverError
 from levid.drivers.can.nodes import DriveNode, interpolation
 from levid.drivers.registry import open_devices
+from levid.sim.electronics.drive_nodes import Drive
 from levid.sim.electronics.rig import Electronics
-from levid.wire.cia402 import TPDO, TPDO1_ID, DriveStates, Mode, Object
+from levid.wire.cia402 import (
+    HOMING_ATTAINED,
+    HOMING_ERROR,
+    TARGET_REACHED,
+    TPDO,
+    TPDO1_ID,
+    DriveStates,
+    Mode,
+    Object,
+)
 
 RATE_HZ = 100.0
 OPERATING = DriveStates.OPERATION_ENABLED
@@ -142,6 +153,45 @@ def test_homing_is_done_once_the_target_is_reached(
     monkeypatch.setattr("levid.drivers.can.drives._HOMING_S", 0.3)
     with Electronics(rig, Path()), pytest.raises(DriveError, match=r"drive x1.*not homed"):
         opened(rig)
+
+
+@pytest.mark.parametrize("before", [TARGET_REACHED | HOMING_ATTAINED, HOMING_ERROR])
+def test_statusword_of_before_the_start_is_not_of_this_homing(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch, before: int
+) -> None:
+    """A drive that was homed before, or failed to be, says so for a moment more."""
+    # Twice as long as such a word is doubted; it lags by half of that.
+    monkeypatch.setattr("levid.sim.electronics.drive_nodes._HOMING_S", 0.2)
+    real, follow, at_home = Drive.statusword.fget, DriveNode.follow, []
+    assert real is not None
+
+    def lagging(drive: Drive) -> int:
+        left_s = drive._homed_at_s - time.monotonic()
+        return int(real(drive)) | (before if left_s > 0.15 else 0)
+
+    monkeypatch.setattr(Drive, "statusword", property(lagging))
+    with Electronics(rig, Path()) as electronics:
+        drives = {drive.node_id: drive for drive in nodes_of(electronics)}
+
+        def noted(node: DriveNode) -> None:
+            at_home.append(drives[node.node_id]._homed)
+            follow(node)
+
+        monkeypatch.setattr(DriveNode, "follow", noted)
+        opened(rig).close()
+    assert at_home == [True] * 3
+
+
+def test_drive_that_is_home_at_once_is_believed(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By methods 35 and 37 home is where it stands: bit 12 may never be seen low."""
+    real = Drive.statusword.fget
+    assert real is not None
+    word = property(lambda drive: int(real(drive)) | TARGET_REACHED | HOMING_ATTAINED)
+    monkeypatch.setattr(Drive, "statusword", word)
+    with Electronics(rig, Path()):
+        opened(rig).close()
 
 
 def test_forces_are_in_parts_of_what_is_rated(

@@ -43,6 +43,8 @@ from ..base import DriveError, DriverError, LinkError
 from .link import CanLink
 
 _STATE_S = 2.0
+_LAG_S = 0.1
+"""Longer than a statusword lags; who is at home at once, as by method 35 or 37, takes as long."""
 _POLL_S = 0.005
 _SYNCHRONOUS = 1
 _NOT_VALID = 1 << 31
@@ -72,6 +74,7 @@ class DriveNode:
         """Whether its SYNC has a counter, which others take for an error; known once configured."""
         self.rated = 1.0
         """Rated force in N, of a rotary motor torque in N m; known once configured."""
+        self._started_s: float | None = None  # homing, until that was seen
         self._network = _LinkNetwork(link)
         self._network.add_node(self._node)
         link.listen(SDO_ANSWER_ID + node_id, self._network.notify_now)
@@ -127,10 +130,20 @@ class DriveNode:
         """Start homing, which takes the rising edge of a bit that may be set from the last time."""
         self._write(Object.CONTROLWORD, ENABLE_OPERATION)
         self._write(Object.CONTROLWORD, START_HOMING)
+        self._started_s = perf_counter()
 
     def homing(self) -> tuple[bool, bool]:
-        """Return whether positions count from home, and whether the drive stands there."""
+        """Return whether positions count from home, and whether the drive stands there.
+
+        A statusword that says so from the first, or that it failed, is believed after a while only:
+        it may be one of before the start, of the last time.
+        """
         word = self._read(Object.STATUSWORD)
+        if self._started_s is not None:
+            told = word & (HOMING_ATTAINED | HOMING_ERROR)
+            if told and perf_counter() - self._started_s < _LAG_S:
+                return False, False
+            self._started_s = None
         if word & HOMING_ERROR:
             raise DriveError(f"{self.what}: homing failed")
         attained = bool(word & HOMING_ATTAINED)

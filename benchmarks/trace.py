@@ -59,9 +59,9 @@ class Traced:
 class OnSilverbox:
     """What a trace of the Silverbox placed (keys), and free-running errors, test part, V rms.
 
-    linear: of the declared model refitted; cubic: with a cube alone, refitted; traced: with all that
-    was placed. The test part's first 5 s give its state and its offset and do not count; `whole`
-    counts them too, from FIRST_ROWS on.
+    linear: of the declared model refitted; cubic: with a cube alone, refitted; traced: with all
+    that was placed. The test part's first 5 s give its state and its offset and do not count;
+    `whole` counts them too, from FIRST_ROWS on.
     """
 
     placed: tuple[str, ...]

@@ -71,7 +71,8 @@ def flight_figures(rigs: dict[str, str], start: Start, seconds: float) -> list[F
         for name, rig in rigs.items():
             file = Path(text) / f"{name}.yaml"
             file.write_text(rig.replace("limits:\n", f"limits:{PATIENT}", 1))
-            logs = _flown(file, Path(text) / name, start if name != "loopback" else None, seconds)
+            real = start if name != "loopback" else None
+            logs, attempts = _flown(file, Path(text) / name, real, seconds)
             experiments = [experiment_from_log(log, model) for log in logs]
             fits[name] = fit_model(model, experiments)
             if name == "loopback":
@@ -82,6 +83,7 @@ def flight_figures(rigs: dict[str, str], start: Start, seconds: float) -> list[F
             cycles = sum(len(log.rows) for log in logs)
             square, of, worst = _distance(fits["loopback"], fits[name])
             figures += [
+                Figure(f"{name}_attempts", attempts, "", f"{name}: flights until one ended well"),
                 Figure(f"{name}_flown_stale", stale / cycles, "", f"{name}, flown: stale rows"),
                 Figure(f"{name}_flown_skipped", skipped / cycles, "", f"{name}: periods skipped"),
                 Figure(f"{name}_flown_used", sum(rows) / cycles, "", f"{name}: of the rows, used"),
@@ -108,14 +110,17 @@ def flight_figures(rigs: dict[str, str], start: Start, seconds: float) -> list[F
     return figures
 
 
-def _flown(file: Path, out: Path, start: Start | None, seconds: float) -> Sequence[Log]:
-    """Fly with a daemon against the electronics that `start` starts; without, in virtual time."""
+def _flown(file: Path, out: Path, start: Start | None, seconds: float) -> tuple[Sequence[Log], int]:
+    """Fly with a daemon against the electronics that `start` starts; without, in virtual time.
+
+    Return the logs, and how many flights it took: those before ended in a fault.
+    """
     text = SESSION.replace("SECONDS", f"{seconds:g}")
     out.mkdir()
     if start is None:
         session = parse_text(text, SessionConfig, "agreement")
         flown = fly_virtually(load_rig(file), file, session, text.encode(), out)
-        return [read_log(path) for path in flown.records]
+        return [read_log(path) for path in flown.records], 1
     socket, folder = file.with_suffix(".sock"), str(file.parent / "faults")
     with file.open("a") as rig:
         rig.write(f"{SERVICE}socket: {socket}\nrecording: {{faults: {folder}}}\n")
@@ -125,7 +130,7 @@ def _flown(file: Path, out: Path, start: Start | None, seconds: float) -> Sequen
             with running(file, socket), Client(socket) as client:
                 _real_time.hurry(_real_time.ELECTRONICS, process.pid)
                 flown = client.excite(text, out / f"{attempt}", lambda *_: None)
-                return [read_log(path) for path in flown.records]
+                return [read_log(path) for path in flown.records], attempt + 1
         except DaemonError as error:
             print(f"{file.stem}, flight {attempt + 1} of {_ATTEMPTS}: {error}", file=sys.stderr)
         finally:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -98,7 +99,7 @@ def coverage(seeds: int, duration_s: float) -> list[Figure]:
     """How often 95 % intervals hold the truth, all parameters together; how wide errors spread.
 
     Seeds are kept as they come, so that a run that was stopped carries on; results of other code
-    do not count.
+    do not count. A fit that fails gives no interval that holds anything.
     """
     kept = KEPT / f"coverage-{duration_s:g}s-{version()}.jsonl"
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -112,16 +113,33 @@ def coverage(seeds: int, duration_s: float) -> list[Figure]:
     ):
         futures = {pool.submit(errors_in_se, seed, duration_s): seed for seed in missing}
         for done in as_completed(futures):
-            known[futures[done]] = done.result()
-            out.write(json.dumps({"seed": futures[done], "z": done.result()}) + "\n")
+            known[futures[done]] = z = _errors(futures[done], done)
+            out.write(json.dumps({"seed": futures[done], "z": z}) + "\n")
             out.flush()
-    z = [value for seed in range(100, 100 + seeds) for value in known[seed]]
-    inside = float(np.mean(np.abs(z) < 1.96))
+    flights = [known[seed] for seed in range(100, 100 + seeds)]
+    failed = sum(not z for z in flights)
+    z = [value for flight in flights for value in flight]
+    of = seeds * max(map(len, flights))  # no parameter of a failed fit is in its interval
+    inside = float(np.sum(np.abs(z) < 1.96)) / max(of, 1)
+    spread = float(np.sqrt(np.mean(np.square(z)))) if z else math.nan
     return [
         Figure("coverage_seeds", seeds, "", f"flights of nine records of {duration_s:g} s"),
         Figure("coverage_percent", 100 * inside, "%", "of 95 % intervals hold the truth"),
-        Figure("spread", float(np.sqrt(np.mean(np.square(z)))), "SE", "rms error (1: the bound)"),
+        Figure("coverage_failed", failed, "", "of them could not be flown or fitted: a miss each"),
+        Figure("spread", spread, "SE", "rms error (1: the bound) of the others"),
     ]
+
+
+def _errors(seed: int, done: Future[list[float]]) -> list[float]:
+    """Return the errors of a seed, none where it failed; raises where this machine did."""
+    error = done.exception()
+    if error is None:
+        return done.result()
+    machine = isinstance(error, BrokenExecutor | OSError | MemoryError)
+    if machine or not isinstance(error, Exception):
+        raise error
+    print(f"seed {seed}: {type(error).__name__}: {error}", file=sys.stderr)
+    return []
 
 
 def version() -> str:

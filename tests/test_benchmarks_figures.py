@@ -5,12 +5,16 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 from from_benchmarks import BENCHMARKS, module, script
+
+from levid.identification.data import IdentificationError
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +54,54 @@ def test_coverage_of_other_code_does_not_count(tmp_path: Path, monkeypatch) -> N
     monkeypatch.setattr(greybox, "code_version", lambda *_: "after")
     kept(3.0)
     assert by_key(greybox.coverage(1, 8.0))["coverage_percent"] == 0.0
+
+
+def test_fit_that_fails_is_a_miss_and_ends_no_run(tmp_path: Path, monkeypatch) -> None:
+    greybox = module("greybox")
+    monkeypatch.setattr(greybox, "KEPT", tmp_path)
+    monkeypatch.setattr(greybox, "ProcessPoolExecutor", lambda **_: ThreadPoolExecutor(1))
+
+    def errors(seed: int, _: float) -> list[float]:
+        if seed == 101:
+            raise IdentificationError("expected a fit that converges")
+        return [0.5, 3.0]
+
+    monkeypatch.setattr(greybox, "errors_in_se", errors)
+    for _ in range(2):  # flown, and as kept
+        found = by_key(greybox.coverage(2, 8.0))
+        assert (found["coverage_failed"], found["coverage_percent"]) == (1, 25.0)
+        assert found["spread"] == pytest.approx(np.sqrt((0.5**2 + 3.0**2) / 2))
+
+        def broken(*_: object) -> list[float]:
+            raise BrokenExecutor
+
+        monkeypatch.setattr(greybox, "errors_in_se", broken)
+    with pytest.raises(BrokenExecutor):
+        greybox.coverage(3, 8.0)
+
+
+def test_flights_that_ended_in_a_fault_are_counted(tmp_path: Path, monkeypatch) -> None:
+    flights = module("_bus_flights")
+    ends = iter([flights.DaemonError("LATE"), SimpleNamespace(records=[])])
+
+    class Client:
+        def __init__(self, _: Path) -> None: ...
+        def __enter__(self) -> Client:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+        def excite(self, *_: object) -> SimpleNamespace:
+            end = next(ends)
+            if isinstance(end, Exception):
+                raise end
+            return end
+
+    monkeypatch.setattr(flights, "Client", Client)
+    monkeypatch.setattr(flights, "running", lambda *_: nullcontext())
+    monkeypatch.setattr(flights._real_time, "hurry", lambda *_: True)
+    process = SimpleNamespace(pid=1, terminate=lambda: None, wait=lambda: 0)
+    logs, attempts = flights._flown(tmp_path / "rig", tmp_path / "out", lambda _: process, 1.0)
+    assert (logs, attempts) == ([], 2)
 
 
 def test_version_is_that_of_the_code_that_is_needed(tmp_path: Path, monkeypatch) -> None:

@@ -11,14 +11,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import _real_time
+import numpy as np
 from _bus_rigs import RATE_HZ, TIMED, cycle_of, electronics_of, opened, rig_on, rig_text
-from _shares import ratio_95
+from _shares import Round, again, ratio_figures
 from _table import Figure
 
 from levid.config.service import Realtime
 from levid.daemon.clock import RealClock
 from levid.daemon.realtime import be_punctual
 
+_MOST_TIMES = 3
 _LABELS = {
     "canfd": "CAN FD on local sockets",
     "canfd_udp": "CAN FD by udp_multicast",
@@ -29,7 +31,8 @@ _LABELS = {
 def lateness_figures(seconds: float, rounds: int) -> list[Figure]:
     """Return the share of late cycles of each backend and of the empty loop in turns with it.
 
-    Also the upper end of the 95 % interval of their ratio, and the share of stale readings.
+    Also the 95 % interval of their ratio, and the share of stale readings. Where too few are late
+    to tell, it goes on for up to _MOST_TIMES as many rounds.
     """
     figures: list[Figure] = []
     for name in TIMED:
@@ -42,7 +45,7 @@ def _lateness(name: str, folder: Path, seconds: float, rounds: int) -> list[Figu
     path = folder / "rig.yaml"
     path.write_text(rig_text(name, folder))
     electronics = electronics_of(path)
-    late, n = {"empty": 0, name: 0}, 0
+    turns: list[Round] = []
     try:
         devices = opened(rig_on(name, folder), folder)
         try:
@@ -52,16 +55,15 @@ def _lateness(name: str, folder: Path, seconds: float, rounds: int) -> list[Figu
                 "empty": lambda _: None,
                 name: cycle_of(devices),
             }
-            begin = stale = 0
-            for _ in range(rounds):
+            begin = 0
+            stale = devices.stale
+            while again(turns, rounds, _MOST_TIMES * rounds):
+                late = {}
                 for which, loop in loops.items():
-                    before = devices.stale
-                    cycles, missed = _timed(loop, seconds, begin)
-                    begin += cycles + missed + 1000
-                    late[which] += missed
-                    if which == name:
-                        stale += devices.stale - before
-                        n += cycles
+                    cycles, late[which] = _timed(loop, seconds, begin)
+                    begin += cycles + late[which] + 1000
+                turns.append(Round(late[name], cycles, late["empty"], cycles))
+            stale = devices.stale - stale  # the empty loop reads none
         finally:
             _real_time.relax()
             devices.close()
@@ -69,17 +71,17 @@ def _lateness(name: str, folder: Path, seconds: float, rounds: int) -> list[Figu
         electronics.terminate()
         electronics.wait()
     empty, label = f"{name}_empty_late_share", _LABELS[name]
-    ratio = ratio_95(late[name], n, late["empty"], n)[1]
+    some, n, others, _ = (int(count) for count in np.sum(turns, axis=0))
     return [
-        Figure(empty, late["empty"] / n, "", f"empty loop at 1 kHz beside it, {n} cycles: late"),
+        Figure(empty, others / n, "", f"empty loop at 1 kHz beside it, {n} cycles: late"),
         Figure(
             f"{name}_late_share",
-            late[name] / n,
+            some / n,
             "",
             f"{label}: late",
-            empty if late["empty"] else None,
+            empty if others else None,
         ),
-        Figure(f"{name}_late_ratio_95", ratio, "", f"{label}: ratio of the two, 95 % bound"),
+        *ratio_figures(turns, f"{name}_late_ratio_low", f"{name}_late_ratio_95", label),
         Figure(f"{name}_stale_share", stale / n, "", f"{label}: stale readings"),
     ]
 

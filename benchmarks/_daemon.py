@@ -5,14 +5,19 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from levid.daemon.client import Client, DaemonError
+from levid.log.reader import read_log
 
 _READY_S = 60.0
 _AGAIN_S = 0.2
+_SKIPPED_MORE = 255
+"""What a row says of so many skipped periods or more: how many, it does not know."""
 
 
 @contextmanager
@@ -29,6 +34,15 @@ def running(rig_file: Path, socket: Path) -> Iterator[dict[str, int]]:
     finally:
         daemon.terminate()
         daemon.wait()
+
+
+def missing_rows(logs: Iterable[Path]) -> int:
+    """Return how many cycles that were flown stand in none of the logs of a flight, any order."""
+    rows = np.concatenate([read_log(path).rows for path in logs])
+    rows = rows[np.argsort(rows["cycle"], kind="stable")]
+    periods = np.diff(rows["cycle"].astype(np.int64)) - 1
+    skipped = rows["skipped"][1:]
+    return int(np.maximum(periods - skipped, 0)[skipped < _SKIPPED_MORE].sum())
 
 
 def _idle(daemon: subprocess.Popen[bytes], socket: Path) -> dict[str, int]:

@@ -12,14 +12,12 @@ import time
 from pathlib import Path
 
 import _table
-import numpy as np
 import yaml
-from _daemon import running
+from _daemon import missing_rows, running
 from _table import Figure
 
 from levid.config.shipped import shipped
 from levid.daemon.client import Client
-from levid.log.reader import read_log
 
 SESSION = """
 levid: session
@@ -50,7 +48,7 @@ def measure(quick: bool) -> list[Figure]:
             with Client(path) as client:
                 result = client.excite(text, out, lambda *_: None)
                 status = client.request("status")
-            missing += result.lost + _missing(result.logs)
+            missing += result.lost + missing_rows(result.logs)
             for log in result.logs:
                 log.unlink()
             if sessions == 2:  # the first one fills caches
@@ -85,13 +83,6 @@ def _rig(folder: Path) -> Path:
     plain["limits"] |= {"late_cycles": 1000, "late_in_window": 100_000, "stall_s": 5}
     (folder / "rig.yaml").write_text(yaml.safe_dump(plain))
     return folder / "rig.yaml"
-
-
-def _missing(logs: tuple[Path, ...]) -> int:
-    """Return how many cycles that were flown stand in none of the logs."""
-    rows = np.concatenate([read_log(path).rows for path in logs])
-    periods = np.diff(rows["cycle"].astype(np.int64)) - 1
-    return int(np.maximum(periods - rows["skipped"][1:], 0)[rows["skipped"][1:] < 255].sum())
 
 
 def _size(pid: int) -> tuple[float, int]:

@@ -3,7 +3,8 @@
 The loop is the whole daemon's: loopback plant, control and recording included, while it levitates.
 cyclictest (Debian's rt-tests) does nothing but wake up; where it is missing, the loop is alone.
 Both need the right to SCHED_FIFO. The full run takes 10 minutes of each contender at each rate, and
-up to three times that where too few cycles are late to tell.
+up to three times that where too few cycles are late to tell; and 10 minutes at 10 kHz with a disk
+that has something else to do.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from pathlib import Path
 import _table
 import numpy as np
 import yaml
-from _daemon import running
+from _busy_disk import busy_disk
+from _daemon import missing_rows, running
 from _shares import Round, again, ratio_figures
 from _table import Figure
 
@@ -32,6 +34,8 @@ from levid.log.reader import read_log
 
 PRIORITY = 80
 _LONGEST_US = 20_000
+LOGS = Path(__file__).resolve().parent.parent / "build" / "timing"
+"""Where logs are written: on a disk, which the folder for temporary files may not be."""
 
 
 @dataclass
@@ -87,7 +91,27 @@ def measure(quick: bool) -> list[Figure]:
         if turns:
             who = f"loop at {name}, cyclictest"
             figures += ratio_figures(turns, f"late_ratio_low_{name}", f"late_ratio_{name}", who)
-    return figures
+    return [*figures, *busy_figures(least, seconds)]
+
+
+def busy_figures(rounds: int, seconds: float) -> list[Figure]:
+    """Return what the recorder loses at 10 kHz while another process keeps its disk busy."""
+    LOGS.mkdir(parents=True, exist_ok=True)
+    flights: list[Measured] = []
+    written = 0
+    for _ in range(rounds):
+        with busy_disk(LOGS) as written_mib:
+            flights.append(fly(10_000, seconds))
+            written += written_mib()
+    if not written:
+        raise SystemExit(f"timing: nothing was written to {LOGS}: the disk was not busy")
+    levid = Measured.of(flights)
+    return [
+        Figure("lost_rows_busy_10khz", levid.lost, "", "rows lost at 10 kHz, the disk busy"),
+        Figure("busy_s", levid.seconds, "s", "in flight with the disk busy"),
+        Figure("busy_written_mib", written, "MiB", "written and synced beside it"),
+        Figure("late_share_busy_10khz", levid.late_share, "", "cycles that ended late then"),
+    ]
 
 
 def loop_figures(name: str, levid: Measured, peer: Measured) -> list[Figure]:
@@ -142,11 +166,12 @@ def wake_up(cyclictest: str, rate_hz: int, seconds: float) -> Measured:
 def fly(rate_hz: int, seconds: float) -> Measured:
     """Levitate for so long on the daemon, everything recorded; read what its log says."""
     into = Measured()
-    with tempfile.TemporaryDirectory() as folder:
+    LOGS.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory(dir=LOGS) as out:
         rig, socket = _rig(Path(folder), rate_hz), Path(folder) / "levid.sock"
         with running(rig, socket) as pids, Client(socket) as client:
             levitate = {"ramp_s": 0.5, "settle_s": 0}
-            client.request("levitate", levitate=levitate, out=f"{folder}/log")
+            client.request("levitate", levitate=levitate, out=f"{out}/log")
             began, used = time.monotonic(), _processor_s(pids["recorder"])
             time.sleep(seconds)
             into.recorder_s += _processor_s(pids["recorder"]) - used
@@ -154,8 +179,10 @@ def fly(rate_hz: int, seconds: float) -> Measured:
             client.request("land")
             while client.request("status")["state"] != "IDLE":
                 time.sleep(0.1)
-            into.lost += client.request("status")["lost"]
-        rows = np.concatenate([read_log(p).rows for p in Path(folder, "log").glob("*.mcap")])
+            lost = client.request("status")["lost"]
+        logs = list(Path(out, "log").glob("*.mcap"))
+        into.lost += max(lost, missing_rows(logs))  # as it says, and as the logs say
+        rows = np.concatenate([read_log(path).rows for path in logs])
     period_s = 1.0 / rate_hz
     into.lateness_us.append(1e6 * rows["lateness_s"])
     into.execution_us.append(1e6 * rows["execution_s"])

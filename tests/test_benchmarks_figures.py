@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+import time
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 from from_benchmarks import BENCHMARKS, module, script
 
 from levid.identification.data import IdentificationError
+from levid.log.writer import LogWriter
 
 
 @pytest.fixture(scope="module")
@@ -256,16 +258,42 @@ def test_ratio_of_shares_knows_that_late_cycles_come_in_clusters() -> None:
     assert np.mean(inside) > 0.9
 
 
-def test_timing_without_cyclictest_tells_of_the_loop_alone(monkeypatch, capsys) -> None:
+def test_rows_that_stand_in_no_log_are_missing(tmp_path: Path) -> None:
+    rows = np.zeros(8, [("cycle", "<u8"), ("skipped", "u1")])
+    rows["cycle"] = [0, 1, 2, 5, 6, 9, 10, 400]
+    rows["skipped"] = [0, 0, 0, 2, 0, 0, 0, 255]  # two skipped; two lost; nobody knows
+    for part, name in ((rows[4:], "a"), (rows[:4], "b")):
+        with LogWriter(
+            tmp_path / f"{name}.mcap", rows.dtype, rate_hz=1e3, metadata={}, attachments={}
+        ) as log:
+            log.write(part, part["cycle"] * np.uint64(1_000_000))
+    assert module("_daemon").missing_rows(sorted(tmp_path.iterdir())) == 2
+
+
+def test_busy_disk_is_written_to_and_left_as_it_was(tmp_path: Path) -> None:
+    with module("_busy_disk").busy_disk(tmp_path) as written_mib:
+        give_up_s = time.monotonic() + 60.0
+        while not written_mib() and time.monotonic() < give_up_s:
+            time.sleep(0.05)
+        assert written_mib() % 64 == 0 < written_mib()
+    assert not list(tmp_path.iterdir())
+
+
+def test_timing_without_cyclictest_tells_of_the_loop_alone(
+    tmp_path: Path, monkeypatch, capsys
+) -> None:
     timing = script("timing")
+    monkeypatch.setattr(timing, "LOGS", tmp_path)
+    monkeypatch.setattr(timing, "busy_disk", lambda _: nullcontext(lambda: 64))
     monkeypatch.setattr(timing.shutil, "which", lambda _: None)
 
     def fly(_rate_hz: int, seconds: float) -> object:
-        return timing.Measured([np.ones(9)], [np.ones(9)], cycles=9, seconds=seconds)
+        return timing.Measured([np.ones(9)], [np.ones(9)], cycles=9, lost=1, seconds=seconds)
 
     monkeypatch.setattr(timing, "fly", fly)
     found = by_key(timing.measure(True))
     assert found["lateness_p99_us_10khz"] == 1.0
+    assert (found["lost_rows_busy_10khz"], found["busy_written_mib"]) == (1, 64)
     assert not [key for key in found if "cyclictest" in key or "ratio" in key]
     assert "no cyclictest" in capsys.readouterr().err
 

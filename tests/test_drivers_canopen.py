@@ -18,7 +18,9 @@ from levid.drivers.can.nodes import DriveNode
 from levid.drivers.registry import check_backends, open_devices
 from levid.sim.electronics.rig import Electronics
 from levid.wire.cia402 import (
+    NMT_ID,
     POSITION_M,
+    SDO_REQUEST_ID,
     SYNC_COUNTER,
     TOWARDS_OPERATION,
     TPDO,
@@ -117,6 +119,13 @@ def load() -> RigConfig:
     from levid.config.rig import load_rig
 
     return load_rig(shipped("rigs/canfd.yaml"))
+
+
+@pytest.mark.parametrize("can_id", [NMT_ID, SDO_REQUEST_ID + 1])
+def test_frame_without_a_byte_does_not_end_the_electronics(rig: RigConfig, can_id: int) -> None:
+    buses = Electronics(rig, Path())._buses
+    drives = next(found for bus in buses if (found := getattr(bus, "_drives", None)))
+    drives.take(can_id, b"")  # in the thread that answers
 
 
 def test_node_that_is_not_there_is_named(rig: RigConfig) -> None:

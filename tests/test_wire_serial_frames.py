@@ -113,6 +113,15 @@ def test_what_is_sent_is_received(contents: Contents) -> None:
         np.testing.assert_allclose(found, (beam, rotor), rtol=1e-7, atol=1e-9)
 
 
+def test_position_that_is_no_number_arrives_as_none() -> None:
+    frames, axes = SerialFrames(ALL), np.array([[0.1, 1.0, 2.0], [np.nan, 3.0, 4.0], [-0.1] * 3])
+    sent = frames.readings(1, (1, np.zeros(9)), (0, np.zeros(9)), (2, 0, axes))
+    assert isinstance(frames.accept(sent[:-1]), Header)
+    found = np.zeros((3, 3))
+    assert frames.drive_readings(found) == (2, 0)
+    np.testing.assert_allclose(found, axes, rtol=1e-6)  # 32 bits each
+
+
 def test_frames_that_do_not_count_say_why() -> None:
     frames = SerialFrames(ALL)
     good = unstuffed(frames.request(1, 1, 0)[:-1])

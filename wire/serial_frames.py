@@ -212,8 +212,14 @@ class SerialFrames:
         return self._received.bytes[self._received.sensor_state]
 
     def drive_readings(self, axes: Array) -> tuple[int, int]:
-        """Fill position, velocity, force of AXES (3, 3) from READINGS; return state and error."""
+        """Fill position, velocity, force of AXES (3, 3) from READINGS; return state and error.
+
+        A position is nan where there is none.
+        """
         state, _, error, *numbers = _DRIVES.unpack_from(self._received.bytes, self._received.drives)
+        for i in range(0, len(numbers), 3):
+            if numbers[i] < -_MOST:
+                numbers[i] = math.nan
         axes.ravel()[:] = numbers
         axes[:2, 0] *= BEAM_M
         axes[2, 0] *= ROTOR_RAD

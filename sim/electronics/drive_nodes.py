@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Callable
@@ -106,7 +107,8 @@ class DriveNodes:
                 drive.keep(*RPDO.unpack(data))
         else:
             self.poll()
-            self._network.notify(can_id, bytearray(data), 0.0)
+            with contextlib.suppress(Exception):  # the library raises on frames that are too short
+                self._network.notify(can_id, bytearray(data), 0.0)
             for drive in self.drives:
                 drive.forget_unless_cyclic()
             self._follow()

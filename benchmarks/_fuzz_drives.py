@@ -1,0 +1,199 @@
+"""Noise into both ends of CANopen drives: what the host hears, and what emulated nodes are told.
+
+Half of it is near what is right: words that are random alone end at the first check.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+from _mutations import Outcome, mutated
+
+from levid.config.buses import CanDriveOptions
+from levid.config.rig import RigConfig, load_rig
+from levid.config.shipped import shipped
+from levid.drivers.base import DriveError
+from levid.drivers.can.drives import CanDrives
+from levid.drivers.can.link import CanLink
+from levid.sim.electronics.drive_nodes import DriveNodes
+from levid.sim.electronics.rig import Electronics
+from levid.wire.kernel_frame import Frame
+
+RIG = shipped("rigs/canfd.yaml")
+_NODES = (1, 2, 3)
+_EMERGENCY, _TPDO, _RPDO, _SDO, _HEARTBEAT = 0x080, 0x180, 0x200, 0x600, 0x700
+_ENABLED, _ENABLED_MASK = 0x27, 0x6F
+_BEAM_M, _ROTOR_RAD, _MOST_COUNTS = 1e-9, 1e-7, 2**31
+_BEAM_COUNTS, _SKEW_COUNTS = 10**8, 10**5  # within what the rig allows
+CanFrame = tuple[int, bytes]
+
+
+class _Wire:
+    """A bus that brings what it is given, and keeps nothing of what is sent."""
+
+    def __init__(self) -> None:
+        self.coming: list[Frame] = []
+
+    def send(self, _can_id: int, _data: bytes) -> None:
+        return
+
+    def receive(self, _timeout_s: float) -> Frame | None:
+        return self.coming.pop(0) if self.coming else None
+
+    def shutdown(self) -> None:
+        return
+
+
+def drives_heard(n: int, rng: np.random.Generator) -> Outcome:
+    """Cycles of emergencies, heartbeats and PDOs as the host hears them; `n` frames in all.
+
+    A cycle counts if all three positions came; the fault DRIVE must follow from what drives say in
+    it, and from nothing else.
+    """
+    rig, options = _rig()
+    link, wire = CanLink("main", rig.can[options.bus]), _Wire()
+    link._bus = wire  # type: ignore[assignment]
+    drives = CanDrives(link, rig, options, Path(), 1 << 30, lambda: math.inf)
+    beam, rotor = np.zeros(3), np.zeros(3)
+    tried = accepted = wrong = 0
+    while tried < n:
+        said, positions = _said(rng), _positions(rng)
+        tried += len(said) + len(positions)
+        wire.coming = [Frame(can_id, data, 0.0) for can_id, data in said + positions]
+        drives.watch.reset()
+        drives._judged, drives._told, drives._sync_number = True, False, -1
+        for axis in drives._axes:
+            axis.begin(0)
+        fault = False
+        try:
+            drives.sync(0)
+            drives.read(beam, rotor)
+        except DriveError:
+            fault = True
+        came = _came(positions)
+        whole = len(came) == len(_NODES)
+        accepted += whole
+        wrong += bool(drives.stale) == whole
+        counts = [came[node][1] for node in _NODES] if whole else [0, 0, 0]
+        wrong += not _motion_is(beam, rotor, counts, 1.0 / rig.rate_hz)
+        disabled = whole and any(came[i][0] & _ENABLED_MASK != _ENABLED for i in _NODES)
+        skew_m = abs(counts[0] * _BEAM_M - counts[1] * _BEAM_M)
+        wrong += fault != (disabled or skew_m > options.skew_m or _complained(said))
+    return Outcome(tried, accepted, wrong, accepted / tried)
+
+
+def nodes_told(n: int, rng: np.random.Generator) -> Outcome:
+    """Frames to the emulated nodes, of any length: none of them ends anything."""
+    rig, options = _rig()
+    electronics = Electronics(rig, RIG.parent)
+    answers: list[CanFrame] = []
+    nodes = DriveNodes(
+        rig, options, None, electronics.core, electronics.injector, lambda *f: answers.append(f)
+    )
+    logging.getLogger("canopen").setLevel(logging.CRITICAL)  # it logs every frame that is wrong
+    wrong = answered = 0
+    for _ in range(n):
+        base = int(rng.choice([0x000, _EMERGENCY, _RPDO, _SDO, _HEARTBEAT, 0x300]))
+        node = int(rng.integers(0, 5)) if base else 0
+        data = rng.integers(0, 256, int(rng.integers(9)), np.uint8).tobytes()
+        try:
+            nodes.take(base + node, data)
+            answers += nodes.sync()
+        except Exception:  # noqa: BLE001 - it would end the thread that answers
+            wrong += 1
+        answered += bool(answers)
+        wrong += any(len(sent) > 8 or not 0 <= can_id < 0x800 for can_id, sent in answers)
+        answers.clear()
+    wrong += not np.isfinite(electronics.core.motion).all()
+    return Outcome(n, answered, wrong, answered / n)
+
+
+def _rig() -> tuple[RigConfig, CanDriveOptions]:
+    """Return the rig and what its drives are, which answer every SYNC."""
+    rig = load_rig(RIG)
+    found = rig.on_bus("drives")
+    assert found is not None
+    assert isinstance(found[1], CanDriveOptions)
+    return rig, found[1].model_copy(update={"every": 1})
+
+
+def _said(rng: np.random.Generator) -> list[CanFrame]:
+    """Return emergencies and heartbeats, none in half of the cycles."""
+    frames = []
+    for _ in range(int(rng.integers(5)) if rng.random() < 0.5 else 0):
+        base = int(rng.choice([_EMERGENCY, _HEARTBEAT]))
+        data = bytearray(rng.integers(0, 256, int(rng.integers(9)), np.uint8).tobytes())
+        if base == _EMERGENCY and rng.random() < 0.5:
+            data = bytearray(8 if rng.random() < 0.5 else 7)  # no error; and too short for one
+        elif data and rng.random() < 0.5:
+            data[0] = int(rng.choice([0x00, 0x04, 0x05, 0x7F]))
+        frames.append((base + int(rng.choice(_NODES)), bytes(data)))
+    return frames
+
+
+def _complained(said: list[CanFrame]) -> bool:
+    """Return whether a drive has an error, or is not, or no longer, operational."""
+    error: dict[int, bool] = {}
+    operational: set[int] = set()
+    left = False
+    for can_id, data in said:
+        node = can_id & 0x7F
+        if can_id & ~0x7F == _EMERGENCY:
+            if len(data) == 8:
+                error[node] = data[:2] != b"\0\0"
+        elif (state := data[0] & 0x7F if data else -1) == 5:
+            operational.add(node)
+        else:
+            left |= state == 0 or node in operational
+    return left or any(error.values())
+
+
+def _positions(rng: np.random.Generator) -> list[CanFrame]:
+    """Return the PDOs of a cycle; in some of them one is cut, repeated, changed or lost."""
+    near = rng.random() < 0.7
+    most = _BEAM_COUNTS if near else _MOST_COUNTS
+    x = int(rng.integers(-most, most))
+    frames = []
+    for node in rng.permutation(_NODES):
+        counts = int(rng.integers(-_MOST_COUNTS, _MOST_COUNTS))
+        if near and node != _NODES[2]:
+            counts = x + int(rng.integers(-_SKEW_COUNTS, _SKEW_COUNTS))
+        status = int(rng.integers(1 << 16))
+        if near:
+            status = status & ~_ENABLED_MASK | _ENABLED
+        data = struct.pack("<Hih", status, counts, int(rng.integers(-(2**15), 2**15)))
+        frames.append((_TPDO + int(node), data))
+    at = int(rng.integers(3))
+    match int(rng.integers(6)):
+        case 0:
+            del frames[at]
+        case 1:
+            frames.insert(at, frames[int(rng.integers(3))])
+        case 2:
+            frames[at] = frames[at][0], mutated(frames[at][1], rng)
+    return frames
+
+
+def _came(positions: list[CanFrame]) -> dict[int, tuple[int, int]]:
+    """Return statusword and position of each node whose PDO came: the first that is whole."""
+    came: dict[int, tuple[int, int]] = {}
+    for can_id, data in positions:
+        if len(data) == 8:
+            came.setdefault(can_id & 0x7F, struct.unpack_from("<Hi", data))
+    return came
+
+
+def _motion_is(beam: np.ndarray, rotor: np.ndarray, counts: list[int], Ts_s: float) -> bool:
+    """Return whether these are the positions, and speeds of drives that were at rest at 0."""
+    x1, x2, phi = counts
+    x_m, phi_rad = 0.5 * (x1 + x2) * _BEAM_M, phi * _ROTOR_RAD
+    speed = 11.0 / (6.0 * Ts_s)
+    told, expected = [*beam[:2], *rotor[:2]], [x_m, x_m * speed, phi_rad, phi_rad * speed]
+    # A micron of 2 m is 1e-6: of what differences of doubles lose, far less than 1e-9 is left.
+    same = np.allclose(told, expected, rtol=1e-9, atol=1e-12)
+    in_range = abs(beam[0]) <= _MOST_COUNTS * _BEAM_M and abs(rotor[0]) <= _MOST_COUNTS * _ROTOR_RAD
+    return bool(same and in_range and np.isfinite([beam[2], rotor[2]]).all())

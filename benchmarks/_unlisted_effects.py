@@ -92,3 +92,69 @@ class PassingBeam:
     def gap(self, t_s: float, gap_m: Any) -> Any:
         gap_m[self.sensor] += self._seen_m
         return gap_m
+
+
+class StrayField:
+    """A sensor's core feels the field of a coil: h = h + e ((F / F_0)^2 - 1), F that coil's force.
+
+    A field across the ferrite lowers its permeability, whatever its sign (Snelling, Soft Ferrites,
+    1988, on superposed fields), so that an inductive sensor reads more the stronger the current. e
+    is what it reads more at the force F_0 that a coil carries at rest, where sensors are zeroed. No
+    force acts on the platform.
+    """
+
+    def __init__(self, sensor: int, coil: int, offset_m: float, rest_n: float) -> None:
+        self.sensor, self.coil = sensor, coil
+        self.offset_m, self.rest_n = offset_m, rest_n
+
+    def reset(self, plant: Any) -> None:
+        # `gap` is asked once before the first step, when the coils are off.
+        self._seen_m = -self.offset_m
+
+    def coil_force(self, t_s: float, q: Vector, force_n: Any) -> Any:
+        share = float(force_n[self.coil]) / self.rest_n
+        self._seen_m = self.offset_m * (share * share - 1.0)
+        return force_n
+
+    def gap(self, t_s: float, gap_m: Any) -> Any:
+        gap_m[self.sensor] += self._seen_m
+        return gap_m
+
+
+class SharedYoke:
+    """The flux of coil b goes through the iron of coil a: F_a = F_a (1 - e (F_b - F_0) / F_0).
+
+    It drives the iron towards saturation, and less of the magnet's flux is left in the gap of a:
+    the armature reaction of electric machines, but of a neighbour, and to first order in its
+    current. e is the loss at the force F_0 that a coil carries at rest; constants are measured
+    there, so that no coil has a gain of its own.
+    """
+
+    def __init__(self, coil: int, neighbour: int, loss: float, rest_n: float) -> None:
+        self.coil, self.neighbour = coil, neighbour
+        self.loss, self.rest_n = loss, rest_n
+
+    def coil_force(self, t_s: float, q: Vector, force_n: Any) -> Any:
+        beyond = float(force_n[self.neighbour]) / self.rest_n - 1.0
+        force_n[self.coil] *= 1.0 - self.loss * beyond
+        return force_n
+
+
+class CableLoop:
+    """The loop of a cable follows the beam with a play b: tau_theta = -m g (u - x_b).
+
+    u = min(max(u, x_b - b), x_b + b) is where the loop lies: it stays where friction holds it until
+    the beam takes it along, a play operator (Krasnosel'skii and Pokrovskii 1989), which depends on
+    where the beam turned last and not on how fast it goes. The loop's weight is the model's, a part
+    of the beam's; that it lies behind is not. Its inertia is left out.
+    """
+
+    def __init__(self, mass_kg: float, play_m: float) -> None:
+        self.weight_n, self.play_m = mass_kg * 9.81, play_m
+
+    def reset(self, plant: Any) -> None:
+        self._at_m = 0.0
+
+    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
+        self._at_m = min(max(self._at_m, beam.x_m - self.play_m), beam.x_m + self.play_m)
+        return (0.0, -self.weight_n * (self._at_m - beam.x_m), 0.0)

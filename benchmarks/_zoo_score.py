@@ -58,6 +58,9 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
     "eddy-brake": ({"x_b"}, {"theta'"}, {"z'"}),
     "gyroscope": ({"phi'"}, {"psi'"}, {"theta'"}),
     "passing-beam": ({"x_b"},),
+    "stray-field": ({"coil:3"},),
+    "shared-yoke": ({"coil:5"}, {"coil:4"}),
+    "cable-loop": ({"x_b", "v_b"},),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 

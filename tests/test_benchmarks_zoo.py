@@ -149,9 +149,16 @@ def test_unlisted_effect_is_to_be_described_not_named() -> None:
     assert score("eddy-brake", described).right
     assert not score("eddy-brake", described, after=4.0).right
     assert not score("eddy-brake", ("unknown", "theta z", [], ["x_b", "phi", "psi"])).right
+    assert score("shared-yoke", ("unknown", "coil:5", [], ["coil:4"])).described
+    assert not score("shared-yoke", ("unknown", "coil:4", [], ["coil:4"])).described
+    assert score("stray-field", ("sensor_offset", "sensor:0")).misnamed
     assert score("eddy-brake", ("air_damping", "z")).misnamed
     assert score("eddy-brake", ("air_damping", "z", [("friction", "z")]), described).misnamed
     assert not score("eddy-brake", ("air_damping", "z", [("unknown", "z")])).misnamed
+
+
+def test_every_unlisted_effect_has_its_signals() -> None:
+    assert set(scoring.SIGNALS) == {case.name for case in cases.UNLISTED}
 
 
 def test_result_without_numbers_is_scored() -> None:

@@ -1,4 +1,4 @@
-"""The zoo of benchmarks/: it holds every shipped effect, loads, scales; and the unlisted three."""
+"""The zoo of benchmarks/: it holds every shipped effect, loads, scales; and the unlisted ones."""
 
 from __future__ import annotations
 
@@ -79,3 +79,39 @@ def test_gyroscope_does_no_work() -> None:
     tau = gyro.wrench(0, np.zeros(3), qd, BeamState(0, 0, 0, 0, 12.0, 0))
     assert np.abs(tau).max() == pytest.approx(1e-3 * 12 * 0.3)
     assert abs(np.dot(tau, qd)) < 1e-18
+
+
+def test_stray_field_is_none_at_rest_and_even() -> None:
+    field = UNLISTED.StrayField(sensor=7, coil=4, offset_m=1e-5, rest_n=8.0)
+    field.reset(None)
+    off = field.gap(0, np.zeros(9))
+    for force, seen in ((8.0, 0.0), (12.0, 1.25e-5), (-12.0, 1.25e-5), (0.0, off[7])):
+        forces = np.full(9, 5.0)
+        forces[4] = force
+        np.testing.assert_array_equal(field.coil_force(0, np.zeros(3), forces.copy()), forces)
+        gap = field.gap(0, np.zeros(9))
+        assert gap[7] == pytest.approx(seen, abs=1e-18)
+        assert np.count_nonzero(np.delete(gap, 7)) == 0
+
+
+def test_shared_yoke_takes_from_one_what_the_other_carries_beyond_rest() -> None:
+    yoke = UNLISTED.SharedYoke(coil=5, neighbour=8, loss=0.02, rest_n=8.0)
+    rest = np.full(9, 8.0)
+    np.testing.assert_array_equal(yoke.coil_force(0, np.zeros(3), rest.copy()), rest)
+    forces = np.arange(9.0) + 4.0  # 12 at the neighbour
+    given = yoke.coil_force(0, np.zeros(3), forces.copy())
+    assert given[5] == pytest.approx(forces[5] * (1 - 0.02 * 0.5))
+    np.testing.assert_array_equal(np.delete(given, 5), np.delete(forces, 5))
+
+
+def test_cable_loop_lies_behind_after_the_beam_turns() -> None:
+    """Its torque depends on the way the beam came: the same place, either sign, at any speed."""
+    loop = UNLISTED.CableLoop(0.1, play_m=2e-3)
+    loop.reset(None)
+    torque = []
+    for x in (0.0, 1e-3, 0.05, 0.04, 0.039, -0.03, 0.04, 0.04):
+        *others, force = loop.wrench(0, np.zeros(3), np.zeros(3), BeamState(x, 0, 0, 0, 0, 0))
+        assert (others[0], force) == (0.0, 0.0)
+        torque.append(others[1])
+    most = 0.1 * 9.81 * 2e-3
+    np.testing.assert_allclose(torque, np.array([0, 0.5, 1, -1, -1, -1, 1, 1]) * most, atol=1e-15)

@@ -182,6 +182,24 @@ def _payload(v: Values) -> Iterator[Known]:
         yield _at(["psi", "theta", "z"], "payload", name, v[key])
 
 
+def _motor_friction(v: Values) -> Iterator[Known]:
+    # What goes with the speed is none of it: see model/effects/drives.py.
+    yield _at(["beam"], "friction.beam", "friction", v["coulomb_n"])
+    yield _at(["beam"], "friction.beam", "v_s", v["speed_m_s"])
+
+
+def _cogging(v: Values) -> Iterator[Known]:
+    places = frozenset({"beam"})
+    yield Known("cogging", places, "amplitude", abs(v["amplitude_n"]), _size)
+    yield Known("cogging", places, "pitch", v["pitch_m"], _get("pitch"))
+
+
+def _bearing(v: Values) -> Iterator[Known]:
+    # Where its springs begin to slip is another thing in one that yields little by little.
+    for name, true in (("m", v["m_b_kg"] * _BEAM_M**2), ("height", _BEAM_M)):
+        yield Known("friction.bearing", None, name, true, _get(name))
+
+
 def _field(v: Values) -> Iterator[Known]:
     places = frozenset({"z"})
     yield Known("external_field", places, "amplitude", abs(v["amplitude_n"]), _size)
@@ -321,6 +339,9 @@ _KNOWN: dict[str, Callable[[Values], Iterator[Known]]] = {
     "FlexibleMode": _mode,
     "CentreOfMass": _centre,
     "Payload": _payload,
+    "BearingPresliding": _bearing,
+    "MotorFriction": _motor_friction,
+    "MotorCogging": _cogging,
     "MagnetField": _field,
     "BeamReaction": _reaction,
     "BeamCoriolis": _coriolis,

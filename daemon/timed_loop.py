@@ -465,6 +465,8 @@ class TimedLoop:
                 self._recover()
             except Exception as error:  # noqa: BLE001 - the client is told, the fault stays
                 self._board.detail = str(error)
+                with contextlib.suppress(Exception):
+                    self._devices.drives.release()  # some may be on, and nobody knows where
             else:
                 self._located = True
                 self._fault = Fault.NONE

@@ -326,8 +326,13 @@ def test_drives_are_told_to_brake_while_others_are_silent(error: DriverError) ->
 
 
 def test_drives_that_nobody_located_are_told_nothing() -> None:
-    told, refused = Told(), []
-    flight = ScriptedLoop(told)
+    told, refused, released = Told(), [], []
+
+    def watched(devices: Devices) -> Devices:
+        devices.drives.release = lambda: released.append(True)  # type: ignore[method-assign]
+        return told(devices)
+
+    flight = ScriptedLoop(watched)
 
     def recover() -> None:
         if refused:
@@ -348,6 +353,7 @@ def test_drives_that_nobody_located_are_told_nothing() -> None:
 
     flight.run(script, 600)
     silent = np.isnan(told.beam)
+    assert len(released) == 1
     # From the clear that was refused to the one that was not, but for the cycle that it came in.
     assert np.all(silent[402:500])
     assert not np.any(silent[302:399])

@@ -180,6 +180,6 @@ class RecorderLink:
             files = self.files.get(tag, [])
             if path not in files:  # one that held no row was begun anew
                 files.append(path)
-        elif message["event"] == Event.FAILED:
+        elif message["event"] == Event.FAILED and tag in self.files:
             self.failed.setdefault(tag, str(message["why"]))
             self._say(f"recording stopped, the flight goes on: {message['why']}")

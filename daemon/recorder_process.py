@@ -50,6 +50,7 @@ class RecorderProcess:
         self._tags: dict[Path, int] = {}  # of the logs at hand
         self._fault_logs: dict[Path, str] = {}  # the last one, and its fault
         self._ending = False
+        self._closed = NO_LOG  # tag of the last log that the supervisor has forgotten
         rotation = Rotation(
             int(rig.recording.rotate_mb * 1e6), int(rig.recording.rotate_s * rig.rate_hz)
         )
@@ -141,7 +142,9 @@ class RecorderProcess:
                 file = without_empty_part(file)
             self._logs[int(message["log"])] = file
         if "forget" in message:
-            before = int(message["forget"])
+            # Not those of the flight before: where a recorder was just started, the ring has rows
+            # of theirs still.
+            before, self._closed = self._closed, int(message["forget"])
             self._logs = {tag: log for tag, log in self._logs.items() if tag > before}
             self._tags = {path: tag for path, tag in self._tags.items() if tag > before}
             self._scribe.forget_errors()

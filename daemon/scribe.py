@@ -144,8 +144,8 @@ class Scribe:
         self._full = False
         self._tag = tag
         self._file = self._log_of(tag) if tag != NO_LOG else None
-        if tag != NO_LOG and self._file is None:
-            self.error = self.error or LookupError(f"log {tag} is unknown")
+        if tag != NO_LOG and self._file is None:  # no failure of the disk: the next log is written
+            self._tell(Event.FAILED, tag, Path(), f"log {tag} is unknown")
         if self._file is not None:
             self._open(self._file.part)
 

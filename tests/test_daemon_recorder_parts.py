@@ -1,14 +1,21 @@
-"""A recorder that follows a dead one begins a part that is nobody's, and leaves no empty ones."""
+"""A recorder that follows a dead one: parts that are nobody's, logs that were closed meanwhile."""
 
 from __future__ import annotations
 
+import json
+import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from levid.daemon.recorder_process import without_empty_part
-from levid.daemon.scribe import LogFile
+from levid.config.rig import load_rig
+from levid.config.shipped import shipped
+from levid.daemon.recorder_process import RecorderProcess, without_empty_part
+from levid.daemon.ring import Ring
+from levid.daemon.scribe import Event, LogFile, Scribe
+from levid.daemon.shared import Shared
+from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype
 from levid.log.writer import LogWriter
 
@@ -47,3 +54,48 @@ def test_part_before_without_rows_goes(tmp_path: Path) -> None:
     log(file.path_of(2), 0)
     assert without_empty_part(file).part == 2
     assert not file.path_of(2).exists()
+
+
+def test_flight_that_was_closed_before_the_new_recorder_began_is_written(tmp_path: Path) -> None:
+    rig = load_rig(shipped("rigs/loopback.yaml"))
+    shared = Shared(rig)
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        recorder = RecorderProcess(rig, shared, theirs, tmp_path)
+
+        def tell(*messages: dict[str, object]) -> None:
+            ours.sendall(b"".join(json.dumps(m).encode() + b"\n" for m in messages))
+            recorder._hear(1.0)
+
+        def log_of(tag: int) -> dict[str, object]:
+            path = str(tmp_path / f"{tag}.mcap")
+            return {"log": tag, "path": path, "metadata": METADATA, "part": 1, "again": False}
+
+        shared.ring.tags[:6] = [1, 1, 1, 2, 2, 2]
+        shared.ring.head = 6
+        tell(log_of(1), {"forget": 1}, log_of(2))
+        while len(recorder._scribe.work().rows):
+            pass
+        recorder._scribe.finish()
+        assert [len(read_log(tmp_path / f"{tag}.mcap").rows) for tag in (1, 2)] == [3, 3]
+        assert recorder._scribe.dropped == 0
+        tell({"forget": 2}, {"forget": 2})
+        assert not recorder._logs  # nothing is kept for ever
+    shared.close()
+
+
+def test_log_that_nobody_knows_is_told_and_keeps_no_other_from_being_written(
+    tmp_path: Path,
+) -> None:
+    told: list[tuple[Event, int]] = []
+    ring = Ring(cycle_dtype(1, 1), 64)
+    known = LogFile(tmp_path / "2.mcap", METADATA, {})
+    scribe = Scribe(ring, 1e3, {2: known}.get, lambda event, tag, *_: told.append((event, tag)))
+    ring.tags[:6] = [1, 1, 1, 2, 2, 2]
+    ring.head = 6
+    while len(scribe.work().rows):
+        pass
+    scribe.finish()
+    assert told == [(Event.FAILED, 1), (Event.OPENED, 2), (Event.CLOSED, 2)]
+    assert scribe.dropped == 3
+    assert len(read_log(known.path).rows) == 3

@@ -9,11 +9,11 @@ in tests/rig_vm, on a machine of its own.
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import os
 import random
-import resource
 import shutil
 import signal
 import socket
@@ -28,8 +28,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import _memory_hog
 import _table
 import yaml
+from _memory_hog import available, to_take
 from _table import Figure
 
 from levid.config.shipped import shipped
@@ -41,6 +43,9 @@ RATE_HZ = 250
 CYCLES = 25
 """Stale readings that are bridged, and cycles until setpoints expire: a busy machine's patience."""
 _GIVE_UP_S = 40.0
+_SMALL_BYTES, _BALLAST = 8 << 20, "ballast"
+_QUICK_BYTES = 1 << 30
+_HELD_S = 3.0
 
 # fault of the electronics: what the daemon may call it
 ELECTRONICS = {
@@ -104,9 +109,11 @@ class Tally:
 class Rig:
     """Electronics and daemon on one bus, in processes of their own."""
 
-    def __init__(self, bus: str, folder: Path) -> None:
-        self.bus, self.folder, self.flights = bus, folder, 0
-        self.cut: set[Path] = set()
+    def __init__(self, bus: str, folder: Path, quick: bool = False) -> None:
+        self.bus, self.folder, self.quick, self.flights = bus, folder, quick, 0
+        self.cut: set[str] = set()
+        self.small = _small_disk(folder / "small")
+        self.flight = folder
         self.path = folder / "levid.sock"
         self.file = folder / "rig.yaml"
         self.file.write_text(yaml.safe_dump(_rig(bus, folder)))
@@ -141,6 +148,8 @@ class Rig:
         for process in (self.daemon, self.electronics):
             process.terminate()
             process.wait()
+        if self.small is not None:
+            subprocess.run(["umount", "--lazy", str(self.small)], check=True)
 
     def say(self, line: str) -> str:
         """Have the electronics do something; return their answer."""
@@ -168,8 +177,8 @@ class Rig:
             time.sleep(0.02)
         return None
 
-    def lift_off(self) -> dict[str, Any]:
-        """Fly, from whatever state the last trial left; raises DaemonError."""
+    def lift_off(self, on: Path) -> dict[str, Any]:
+        """Fly, from whatever state the last trial left, with logs `on`; raises DaemonError."""
         self.say("clear")
         give_up_s = time.monotonic() + _GIVE_UP_S
         while True:
@@ -178,6 +187,7 @@ class Rig:
                     self.ask("clear")
                 if self.ask("status")["state"] == "IDLE":
                     self.flights += 1
+                    self.flight = on / f"flight-{self.flights}"
                     step = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.2}
                     out = str(self.flight)
                     self.ask("levitate", levitate=step, land={"ramp_s": 0.3}, out=out)
@@ -187,14 +197,9 @@ class Rig:
                     raise
             time.sleep(0.05)
 
-    @property
-    def flight(self) -> Path:
-        """Folder of the flight at hand."""
-        return self.folder / f"flight-{self.flights}"
-
     def may_be_cut(self) -> None:
-        """Note that the log of this flight may have lost all its rows, its recorder being gone."""
-        self.cut.add(self.flight)
+        """Note that the log of this flight may have lost all its rows: it could not be written."""
+        self.cut.add(self.flight.name)
 
     def recordings(self) -> set[Path]:
         """Return the flight recordings that there are."""
@@ -215,7 +220,7 @@ def measure(quick: bool) -> list[Figure]:
     for seed, bus in enumerate(("canfd", "serial")):
         rng = random.Random(seed)
         with tempfile.TemporaryDirectory() as folder:
-            rig = Rig(bus, Path(folder))
+            rig = Rig(bus, Path(folder), quick)
             try:
                 for number in range(trials):
                     _trial(rig, rng, tally)
@@ -242,10 +247,10 @@ def measure(quick: bool) -> list[Figure]:
     ]
 
 
-def _flies(rig: Rig, tally: Tally) -> dict[str, Any] | None:
+def _flies(rig: Rig, tally: Tally, on: Path | None = None) -> dict[str, Any] | None:
     """Lift off with what the trial before left behind; return the status if it flies."""
     try:
-        status = rig.lift_off()
+        status = rig.lift_off(on or rig.folder)
         if rig.until(lambda s: s["state"] == "LEVITATING" and rig.forces()):
             return status
         error = "no force acts"
@@ -257,11 +262,12 @@ def _flies(rig: Rig, tally: Tally) -> dict[str, Any] | None:
 
 def _trial(rig: Rig, rng: random.Random, tally: Tally) -> None:
     tally.trials += 1
-    status = _flies(rig, tally)
+    harmless = [name for name in HARMLESS if name != "disk full" or rig.small is not None]
+    name = rng.choice([*ELECTRONICS, *PROCESSES, *harmless])
+    status = _flies(rig, tally, rig.small if name == "disk full" else None)
     if status is None:
         return
     tally.usable += 1
-    name = rng.choice([*ELECTRONICS, *PROCESSES, *HARMLESS])
     if name in HARMLESS:
         _harmless(rig, name, status, tally)
         return
@@ -372,21 +378,27 @@ def _harmless(rig: Rig, name: str, status: dict[str, Any], tally: Tally) -> None
     with contextlib.suppress(DaemonError):
         rig.ask("land")
     if name == "disk full":
-        _unlimited(rig)
+        _make_room(rig)
 
 
-def _full_disk(rig: Rig, status: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
+def _full_disk(rig: Rig, _: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
+    """Fill the disk that the log is on, to its last byte."""
+    assert rig.small is not None
     rig.may_be_cut()
-    pid = status["pids"]["recorder"]
-    hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)[1]
-    resource.prlimit(pid, resource.RLIMIT_FSIZE, (4096, hard))
-    return lambda s: bool(s["recording"])
+    with (rig.small / _BALLAST).open("wb", buffering=0) as file:
+        for size in (1 << 16, 1):
+            with contextlib.suppress(OSError):
+                while True:
+                    file.write(bytes(size))
+    return lambda s: os.strerror(errno.ENOSPC) in s["recording"]
 
 
-def _unlimited(rig: Rig) -> None:
-    pid = rig.ask("status")["pids"]["recorder"]
-    hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)[1]
-    resource.prlimit(pid, resource.RLIMIT_FSIZE, (hard, hard))
+def _make_room(rig: Rig) -> None:
+    """Let the small disk be as it was, and keep the log of the flight where the others are."""
+    assert rig.small is not None
+    rig.until(lambda s: s["state"] in ("IDLE", "FAULT"))
+    (rig.small / _BALLAST).unlink()
+    shutil.move(rig.flight, rig.folder)
 
 
 def _kill_recorder(rig: Rig, status: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
@@ -407,8 +419,19 @@ def _flood(rig: Rig, _: dict[str, Any]) -> None:
         threading.Thread(target=flood, daemon=True).start()
 
 
-def _pressure(_: Rig, __: dict[str, Any]) -> None:
-    subprocess.run([sys.executable, "-c", "bytearray(1 << 30)"], check=False)
+def _pressure(rig: Rig, _: dict[str, Any]) -> None:
+    """Hold most of the memory that is free for some seconds of the flight."""
+    wanted = to_take(available(), _QUICK_BYTES if rig.quick else None)
+    with subprocess.Popen(
+        [sys.executable, _memory_hog.__file__, str(wanted)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as hog:
+        assert hog.stdout is not None
+        held = hog.stdout.readline()
+        if not held.strip() or int(held) <= 0:
+            raise RuntimeError(f"memory pressure: none of {wanted} bytes could be held")
+        time.sleep(_HELD_S)
 
 
 def _client_gone(rig: Rig, _: dict[str, Any]) -> None:
@@ -426,18 +449,30 @@ HARMLESS: dict[str, Callable[[Rig, dict[str, Any]], Callable[[dict[str, Any]], b
 }
 
 
-def unreadable(folder: Path, cut: set[Path]) -> int:
-    """Return how many logs do not open; one without a row is none where its recorder was `cut`."""
+def unreadable(folder: Path, cut: set[str]) -> int:
+    """Return how many logs do not open; of the flights `cut`, one without a row is none."""
     bad = 0
     for path in sorted(folder.rglob("*.mcap")):
         try:
             read_log(path)
         except LogError as error:
             without_a_row = "found the end of the file" in str(error)
-            if not (without_a_row and path.parent in cut):
+            if not (without_a_row and path.parent.name in cut):
                 print(error, file=sys.stderr)
                 bad += 1
     return bad
+
+
+def _small_disk(at: Path) -> Path | None:
+    """Return a file system of its own that is soon full, None without the right to mount one."""
+    at.mkdir()
+    size = f"size={_SMALL_BYTES}"
+    command = ["mount", "-t", "tmpfs", "-o", size, "levid-benchmark", str(at)]
+    with contextlib.suppress(OSError):
+        if subprocess.run(command, check=False, capture_output=True).returncode == 0:
+            return at
+    print("no right to mount a small file system: no disk is full", file=sys.stderr)
+    return None
 
 
 def _rig(bus: str, folder: Path) -> dict[str, Any]:

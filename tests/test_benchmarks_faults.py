@@ -67,7 +67,7 @@ def test_all_flight_recordings_are_kept_until_they_are_read(
     faults: ModuleType, tmp_path: Path
 ) -> None:
     for bus in ("canfd", "serial"):
-        kept = faults._rig(bus, tmp_path)["recording"]["keep_faults"]
+        kept = faults._fault_rig.rig_of(bus, tmp_path)["recording"]["keep_faults"]
         assert kept >= 1000  # one a trial, and no bus sees more of them
 
 
@@ -94,7 +94,7 @@ def test_memory_is_held_for_real(monkeypatch) -> None:
 
 
 def test_full_disk_is_one_without_a_byte_left(faults: ModuleType, tmp_path: Path) -> None:
-    small = faults._small_disk(tmp_path / "small")
+    small = module("_fault_rig").small_disk(tmp_path / "small")
     if small is None:
         pytest.skip("no right to mount")
     try:
@@ -103,14 +103,117 @@ def test_full_disk_is_one_without_a_byte_left(faults: ModuleType, tmp_path: Path
             may_be_cut=lambda: None, until=lambda _: None,
         )  # fmt: skip
         log(rig.flight / "a.mcap")
-        told = faults._full_disk(rig, {})
+        told = module("_fault_list")._full_disk(rig, {})
         with pytest.raises(OSError, match="No space left on device") as full:
             (small / "more").write_bytes(b"x" * 10_000)
         assert told({"recording": str(full.value)})
         assert not told({"recording": "File too large"})
-        faults._make_room(rig)
+        module("_fault_list").make_room(rig)
         assert faults.unreadable(tmp_path, set()) == 0
         (small / "more").write_bytes(b"x" * 10_000)
         assert (tmp_path / "flight-1" / "a.mcap").exists()
     finally:
         subprocess.run(["umount", "--lazy", str(small)], check=True)
+
+
+def trial(faults: ModuleType, fault: str, **came: object) -> object:
+    return faults.Trial("serial", 0, fault, usable=True, **came)
+
+
+def by_key(figures) -> dict[str, float]:
+    return {figure.key: figure.value for figure in figures}
+
+
+def test_times_are_told_apart_and_what_has_no_promise_is_in_none(faults: ModuleType) -> None:
+    trials = [
+        trial(faults, "trip 3", cycles=3, named=True),
+        trial(faults, "trip 3", cycles=4, named=True),
+        trial(faults, "drop", cycles=28, named=True),
+        trial(faults, "drop", cycles=29, named=True),
+        trial(faults, "push 60", cycles=1, named=True),
+        trial(faults, "frozen 7", cycles=100, named=True),
+    ]
+    found = by_key(faults.figures(trials, []))
+    assert (found["within_3"], found["within_own_timeout"]) == (1 / 4, 2 / 4)
+    assert (found["shows_late"], found["slowest_stop"], found["stopped"]) == (2, 29, 1.0)
+
+
+def test_trial_that_failed_counts_against_what_was_asked(faults: ModuleType) -> None:
+    trials = [
+        trial(faults, "trip 3", cycles=1, named=True),
+        trial(faults, "trip 3", failed="DaemonError"),
+        trial(faults, "disk full", undisturbed=True, told=True),
+        trial(faults, "disk full", failed="RuntimeError"),
+        faults.Trial("serial", 0, "stop", wrong=["does not fly"]),
+        trial(faults, ""),
+    ]
+    found = by_key(faults.figures(trials, [faults.Logs(9, 1), faults.Logs(3, 0)]))
+    assert (found["faults"], found["failed"], found["usable"]) == (4, 2, 5 / 6)
+    assert found["stopped"] == found["named"] == found["within_3"] == found["undisturbed"] == 0.5
+    assert (found["logs"], found["unreadable"]) == (12, 1)
+
+
+class Rig:
+    """Answers as a rig of whatever a test wants of it."""
+
+    small, bus, cut, started = None, "serial", frozenset(), 0
+
+    def __init__(self, _bus: str, folder: Path, _quick: bool) -> None:
+        self.folder, self.periods = folder, [10, 12, 12]
+        self.path, self.daemon = folder, SimpleNamespace(poll=lambda: None)
+        type(self).started += 1
+
+    def lift_off(self, _: Path) -> dict[str, object]:
+        return {}
+
+    def until(self, condition) -> dict[str, object] | None:
+        status = {"state": "LEVITATING", "fault": "AMPLIFIER", "cycle": 0}
+        return status if condition(status) else None
+
+    def forces(self) -> bool:
+        return len(self.periods) == 3
+
+    def forced_periods(self, *_: str) -> int:
+        return self.periods.pop(0) if len(self.periods) > 1 else self.periods[0]
+
+    def recordings(self) -> set[Path]:
+        return set()
+
+    def close(self) -> None: ...
+
+
+def test_force_that_comes_back_is_seen(faults: ModuleType, tmp_path: Path) -> None:
+    for last, back in ((12, 0), (15, 3)):
+        rig, one = Rig("serial", tmp_path, True), faults.Trial("serial", 0, "trip 3")
+        rig.periods = [10, 12, last]
+        faults._try(rig, one)
+        assert (one.cycles, one.came_back, one.named) == (2, back, True)
+        assert by_key(faults.figures([one], []))["came_back"] == bool(back)
+
+
+def test_run_goes_on_behind_a_trial_that_fails_and_where_it_stopped(
+    faults: ModuleType, tmp_path: Path, monkeypatch
+) -> None:
+    tried: list[int] = []
+
+    def attempt(_: Rig, one) -> None:
+        tried.append(one.number)
+        if one.number == 3 and len(tried) == 4:
+            raise faults.DaemonError("expected an answer")
+        if one.number == 7 and tried.count(7) == 1:
+            raise KeyboardInterrupt
+        one.usable = True
+
+    monkeypatch.setattr(faults, "KEPT", tmp_path)
+    monkeypatch.setattr(faults, "Rig", Rig)
+    monkeypatch.setattr(faults, "_try", attempt)
+    Rig.started = 0
+    with pytest.raises(KeyboardInterrupt):
+        faults.measure(True)
+    found = by_key(faults.measure(True))
+    assert tried == [*range(8), *range(7, 21), *range(21)]  # both buses, each with a last lift-off
+    assert Rig.started == 4  # the first, one behind the trial that failed, one again, one a bus
+    assert (found["failed"], found["usable"]) == (1, 41 / 42)
+    before = len(tried)
+    faults.measure(True)  # a whole run is not carried on
+    assert len(tried) == before + 42

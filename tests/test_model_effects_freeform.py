@@ -31,9 +31,9 @@ def moving() -> Signals:
 
 
 def acts(term):
-    """What a term adds: a force, or a reading."""
-    assert (term.force is None) != (term.gap is None)
-    return term.gap if term.force is None else term.force
+    """What a term adds: a force, a reading, or what of a coil comes to the model's inputs."""
+    (there,) = (part for part in (term.force, term.gap, term.held) if part is not None)
+    return there
 
 
 def effects():
@@ -59,10 +59,41 @@ def test_each_has_a_name_of_its_own_and_travels():
 def test_each_acts_at_its_place_alone():
     for effect in effects():
         kind, _, number = effect.where[0].partition(":")
-        own = int(number) if kind == "sensor" else rig_places().dof.index(kind)
         for term in effect.build(moving(), effect.grid[0]):
             assert (term.gap is not None) == (kind == "sensor")
+            assert (term.held is not None) == (kind == "coil")
+            if kind == "coil":
+                alone = rig_places().coil_shape[int(number)]
+                along = acts(term) @ alone / (alone @ alone)
+                np.testing.assert_allclose(acts(term), along[:, None] * alone, atol=1e-12)
+                continue
+            own = int(number) if kind == "sensor" else rig_places().dof.index(kind)
             assert not np.any(np.delete(acts(term), own, axis=1))
+
+
+def test_what_depends_on_commands_is_of_coils_and_readings_alone():
+    by = {e.identity: e for e in effects() if any(w.startswith("coil") for w in depends_on(e))}
+    kinds = {e.where[0].partition(":")[0] for e in by.values()}
+    assert kinds == {"sensor", "coil"}
+    stray = by["unknown.coil_3[12]@sensor:0"]
+    assert depends_on(stray) == ("coil:3",)
+    assert stray.name == "Reading that depends on the command of coil:3 at sensor:0"
+    s = moving()
+    # A field is there when the coil's force is: a cycle after its command, between two of them.
+    columns = np.stack([acts(t)[:, 0] for t in stray.build(s, ())], axis=1)
+    acting = s.acting(s.coil)[:, 3]
+    left = acting**2 - columns @ np.linalg.lstsq(columns, acting**2, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9
+    shared = by["unknown.coil_5[12]*coil_4[12]@coil:5"]
+    assert depends_on(shared) == ("coil:5", "coil:4")
+    product = s.coil[:, 5] * (s.coil[:, 4] / 7.0 - 1.0)
+    alone = rig_places().coil_shape[5]
+    columns = np.stack([acts(t) @ alone / (alone @ alone) for t in shared.build(s, ())], axis=1)
+    left = product - columns @ np.linalg.lstsq(columns, product, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9
+    # Of another coil it would be another effect.
+    assert freeform_effect(rig_places(), shared.key, ("coil:6",)) is None
+    assert freeform_effect(rig_places(), stray.key, ("theta",)) is None
 
 
 @pytest.mark.parametrize("by", ["x_b", "time", "z", "z_rate", "phi"])

@@ -1,9 +1,9 @@
 """A residual that no known effect explains, as a smooth function of what it depends on.
 
-Each is a force on one DOF or a false reading of one sensor: a function of one signal, one signal
-times a function of another, or what answers a motion later. They name nothing. They say where
-something acts, on what it depends and how it looks, and leave a model that is better after than
-before.
+Each is a force on one DOF or of one coil, or a false reading of one sensor: a function of one
+signal, one signal times a function of another, or what answers a motion later. They name nothing.
+They say where something acts, on what it depends and how it looks, and leave a model that is better
+after than before.
 """
 
 from __future__ import annotations
@@ -19,7 +19,17 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from .answers import answer, answered, answers
-from .base import Effect, Places, Quantity, Signals, Term, on_dof, on_sensor, resolved
+from .base import (
+    Effect,
+    Places,
+    Quantity,
+    Signals,
+    Term,
+    on_coil,
+    on_dof,
+    on_sensor,
+    resolved,
+)
 from .extent import Extent
 
 Array = NDArray[np.float64]
@@ -27,6 +37,8 @@ Array = NDArray[np.float64]
 DEGREE = 6
 """Of a polynomial in a signal by itself."""
 _PRODUCT_DEGREE = 2
+_COMMAND_DEGREE = 3
+"""Of a polynomial in a coil's command: there are as many of these as coils, for each sensor."""
 _SPLINES = 12
 """Cubic pieces along the beam's way or a session: one end says nothing of the other."""
 _WIDE = 3.0
@@ -77,16 +89,17 @@ class Form:
             return None
         return cls(found["by"], scale, found["factor"] or "", unit, middle)
 
-    def functions(self, signals: Signals, constant: bool) -> Array:
+    def functions(self, signals: Signals, constant: bool, acting: bool = True) -> Array:
         """Return what one unit of each amplitude is along a trajectory (N, columns).
 
         `constant`: of functions alone too. Of a force nobody knows it, of one reading it shows.
+        `acting`: of coils the forces that act at a row, else those that are commanded in it.
         """
-        s = (_read(signals, self.by) - self.middle) / self.scale
+        s = (_read(signals, self.by, acting) - self.middle) / self.scale
         if not self.factor:
-            alone = _shapes(self.by, s, DEGREE)
+            alone = _shapes(self.by, s, _degree(self.by))
             return np.column_stack([np.ones(len(s)), alone]) if constant else alone
-        driven = _read(signals, self.factor) / self.unit
+        driven = _read(signals, self.factor, acting) / self.unit
         whole = _shapes(self.by, s, _PRODUCT_DEGREE)
         if _constant_is_new(self.factor):
             whole = np.column_stack([np.ones(len(s)), whole])
@@ -97,7 +110,7 @@ class Form:
         first = _constant_is_new(self.factor) if self.factor else constant
         if self.by == _TURN:
             return (*(("c0",) if first else ()), "sin", "cos", "sin2", "cos2")
-        polynomial = _PRODUCT_DEGREE if self.factor else DEGREE
+        polynomial = _PRODUCT_DEGREE if self.factor else _degree(self.by)
         count = _SPLINES - 1 if self.by in _LONG else polynomial
         return tuple(f"c{k}" for k in range(0 if first else 1, count + 1))
 
@@ -111,17 +124,26 @@ class Form:
 
 
 def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return the free forms of a plant: at every DOF and sensor, by every signal there is."""
+    """Return the free forms of a plant: at every DOF, sensor and coil, by every signal there is."""
     n = len(places.dof)
     found = []
     for i in range(n):
         forms = [_form(places, extent, by) for by in _signals(places)]
         forms += [_form(places, extent, by, factor) for factor, by in _products(places)]
         found += [_effect(places, places.dof[i], form) for form in forms]
+    commands = [f"{_COIL}{c}" for c in range(places.coils)]
+    # What a reading depends on beside the height under it: coils, what passes by, and what turns.
+    beside = [_form(places, extent, by) for by in commands]
     if places.beam:
-        # What a reading depends on beside the height under it: what passes by, and what turns.
-        for form in (_form(places, extent, "x_b"), Form(_TURN, 1.0)):
-            found += [_effect(places, f"sensor:{s}", form) for s in range(places.sensors)]
+        beside += [_form(places, extent, "x_b"), Form(_TURN, 1.0)]
+    found += [
+        _effect(places, f"sensor:{s}", form) for form in beside for s in range(places.sensors)
+    ]
+    for c, own in enumerate(commands):
+        forms = [_form(places, extent, own)]
+        others = [by for by in commands if by != own] + (["x_b"] if places.beam else [])
+        forms += [_form(places, extent, by, own) for by in others]
+        found += [_effect(places, f"coil:{c}", form) for form in forms]
     return resolved([*found, *answers(places)], extent.fastest_hz)
 
 
@@ -131,8 +153,15 @@ def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | 
     if form is None:
         return answer(places, key, where)
     known = _signals(places)
-    sites = [*places.dof, *(f"sensor:{s}" for s in range(places.sensors))]
-    if len(where) != 1 or where[0] not in sites:
+    sensors, coils = (
+        [f"{what}:{k}" for k in range(count)]
+        for what, count in (("sensor", places.sensors), ("coil", places.coils))
+    )
+    if len(where) != 1 or where[0] not in (*places.dof, *sensors, *coils):
+        return None
+    if where[0] not in places.dof:
+        known += [f"{_COIL}{c}" for c in range(places.coils)]
+    if where[0] in coils and form.factor not in ("", where[0].replace(":", "_")):
         return None
     if form.by not in known or (form.factor and form.factor not in known):
         return None
@@ -145,8 +174,13 @@ def depends_on(effect: Effect) -> tuple[str, ...]:
     if form is None:
         motion = answered(effect)
         return () if motion is None else (motion,)
-    words = [word for word in (form.factor, form.by) if word]
-    return tuple("phi'" if w == "phi_speed" else w.replace("_rate", "'") for w in words)
+    return tuple(_spoken(word) for word in (form.factor, form.by) if word)
+
+
+def _spoken(word: str) -> str:
+    if word.startswith(_COIL):
+        return word.replace("_", ":")
+    return "phi'" if word == "phi_speed" else word.replace("_rate", "'")
 
 
 _KEY = re.compile(
@@ -154,6 +188,7 @@ _KEY = re.compile(
     r"(?P<by>\w+)(?:\[(?:(?P<middle>[0-9.e+-]+)\+-)?(?P<scale>[0-9.e+-]+)\])?"
 )
 _BEAM = ("x_b", "v_b", "a_b", "phi_speed")
+_COIL = "coil_"
 
 
 def _signals(places: Places) -> list[str]:
@@ -176,7 +211,11 @@ def _products(places: Places) -> list[tuple[str, str]]:
 
 def _constant_is_new(factor: str) -> bool:
     """Return whether a model may lack the factor by itself: a stiffness it has, between all DOF."""
-    return factor.endswith("_rate") or factor in _BEAM
+    return factor.endswith("_rate") or factor in _BEAM or factor.startswith(_COIL)
+
+
+def _degree(by: str) -> int:
+    return _COMMAND_DEGREE if by.startswith(_COIL) else DEGREE
 
 
 def _effect(places: Places, where: str, form: Form) -> Effect:
@@ -184,21 +223,33 @@ def _effect(places: Places, where: str, form: Form) -> Effect:
         dof = places.dof.index(where)
         what, unit = "Force", places.force_unit(dof)
         build = partial(_forces, form=form, dof=dof)
+    elif where.startswith("coil:"):
+        what, unit = "Force of a coil", places.coil_unit
+        build = partial(_commands, form=form, coil=int(where.partition(":")[2]))
     else:
         sensor = int(where.partition(":")[2])
         what, unit = "Reading", places.sensor_unit
         build = partial(_readings, form=form, sensor=sensor)
-    by = "the rotor's angle" if form.by == _TURN else form.by
+    by = "the rotor's angle" if form.by == _TURN else _told(form.by)
     title = f"{what} that depends on {by}"
     if form.factor:
-        title = f"{what} that depends on {form.factor} times a function of {by}"
-    names = form.amplitudes(constant=where not in places.dof)
+        title = f"{what} that depends on {_told(form.factor)} times a function of {by}"
+    names = form.amplitudes(constant=where.startswith("sensor:"))
     amplitudes = tuple(Quantity(name, unit) for name in names)
     return Effect(form.key, title, "unknown", (where,), form.words, amplitudes, build)
 
 
 def _forces(signals: Signals, _shape: Sequence[float], *, form: Form, dof: int) -> list[Term]:
     return [on_dof(signals, dof, column) for column in form.functions(signals, constant=False).T]
+
+
+def _commands(signals: Signals, _shape: Sequence[float], *, form: Form, coil: int) -> list[Term]:
+    columns = form.functions(signals, constant=False, acting=False).T
+    return [on_coil(signals, coil, column) for column in columns]
+
+
+def _told(word: str) -> str:
+    return f"the command of {_spoken(word)}" if word.startswith(_COIL) else word
 
 
 def _readings(signals: Signals, _shape: Sequence[float], *, form: Form, sensor: int) -> list[Term]:
@@ -219,8 +270,11 @@ def _shapes(by: str, s: Array, degree: int) -> Array:
     return np.delete(pieces, _SPLINES // 2, axis=1)
 
 
-def _read(signals: Signals, word: str) -> Array:
+def _read(signals: Signals, word: str, acting: bool) -> Array:
     places = signals.places
+    if word.startswith(_COIL):
+        commanded = signals.coil[:, int(word.removeprefix(_COIL))]
+        return signals.acting(commanded) if acting else commanded
     if word in places.dof:
         return np.asarray(signals.q[:, places.dof.index(word)])
     if word.endswith("_rate"):
@@ -245,6 +299,8 @@ def _scale(places: Places, extent: Extent, word: str) -> float:
         scale = 0.5 * (places.span_s[1] - places.span_s[0]) or 1.0
     elif word == _TURN:
         scale = 1.0
+    elif word.startswith(_COIL):
+        scale = extent.command
     else:
         beam = max(0.5 * extent.beam_m, 1e-3)
         scale = {"x_b": beam, "v_b": 4 * beam, "a_b": 40 * beam, "phi_speed": 40.0, _TURN: 1.0}[

@@ -146,7 +146,11 @@ def _past(record: Record, past: int, skip: int) -> Array:
 def _observer_triangle(records: Sequence[Record], past: int, skip: int) -> Array:
     """Return R of the QR of [v(k) z(k-1) ... z(k-past) | y(k)], shorter pasts in front."""
     parts = (np.hstack([r.v[skip:], _past(r, past, skip), r.y[skip:]]) for r in records)
-    return _rounded(triangle(parts))
+    R, p = triangle(parts), records[0].v.shape[1]
+    # Outputs without noise follow from others, and rounding stands for it; inputs may not.
+    if not independent(R[:p, :p], 1e-13):
+        raise _not_independent("inputs")
+    return _rounded(R)
 
 
 def _rounded(R: Array) -> Array:
@@ -160,7 +164,11 @@ def _solve(R: Array, columns: int, targets: int) -> Array:
     """
     square = R[:columns, :columns]
     if not independent(square, 1e-13):
-        raise IdentificationError(
-            "expected inputs and outputs that are independent, found some that follow from others"
-        )
+        raise _not_independent("inputs and outputs")
     return np.asarray(solve_triangular(square, R[:columns, R.shape[1] - targets :]))
+
+
+def _not_independent(what: str) -> IdentificationError:
+    return IdentificationError(
+        f"expected {what} that are independent, found some that follow from others"
+    )

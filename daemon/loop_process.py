@@ -82,7 +82,8 @@ def _bounded() -> Iterator[None]:
     try:
         yield
     finally:
-        if signal.getsignal(signal.SIGTERM) is _end:  # else it ends, and another alarm is set
+        # Where it is ended, `_end` has set an alarm of its own.
+        if signal.getsignal(signal.SIGTERM) is not signal.SIG_IGN:
             signal.alarm(0)
 
 

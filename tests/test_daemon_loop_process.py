@@ -45,6 +45,7 @@ def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_tes
     monkeypatch.setattr(loop_process.time, "sleep", wait)
     opened = loop_process._opened(load_rig(RIG_FILE), Path(), board, lambda _: None)
     assert opened is devices
+    assert signal.alarm(0) == 0  # what bounded it is taken back
     # The supervisor answers a clear once the loop is neither OFF nor in its self-test.
     assert (board.fault, board.state) == (Fault.NONE, State.OFF)
     assert board[Word.CLEARED] == board[Word.CLEAR]

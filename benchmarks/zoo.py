@@ -8,9 +8,9 @@ right is said in _zoo_score.py.
 
 Results are kept as they come, one line each, in OUT/results.jsonl; what is there already, of the
 same plant, size, seed and code, is not flown again. Rows, lines and figures are made from what is
-kept, so that a change of the scoring flies nothing. What was flown last, in several sittings and by
-one code, is beside this file in zoo-results.jsonl.gz: as long as the code is that one, its plants
-are not flown either, but for --afresh.
+kept, so that a change of the scoring flies nothing. With --publish what one code has found, in
+several sittings, is written into zoo-results.jsonl.gz beside this file: as long as the code is that
+one, its plants are not flown either, but for --afresh.
 """
 
 from __future__ import annotations

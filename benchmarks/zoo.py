@@ -9,7 +9,7 @@ right is said in _zoo_score.py.
 Results are kept as they come, one line each, in OUT/results.jsonl; what is there already, of the
 same plant, size, seed and code, is not flown again. Rows, lines and figures are made from what is
 kept, so that a change of the scoring flies nothing. With --publish what one code has found, in
-several sittings, is written into zoo-results.jsonl.gz beside this file: as long as the code is that
+several runs, is written into zoo-results.jsonl.gz beside this file: as long as the code is that
 one, its plants are not flown either, but for --afresh.
 """
 

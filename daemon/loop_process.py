@@ -160,8 +160,8 @@ def _opened(
             board[Word.WAITING] += 1
             time.sleep(_POLL_S)
         seen = board[Word.CLEAR]
+        board[Word.ZERO] = 0  # one of before: what comes from now on ends what is begun here
         board[Word.BUSY] = 1
-        board[Word.ZERO] = 0
 
 
 if __name__ == "__main__":

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from cycle_log import cycle_log
 
 from levid.config.model import ModelConfig, Scheduling, load_model
 from levid.config.shipped import shipped
@@ -24,17 +24,7 @@ def flown(beam_m: np.ndarray) -> Log:
     rows["time_s"] = TIME_S
     rows["beam_m"] = beam_m
     rows["beam_m_s"] = np.gradient(beam_m, TIME_S)
-    return Log(
-        path=Path("01-beam.mcap"),
-        rows=rows,
-        log_time_ns=np.arange(len(rows), dtype=np.uint64) * 10**6,
-        rate_hz=1000.0,
-        schema_name="levid/msg/Cycle",
-        metadata={"kind": "record", "name": "beam"},
-        attachments={"rig.yaml": Path(shipped("rigs/loopback.yaml")).read_bytes()},
-        complete=True,
-        problem=None,
-    )
+    return cycle_log("01-beam.mcap", rows)
 
 
 def derived() -> ModelConfig:

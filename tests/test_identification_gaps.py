@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from cycle_log import cycle_log
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
@@ -47,17 +47,7 @@ def flown(n: int, acting: np.ndarray | None = None) -> Log:
     rows["coil_readback_n"] = readback + NOISE_N * rng.normal(size=(n, 9))
     rows["gap_m"] = height + NOISE_M * rng.normal(size=(n, 9))
     rows["z_m"] = rows["gap_m"].mean(axis=1)
-    return Log(
-        path=Path("02-z.mcap"),
-        rows=rows,
-        log_time_ns=np.arange(n, dtype=np.uint64) * 10**6,
-        rate_hz=1000.0,
-        schema_name="levid/msg/Cycle",
-        metadata={"kind": "record", "name": "z"},
-        attachments={"rig.yaml": Path(shipped("rigs/loopback.yaml")).read_bytes()},
-        complete=True,
-        problem=None,
-    )
+    return cycle_log("02-z.mcap", rows)
 
 
 def skipping(log: Log, rows: list[int]) -> Log:

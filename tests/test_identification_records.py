@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from cycle_log import cycle_log
 
 from levid.config.model import ModelConfig
-from levid.config.shipped import shipped
 from levid.identification.data import IdentificationError, PiController, Record, operating_points
 from levid.identification.from_log import NotARecordError, from_log, records_from_logs
 from levid.identification.greybox.experiment import experiment_from_log
@@ -39,18 +38,7 @@ def _cycles(n: int = 200) -> np.ndarray:
 
 
 def _log(rows: np.ndarray, **changes: object) -> Log:
-    log = Log(
-        path=Path("03-left-theta.mcap"),
-        rows=rows,
-        log_time_ns=np.arange(len(rows), dtype=np.uint64) * 10**6,
-        rate_hz=1000.0,
-        schema_name="levid/msg/Cycle",
-        metadata={"kind": "record", "name": "left-theta"},
-        attachments={"rig.yaml": Path(shipped("rigs/loopback.yaml")).read_bytes()},
-        complete=True,
-        problem=None,
-    )
-    return replace(log, **changes)
+    return cycle_log("03-left-theta.mcap", rows, **changes)
 
 
 def test_a_record_holds_what_the_log_says():

@@ -1,0 +1,27 @@
+"""The log of a record of the rig, as read, made of rows that a test has made up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from levid.config.shipped import shipped
+from levid.log.reader import Log
+
+
+def cycle_log(file: str, rows: np.ndarray, **changes: object) -> Log:
+    """Return the log NN-NAME.mcap of these rows at 1 kHz, complete, of the loopback rig."""
+    log = Log(
+        path=Path(file),
+        rows=rows,
+        log_time_ns=np.arange(len(rows), dtype=np.uint64) * 10**6,
+        rate_hz=1000.0,
+        schema_name="levid/msg/Cycle",
+        metadata={"kind": "record", "name": Path(file).stem.partition("-")[2]},
+        attachments={"rig.yaml": shipped("rigs/loopback.yaml").read_bytes()},
+        complete=True,
+        problem=None,
+    )
+    return replace(log, **changes)

@@ -101,7 +101,7 @@ def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
     effect, why = found.effect, found.evidence
     parts: list[Part] = [Text(f"{effect.equation}.", "lead")]
     if why is not None:
-        asked = "On records that had no part in choosing it"
+        asked = "On held-out records"
         if not why.held:
             asked = "It does nothing in the records held out; between blocks of time of the others"
         parts.append(

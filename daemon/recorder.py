@@ -6,9 +6,8 @@ import threading
 import time
 
 from .ring import Ring
-from .scribe import LogFile, Scribe
+from .scribe import BLOCK, LogFile, Scribe
 
-_BLOCK = 8192
 _POLL_S = 0.01
 
 
@@ -77,5 +76,5 @@ class Recorder:
                     self._finished.set()
                 if ending:
                     return
-            if self._ring.waiting < _BLOCK and not ending and not finishing:
+            if self._ring.waiting < BLOCK and not ending and not finishing:
                 self._stop.wait(_POLL_S)

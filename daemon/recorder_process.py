@@ -27,7 +27,7 @@ from .parent_watch import ParentWatch
 from .realtime import call_me
 from .result import attachments
 from .ring import NO_LOG
-from .scribe import Event, LogFile, Rotation, Scribe
+from .scribe import BLOCK, Event, LogFile, Rotation, Scribe
 from .shared import Shared
 from .syncer import Syncer
 
@@ -79,7 +79,7 @@ class RecorderProcess:
         ParentWatch(parent, words)
         quiet_since_s, cycle = time.monotonic(), words[Word.CYCLE]
         while True:
-            self._hear(0.0 if self._ring.waiting else _POLL_S)
+            self._hear(0.0 if self._ring.waiting >= BLOCK else _POLL_S)
             self._scribe.epoch_ns = self._faults.epoch_ns = words[Word.EPOCH_NS]
             log = words[Word.LOG]
             taken = self._scribe.work()

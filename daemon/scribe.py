@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from ..log.writer import LogWriter
 from .ring import NO_LOG, Ring, Rows
 
-_BLOCK = 8192
+BLOCK = 8192
+"""Rows that are taken from the ring at a time. While there are fewer a reader pauses:
+each turn costs as much as copying some hundred rows."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class Scribe:
     def work(self) -> Rows:
         """Take a block of rows, write it, and return it; it is empty where there was none."""
         ring = self._ring
-        taken = ring.take(_BLOCK)
+        taken = ring.take(BLOCK)
         tags = taken.tags
         edges = [0, *(np.flatnonzero(np.diff(tags)) + 1).tolist(), len(tags)]
         for begin, end in pairwise(edges):

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from ...model.effects.base import Effect
 from ..data import IdentificationError
 from .giving_up import taken_instead, without_guesses, without_idle, without_stand_in
-from .refine import gather, refine
+from .held_out import helps
+from .refine import Candidate, gather, refine
 from .regression import Evidence, covariance
 from .screening import (
     ALONE,
     BEYOND_CHANCE,
+    LEAST,
     HeldError,
     Least,
     Records,
@@ -33,13 +35,13 @@ Progress = Callable[[str, float], None]
 _MOST_EFFECTS = 6
 _MOST_UNKNOWN = 4
 _TRUST = 1e3
-_LOWERS = 0.003
-"""Share of the held-out records' mean square error, simulated freely, that an effect must take."""
-_SAME = 1e-6
 _MOST_REFUSED = 3
 _EXPLAINED = 1.06
 """Mean square errors of the free simulation, over what noise leaves, at which a model explains the
 records: 1.03 times the floor. A force that only the drives feel does not show there."""
+_UNSHOWN = 0.02
+"""Share of what noise leaves of the records fitted to that may be beyond it where those held out
+are explained: more is of an effect that these do not show."""
 _MUCH = 1.7
 """Mean square errors of the free simulation, over what noise leaves, that free forms are tried on:
 1.3 times the floor."""
@@ -107,13 +109,8 @@ def _grown(
     barred = {p.effect.identity for p in point.placed}
     refused, most = 0, most + len(point.placed)
     while error.squares > enough * error.floor:
-        if point.disturbance.measured and error.squares < _EXPLAINED * error.floor:
-            candidates = [c for c in candidates if is_internal(c[0])]
-        progress(f"screening {len(candidates)} candidates", _share(len(rounds)))
-        train = gather(point, records.train(point, candidates))
-        explained = rounds[0].excess - train.excess if rounds else 0.0
-        little = error.squares < _MUCH * error.floor
-        found = screened(point, candidates, train, records, Least(train.excess, explained, little))
+        explained = point.disturbance.measured and error.squares < _EXPLAINED * error.floor
+        found, train = _screened(point, candidates, error, explained, rounds, records, progress)
         if not found.survivors or len(point.placed) >= most or refused >= _MOST_REFUSED:
             rounds.append(found)
             break
@@ -130,15 +127,12 @@ def _grown(
         found = replace(found, taken=taken)
         better = records.believed(without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
-        helps = after.squares < (1.0 - _LOWERS) * error.squares
-        # What shows in the drives alone leaves the platform's motion as it was, but for parameters
-        # that are fitted anew.
-        aside = is_internal(taken.effect) and after.squares < (1.0 + _LOWERS) * error.squares
-        aside = aside or abs(after.squares - error.squares) < _SAME * error.squares
+        gone = (train.squares - squares) / max(train.excess, LEAST)
+        agreed = helps(taken, error, after, gone, explained)
         agrees = taken.chance > (BEYOND_CHANCE if taken.held else ALONE)
         stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
         barred.add(taken.effect.identity)
-        if agrees and stays and squares < train.squares and (helps or aside):
+        if agrees and stays and squares < train.squares and agreed:
             point, error = better, after
             barred |= {p.effect.identity for p in point.placed}
         else:
@@ -155,6 +149,32 @@ def _grown(
             for shape in effect.grid
         ]
     return point, error, rounds
+
+
+def _screened(
+    point: WorkingPoint,
+    candidates: Sequence[Candidate],
+    error: HeldError,
+    explained: bool,
+    rounds: Sequence[Round],
+    records: Records,
+    progress: Progress,
+) -> tuple[Round, Evidence]:
+    """Return a round in which nothing is taken yet, and what the records fitted to leave.
+
+    Where those held out are explained only the drives are asked, but for what they do not show.
+    """
+    internal = [c for c in candidates if is_internal(c[0])]
+    asked = internal if explained else candidates
+    progress(f"screening {len(asked)} candidates", _share(len(rounds)))
+    train = gather(point, records.train(point, asked))
+    if explained and train.excess > _UNSHOWN * float(train.count.sum()):
+        asked = candidates
+        progress(f"screening {len(asked)} candidates", _share(len(rounds)))
+        train = gather(point, records.train(point, asked))
+    before = rounds[0].excess - train.excess if rounds else 0.0
+    least = Least(train.excess, before, error.squares < _MUCH * error.floor)
+    return screened(point, asked, train, records, least), train
 
 
 def _believing(point: WorkingPoint, squares: float, evidence: Evidence) -> WorkingPoint:

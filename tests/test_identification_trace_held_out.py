@@ -1,0 +1,86 @@
+"""When held-out records agree with an effect: by their errors, or because they do not show it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from rig_effects import rig_places
+
+from levid.identification.trace import search
+from levid.identification.trace.held_out import helps
+from levid.identification.trace.screening import HeldError, Tried
+from levid.model.effects.table import all_effects
+
+NAMED = {e.identity: e for e in all_effects(rig_places())}
+FLOOR = 1.75
+
+
+def tried(identity: str, held: bool) -> Tried:
+    effect = NAMED[identity]
+    return Tried(effect, effect.grid[0], 1e5, None, (1.0,), 100.0, held)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("identity", "held", "before", "after", "gone", "explained", "agree"),
+    [
+        # Who shows it has to gain by it.
+        ("dead_zone@coil:7", True, 36.0, 20.0, 0.9, False, True),
+        ("dead_zone@coil:7", True, 36.0, 36.7, 0.99, False, False),
+        ("dead_zone@coil:7", True, 36.0, 35.95, 0.9, False, False),
+        # Who does not may lose as little as others gain much.
+        ("dead_zone@coil:7", False, 36.0, 36.7, 0.99, False, True),
+        ("dead_zone@coil:7", False, 36.0, 39.7, 0.58, False, False),
+        ("dead_zone@coil:7", False, 36.0, 36.7, 0.05, False, False),
+        # At the floor there is nothing to gain; what does not show costs next to nothing.
+        ("dead_zone@coil:7", False, FLOOR, FLOOR * 1.001, 0.99, True, True),
+        ("dead_zone@coil:7", False, FLOOR, FLOOR * 1.1, 0.99, True, False),
+        ("dead_zone@coil:7", True, FLOOR * 1.05, FLOOR, 0.99, True, False),
+        # What the drives alone feel moves no platform.
+        ("cogging@beam", True, FLOOR, FLOOR * 1.001, 0.5, True, True),
+        ("cogging@beam", True, FLOOR, FLOOR * 1.1, 0.5, True, False),
+    ],
+)
+def test_held_out_records_agree_or_are_not_asked(
+    identity: str,
+    held: bool,
+    before: float,
+    after: float,
+    gone: float,
+    explained: bool,
+    agree: bool,
+) -> None:
+    errors = HeldError(before, FLOOR), HeldError(after, FLOOR)
+    assert helps(tried(identity, held), *errors, gone, explained) is agree
+
+
+@pytest.mark.parametrize(
+    ("explained", "excess", "asked"),
+    [(False, -4e3, ["all"]), (True, -4e3, ["drives"]), (True, 7e6, ["drives", "all"])],
+)
+def test_all_are_screened_where_others_show_what_held_out_records_do_not(
+    explained: bool, excess: float, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    candidates = [
+        (NAMED[name], NAMED[name].grid[0]) for name in ("dead_zone@coil:7", "cogging@beam")
+    ]
+    evidence = SimpleNamespace(excess=excess, count=SimpleNamespace(sum=lambda: 5e5))
+    seen: list[str] = []
+
+    def train(_: object, some: list[Any]) -> None:
+        seen.append("all" if len(some) == 2 else "drives")
+
+    monkeypatch.setattr(search, "gather", lambda *_: evidence)
+    monkeypatch.setattr(search, "screened", lambda _, some, *__: some)
+    answered, _ = search._screened(
+        SimpleNamespace(),  # type: ignore[arg-type]
+        candidates,
+        HeldError(FLOOR, FLOOR),
+        explained,
+        (),
+        SimpleNamespace(train=train),  # type: ignore[arg-type]
+        lambda *_: None,
+    )
+    assert seen == asked
+    assert len(answered) == (2 if asked[-1] == "all" else 1)  # type: ignore[arg-type]

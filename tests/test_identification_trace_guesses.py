@@ -30,7 +30,7 @@ def squares(point: Point) -> float:
     return 1000.0 + sum(worth for name, worth in WORTH.items() if name not in there)
 
 
-def refined(point: Point, _: object) -> tuple[Point, float]:
+def refined(point: Point, _: object, within: float) -> tuple[Point, float]:
     """A fit makes every effect anew, as one with other values."""
     return replace(point, placed=tuple(replace(p) for p in point.placed)), squares(point)
 

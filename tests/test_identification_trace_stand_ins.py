@@ -38,9 +38,10 @@ def round_of(taken: Tried | None, *alternatives: Tried) -> Round:
 def test_stand_in_is_one_if_little_comes_back_without_it(
     back: float, stands_in: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        giving_up, "refine", lambda point, _: (point, 1000.0 + back * (len(point.placed) < 3))
-    )
+    def refined(point: Point, _: object, within: float) -> tuple[Point, float]:
+        return point, 1000.0 + back * (len(point.placed) < 3)
+
+    monkeypatch.setattr(giving_up, "refine", refined)
     rounds = [round_of(None), round_of(tried(FIRST, 9e5), tried(THIRD, 1.0), tried(SECOND, 8e5))]
     begun = placed(FIRST, THIRD, SECOND)
     point, squares, number = giving_up.without_stand_in(
@@ -60,7 +61,7 @@ def test_stand_in_is_one_if_little_comes_back_without_it(
 def test_what_was_no_alternative_or_is_gone_is_no_stand_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(giving_up, "refine", lambda point, _: (point, 0.0))
+    monkeypatch.setattr(giving_up, "refine", lambda point, _, within: (point, 0.0))
     for begun, rounds in (
         (placed(FIRST, SECOND), [round_of(tried(FIRST, 9e5), tried(THIRD, 8e5))]),
         (placed(THIRD, SECOND), [round_of(tried(FIRST, 9e5), tried(SECOND, 8e5))]),

@@ -14,6 +14,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+STILL, STILL_ROWS = 1e-14, 64
+"""What changes by that share of itself in so many rows stands still."""
+TINY = 1e-150
+"""What is left of a start that was forgotten: processors take long over smaller numbers."""
+
 
 @njit(cache=True, nogil=True)
 def innovations_fixed(  # type: ignore[no-untyped-def]
@@ -46,37 +51,50 @@ def errors_and_unknowns(Phi, gain, forcing, steady, y, out):  # type: ignore[no-
     """Fill `out` (N, m, 1 + c + 2n): errors from a state of zero, and what unknowns add to them.
 
     The filter of innovations_fixed, for many columns in one pass: first the record's errors, then c
-    constant inputs that add steady (2n, c) in each period, then a unit of each state at row 0.
+    constant inputs that add steady (2n, c) in each period, then a unit of each state at row 0. What
+    unknowns add soon stands still; from there on only the errors are filtered.
     """
     rows, m = y.shape
     size, constants = steady.shape
     columns = 1 + constants + size
     correction = Phi @ gain
     x, following = np.zeros((size, columns)), np.empty((size, columns))
+    before = np.full((size, columns), np.inf)
+    moving = columns
     for i in range(size):
         x[i, 1 + constants + i] = 1.0
     for k in range(rows):
         for i in range(m):
-            for c in range(columns):
+            for c in range(moving):
                 out[k, i, c] = -x[i, c]
+            for c in range(moving, columns):
+                out[k, i, c] = out[k - 1, i, c]
             out[k, i, 0] += y[k, i]
         for i in range(size):
             following[i, 0] = forcing[k, i]
-            for c in range(constants):
-                following[i, 1 + c] = steady[i, c]
-            for c in range(size):
-                following[i, 1 + constants + c] = 0.0
+            for c in range(1, moving):
+                following[i, c] = steady[i, c - 1] if c <= constants else 0.0
             for j in range(size):
                 factor = Phi[i, j]
-                for c in range(columns):
+                for c in range(moving):
                     following[i, c] += factor * x[j, c]
             for j in range(m):
                 factor = correction[i, j]
-                for c in range(columns):
+                for c in range(moving):
                     following[i, c] += factor * out[k, j, c]
         for i in range(size):
-            for c in range(columns):
+            for c in range(moving):
                 x[i, c] = following[i, c]
+        if moving > 1 and k % STILL_ROWS == STILL_ROWS - 1:
+            change = 0.0
+            for i in range(size):
+                for c in range(1, columns):
+                    # A start is forgotten where a unit of it has come to that little.
+                    whole = max(abs(x[i, c]), STILL) if c > constants else abs(x[i, c])
+                    change = max(change, abs(x[i, c] - before[i, c]) - STILL * whole)
+                    before[i, c] = x[i, c]
+            if change <= 0.0:
+                moving = 1
 
 
 @njit(cache=True, nogil=True)
@@ -123,6 +141,10 @@ def innovations_along(K, D, B, drift, gain, moments, scale, y, x, out):  # type:
             for i in range(size):
                 x[i] += gain[k, i, j] * out[k, j]
         flow(K[k], D[k], B[k], x, moments[k], drift[k], scale, work, top)
+        if k % STILL_ROWS == 0:
+            for i in range(size):
+                if abs(x[i]) < TINY:
+                    x[i] = 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...model.effects.base import Placed
-from .refine import Fitted, gather, refine
+from .refine import NEARLY, Fitted, gather, refine
 from .regression import Evidence, cross_validated, steadied
 from .screening import LEAST, Round, Tried, width
 from .working_point import WorkingPoint
@@ -41,7 +41,7 @@ def without_stand_in(
         if len(others) != len(point.placed) - 2:
             continue  # it has been given up since
         placed = Placed(rival.effect, rival.shape, rival.amplitudes)
-        alone, left = refine(replace(point, placed=(*others, placed)), records)
+        alone, left = refine(replace(point, placed=(*others, placed)), records, within=NEARLY)
         if left - squares < max(_STANDS_IN * earlier.excess, LEAST):
             return alone, left, number
     return point, squares, None
@@ -62,7 +62,7 @@ def without_guesses(point: WorkingPoint, records: Fitted) -> WorkingPoint:
     for guess in named:
         others = tuple(p for p in point.placed if p.effect.identity != guess)
         fewer = replace(point, placed=others)
-        fewer, squares = refine(fewer, records)
+        fewer, squares = refine(fewer, records, within=NEARLY)
         if squares - best.squares < max(_GUESS * best.excess, LEAST):
             point, best = fewer, gather(fewer, records.train(fewer))
     return point
@@ -98,7 +98,7 @@ def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | 
     if costs[least] >= LEAST:
         return None
     others = point.placed[:least] + point.placed[least + 1 :]
-    return refine(replace(point, placed=others), records)[0]
+    return refine(replace(point, placed=others), records, within=NEARLY)[0]
 
 
 def _rival(found: Round, identity: str) -> Tried | None:

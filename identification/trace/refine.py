@@ -22,6 +22,11 @@ Candidate = tuple[Effect, tuple[float, ...]]
 
 _STEPS = 16
 _CONVERGED = 0.3
+_WORTH_A_STEP = 0.1
+"""Squared errors that a step must take."""
+ROUGHLY, NEARLY = 1e-3, 1e-4
+"""The same as a share of what noise does not explain: while others are missing, what is at its best
+now will not be then."""
 
 
 class Fitted(Protocol):
@@ -41,15 +46,20 @@ def refine(
     records: Fitted,
     only: Sequence[int] | None = None,
     steps: int = _STEPS,
+    within: float = 0.0,
 ) -> tuple[WorkingPoint, float]:
-    """Return the point of least squares nearby, and its squared errors, by Gauss-Newton steps."""
+    """Return the point of least squares nearby, and its squared errors, by Gauss-Newton steps.
+
+    It ends where a step takes, or promises, less than the share `within` of what there is.
+    """
     train = gather(point, records.train(point, only=only))
     damping = 0.0
     for _ in range(steps):
         step, free = _step(point, train, damping)
         errors = np.sqrt(np.diag(covariance(train.whole, free))) / train.size[free]
         small = float(np.max(np.abs(step[free]) / errors, initial=0.0))
-        if small < _CONVERGED:
+        worth = max(_WORTH_A_STEP, within * train.excess)
+        if small < _CONVERGED or _promised(train, step) < worth:
             break
         moved = stepped(point, step)
         try:
@@ -59,7 +69,7 @@ def refine(
         if after is not None and _cost(after) < _cost(train) * (1 + 1e-9):
             gained = _cost(train) - _cost(after)
             point, train, damping = moved, after, damping / 10 if damping > 1e-3 else 0.0
-            if gained < 0.1:
+            if gained < worth:
                 break
         else:
             damping = max(10 * damping, 1e-2)
@@ -100,6 +110,12 @@ def _step(point: WorkingPoint, train: Evidence, damping: float) -> tuple[Array, 
         if not held.any():
             return step, free
         free = free[~held[free]]
+
+
+def _promised(train: Evidence, step: Array) -> float:
+    """Return by how much a step lowers the squared errors where they are linear in it."""
+    after = np.append(step * train.size[:-1], 1.0)
+    return _cost(train) - float(after @ train.whole @ after)
 
 
 def _room(point: WorkingPoint) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from ...model.effects.base import Effect
 from ..data import IdentificationError
 from .giving_up import taken_instead, without_guesses, without_idle, without_stand_in
 from .held_out import helps
-from .refine import Candidate, gather, refine
+from .refine import NEARLY, Candidate, gather, refine
 from .regression import Evidence, covariance
 from .screening import (
     ALONE,
@@ -85,6 +85,8 @@ def search(
         rounds += more
         if point is not named:
             point = without_guesses(point, records)
+    if point.placed:
+        point, _ = refine(point, records)
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
     own = list(range(train.gram.shape[1] - 1))
     spread = covariance(train.whole, own) / np.outer(train.size[:-1], train.size[:-1])
@@ -121,7 +123,7 @@ def _grown(
         taken = found.taken
         assert taken is not None
         progress(f"adding {taken.effect.name}", _share(len(rounds)))
-        better, squares = refine(with_tried(point, taken), records)
+        better, squares = refine(with_tried(point, taken), records, within=NEARLY)
         taken = asked_again(point, taken, better.placed[-1], records)
         better, squares, stood_in = without_stand_in(better, squares, taken, rounds, records)
         found = replace(found, taken=taken)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...model.effects.base import Placed
-from .refine import Fitted, gather, refine
+from .refine import ROUGHLY, Fitted, gather, refine
 from .regression import Evidence
 from .screening import Round, Tried
 from .working_point import WorkingPoint
@@ -41,7 +41,7 @@ def sifted(point: WorkingPoint, found: Round, train: Evidence, records: Fitted) 
     before = gather(point, records.train(point, only=only)).squares
 
     def fit(tried: Tried) -> tuple[float, Tried]:
-        at, squares = refine(with_tried(point, tried), records, only, _SIFTING_STEPS)
+        at, squares = refine(with_tried(point, tried), records, only, _SIFTING_STEPS, ROUGHLY)
         last = at.placed[-1]
         price = _PRICE * (len(last.amplitudes) + len(last.shape))
         return squares + price, replace(tried, shape=last.shape, amplitudes=last.amplitudes)

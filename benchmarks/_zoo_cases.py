@@ -16,7 +16,11 @@ from typing import Any
 import yaml
 
 _TABLE = Path(__file__).with_name("zoo-cases.yaml")
-_UNLISTED = Path(__file__).with_name("_unlisted_effects.py")
+UNLISTED_FILES: Mapping[str, Path] = {
+    "unlisted": Path(__file__).with_name("_unlisted_effects.py"),
+    "unlisted_2": Path(__file__).with_name("_unlisted_effects_2.py"),
+}
+"""Where unlisted effects are, by what `use` calls the place."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ def _case(name: str, row: dict[str, Any]) -> ZooCase:
         name,
         kind,
         tuple(row.pop("where")),
-        f"{_UNLISTED}:{cls}" if place == "unlisted" else f"levid.sim.effects.{place}:{cls}",
+        f"{UNLISTED_FILES.get(place, f'levid.sim.effects.{place}')}:{cls}",
         row.pop("values"),
         row.pop("size"),
         row.pop("absorbed", None),
@@ -77,4 +81,4 @@ CASES = _read("cases")
 """Effects of levid.sim.effects."""
 
 UNLISTED = _read("unlisted")
-"""Effects that are in no table of levid's, candidates or simulator; see _unlisted_effects."""
+"""Effects that are in no table of levid's, candidates or simulator; see UNLISTED_FILES."""

@@ -61,6 +61,10 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
     "stray-field": ({"coil:3"},),
     "shared-yoke": ({"coil:5"}, {"coil:4"}),
     "cable-loop": ({"x_b", "v_b"},),
+    "closed-cover": ({"v_b"}, {"x_b"}),
+    # 12 cm apart along y: their gaps differ by psi alone.
+    "pulled-oscillator": ({"psi", "sensor:8"},),
+    "second-stage": ({"coil:3"},),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 

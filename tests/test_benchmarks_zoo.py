@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -151,6 +152,13 @@ def test_unlisted_effect_is_to_be_described_not_named() -> None:
     assert not score("eddy-brake", ("unknown", "theta z", [], ["x_b", "phi", "psi"])).right
     assert score("shared-yoke", ("unknown", "coil:5", [], ["coil:4"])).described
     assert not score("shared-yoke", ("unknown", "coil:4", [], ["coil:4"])).described
+    assert score("closed-cover", ("unknown", "theta", [], ["v_b"])).described
+    assert not score("closed-cover", ("unknown", "psi", [], ["v_b"])).described
+    assert score("pulled-oscillator", ("unknown", "sensor:7", [], ["psi"])).described
+    assert not score("pulled-oscillator", ("unknown", "sensor:7", [], ["theta"])).described
+    assert not score("pulled-oscillator", ("sensor_crosstalk", "sensor:7")).right  # no signals
+    assert score("second-stage", ("unknown", "coil:3", [], ["coil:3"])).described
+    assert score("second-stage", ("coil_gain", "coil:3")).misnamed
     assert score("stray-field", ("sensor_offset", "sensor:0")).misnamed
     assert score("eddy-brake", ("air_damping", "z")).misnamed
     assert score("eddy-brake", ("air_damping", "z", [("friction", "z")]), described).misnamed
@@ -159,6 +167,14 @@ def test_unlisted_effect_is_to_be_described_not_named() -> None:
 
 def test_every_unlisted_effect_has_its_signals() -> None:
     assert set(scoring.SIGNALS) == {case.name for case in cases.UNLISTED}
+
+
+def test_every_file_of_unlisted_effects_counts_in_what_a_result_is_kept_for(monkeypatch) -> None:
+    fly = module("_zoo_fly")
+    monkeypatch.setattr(fly, "digest_of", lambda _roots, sources, _settings: set(sources))
+    files = {Path(case.use.rpartition(":")[0]) for case in cases.UNLISTED}
+    assert len(files) > 1
+    assert files <= fly.code_version()
 
 
 def test_result_without_numbers_is_scored() -> None:

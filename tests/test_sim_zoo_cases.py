@@ -20,6 +20,7 @@ PLACES = {"psi", "theta", "z", "beam", "rotor"} | {
 
 
 ZOO, UNLISTED = module("_zoo_cases"), module("_unlisted_effects")
+UNLISTED_2 = module("_unlisted_effects_2")
 EVERY = ZOO.CASES + ZOO.UNLISTED
 
 
@@ -115,3 +116,63 @@ def test_cable_loop_lies_behind_after_the_beam_turns() -> None:
         torque.append(others[1])
     most = 0.1 * 9.81 * 2e-3
     np.testing.assert_allclose(torque, np.array([0, 0.5, 1, -1, -1, -1, 1, 1]) * most, atol=1e-15)
+
+
+def test_closed_cover_presses_ahead_of_the_beam_as_much_as_it_lifts_behind() -> None:
+    """The torque is that of the pressures, which leak as much out as in, and goes with v |v|."""
+    cover = UNLISTED_2.ClosedCover(zeta=40.0, width_m=0.24, half_length_m=0.14)
+    for x, v in ((0.0, 0.3), (0.07, 0.3), (0.07, -0.3), (-0.1, 0.15), (0.05, 0.0)):
+        dp = 0.5 * 1.2 * 40 * v * abs(v)
+        at = (np.arange(2800) + 0.5) * 1e-4 - 0.14
+        p = np.where(at > x, dp * (0.14 + x), -dp * (0.14 - x)) / 0.28
+        lift = -0.24 * 1e-4 * p
+        assert lift.sum() == pytest.approx(0.0, abs=1e-12)
+        tau = cover.wrench(0, np.zeros(3), np.zeros(3), BeamState(x, v, 0, 0, 0, 0))
+        np.testing.assert_allclose(tau, [0, lift @ at, 0], rtol=1e-5, atol=1e-15)
+
+
+def test_pulled_oscillator_shows_its_neighbour_while_it_is_locked() -> None:
+    lock, apart = 2e-5, 5e-5
+    pulled = UNLISTED_2.PulledOscillator(sensor=7, neighbour=8, lock_m=lock, apart_m=apart)
+
+    def error(off: float) -> float:
+        gap = np.arange(9.0) * 1e-6
+        gap[7] = gap[8] + apart + off
+        seen = pulled.gap(0, gap.copy())
+        np.testing.assert_array_equal(np.delete(seen, 7), np.delete(gap, 7))
+        return float(seen[7] - gap[7])
+
+    for s in (-0.9, 0.0, 0.4):
+        assert error(s * lock) == pytest.approx(-s * lock, abs=1e-18)
+    assert error(1.25 * lock) == pytest.approx(-0.5 * lock)  # slips at three fifths of its way
+    assert error(-1.25 * lock) == pytest.approx(0.5 * lock)
+    assert error(20 * lock) == pytest.approx(-lock / 40, rel=1e-3)
+
+
+def test_pulled_oscillator_averages_the_beats_of_adler() -> None:
+    """s = 1.5 in phi' = s - sin(phi): the mean of sin(phi) is what the reading lacks, over L."""
+    phi, pull, dt = 0.0, [], 1e-3
+    for _ in range(200_000):
+        middle = phi + 0.5 * dt * (1.5 - np.sin(phi))
+        pull.append(np.sin(middle))
+        phi += dt * (1.5 - pull[-1])
+    gap = np.zeros(9)
+    gap[7] = 1.5e-5
+    seen = UNLISTED_2.PulledOscillator(7, 8, lock_m=1e-5, apart_m=0.0).gap(0, gap)
+    assert seen[7] == pytest.approx(1.5e-5 - 1e-5 * np.mean(pull), rel=0.01)
+
+
+def test_second_stage_stays_on_between_its_two_currents() -> None:
+    stage = UNLISTED_2.SecondStage(coil=3, step_n=0.1, on_n=9.0, off_n=8.0)
+    for _ in range(2):  # a second flight begins as the first
+        stage.reset(None)
+        steps = []
+        for force in (8.5, 9.0, 8.5, 8.01, 8.0, 8.99, 12.0, -3.0):
+            forces = np.full(9, 20.0)
+            forces[3] = force
+            given = stage.coil_force(0, np.zeros(3), forces.copy())
+            np.testing.assert_array_equal(np.delete(given, 3), np.delete(forces, 3))
+            steps.append(given[3] - force)
+        np.testing.assert_allclose(steps, 0.1 * np.array([0, 1, 1, 1, 0, 0, 1, 0]), atol=1e-14)
+    with pytest.raises(ValueError, match="off_n"):
+        UNLISTED_2.SecondStage(coil=3, step_n=0.1, on_n=8.0, off_n=9.0)

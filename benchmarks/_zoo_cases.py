@@ -33,6 +33,7 @@ class ZooCase:
     effect. `alike` are classes that the same data fit as well. `sized` is whether its error can be
     chosen; what the drives alone feel leaves none in the gaps. `keys` are the beginnings of the
     names in the table of effects that are the mechanism itself; without any it is the class.
+    `unseen`: the tracer was never changed after what it said of this one.
     """
 
     name: str
@@ -45,6 +46,7 @@ class ZooCase:
     alike: tuple[str, ...]
     sized: bool
     keys: tuple[str, ...]
+    unseen: bool
 
     def effect(self, scale: float) -> dict[str, Any]:
         """Return the entry of a SIM.yaml's `effects` at `scale` times the nominal size."""
@@ -74,6 +76,7 @@ def _case(name: str, row: dict[str, Any]) -> ZooCase:
         tuple(row.pop("alike", [])),
         row.pop("sized", True),
         tuple(row.pop("keys", [kind])),
+        row.pop("unseen", False),
     )
 
 

@@ -19,7 +19,6 @@ import yaml
 from _code_version import FLYING, canonical
 from _code_version import code_version as digest_of
 from _declared import off_by_a_tenth
-from _zoo_cases import UNLISTED_FILES
 from threadpoolctl import threadpool_limits
 
 from levid.config.base import ConfigError, parse, read_mapping
@@ -129,7 +128,7 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
 
 def code_version(roots: Sequence[str] = _TRACING) -> str:
     """Return a digest of the code that roots need, and of the plant, the model and the session."""
-    here = [*UNLISTED_FILES.values(), Path(__file__).with_name("_declared.py")]
+    here = [Path(__file__).with_name(name) for name in ("_unlisted_effects.py", "_declared.py")]
     return digest_of(roots, here, [RIG, SIM, MODEL, SESSION])
 
 

@@ -55,8 +55,12 @@ class Plant:
         return [case.effect(sizes[case.name].scale(self.times)) for case in self.cases]
 
 
-def plan(quick: bool, full: bool, first_seed: int = _FIRST_SEED) -> list[Plant]:
+def plan(
+    quick: bool, full: bool, first_seed: int = _FIRST_SEED, every: bool = False
+) -> list[Plant]:
     """Return the plants of the benchmark, of its quick or of its full edition.
+
+    Of unlisted effects the full one flies all, the usual one those that are unseen, or `every` one.
 
     Another first seed flies others: noise, excitation, how far off the declared model is, and what
     comes together.
@@ -77,6 +81,7 @@ def plan(quick: bool, full: bool, first_seed: int = _FIRST_SEED) -> list[Plant]:
         for i, case in enumerate(cases)
         # What cannot be made smaller has been flown as it is.
         if t >= _LARGE or kind == "unlisted" or (case.absorbed is None and case.sized)
+        if full or every or kind == "alone" or case.unseen
     ]
     count = 20 if full else 10
     plants += [

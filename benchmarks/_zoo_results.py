@@ -98,8 +98,18 @@ class Kept:
         return results
 
     def _key(self, plant: Plant, sizes: Mapping[str, Sizes]) -> str:
-        text = canonical([plant.entries(sizes), plant.seed, self._version])
+        entries = [_wherever(entry) for entry in plant.entries(sizes)]
+        text = canonical([entries, plant.seed, self._version])
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _wherever(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an entry by what its effect's file holds, where it has one, not by where that lies."""
+    place, _, cls = str(entry["use"]).rpartition(":")
+    if not place.endswith(".py"):
+        return dict(entry)
+    digest = hashlib.sha256(Path(place).read_bytes()).hexdigest()[:12]
+    return {**entry, "use": f"{digest}:{cls}"}
 
 
 def figures(results: Sequence[Result]) -> dict[str, float]:

@@ -45,7 +45,7 @@ def main() -> None:
     unknown = sorted(set(arguments.only or ()) - set(known) - {"nothing", "pair", "triple"})
     if unknown:
         raise SystemExit(f"error: --only: expected names of zoo-cases.yaml, found {unknown}")
-    plants = plan(arguments.quick, arguments.full, arguments.first_seed)
+    plants = plan(arguments.quick, arguments.full, arguments.first_seed, bool(arguments.only))
     if arguments.only:
         only = set(arguments.only)
         plants = [p for p in plants if p.kind in only or {c.name for c in p.cases} <= only]
@@ -72,7 +72,9 @@ def _parser() -> argparse.ArgumentParser:
     much = parser.add_mutually_exclusive_group()
     much.add_argument("--quick", action="store_true", help="eight named cases")
     much.add_argument(
-        "--full", action="store_true", help="1.5 times the floor too, three seeds, more pairs"
+        "--full",
+        action="store_true",
+        help="1.5 times the floor too, three seeds, more pairs, all unlisted effects",
     )
     parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
     parser.add_argument("--out", type=Path, default=DEFAULT, help="where results are kept")

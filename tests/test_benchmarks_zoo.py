@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -169,14 +170,6 @@ def test_every_unlisted_effect_has_its_signals() -> None:
     assert set(scoring.SIGNALS) == {case.name for case in cases.UNLISTED}
 
 
-def test_every_file_of_unlisted_effects_counts_in_what_a_result_is_kept_for(monkeypatch) -> None:
-    fly = module("_zoo_fly")
-    monkeypatch.setattr(fly, "digest_of", lambda _roots, sources, _settings: set(sources))
-    files = {Path(case.use.rpartition(":")[0]) for case in cases.UNLISTED}
-    assert len(files) > 1
-    assert files <= fly.code_version()
-
-
 def test_result_without_numbers_is_scored() -> None:
     """A model that runs away has no error after; that is a null in JSON."""
     assert not score("cubic-z", ("rod_stiffness", "z"), after=None).right
@@ -313,7 +306,11 @@ def test_plans_are_as_large_as_they_say() -> None:
     assert len({(p.name, p.seed) for p in full}) == len(full)
     every = len(cases.CASES) + len(cases.UNLISTED)
     as_it_is = sum(case.absorbed is not None or not case.sized for case in cases.CASES)
-    assert len(usual) == 2 * every + 20
+    unseen = [case for case in cases.UNLISTED if case.unseen]
+    assert len(unseen) >= 3
+    assert len(usual) == 2 * (len(cases.CASES) + len(unseen)) + 20
+    assert {p.name for p in usual if not p.name.startswith("nothing")} <= {p.name for p in full}
+    assert len(plan.plan(False, False, every=True)) == 2 * every + 20
     assert len(full) == 3 * (3 * every - as_it_is) + 50
     for p in full:
         if p.kind in ("pair", "triple"):
@@ -388,6 +385,24 @@ def test_published_results_are_those_of_this_code_and_need_not_be_flown(
     assert file.read_bytes() == written
     monkeypatch.setattr(results, "code_version", lambda: "b")
     assert not results.Kept(tmp_path / "empty", file).has(plants[0], some)
+
+
+def test_a_result_is_kept_for_what_an_effect_of_a_file_is_not_for_where_it_lies(
+    tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(results, "code_version", lambda: "a")
+    some = {"gyroscope": sizes.Sizes("0a", {5.0: 1.0, 20.0: 4.0})}
+    found = {"summary": said(), "placed": [], "flight_s": 1.0, "trace_s": 2.0}
+
+    def plant(file: Path, text: str) -> plan.Plant:
+        file.write_text(text)
+        case = replace(CASE["gyroscope"], use=f"{file}:Gyroscope")
+        return plan.Plant("unlisted", (case,), 5.0, 1)
+
+    kept = results.Kept(tmp_path)
+    kept.add(results.Result(plant(tmp_path / "here.py", "1"), found), some)
+    assert kept.has(plant(tmp_path / "there.py", "1"), some)
+    assert not kept.has(plant(tmp_path / "here.py", "2"), some)
 
 
 def test_passing_beam_shows_on_its_sensor_alone() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +11,7 @@ from rig_effects import rig_places
 
 from levid.identification.trace import search
 from levid.identification.trace.held_out import helps
-from levid.identification.trace.screening import HeldError, Tried
+from levid.identification.trace.screening import HeldError, Round, Tried
 from levid.model.effects.table import all_effects
 
 NAMED = {e.identity: e for e in all_effects(rig_places())}
@@ -72,7 +73,14 @@ def test_all_are_screened_where_others_show_what_held_out_records_do_not(
         seen.append("all" if len(some) == 2 else "drives")
 
     monkeypatch.setattr(search, "gather", lambda *_: evidence)
-    monkeypatch.setattr(search, "screened", lambda _, some, *__: some)
+
+    def screened(_: object, some: list[Any], *__: object) -> Round:
+        survivors = tuple(
+            replace(tried("dead_zone@coil:7", h), effect=e) for e, _ in some for h in (True, False)
+        )
+        return Round(excess, 5e5, (), survivors, (), None, ())
+
+    monkeypatch.setattr(search, "screened", screened)
     answered, _ = search._screened(
         SimpleNamespace(),  # type: ignore[arg-type]
         candidates,
@@ -83,4 +91,8 @@ def test_all_are_screened_where_others_show_what_held_out_records_do_not(
         lambda *_: None,
     )
     assert seen == asked
-    assert len(answered) == (2 if asked[-1] == "all" else 1)  # type: ignore[arg-type]
+    # What could be asked of records that are explained has nothing to explain there.
+    names = [(t.effect.effect_class, t.held) for t in answered.survivors]
+    drives = [("cogging", True), ("cogging", False)]
+    coil = [("dead_zone", True)] * (not explained) + [("dead_zone", False)]
+    assert names == (coil + drives if asked[-1] == "all" else drives)

@@ -86,14 +86,17 @@ def errors_and_unknowns(Phi, gain, forcing, steady, y, out):  # type: ignore[no-
             for c in range(moving):
                 x[i, c] = following[i, c]
         if moving > 1 and k % STILL_ROWS == STILL_ROWS - 1:
-            change = 0.0
+            still = True
             for i in range(size):
                 for c in range(1, columns):
-                    # A start is forgotten where a unit of it has come to that little.
+                    # A start is forgotten: what is left of a unit is no share of anything.
                     whole = max(abs(x[i, c]), STILL) if c > constants else abs(x[i, c])
-                    change = max(change, abs(x[i, c] - before[i, c]) - STILL * whole)
+                    if not abs(x[i, c] - before[i, c]) <= STILL * whole:
+                        still = False
                     before[i, c] = x[i, c]
-            if change <= 0.0:
+                    if abs(x[i, c]) < TINY:
+                        x[i, c] = 0.0
+            if still:
                 moving = 1
 
 

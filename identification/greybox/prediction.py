@@ -17,6 +17,8 @@ from .noise import Filter, Noise, kalman_filter
 
 Array = NDArray[np.float64]
 
+_FORGOTTEN = 1e-14
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -24,7 +26,8 @@ class Prediction:
 
     errors (N, n): whitened, of unit variance where model and noise hold. offset (n,): constant
     generalised force that the model does not account for; start (2n,): the state at row 0.
-    unknowns (N, n, 3n): what a unit of each of these adds to the errors.
+    unknowns (N, n, 3n): what a unit of each of these adds to the errors. A start that the filter
+    has forgotten before errors count adds nothing, and is zero.
     """
 
     experiment: Experiment
@@ -63,13 +66,19 @@ def predict_along(at: Motion, experiment: Experiment, kalman: Filter) -> Predict
         both = kalman.whiten(_errors_and_unknowns(at, kalman, experiment))
     if not np.all(np.isfinite(both[:, :, 0])):
         raise IdentificationError(f"record '{experiment.name}': this model runs away")
+    n = both.shape[1]
+    unseen = np.linalg.norm(both[: at.blind, :, 1:].reshape(-1, 3 * n), axis=0)
     both[: at.blind] = 0.0
     errors, unknowns = np.ascontiguousarray(both[:, :, 0]), both[:, :, 1:]
-    flat = unknowns.reshape(-1, unknowns.shape[2])
+    flat = unknowns.reshape(-1, 3 * n)
     # Offsets and start differ by orders in what they move: scale before deciding what is singular.
     size = np.linalg.norm(flat, axis=0)
-    solution = -np.linalg.lstsq(flat / size, errors.reshape(-1), rcond=1e-12)[0] / size
-    n = errors.shape[1]
+    # Of a start that the filter has forgotten when errors begin nothing is left but rounding.
+    seen = size > _FORGOTTEN * unseen
+    unknowns[:, :, ~seen] = 0.0
+    solution = np.zeros(3 * n)
+    fitted = np.linalg.lstsq(flat[:, seen] / size[seen], errors.reshape(-1), rcond=1e-12)[0]
+    solution[seen] = -fitted / size[seen]
     return Prediction(
         experiment, at, kalman, errors + unknowns @ solution, unknowns, solution[:n], solution[n:]
     )

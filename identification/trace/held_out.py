@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .screening import HeldError, Tried, is_internal
 
-_LOWERS = 0.003
+LOWERS = 0.003
 """Share of their mean square error, simulated freely, that an effect must take."""
 _SAME = 1e-6
 _COSTS = 0.1
@@ -18,13 +18,14 @@ def helps(taken: Tried, error: HeldError, after: HeldError, gone: float, explain
     `gone`: the share of what there was to explain that it takes of the others. `explained`: there
     is nothing to explain in the records held out.
     """
-    costs, little = after.squares - error.squares, _LOWERS * error.squares
-    if abs(costs) < _SAME * error.squares:
+    if abs(after.squares - error.squares) < _SAME * error.squares:
         return True
+    hardly = after.squares < (1.0 + LOWERS) * error.squares
     # What shows in the drives alone leaves the platform's motion as it was, but for parameters
     # that are fitted anew.
     if is_internal(taken.effect):
-        return costs < little
+        return hardly
     if not taken.held:
-        return costs < max(_COSTS * gone * (error.squares - error.floor), little)
-    return not explained and costs < -little
+        costs, left = after.squares - error.squares, error.squares - error.floor
+        return hardly or costs < _COSTS * gone * left
+    return not explained and after.squares < (1.0 - LOWERS) * error.squares

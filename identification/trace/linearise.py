@@ -123,7 +123,8 @@ def _unknown(point: WorkingPoint, here: Along, bank: FilterBank) -> Array:
     force is far more than noise, and that far off would show: it is taken out as it is computed.
     """
     unknowns = here.unknowns.reshape(-1, here.unknowns.shape[2])
-    basis, _ = np.linalg.qr(unknowns / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
+    size = np.linalg.norm(unknowns, axis=0)
+    basis, _ = np.linalg.qr(unknowns[:, size > 0.0] / size[size > 0.0])
     if here.record.experiment.moving:
         basis = _widened(basis, bank.constants())
     remembered = [

@@ -47,21 +47,23 @@ def refine(
     only: Sequence[int] | None = None,
     steps: int = _STEPS,
     within: float = 0.0,
+    most: float = np.inf,
 ) -> tuple[WorkingPoint, float]:
     """Return the point of least squares nearby, and its squared errors, by Gauss-Newton steps.
 
-    It ends where a step takes, or promises, less than the share `within` of what there is.
+    It ends where a whole step promises less than the share `within` of what is unexplained, and no
+    more than `most`.
     """
     train = gather(point, records.train(point, only=only))
     damping = 0.0
     for _ in range(steps):
-        step, free = _step(point, train, damping)
+        step, free = _step(point, train, 0.0)
         errors = np.sqrt(np.diag(covariance(train.whole, free))) / train.size[free]
         small = float(np.max(np.abs(step[free]) / errors, initial=0.0))
-        worth = max(_WORTH_A_STEP, within * train.excess)
+        worth = max(_WORTH_A_STEP, min(within * train.excess, most))
         if small < _CONVERGED or _promised(train, step) < worth:
             break
-        moved = stepped(point, step)
+        moved = stepped(point, _step(point, train, damping)[0] if damping else step)
         try:
             after = gather(moved, records.train(moved, only=only))
         except (ModelError, IdentificationError, np.linalg.LinAlgError):
@@ -69,7 +71,7 @@ def refine(
         if after is not None and _cost(after) < _cost(train) * (1 + 1e-9):
             gained = _cost(train) - _cost(after)
             point, train, damping = moved, after, damping / 10 if damping > 1e-3 else 0.0
-            if gained < worth:
+            if gained < _WORTH_A_STEP:
                 break
         else:
             damping = max(10 * damping, 1e-2)
@@ -114,8 +116,8 @@ def _step(point: WorkingPoint, train: Evidence, damping: float) -> tuple[Array, 
 
 def _promised(train: Evidence, step: Array) -> float:
     """Return by how much a step lowers the squared errors where they are linear in it."""
-    after = np.append(step * train.size[:-1], 1.0)
-    return _cost(train) - float(after @ train.whole @ after)
+    scaled, whole = step * train.size[:-1], train.whole
+    return -float(scaled @ (2.0 * whole[:-1, -1] + whole[:-1, :-1] @ scaled))
 
 
 def _room(point: WorkingPoint) -> tuple[Array, Array]:

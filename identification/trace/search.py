@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...model.effects.base import Effect
 from ..data import IdentificationError
 from .giving_up import taken_instead, without_guesses, without_idle, without_stand_in
-from .held_out import helps
+from .held_out import LOWERS, helps
 from .refine import NEARLY, Candidate, gather, refine
 from .regression import Evidence, covariance
 from .screening import (
@@ -86,7 +86,10 @@ def search(
         if point is not named:
             point = without_guesses(point, records)
     if point.placed:
-        point, _ = refine(point, records)
+        # What was added last was fitted while it was not known whether more would come.
+        fitted, _ = refine(point, records)
+        if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:
+            point = fitted
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
     own = list(range(train.gram.shape[1] - 1))
     spread = covariance(train.whole, own) / np.outer(train.size[:-1], train.size[:-1])
@@ -129,7 +132,7 @@ def _grown(
         found = replace(found, taken=taken)
         better = records.believed(without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
-        gone = (train.squares - squares) / max(train.excess, LEAST)
+        gone = min((train.squares - squares) / max(train.excess, LEAST), 1.0)
         agreed = helps(taken, error, after, gone, explained)
         agrees = taken.chance > (BEYOND_CHANCE if taken.held else ALONE)
         stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
@@ -176,7 +179,11 @@ def _screened(
         train = gather(point, records.train(point, asked))
     before = rounds[0].excess - train.excess if rounds else 0.0
     least = Least(train.excess, before, error.squares < _MUCH * error.floor)
-    return screened(point, asked, train, records, least), train
+    found = screened(point, asked, train, records, least)
+    if explained:  # what these show has nothing left to explain in them, and could not be taken
+        unshown = tuple(t for t in found.survivors if not t.held or is_internal(t.effect))
+        found = replace(found, survivors=unshown)
+    return found, train
 
 
 def _believing(point: WorkingPoint, squares: float, evidence: Evidence) -> WorkingPoint:

@@ -29,7 +29,7 @@ from .metric import RecordError, pooled, record_error
 from .noise import disturbance, require_noise
 from .reading import read_records
 from .record import TraceRecord, split
-from .refine import NEARLY, Candidate, refine
+from .refine import Candidate, refine
 from .regression import FOLDS
 from .screening import HeldError
 from .search import Found, search
@@ -197,7 +197,7 @@ def _begin(
     del records, train, held  # workers read them anew
 
     start = logged.believed(replace(point, reference=point.model))
-    declared, _ = refine(start, logged, within=NEARLY)
+    declared, _ = refine(start, logged)
     return _Begun(
         logged, declared, places, covered, *names, overlapping, notes, tuple(whole.values())
     )

@@ -22,11 +22,16 @@ Candidate = tuple[Effect, tuple[float, ...]]
 
 _STEPS = 16
 _CONVERGED = 0.3
+_MOST_DAMPING = 1e4
 _WORTH_A_STEP = 0.1
 """Squared errors that a step must take."""
-ROUGHLY, NEARLY = 1e-3, 1e-4
+ROUGHLY, NEARLY, FULLY = 1e-3, 1e-4, 1e-6
 """The same as a share of what noise does not explain: while others are missing, what is at its best
 now will not be then."""
+_CRAWLS = 0.1
+"""What is left of a promise along a valley that bends: it may lead far, or nowhere."""
+_SHORT = 1.0
+"""Damping from which on a step is short."""
 
 
 class Fitted(Protocol):
@@ -52,16 +57,18 @@ def refine(
     """Return the point of least squares nearby, and its squared errors, by Gauss-Newton steps.
 
     It ends where a whole step promises less than the share `within` of what is unexplained, and no
-    more than `most`.
+    more than `most`; where two in a row take a tenth of that; and where errors rise along a short
+    one by more than a whole one promises: trajectories move too, and have another gradient.
     """
     train = gather(point, records.train(point, only=only))
-    damping = 0.0
+    damping, crawls = 0.0, False
     for _ in range(steps):
         step, free = _step(point, train, 0.0)
         errors = np.sqrt(np.diag(covariance(train.whole, free))) / train.size[free]
         small = float(np.max(np.abs(step[free]) / errors, initial=0.0))
         worth = max(_WORTH_A_STEP, min(within * train.excess, most))
-        if small < _CONVERGED or _promised(train, step) < worth:
+        promised = _promised(train, step)
+        if small < _CONVERGED or promised < worth:
             break
         moved = stepped(point, _step(point, train, damping)[0] if damping else step)
         try:
@@ -71,12 +78,14 @@ def refine(
         if after is not None and _cost(after) < _cost(train) * (1 + 1e-9):
             gained = _cost(train) - _cost(after)
             point, train, damping = moved, after, damping / 10 if damping > 1e-3 else 0.0
-            if gained < _WORTH_A_STEP:
+            crawled, crawls = crawls, gained < _CRAWLS * worth
+            if gained < _WORTH_A_STEP or (crawled and crawls):
                 break
         else:
-            damping = max(10 * damping, 1e-2)
-            if damping > 1e4:
+            rises = after is not None and _cost(after) - _cost(train) > promised
+            if damping >= (_SHORT if rises else _MOST_DAMPING):
                 break
+            damping = max(10 * damping, 1e-2)
     return point, train.squares
 
 

@@ -12,7 +12,7 @@ from ...model.effects.base import Effect
 from ..data import IdentificationError
 from .giving_up import taken_instead, without_guesses, without_idle, without_stand_in
 from .held_out import LOWERS, helps
-from .refine import NEARLY, Candidate, gather, refine
+from .refine import FULLY, NEARLY, Candidate, gather, refine
 from .regression import Evidence, covariance
 from .screening import (
     ALONE,
@@ -85,11 +85,10 @@ def search(
         rounds += more
         if point is not named:
             point = without_guesses(point, records)
-    if point.placed:
-        # What was added last was fitted while it was not known whether more would come.
-        fitted, _ = refine(point, records)
-        if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:
-            point = fitted
+    # What was fitted last was so while it was not known whether more would come.
+    fitted, _ = refine(point, records, within=FULLY)
+    if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:
+        point = fitted
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
     own = list(range(train.gram.shape[1] - 1))
     spread = covariance(train.whole, own) / np.outer(train.size[:-1], train.size[:-1])

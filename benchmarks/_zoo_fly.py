@@ -19,6 +19,7 @@ import yaml
 from _code_version import FLYING, canonical
 from _code_version import code_version as digest_of
 from _declared import off_by_a_tenth
+from _zoo_cases import wherever
 from threadpoolctl import threadpool_limits
 
 from levid.config.base import ConfigError, parse, read_mapping
@@ -128,7 +129,7 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
 
 def code_version(roots: Sequence[str] = _TRACING) -> str:
     """Return a digest of the code that roots need, and of the plant, the model and the session."""
-    here = [Path(__file__).with_name(name) for name in ("_unlisted_effects.py", "_declared.py")]
+    here = [Path(__file__).with_name("_declared.py")]
     return digest_of(roots, here, [RIG, SIM, MODEL, SESSION])
 
 
@@ -138,7 +139,7 @@ def _folder(effects: Entries, seed: int, flights: Path | None) -> Iterator[Path]
         with tempfile.TemporaryDirectory() as name:
             yield Path(name)
     else:
-        text = canonical([list(effects), seed, code_version(FLYING)])
+        text = canonical([[wherever(entry) for entry in effects], seed, code_version(FLYING)])
         yield flights / hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from _zoo_cases import ZooCase
+from _zoo_cases import ZooCase, wherever
 from _zoo_fly import canonical, code_version
 from _zoo_plan import Plant
 from _zoo_score import Score, median, score_plant
@@ -98,18 +98,9 @@ class Kept:
         return results
 
     def _key(self, plant: Plant, sizes: Mapping[str, Sizes]) -> str:
-        entries = [_wherever(entry) for entry in plant.entries(sizes)]
+        entries = [wherever(entry) for entry in plant.entries(sizes)]
         text = canonical([entries, plant.seed, self._version])
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _wherever(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an entry by what its effect's file holds, where it has one, not by where that lies."""
-    place, _, cls = str(entry["use"]).rpartition(":")
-    if not place.endswith(".py"):
-        return dict(entry)
-    digest = hashlib.sha256(Path(place).read_bytes()).hexdigest()[:12]
-    return {**entry, "use": f"{digest}:{cls}"}
 
 
 def figures(results: Sequence[Result]) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 from pathlib import Path
 
@@ -11,9 +12,10 @@ import pytest
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
+from levid.daemon import recorder_process
 from levid.daemon.recorder_process import RecorderProcess, without_empty_part
 from levid.daemon.ring import Ring
-from levid.daemon.scribe import Event, LogFile, Scribe
+from levid.daemon.scribe import BLOCK, Event, LogFile, Scribe
 from levid.daemon.shared import Shared
 from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype
@@ -99,3 +101,32 @@ def test_log_that_nobody_knows_is_told_and_keeps_no_other_from_being_written(
     assert told == [(Event.FAILED, 1), (Event.OPENED, 2), (Event.CLOSED, 2)]
     assert scribe.dropped == 3
     assert len(read_log(known.path).rows) == 3
+
+
+def test_recorder_pauses_unless_a_whole_block_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # It would watch this process for ever.
+    monkeypatch.setattr(recorder_process, "ParentWatch", lambda *_: None)
+    # At 1 kHz the ring would not hold two blocks.
+    rig = load_rig(shipped("rigs/loopback.yaml")).model_copy(update={"rate_hz": 2000.0})
+    shared = Shared(rig)
+    ours, theirs = socket.socketpair()
+    came, waits = [1, 1, 2 * BLOCK, 0, 1], []
+    with ours, theirs:
+        recorder = RecorderProcess(rig, shared, theirs, tmp_path)
+
+        def hear(wait_s: float) -> None:
+            waits.append(wait_s)
+            recorder._ending = not came
+
+        def see(_: object) -> None:
+            if came:  # while it works: there is always one more at 10 kHz
+                shared.ring.head += came.pop(0)
+
+        monkeypatch.setattr(recorder, "_hear", hear)
+        monkeypatch.setattr(recorder._faults, "see", see)
+        recorder.run(os.getppid())
+        assert [wait_s > 0.0 for wait_s in waits] == [True, True, True, False, False, True, True]
+        assert shared.ring.tail == shared.ring.head
+    shared.close()

@@ -65,7 +65,7 @@ def test_a_start_that_is_forgotten_when_errors_begin_takes_no_share_of_the_force
     noise = SENSOR_SD * np.random.default_rng(0).normal(size=(rows, 1))
     kalman = kalman_filter(at, Noise(np.array([1e-2]), np.array([SENSOR_SD**2])))
     found = predict_along(at, SimpleNamespace(name="held", y=force_n / 800 + noise), kalman)  # type: ignore[arg-type]
-    # Force noise of 0.1 N a root of Hz for five seconds: 0.05 N, three times that.
+    # What the filter takes for force noise, 0.1 N a root of Hz, over five seconds, three times.
     assert found.offset[0] == pytest.approx(force_n, abs=0.15)
     forgotten = blind > 5
     assert np.all(found.start == 0.0) == forgotten

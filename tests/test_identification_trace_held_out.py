@@ -74,11 +74,15 @@ def test_all_are_screened_where_others_show_what_held_out_records_do_not(
 
     monkeypatch.setattr(search, "gather", lambda *_: evidence)
 
-    def screened(_: object, some: list[Any], *__: object) -> Round:
-        survivors = tuple(
-            replace(tried("dead_zone@coil:7", h), effect=e) for e, _ in some for h in (True, False)
-        )
-        return Round(excess, 5e5, (), survivors, (), None, ())
+    def screened(_: object, some: list[Any], *rest: Any) -> Round:
+        least = rest[-1]
+        survivors = [
+            replace(tried("dead_zone@coil:7", held), effect=effect)
+            for effect, _ in some
+            for held in (True, False)
+        ]
+        survivors = [t for t in survivors if least.taken_by(t)]
+        return Round(excess, 5e5, (), tuple(survivors), (), None, ())
 
     monkeypatch.setattr(search, "screened", screened)
     answered, _ = search._screened(

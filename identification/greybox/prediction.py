@@ -18,6 +18,7 @@ from .noise import Filter, Noise, kalman_filter
 Array = NDArray[np.float64]
 
 _FORGOTTEN = 1e-14
+"""Of what a start adds to all rows, what it adds to those that count, at which it tells nothing."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,6 @@ def predict_along(at: Motion, experiment: Experiment, kalman: Filter) -> Predict
     """Return the experiment predicted by a filter along a motion, offset and start fitted."""
     with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away is told apart below
         both = kalman.whiten(_errors_and_unknowns(at, kalman, experiment))
-    if not np.all(np.isfinite(both[:, :, 0])):
-        raise IdentificationError(f"record '{experiment.name}': this model runs away")
     n = both.shape[1]
     unseen = np.linalg.norm(both[: at.blind, :, 1:].reshape(-1, 3 * n), axis=0)
     both[: at.blind] = 0.0
@@ -73,6 +72,8 @@ def predict_along(at: Motion, experiment: Experiment, kalman: Filter) -> Predict
     flat = unknowns.reshape(-1, 3 * n)
     # Offsets and start differ by orders in what they move: scale before deciding what is singular.
     size = np.linalg.norm(flat, axis=0)
+    if not (np.all(np.isfinite(errors)) and np.all(np.isfinite(size))):
+        raise IdentificationError(f"record '{experiment.name}': this model runs away")
     # Of a start that the filter has forgotten when errors begin nothing is left but rounding.
     seen = size > _FORGOTTEN * unseen
     unknowns[:, :, ~seen] = 0.0

@@ -24,12 +24,12 @@ _STEPS = 16
 _CONVERGED = 0.3
 _MOST_DAMPING = 1e4
 _WORTH_A_STEP = 0.1
-"""Squared errors that a step must take."""
+"""Squared errors that a step must promise, and take."""
 ROUGHLY, NEARLY, FULLY = 1e-3, 1e-4, 1e-6
 """The same as a share of what noise does not explain: while others are missing, what is at its best
 now will not be then."""
 _CRAWLS = 0.1
-"""What is left of a promise along a valley that bends: it may lead far, or nowhere."""
+"""Of what a step must promise: two in a row that take less crawl along a valley that bends."""
 _SHORT = 1.0
 """Damping from which on a step is short."""
 

@@ -101,15 +101,19 @@ class Least:
     """What a candidate must take and how sure it must be, in squared errors.
 
     `excess` is what there is, `explained` what others took of it before; `little`: the free
-    simulation is near what noise leaves.
+    simulation is near what noise leaves. `unshown`: held-out records have nothing left to explain,
+    so that of effects which they could be asked about only the drives' come into question.
     """
 
     excess: float
     explained: float
     little: bool
+    unshown: bool
 
     def taken_by(self, tried: Tried) -> bool:
         """Return whether a candidate takes that."""
+        if self.unshown and tried.held and not is_internal(tried.effect):
+            return False
         surely = (_PROMISING if tried.shape else BEYOND_CHANCE) if tried.held else ALONE
         beside = _IN_PASSING if self.little or is_internal(tried.effect) else _BESIDE
         worth = max(_WORTH * self.excess, beside * self.explained, LEAST)

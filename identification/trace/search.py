@@ -85,6 +85,7 @@ def search(
         rounds += more
         if point is not named:
             point = without_guesses(point, records)
+            error = records.held_error(point)
     # What was fitted last was so while it was not known whether more would come.
     fitted, _ = refine(point, records, within=FULLY)
     if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:
@@ -132,11 +133,11 @@ def _grown(
         better = records.believed(without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
         gone = min((train.squares - squares) / max(train.excess, LEAST), 1.0)
-        agreed = helps(taken, error, after, gone, explained)
+        helped = helps(taken, error, after, gone, explained)
         agrees = taken.chance > (BEYOND_CHANCE if taken.held else ALONE)
         stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
         barred.add(taken.effect.identity)
-        if agrees and stays and squares < train.squares and agreed:
+        if agrees and stays and squares < train.squares and helped:
             point, error = better, after
             barred |= {p.effect.identity for p in point.placed}
         else:
@@ -177,12 +178,8 @@ def _screened(
         progress(f"screening {len(asked)} candidates", _share(len(rounds)))
         train = gather(point, records.train(point, asked))
     before = rounds[0].excess - train.excess if rounds else 0.0
-    least = Least(train.excess, before, error.squares < _MUCH * error.floor)
-    found = screened(point, asked, train, records, least)
-    if explained:  # what these show has nothing left to explain in them, and could not be taken
-        unshown = tuple(t for t in found.survivors if not t.held or is_internal(t.effect))
-        found = replace(found, survivors=unshown)
-    return found, train
+    least = Least(train.excess, before, error.squares < _MUCH * error.floor, explained)
+    return screened(point, asked, train, records, least), train
 
 
 def _believing(point: WorkingPoint, squares: float, evidence: Evidence) -> WorkingPoint:

@@ -21,8 +21,8 @@ _PRICE = 4.0
 """Squared errors that a parameter must save to be worth it."""
 _TELLING = 0.8
 _SIFTING_STEPS = 4
-_SHARE = 0.1
-"""Of that, what a fit may still lack."""
+_UNFINISHED = 0.1
+"""Share of what tells two fits apart that either may still lack."""
 
 
 def sifted(point: WorkingPoint, found: Round, train: Evidence, records: Fitted) -> Round:
@@ -41,11 +41,16 @@ def sifted(point: WorkingPoint, found: Round, train: Evidence, records: Fitted) 
         return replace(found, taken=best_tried)
     only = _telling(found.survivors, train)
     before = gather(point, records.train(point, only=only)).squares
-    told_apart = max(_ALIKE * best_tried.gain, _NEAR)
+    unfinished = _UNFINISHED * max(_ALIKE * best_tried.gain, _NEAR)
 
     def fit(tried: Tried) -> tuple[float, Tried]:
         at, squares = refine(
-            with_tried(point, tried), records, only, _SIFTING_STEPS, ROUGHLY, _SHARE * told_apart
+            with_tried(point, tried),
+            records,
+            only,
+            _SIFTING_STEPS,
+            ROUGHLY,
+            unfinished,
         )
         last = at.placed[-1]
         price = _PRICE * (len(last.amplitudes) + len(last.shape))

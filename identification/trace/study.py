@@ -29,7 +29,7 @@ from .metric import RecordError, pooled, record_error
 from .noise import disturbance, require_noise
 from .reading import read_records
 from .record import TraceRecord, split
-from .refine import ROUGHLY, Candidate, refine
+from .refine import NEARLY, Candidate, refine
 from .regression import FOLDS
 from .screening import HeldError
 from .search import Found, search
@@ -137,7 +137,7 @@ def _trace(
             told = f"{begun.overlapping} overlap: effects that depend on a session's time"
             notes = (*notes, f"{told} are not looked for ({kinds})")
     found = search(declared, others, unknown, logged, progress)
-    if len(found.point.placed) == len(declared.placed):
+    if {p.effect.identity for p in found.point.placed} == known:
         declared = found.point  # nothing was found: it is fitted to the end
     progress("simulating held-out records", 0.9)
     before = workers.map(partial(record_error, declared), logged.kept)
@@ -199,7 +199,7 @@ def _begin(
     del records, train, held  # workers read them anew
 
     start = logged.believed(replace(point, reference=point.model))
-    declared, _ = refine(start, logged, within=ROUGHLY)
+    declared, _ = refine(start, logged, within=NEARLY)
     return _Begun(
         logged, declared, places, covered, *names, overlapping, notes, tuple(whole.values())
     )

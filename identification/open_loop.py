@@ -29,6 +29,9 @@ VALIDATION_SHARE = 0.25
 BLOCKS = 8
 """The standard error of a validation error is that of this many blocks in time."""
 BINS = 180
+_RUNS_AWAY = 1e12
+"""Squared error, over the output's own, of a model that is no candidate: a predictor that runs
+away."""
 
 
 @dataclass(frozen=True)
@@ -164,9 +167,10 @@ def _errors(
     for order, run in runs.items():
         blocks = np.zeros(BLOCKS)
         for number, (record, start) in enumerate(zip(records, starts, strict=True)):
-            error = (record.y - run(number, record))[start:] / record.y[start:].std(axis=0)
-            blocks += [np.mean(part**2) for part in np.array_split(error, BLOCKS)]
-        if np.all(np.isfinite(blocks)):
+            with np.errstate(over="ignore", invalid="ignore"):
+                error = (record.y - run(number, record))[start:] / record.y[start:].std(axis=0)
+                blocks += [np.mean(part**2) for part in np.array_split(error, BLOCKS)]
+        if np.all(blocks < _RUNS_AWAY):  # and is a number
             errors[order] = blocks / len(records)
     return errors
 

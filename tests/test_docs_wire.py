@@ -1,0 +1,56 @@
+"""The frames that docs/can.md and docs/serial-protocol.md give to try a device with are ours."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.wire.can_frames import load_frames
+from levid.wire.crc import crc8
+from levid.wire.device import AMPLIFIER_LIMITS, Parameter, Request, response
+from levid.wire.serial_frames import Contents, SerialFrames
+
+DOCS = Path(__file__).parents[1] / "docs"
+CAN, SERIAL = ((DOCS / f"{name}.md").read_text() for name in ("can", "serial-protocol"))
+READ_PROTOCOL = (Request.READ, Parameter.PROTOCOL)
+
+
+def payload(text: str, begin: str) -> bytes:
+    """Return the bytes in the last cell of the table's row that begins so."""
+    (row,) = re.findall(rf"^\| {re.escape(begin)}.*\|$", text, re.M)
+    return bytes.fromhex(row.split("|")[-2])
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return load_frames(None, 9, 9, fd=False)
+
+
+def test_frames_of_can(frames):
+    assert frames.sync.encode(18) == (0x010, payload(CAN, "`Sync` of"))
+    forces = np.array([1.0, -0.5, *np.zeros(7)])
+    assert frames.setpoint.encode(forces, 18, 5)[0] == (0x020, payload(CAN, "`Setpoints` of"))
+    assert frames.request.encode(*READ_PROTOCOL, 0) == (0x040, payload(CAN, "`Request`:"))
+    assert frames.answer.encode(Parameter.PROTOCOL, 1) == (0x041, payload(CAN, "`Answer`:"))
+
+
+def test_frames_of_the_serial_protocol():
+    frames = SerialFrames(Contents(9, 9, True))
+    assert frames.request(1, *READ_PROTOCOL) == payload(SERIAL, "REQUEST, sequence 1")
+    assert frames.answer(1, Parameter.PROTOCOL, 1) == payload(SERIAL, "its ANSWER")
+
+
+def test_checksum_and_response():
+    (check,) = re.findall(r"CRC-8 of `123456789` is (0x\w+)", CAN)
+    assert crc8(b"123456789") == int(check, 16)
+    challenge, numbers, answer = re.findall(
+        r"challenge (0x\w+), with the parameters 0, 1, 3, 4, 5 and 6 at ([\d, and]+), is answered "
+        r"by\s(0x\w+)",
+        SERIAL,
+    )[0]
+    limits = dict(zip(AMPLIFIER_LIMITS, map(int, re.findall(r"\d+", numbers)), strict=True))
+    assert [int(p) for p in AMPLIFIER_LIMITS] == [0, 1, 3, 4, 5, 6]
+    assert response(int(challenge, 16), limits) == int(answer, 16)

@@ -50,9 +50,9 @@ class Plant:
         """What it is counted with."""
         return f"{self.kind} {self.times:g}x" if self.cases else self.kind
 
-    def entries(self, sizes: Mapping[str, Sizes]) -> list[dict[str, Any]]:
-        """Return the `effects` of its SIM.yaml."""
-        return [case.effect(sizes[case.name].scale(self.times)) for case in self.cases]
+    def entries(self, sizes: Mapping[str, Sizes], part: float = 1.0) -> list[dict[str, Any]]:
+        """Return the `effects` of its SIM.yaml, or those of a plant with `part` of each."""
+        return [case.effect(part * sizes[case.name].scale(self.times)) for case in self.cases]
 
 
 def plan(

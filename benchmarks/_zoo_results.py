@@ -28,7 +28,10 @@ _NAN = math.nan
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a plant: _zoo_fly.Found as plain data, or why there is none."""
+    """What came of a plant: _zoo_fly.Found as plain data, or why there is none.
+
+    `entries` are the effects that were flown: smaller ones where the plant's own could not be.
+    """
 
     plant: Plant
     found: dict[str, Any] | None
@@ -64,7 +67,7 @@ class Kept:
             "key": key,
             "plant": result.plant.name,
             "code": self._version,
-            "effects": result.plant.entries(sizes),
+            "effects": list(result.entries),
             "failed": result.failed,
             "found": result.found,
         }
@@ -89,11 +92,10 @@ class Kept:
         results = []
         for plant in plants:
             row = self._rows.get(self._key(plant, sizes))
-            entries = tuple(plant.entries(sizes))
             results.append(
-                Result(plant, None, "not flown", entries)
+                Result(plant, None, "not flown")
                 if row is None
-                else Result(plant, row["found"], row["failed"], entries)
+                else Result(plant, row["found"], row["failed"], tuple(row["effects"]))
             )
         return results
 

@@ -7,10 +7,11 @@ trace-short.yaml, and its logs are traced without a word of what is in the plant
 right is said in _zoo_score.py.
 
 Results are kept as they come, one line each, in OUT/results.jsonl; what is there already, of the
-same plant, size, seed and code, is not flown again. Rows, lines and figures are made from what is
-kept, so that a change of the scoring flies nothing. With --publish what one code has found, in
-several runs, is written into zoo-results.jsonl.gz beside this file: as long as the code is that
-one, its plants are not flown either, but for --afresh.
+same plant, size, seed and code, is not flown again. A plant that cannot be flown, since with this
+seed it meets its stops, is flown with effects a fifth smaller, and so on. Rows, lines and figures
+are made from what is kept, so that a change of the scoring flies nothing. With --publish what one
+code has found, in several runs, is written into zoo-results.jsonl.gz beside this file: as long as
+the code is that one, its plants are not flown either, but for --afresh.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
 from _zoo_cases import CASES, UNLISTED
-from _zoo_fly import Found, fly_and_trace
+from _zoo_fly import Entries, Found, TooLargeError, fly_and_trace
 from _zoo_plan import Plant, plan
 from _zoo_pool import run_apart
 from _zoo_results import Kept, Result, figures, summary_table, verdicts_table
@@ -36,6 +38,8 @@ PROCESSES = 2
 LONGEST_S = 1800.0
 """On a machine that does much else; alone it takes about a minute and a half."""
 PUBLISHED = Path(__file__).with_name("zoo-results.jsonl.gz")
+PARTS = (1.0, 0.8, 0.64, 0.51)
+"""Of the size that was asked for, as much as can be flown."""
 DEFAULT = Path(__file__).resolve().parents[1] / "build" / "zoo"
 
 
@@ -110,25 +114,34 @@ def _fly_all(
     missing = [plant for plant in plants if not kept.has(plant, sizes)]
     if len(missing) < len(plants):
         _say(f"{len(plants) - len(missing)} of {len(plants)} plants were flown before by this code")
-    begun = [_Task(plant, tuple(plant.entries(sizes)), flights) for plant in missing]
+    begun = [
+        _Task(plant, {part: plant.entries(sizes, part) for part in PARTS}, flights)
+        for plant in missing
+    ]
     for count, done in enumerate(run_apart(_Task.fly, begun, PROCESSES, LONGEST_S), 1):
+        part, found = (1.0, None) if done.answer is None else done.answer
+        entries = tuple(done.item.plant.entries(sizes, part))
         result = Result(
-            done.item.plant, None if done.answer is None else asdict(done.answer), done.failed
+            done.item.plant, None if found is None else asdict(found), done.failed, entries
         )
         kept.add(result, sizes)
-        _say(f"{count}/{len(missing)} {_line(result)} ({done.seconds:.0f} s)")
+        less = "" if part == 1.0 else f", {part:g} of the size"
+        _say(f"{count}/{len(missing)} {_line(result)}{less} ({done.seconds:.0f} s)")
 
 
 class _Task:
     """A plant to be flown in another process."""
 
-    def __init__(
-        self, plant: Plant, entries: Sequence[dict[str, object]], flights: Path | None
-    ) -> None:
-        self.plant, self.entries, self.flights = plant, entries, flights
+    def __init__(self, plant: Plant, parts: Mapping[float, Entries], flights: Path | None) -> None:
+        self.plant, self.parts, self.flights = plant, parts, flights
 
-    def fly(self) -> Found:
-        return fly_and_trace(self.entries, self.plant.seed, self.flights)
+    def fly(self) -> tuple[float, Found]:
+        """Return how much of its size can be flown, and what was found."""
+        *larger, smallest = self.parts
+        for part in larger:
+            with suppress(TooLargeError):
+                return part, fly_and_trace(self.parts[part], self.plant.seed, self.flights)
+        return smallest, fly_and_trace(self.parts[smallest], self.plant.seed, self.flights)
 
 
 def _line(result: Result) -> str:

@@ -405,6 +405,33 @@ def test_a_result_is_kept_for_what_an_effect_of_a_file_is_not_for_where_it_lies(
     assert not kept.has(plant(tmp_path / "here.py", "2"), some)
 
 
+def test_plant_that_meets_its_stops_is_flown_with_less_and_kept_as_it_was_flown(
+    tmp_path, monkeypatch
+) -> None:
+    zoo = module("zoo")
+    cube = {"cubic-z": sizes.Sizes("0a", {5.0: 2.0, 20.0: 8.0})}
+    asked = plan.Plant("alone", (CASE["cubic-z"],), 5.0, 1)
+    (full,) = asked.entries(cube)
+    flown = []
+
+    def fly_and_trace(entries, seed, flights):
+        flown.append(entries[0]["k3_n_m3"] / full["k3_n_m3"])
+        if flown[-1] > 0.7:
+            raise zoo.TooLargeError("a corner moves 0.9 mm")
+        return zoo.Found(said(("rod_stiffness", "z")), [], 0.8e-3, 1.0, 2.0)
+
+    def in_this_process(run, items, *_):
+        for item in items:
+            yield SimpleNamespace(item=item, answer=run(item), failed="", seconds=3.0)
+
+    monkeypatch.setattr(zoo, "fly_and_trace", fly_and_trace)
+    monkeypatch.setattr(zoo, "run_apart", in_this_process)
+    zoo._fly_all([asked], cube, results.Kept(tmp_path), None)
+    assert flown == pytest.approx([1.0, 0.8, 0.64])
+    (result,) = results.Kept(tmp_path).of([asked], cube)
+    assert result.entries[0]["k3_n_m3"] == pytest.approx(0.64 * full["k3_n_m3"])
+
+
 def test_passing_beam_shows_on_its_sensor_alone() -> None:
     unlisted = module("_unlisted_effects")
     beam = unlisted.PassingBeam(4, 3e-6, at_m=0.03, width_m=0.02)

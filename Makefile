@@ -33,9 +33,10 @@ test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh
 
 bench: $(DEV)
-	@set -e; for file in benchmarks/[a-z]*.py; do \
-	  echo "== $$file"; $(BIN)/python "$$file" --quick; \
-	done
+	@failed=; for file in benchmarks/[a-z]*.py; do \
+	  echo "== $$file"; $(BIN)/python "$$file" --quick || failed="$$failed $$file"; \
+	done; \
+	if [ -n "$$failed" ]; then echo "These did not come to their end:$$failed" >&2; exit 1; fi
 
 lint: $(DEV) build/typecheck/levid
 	$(BIN)/ruff check

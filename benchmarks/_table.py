@@ -1,46 +1,118 @@
-"""Frame of a benchmark: `--quick` and `--json`, contenders in turn, and a table of figures."""
+"""Frame of a benchmark: its options, contenders in turn, and a table of figures and targets.
+
+What was measured before an error, an interrupt or a SIGTERM is printed all the same, as incomplete:
+a benchmark that takes long yields its figures one by one.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
+import signal
 import statistics
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from math import inf
 
 from rich.console import Console
 from rich.table import Table
+
+
+class Met(StrEnum):
+    """Whether a figure is what it should be."""
+
+    YES = "met"
+    NO = "missed"
+    UNDECIDED = "undecided"
+    NOT_ASKED = "not asked"  # what it stands beside was not given, or not measured
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a figure should be: `most` or `least`. `met` where more than its value decides that."""
+
+    most: float = inf
+    least: float = -inf
+    met: Met | None = None
+
+    def __str__(self) -> str:
+        return f"<= {self.most:g}" if self.most < inf else f">= {self.least:g}"
 
 
 @dataclass(frozen=True)
 class Figure:
     """One measured number: `key` names it in the JSON, `label` in the table.
 
-    `versus` is the key of the figure to compare with; the table then shows how many times it this
-    one is.
+    `value` is None where it could not be measured. `versus` is the key of the figure to compare
+    with; the table then shows how many times it this one is.
     """
 
     key: str
-    value: float
+    value: float | None
     unit: str
     label: str
     versus: str | None = None
+    target: Target | None = None
+
+    @property
+    def met(self) -> Met | None:
+        """Whether the target is met, None without one."""
+        target = self.target
+        if target is None or target.met is not None:
+            return target and target.met
+        if self.value is None:
+            return Met.NOT_ASKED
+        return Met.YES if target.least <= self.value <= target.most else Met.NO
 
 
-def run(title: str, measure: Callable[[bool], Sequence[Figure]]) -> None:
+def run(title: str, measure: Callable[[bool], Iterable[Figure]]) -> None:
     """Command line of a benchmark: call `measure(quick)` and print its figures."""
-    parser = argparse.ArgumentParser(description=title)
-    parser.add_argument("--quick", action="store_true", help="fewer repeats, smaller data")
-    parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
-    arguments = parser.parse_args()
-    figures = measure(arguments.quick)
-    if arguments.json:
-        json.dump({"figures": {figure.key: figure.value for figure in figures}}, sys.stdout)
-        sys.stdout.write("\n")
-    else:
-        Console().print(_table(title, figures))
+    arguments = parser(title).parse_args()
+    show(title, arguments, lambda: measure(arguments.quick))
+
+
+def parser(description: str) -> argparse.ArgumentParser:
+    """Return the options that every benchmark has, for those that have more."""
+    found = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    found.add_argument("--quick", action="store_true", help="fewer repeats, smaller data")
+    found.add_argument(
+        "--json",
+        action="store_true",
+        help='print {"figures": {NAME: number}, "met": {NAME: 1, 0, "undecided" or null}}',
+    )
+    found.add_argument(
+        "--check", action="store_true", help="end with 1 unless every target that is asked is met"
+    )
+    return found
+
+
+def show(
+    title: str, arguments: argparse.Namespace, measure: Callable[[], Iterable[Figure]]
+) -> None:
+    """Print the figures of `measure`, also of one that does not come to its end."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+            signal.signal(number, _end)
+    figures: list[Figure] = []
+    found = measure()
+    try:
+        for figure in found:
+            figures.append(figure)
+    except BaseException as error:
+        if isinstance(found, Generator):  # what it has started ends now, not with the interpreter
+            found.close()
+        if figures:
+            _print(title, figures, arguments.json, f"{type(error).__name__}: {error}")
+        raise
+    _print(title, figures, arguments.json)
+    not_shown = [f"{f.key} is {f.met}" for f in figures if f.met in (Met.NO, Met.UNDECIDED)]
+    if arguments.check and not_shown:
+        sys.exit(f"{title}: {', '.join(not_shown)}")
 
 
 def median_times(contenders: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
@@ -57,21 +129,57 @@ def median_times(contenders: Mapping[str, Callable[[], object]], repeats: int) -
     return {name: statistics.median(values) for name, values in times.items()}
 
 
+def _end(number: int, _: object) -> None:
+    """Leave by way of every `finally`: daemons, electronics and mounts go with the benchmark."""
+    for once in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(once, signal.SIG_IGN)
+    raise SystemExit(128 + number)
+
+
+def _print(title: str, figures: Sequence[Figure], as_json: bool, problem: str = "") -> None:
+    if as_json:
+        said: dict[str, object] = {"figures": {figure.key: figure.value for figure in figures}}
+        said["met"] = {figure.key: _IN_JSON[figure.met] for figure in figures if figure.met}
+        if problem:
+            said["incomplete"] = problem
+        json.dump(said, sys.stdout)
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+    else:
+        Console().print(_table(f"{title} (incomplete: {problem})" if problem else title, figures))
+
+
+_IN_JSON: dict[Met | None, object] = {
+    Met.YES: 1,
+    Met.NO: 0,
+    Met.UNDECIDED: "undecided",
+    Met.NOT_ASKED: None,
+}
+
+
 def _table(title: str, figures: Sequence[Figure]) -> Table:
     table = Table(title=title, title_justify="left")
     table.add_column("what")
     table.add_column("figure", justify="right")
     table.add_column("unit")
     table.add_column("ratio")
+    asked = any(figure.target is not None for figure in figures)
+    if asked:
+        table.add_column("target")
     by_key = {figure.key: figure for figure in figures}
     for figure in figures:
+        other = by_key.get(figure.versus or "")
         ratio = ""
-        if figure.versus is not None:
-            other = by_key[figure.versus]
+        if other is not None and figure.value is not None and other.value:
             ratio = f"{figure.value / other.value:.3g} x {other.label}"
-        table.add_row(figure.label, _number(figure.value), figure.unit, ratio)
+        row = [figure.label, _number(figure.value), figure.unit, ratio]
+        if asked:
+            row.append("" if figure.target is None else f"{figure.target}: {figure.met}")
+        table.add_row(*row)
     return table
 
 
-def _number(value: float) -> str:
+def _number(value: float | None) -> str:
+    if value is None:
+        return "-"
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"

@@ -5,60 +5,83 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+from _children import started
 
 from levid.daemon.client import Client, DaemonError
-from levid.log.reader import read_log
 
 _READY_S = 60.0
+_LANDED_S = 30.0
 _AGAIN_S = 0.2
-_SKIPPED_MORE = 255
-"""What a row says of so many skipped periods or more: how many, it does not know."""
+
+
+@dataclass(frozen=True)
+class Daemon:
+    """A daemon at rest. `cleared`: how many faults of its start had to be cleared for that."""
+
+    rig_file: Path
+    socket: Path
+    pids: dict[str, int]
+    cleared: int
+
+    def ask(self, op: str, **more: Any) -> dict[str, Any]:
+        """Ask over a connection of its own."""
+        with Client(self.socket) as client:
+            return client.request(op, **more)
+
+    def land(self) -> dict[str, Any]:
+        """Land and return the status at rest; raises DaemonError where that is not reached."""
+        self.ask("land")
+        give_up_s = time.monotonic() + _LANDED_S
+        while (status := self.ask("status"))["state"] != "IDLE":
+            require_no_fault(status)
+            if time.monotonic() > give_up_s:
+                raise DaemonError(f"not landed after {_LANDED_S:g} s, but {status['state']}")
+            time.sleep(_AGAIN_S / 2)
+        require_no_fault(status)
+        return status
 
 
 @contextmanager
-def running(rig_file: Path, socket: Path) -> Iterator[dict[str, int]]:
-    """Run a daemon on this rig, whose `socket` is given; give its processes once it is idle.
+def running(rig_file: Path, socket: Path) -> Iterator[Daemon]:
+    """Run a daemon on this rig, whose `socket` is given; give it once it is idle.
 
-    Devices that are just being started may take their time to answer.
+    Devices that are just being started may take their time to answer. Raises DaemonError.
     """
-    daemon = subprocess.Popen(
-        [sys.executable, "-m", "levid.cli.main", "run", str(rig_file)], stderr=subprocess.DEVNULL
-    )
-    try:
-        yield _idle(daemon, socket)
-    finally:
-        daemon.terminate()
-        daemon.wait()
+    command = [sys.executable, "-m", "levid.cli.main", "run", str(rig_file)]
+    with started(command, stderr=subprocess.DEVNULL) as process:
+        yield _idle(process, rig_file, socket)
 
 
-def missing_rows(logs: Iterable[Path]) -> int:
-    """Return how many cycles that were flown stand in none of the logs of a flight, any order."""
-    rows = np.concatenate([read_log(path).rows for path in logs])
-    rows = rows[np.argsort(rows["cycle"], kind="stable")]
-    periods = np.diff(rows["cycle"].astype(np.int64)) - 1
-    skipped = rows["skipped"][1:]
-    return int(np.maximum(periods - skipped, 0)[skipped < _SKIPPED_MORE].sum())
+def require_no_fault(status: dict[str, Any]) -> None:
+    """Raise DaemonError where the daemon is in a fault: it never gets out of that by itself."""
+    if status["fault"] != "NONE":
+        raise DaemonError(f"in fault {status['fault']}: {status['detail']}")
 
 
-def _idle(daemon: subprocess.Popen[bytes], socket: Path) -> dict[str, int]:
+def _idle(process: subprocess.Popen[bytes], rig_file: Path, socket: Path) -> Daemon:
     give_up_s = time.monotonic() + _READY_S
-    said = "nothing"
-    while time.monotonic() < give_up_s and daemon.poll() is None:
+    said, cleared = "nothing", 0
+    while time.monotonic() < give_up_s and process.poll() is None:
         try:
             with Client(socket) as client:
                 status = client.request("status")
                 if status["state"] == "IDLE":
-                    pids: dict[str, int] = status["pids"]
-                    return pids
-                said = f"{status['state']}, {status['fault']}: {status['detail']}"
+                    if cleared:
+                        print(f"{cleared} faults at the start, the last {said}", file=sys.stderr)
+                    return Daemon(rig_file, socket, status["pids"], cleared)
                 if status["fault"] != "NONE":
+                    said = f"{status['fault']}: {status['detail']}"
+                    cleared += 1
                     client.request("clear")
+                else:
+                    said = status["state"]
         except DaemonError as error:
             said = str(error)
         time.sleep(_AGAIN_S)
-    sys.exit(f"the daemon did not become idle, the last was: {said}")
+    raise DaemonError(f"the daemon did not become idle, the last was: {said}")

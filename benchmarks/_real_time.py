@@ -3,9 +3,27 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 LOOP, ELECTRONICS = 50, 45
+
+
+@dataclass(frozen=True)
+class Rights:
+    """What the kernel grants a process: priority first in, first out, 0 for none; MB locked."""
+
+    priority: int
+    locked_mb: float
+
+    @classmethod
+    def of(cls, pid: int) -> Rights:
+        """Return those of the main thread of a process, as they are and not as asked for."""
+        policy = os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK
+        priority = os.sched_getparam(pid).sched_priority if policy == os.SCHED_FIFO else 0
+        status = Path(f"/proc/{pid}/status").read_text()
+        (locked,) = (line.split()[1] for line in status.splitlines() if line.startswith("VmLck"))
+        return cls(priority, int(locked) / 1024)
 
 
 def hurry(priority: int, pid: int | None = None) -> bool:

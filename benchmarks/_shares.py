@@ -9,13 +9,15 @@ from math import ceil, exp, inf, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from _table import Figure
+from _table import Figure, Met, Target
+from scipy.stats import t
 
 MOST_RATIO = 1.5
 """What late shares may be, relative to those of an empty loop or of cyclictest."""
-ENOUGH = 50
-"""Of so many on each side the 95 % interval of a ratio of 1 ends below MOST_RATIO."""
-_RESAMPLED = 4000
+ENOUGH = 12
+"""So many rounds on each side have to have something late in them."""
+_BLOCK = 2
+"""Rounds that are left out together: one of each order, where contenders swap theirs."""
 
 
 class Round(NamedTuple):
@@ -29,58 +31,76 @@ class Round(NamedTuple):
 
 @dataclass(frozen=True)
 class Ratio:
-    """(some / of) / (others / of_others) over all rounds, and the ends of its 95 % interval."""
+    """(some / of) / (others / of_others) over all rounds, and the ends of its 95 % interval.
+
+    `clustered`: whether there were rounds enough to know how late ones cluster.
+    """
 
     value: float
     low: float
     high: float
+    clustered: bool = True
 
     @property
-    def decided(self) -> bool:
+    def met(self) -> Met:
         """Whether all of the interval lies on one side of MOST_RATIO."""
-        return self.high <= MOST_RATIO or self.low > MOST_RATIO
+        if not self.clustered or self.low <= MOST_RATIO < self.high:
+            return Met.UNDECIDED
+        return Met.YES if self.high <= MOST_RATIO else Met.NO
 
 
 def ratio_95(rounds: Sequence[Round]) -> Ratio:
     """Return the ratio with the wider of two intervals, half a count added to each side.
 
-    Katz's log method knows how few were counted, but takes each for independent of the others;
-    a bootstrap over the rounds knows that they come in clusters, as where the machine stalls.
+    Katz's log method knows how few were counted, but takes each for independent of the others; a
+    jackknife of its logarithm over blocks of rounds, with Student's t, knows that they come in
+    clusters, as where the machine stalls. Found by simulation, 600 draws each, at 12, 20 and 40
+    rounds: the interval holds the truth of independent counts in 96 to 98 %, of stalls of thirty in
+    93 to 98 %, and where stalls are as frequent as a drift of the host has it, correlated by 0.8 to
+    0.97 from turn to turn, in 92 to 96 %; where `again` says when rounds end, in 93 to 98 %.
     """
     a, of, b, of_others = np.sum(rounds, axis=0) + np.array([0.5, 0, 0.5, 0])
-    ratio, spread = float(a / of / (b / of_others)), exp(1.96 * sqrt(1 / a + 1 / b))
-    rng = np.random.default_rng(1)
-    drawn = rng.integers(len(rounds), size=(_RESAMPLED, len(rounds)))
-    some, n, others, n_others = np.array(rounds)[drawn].sum(axis=1).T
-    low, high = np.quantile((some + 0.5) / n / ((others + 0.5) / n_others), (0.025, 0.975))
-    return Ratio(ratio, min(ratio / spread, float(low)), max(ratio * spread, float(high)))
+    ratio, width = float(a / of / (b / of_others)), 1.96 * sqrt(1 / a + 1 / b)
+    blocks = len(rounds) // _BLOCK
+    if blocks > 1:
+        parts = [np.sum(part, axis=0) for part in np.array_split(np.array(rounds), blocks)]
+        some, n, others, n_others = (np.sum(parts, axis=0) - parts).T
+        without = np.log((some + 0.5) / n / ((others + 0.5) / n_others))
+        error = sqrt((blocks - 1) / blocks * float(np.sum((without - without.mean()) ** 2)))
+        width = max(width, float(t.ppf(0.975, blocks - 1)) * error)
+    return Ratio(ratio, ratio * exp(-width), ratio * exp(width), blocks > 1)
 
 
 def again(rounds: Sequence[Round], least: int, most: int) -> bool:
-    """Return whether another round is due: too few as yet, or ENOUGH not counted on each side."""
-    some, _, others, _ = np.sum(rounds, axis=0) if rounds else (0, 0, 0, 0)
-    return len(rounds) < least or (len(rounds) < most and min(some, others) < ENOUGH)
+    """Return whether another round is due: too few as yet, or ENOUGH without an empty side.
+
+    What the ratio is has no part in this: whoever stops when it looks decided is wrong more often.
+    """
+    filled = [np.count_nonzero(side) for side in zip(*rounds, strict=True)][::2] or [0]
+    return len(rounds) < least or (len(rounds) < most and min(filled) < ENOUGH)
 
 
 def ratio_figures(rounds: Sequence[Round], low: str, high: str, who: str) -> list[Figure]:
-    """Return both ends of the interval under these keys, and whether it decides; say if not."""
+    """Return both ends of the interval under these keys, the upper with its target; say if open."""
     ratio = ratio_95(rounds)
-    if not ratio.decided:
+    if ratio.met is Met.UNDECIDED:
         some, of, others, of_others = np.sum(rounds, axis=0)
         print(
             f"{who}: undecided whether at most {MOST_RATIO:g} times: {some} of {of} late against "
             f"{others} of {of_others}; {_would_decide(ratio, len(rounds))}",
             file=sys.stderr,
         )
+    target = Target(most=MOST_RATIO, met=ratio.met)
     return [
         Figure(low, ratio.low, "", f"{who}: ratio of the shares, lower 95 % bound"),
-        Figure(high, ratio.high, "", f"{who}: ratio of the shares, upper 95 % bound"),
-        Figure(f"{high}_decided", float(ratio.decided), "", f"{who}: all on one side of 1.5"),
+        Figure(high, ratio.high, "", f"{who}: ratio of the shares, upper 95 % bound", None, target),
     ]
 
 
 def _would_decide(ratio: Ratio, rounds: int) -> str:
     """Return how many rounds would, for the width of an interval falls with their root."""
+    if not ratio.clustered:
+        return f"{rounds} rounds cannot tell how late ones cluster"
     away = abs(log(MOST_RATIO / ratio.value)) if ratio.value > 0 else inf
     more = (0.5 * log(ratio.high / ratio.low) / away) ** 2 if away > 0 else inf
     if more > 1000:

@@ -1,50 +1,43 @@
-"""Does a session flown over a bus in real time give the P that loopback gives?
+"""The paper's session flown over each bus in real time: punctuality, rows, and the P it gives.
 
-The declared model is fitted to each, delay and all; what is compared, within the confidence of
-both, are all other parameters together, for the delay is the backend's own and told apart.
-Electronics run in a process of their own.
+The whole daemon flies, control and recording included, electronics in a process of their own. P is
+compared with what the same session gives on loopback in virtual time, with other noise and other
+excitation (_bus_agreement). Loopback itself is flown against that as well: what no bus has a part
+in. --quick flies one beam position for a short time, which shows that it can be done and no more.
 """
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import _real_time
 import numpy as np
+import yaml
+from _bus_agreement import Plants, agreement_figures, difference
+from _bus_rigs import LABELS, TIMED, electronics_on, rig_text
 from _daemon import running
+from _flight import fly_session
+from _kept import Kept
 from _table import Figure
-from scipy.stats import chi2
 
-from levid.config.base import parse_text
-from levid.config.model import load_model
-from levid.config.rig import load_rig
-from levid.config.session import SessionConfig
+from levid.config.base import read_mapping
 from levid.config.shipped import shipped
 from levid.daemon.client import Client, DaemonError
-from levid.daemon.virtual import fly_virtually
-from levid.identification.greybox.experiment import experiment_from_log
-from levid.identification.greybox.fit import Fit, fit_model
+from levid.identification.data import IdentificationError
+from levid.log.errors import LogError
 from levid.log.reader import Log, read_log
 
-SESSION = """
-levid: session
-name: agreement
-excitations:
-  psi: {input: psi, rms_n_m: 0.1}
-  theta: {input: theta, rms_n_m: 0.1}
-  z: {input: z, rms_n: 1.3}
-steps:
-  - levitate: {}
-  - move: {beam_m: 0.05}
-  - record: {name: psi, duration_s: SECONDS, excite: [psi]}
-  - record: {name: theta, duration_s: SECONDS, excite: [theta]}
-  - record: {name: z, duration_s: SECONDS, excite: [z]}
-  - land: {}
-"""
+SESSION = shipped("sessions/white-noise-1khz.yaml")
+SEED = 1000
+"""Of the reference's noise and excitation: far from the session's own and the simulator's."""
 PATIENT = """
   late_cycles: 10000
   late_in_window: 100000
@@ -54,109 +47,133 @@ PATIENT = """
 SERVICE = """
 service: {loop_s: 10, supervisor_s: 10}
 """
-DELAY = "delay"
-"""The parameter of models/rig.yaml that holds a backend's own delay."""
 _ATTEMPTS = 3
 """Coils that hold their force through a stall, excitation in it, may push the platform too far."""
-
-Start = Callable[[Path], "subprocess.Popen[bytes]"]
-
-
-def flight_figures(rigs: dict[str, str], start: Start, seconds: float) -> list[Figure]:
-    """Return the figures of the rigs (name to text of RIG.yaml), all but loopback in real time."""
-    model = load_model(shipped("models/rig.yaml"))
-    figures: list[Figure] = []
-    with tempfile.TemporaryDirectory() as text:
-        fits: dict[str, Fit] = {}
-        for name, rig in rigs.items():
-            file = Path(text) / f"{name}.yaml"
-            file.write_text(rig.replace("limits:\n", f"limits:{PATIENT}", 1))
-            real = start if name != "loopback" else None
-            logs, attempts = _flown(file, Path(text) / name, real, seconds)
-            if name != "loopback":
-                what = "until one ended well" if logs else "of which none ended well"
-                label = f"{name}: flights {what}"
-                figures.append(Figure(f"{name}_attempts", attempts, "", label))
-            if not logs:
-                continue
-            experiments = [experiment_from_log(log, model) for log in logs]
-            fits[name] = fit_model(model, experiments)
-            if name == "loopback":
-                continue
-            rows = [len(e.y) for e in experiments]
-            stale = sum(int(np.count_nonzero(log.rows["stale"])) for log in logs)
-            skipped = sum(int(log.rows["skipped"].sum()) for log in logs)
-            cycles = sum(len(log.rows) for log in logs)
-            square, of, worst = _distance(fits["loopback"], fits[name])
-            figures += [
-                Figure(f"{name}_flown_stale", stale / cycles, "", f"{name}, flown: stale rows"),
-                Figure(f"{name}_flown_skipped", skipped / cycles, "", f"{name}: periods skipped"),
-                Figure(f"{name}_flown_used", sum(rows) / cycles, "", f"{name}: of the rows, used"),
-                Figure(
-                    f"{name}_chi2_share",
-                    square / float(chi2.ppf(0.99, of)),
-                    "",
-                    f"{name}: P against loopback's, chi2 over its 99 % quantile ({of} parameters)",
-                ),
-                Figure(f"{name}_worst_se", worst, "SE", f"{name}: the parameter furthest off"),
-                Figure(
-                    f"{name}_delay_us",
-                    1e6 * (fits[name].values[DELAY] - fits["loopback"].values[DELAY]),
-                    "us",
-                    f"{name}: its own delay",
-                ),
-                Figure(
-                    f"{name}_m_p_se",
-                    _off(fits["loopback"], fits[name], "m_p"),
-                    "SE",
-                    f"{name}: m_p off loopback's",
-                ),
-            ]
-    return figures
+_QUICK_S = 10.0
 
 
-def _flown(file: Path, out: Path, start: Start | None, seconds: float) -> tuple[Sequence[Log], int]:
-    """Fly with a daemon against the electronics that `start` starts; without, in virtual time.
+def flight_figures(quick: bool, kept: Kept) -> list[Figure]:
+    """Return the figures of loopback and of each bus, a flight kept as soon as it is done."""
+    text, segment_s = (_short(), 2.0) if quick else (SESSION.read_text(), 10.0)
+    with tempfile.TemporaryDirectory() as folder:
+        logs = fly_session({**yaml.safe_load(text), "seed": SEED}, Path(folder) / "reference")
+        reference = Plants.of(logs, segment_s)
+    found: list[Figure] = []
+    for name in ("loopback", *TIMED):
+        plain = kept.part(
+            f"flight {name}",
+            lambda name=name: [asdict(f) for f in _of_one(name, text, reference, segment_s)],
+        )
+        found += [Figure(**fields) for fields in plain]
+    return found
 
-    Return the logs, none where no flight ended well, and how many it took: others end in a fault.
-    """
-    text = SESSION.replace("SECONDS", f"{seconds:g}")
-    out.mkdir()
-    if start is None:
-        session = parse_text(text, SessionConfig, "agreement")
-        flown = fly_virtually(load_rig(file), file, session, text.encode(), out)
-        return [read_log(path) for path in flown.records], 1
-    socket, folder = file.with_suffix(".sock"), str(file.parent / "faults")
-    with file.open("a") as rig:
-        rig.write(f"{SERVICE}socket: {socket}\nrecording: {{faults: {folder}}}\n")
-    for attempt in range(_ATTEMPTS):
-        process = start(file)
+
+def _of_one(name: str, text: str, reference: Plants, segment_s: float) -> list[Figure]:
+    who = f"{LABELS[name]}, flown"
+    with tempfile.TemporaryDirectory() as folder:
+        if name == "loopback":
+            logs, ended_by = fly_session(yaml.safe_load(text), Path(folder) / "out"), []
+        else:
+            logs, ended_by = flown(name, Path(folder), text)
+        what = "until one ended well" if logs else "of which none ended well"
+        figures = [
+            Figure(f"{name}_attempts", len(ended_by) + bool(logs), "", f"{who}: flights {what}"),
+            *(
+                Figure(f"{name}_ended_by_{fault}", count, "", f"{who}: ended by {fault}")
+                for fault, count in sorted(Counter(ended_by).items())
+            ),
+        ]
+        if not logs:
+            return figures
+        read = [read_log(path) for path in logs]
+        if name != "loopback":  # in virtual time nothing is late
+            figures += punctuality_figures(name, who, read)
         try:
-            with running(file, socket), Client(socket) as client:
-                _real_time.hurry(_real_time.ELECTRONICS, process.pid)
-                flown = client.excite(text, out / f"{attempt}", lambda *_: None)
-                return [read_log(path) for path in flown.records], attempt + 1
-        except DaemonError as error:
-            print(f"{file.stem}, flight {attempt + 1} of {_ATTEMPTS}: {error}", file=sys.stderr)
-        finally:
-            process.terminate()
-            process.wait()
-    return [], _ATTEMPTS
+            plants = Plants.of(logs, segment_s)
+        except IdentificationError as error:
+            return [*figures, Figure(f"{name}_identified", 0, "", f"{who}: {error}")]
+        rows = sum(len(log.rows) for log in read)
+        return [
+            *figures,
+            Figure(f"{name}_identified", 1, "", f"{who}: P was identified"),
+            Figure(f"{name}_flown_used", plants.rows / rows, "", f"{who}: of the rows, used"),
+            *agreement_figures(name, who, difference(plants, reference)),
+        ]
 
 
-def _distance(one: Fit, other: Fit) -> tuple[float, int, float]:
-    """Return chi2 of the difference, of how many parameters, and the largest in its own SE."""
-    names = [name for name in one.free if name in other.free and name != DELAY]
-    off = np.array([other.values[name] - one.values[name] for name in names])
-    covariance = sum(
-        fit.covariance[np.ix_(at, at)]
-        for fit in (one, other)
-        for at in [[fit.free.index(name) for name in names]]
-    )
-    worst = float(np.max(np.abs(off) / np.sqrt(np.diag(covariance))))
-    return float(off @ np.linalg.solve(covariance, off)), len(names), worst
+def punctuality_figures(name: str, who: str, logs: Sequence[Log]) -> list[Figure]:
+    """Return how many cycles of the records were late, by both definitions, skipped or stale."""
+    rows = np.concatenate([log.rows for log in logs])
+    period_s = 1.0 / logs[0].rate_hz
+    ended = rows["lateness_s"] + rows["execution_s"] >= period_s
+    shares = {
+        "begun_late": (rows["skipped"] > 0, "begins a period late or more"),
+        "ended_late": (ended, "has not ended a period after its time"),
+        "stale": (rows["stale"] > 0, "with a stale reading"),
+    }
+    return [
+        Figure(f"{name}_flown_cycles", len(rows), "", f"{who}: cycles in {len(logs)} records"),
+        *(
+            Figure(f"{name}_flown_{key}_share", float(np.mean(which)), "", f"{who}: {what}")
+            for key, (which, what) in shares.items()
+        ),
+        Figure(f"{name}_flown_skipped", int(rows["skipped"].sum()), "", f"{who}: periods skipped"),
+    ]
 
 
-def _off(one: Fit, other: Fit, name: str) -> float:
-    spread = np.hypot(one.standard_errors[name], other.standard_errors[name])
-    return float(abs(other.values[name] - one.values[name]) / spread)
+def flown(name: str, folder: Path, text: str) -> tuple[tuple[Path, ...], list[str]]:
+    """Fly with a daemon, electronics apart; return the records' logs and what ended others.
+
+    No logs where no flight of _ATTEMPTS ended well.
+    """
+    file, socket = folder / "rig.yaml", folder / "levid.sock"
+    rig = rig_text(name, folder).replace("limits:\n", f"limits:{PATIENT}", 1)
+    faults = f"recording: {{faults: {folder / 'faults'}}}\n"
+    file.write_text(f"{rig}{SERVICE}socket: {socket}\n{faults}")
+    ended_by: list[str] = []
+    for attempt in range(_ATTEMPTS):
+        try:
+            with (
+                electronics_on(file) as electronics,
+                running(file, socket),
+                Client(socket) as client,
+            ):
+                _real_time.hurry(_real_time.ELECTRONICS, electronics.pid)
+                done = client.excite(text, folder / f"{attempt}", lambda *_: None)
+            for path in done.records:
+                _require_whole(path)
+        except (DaemonError, LogError, OSError, subprocess.SubprocessError) as error:
+            ended_by.append(_name_of(str(error)))
+        except SystemExit as error:
+            if not isinstance(error.code, str):  # somebody ends this benchmark
+                raise
+            ended_by.append("NOT_IDLE")
+            print(f"{name}: {error}", file=sys.stderr)
+        else:
+            return done.records, ended_by
+        print(f"{name}, flight {attempt + 1} of {_ATTEMPTS}: {ended_by[-1]}", file=sys.stderr)
+    return (), ended_by
+
+
+def _require_whole(path: Path) -> None:
+    log = read_log(path)
+    if not log.complete:
+        raise LogError(f"{path.name}: {log.problem}")
+
+
+def _name_of(words: str) -> str:
+    """Return the fault that an error of the daemon names, else its words as a key."""
+    found = re.search(r"fault (\w+)", words)
+    return found[1] if found else re.sub(r"\W+", "_", words)[:40]
+
+
+def _short() -> str:
+    """Return the session with the middle position alone, and short records."""
+    plain: dict[str, Any] = dict(read_mapping(SESSION))
+    steps = []
+    for step in plain["steps"]:
+        record = step.get("record")
+        if record is not None and record["name"].startswith("middle-"):
+            steps.append({"record": {**record, "duration_s": _QUICK_S}})
+    plain["steps"] = [{"levitate": {}}, *steps, {"land": {}}]
+    return yaml.safe_dump(plain, sort_keys=False)

@@ -1,7 +1,11 @@
 """How punctual 1 kHz is on each backend: whole loops against an empty one, in turns.
 
-Late is a cycle that begins a period late or more. Loops and electronics run at real-time priority
-where that may be had, the empty one too; what carries udp's frames has none, nor can it be given.
+A loop is the devices' part of a cycle, readings in and zero force out, without control and
+recording; those of the whole daemon are in _bus_flights. It runs for a minute without a pause, as
+in the daemon without the garbage collector, then the empty one does, in the next round the other
+way round. Two things are called late: a cycle that begins a period after its time or more, and one
+that has not ended by then. Loops and electronics run at real-time priority where that may be had,
+the empty one too; what carries udp's frames has none, nor can it be given.
 """
 
 from __future__ import annotations
@@ -9,93 +13,139 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from time import monotonic
+from typing import NamedTuple
 
 import _real_time
-import numpy as np
-from _bus_rigs import RATE_HZ, TIMED, cycle_of, electronics_of, opened, rig_on, rig_text
-from _shares import Round, again, ratio_figures
+from _bus_rigs import LABELS, RATE_HZ, TIMED, cycle_of, electronics_on, opened, rig_on, rig_text
+from _kept import Kept
+from _shares import Round, ratio_figures
 from _table import Figure
 
 from levid.config.service import Realtime
 from levid.daemon.clock import RealClock
-from levid.daemon.realtime import be_punctual
+from levid.daemon.realtime import be_punctual, no_collections
 
-_MOST_TIMES = 3
-_LABELS = {
-    "canfd": "CAN FD on local sockets",
-    "canfd_udp": "CAN FD by udp_multicast",
-    "serial": "serial on a pty",
-}
+_WARM_UP = 200
+"""Cycles of each stretch that do not count: devices that were left alone have to be enabled."""
+_ANOTHER_HOST = 1000
+"""After such a jump of the cycle electronics do not catch up with what they missed."""
 
 
-def lateness_figures(seconds: float, rounds: int) -> list[Figure]:
-    """Return the share of late cycles of each backend and of the empty loop in turns with it.
+class Stretch(NamedTuple):
+    """Cycles run, of them late in either sense and with a stale reading; and the last one's."""
 
-    Also the 95 % interval of their ratio, and the share of stale readings. Where too few are late
-    to tell, it goes on for up to _MOST_TIMES as many rounds.
+    cycles: int
+    begun_late: int
+    ended_late: int
+    stale: int
+    last: int
+
+
+def lateness_figures(seconds: float, rounds: int, kept: Kept) -> list[Figure]:
+    """Return the shares of late cycles of each backend and of the empty loop in turns with it.
+
+    Also the 95 % intervals of their ratios, and the share of cycles with a stale reading.
     """
     figures: list[Figure] = []
     for name in TIMED:
-        with tempfile.TemporaryDirectory() as folder:
-            figures += _lateness(name, Path(folder), seconds, rounds)
+        turns = [
+            {which: Stretch(*counts) for which, counts in turn.items()}
+            for turn in (
+                kept.part(
+                    f"lateness {name} {number}",
+                    lambda name=name, number=number: one_round(name, seconds, number),
+                )
+                for number in range(rounds)
+            )
+        ]
+        figures += figures_of(name, turns)
     return figures
 
 
-def _lateness(name: str, folder: Path, seconds: float, rounds: int) -> list[Figure]:
-    path = folder / "rig.yaml"
-    path.write_text(rig_text(name, folder))
-    electronics = electronics_of(path)
-    turns: list[Round] = []
-    try:
-        devices = opened(rig_on(name, folder), folder)
-        try:
-            _real_time.hurry(_real_time.ELECTRONICS, electronics.pid)
-            _real_time.hurry(_real_time.LOOP)
-            loops: dict[str, Callable[[int], None]] = {
-                "empty": lambda _: None,
-                name: cycle_of(devices),
+def one_round(name: str, seconds: float, number: int) -> dict[str, Stretch]:
+    """Run both loops for so long each; which of them is first changes from round to round."""
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        path = folder / "rig.yaml"
+        path.write_text(rig_text(name, folder))
+        with (
+            electronics_on(path) as electronics,
+            opened(rig_on(name, folder), folder) as devices,
+        ):
+            loops: dict[str, Callable[[int], bool]] = {
+                "empty": lambda _: True,
+                "bus": cycle_of(devices),
             }
-            begin = 0
-            stale = devices.stale
-            while again(turns, rounds, _MOST_TIMES * rounds):
-                late = {}
-                for which, loop in loops.items():
-                    cycles, late[which] = _timed(loop, seconds, begin)
-                    begin += cycles + late[which] + 1000
-                turns.append(Round(late[name], cycles, late["empty"], cycles))
-            stale = devices.stale - stale  # the empty loop reads none
-        finally:
-            _real_time.relax()
-            devices.close()
-    finally:
-        electronics.terminate()
-        electronics.wait()
-    empty, label = f"{name}_empty_late_share", _LABELS[name]
-    some, n, others, _ = (int(count) for count in np.sum(turns, axis=0))
+            try:
+                _real_time.hurry(_real_time.ELECTRONICS, electronics.pid)
+                _real_time.hurry(_real_time.LOOP)
+                turn: dict[str, Stretch] = {}
+                begin = 0
+                for which in sorted(loops, reverse=bool(number % 2)):
+                    turn[which] = _timed(loops[which], seconds, begin)
+                    begin = turn[which].last + _ANOTHER_HOST + 1
+                return turn
+            finally:
+                _real_time.relax()
+
+
+def figures_of(name: str, turns: list[dict[str, Stretch]]) -> list[Figure]:
+    """Return the shares over all rounds, late by either definition, and their ratios."""
+    who = LABELS[name]
+    loops, empties = ([turn[which] for turn in turns] for which in ("bus", "empty"))
+    n = sum(loop.cycles for loop in loops)
+    figures = []
+    for which, what in (
+        ("begun", "begins a period late or more"),
+        ("ended", "has not ended a period after its time"),
+    ):
+        rounds = [
+            Round(
+                getattr(loop, f"{which}_late"),
+                loop.cycles,
+                getattr(empty, f"{which}_late"),
+                empty.cycles,
+            )
+            for loop, empty in zip(loops, empties, strict=True)
+        ]
+        others = sum(one.others for one in rounds)
+        key, empty_key = f"{name}_{which}_late", f"{name}_empty_{which}_late"
+        figures += [
+            Figure(f"{empty_key}_share", others / n, "", f"empty loop beside it: {what}"),
+            Figure(
+                f"{key}_share",
+                sum(one.some for one in rounds) / n,
+                "",
+                f"{who}: {what}",
+                f"{empty_key}_share" if others else None,
+            ),
+            *ratio_figures(rounds, f"{key}_ratio_low", f"{key}_ratio_95", f"{who}, {which} late"),
+        ]
+    stale = sum(loop.stale for loop in loops)
     return [
-        Figure(empty, others / n, "", f"empty loop at 1 kHz beside it, {n} cycles: late"),
-        Figure(
-            f"{name}_late_share",
-            some / n,
-            "",
-            f"{label}: late",
-            empty if others else None,
-        ),
-        *ratio_figures(turns, f"{name}_late_ratio_low", f"{name}_late_ratio_95", label),
-        Figure(f"{name}_stale_share", stale / n, "", f"{label}: stale readings"),
+        *figures,
+        Figure(f"{name}_stale_share", stale / n, "", f"{who}: cycles with a stale reading"),
+        Figure(f"{name}_cycles", n, "", f"{who}: cycles, as many of the empty loop"),
+        Figure(f"{name}_stretch_s", loops[0].cycles / RATE_HZ, "s", f"{who}: in one piece"),
     ]
 
 
-def _timed(loop: Callable[[int], None], seconds: float, begin: int) -> tuple[int, int]:
-    """Run `loop` at 1 kHz; return cycles run and how many of them were late by a period."""
+def _timed(loop: Callable[[int], bool], seconds: float, begin: int) -> Stretch:
+    """Run `loop`, which says whether its readings are fresh, at 1 kHz from cycle `begin` on."""
     be_punctual(Realtime(priority=0, lock_memory=False, cpu_latency_us=None))
-    clock = RealClock(1 / RATE_HZ)
-    clock.start()
-    cycle, late = begin, 0
-    n = int(seconds * RATE_HZ)
-    for _ in range(n):
-        clock.wait()
-        cycle += 1 + clock.skipped
-        late += clock.skipped > 0
-        loop(cycle)
-    return n, late
+    period_s, n = 1 / RATE_HZ, int(seconds * RATE_HZ)
+    clock = RealClock(period_s)
+    cycle, begun, ended, stale = begin, 0, 0, 0
+    with no_collections():
+        clock.start()
+        for k in range(-_WARM_UP, n):
+            late_s = clock.wait()
+            began_s = monotonic()
+            cycle += 1 + clock.skipped
+            fresh = loop(cycle)
+            if k >= 0:
+                begun += clock.skipped > 0
+                ended += late_s + monotonic() - began_s >= period_s
+                stale += not fresh
+    return Stretch(n, begun, ended, stale, cycle)

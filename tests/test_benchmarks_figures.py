@@ -8,7 +8,7 @@ import sys
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -78,37 +78,6 @@ def test_fit_that_fails_is_a_miss_and_ends_no_run(tmp_path: Path, monkeypatch) -
         monkeypatch.setattr(greybox, "errors_in_se", broken)
     with pytest.raises(BrokenExecutor):
         greybox.coverage(3, 8.0)
-
-
-def test_flights_that_ended_in_a_fault_are_counted(tmp_path: Path, monkeypatch) -> None:
-    flights = module("_bus_flights")
-    ends = iter([flights.DaemonError("LATE"), SimpleNamespace(records=[tmp_path])])
-    monkeypatch.setattr(flights, "read_log", lambda _: "flown")
-
-    class Client:
-        def __init__(self, _: Path) -> None: ...
-        def __enter__(self) -> Client:
-            return self
-
-        def __exit__(self, *_: object) -> None: ...
-        def excite(self, *_: object) -> SimpleNamespace:
-            end = next(ends)
-            if isinstance(end, Exception):
-                raise end
-            return end
-
-    monkeypatch.setattr(flights, "Client", Client)
-    monkeypatch.setattr(flights, "running", lambda *_: nullcontext())
-    monkeypatch.setattr(flights._real_time, "hurry", lambda *_: True)
-    process = SimpleNamespace(pid=1, terminate=lambda: None, wait=lambda: 0)
-
-    def start(_: Path) -> SimpleNamespace:
-        return process
-
-    logs, attempts = flights._flown(tmp_path / "rig", tmp_path / "out", start, 1.0)
-    assert (logs, attempts) == (["flown"], 2)
-    ends = iter([flights.DaemonError("LATE")] * 3)  # nor does that end what others have to tell
-    assert flights._flown(tmp_path / "rig", tmp_path / "none", start, 1.0) == ([], 3)
 
 
 def test_version_is_that_of_the_code_that_is_needed(tmp_path: Path, monkeypatch) -> None:

@@ -4,17 +4,22 @@ The host sets the pace, cycle by cycle, so that the count does not depend on the
 counts if a force acts in it, from the one on in which the fault is switched on. The reaction is
 that of the loop, zero force at once and in every cycle that follows; setpoints expire after 20
 cycles, so that this alone can end the force in time, but where nothing gets through: there after 2.
+Then it goes on for a while, the fault with it: no force may come back. Named is a fault whose error
+is of the kind, and has the words, that _bus_fault_words expects.
 """
 
 from __future__ import annotations
 
 import contextlib
+import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import _table
 import numpy as np
+from _bus_fault_words import EXPECTED, NO_FAULT_OF_A_DEVICE, UNHEARD, names
 from _table import Figure
 
 from levid.config.base import parse_text
@@ -29,14 +34,12 @@ from levid.sim.electronics.faults import FAULTS
 from levid.sim.electronics.rig import Electronics
 
 RATE_HZ = 50.0
-MOST_CYCLES = 40
+MOST_CYCLES = 60
+AFTER_CYCLES = 25
+"""For so long it is watched whether force comes back: longer than setpoints take to expire."""
 EXPIRE_CYCLES, EXPIRE_UNHEARD_CYCLES = 20, 2
 _PACE_S = 0.01
 """What comes behind an answer comes within the cycle, which is longer than that."""
-LINES = [
-    "drop", "drop-setpoints", "delay", "corrupt", "repeat", "reorder", "bus-off", "disconnect",
-    "stuck 4", "frozen 6", "saturated 2", "trip 3", "encoder phi", "skew 0.001",
-]  # fmt: skip
 BUSES = {
     "can": "can: {main: {interface: virtual, channel: faults, stale_cycles: 2}}",
     "canfd": "can: {main: {interface: virtual, channel: faults, data_bitrate: 5000000, "
@@ -45,26 +48,60 @@ BUSES = {
 }
 
 
-UNHEARD = ("drop-setpoints", "bus-off", "disconnect")
-NO_FAULT_OF_A_DEVICE = {"push"}
+class Played(NamedTuple):
+    """What came of a fault.
+
+    forced: cycles with force, until it first ended. came_back: cycles with force after that.
+    raised: the host's first error.
+    """
+
+    forced: int
+    came_back: int
+    raised: DriverError | None
+
+    @property
+    def words(self) -> str:
+        """What the host said, without where."""
+        if self.raised is None:
+            return "not found"
+        text = str(self.raised)
+        return f"{type(self.raised).__name__}: {text.partition(': ')[2] or text}"
 
 
 def measure(quick: bool) -> list[Figure]:
-    assert {line.split()[0] for line in LINES} == set(FAULTS) - NO_FAULT_OF_A_DEVICE
+    assert {line.split()[0] for line in EXPECTED} == set(FAULTS) - NO_FAULT_OF_A_DEVICE
     core._SILENT_PERIODS = 1e9  # type: ignore[misc]
     on_bus._ANSWER_SHARE = 1e4  # type: ignore[misc]
-    figures = []
+    figures, named, came_back, slowest = [], [], 0, 0
     for bus in ("canfd", "serial") if quick else BUSES:
-        for line in LINES:
-            cycles, name = until_zero(bus, line)
+        for line in EXPECTED:
+            try:
+                played = until_zero(bus, line)
+            except TimeoutError as error:
+                print(f"{bus}: {line}: failed: {error}", file=sys.stderr)
+                played = Played(MOST_CYCLES, 0, None)
+            right = names(played.raised, line)
+            if not right:
+                print(f"{bus}: {line}: not named: {played.words}", file=sys.stderr)
+            named.append(right)
+            came_back += played.came_back > 0
+            slowest = max(slowest, played.forced)
             key = f"{bus}_{line.split()[0].replace('-', '_')}_cycles"
-            figures.append(Figure(key, cycles, "", f"{bus}: {line}: {name}"))
-    worst = max(figure.value for figure in figures)
-    return [*figures, Figure("most_cycles", worst, "", "the slowest of them")]
+            figures.append(Figure(key, played.forced, "", f"{bus}: {line}: {played.words}"))
+    return [
+        *figures,
+        Figure("most_cycles", slowest, "", "the slowest of them"),
+        Figure("named", sum(named) / len(named), "", f"share of {len(named)} named rightly"),
+        Figure("came_back", came_back, "", "in which force acted again after it had ended"),
+    ]
 
 
-def until_zero(bus: str, line: str) -> tuple[int, str]:
-    """Return the cycles in which the amplifiers drive force, and the error that the host raises."""
+def until_zero(bus: str, line: str) -> Played:
+    """Fly, inject a fault and go on until no force acts, and for a while longer.
+
+    Raises:
+        TimeoutError: the electronics did not come to a cycle.
+    """
     with tempfile.TemporaryDirectory() as text:
         expire = EXPIRE_UNHEARD_CYCLES if line in UNHEARD else EXPIRE_CYCLES
         rig = _rig(bus, Path(text), expire)
@@ -77,7 +114,7 @@ def until_zero(bus: str, line: str) -> tuple[int, str]:
                 devices.close()
 
 
-def _play(devices: Devices, electronics: Electronics, line: str) -> tuple[int, str]:
+def _play(devices: Devices, electronics: Electronics, line: str) -> Played:
     cycle = -1
     gap, coil, beam, rotor = np.zeros(9), np.zeros(9), np.zeros(3), np.zeros(3)
 
@@ -98,12 +135,14 @@ def _play(devices: Devices, electronics: Electronics, line: str) -> tuple[int, s
         run(7.0 + 0.5 * (k // 5 % 2))
     _answers_by(devices, 0.05)
     electronics.injector.command(line)
-    device, words, forced = electronics.core, "", 0
+    device = electronics.core
+    raised: DriverError | None = None
+    forced = came_back = after = 0
     for k in range(1, MOST_CYCLES):
         try:
-            run(0.0 if words else 7.0 + 0.5 * (k // 5 % 2))
+            run(0.0 if raised else 7.0 + 0.5 * (k // 5 % 2))
         except DriverError as error:
-            words = words or f"{type(error).__name__}: {str(error).partition(': ')[2] or error}"
+            raised = raised or error
             with contextlib.suppress(DriverError):  # it is gone: the device's own expiry has to do
                 devices.amplifiers.release(np.zeros(9))
         time.sleep(_PACE_S)
@@ -111,16 +150,24 @@ def _play(devices: Devices, electronics: Electronics, line: str) -> tuple[int, s
             _wait_for(device, cycle)
         else:  # its own clock goes on, in step with the host's
             device._period()
-        forced += bool(device.acting_n.any())
-        if words and not device.acting_n.any():
-            return forced, words
-    return MOST_CYCLES, words or "not found"
+        acts = bool(device.acting_n.any())
+        if after:
+            came_back += acts
+            after += 1
+        else:
+            forced += acts
+            after = int(raised is not None and not acts)
+        if after > AFTER_CYCLES:
+            return Played(forced, came_back, raised)
+    return Played(MOST_CYCLES, came_back, raised)
 
 
 def _wait_for(device: Core, cycle: int) -> None:
-    """Wait until the electronics have come to the host's cycle, at most 5 s."""
+    """Wait until the electronics have come to the host's cycle; TimeoutError after 5 s."""
     give_up_s = time.monotonic() + 5.0
-    while device.cycle != cycle and time.monotonic() < give_up_s:
+    while device.cycle != cycle:
+        if time.monotonic() > give_up_s:
+            raise TimeoutError(f"the electronics are at cycle {device.cycle}, the host at {cycle}")
         time.sleep(0.001)
 
 

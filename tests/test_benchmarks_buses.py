@@ -10,7 +10,9 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from from_benchmarks import module
+from from_benchmarks import module, script
+
+from levid.drivers.base import DriverError, SensorError, StaleError
 
 MS = 1e-3
 
@@ -233,3 +235,46 @@ def test_serial_transaction_that_is_not_answered_rightly_ends_the_run() -> None:
                 driver.readings.require()
         finally:
             driver.close()
+
+
+def test_fault_is_named_by_the_kind_of_error_and_by_its_words() -> None:
+    words = module("_bus_fault_words")
+    assert words.names(SensorError("sensors on x: sensor 4: no reading"), "stuck 4")
+    assert not words.names(SensorError("sensors on x: sensor 5: no reading"), "stuck 4")
+    assert not words.names(StaleError("sensors on x: sensor 4: no reading"), "stuck 4")
+    assert not words.names(None, "stuck 4")
+
+
+def test_electronics_that_do_not_come_to_a_cycle_end_the_trial(monkeypatch) -> None:
+    bus_faults = script("bus_faults")
+    now_s = iter(range(100))
+    monkeypatch.setattr(bus_faults.time, "monotonic", lambda: next(now_s))
+    with pytest.raises(TimeoutError, match="at cycle 3, the host at 4"):
+        bus_faults._wait_for(SimpleNamespace(cycle=3), 4)
+
+
+def test_trial_that_failed_is_a_fault_that_was_not_named(monkeypatch, capsys) -> None:
+    bus_faults = script("bus_faults")
+    for owner, name in ((bus_faults.core, "_SILENT_PERIODS"), (bus_faults.on_bus, "_ANSWER_SHARE")):
+        monkeypatch.setattr(owner, name, getattr(owner, name))
+
+    def until_zero(bus: str, line: str) -> object:
+        if line == "drop":
+            raise TimeoutError("the electronics are at cycle 3")
+        if line == "trip 3":
+            return bus_faults.Played(2, 1, SensorError("sensor 4: no reading"))
+        return bus_faults.Played(1, 0, _error(line))
+
+    monkeypatch.setattr(bus_faults, "until_zero", until_zero)
+    found = by_key(bus_faults.measure(True))
+    n = 2 * len(bus_faults.EXPECTED)
+    assert found["named"] == (n - 4) / n
+    assert found["came_back"] == 2
+    assert found["most_cycles"] == found["serial_drop_cycles"] == bus_faults.MOST_CYCLES
+    assert "trip 3: not named: SensorError" in capsys.readouterr().err
+
+
+def _error(line: str) -> DriverError:
+    """Return an error with all the words that are expected of this fault."""
+    (kind, *_), words = module("_bus_fault_words").EXPECTED[line]
+    return kind(words.partition("|")[0])

@@ -1,0 +1,42 @@
+"""Which error the host must raise for each fault of the electronics, and words naming its cause."""
+
+from __future__ import annotations
+
+import re
+
+from levid.drivers.base import (
+    AmplifierError,
+    DriveError,
+    DriverError,
+    LinkError,
+    SensorError,
+    StaleError,
+)
+
+EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
+    "drop": ((StaleError,), "came: nothing"),
+    "drop-setpoints": ((AmplifierError,), "setpoints expired"),
+    "delay": ((StaleError,), "too late"),
+    "corrupt": ((StaleError,), "wrong checksum|wrongly framed"),
+    "repeat": ((StaleError,), "out of their cycle|too late"),
+    "reorder": ((StaleError,), "out of their cycle"),
+    "bus-off": ((StaleError,), "came: nothing"),
+    "disconnect": ((StaleError, LinkError), "came: nothing|lost"),
+    "stuck 4": ((SensorError,), "sensor 4: no reading"),
+    "frozen 6": ((SensorError,), "sensor 6: frozen"),
+    "saturated 2": ((SensorError,), "sensor 2: at the end of its range"),
+    "trip 3": ((AmplifierError,), "tripped, coil 3"),
+    "encoder phi": ((DriveError,), "0x7305"),
+    "skew 0.001": ((DriveError,), "X1 and X2 are 1.000 mm apart"),
+}
+"""By the line that injects it."""
+UNHEARD = ("drop-setpoints", "bus-off", "disconnect")
+"""Nothing that the host sends gets through: the device's own expiry alone ends the force."""
+NO_FAULT_OF_A_DEVICE = {"push"}
+"""What pushes the platform: control has to hold it, or say so."""
+
+
+def names(error: DriverError | None, line: str) -> bool:
+    """Return whether an error names the fault that this line injected."""
+    kinds, words = EXPECTED[line]
+    return isinstance(error, kinds) and re.search(words, str(error)) is not None

@@ -24,22 +24,23 @@ from levid.sim.electronics.rig import Electronics
 from levid.wire.kernel_frame import Frame
 
 RIG = shipped("rigs/canfd.yaml")
-_NODES = (1, 2, 3)
-_EMERGENCY, _TPDO, _RPDO, _SDO, _HEARTBEAT = 0x080, 0x180, 0x200, 0x600, 0x700
-_ENABLED, _ENABLED_MASK = 0x27, 0x6F
-_BEAM_M, _ROTOR_RAD, _MOST_COUNTS = 1e-9, 1e-7, 2**31
+NODES = (1, 2, 3)
+EMERGENCY, TPDO, RPDO, SDO, HEARTBEAT = 0x080, 0x180, 0x200, 0x600, 0x700
+ENABLED, ENABLED_MASK = 0x27, 0x6F
+BEAM_M, ROTOR_RAD, _MOST_COUNTS = 1e-9, 1e-7, 2**31
 _BEAM_COUNTS, _SKEW_COUNTS = 10**8, 10**5  # within what the rig allows
 CanFrame = tuple[int, bytes]
 
 
-class _Wire:
-    """A bus that brings what it is given, and keeps nothing of what is sent."""
+class Wire:
+    """A bus that brings what it is given, and keeps what is sent."""
 
     def __init__(self) -> None:
         self.coming: list[Frame] = []
+        self.sent: list[CanFrame] = []
 
-    def send(self, _can_id: int, _data: bytes) -> None:
-        return
+    def send(self, can_id: int, data: bytes) -> None:
+        self.sent.append((can_id, data))
 
     def receive(self, _timeout_s: float) -> Frame | None:
         return self.coming.pop(0) if self.coming else None
@@ -54,16 +55,17 @@ def drives_heard(n: int, rng: np.random.Generator) -> Outcome:
     A cycle counts if all three positions came; the fault DRIVE must follow from what drives say in
     it, and from nothing else.
     """
-    rig, options = _rig()
-    link, wire = CanLink("main", rig.can[options.bus]), _Wire()
+    rig, options = rig_of_drives()
+    link, wire = CanLink("main", rig.can[options.bus]), Wire()
     link._bus = wire  # type: ignore[assignment]
     drives = CanDrives(link, rig, options, Path(), 1 << 30, lambda: math.inf)
     beam, rotor = np.zeros(3), np.zeros(3)
     tried = accepted = wrong = 0
     while tried < n:
-        said, positions = _said(rng), _positions(rng)
-        tried += len(said) + len(positions)
-        wire.coming = [Frame(can_id, data, 0.0) for can_id, data in said + positions]
+        speech, places = said(rng), positions(rng)
+        tried += len(speech) + len(places)
+        wire.coming = [Frame(can_id, data, 0.0) for can_id, data in speech + places]
+        wire.sent.clear()
         drives.watch.reset()
         drives._judged, drives._told, drives._sync_number = True, False, -1
         for axis in drives._axes:
@@ -74,21 +76,21 @@ def drives_heard(n: int, rng: np.random.Generator) -> Outcome:
             drives.read(beam, rotor)
         except DriveError:
             fault = True
-        came = _came(positions)
-        whole = len(came) == len(_NODES)
+        found = came(places)
+        whole = len(found) == len(NODES)
         accepted += whole
         wrong += bool(drives.stale) == whole
-        counts = [came[node][1] for node in _NODES] if whole else [0, 0, 0]
+        counts = [found[node][1] for node in NODES] if whole else [0, 0, 0]
         wrong += not _motion_is(beam, rotor, counts, 1.0 / rig.rate_hz)
-        disabled = whole and any(came[i][0] & _ENABLED_MASK != _ENABLED for i in _NODES)
-        skew_m = abs(counts[0] * _BEAM_M - counts[1] * _BEAM_M)
-        wrong += fault != (disabled or skew_m > options.skew_m or _complained(said))
+        disabled = whole and any(found[i][0] & ENABLED_MASK != ENABLED for i in NODES)
+        skew_m = abs(counts[0] * BEAM_M - counts[1] * BEAM_M)
+        wrong += fault != (disabled or skew_m > options.skew_m or _complained(speech))
     return Outcome(tried, accepted, wrong, accepted / tried)
 
 
 def nodes_told(n: int, rng: np.random.Generator) -> Outcome:
     """Frames to the emulated nodes, of any length: none of them ends anything."""
-    rig, options = _rig()
+    rig, options = rig_of_drives()
     electronics = Electronics(rig, RIG.parent)
     answers: list[CanFrame] = []
     nodes = DriveNodes(
@@ -97,7 +99,7 @@ def nodes_told(n: int, rng: np.random.Generator) -> Outcome:
     logging.getLogger("canopen").setLevel(logging.CRITICAL)  # it logs every frame that is wrong
     wrong = answered = 0
     for _ in range(n):
-        base = int(rng.choice([0x000, _EMERGENCY, _RPDO, _SDO, _HEARTBEAT, 0x300]))
+        base = int(rng.choice([0x000, EMERGENCY, RPDO, SDO, HEARTBEAT, 0x300]))
         node = int(rng.integers(0, 5)) if base else 0
         data = rng.integers(0, 256, int(rng.integers(9)), np.uint8).tobytes()
         try:
@@ -112,7 +114,7 @@ def nodes_told(n: int, rng: np.random.Generator) -> Outcome:
     return Outcome(n, answered, wrong, answered / n)
 
 
-def _rig() -> tuple[RigConfig, CanDriveOptions]:
+def rig_of_drives() -> tuple[RigConfig, CanDriveOptions]:
     """Return the rig and what its drives are, which answer every SYNC."""
     rig = load_rig(RIG)
     found = rig.on_bus("drives")
@@ -121,17 +123,17 @@ def _rig() -> tuple[RigConfig, CanDriveOptions]:
     return rig, found[1].model_copy(update={"every": 1})
 
 
-def _said(rng: np.random.Generator) -> list[CanFrame]:
-    """Return emergencies and heartbeats, none in half of the cycles."""
+def said(rng: np.random.Generator, quiet: float = 0.5) -> list[CanFrame]:
+    """Return emergencies and heartbeats, none in this share of the cycles."""
     frames = []
-    for _ in range(int(rng.integers(5)) if rng.random() < 0.5 else 0):
-        base = int(rng.choice([_EMERGENCY, _HEARTBEAT]))
+    for _ in range(int(rng.integers(5)) if rng.random() >= quiet else 0):
+        base = int(rng.choice([EMERGENCY, HEARTBEAT]))
         data = bytearray(rng.integers(0, 256, int(rng.integers(9)), np.uint8).tobytes())
-        if base == _EMERGENCY and rng.random() < 0.5:
+        if base == EMERGENCY and rng.random() < 0.5:
             data = bytearray(8 if rng.random() < 0.5 else 7)  # no error; and too short for one
         elif data and rng.random() < 0.5:
             data[0] = int(rng.choice([0x00, 0x04, 0x05, 0x7F]))
-        frames.append((base + int(rng.choice(_NODES)), bytes(data)))
+        frames.append((base + int(rng.choice(NODES)), bytes(data)))
     return frames
 
 
@@ -142,7 +144,7 @@ def _complained(said: list[CanFrame]) -> bool:
     left = False
     for can_id, data in said:
         node = can_id & 0x7F
-        if can_id & ~0x7F == _EMERGENCY:
+        if can_id & ~0x7F == EMERGENCY:
             if len(data) == 8:
                 error[node] = data[:2] != b"\0\0"
         elif (state := data[0] & 0x7F if data else -1) == 5:
@@ -152,23 +154,31 @@ def _complained(said: list[CanFrame]) -> bool:
     return left or any(error.values())
 
 
-def _positions(rng: np.random.Generator) -> list[CanFrame]:
-    """Return the PDOs of a cycle; in some of them one is cut, repeated, changed or lost."""
-    near = rng.random() < 0.7
+def positions(
+    rng: np.random.Generator, near: float = 0.7, calm: float = 0.5, skew: int = _SKEW_COUNTS
+) -> list[CanFrame]:
+    """Return the PDOs of a cycle, in this share of them such as drives in operation send.
+
+    All of them come, once and unchanged, in the share `calm`; else one is lost, repeated or cut.
+    `skew`: how far X1 and X2 are from where the gantry is, in counts.
+    """
+    as_is, near = rng.random() < calm, rng.random() < near
     most = _BEAM_COUNTS if near else _MOST_COUNTS
     x = int(rng.integers(-most, most))
     frames = []
-    for node in rng.permutation(_NODES):
+    for node in rng.permutation(NODES):
         counts = int(rng.integers(-_MOST_COUNTS, _MOST_COUNTS))
-        if near and node != _NODES[2]:
-            counts = x + int(rng.integers(-_SKEW_COUNTS, _SKEW_COUNTS))
+        if near and node != NODES[2]:
+            counts = x + int(rng.integers(-skew, skew))
         status = int(rng.integers(1 << 16))
         if near:
-            status = status & ~_ENABLED_MASK | _ENABLED
+            status = status & ~ENABLED_MASK | ENABLED
         data = struct.pack("<Hih", status, counts, int(rng.integers(-(2**15), 2**15)))
-        frames.append((_TPDO + int(node), data))
+        frames.append((TPDO + int(node), data))
+    if as_is:
+        return frames
     at = int(rng.integers(3))
-    match int(rng.integers(6)):
+    match int(rng.integers(3)):
         case 0:
             del frames[at]
         case 1:
@@ -178,7 +188,7 @@ def _positions(rng: np.random.Generator) -> list[CanFrame]:
     return frames
 
 
-def _came(positions: list[CanFrame]) -> dict[int, tuple[int, int]]:
+def came(positions: list[CanFrame]) -> dict[int, tuple[int, int]]:
     """Return statusword and position of each node whose PDO came: the first that is whole."""
     came: dict[int, tuple[int, int]] = {}
     for can_id, data in positions:
@@ -190,10 +200,10 @@ def _came(positions: list[CanFrame]) -> dict[int, tuple[int, int]]:
 def _motion_is(beam: np.ndarray, rotor: np.ndarray, counts: list[int], Ts_s: float) -> bool:
     """Return whether these are the positions, and speeds of drives that were at rest at 0."""
     x1, x2, phi = counts
-    x_m, phi_rad = 0.5 * (x1 + x2) * _BEAM_M, phi * _ROTOR_RAD
+    x_m, phi_rad = 0.5 * (x1 + x2) * BEAM_M, phi * ROTOR_RAD
     speed = 11.0 / (6.0 * Ts_s)
     told, expected = [*beam[:2], *rotor[:2]], [x_m, x_m * speed, phi_rad, phi_rad * speed]
     # A micron of 2 m is 1e-6: of what differences of doubles lose, far less than 1e-9 is left.
     same = np.allclose(told, expected, rtol=1e-9, atol=1e-12)
-    in_range = abs(beam[0]) <= _MOST_COUNTS * _BEAM_M and abs(rotor[0]) <= _MOST_COUNTS * _ROTOR_RAD
+    in_range = abs(beam[0]) <= _MOST_COUNTS * BEAM_M and abs(rotor[0]) <= _MOST_COUNTS * ROTOR_RAD
     return bool(same and in_range and np.isfinite([beam[2], rotor[2]]).all())

@@ -5,30 +5,32 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from unittest import mock
 
 import numpy as np
 from _mutations import Outcome, are, mutated
 
+from levid.wire import serial_frames
 from levid.wire.rejected import Rejected
 from levid.wire.serial_frames import Contents, Header, Kind, SerialFrames
 from levid.wire.stream import FrameStream
 
-_CONTENTS = Contents(9, 9, True)
+CONTENTS = Contents(9, 9, True)
 # docs/serial-protocol.md: length of the body of each kind
-_LENGTHS = {0x01: 18 + 24, 0x81: 20 + 20 + 4 + 36, 0x02: 6, 0x82: 5}
+LENGTHS = {0x01: 18 + 24, 0x81: 20 + 20 + 4 + 36, 0x02: 6, 0x82: 5}
 _FORCE_N, _GAP_M, _BEAM_M, _ROTOR_RAD = 1e-3, 2e-3 / 65536, 1e-9, 1e-7
 
 
 def serial_blocks(n: int, rng: np.random.Generator) -> Outcome:
     """Random blocks, and good frames of which bytes were changed, cut off or added."""
-    frames = SerialFrames(_CONTENTS)
+    frames = SerialFrames(CONTENTS)
     accepted = wrong = 0
     for k in range(n):
         good = b""
         if k % 2:
             block = rng.integers(0, 256, int(rng.integers(0, 120)), np.uint8).tobytes()
         else:
-            good = _good(frames, Kind.CYCLE, k, rng)
+            good = good_frame(frames, Kind.CYCLE, k, rng)
             block = mutated(good, rng)
         header = frames.accept(block)
         accepted += isinstance(header, Header) and block != good
@@ -38,21 +40,54 @@ def serial_blocks(n: int, rng: np.random.Generator) -> Outcome:
 
 def serial_resealed(n: int, rng: np.random.Generator) -> Outcome:
     """Frames of every kind that were changed before they got their checksum, which is right."""
-    frames = SerialFrames(_CONTENTS)
+    frames = SerialFrames(CONTENTS)
     accepted = wrong = 0
     for k in range(n):
-        good = _unstuffed(_good(frames, tuple(Kind)[k % 4], k, rng))[:-4]
+        good = unstuffed(good_frame(frames, tuple(Kind)[k % 4], k, rng))[:-4]
         raw = bytearray(mutated(good, rng))
         if k % 3 == 0 and len(raw) > 1:  # version or kind: one of those next to the right one
             raw[k // 3 % 2] ^= 1 << int(rng.integers(8))
         if k % 5 == 0 and len(raw) > 8:  # no number, in the place of one or across two
             at = 4 + 2 * int(rng.integers((len(raw) - 6) // 2))
             raw[at : at + 4] = b"\0\0\0\x80"[: len(raw) - at]
-        block = _stuffed(raw + struct.pack("<I", zlib.crc32(raw)))
+        block = stuffed(raw + struct.pack("<I", zlib.crc32(raw)))
         header = frames.accept(block)
         accepted += isinstance(header, Header)
         wrong += not _judged_rightly(frames, header, block)
     return Outcome(n, accepted, wrong, accepted / n)
+
+
+def serial_crc12(n: int, rng: np.random.Generator) -> Outcome:
+    """Random bytes, rightly stuffed, against a checksum of which the low 12 bits alone count.
+
+    Of 32 bits a million frames would show nothing: one in 4e9 passes.
+    """
+    frames = SerialFrames(CONTENTS)
+    beyond = {Rejected.VERSION, Rejected.KIND, Rejected.LENGTH}
+    accepted = wrong = 0
+    with mock.patch.multiple(serial_frames, zlib=_Narrow, _CRC=_Narrow):
+        for _ in range(n):
+            raw = rng.integers(0, 256, int(rng.integers(8, 89)), np.uint8).tobytes()
+            judged = frames.accept(stuffed(raw))
+            agree = (zlib.crc32(raw[:-4]) ^ int.from_bytes(raw[-4:], "little")) & 0xFFF == 0
+            passed = isinstance(judged, Header) or judged in beyond
+            accepted += passed
+            wrong += passed != agree or judged is Rejected.FRAMING
+    return Outcome(n, accepted, wrong, 2.0**-12)
+
+
+class _Narrow:
+    """In the place of zlib and of the checksum's struct: 12 bits of it."""
+
+    size = 4
+
+    @staticmethod
+    def crc32(data: bytes) -> int:
+        return zlib.crc32(data) & 0xFFF
+
+    @staticmethod
+    def unpack_from(raw: bytes, at: int) -> tuple[int]:
+        return (int.from_bytes(raw[at : at + 4], "little") & 0xFFF,)
 
 
 def stream_of_noise(n: int, rng: np.random.Generator) -> Outcome:
@@ -60,7 +95,7 @@ def stream_of_noise(n: int, rng: np.random.Generator) -> Outcome:
 
     The first frame after noise may be lost, as the noise runs on into it; the second may not.
     """
-    frames = SerialFrames(_CONTENTS)
+    frames = SerialFrames(CONTENTS)
     stream = FrameStream(frames.longest)
     lost = 0
     values, pose = np.zeros(9), np.zeros(3)
@@ -75,7 +110,7 @@ def stream_of_noise(n: int, rng: np.random.Generator) -> Outcome:
     return Outcome(n, n - lost, lost, 1.0)
 
 
-def _good(frames: SerialFrames, kind: Kind, k: int, rng: np.random.Generator) -> bytes:
+def good_frame(frames: SerialFrames, kind: Kind, k: int, rng: np.random.Generator) -> bytes:
     """Return a frame as it should be, without its final zero."""
     values, axes = rng.uniform(-20.0, 20.0, 9), rng.uniform(-0.1, 0.1, (3, 3))
     match kind:
@@ -92,13 +127,13 @@ def _good(frames: SerialFrames, kind: Kind, k: int, rng: np.random.Generator) ->
 
 def _judged_rightly(frames: SerialFrames, header: Header | Rejected, block: bytes) -> bool:
     """Return whether a block was accepted as it should be, with what stands in it, or refused."""
-    raw = _unstuffed(block)
+    raw = unstuffed(block)
     body = raw[4:-4]
     right = (
         len(raw) >= 8
         and zlib.crc32(raw[:-4]) == struct.unpack("<I", raw[-4:])[0]
         and raw[0] == 1
-        and _LENGTHS.get(raw[1]) == len(body)
+        and LENGTHS.get(raw[1]) == len(body)
     )
     if not isinstance(header, Header):
         return not right
@@ -108,7 +143,7 @@ def _judged_rightly(frames: SerialFrames, header: Header | Rejected, block: byte
         case Kind.CYCLE:
             return _setpoints_are(frames, body)
         case Kind.READINGS:
-            return _readings_are(frames, body)
+            return readings_are(frames, body)
         case Kind.REQUEST:
             return frames.request_received() == struct.unpack("<BBI", body)
         case Kind.ANSWER:
@@ -127,7 +162,7 @@ def _setpoints_are(frames: SerialFrames, body: bytes) -> bool:
     )
 
 
-def _readings_are(frames: SerialFrames, body: bytes) -> bool:
+def readings_are(frames: SerialFrames, body: bytes) -> bool:
     force, gap, axes = np.zeros(9), np.zeros(9), np.zeros((3, 3))
     states = frames.amplifier_readings(force), frames.sensor_readings(gap)
     states += frames.drive_readings(axes)
@@ -156,7 +191,7 @@ def _long(motion: tuple[int, float, float], unit: float) -> list[float]:
     return [motion[0] * unit if motion[0] != -(2**31) else math.nan, *motion[1:]]
 
 
-def _unstuffed(block: bytes) -> bytes:
+def unstuffed(block: bytes) -> bytes:
     """Undo COBS; empty where it is none."""
     raw, at = bytearray(), 0
     while at < len(block):
@@ -171,7 +206,7 @@ def _unstuffed(block: bytes) -> bytes:
     return bytes(raw)
 
 
-def _stuffed(raw: bytes) -> bytes:
+def stuffed(raw: bytes) -> bytes:
     """Return COBS of it, without the final zero."""
     out = bytearray()
     parts = bytes(raw).split(b"\0")

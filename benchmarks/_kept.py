@@ -27,16 +27,26 @@ class Kept:
         if self._parts:
             print(f"carries on behind {len(self._parts)} parts of {file}", file=sys.stderr)
 
-    def part(self, key: str, measure: Callable[[], Any]) -> Any:
-        """Return what `measure` gave, now or in a run before: plain data that JSON knows."""
-        if key not in self._parts:
-            value = measure()
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            with self._file.open("a") as out:  # on a line of its own, whatever ended before it
-                out.write("\n" + json.dumps({"key": key, "value": value}) + "\n")
-            # As a run that carries on reads it.
-            self._parts[key] = json.loads(json.dumps(value))
+    def __contains__(self, key: str) -> bool:
+        return key in self._parts
+
+    def get(self, key: str) -> Any:
+        """Return a part that is there, as plain data."""
         return self._parts[key]
+
+    def keep(self, key: str, value: Any) -> None:
+        """Add a part: plain data that JSON knows."""
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        line = json.dumps({"key": key, "value": value})
+        with self._file.open("a") as out:  # on a line of its own, whatever ended before it
+            out.write(f"\n{line}\n")
+        self._parts[key] = json.loads(line)["value"]  # as a run that carries on reads it
+
+    def part(self, key: str, measure: Callable[[], Any]) -> Any:
+        """Return what `measure` gave, now or in a run before."""
+        if key not in self:
+            self.keep(key, measure())
+        return self.get(key)
 
     def finish(self) -> None:
         """Put the file aside: a whole run is not carried on."""

@@ -3,151 +3,118 @@
 Everything is judged again by other means: what a decoder accepts, what numbers it makes of it, and
 what it refuses; with the right checksum too, so that all else has to be checked. Of random frames,
 those pass that the width of counter and checksum predict; `z` is how far the count is from that, in
-standard deviations.
+standard deviations. Every processor takes one decoder after the other; the full run takes about ten
+minutes on two. What is done is kept: a run that was stopped carries on.
 """
 
 from __future__ import annotations
 
-import math
-import struct
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from functools import partial
+from multiprocessing import active_children
+from pathlib import Path
+from time import perf_counter
 
 import _table
 import numpy as np
+from _code_version import ROOT, code_version
+from _fuzz_can import can_lengths, can_mutated, can_random, frames_unpacked, local_bus
 from _fuzz_drives import drives_heard, nodes_told
-from _fuzz_serial import serial_blocks, serial_resealed, stream_of_noise
-from _mutations import Outcome, are, mutated
+from _fuzz_port import transactions
+from _fuzz_sdo import sdo_answers
+from _fuzz_sequences import drives_followed
+from _fuzz_serial import serial_blocks, serial_crc12, serial_resealed, stream_of_noise
+from _kept import Kept
+from _mutations import Outcome
 from _table import Figure
 
-from levid.wire.can_frames import Fields, ValueFrames, load_frames
-from levid.wire.rejected import Rejected
+from levid.config.shipped import shipped
 
-_BATCH = 10_000
-
-
-def can_random(n: int, rng: np.random.Generator, *, right_counter: bool) -> Outcome:
-    """Random CAN FD payloads of the right length; with the right counter, or one drawn too."""
-    group = load_frames(None, 9, 9, True).gap
-    (frame,) = group.frames
-    accepted = wrong = 0
-    for data, cycle in _payloads(n, frame.length, rng):
-        if right_counter:
-            data[-2] = data[-2] & 0xF0 | cycle & 0x0F
-        taken, rightly = _tried(group, [(frame.can_id, bytes(data))], cycle)
-        accepted += taken
-        wrong += not rightly
-    return Outcome(n, accepted, wrong, 2.0**-8 if right_counter else 2.0**-12)
-
-
-def can_mutated(n: int, rng: np.random.Generator, *, resealed: bool = False) -> Outcome:
-    """Good classic frames of which bytes were changed, cut off or added; three make a reading.
-
-    `resealed`: they get their checksum after that, so that what else is checked has to do.
-    """
-    frames = load_frames(None, 9, 9, False)
-    group = frames.force
-    accepted = wrong = 0
-    for k in range(n):
-        cycle = k & 0xFF
-        sent = group.encode(rng.uniform(-20, 20, 9), cycle, 1)
-        at = int(rng.integers(3))
-        can_id, good = sent[at]
-        bad = mutated(good, rng)
-        if resealed and bad:
-            bad = bad[:-1] + bytes((_crc8(struct.pack(">HH", can_id, cycle >> 4) + bad[:-1]),))
-        sent[at] = can_id, bad
-        taken, rightly = _tried(group, sent, cycle)
-        accepted += taken
-        wrong += not rightly
-        for fields, length in ((frames.sync, 3), (frames.request, 7), (frames.answer, 6)):
-            data = bad
-            if resealed and bad:
-                data = bad[:-1] + bytes((_crc8(struct.pack(">H", fields.can_id) + bad[:-1]),))
-            wrong += not _fields_are(fields, data, length)
-    # Nearly all mutations keep the length; they hit the counter now and then, and so do not pass.
-    return Outcome(n, accepted, wrong, accepted / n)
-
-
-def _tried(group: ValueFrames, sent: list[tuple[int, bytes]], cycle: int) -> tuple[bool, bool]:
-    """Return whether the frames of a cycle are accepted, and whether that and all values are so."""
-    out = np.zeros(group.channels)
-    group.begin()
-    taken = all(group.accept(i, d, cycle) is None for i, d in sent) and group.finish(out) is None
-    length = group.frames[0].length
-    right = all(_can_is_right(i, d, cycle, length) for i, d in sent)
-    rightly = taken == right and (
-        not taken or _can_values_are(out, [d for _, d in sent], group.unit)
-    )
-    return taken, rightly
-
-
-def _fields_are(fields: Fields, data: bytes, length: int) -> bool:
-    numbers = fields.decode(data)
-    right = len(data) == length and data[-1] == _crc8(struct.pack(">H", fields.can_id) + data[:-1])
-    if isinstance(numbers, Rejected):
-        return not right
-    layout = {3: "<H", 7: "<BBI", 6: "<BI"}[length]
-    return right and numbers == struct.unpack(layout, data[:-1])
+KEPT = Path(__file__).resolve().parent.parent / "build" / "fuzz"
+Fuzz = Callable[[int, np.random.Generator], Outcome]
+RUNS: dict[str, tuple[Fuzz, str]] = {
+    "can_random": (partial(can_random, right_counter=False), "random CAN FD frames"),
+    "can_counter": (
+        partial(can_random, right_counter=True),
+        "random CAN FD frames, right counter",
+    ),
+    "can_lengths": (can_lengths, "random payloads of 0 to 64 bytes, classic CAN and FD"),
+    "can_mutated": (can_mutated, "mutated CAN frames"),
+    "can_resealed": (partial(can_mutated, resealed=True), "mutated CAN frames, right checksum"),
+    "kernel": (frames_unpacked, "noise where the kernel lays out a frame"),
+    "local_bus": (local_bus, "messages on a local bus"),
+    "serial": (serial_blocks, "random and mutated serial blocks"),
+    "serial_crc12": (serial_crc12, "random serial frames, 12 bits of the checksum"),
+    "serial_resealed": (serial_resealed, "mutated serial frames, right checksum"),
+    "stream": (stream_of_noise, "stretches of noise between serial frames"),
+    "port": (transactions, "answers at a serial port, among noise"),
+    "drives": (drives_heard, "frames of CANopen drives, random and near the right"),
+    "sequences": (drives_followed, "the same, cycle after cycle"),
+    "sdo": (sdo_answers, "answers of CANopen drives by SDO"),
+    "nodes": (nodes_told, "frames to emulated CANopen drives"),
+}
+PREDICTED = ("can_random", "can_counter", "can_lengths", "serial_crc12")
+"""Those of which counter and checksum alone say how many pass."""
 
 
 def measure(quick: bool) -> list[Figure]:
-    n = 100_000 if quick else 1_000_000
-    rng = np.random.default_rng(5)
-    runs = {
-        "can_random": (can_random(n, rng, right_counter=False), "random CAN FD frames"),
-        "can_counter": (
-            can_random(n, rng, right_counter=True),
-            "random CAN FD frames, right counter",
-        ),
-        "can_mutated": (can_mutated(n, rng), "mutated CAN frames"),
-        "can_resealed": (
-            can_mutated(n, rng, resealed=True),
-            "mutated CAN frames, right checksum",
-        ),
-        "serial": (serial_blocks(n, rng), "random and mutated serial blocks"),
-        "serial_resealed": (serial_resealed(n, rng), "mutated serial frames, right checksum"),
-        "stream": (stream_of_noise(n, rng), "stretches of noise between serial frames"),
-        "drives": (drives_heard(n, rng), "frames of CANopen drives, random and near the right"),
-        "nodes": (nodes_told(n // 10, rng), "frames to emulated CANopen drives"),
-    }
-    figures = []
-    for key, (outcome, label) in runs.items():
-        share = outcome.accepted / outcome.tried
-        figures += [
-            Figure(f"{key}_accepted", share, "", f"{label}: share accepted"),
-            Figure(f"{key}_wrong", outcome.wrong, "", f"{label}: judged wrongly, or lost"),
-        ]
-        if 0.0 < outcome.expected_share < 1.0 and key in ("can_random", "can_counter"):
-            figures.append(Figure(f"{key}_z", outcome.z, "sd", f"{label}: off the prediction by"))
+    n = 20_000 if quick else 1_000_000
+    kept = Kept(KEPT / f"{n}-{version()}.jsonl")
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        jobs: dict[Future[tuple[Outcome, float]], str] = {
+            pool.submit(one, key, n): key for key in RUNS if key not in kept
+        }
+        try:
+            for job in as_completed(jobs):
+                outcome, seconds = job.result()
+                kept.keep(jobs[job], [asdict(outcome), seconds])
+                print(f"{jobs[job]}: {seconds:.0f} s", file=sys.stderr)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in active_children():
+                worker.terminate()
+            raise
+    found = {key: kept.get(key) for key in RUNS}
+    kept.finish()
+    return [
+        figure
+        for key, (outcome, seconds) in found.items()
+        for figure in figures_of(key, Outcome(**outcome), seconds)
+    ]
+
+
+def one(key: str, n: int) -> tuple[Outcome, float]:
+    """Return what came of a decoder, and how long that took in s."""
+    start = perf_counter()
+    outcome = RUNS[key][0](n, np.random.default_rng([5, *key.encode()]))
+    return outcome, perf_counter() - start
+
+
+def figures_of(key: str, outcome: Outcome, seconds: float) -> list[Figure]:
+    label = RUNS[key][1]
+    figures = [
+        Figure(f"{key}_tried", outcome.tried, "", label),
+        Figure(f"{key}_accepted", outcome.accepted / outcome.tried, "", f"{label}: share accepted"),
+        Figure(f"{key}_wrong", outcome.wrong, "", f"{label}: judged wrongly, or lost"),
+        Figure(f"{key}_s", seconds, "s", f"{label}: took"),
+    ]
+    if key in PREDICTED:
+        figures.append(Figure(f"{key}_z", outcome.z, "sd", f"{label}: off the prediction by"))
     return figures
 
 
-def _payloads(n: int, length: int, rng: np.random.Generator):  # type: ignore[no-untyped-def]
-    for begin in range(0, n, _BATCH):
-        batch = rng.integers(0, 256, (min(_BATCH, n - begin), length), np.uint8)
-        for k, row in enumerate(batch):
-            yield bytearray(row.tobytes()), k & 0xFF
-
-
-def _crc8(data: bytes) -> int:
-    """Return CRC-8/AUTOSAR, a bit at a time: polynomial 0x2F, initial value and final xor 0xFF."""
-    crc = 0xFF
-    for byte in data:
-        for bit in range(7, -1, -1):
-            carry = (crc >> 7) ^ (byte >> bit & 1)
-            crc = crc << 1 & 0xFF ^ (0x2F if carry else 0)
-    return crc ^ 0xFF
-
-
-def _can_is_right(can_id: int, data: bytes, cycle: int, length: int) -> bool:
-    if len(data) != length or (data[-2] ^ cycle) & 0xF:
-        return False
-    return data[-1] == _crc8(struct.pack(">HH", can_id, cycle >> 4) + data[:-1])
-
-
-def _can_values_are(out: np.ndarray, payloads: list[bytes], unit: float) -> bool:
-    counts = [c for data in payloads for c in struct.unpack(f"<{len(data) // 2 - 1}h", data[:-2])]
-    told = [c * unit if c != -(2**15) else math.nan for c in counts]
-    return are(out, told[: len(out)], 2**15 * unit)
+def version() -> str:
+    """Return a digest of the decoders, of what they are in, and of what tries them."""
+    here = Path(__file__).parent
+    sources = [*(ROOT / "wire").rglob("*.py"), *here.glob("_fuzz_*.py"), here / "_mutations.py"]
+    settings = [shipped(f"{name}.yaml") for name in ("rigs/canfd", "sims/nominal")]
+    return code_version(
+        ("drivers", "sim/electronics"), (*sorted(sources), Path(__file__)), settings
+    )
 
 
 if __name__ == "__main__":

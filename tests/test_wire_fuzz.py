@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-from from_benchmarks import script
+from from_benchmarks import module, script
 
+from levid.drivers.serial.port import TransactionPort
+from levid.wire.cia402 import ENABLE_OPERATION
 from levid.wire.rejected import Rejected
 from levid.wire.serial_frames import SerialFrames
 
@@ -72,7 +76,78 @@ def test_no_frame_ends_the_emulated_drives(fuzz) -> None:
     assert found.accepted > 0
 
 
+@pytest.mark.parametrize(
+    "kind", ["can_lengths", "frames_unpacked", "local_bus", "transactions", "drives_followed"]
+)
+def test_noise_is_judged_as_it_should_be(fuzz, kind: str) -> None:
+    found = getattr(fuzz, kind)(N // 4, np.random.default_rng(8))
+    assert found.wrong == 0
+    assert found.accepted > 0
+
+
+def test_checksum_of_serial_frames_lets_through_what_its_width_predicts(fuzz) -> None:
+    found = fuzz.serial_crc12(N, np.random.default_rng(9))
+    assert found.wrong == 0
+    assert abs(found.z) < 4.0
+    # It is narrow for as long as that takes, and no longer.
+    assert fuzz.serial_blocks(100, np.random.default_rng(9)).wrong == 0
+
+
+def test_answers_by_sdo_are_numbers_or_errors(fuzz) -> None:
+    found = fuzz.sdo_answers(N // 10, np.random.default_rng(10))
+    assert found.wrong == 0
+    assert 0.3 * found.tried < found.accepted < 0.8 * found.tried
+
+
+def test_readings_of_another_cycle_would_be_noticed(fuzz, monkeypatch) -> None:
+    """Whoever judges has to know better: a port that takes whatever comes is found out."""
+    take = TransactionPort._take
+
+    def take_all(self: TransactionPort, block: bytes) -> None:
+        cycle = self._cycle
+        header = SerialFrames(self.frames.contents).accept(block)
+        if not isinstance(header, Rejected):
+            self._cycle = header.sequence
+        take(self, block)
+        self._cycle = cycle
+
+    monkeypatch.setattr(TransactionPort, "_take", take_all)
+    assert fuzz.transactions(N // 20, np.random.default_rng(11)).wrong > 0
+
+
+def test_drive_that_is_told_to_go_on_beside_a_fault_would_be_noticed(fuzz, monkeypatch) -> None:
+    monkeypatch.setattr("levid.drivers.can.drives.QUICK_STOP", ENABLE_OPERATION)
+    assert fuzz.drives_followed(N // 20, np.random.default_rng(12)).wrong > 0
+
+
+def test_every_run_is_kept_and_has_its_figures(fuzz, tmp_path: Path, monkeypatch) -> None:
+    asked: list[str] = []
+
+    class Pool(ThreadPoolExecutor):
+        def submit(self, call, key: str, n: int):  # type: ignore[no-untyped-def]
+            asked.append(key)
+            return super().submit(call, key, min(n, 20))
+
+    monkeypatch.setattr(fuzz, "KEPT", tmp_path)
+    monkeypatch.setattr(fuzz, "ProcessPoolExecutor", lambda _: Pool(1))
+    fuzz.Kept(tmp_path / f"20000-{fuzz.version()}.jsonl").keep(
+        "nodes", [{"tried": 8, "accepted": 2, "wrong": 0, "expected_share": 0.25}, 1.0]
+    )
+    found = {figure.key: figure.value for figure in fuzz.measure(True)}
+    assert sorted([*asked, "nodes"]) == sorted(fuzz.RUNS)
+    assert {f"{key}_wrong" for key in fuzz.RUNS} <= found.keys()
+    assert {key for key in found if key.endswith("_z")} == {f"{k}_z" for k in fuzz.PREDICTED}
+    assert (found["nodes_tried"], found["nodes_accepted"]) == (8, 0.25)
+    # A whole run is not carried on.
+    assert [path.suffixes for path in tmp_path.iterdir()] == [[".before", ".jsonl"]]
+
+
 def test_stream_is_in_step_again_after_any_noise(fuzz) -> None:
     found = fuzz.stream_of_noise(N // 10, np.random.default_rng(3))
     assert found.wrong == 0
     assert found.tried == N // 10
+
+
+def test_checksum_that_fuzz_checks_with_is_the_standards() -> None:
+    # AUTOSAR's own check value (Specification of CRC Routines).
+    assert module("_fuzz_can").crc8(b"123456789") == 0xDF

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import pwd
+import re
 import signal
 import subprocess
 import sys
@@ -17,9 +18,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from levid.daemon.client import Client, DaemonError
+from levid.log.errors import LogError
+from levid.log.reader import read_log
 
 HERE = Path(__file__).parent
 RESULTS = Path("/rig")
@@ -28,6 +32,11 @@ RIG = Path("/etc/levid/rig.yaml")
 LEVID = "/srv/levid/bin/levid"
 RATE_HZ = 125
 PATIENCE_S = 90.0
+MOST_EXPOSED = 2.0
+MOST_SKIPPED = 255
+LOST_S = 1.0
+"""What may be missing of a log when one of its processes was killed: it opens up to its last
+second."""
 USERS = 'u labuser - "may ask" /run\nm labuser levid\nu stranger - "may not" /run\n'
 # What this machine is like, not what the service is: where levid lies, and stalls of seconds.
 DROP_IN = """[Service]
@@ -82,8 +91,11 @@ def install() -> None:
     run("systemctl", "daemon-reload")
     until(Path("/sys/class/net/vcan0").exists, "networkd makes vcan0")
     run("chown", "-R", "levid:levid", "/var/cache/levid")
-    judged = run("systemd-analyze", "security", "--no-pager", "levid")
-    say(judged.strip().splitlines()[-1])
+    judged = run("systemd-analyze", "security", "--no-pager", "levid").strip().splitlines()[-1]
+    say(judged)
+    level = re.search(r"levid\.service: (\d+\.\d+)", judged)
+    assert level is not None, judged
+    assert float(level[1]) <= MOST_EXPOSED, judged
 
 
 def starts(_: Any) -> None:
@@ -116,7 +128,9 @@ def refuses(_: Any) -> None:
 
 
 def recorder_dies(_: Any) -> None:
-    before = lift_off()
+    before = lift_off("recorder-dies")
+    begun = before["cycle"]
+    status_when(lambda s: s["cycle"] > begun + 2 * RATE_HZ)  # something of it is in a file
     os.kill(before["pids"]["recorder"], signal.SIGKILL)
     after = status_when(lambda s: s["recorder_restarts"] > before["recorder_restarts"])
     assert (after["state"], after["fault"]) == ("LEVITATING", "NONE"), after
@@ -133,25 +147,31 @@ def clock_steps(_: Any) -> None:
 
 
 def loop_dies(electronics: subprocess.Popen[str]) -> None:
-    os.kill(ask("status")["pids"]["loop"], signal.SIGKILL)
+    status = ask("status")
+    os.kill(status["pids"]["loop"], signal.SIGKILL)
     assert status_when(lambda s: s["fault"] != "NONE")["fault"] == "LOOP"
     no_force(electronics)
+    opens("recorder-dies", status["cycle"], parts=2)
     assert ask("clear")["cleared"] == "LOOP"
     assert shown("NRestarts") == "0"
     told("LEVID_FAULT=LOOP", "PRIORITY=3")
 
 
 def supervisor_dies(electronics: subprocess.Popen[str]) -> None:
-    os.kill(lift_off()["pids"]["supervisor"], signal.SIGKILL)
+    status = lift_off("supervisor-dies")
+    os.kill(status["pids"]["supervisor"], signal.SIGKILL)
     restarted(1)
     no_force(electronics)
+    opens("supervisor-dies", status["cycle"])
     assert list((STATE / "faults").glob("*-SUPERVISOR.mcap"))
 
 
 def loop_hangs(electronics: subprocess.Popen[str]) -> None:
-    os.kill(lift_off()["pids"]["loop"], signal.SIGSTOP)
+    status = lift_off("loop-hangs")
+    os.kill(status["pids"]["loop"], signal.SIGSTOP)
     assert status_when(lambda s: s["fault"] != "NONE")["fault"] == "LOOP"
     no_force(electronics)
+    opens("loop-hangs", status["cycle"])
     restarted(2)  # nobody clears the fault: the watchdog is no longer fed
     assert "watchdog" in run("journalctl", "--no-pager", "-u", "levid").lower()
 
@@ -179,10 +199,39 @@ def long() -> Any:
     return path.open()
 
 
-def lift_off() -> dict[str, Any]:
+def lift_off(log: str) -> dict[str, Any]:
+    """Levitate, recording into this folder of the daemon's own."""
     status_when(lambda s: s["state"] == "IDLE")
-    ask("levitate", levitate={"unload_s": 0.2, "ramp_s": 0.5, "settle_s": 0.2})
+    levitate = {"unload_s": 0.2, "ramp_s": 0.5, "settle_s": 0.2}
+    ask("levitate", levitate=levitate, out=str(STATE / log))
     return status_when(lambda s: s["state"] == "LEVITATING")
+
+
+def opens(log: str, cycle: int, parts: int = 1) -> None:
+    """Wait until a flight's log opens, in so many parts, up to LOST_S before this cycle.
+
+    Then every cycle that was flown has to be in it, whoever was killed meanwhile.
+    """
+    found: list[np.ndarray] = []
+
+    def there() -> bool:
+        nonlocal found
+        try:
+            found = [read_log(path).rows for path in (STATE / log).glob("*.mcap")]
+        except LogError:  # not a row of it is in the file as yet
+            return False
+        found.sort(key=lambda rows: int(rows["cycle"][0]))
+        return len(found) >= parts and found[-1]["cycle"][-1] >= cycle - LOST_S * RATE_HZ
+
+    def told() -> str:
+        return f"{[(len(rows), int(rows['cycle'][-1])) for rows in found]}"
+
+    until(there, f"the log {log} up to cycle {cycle}", told)
+    rows = np.concatenate(found)
+    counted = rows["skipped"][1:] < MOST_SKIPPED  # of more a row does not know how many
+    steps = np.diff(rows["cycle"].astype(np.int64))
+    assert (steps == 1 + rows["skipped"][1:])[counted].all(), f"{log}: rows are missing"
+    say(f"{log}: {len(found)} parts open, {len(rows)} rows")
 
 
 def restarted(times: int) -> None:

@@ -25,6 +25,7 @@ from _bus_codecs import Cycle, frames_of
 from _bus_rigs import APART, LABELS, RATE_HZ, cycle_of, electronics_on, opened, rig_on, rig_text
 from _bus_transaction import AXES, CONTENTS, FORCES_N, GAPS_M
 from _table import Figure
+from can import CanError
 
 from levid.config.buses import SerialBus
 from levid.daemon.clock import RealClock
@@ -47,6 +48,9 @@ def interface_figures(n: int) -> list[Figure]:
     for name in (*INTERFACES, "serial"):
         with tempfile.TemporaryDirectory() as folder:
             times = _serial_times(n) if name == "serial" else _can_times(name, Path(folder), n)
+        if not times:
+            print(f"{LABELS[name]}: frames got lost again and again: no figure", file=sys.stderr)
+            continue
         send_us, receive_us = 1e6 * np.median(times[_WARM_UP:], axis=0)
         who = LABELS[name]
         figures += [
@@ -106,10 +110,15 @@ def _fresh_cycles(cycle: Callable[[int], bool], n: int) -> tuple[list[float], in
 
 
 def _can_times(name: str, folder: Path, n: int) -> list[tuple[float, float]]:
-    """Return how long the frames of each cycle took to be sent, and to be received."""
+    """Return how long the frames of each cycle took to be sent, and to be received.
+
+    Where the machine is busy udp_multicast does not get rid of a frame in time, now and then: that
+    is no cycle. Nothing is returned where it is more than now and then.
+    """
     bus = rig_on(name, folder).can["main"]
     cycle = frames_of(load_frames(None, 9, 9, bus.fd), FORCES_N, GAPS_M)
-    times = []
+    times: list[tuple[float, float]] = []
+    lost = 0
     with contextlib.ExitStack() as stack:
         ends: list[FrameBus] = []
         for _ in range(2):
@@ -117,8 +126,16 @@ def _can_times(name: str, folder: Path, n: int) -> list[tuple[float, float]]:
             stack.callback(ends[-1].shutdown)
         for end in reversed(ends):  # who joins is noticed with the next receive
             end.receive(0.1)
-        for _ in range(_WARM_UP + n):
-            times.append(_exchange(ends[0], ends[1], cycle))
+        while len(times) < _WARM_UP + n:
+            try:
+                times.append(_exchange(ends[0], ends[1], cycle))
+            except CanError:
+                lost += 1
+                if lost > MOST_STALE * n:
+                    return []
+                for end in ends:
+                    while end.receive(0.0) is not None:
+                        pass
     return times
 
 
@@ -141,7 +158,8 @@ def _take(end: FrameBus, frames: list[tuple[int, bytes]]) -> None:
     give_up_s = time.perf_counter() + _COMES_S
     while missing:
         frame = end.receive(give_up_s - time.perf_counter())
-        assert frame is not None, f"{len(missing)} frames did not come"
+        if frame is None:
+            raise CanError(f"{len(missing)} frames did not come")
         if frame.can_id in missing:
             assert missing.pop(frame.can_id) == frame.data
 

@@ -10,6 +10,7 @@ the empty one too; what carries udp's frames has none, nor can it be given.
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -25,9 +26,11 @@ from _table import Figure
 from levid.config.service import Realtime
 from levid.daemon.clock import RealClock
 from levid.daemon.realtime import be_punctual, no_collections
+from levid.drivers.base import DriverError
 
 _WARM_UP = 200
 """Cycles of each stretch that do not count: devices that were left alone have to be enabled."""
+_TRIES = 3
 _ANOTHER_HOST = 1000
 """After such a jump of the cycle electronics do not catch up with what they missed."""
 
@@ -49,22 +52,37 @@ def lateness_figures(seconds: float, rounds: int, kept: Kept) -> list[Figure]:
     """
     figures: list[Figure] = []
     for name in TIMED:
-        turns = [
-            {which: Stretch(*counts) for which, counts in turn.items()}
-            for turn in (
-                kept.part(
-                    f"lateness {name} {number}",
-                    lambda name=name, number=number: one_round(name, seconds, number),
-                )
-                for number in range(rounds)
+        found = [
+            kept.part(
+                f"lateness {name} {number}",
+                lambda name=name, number=number: until_whole(name, seconds, number),
             )
+            for number in range(rounds)
         ]
-        figures += figures_of(name, turns)
+        turns = [{w: Stretch(*counts) for w, counts in turn.items()} for turn, _ in found if turn]
+        broken = sum(broken for _, broken in found)
+        what = "stretches that a lost bus or too many stale readings ended"
+        figures.append(Figure(f"{name}_broken_off", broken, "", f"{LABELS[name]}: {what}"))
+        if turns:
+            figures += figures_of(name, turns)
     return figures
 
 
+def until_whole(name: str, seconds: float, number: int) -> tuple[dict[str, Stretch], int]:
+    """Return a round, and how many before it broke off; none after _TRIES."""
+    for broken in range(_TRIES):
+        try:
+            return one_round(name, seconds, number), broken
+        except DriverError as error:
+            print(f"{LABELS[name]}, round {number}: {error}", file=sys.stderr)
+    return {}, _TRIES
+
+
 def one_round(name: str, seconds: float, number: int) -> dict[str, Stretch]:
-    """Run both loops for so long each; which of them is first changes from round to round."""
+    """Run both loops for so long each; which of them is first changes from round to round.
+
+    Raises DriverError where the devices do not last.
+    """
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
         path = folder / "rig.yaml"

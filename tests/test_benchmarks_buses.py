@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from from_benchmarks import module, script
 
-from levid.drivers.base import DriverError, SensorError, StaleError
+from levid.drivers.base import DriverError, LinkError, SensorError, StaleError
 
 MS = 1e-3
 
@@ -162,6 +162,27 @@ def test_cycle_that_ends_late_counts_though_the_next_begins_in_time(monkeypatch)
     assert (found.begun_late, found.ended_late, found.stale) == (1, 3, 1)
     assert found.cycles == 20
     assert found.last == 10 + 21 + 2
+
+
+def test_stretch_that_breaks_off_is_counted_and_begun_anew(tmp_path: Path, monkeypatch) -> None:
+    lateness = module("_bus_lateness")
+    turn = {"bus": lateness.Stretch(9, 1, 1, 1, 0), "empty": lateness.Stretch(9, 1, 1, 0, 0)}
+    ends = iter([turn, LinkError("gone"), turn, *[LinkError("gone")] * 3])
+
+    def one_round(*_: object) -> object:
+        end = next(ends)
+        if isinstance(end, LinkError):
+            raise end
+        return end
+
+    monkeypatch.setattr(lateness, "one_round", one_round)
+    monkeypatch.setattr(lateness, "TIMED", ("serial",))
+    kept = module("_kept").Kept(tmp_path / "run.jsonl")
+    found = by_key(lateness.lateness_figures(1.0, 3, kept))
+    assert (found["serial_broken_off"], found["serial_cycles"]) == (4, 18)
+    ends = iter([LinkError("gone")] * 3)
+    kept = module("_kept").Kept(tmp_path / "other.jsonl")
+    assert by_key(lateness.lateness_figures(1.0, 1, kept)) == {"serial_broken_off": 3}
 
 
 def test_round_counts_each_loop_with_its_own_cycles() -> None:

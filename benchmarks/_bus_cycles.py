@@ -29,6 +29,8 @@ from can import CanError
 
 from levid.config.buses import SerialBus
 from levid.daemon.clock import RealClock
+from levid.daemon.realtime import no_collections
+from levid.drivers.base import DriverError
 from levid.drivers.serial.line import SerialLine
 from levid.sim.electronics.rig import Electronics
 from levid.wire.can_bus import FrameBus, open_bus
@@ -62,50 +64,59 @@ def interface_figures(n: int) -> list[Figure]:
 
 def cycle_figures(n: int) -> list[Figure]:
     """Return the median time of a cycle on each backend, of those whose readings were all fresh."""
-    figures = []
+    figures: list[Figure] = []
     for name in ("loopback", *APART, "canfd_virtual"):
-        with contextlib.ExitStack() as stack:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            rig = rig_on(name, folder)
-            if name in APART:
-                path = folder / "rig.yaml"
-                path.write_text(rig_text(name, folder))
-                electronics = stack.enter_context(electronics_on(path))
-            elif name != "loopback":
-                stack.enter_context(Electronics(rig, folder))
-            devices = stack.enter_context(opened(rig, folder))
-            if name in APART:
-                _real_time.hurry(_real_time.ELECTRONICS, electronics.pid)
-                stack.callback(_real_time.relax)
-                _real_time.hurry(_real_time.LOOP)
-            times, stale = _fresh_cycles(cycle_of(devices), n)
         where = {"loopback": "", "canfd_virtual": ", electronics in a thread"}
         label = f"{LABELS[name]}: a whole cycle{where.get(name, ', electronics apart')}"
+        try:
+            times, stale = _on_backend(name, n)
+        except DriverError as error:
+            print(f"{label}: no figure: {error}", file=sys.stderr)
+            continue
         figures.append(Figure(f"{name}_cycle_stale", stale, "", f"{label}: of {n}, stale"))
         if stale <= MOST_STALE * n:
             figures.append(Figure(f"{name}_cycle_us", 1e6 * float(np.median(times)), "us", label))
         else:
-            print(f"{label}: {stale} of {n} were stale: no figure", file=sys.stderr)
+            print(f"{label}: no figure: {stale} of {n} were stale", file=sys.stderr)
     return figures
+
+
+def _on_backend(name: str, n: int) -> tuple[list[float], int]:
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        rig = rig_on(name, folder)
+        if name in APART:
+            path = folder / "rig.yaml"
+            path.write_text(rig_text(name, folder))
+            electronics = stack.enter_context(electronics_on(path))
+        elif name != "loopback":
+            stack.enter_context(Electronics(rig, folder))
+        devices = stack.enter_context(opened(rig, folder))
+        if name in APART:
+            _real_time.hurry(_real_time.ELECTRONICS, electronics.pid)
+            stack.callback(_real_time.relax)
+            _real_time.hurry(_real_time.LOOP)
+        return _fresh_cycles(cycle_of(devices), n)
 
 
 def _fresh_cycles(cycle: Callable[[int], bool], n: int) -> tuple[list[float], int]:
     """Return the times of the cycles that were answered, at 1 kHz, and how many were not."""
     times, stale, number = [], 0, 0
     clock = RealClock(1 / RATE_HZ)
-    clock.start()
-    for k in range(-_WARM_UP, n):
-        clock.wait()
-        number += 1 + clock.skipped
-        start = time.perf_counter()
-        fresh = cycle(number)
-        took_s = time.perf_counter() - start
-        if k < 0:
-            continue
-        if fresh:
-            times.append(took_s)
-        else:
-            stale += 1
+    with no_collections():
+        clock.start()
+        for k in range(-_WARM_UP, n):
+            clock.wait()
+            number += 1 + clock.skipped
+            start = time.perf_counter()
+            fresh = cycle(number)
+            took_s = time.perf_counter() - start
+            if k < 0:
+                continue
+            if fresh:
+                times.append(took_s)
+            else:
+                stale += 1
     return times, stale
 
 

@@ -10,6 +10,7 @@ the empty one too; what carries udp's frames has none, nor can it be given.
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from time import monotonic
 from typing import NamedTuple
 
 import _real_time
+import numpy as np
 from _bus_rigs import LABELS, RATE_HZ, TIMED, cycle_of, electronics_on, opened, rig_on, rig_text
 from _kept import Kept
 from _shares import Round, ratio_figures
@@ -36,13 +38,17 @@ _ANOTHER_HOST = 1000
 
 
 class Stretch(NamedTuple):
-    """Cycles run, of them late in either sense and with a stale reading; and the last one's."""
+    """Cycles run, of them late in either sense and with a stale reading; and the last one's.
+
+    real_time: whether it ran first in, first out.
+    """
 
     cycles: int
     begun_late: int
     ended_late: int
     stale: int
     last: int
+    real_time: bool = False
 
 
 def lateness_figures(seconds: float, rounds: int, kept: Kept) -> list[Figure]:
@@ -111,7 +117,7 @@ def one_round(name: str, seconds: float, number: int) -> dict[str, Stretch]:
 def figures_of(name: str, turns: list[dict[str, Stretch]]) -> list[Figure]:
     """Return the shares over all rounds, late by either definition, and their ratios."""
     who = LABELS[name]
-    loops, empties = ([turn[which] for turn in turns] for which in ("bus", "empty"))
+    loops, empties = [turn["bus"] for turn in turns], [turn["empty"] for turn in turns]
     n = sum(loop.cycles for loop in loops)
     figures = []
     for which, what in (
@@ -145,6 +151,12 @@ def figures_of(name: str, turns: list[dict[str, Stretch]]) -> list[Figure]:
         *figures,
         Figure(f"{name}_stale_share", stale / n, "", f"{who}: cycles with a stale reading"),
         Figure(f"{name}_cycles", n, "", f"{who}: cycles, as many of the empty loop"),
+        Figure(
+            f"{name}_real_time",
+            float(np.mean([one.real_time for one in (*loops, *empties)])),
+            "",
+            f"{who}, and the empty loop: stretches at real-time priority",
+        ),
         Figure(f"{name}_stretch_s", loops[0].cycles / RATE_HZ, "s", f"{who}: in one piece"),
     ]
 
@@ -166,4 +178,5 @@ def _timed(loop: Callable[[int], bool], seconds: float, begin: int) -> Stretch:
                 begun += clock.skipped > 0
                 ended += late_s + monotonic() - began_s >= period_s
                 stale += not fresh
-    return Stretch(n, begun, ended, stale, cycle)
+    real_time = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    return Stretch(n, begun, ended, stale, cycle, real_time)

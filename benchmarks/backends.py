@@ -3,7 +3,7 @@
 Parts: _bus_codecs, _bus_transaction, _bus_cycles; how punctual it is: _bus_lateness; the paper's
 session flown in real time, identified and compared with loopback's: _bus_flights. The full run
 takes an hour and three quarters, an hour of it for punctuality, and more where flights have to be
-flown again; --quick four minutes. What was measured is kept as it comes: a run that was stopped
+flown again; --quick five minutes. What was measured is kept as it comes: a run that was stopped
 carries on.
 """
 

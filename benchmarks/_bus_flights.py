@@ -25,7 +25,7 @@ from _bus_agreement import Plants, agreement_figures, difference
 from _bus_rigs import LABELS, TIMED, electronics_on, rig_text
 from _daemon import running
 from _flight import fly_session
-from _kept import Kept
+from _kept import Parts
 from _table import Figure
 
 from levid.config.base import read_mapping
@@ -52,7 +52,7 @@ _ATTEMPTS = 3
 _QUICK_S = 10.0
 
 
-def flight_figures(quick: bool, kept: Kept) -> list[Figure]:
+def flight_figures(quick: bool, kept: Parts) -> list[Figure]:
     """Return the figures of loopback and of each bus, a flight kept as soon as it is done."""
     text, segment_s = (_short(), 2.0) if quick else (SESSION.read_text(), 10.0)
     with tempfile.TemporaryDirectory() as folder:

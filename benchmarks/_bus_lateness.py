@@ -21,7 +21,7 @@ from typing import NamedTuple
 import _real_time
 import numpy as np
 from _bus_rigs import LABELS, RATE_HZ, TIMED, cycle_of, electronics_on, opened, rig_on, rig_text
-from _kept import Kept
+from _kept import Parts
 from _shares import Round, ratio_figures
 from _table import Figure
 
@@ -51,7 +51,7 @@ class Stretch(NamedTuple):
     real_time: bool = False
 
 
-def lateness_figures(seconds: float, rounds: int, kept: Kept) -> list[Figure]:
+def lateness_figures(seconds: float, rounds: int, kept: Parts) -> list[Figure]:
     """Return the shares of late cycles of each backend and of the empty loop in turns with it.
 
     Also the 95 % intervals of their ratios, and the share of cycles with a stale reading.

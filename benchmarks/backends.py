@@ -20,7 +20,7 @@ from _bus_flights import flight_figures
 from _bus_lateness import lateness_figures
 from _bus_transaction import serial_figures
 from _code_version import ROOT, code_version
-from _kept import Kept
+from _kept import Parts
 from _table import Figure
 
 from levid.config.shipped import shipped
@@ -30,7 +30,7 @@ KEPT = Path(__file__).resolve().parent.parent / "build" / "backends"
 
 def measure(quick: bool) -> list[Figure]:
     length = "quick" if quick else "full"
-    kept = Kept(KEPT / f"{length}-{version()}.jsonl")
+    kept = Parts(KEPT / f"{length}-{version()}.jsonl")
     few, many = (500, 5_000) if quick else (5_000, 50_000)
     stretch_s, rounds = (2.0, 2) if quick else (60.0, 10)
 

@@ -28,7 +28,7 @@ from _fuzz_port import transactions
 from _fuzz_sdo import sdo_answers
 from _fuzz_sequences import drives_followed
 from _fuzz_serial import serial_blocks, serial_crc12, serial_resealed, stream_of_noise
-from _kept import Kept
+from _kept import Parts
 from _mutations import Outcome
 from _table import Figure
 
@@ -63,7 +63,7 @@ PREDICTED = ("can_random", "can_counter", "can_lengths", "serial_crc12")
 
 def measure(quick: bool) -> list[Figure]:
     n = 20_000 if quick else 1_000_000
-    kept = Kept(KEPT / f"{n}-{version()}.jsonl")
+    kept = Parts(KEPT / f"{n}-{version()}.jsonl")
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         jobs: dict[Future[tuple[Outcome, float]], str] = {
             pool.submit(one, key, n): key for key in RUNS if key not in kept

@@ -177,11 +177,11 @@ def test_stretch_that_breaks_off_is_counted_and_begun_anew(tmp_path: Path, monke
 
     monkeypatch.setattr(lateness, "one_round", one_round)
     monkeypatch.setattr(lateness, "TIMED", ("serial",))
-    kept = module("_kept").Kept(tmp_path / "run.jsonl")
+    kept = module("_kept").Parts(tmp_path / "run.jsonl")
     found = by_key(lateness.lateness_figures(1.0, 3, kept))
     assert (found["serial_broken_off"], found["serial_cycles"]) == (4, 18)
     ends = iter([LinkError("gone")] * 3)
-    kept = module("_kept").Kept(tmp_path / "other.jsonl")
+    kept = module("_kept").Parts(tmp_path / "other.jsonl")
     assert by_key(lateness.lateness_figures(1.0, 1, kept)) == {"serial_broken_off": 3}
 
 
@@ -198,17 +198,17 @@ def test_round_counts_each_loop_with_its_own_cycles() -> None:
 
 def test_run_that_was_stopped_carries_on_with_what_it_has(tmp_path: Path, capsys) -> None:
     kept, file = module("_kept"), tmp_path / "run.jsonl"
-    first = kept.Kept(file)
+    first = kept.Parts(file)
     assert first.part("a", lambda: (1, 2)) == [1, 2]
     with file.open("a") as torn:
         torn.write('{"key": "b", "val')
-    second = kept.Kept(file)
+    second = kept.Parts(file)
     assert "carries on behind 1 parts" in capsys.readouterr().err
     assert second.part("a", lambda: pytest.fail("measured twice")) == [1, 2]
     assert second.part("b", lambda: {"x": 3}) == {"x": 3}
-    assert kept.Kept(file).part("b", lambda: pytest.fail("lost")) == {"x": 3}
+    assert kept.Parts(file).part("b", lambda: pytest.fail("lost")) == {"x": 3}
     second.finish()
-    assert kept.Kept(file).part("a", lambda: 4) == 4
+    assert kept.Parts(file).part("a", lambda: 4) == 4
 
 
 def test_process_that_does_not_listen_is_ended_all_the_same(monkeypatch) -> None:

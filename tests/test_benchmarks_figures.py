@@ -6,7 +6,6 @@ import importlib
 import json
 import sys
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
-from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType
 
@@ -203,84 +202,3 @@ def test_couplings_that_nobody_can_judge_have_no_error(monkeypatch) -> None:
     assert found["subspace_offdiag_db"] == pytest.approx(1.0)
     # No number is no small error.
     assert np.isnan(errors(np.nan * true, 0.01)["subspace_db"])
-
-
-def test_ratio_of_shares_holds_the_truth_as_often_as_it_says() -> None:
-    shares = module("_shares")
-    rng = np.random.default_rng(1)
-    some, others = rng.binomial(10_000, 0.004, 2000), rng.binomial(20_000, 0.002, 2000)
-    inside = [
-        (found := shares.ratio_95([shares.Round(a, 10_000, b, 20_000)])).low < 2.0 < found.high
-        for a, b in zip(some, others, strict=True)
-    ]
-    # 2000 draws: 0.5 % is the standard error.
-    assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
-    nothing = shares.ratio_95([shares.Round(0, 1000, 0, 1000)])
-    assert 0.0 < nothing.low < 1.0 < nothing.high
-    assert not nothing.decided
-
-
-def test_ratio_of_shares_knows_that_late_cycles_come_in_clusters() -> None:
-    shares = module("_shares")
-    rng = np.random.default_rng(1)
-    inside = []
-    for _ in range(300):  # twenty rounds, in each some stalls of thirty late cycles
-        late = 30 * rng.poisson(2.0, (20, 2))
-        found = shares.ratio_95([shares.Round(int(a), 10_000, int(b), 10_000) for a, b in late])
-        inside.append(found.low < 1.0 < found.high)
-    # 1.3 % is the standard error, and twenty rounds are few for a bootstrap; Katz alone: 28 %.
-    assert np.mean(inside) > 0.9
-
-
-def test_rows_that_stand_in_no_log_are_missing(tmp_path: Path) -> None:
-    rows = np.zeros(8, [("cycle", "<u8"), ("skipped", "u1")])
-    rows["cycle"] = [0, 1, 2, 5, 6, 9, 10, 400]
-    rows["skipped"] = [0, 0, 0, 2, 0, 0, 0, 255]  # two skipped; two lost; nobody knows
-    for part, name in ((rows[4:], "a"), (rows[:4], "b")):
-        with LogWriter(
-            tmp_path / f"{name}.mcap", rows.dtype, rate_hz=1e3, metadata={}, attachments={}
-        ) as log:
-            log.write(part, part["cycle"] * np.uint64(1_000_000))
-    assert module("_daemon").missing_rows(sorted(tmp_path.iterdir())) == 2
-
-
-def test_busy_disk_is_written_to_and_left_as_it_was(tmp_path: Path) -> None:
-    with module("_busy_disk").busy_disk(tmp_path) as written_mib:
-        give_up_s = time.monotonic() + 60.0
-        while not written_mib() and time.monotonic() < give_up_s:
-            time.sleep(0.05)
-        assert written_mib() % 64 == 0 < written_mib()
-    assert not list(tmp_path.iterdir())
-
-
-def test_timing_without_cyclictest_tells_of_the_loop_alone(
-    tmp_path: Path, monkeypatch, capsys
-) -> None:
-    timing = script("timing")
-    monkeypatch.setattr(timing, "LOGS", tmp_path)
-    monkeypatch.setattr(timing, "busy_disk", lambda _: nullcontext(lambda: 64))
-    monkeypatch.setattr(timing.shutil, "which", lambda _: None)
-
-    def fly(_rate_hz: int, seconds: float) -> object:
-        return timing.Measured([np.ones(9)], [np.ones(9)], cycles=9, lost=1, seconds=seconds)
-
-    monkeypatch.setattr(timing, "fly", fly)
-    found = by_key(timing.measure(True))
-    assert found["lateness_p99_us_10khz"] == 1.0
-    assert (found["lost_rows_busy_10khz"], found["busy_written_mib"]) == (1, 64)
-    assert not [key for key in found if "cyclictest" in key or "ratio" in key]
-    assert "no cyclictest" in capsys.readouterr().err
-
-
-def test_rounds_go_on_until_enough_are_late_and_say_what_is_undecided(capsys) -> None:
-    shares = module("_shares")
-    few, many = shares.Round(1, 1000, 1, 1000), shares.Round(5, 1000, 5, 1000)
-    assert shares.again([], 1, 1)
-    assert shares.again([many] * 9, 5, 20)
-    assert not shares.again([many] * 10, 5, 20)
-    assert shares.again([few] * 19, 5, 20)
-    assert not shares.again([few] * 20, 5, 20)
-    assert by_key(shares.ratio_figures([many] * 20, "low", "high", "x"))["high_decided"] == 1.0
-    assert "undecided" not in capsys.readouterr().err
-    assert by_key(shares.ratio_figures([few] * 20, "low", "high", "x"))["high_decided"] == 0.0
-    assert "about 47 such rounds would decide" in capsys.readouterr().err

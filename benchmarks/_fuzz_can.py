@@ -166,13 +166,13 @@ def _unpacked(raw: bytes) -> Frame | None:
 
 
 def _laid_out(raw: bytes) -> Frame | None:
-    """Return the same by linux/can.h: no more data than there is room for, whatever it claims."""
+    """Return the same by linux/can.h; what claims more data than there is room for is no frame."""
     can_id = int.from_bytes(raw[:4], "little")
     if can_id & _ERR and can_id & ERROR_BUS_OFF:
         return None
     if can_id & (_EFF | _RTR | _ERR):
         return OTHER
-    return Frame(can_id, raw[8 : 8 + raw[4]], 0.0)
+    return Frame(can_id, raw[8 : 8 + raw[4]], 0.0) if raw[4] <= len(raw) - 8 else OTHER
 
 
 def _tried(group: ValueFrames, sent: list[tuple[int, bytes]], cycle: int) -> tuple[bool, bool]:

@@ -19,7 +19,7 @@ from levid.drivers.can.link import CanLink
 from levid.drivers.can.nodes import DriveNode
 from levid.wire.cia402 import SDO_ANSWER_ID, SDO_REQUEST_ID, Object
 
-_NODE = 1
+_NODE, _BYTES = 1, 8
 _OBJECTS = ((Object.ACTUAL_POSITION, "<i"), (Object.STATUSWORD, "<H"), (Object.MODE_DISPLAY, "<b"))
 _ABORT = struct.pack("<BHBI", 0x80, 0, 0, 0x0800_0000)
 _UPLOAD, _EXPEDITED, _SIZED, _LAST, _TOGGLE = 0x40, 0x02, 0x01, 0x01, 0x10
@@ -42,11 +42,12 @@ class _Drive:
 
 
 def sdo_answers(n: int, rng: np.random.Generator) -> Outcome:
-    """Read an object `n` times."""
+    """Read an object `n` times, with answers of 0 to 64 bytes."""
     link, drive = CanLink("noise", CanBus(interface="virtual", channel="noise")), _Drive()
     link._bus = drive  # type: ignore[assignment]
     node = DriveNode("x1", _NODE, None, link)
     logging.getLogger("canopen").setLevel(logging.CRITICAL)  # it logs every answer that is wrong
+    node._node.sdo.RESPONSE_TIMEOUT = 0.0  # what comes is there at once
     drive.listener = link._listeners[SDO_ANSWER_ID + _NODE]
     node.listen(True)
     accepted = wrong = 0
@@ -79,9 +80,10 @@ def _answers(index: int, layout: str, rng: np.random.Generator) -> list[bytes]:
     at = int(rng.integers(len(answers)))
     match int(rng.integers(5)):
         case 0:
-            answers[at] = rng.integers(0, 256, int(rng.integers(9)), np.uint8).tobytes()
+            length = 8 if rng.random() < 0.5 else int(rng.integers(65))
+            answers[at] = rng.integers(0, 256, length, np.uint8).tobytes()
         case 1:
-            answers[at] = mutated(answers[at], rng)[:8]
+            answers[at] = mutated(answers[at], rng)
         case 2:  # one bit of the command, of which most mean something
             answers[at] = bytes((answers[at][0] ^ 1 << int(rng.integers(8)),)) + answers[at][1:]
     return answers
@@ -90,7 +92,11 @@ def _answers(index: int, layout: str, rng: np.random.Generator) -> list[bytes]:
 def _meant(answers: list[bytes], index: int, layout: str) -> int | None:
     """Return the number that these answers carry, None where they carry none."""
     first, *segments = answers
-    if len(first) < 4 or first[0] & 0xE0 != _UPLOAD or first[1:4] != struct.pack("<HB", index, 0):
+    if (
+        len(first) != _BYTES
+        or first[0] & 0xE0 != _UPLOAD
+        or first[1:4] != struct.pack("<HB", index, 0)
+    ):
         return None
     size = struct.calcsize(layout)
     told: int | None = None
@@ -99,8 +105,6 @@ def _meant(answers: list[bytes], index: int, layout: str) -> int | None:
         data = first[4:8][:told]
     else:
         if first[0] & _SIZED:
-            if len(first) < 8:
-                return None
             (told,) = struct.unpack_from("<I", first, 4)
         joined = _joined(segments)
         if joined is None:
@@ -115,7 +119,7 @@ def _joined(segments: list[bytes]) -> bytes | None:
     """Return what segments carry, None where they are out of order or do not come to an end."""
     data = b""
     for i, segment in enumerate(segments):
-        if not segment or segment[0] & 0xF0 != (i % 2) * _TOGGLE:
+        if len(segment) != _BYTES or segment[0] & 0xF0 != (i % 2) * _TOGGLE:
             return None
         part = segment[1 : 8 - (segment[0] >> 1 & 7)]
         data += part

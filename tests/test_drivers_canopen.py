@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,10 @@ import pytest
 from standing_drives import run, until, with_drives
 
 from levid.config.base import ConfigError
+from levid.config.buses import CanBus
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
-from levid.drivers.base import Context, Devices, DriveError, DriverError, StaleError
+from levid.drivers.base import Context, Devices, DriveError, DriverError, LinkError, StaleError
 from levid.drivers.can.link import CanLink
 from levid.drivers.can.nodes import DriveNode
 from levid.drivers.registry import check_backends, open_devices
@@ -20,6 +23,7 @@ from levid.sim.electronics.rig import Electronics
 from levid.wire.cia402 import (
     NMT_ID,
     POSITION_M,
+    SDO_ANSWER_ID,
     SDO_REQUEST_ID,
     SYNC_COUNTER,
     TOWARDS_OPERATION,
@@ -126,6 +130,51 @@ def test_frame_without_a_byte_does_not_end_the_electronics(rig: RigConfig, can_i
     buses = Electronics(rig, Path())._buses
     drives = next(found for bus in buses if (found := getattr(bus, "_drives", None)))
     drives.take(can_id, b"")  # in the thread that answers
+
+
+class Answering:
+    """A bus whose one node answers every request by SDO at once, with what it is told to."""
+
+    def __init__(self, node: DriveNode, link: CanLink, answer: Callable[[bytes], bytes]) -> None:
+        self.asked, self._answer = 0, answer
+        self._listener = link._listeners[SDO_ANSWER_ID + 1]
+        node._node.sdo.RESPONSE_TIMEOUT = 0.01
+        node.listen(True)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        if can_id == SDO_REQUEST_ID + 1 and data[0] != 0x80:
+            self.asked += 1
+            self._listener(SDO_ANSWER_ID + 1, self._answer(data))
+
+
+def answering(answer: Callable[[bytes], bytes]) -> tuple[DriveNode, Answering]:
+    link = CanLink("main", CanBus(interface="virtual", channel="sdo"))
+    node = DriveNode("x1", 1, None, link)
+    link._bus = bus = Answering(node, link, answer)  # type: ignore[assignment]
+    return node, bus
+
+
+@pytest.mark.parametrize("length", [6, 8, 12])
+def test_answer_by_sdo_has_eight_bytes(length: int) -> None:
+    answer = struct.pack("<BHBHH4x", 0x4B, Object.STATUSWORD, 0, 0x1637, 0)[:length]
+    node, _ = answering(lambda _: answer)
+    if length == 8:
+        assert node._read(Object.STATUSWORD) == 0x1637
+    else:
+        with pytest.raises(LinkError, match="STATUSWORD"):
+            node._read(Object.STATUSWORD)
+
+
+def test_drive_whose_answer_has_no_end_is_not_read_for_ever() -> None:
+    def segment(request: bytes) -> bytes:
+        if request[0] & 0xE0 == 0x40:
+            return struct.pack("<BHB4x", 0x40, Object.STATUSWORD, 0)
+        return bytes((request[0] & 0x10, *range(1, 8)))  # in turns, and never the last
+
+    node, bus = answering(segment)
+    with pytest.raises(LinkError, match="STATUSWORD"):
+        node._read(Object.STATUSWORD)
+    assert bus.asked < 20
 
 
 def test_node_that_is_not_there_is_named(rig: RigConfig) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import can
 import pytest
 
-from levid.wire.kernel_frame import SO_TIMESTAMPNS, kernel_stamp_s
+from levid.wire.kernel_frame import SO_TIMESTAMPNS, kernel_stamp_s, unpacked
 from levid.wire.local_bus import LocalBus, LocalFrames
 
 WAIT_S = 30.0
@@ -60,6 +60,13 @@ def test_all_others_hear_a_frame_and_who_sends_does_not(tmp_path: Path) -> None:
         assert bus.receive(0.0) is None
         bus.shutdown()
     assert list((tmp_path / "bus").iterdir()) == []
+
+
+@pytest.mark.parametrize(("room", "length"), [(8, 9), (8, 64), (64, 65), (64, 255)])
+def test_frame_that_claims_more_than_it_has_is_none_of_ours(room: int, length: int) -> None:
+    head = struct.pack("=IBB2x", 0x123, length, 0)
+    assert unpacked(head + bytes(room), 1.0) == (-1, b"", 1.0)
+    assert unpacked(struct.pack("=IBB2x", 0x123, room, 0) + bytes(room), 1.0).data == bytes(room)
 
 
 def test_frame_is_stamped_when_it_comes_and_not_when_it_is_looked_at(tmp_path: Path) -> None:

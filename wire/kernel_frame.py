@@ -57,7 +57,10 @@ def unpacked(raw: bytes, stamp_s: float) -> Frame:
         if can_id & _ERROR and can_id & ERROR_BUS_OFF:
             raise BusOffError
         return OTHER._replace(stamp_s=stamp_s)
-    return Frame(can_id, raw[8 : 8 + length], stamp_s)
+    data = raw[8 : 8 + length]
+    if len(data) < length:  # no kernel says so, but on a local bus other processes may
+        return OTHER._replace(stamp_s=stamp_s)
+    return Frame(can_id, data, stamp_s)
 
 
 def kernel_stamp_s(ancillary: Sequence[tuple[int, int, bytes]]) -> float:

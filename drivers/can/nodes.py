@@ -49,6 +49,9 @@ _POLL_S = 0.005
 _SYNCHRONOUS = 1
 _NOT_VALID = 1 << 31
 _OPERATIONAL, _PRE_OPERATIONAL = 0x01, 0x80
+_SDO_BYTES = 8
+_MOST_ANSWERS = 8
+"""More answers than an object takes that levid reads or writes, in segments of a byte each."""
 _OBJECTS = frozenset(Object)
 _OTHER_PDOS = frozenset((*range(0x1401, 0x1600), *range(0x1801, 0x1A00)))
 
@@ -250,6 +253,7 @@ class DriveNode:
         return found if isinstance(found, SdoVariable) else found[sub]
 
     def _sdo(self, action: Any, index: int) -> Any:
+        self._network.answers = 0
         try:
             return action()
         except DriverError:
@@ -273,13 +277,19 @@ class _LinkNetwork(canopen.Network):
     def __init__(self, link: CanLink) -> None:
         super().__init__()
         self._link, self.waits = link, False
+        self.answers = 0
+        """How many came since the last question."""
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:  # noqa: ARG002
         self._link.send(can_id, bytes(data))
 
     def notify_now(self, can_id: int, data: bytes) -> None:
-        """Hand a frame to the library, if somebody waits for it."""
-        if self.waits:
+        """Hand an answer to the library, if somebody waits for it.
+
+        The library looks at no length, and reads segments for as long as a drive sends any.
+        """
+        if self.waits and len(data) == _SDO_BYTES and self.answers < _MOST_ANSWERS:
+            self.answers += 1
             self.notify(can_id, bytearray(data), 0.0)
 
 

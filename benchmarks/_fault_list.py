@@ -1,162 +1,156 @@
-"""The faults: what is done, what the daemon may call it, and when force has to be zero."""
+"""The faults of trials: what each does, when force has to be zero, what the daemon may call it.
+
+A trial is drawn from its number alone: the kind, as from a pack of cards that is shuffled anew when
+it is used up; its channel or size; in which state of the flight and how long after it began. What a
+machine cannot do is drawn all the same, and then left out.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import errno
-import os
-import shutil
-import signal
-import socket
-import subprocess
-import sys
-import threading
-import time
+import random
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
 
-import _memory_hog
-from _fault_rig import CYCLES, Rig
-from _memory_hog import available, to_take
+from _fault_rig import EXPIRE_CYCLES
 
-_BALLAST = "ballast"
-_QUICK_BYTES = 1 << 30
-_HELD_S = 3.0
+from levid.daemon.faults import Fault
 
-# Fault of the electronics: what the daemon may call it.
-ELECTRONICS = {
-    "drop": {"STALE"},
-    "delay": {"STALE"},
-    "corrupt": {"STALE"},
-    "repeat": {"STALE"},
-    "reorder": {"STALE"},
-    "bus-off": {"STALE"},  # it is the controller of the other end
-    "disconnect": {"STALE", "LINK"},  # a node leaves the bus, or the port goes
-    "drop-setpoints": {"AMPLIFIER"},
-    "stuck 4": {"SENSOR"},
-    "frozen 7": {"SENSOR"},
-    "saturated 0": {"SENSOR"},
-    "trip 3": {"AMPLIFIER"},
-    "encoder phi": {"DRIVE"},
-    "encoder x1": {"DRIVE"},
-    "skew 0.05": {"DRIVE"},
-    "push 60": {"GAP", "VELOCITY", "POSE"},
-    "push -60": {"GAP", "VELOCITY", "POSE"},
-}
-
+BUSES = ("canfd", "serial")
 SOON = 3
-"""Cycles in which force acts, at most, from the one on in which the fault is switched on."""
-OWN_TIMEOUT = dict.fromkeys(
-    (
-        *("drop", "delay", "corrupt", "repeat", "reorder", "bus-off", "disconnect"),
-        *("drop-setpoints", "loop killed", "loop stopped"),
-    ),
-    CYCLES,
-)
-"""How many cycles more those may take that are bridged first, or left to the devices to notice."""
-SHOWS_LATE = ("frozen 7", "push 60", "push -60")
-"""What is noticed once the platform has moved: no number of cycles was promised."""
+"""Cycles in which force acts, at most, from the first one on that the fault touches."""
+HOLDING = ("LEVITATING", "EXCITING", "MOVING")
+FLYING = (*HOLDING, "LANDING")
+LAST = ""
+"""The kind of the trial after the last one, which only has to fly."""
+
+Draw = random.Random
+Line = Callable[[Draw], str]
 
 
-def _kill_loop(_: Rig, status: dict[str, Any]) -> set[str]:
-    os.kill(status["pids"]["loop"], signal.SIGKILL)
-    return {"LOOP"}
+@dataclass(frozen=True)
+class Kind:
+    """A kind of fault.
+
+    named: what the daemon may call it, empty for what must not disturb. line: what the electronics
+    are told, if it is theirs. own_timeout: the loop is dead or the device hears nothing of it, so
+    that only the device can end the force. late: it is noticed once it has shown, and no number of
+    cycles was promised. states: in which it may come. root: only root can do it.
+    """
+
+    named: frozenset[str] = frozenset()
+    line: Line | None = None
+    own_timeout: bool = False
+    late: bool = False
+    states: tuple[str, ...] = FLYING
+    root: bool = False
+
+    @property
+    def must_stop(self) -> bool:
+        """Whether force has to end."""
+        return bool(self.named)
+
+    @property
+    def most_cycles(self) -> int | None:
+        """Cycles with force that were promised at most, None without a promise."""
+        if self.late:
+            return None
+        return EXPIRE_CYCLES + 1 if self.own_timeout else SOON
 
 
-def _stop_loop(_: Rig, status: dict[str, Any]) -> set[str]:
-    os.kill(status["pids"]["loop"], signal.SIGSTOP)
-    return {"LOOP"}
+@dataclass(frozen=True)
+class Case:
+    """One trial as it was drawn."""
+
+    bus: str
+    number: int
+    kind: str
+    line: str
+    state: str
+    delay_s: float
 
 
-def _kill_supervisor(rig: Rig, _: dict[str, Any]) -> set[str]:
-    rig.daemon.kill()
-    rig.daemon.wait()
-    return {"SUPERVISOR"}
+def case_of(bus: str, number: int, last: bool = False) -> Case:
+    """Return the trial of this number, the same in every run."""
+    if last:
+        return Case(bus, number, LAST, "", "LEVITATING", 0.0)
+    pack = sorted(kinds(bus))
+    Draw(f"{bus} pack {number // len(pack)}").shuffle(pack)
+    name = pack[number % len(pack)]
+    kind, draw = kinds(bus)[name], Draw(f"{bus} {number}")
+    state, delay_s = draw.choice(kind.states), draw.uniform(0.0, 1.0)
+    return Case(bus, number, name, kind.line(draw) if kind.line else "", state, delay_s)
 
 
-def _stop_supervisor(rig: Rig, _: dict[str, Any]) -> set[str]:
-    rig.daemon.send_signal(signal.SIGSTOP)
-    threading.Timer(3.0, rig.daemon.send_signal, [signal.SIGCONT]).start()
-    return {"SUPERVISOR"}
+def kinds(bus: str) -> dict[str, Kind]:
+    """Return every kind of fault on this bus by its name."""
+    return _EVERYWHERE | (_SERIAL if bus == "serial" else _CAN)
 
 
-def _stop(rig: Rig, _: dict[str, Any]) -> set[str]:
-    rig.ask("stop")
-    return {"STOPPED"}
+def untested() -> list[str]:
+    """Return the names of faults that no trial asks for."""
+    asked = {name for bus in BUSES for kind in kinds(bus).values() for name in kind.named}
+    return [fault.name for fault in Fault if fault and fault.name not in asked]
 
 
-PROCESSES: dict[str, Callable[[Rig, dict[str, Any]], set[str]]] = {
-    "loop killed": _kill_loop,
-    "loop stopped": _stop_loop,
-    "supervisor killed": _kill_supervisor,
-    "supervisor stopped": _stop_supervisor,
-    "stop": _stop,
+def _plain(name: str) -> Line:
+    return lambda _: name
+
+
+def _channel(name: str) -> Line:
+    return lambda draw: f"{name} {draw.randrange(9)}"
+
+
+def _axis(name: str) -> Line:
+    return lambda draw: f"{name} {draw.choice(('x1', 'x2', 'phi'))}"
+
+
+def _size(name: str, least: float, most: float) -> Line:
+    return lambda draw: f"{name} {draw.choice((-1, 1)) * draw.uniform(least, most):.3g}"
+
+
+def _one(fault: Fault) -> frozenset[str]:
+    return frozenset({fault.name})
+
+
+_EVERYWHERE = {
+    **{
+        name: Kind(_one(Fault.STALE), _plain(name))
+        for name in ("drop", "delay", "corrupt", "repeat", "reorder")
+    },
+    # The controller of the other end: here nobody answers, and nothing else is to be seen.
+    "bus-off": Kind(_one(Fault.STALE), _plain("bus-off"), own_timeout=True),
+    "drop-setpoints": Kind(_one(Fault.AMPLIFIER), _plain("drop-setpoints"), own_timeout=True),
+    "host's end lost": Kind(_one(Fault.LINK), own_timeout=True, root=True),
+    "stuck": Kind(_one(Fault.SENSOR), _channel("stuck")),
+    "frozen": Kind(_one(Fault.SENSOR), _channel("frozen"), late=True),
+    "saturated": Kind(_one(Fault.SENSOR), _channel("saturated")),
+    "trip": Kind(_one(Fault.AMPLIFIER), _channel("trip")),
+    "encoder": Kind(_one(Fault.DRIVE), _axis("encoder")),
+    "skew": Kind(_one(Fault.DRIVE), _size("skew", 0.03, 0.1)),
+    "nan-coil": Kind(_one(Fault.READING), _channel("nan-coil")),
+    # Beyond limits: a beam, its speed, the platform's height and tilt, a coil in the long run.
+    "shift": Kind(_one(Fault.BEAM), _size("shift", 0.15, 0.3)),
+    "race": Kind(_one(Fault.VELOCITY), _size("race", 1.5, 3.0)),
+    "push": Kind(_one(Fault.GAP), _size("push", 40.0, 80.0), late=True, states=HOLDING),
+    "tilt": Kind(_one(Fault.POSE), _size("tilt", 0.55, 0.65), late=True, states=HOLDING),
+    "heat": Kind(_one(Fault.HEAT), late=True, states=("EXCITING",)),
+    # It stands still for longer than it may, and for less than until its setpoints expire.
+    "loop held up": Kind(_one(Fault.LATE), own_timeout=True),
+    "loop killed": Kind(_one(Fault.LOOP), own_timeout=True),
+    "loop stopped": Kind(_one(Fault.LOOP), own_timeout=True),
+    "supervisor killed": Kind(_one(Fault.SUPERVISOR)),
+    "supervisor stopped": Kind(_one(Fault.SUPERVISOR)),
+    "stop": Kind(_one(Fault.STOPPED)),
+    "disk full": Kind(root=True),
+    "recorder killed": Kind(),
+    "socket flooded": Kind(),
+    "memory pressure": Kind(),
+    "client gone, go on": Kind(states=("EXCITING", "MOVING")),
+    "client gone, land": Kind(states=("EXCITING", "MOVING")),
 }
-
-
-def _full_disk(rig: Rig, _: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
-    """Fill the disk that the log is on, to its last byte."""
-    assert rig.small is not None
-    rig.may_be_cut()
-    with (rig.small / _BALLAST).open("wb", buffering=0) as file:
-        for size in (1 << 16, 1):
-            with contextlib.suppress(OSError):
-                while True:
-                    file.write(bytes(size))
-    return lambda s: os.strerror(errno.ENOSPC) in s["recording"]
-
-
-def make_room(rig: Rig) -> None:
-    """Let the small disk be as it was, and keep the log of the flight where the others are."""
-    assert rig.small is not None
-    rig.until(lambda s: s["state"] in ("IDLE", "FAULT"))
-    (rig.small / _BALLAST).unlink()
-    shutil.move(rig.flight, rig.folder)
-
-
-def _kill_recorder(rig: Rig, status: dict[str, Any]) -> Callable[[dict[str, Any]], bool]:
-    rig.may_be_cut()
-    os.kill(status["pids"]["recorder"], signal.SIGKILL)
-    return lambda s: s["recorder_restarts"] > status["recorder_restarts"]
-
-
-def _flood(rig: Rig, _: dict[str, Any]) -> None:
-    def flood() -> None:
-        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as end:
-            end.settimeout(1.0)
-            end.connect(str(rig.path))
-            for _ in range(100):
-                end.sendall(b'{"op": "status"}\n' * 100)
-
-    for _ in range(8):
-        threading.Thread(target=flood, daemon=True).start()
-
-
-def _pressure(rig: Rig, _: dict[str, Any]) -> None:
-    """Hold most of the memory that is free for some seconds of the flight."""
-    wanted = to_take(available(), _QUICK_BYTES if rig.quick else None)
-    with subprocess.Popen(
-        [sys.executable, _memory_hog.__file__, str(wanted)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    ) as hog:
-        assert hog.stdout is not None
-        held = hog.stdout.readline()
-        if not held.strip() or int(held) <= 0:
-            raise RuntimeError(f"memory pressure: none of {wanted} bytes could be held")
-        time.sleep(_HELD_S)
-
-
-def _client_gone(rig: Rig, _: dict[str, Any]) -> None:
-    with socket.socket(socket.AF_UNIX) as end:
-        end.connect(str(rig.path))
-        end.sendall(b'{"op": "move", "move": {"beam_m": 0.001}}\n')
-
-
-HARMLESS: dict[str, Callable[[Rig, dict[str, Any]], Callable[[dict[str, Any]], bool] | None]] = {
-    "disk full": _full_disk,
-    "recorder killed": _kill_recorder,
-    "socket flooded": _flood,
-    "memory pressure": _pressure,
-    "client gone": _client_gone,
+# A port that goes is seen at once. A node that leaves a CAN bus is merely silent.
+_SERIAL = {
+    "disconnect": Kind(_one(Fault.LINK), _plain("disconnect"), own_timeout=True),
+    "nan-axis": Kind(_one(Fault.READING), _axis("nan-axis")),
 }
+_CAN = {"disconnect": Kind(_one(Fault.STALE), _plain("disconnect"), own_timeout=True)}

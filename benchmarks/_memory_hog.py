@@ -12,7 +12,8 @@ from pathlib import Path
 SHARE = 0.9
 SAFETY = 1 << 30
 """Left free whatever else: a machine that swaps or kills is another experiment."""
-_BLOCK = 64 << 20
+_BLOCK = 4 << 20
+"""So little at a time that a virtual machine's host is not asked for much at once."""
 
 
 def available() -> int:

@@ -1,17 +1,13 @@
-"""The fault benchmark judges by what a trial itself left: recordings, logs, forces, names."""
+"""The fault benchmark counts what was asked of it: what fails, is tried again, or is left out."""
 
 from __future__ import annotations
 
-import mmap
-import subprocess
+import json
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
-import numpy as np
 import pytest
 from from_benchmarks import module, script
-
-from levid.log.writer import LogWriter
 
 
 @pytest.fixture(scope="module")
@@ -19,201 +15,171 @@ def faults() -> ModuleType:
     return script("faults")
 
 
-def log(path: Path, name: str = "", rows: int = 10) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    data = np.zeros(rows, [("cycle", "<u8")])
-    with LogWriter(
-        path, data.dtype, rate_hz=1e3, metadata={"name": name}, attachments={}
-    ) as writer:
-        writer.write(data, np.arange(rows, dtype=np.uint64))
-    return path
+def trial(fault: str, **came: object) -> object:
+    return module("_fault_trial").Trial("serial", 0, fault, flew=True, injected=True, **came)
 
 
-def without_a_row(path: Path) -> Path:
-    """As a recorder leaves it that was killed before its first chunk."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    dtype = np.dtype([("cycle", "<u8")])
-    with LogWriter(path, dtype, rate_hz=1e3, metadata={}, attachments={}):
-        head = path.read_bytes()
-    path.write_bytes(head)
-    return path
+def by_key(trials: list[object]) -> dict[str, float]:
+    found = module("_fault_figures").figures(trials, len(trials), 0)
+    return {figure.key: figure.value for figure in found}
 
 
-def test_recording_of_an_earlier_fault_names_nothing(faults: ModuleType, tmp_path: Path) -> None:
-    old = log(tmp_path / "fault-1-SUPERVISOR.mcap", "SUPERVISOR")
-
-    def recordings() -> set[Path]:
-        return set(tmp_path.glob("*.mcap"))
-
-    assert faults.recorded_name(recordings, {old}, 0.2) == "nothing"
-    without_a_row(tmp_path / "fault-2-LOOP.mcap")
-    assert faults.recorded_name(recordings, {old}, 0.2) == "nothing"
-    log(tmp_path / "fault-3-LOOP.mcap", "LOOP")
-    assert faults.recorded_name(recordings, {old}, 0.2) == "LOOP"
-
-
-def test_log_without_a_row_is_unreadable_but_of_a_killed_recorder(
-    faults: ModuleType, tmp_path: Path
-) -> None:
-    log(tmp_path / "flight-1" / "a.mcap")
-    killed = without_a_row(tmp_path / "flight-2" / "a.mcap").parent.name
-    assert faults.unreadable(tmp_path, {killed}) == 0
-    assert faults.unreadable(tmp_path, set()) == 1
-    without_a_row(tmp_path / "faults" / "fault-1-LOOP.mcap")
-    assert faults.unreadable(tmp_path, {killed}) == 1
-
-
-def test_all_flight_recordings_are_kept_until_they_are_read(
-    faults: ModuleType, tmp_path: Path
-) -> None:
-    for bus in ("canfd", "serial"):
-        kept = faults._fault_rig.rig_of(bus, tmp_path)["recording"]["keep_faults"]
-        assert kept >= 1000  # one a trial, and no bus sees more of them
-
-
-def test_memory_pressure_leaves_the_machine_some_and_quickly_takes_little() -> None:
-    hog = module("_memory_hog")
-    assert hog.to_take(20 << 30) == int(0.9 * (20 << 30)) - (1 << 30)
-    assert hog.to_take(20 << 30, 1 << 30) == 1 << 30
-    assert hog.to_take(1 << 30) == 0
-    assert 0 < hog.available() < 1 << 50
-
-
-def test_memory_is_held_for_real(monkeypatch) -> None:
-    hog = module("_memory_hog")
-
-    def resident() -> int:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * mmap.PAGESIZE
-
-    before = resident()
-    blocks = hog.hold(100 << 20)
-    assert sum(len(block) for block in blocks) >= 100 << 20
-    assert resident() - before > 90 << 20
-    monkeypatch.setattr(hog, "available", lambda: hog.SAFETY)
-    assert not hog.hold(100 << 20)
-
-
-def test_full_disk_is_one_without_a_byte_left(faults: ModuleType, tmp_path: Path) -> None:
-    small = module("_fault_rig").small_disk(tmp_path / "small")
-    if small is None:
-        pytest.skip("no right to mount")
-    try:
-        rig = SimpleNamespace(
-            small=small, folder=tmp_path, flight=small / "flight-1",
-            may_be_cut=lambda: None, until=lambda _: None,
-        )  # fmt: skip
-        log(rig.flight / "a.mcap")
-        told = module("_fault_list")._full_disk(rig, {})
-        with pytest.raises(OSError, match="No space left on device") as full:
-            (small / "more").write_bytes(b"x" * 10_000)
-        assert told({"recording": str(full.value)})
-        assert not told({"recording": "File too large"})
-        module("_fault_list").make_room(rig)
-        assert faults.unreadable(tmp_path, set()) == 0
-        (small / "more").write_bytes(b"x" * 10_000)
-        assert (tmp_path / "flight-1" / "a.mcap").exists()
-    finally:
-        subprocess.run(["umount", "--lazy", str(small)], check=True)
-
-
-def trial(faults: ModuleType, fault: str, **came: object) -> object:
-    return faults.Trial("serial", 0, fault, usable=True, **came)
-
-
-def by_key(figures) -> dict[str, float]:
-    return {figure.key: figure.value for figure in figures}
-
-
-def test_times_are_told_apart_and_what_has_no_promise_is_in_none(faults: ModuleType) -> None:
+def test_the_device_s_own_timeout_counts_only_where_the_loop_cannot_end_it() -> None:
+    timeout = module("_fault_rig").EXPIRE_CYCLES
+    assert timeout > 2 * module("_fault_list").SOON  # in time is the loop's doing
     trials = [
-        trial(faults, "trip 3", cycles=3, named=True),
-        trial(faults, "trip 3", cycles=4, named=True),
-        trial(faults, "drop", cycles=28, named=True),
-        trial(faults, "drop", cycles=29, named=True),
-        trial(faults, "push 60", cycles=1, named=True),
-        trial(faults, "frozen 7", cycles=100, named=True),
+        trial("trip", cycles=3),
+        trial("drop", cycles=4),
+        trial("drop", cycles=timeout),
+        trial("drop", cycles=None),
+        trial("loop killed", cycles=timeout),
+        trial("bus-off", cycles=timeout + 2),
+        trial("push", cycles=100),
     ]
-    found = by_key(faults.figures(trials, []))
-    assert (found["within_3"], found["within_own_timeout"]) == (1 / 4, 2 / 4)
-    assert (found["shows_late"], found["slowest_stop"], found["stopped"]) == (2, 29, 1.0)
+    found = by_key(trials)
+    assert (found["within_3"], found["within_3_trip"], found["within_3_drop"]) == (1 / 4, 1, 0)
+    assert (found["within_all"], found["within_promise"]) == (1 / 6, 2 / 6)
+    assert "within_3_loop_killed" not in found
+    assert (found["shows_late"], found["slowest_stop"], found["stopped"]) == (
+        1, timeout + 2, 6 / 7,
+    )  # fmt: skip
 
 
-def test_trial_that_failed_counts_against_what_was_asked(faults: ModuleType) -> None:
+def test_only_what_the_loop_cannot_end_is_left_to_the_device() -> None:
+    lists = module("_fault_list")
+    for bus in lists.BUSES:
+        own = {name for name, kind in lists.kinds(bus).items() if kind.own_timeout}
+        unheard = {"bus-off", "disconnect", "drop-setpoints", "host's end lost"}
+        assert own == unheard | {"loop killed", "loop stopped", "loop held up"}
+
+
+def test_trial_that_failed_counts_against_what_was_asked() -> None:
     trials = [
-        trial(faults, "trip 3", cycles=1, named=True),
-        trial(faults, "trip 3", failed="DaemonError"),
-        trial(faults, "disk full", undisturbed=True, told=True),
-        trial(faults, "disk full", failed="RuntimeError"),
-        faults.Trial("serial", 0, "stop", wrong=["does not fly"]),
-        trial(faults, ""),
+        trial("trip", cycles=1, named=True, recorded=True, rested=True, clears=1),
+        trial("trip", failed="DaemonError", named=True),
+        trial("disk full", undisturbed=True, told=True, rested=True),
+        trial("disk full", failed="RuntimeError", told=False),
+        module("_fault_trial").Trial("serial", 0, "stop", why_not="it is not at rest"),
+        module("_fault_trial").Trial("serial", 0, "disk full", skipped="no right"),
+        module("_fault_trial").Trial("serial", 9, "", flew=True),
     ]
-    found = by_key(faults.figures(trials, [faults.Logs(9, 1), faults.Logs(3, 0)]))
-    assert (found["faults"], found["failed"], found["usable"]) == (4, 2, 5 / 6)
-    assert found["stopped"] == found["named"] == found["within_3"] == found["undisturbed"] == 0.5
-    assert (found["logs"], found["unreadable"]) == (12, 1)
+    found = by_key(trials)
+    assert (found["faults"], found["not_injected"], found["skipped"]) == (4, 1, 1)
+    assert (found["failed"], found["flew"]) == (2, 5 / 6)
+    assert found["stopped"] == found["recorded"] == found["within_3"] == found["usable"] == 0.5
+    assert found["undisturbed"] == found["told"] == 0.5
+    assert found["named"] == 1.0
+
+
+def test_events_without_a_word_and_floods_are_told() -> None:
+    found = by_key([
+        trial("socket flooded", answers=400, asked_s=2.0, rows=100, late=2),
+        trial("client gone, land", rows=200, late=1),
+        trial("memory pressure", stalled_us=3000),
+        trial("recorder killed", told=True),
+    ])  # fmt: skip
+    assert (found["not_named"], found["told"], found["flood"]) == (3, 1.0, 200.0)
+    assert (found["late_flooded"], found["late_calm"], found["stalled"]) == (0.02, 0.005, 3.0)
+
+
+def test_what_is_left_out_changes_no_other_trial() -> None:
+    lists = module("_fault_list")
+    for bus in lists.BUSES:
+        count = len(lists.kinds(bus))
+        cases = [lists.case_of(bus, number) for number in range(3 * count)]
+        for begin in range(0, 3 * count, count):  # every kind once a pack
+            assert {c.kind for c in cases[begin : begin + count]} == set(lists.kinds(bus))
+        assert cases == [lists.case_of(bus, number) for number in range(3 * count)]
+        assert [c.kind for c in cases[:count]] != [c.kind for c in cases[count : 2 * count]]
+        for case in cases:
+            kind = lists.kinds(bus)[case.kind]
+            assert case.state in kind.states
+            assert bool(case.line) == (kind.line is not None)
+        states = {c.state for c in cases if c.kind == "drop"} | {c.state for c in cases}
+        assert states == set(lists.FLYING)
+
+
+def test_every_kind_is_done_by_somebody_and_every_untested_name_is_told() -> None:
+    lists, deeds = module("_fault_list"), module("_fault_deeds")
+    for bus in lists.BUSES:
+        for name, kind in lists.kinds(bus).items():
+            done = (kind.line is not None, name in deeds.DEEDS, name in deeds.HARMLESS)
+            assert sum(done) == 1, name
+            assert kind.must_stop == (name not in deeds.HARMLESS)
+    assert set(lists.untested()) == {
+        "COMPUTATION", "DRIVER", "SIMULATION", "SELF_TEST", "SEQUENCE", "COIL_CHECK",
+    }  # fmt: skip
 
 
 class Rig:
-    """Answers as a rig of whatever a test wants of it."""
+    """Stands for a rig."""
 
-    small, bus, cut, started = None, "serial", frozenset(), 0
+    started = 0
 
-    def __init__(self, _bus: str, folder: Path, _quick: bool) -> None:
-        self.folder, self.periods = folder, [10, 12, 12]
-        self.path, self.daemon = folder, SimpleNamespace(poll=lambda: None)
+    def __init__(self, bus: str, folder: Path, _quick: bool) -> None:
+        self.bus, self.folder, self.flight = bus, folder, folder
         type(self).started += 1
-
-    def lift_off(self, _: Path) -> dict[str, object]:
-        return {}
-
-    def until(self, condition) -> dict[str, object] | None:
-        status = {"state": "LEVITATING", "fault": "AMPLIFIER", "cycle": 0}
-        return status if condition(status) else None
-
-    def forces(self) -> bool:
-        return len(self.periods) == 3
-
-    def forced_periods(self, *_: str) -> int:
-        return self.periods.pop(0) if len(self.periods) > 1 else self.periods[0]
-
-    def recordings(self) -> set[Path]:
-        return set()
 
     def close(self) -> None: ...
 
 
-def test_force_that_comes_back_is_seen(faults: ModuleType, tmp_path: Path) -> None:
-    for last, back in ((12, 0), (15, 3)):
-        rig, one = Rig("serial", tmp_path, True), faults.Trial("serial", 0, "trip 3")
-        rig.periods = [10, 12, last]
-        faults._try(rig, one)
-        assert (one.cycles, one.came_back, one.named) == (2, back, True)
-        assert by_key(faults.figures([one], []))["came_back"] == bool(back)
-
-
-def test_run_goes_on_behind_a_trial_that_fails_and_where_it_stopped(
+def test_run_goes_on_behind_what_fails_and_where_it_stopped(
     faults: ModuleType, tmp_path: Path, monkeypatch
 ) -> None:
     tried: list[int] = []
 
-    def attempt(_: Rig, one) -> None:
-        tried.append(one.number)
-        if one.number == 3 and len(tried) == 4:
-            raise faults.DaemonError("expected an answer")
-        if one.number == 7 and tried.count(7) == 1:
+    def attempt(_: Rig, case, one) -> None:
+        tried.append(case.number)
+        if case.number == 3 and tried.count(3) == 1:
+            raise OSError("expected an answer")
+        if case.number == 5:
+            one.why_not = "it is not at rest"
+            return
+        if case.number == 7 and tried.count(7) == 1:
             raise KeyboardInterrupt
-        one.usable = True
+        if case.number == 9 and tried.count(9) == 1:
+            raise KeyError("whatever it is")
+        one.flew, one.injected = True, bool(case.kind)
 
     monkeypatch.setattr(faults, "KEPT", tmp_path)
     monkeypatch.setattr(faults, "Rig", Rig)
-    monkeypatch.setattr(faults, "_try", attempt)
+    monkeypatch.setattr(faults, "attempt", attempt)
     Rig.started = 0
     with pytest.raises(KeyboardInterrupt):
         faults.measure(True)
-    found = by_key(faults.measure(True))
-    assert tried == [*range(8), *range(7, 21), *range(21)]  # both buses, each with a last lift-off
-    assert Rig.started == 4  # the first, one behind the trial that failed, one again, one a bus
-    assert (found["failed"], found["usable"]) == (1, 41 / 42)
-    before = len(tried)
-    faults.measure(True)  # a whole run is not carried on
-    assert len(tried) == before + 42
+    (file,) = tmp_path.glob("*.jsonl")
+    whole = file.read_text()
+    assert json.loads(whole.splitlines()[-1]) == {"begun": 7}
+    file.write_text(whole + '{"bus": "canfd", "num')  # a write that was cut short
+    found = {figure.key: figure.value for figure in faults.measure(True)}
+    first = [0, 1, 2, 3, 3, 4, 5, 5, 5, 6, 7, 7, 8, 9, 9, *range(10, 21)]
+    second = [0, 1, 2, 3, 4, 5, 5, 5, *range(6, 21)]
+    assert tried == [*first, *second]
+    # The first, one behind each trial that failed, one where it carries on, and one a bus.
+    assert Rig.started == 5
+    assert (found["asked"], found["faults"], found["failed"]) == (40, 38, 2)
+    assert (found["not_injected"], found["interrupted"]) == (8, 1)
+    for number in (1, 2):  # a whole run is not carried on, and none is written over
+        before = len(tried)
+        faults.measure(True)
+        assert len(tried) == before + 46
+        assert len(list(tmp_path.glob(f"*.before-{number}.jsonl"))) == 2
+
+
+def test_rig_that_does_not_start_ends_the_run_and_no_figure(
+    faults: ModuleType, tmp_path: Path, monkeypatch
+) -> None:
+    class Dead(Rig):
+        def __init__(self, *_: object) -> None:
+            raise RuntimeError("the electronics did not start")
+
+    monkeypatch.setattr(faults, "KEPT", tmp_path)
+    monkeypatch.setattr(faults, "Rig", Dead)
+    found = {figure.key: figure.value for figure in faults.measure(True)}
+    assert (found["asked"], found["faults"], found["stopped"]) == (40, 0, 0.0)
+
+
+def test_version_is_of_all_that_decides_a_trial(faults: ModuleType, monkeypatch) -> None:
+    as_it_is = faults.version()
+    monkeypatch.setattr(faults.os, "geteuid", lambda: 1000)
+    assert faults.version() != as_it_is or as_it_is.endswith("user")

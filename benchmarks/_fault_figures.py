@@ -1,0 +1,153 @@
+"""The figures of fault trials: shares of what was asked, and in words what went wrong."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from _fault_list import BUSES, LAST, SOON, kinds, untested
+from _fault_trial import Trial
+from _table import Figure
+
+
+def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figure]:
+    """Return the figures; `trials` are all attempts, `asked` the faults that were to be injected.
+
+    A fault that was injected counts in all that was asked of it, whatever became of the trial;
+    one that was not counts among those not injected, and in nothing else.
+    """
+    tried = [trial for trial in trials if not trial.skipped]
+    injected = [trial for trial in tried if trial.injected]
+    stops = [trial for trial in injected if trial.must_stop]
+    others = [trial for trial in injected if trial.must_not_disturb]
+    return [
+        Figure("asked", asked, "", "faults to be injected in flight"),
+        Figure("faults", len(injected), "", "that were"),
+        Figure("not_injected", _in_vain(tried), "", "attempts in vain"),
+        Figure("interrupted", interrupted, "", "attempts that a run was stopped in"),
+        Figure("skipped", len(trials) - len(tried), "", "left out, without the right to them"),
+        Figure("untested", len(untested()), "", "names of faults that no trial can provoke"),
+        *_stopping(stops),
+        *_telling(stops, others),
+        Figure("flew", _share(t.flew for t in tried), "", "lift-offs that succeeded"),
+        Figure("usable", _share(t.rested and t.clears <= 1 for t in stops), "", "by one clear"),
+        Figure("most_clears", max((t.clears for t in tried), default=0), "", "most that it took"),
+        Figure("slowest_clear", max((t.clear_s for t in tried), default=0.0), "s", "until idle"),
+        Figure("failed", sum(bool(t.failed) for t in tried), "", "trials that did not end"),
+        *_logs(injected),
+        *_strength(others),
+    ]
+
+
+def _in_vain(trials: Sequence[Trial]) -> int:
+    return sum(not trial.injected and trial.fault != LAST for trial in trials)
+
+
+def _stopping(stops: Sequence[Trial]) -> list[Figure]:
+    timed = [trial for trial in stops if trial.kind.most_cycles is not None]
+    own = [trial for trial in timed if not trial.kind.own_timeout]
+    slowest = max((t.cycles for t in timed if t.cycles is not None), default=0)
+    of_each = {name: [t for t in own if t.fault == name] for name in _names()}
+    return [
+        Figure("stopped", _share(t.cycles is not None for t in stops), "", "that must stop: did"),
+        Figure("came_back", sum(t.came_back > 0 for t in stops), "", "force acted again after"),
+        Figure("within_3", _share(map(_soon, own)), "", f"loop alive: zero within {SOON} cycles"),
+        *(
+            Figure(f"within_3_{_key(name)}", _share(map(_soon, of)), "", f"of these: {name}")
+            for name, of in of_each.items()
+            if of
+        ),
+        Figure("within_all", _share(map(_soon, timed)), "", "of all, the unheard and dead too"),
+        Figure("within_promise", _share(map(_promised, timed)), "", "these by the device's own"),
+        Figure("slowest_stop", slowest, "cycles", "most to zero force at the device"),
+        Figure("shows_late", len(stops) - len(timed), "", "without a promise, not among these"),
+    ]
+
+
+def _telling(stops: Sequence[Trial], others: Sequence[Trial]) -> list[Figure]:
+    told = [trial.told for trial in others if trial.told is not None]
+    return [
+        Figure("named", _share(t.named for t in stops), "", "that must stop: named rightly"),
+        Figure("recorded", _share(t.recorded for t in stops), "", "by a whole recording as well"),
+        Figure(
+            "undisturbed", _share(t.undisturbed for t in others), "", "must not disturb: flies on"
+        ),
+        Figure("told", _share(told), "", "named by the status, where it has a word"),
+        Figure("not_named", len(others) - len(told), "", "that the daemon has no word for"),
+    ]
+
+
+def _logs(injected: Sequence[Trial]) -> list[Figure]:
+    tail_s = max((trial.tail_s for trial in injected), default=0.0)
+    return [
+        Figure("logs", sum(t.logs for t in injected), "", "logs of flights that were read"),
+        Figure("without_log", sum(not t.logs for t in injected), "", "flights without one"),
+        Figure("unreadable", sum(t.unreadable for t in injected), "", "logs that do not open"),
+        Figure("rowless", sum(t.rowless for t in injected), "", "cut before a row was due"),
+        Figure("incomplete", sum(t.incomplete for t in injected), "", "not whole, and not cut"),
+        Figure("missing", sum(t.missing for t in injected), "", "rows missing in between"),
+        Figure("longest_tail", tail_s, "s", "most missing at the end of a log"),
+    ]
+
+
+def _strength(others: Sequence[Trial]) -> list[Figure]:
+    """Return how hard floods and pressure were, and whether floods made the loop late."""
+    floods = [trial for trial in others if trial.fault == "socket flooded"]
+    calm = [trial for trial in others if trial.fault.startswith("client gone")]
+    rates = [trial.answers / trial.asked_s for trial in floods if trial.asked_s]
+    stalls = [1e-3 * t.stalled_us for t in others if t.fault == "memory pressure"]
+    return [
+        Figure("flood", statistics.median(rates or [0.0]), "/s", "flood: requests answered"),
+        Figure("late_flooded", _late(floods), "", "cycles late in flooded flights", "late_calm"),
+        Figure("late_calm", _late(calm), "", "and in flights without a flood"),
+        Figure("stalled", statistics.median(stalls or [0.0]), "ms", "pressure: waits for memory"),
+    ]
+
+
+def _late(trials: Sequence[Trial]) -> float:
+    return sum(trial.late for trial in trials) / max(sum(trial.rows for trial in trials), 1)
+
+
+def _soon(trial: Trial) -> bool:
+    return trial.cycles is not None and trial.cycles <= SOON
+
+
+def _promised(trial: Trial) -> bool:
+    most = trial.kind.most_cycles
+    return trial.cycles is not None and most is not None and trial.cycles <= most
+
+
+def _share(true: Iterable[object]) -> float:
+    counted = [bool(one) for one in true]
+    return sum(counted) / max(len(counted), 1)
+
+
+def _names() -> list[str]:
+    return sorted({name for bus in BUSES for name in kinds(bus)})
+
+
+def _key(name: str) -> str:
+    return "".join(c if c.isalnum() else "_" for c in name)
+
+
+def tell(trials: Sequence[Trial]) -> None:
+    """Say what went wrong, how long each fault took at most, and what each was called."""
+    wrong = Counter(f"{t.bus}: {t.fault}: {what}" for t in trials for what in t.wrong)
+    wrong.update(f"{t.bus}: {t.fault}: not injected: {t.why_not}" for t in trials if t.why_not)
+    wrong.update(f"{t.bus}: {t.fault}: left out: {t.skipped}" for t in trials if t.skipped)
+    for text, count in wrong.most_common():
+        print(f"{count} x {text}", file=sys.stderr)
+    injected = [trial for trial in trials if trial.injected]
+    for name in _names():
+        those = [trial for trial in injected if trial.fault == name]
+        if those and those[0].must_stop:
+            names = Counter(trial.found for trial in those).most_common()
+            longest = max(trial.cycles or 0 for trial in those)
+            called = ", ".join(f"{count} {found}" for found, count in names)
+            print(f"{name}: at most {longest} cycles; {called}", file=sys.stderr)
+        elif those:
+            word = "no word for it" if those[0].told is None else "the status says so"
+            print(f"{name}: {len(those)}; {word}", file=sys.stderr)
+    print(f"without a trial: {', '.join(untested())}", file=sys.stderr)

@@ -221,7 +221,7 @@ def _pressure(rig: Rig, _: Flight) -> Iterator[Seen]:
     )
     try:
         assert hog.stdout is not None
-        ready, _, _ = select.select([hog.stdout], [], [], _HOLDS_S)
+        ready = select.select([hog.stdout], [], [], _HOLDS_S)[0]
         held = hog.stdout.readline().strip() if ready else b""
         if not held or int(held) <= 0:
             raise NotInjectedError(f"none of {wanted} bytes could be held")

@@ -54,8 +54,9 @@ class Faulty:
     def __init__(self, electronics: Electronics) -> None:
         self._electronics, self._more = electronics, _More()
         self._due: tuple[str, SimpleQueue[dict[str, Any]]] | None = None
+        self._cut_short = 0
         core = electronics.core
-        sample, push = core._sample, core.plant.push
+        sample, push, take_over = core._sample, core.plant.push, core.take_over
 
         def sampled() -> None:
             due, self._due = self._due, None
@@ -67,9 +68,15 @@ class Faulty:
         def pushed(wrench: NDArray[np.float64]) -> None:
             push(wrench + np.array([0.0, self._more.tilt_n_m, 0.0]))
 
-        # Nothing else of the shipped electronics knows of these faults.
+        def taken_over(renews: bool = True) -> None:
+            acted = core.acting_n.any()
+            take_over(renews)
+            self._cut_short += bool(acted and not renews and not core.acting_n.any())
+
+        # Nothing else of the shipped electronics knows of these faults, or of parts of a period.
         core._sample = sampled  # type: ignore[method-assign]
         core.plant.push = pushed  # type: ignore[method-assign]
+        core.take_over = taken_over  # type: ignore[method-assign]
 
     def command(self, line: str) -> dict[str, Any]:
         """Carry out a line, `status` too; return what was done and the state before it."""
@@ -86,6 +93,8 @@ class Faulty:
 
     def _carry_out(self, line: str) -> dict[str, Any]:
         before = self._electronics.status()
+        # On a serial port zero force may come within a period: force acted in that one as well.
+        before["forced_periods"] = self._electronics.core.forced_periods + self._cut_short
         try:
             did = line if line == "status" else self._do(line)
         except (InjectionError, ValueError, IndexError) as error:

@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -27,6 +28,7 @@ from _real_time import ELECTRONICS, hurry
 
 from levid.config.shipped import shipped
 from levid.daemon.client import Client, DaemonError
+from levid.daemon.realtime import die_with
 
 RATE_HZ = 50
 STALE_CYCLES = 2
@@ -85,7 +87,10 @@ class Rig:
         """Start the daemon, once the one before is gone."""
         with (self.folder / "daemon.log").open("ab") as log:
             self.daemon = subprocess.Popen(
-                [sys.executable, "-m", "levid.cli.main", "run", str(self.file)], stderr=log
+                [sys.executable, "-m", "levid.cli.main", "run", str(self.file)],
+                stderr=log,
+                # Whatever becomes of the benchmark, nothing is left to fly on.
+                preexec_fn=partial(die_with, os.getpid(), signal.SIGTERM),  # noqa: PLW1509
             )
 
     def close(self) -> None:
@@ -105,7 +110,7 @@ class Rig:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
         if self.small is not None:
-            subprocess.run(["umount", "--lazy", str(self.small)], check=True)
+            subprocess.run(["umount", "--lazy", str(self.small)], check=False)
             self.small = None
 
     def say(self, line: str) -> dict[str, Any]:

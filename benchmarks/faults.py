@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import sys
 import tempfile
 from collections import Counter
@@ -71,7 +72,7 @@ def measure(quick: bool) -> list[Figure]:
             before = len(found.begun)
             try:
                 run(bus, found, each, quick, file)
-            except RuntimeError as error:
+            except (RuntimeError, OSError) as error:
                 in_vain += 1
                 print(f"{bus}: {error}", file=sys.stderr)
                 if in_vain >= _RIGS_IN_VAIN:
@@ -157,4 +158,5 @@ def version() -> str:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that all processes are ended
     _table.run("Faults", measure)

@@ -6,6 +6,7 @@ import mmap
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,11 +14,15 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from from_benchmarks import module
 
+from levid.config.rig import load_rig
 from levid.daemon.faults import Fault
 from levid.daemon.states import State
 from levid.log.writer import LogWriter
+from levid.sim.electronics.rig import Electronics
+from levid.wire.device import AmplifierState
 
 DTYPE = np.dtype([("cycle", "<u8"), ("state", "u1"), ("fault", "u1"), ("skipped", "u1")])
 
@@ -221,17 +226,14 @@ def test_memory_that_nobody_holds_is_waited_for_no_longer(tmp_path: Path, monkey
     assert time.monotonic() - began_s < 10.0
 
 
-def test_faults_begin_with_a_cycle_and_are_answered(tmp_path: Path) -> None:
-    import threading
-
-    import yaml
-
-    from levid.config.rig import load_rig
-    from levid.sim.electronics.rig import Electronics
-
+@pytest.fixture
+def electronics(tmp_path: Path) -> Electronics:
     file = tmp_path / "rig.yaml"
     file.write_text(yaml.safe_dump(module("_fault_rig").rig_of("serial", tmp_path)))
-    electronics = Electronics(load_rig(file), tmp_path)
+    return Electronics(load_rig(file), tmp_path)
+
+
+def test_faults_begin_with_a_cycle_and_are_answered(electronics: Electronics) -> None:
     faulty, core = module("_fault_electronics").Faulty(electronics), electronics.core
     core.begin(1)
     answers: list[dict[str, object]] = []
@@ -252,3 +254,23 @@ def test_faults_begin_with_a_cycle_and_are_answered(tmp_path: Path) -> None:
     core.begin(9)
     assert np.isfinite(core.axes).all()
     assert np.isfinite(core.force_n).all()
+
+
+def test_part_of_a_period_with_force_is_one(electronics: Electronics) -> None:
+    faulty, core = module("_fault_electronics").Faulty(electronics), electronics.core
+    core.amplifier_state = AmplifierState.ENABLED
+
+    def forced() -> int:
+        return int(faulty.command("status")["forced_periods"])
+
+    core.begin(1)
+    core.setpoints(np.full(9, 5.0))
+    core.take_over()
+    assert forced() == 0
+    core.begin(2)
+    assert forced() == 1
+    core.setpoints(np.zeros(9))
+    core.take_over(renews=False)  # in the middle of it
+    assert forced() == 2
+    core.begin(3)
+    assert forced() == 2

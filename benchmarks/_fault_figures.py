@@ -23,18 +23,30 @@ def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figur
     stops = [trial for trial in injected if trial.must_stop]
     others = [trial for trial in injected if trial.must_not_disturb]
     return [
-        Figure("asked", asked, "", "faults to be injected in flight"),
-        Figure("faults", len(injected), "", "that were"),
-        Figure("not_injected", _in_vain(tried), "", "attempts in vain"),
-        Figure("interrupted", interrupted, "", "attempts that a run was stopped in"),
-        Figure("skipped", len(trials) - len(tried), "", "left out, without the right to them"),
-        Figure("untested", len(untested()), "", "names of faults that no trial can provoke"),
+        Figure("asked", asked, "", "faults asked for, in flight"),
+        Figure("faults", len(injected), "", "faults injected in flight"),
+        Figure("not_injected", _in_vain(tried), "", "attempts in vain, tried again"),
+        Figure("interrupted", interrupted, "", "attempts cut by the end of a run"),
+        Figure("skipped", len(trials) - len(tried), "", "left out: no right to them"),
+        Figure("untested", len(untested()), "", "names of faults without a trial"),
         *_stopping(stops),
         *_telling(stops, others),
         Figure("flew", _share(t.flew for t in tried), "", "lift-offs that succeeded"),
-        Figure("usable", _share(t.rested and t.clears <= 1 for t in stops), "", "by one clear"),
-        Figure("most_clears", max((t.clears for t in tried), default=0), "", "most that it took"),
-        Figure("slowest_clear", max((t.clear_s for t in tried), default=0.0), "s", "until idle"),
+        Figure(
+            "usable",
+            _share(t.rested and t.clears <= 1 for t in stops),
+            "",
+            "usable after one clear",
+        ),
+        Figure(
+            "most_clears", max((t.clears for t in tried), default=0), "", "most clears that it took"
+        ),
+        Figure(
+            "slowest_clear",
+            max((t.clear_s for t in tried), default=0.0),
+            "s",
+            "slowest until idle again",
+        ),
         Figure("failed", sum(bool(t.failed) for t in tried), "", "trials that did not end"),
         *_logs(injected),
         *_strength(others),
@@ -51,44 +63,50 @@ def _stopping(stops: Sequence[Trial]) -> list[Figure]:
     slowest = max((t.cycles for t in timed if t.cycles is not None), default=0)
     of_each = {name: [t for t in own if t.fault == name] for name in _names()}
     return [
-        Figure("stopped", _share(t.cycles is not None for t in stops), "", "that must stop: did"),
-        Figure("came_back", sum(t.came_back > 0 for t in stops), "", "force acted again after"),
-        Figure("within_3", _share(map(_soon, own)), "", f"loop alive: zero within {SOON} cycles"),
+        Figure("stopped", _share(t.cycles is not None for t in stops), "", "must stop: did"),
+        Figure(
+            "came_back", sum(t.came_back > 0 for t in stops), "", "must stop: force acted again"
+        ),
+        Figure("within_3", _share(map(_soon, own)), "", f"loop can end it: zero within {SOON}"),
         *(
-            Figure(f"within_3_{_key(name)}", _share(map(_soon, of)), "", f"of these: {name}")
+            Figure(f"within_3_{_key(name)}", _share(map(_soon, of)), "", f"within {SOON}: {name}")
             for name, of in of_each.items()
             if of
         ),
-        Figure("within_all", _share(map(_soon, timed)), "", "of all, the unheard and dead too"),
-        Figure("within_promise", _share(map(_promised, timed)), "", "these by the device's own"),
-        Figure("slowest_stop", slowest, "cycles", "most to zero force at the device"),
-        Figure("shows_late", len(stops) - len(timed), "", "without a promise, not among these"),
+        Figure("within_all", _share(map(_soon, timed)), "", f"all: zero within {SOON}"),
+        Figure(
+            "within_promise", _share(map(_promised, timed)), "", "all: in time, or its own timeout"
+        ),
+        Figure("slowest_stop", slowest, "cycles", "slowest to zero force"),
+        Figure("shows_late", len(stops) - len(timed), "", "noticed when it shows: no promise"),
     ]
 
 
 def _telling(stops: Sequence[Trial], others: Sequence[Trial]) -> list[Figure]:
     told = [trial.told for trial in others if trial.told is not None]
     return [
-        Figure("named", _share(t.named for t in stops), "", "that must stop: named rightly"),
-        Figure("recorded", _share(t.recorded for t in stops), "", "by a whole recording as well"),
+        Figure("named", _share(t.named for t in stops), "", "must stop: named rightly"),
+        Figure("recorded", _share(t.recorded for t in stops), "", "must stop: recorded as that"),
         Figure(
-            "undisturbed", _share(t.undisturbed for t in others), "", "must not disturb: flies on"
+            "undisturbed", _share(t.undisturbed for t in others), "", "must not disturb: flew on"
         ),
-        Figure("told", _share(told), "", "named by the status, where it has a word"),
-        Figure("not_named", len(others) - len(told), "", "that the daemon has no word for"),
+        Figure("told", _share(told), "", "must not disturb: status says so"),
+        Figure("not_named", len(others) - len(told), "", "must not disturb: no word for it"),
     ]
 
 
 def _logs(injected: Sequence[Trial]) -> list[Figure]:
     tail_s = max((trial.tail_s for trial in injected), default=0.0)
     return [
-        Figure("logs", sum(t.logs for t in injected), "", "logs of flights that were read"),
+        Figure("logs", sum(t.logs for t in injected), "", "logs of flights read"),
         Figure("without_log", sum(not t.logs for t in injected), "", "flights without one"),
         Figure("unreadable", sum(t.unreadable for t in injected), "", "logs that do not open"),
-        Figure("rowless", sum(t.rowless for t in injected), "", "cut before a row was due"),
-        Figure("incomplete", sum(t.incomplete for t in injected), "", "not whole, and not cut"),
-        Figure("missing", sum(t.missing for t in injected), "", "rows missing in between"),
-        Figure("longest_tail", tail_s, "s", "most missing at the end of a log"),
+        Figure("rowless", sum(t.rowless for t in injected), "", "logs cut before a row was due"),
+        Figure(
+            "incomplete", sum(t.incomplete for t in injected), "", "logs not whole, though not cut"
+        ),
+        Figure("missing", sum(t.missing for t in injected), "", "rows missing within flights"),
+        Figure("longest_tail", tail_s, "s", "most missing at a log's end"),
     ]
 
 
@@ -100,9 +118,11 @@ def _strength(others: Sequence[Trial]) -> list[Figure]:
     stalls = [1e-3 * t.stalled_us for t in others if t.fault == "memory pressure"]
     return [
         Figure("flood", statistics.median(rates or [0.0]), "/s", "flood: requests answered"),
-        Figure("late_flooded", _late(floods), "", "cycles late in flooded flights", "late_calm"),
-        Figure("late_calm", _late(calm), "", "and in flights without a flood"),
-        Figure("stalled", statistics.median(stalls or [0.0]), "ms", "pressure: waits for memory"),
+        Figure("late_flooded", _late(floods), "", "flood: late cycles, share", "late_calm"),
+        Figure("late_calm", _late(calm), "", "no flood: late cycles, share"),
+        Figure(
+            "stalled", statistics.median(stalls or [0.0]), "ms", "memory pressure: waits for it"
+        ),
     ]
 
 

@@ -34,7 +34,7 @@ class Kind:
     named: what the daemon may call it, empty for what must not disturb. line: what the electronics
     are told, if it is theirs. own_timeout: the loop is dead or the device hears nothing of it, so
     that only the device can end the force. late: it is noticed once it has shown, and no number of
-    cycles was promised. states: in which it may come. root: only root can do it.
+    cycles was promised. states: in which it may come.
     """
 
     named: frozenset[str] = frozenset()
@@ -42,7 +42,6 @@ class Kind:
     own_timeout: bool = False
     late: bool = False
     states: tuple[str, ...] = FLYING
-    root: bool = False
 
     @property
     def must_stop(self) -> bool:
@@ -120,7 +119,7 @@ _EVERYWHERE = {
     # The controller of the other end: here nobody answers, and nothing else is to be seen.
     "bus-off": Kind(_one(Fault.STALE), _plain("bus-off"), own_timeout=True),
     "drop-setpoints": Kind(_one(Fault.AMPLIFIER), _plain("drop-setpoints"), own_timeout=True),
-    "host's end lost": Kind(_one(Fault.LINK), own_timeout=True, root=True),
+    "host's end lost": Kind(_one(Fault.LINK), own_timeout=True),
     "stuck": Kind(_one(Fault.SENSOR), _channel("stuck")),
     "frozen": Kind(_one(Fault.SENSOR), _channel("frozen"), late=True),
     "saturated": Kind(_one(Fault.SENSOR), _channel("saturated")),
@@ -141,7 +140,7 @@ _EVERYWHERE = {
     "supervisor killed": Kind(_one(Fault.SUPERVISOR)),
     "supervisor stopped": Kind(_one(Fault.SUPERVISOR)),
     "stop": Kind(_one(Fault.STOPPED)),
-    "disk full": Kind(root=True),
+    "disk full": Kind(),
     "recorder killed": Kind(),
     "socket flooded": Kind(),
     "memory pressure": Kind(),

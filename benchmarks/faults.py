@@ -60,18 +60,18 @@ class Kept:
 def measure(quick: bool) -> list[Figure]:
     """Fly all trials that no run before this one has flown."""
     each = 20 if quick else 500
-    all_kept = []
-    for bus in BUSES:
-        file = KEPT / f"{bus}-{each}-{version()}.jsonl"
-        found = kept(file)
-        if found.begun and not found.missing(each):  # a whole run, which is not to be carried on
+    files = {bus: KEPT / f"{bus}-{each}-{version()}.jsonl" for bus in BUSES}
+    all_kept = {bus: kept(file) for bus, file in files.items()}
+    if not any(found.missing(each) for found in all_kept.values()):  # whole, not to be carried on
+        for bus, file in files.items():
             put_aside(file)
-            found = Kept()
+            all_kept[bus] = Kept()
+    for bus, found in all_kept.items():
         in_vain = 0
         while found.missing(each):  # the rig is made anew where a trial failed
             before = len(found.begun)
             try:
-                run(bus, found, each, quick, file)
+                run(bus, found, each, quick, files[bus])
             except (RuntimeError, OSError) as error:
                 in_vain += 1
                 print(f"{bus}: {error}", file=sys.stderr)
@@ -79,10 +79,9 @@ def measure(quick: bool) -> list[Figure]:
                     break
             if len(found.begun) > before:
                 in_vain = 0
-        all_kept.append(found)
-    trials = [trial for found in all_kept for trial in found.trials]
+    trials = [trial for found in all_kept.values() for trial in found.trials]
     tell(trials)
-    return figures(trials, each * len(BUSES), sum(found.interrupted for found in all_kept))
+    return figures(trials, each * len(BUSES), sum(found.interrupted for found in all_kept.values()))
 
 
 def kept(file: Path) -> Kept:

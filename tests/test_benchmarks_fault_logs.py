@@ -185,6 +185,15 @@ def test_full_disk_is_one_without_a_byte_left(tmp_path: Path) -> None:
         subprocess.run(["umount", "--lazy", str(small)], check=True)
 
 
+def test_what_only_root_can_do_is_left_out_by_others(monkeypatch) -> None:
+    deeds = module("_fault_deeds")
+    for root, without in ((0, ["disk full"]), (1000, ["disk full", "host's end lost"])):
+        monkeypatch.setattr(deeds.os, "geteuid", lambda root=root: root)
+        kinds = module("_fault_list").kinds("serial")
+        rig = SimpleNamespace(small=None)
+        assert sorted(name for name in kinds if deeds.cannot(rig, name)) == without
+
+
 def test_memory_pressure_leaves_the_machine_some_and_quickly_takes_little() -> None:
     hog = module("_memory_hog")
     assert hog.to_take(20 << 30) == int(0.9 * (20 << 30)) - (1 << 30)

@@ -7,11 +7,8 @@ import ctypes
 import errno
 import fcntl
 import os
-import select
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,14 +17,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import _memory_hog
 from _fault_flight import Flight, NotInjectedError
 from _fault_rig import EXPIRE_CYCLES, RATE_HZ, STALL_S, Rig
-from _memory_hog import available, to_take
+from _memory_pressure import NoPressureError, pressed, stalled_us
 
 Status = dict[str, Any]
 _QUICK_BYTES = 1 << 30
-_HOLDS_S = 60.0
 _TIOCVHANGUP = 0x5437
 _PIDFD_OPEN, _PIDFD_GETFD = 434, 438
 _FLOODING = 8
@@ -211,34 +206,17 @@ def _lines(end: socket.socket, most: int) -> int:
 
 
 @contextlib.contextmanager
-def _pressure(rig: Rig, _: Flight) -> Iterator[Seen]:
-    """Hold most of the memory that is free."""
-    wanted, before_us = to_take(available(), _QUICK_BYTES if rig.quick else None), stalled_us()
-    hog = subprocess.Popen(
-        [sys.executable, _memory_hog.__file__, str(wanted)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    )
+def _pressure(rig: Rig, flight: Flight) -> Iterator[Seen]:
+    """Have the daemon's processes short of memory."""
+    most, before_us = _QUICK_BYTES if rig.quick else None, stalled_us()
+    pids = list(flight.status["pids"].values())
     try:
-        assert hog.stdout is not None
-        ready = select.select([hog.stdout], [], [], _HOLDS_S)[0]
-        held = hog.stdout.readline().strip() if ready else b""
-        if not held or int(held) <= 0:
-            raise NotInjectedError(f"none of {wanted} bytes could be held")
-        seen = Seen()
-        yield seen
-        seen.stalled_us = stalled_us() - before_us
-    finally:
-        hog.kill()
-        hog.communicate()
-
-
-def stalled_us() -> int:
-    """Return for how long some process has waited for memory, in us; 0 where nobody counts."""
-    with contextlib.suppress(OSError):
-        line = Path("/proc/pressure/memory").read_text().splitlines()[0]
-        return int(line.rpartition("total=")[2])
-    return 0
+        with pressed(pids, rig.folder, most):
+            seen = Seen()
+            yield seen
+            seen.stalled_us = stalled_us() - before_us
+    except NoPressureError as error:
+        raise NotInjectedError(str(error)) from None
 
 
 def _client_gone(lands: bool) -> Callable[[Rig, Flight], Any]:

@@ -19,7 +19,7 @@ from levid.daemon.client import DaemonError
 _LIFT = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.2}
 _LANDING_S = 4.0
 _AT_M, _MOVING_M_S = 0.01, 0.001
-_RECORD_S = 30.0
+_RECORD_S = 120.0
 _BEGINS_S = 10.0
 
 

@@ -143,7 +143,7 @@ _EVERYWHERE = {
     "disk full": Kind(),
     "recorder killed": Kind(),
     "socket flooded": Kind(),
-    "memory pressure": Kind(),
+    "memory pressure": Kind(states=HOLDING),  # to bring it about takes a moment
     "client gone, go on": Kind(states=("EXCITING", "MOVING")),
     "client gone, land": Kind(states=("EXCITING", "MOVING")),
 }

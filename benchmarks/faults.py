@@ -151,7 +151,7 @@ def version() -> str:
     """Return a digest of what decides a trial: the daemon, the electronics, and all in between."""
     roots = ("cli/run.py", "daemon", "drivers", "sim/electronics")
     here = Path(__file__).parent
-    own = (*sorted(here.glob("_fault_*.py")), here / "_memory_hog.py", Path(__file__))
+    own = (*sorted(here.glob("_fault_*.py")), *sorted(here.glob("_memory_*.py")), Path(__file__))
     digest = code_version(roots, (*sorted((ROOT / "wire").rglob("*.py")), *own), SETTINGS)
     return f"{digest}-{'root' if os.geteuid() == 0 else 'user'}"
 

@@ -216,23 +216,33 @@ def test_memory_is_held_for_real(monkeypatch) -> None:
     assert not hog.hold(100 << 20)
 
 
-class Hog:
-    """A process that never says how much it holds."""
-
-    code = "import time; time.sleep(60)"
-
-
 def test_memory_that_nobody_holds_is_waited_for_no_longer(tmp_path: Path, monkeypatch) -> None:
-    deeds = module("_fault_deeds")
+    pressure = module("_memory_pressure")
     silent = tmp_path / "silent.py"
-    silent.write_text(Hog.code)
-    monkeypatch.setattr(deeds, "_HOLDS_S", 0.2)
-    monkeypatch.setattr(deeds._memory_hog, "__file__", str(silent))
+    silent.write_text("import time; time.sleep(60)")
+    monkeypatch.setattr(pressure, "_BEGINS_S", 0.2)
+    monkeypatch.setattr(pressure, "_GROUPS", ())
+    monkeypatch.setattr(pressure._memory_hog, "__file__", str(silent))
     began_s = time.monotonic()
-    pressure = deeds._pressure(SimpleNamespace(quick=True), None)
-    with pytest.raises(deeds.NotInjectedError), pressure:
+    with pytest.raises(pressure.NoPressureError), pressure.pressed((), tmp_path, 1 << 20):
         pass
     assert time.monotonic() - began_s < 10.0
+
+
+def test_processes_short_of_memory_come_home(tmp_path: Path) -> None:
+    pressure = module("_memory_pressure")
+    with pressure._group() as group:
+        if group is None:
+            pytest.skip("no right to a memory group")
+        with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as one:
+            (group / "cgroup.procs").write_text(str(one.pid))
+            assert str(one.pid) in (group / "cgroup.procs").read_text().split()
+            assert one.stdin is not None
+    assert not group.exists()
+    file = tmp_path / "file"
+    with pressure._on_disk(file):
+        assert file.stat().st_size == pressure._FILE_BYTES
+    assert not file.exists()
 
 
 @pytest.fixture

@@ -73,17 +73,24 @@ def _stop(rig: Rig, _: Status) -> Undo:
 
 def _lose_bus(rig: Rig, status: Status) -> Undo:
     """Take the bus away at the host's end: the port hangs up, or its socket is shut."""
-    if rig.bus == "serial":
-        port = os.open(rig.folder / "port", os.O_RDWR | os.O_NOCTTY)
-        try:
-            fcntl.ioctl(port, _TIOCVHANGUP)
-        finally:
-            os.close(port)
-        return None
-    for end in _sockets_of(status["pids"]["loop"]):
-        with end, contextlib.suppress(OSError):  # not connected: it is shut all the same
-            end.shutdown(socket.SHUT_RDWR)
+    try:
+        if rig.bus == "serial":
+            _hang_up(rig.folder / "port")
+        else:
+            for end in _sockets_of(status["pids"]["loop"]):
+                with end, contextlib.suppress(OSError):  # not connected: it is shut all the same
+                    end.shutdown(socket.SHUT_RDWR)
+    except PermissionError as error:  # of a root that may not all
+        raise NotInjectedError(str(error)) from None
     return None
+
+
+def _hang_up(path: Path) -> None:
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        fcntl.ioctl(port, _TIOCVHANGUP)
+    finally:
+        os.close(port)
 
 
 def _nothing(_: Rig, __: Status) -> Undo:
@@ -222,8 +229,10 @@ def _pressure(rig: Rig, flight: Flight) -> Iterator[Seen]:
 def _client_gone(lands: bool) -> Callable[[Rig, Flight], Any]:
     @contextlib.contextmanager
     def deed(_: Rig, flight: Flight) -> Iterator[Seen]:
+        before = flight.status.get("clients_gone")
         flight.hang_up()
-        yield Seen(lands=lands)
+        told = None if before is None else lambda s: s["clients_gone"] > before
+        yield Seen(told, lands=lands)
 
     return deed
 

@@ -52,8 +52,11 @@ def pressed(pids: Sequence[int], folder: Path, most: int | None) -> Iterator[Non
                 raise NoPressureError(f"none of {wanted} bytes could be held")
         else:
             ballast = stack.enter_context(_on_disk(folder / "ballast"))
-            for pid in pids:
-                (group / "cgroup.procs").write_text(str(pid))
+            try:
+                for pid in pids:
+                    (group / "cgroup.procs").write_text(str(pid))
+            except OSError as error:
+                raise NoPressureError(f"{group}: {error.strerror}") from None
             stack.enter_context(_running(__file__, str(ballast), str(group)))
         yield
 

@@ -53,7 +53,7 @@ class Flight:
 
 def lift_off(rig: Rig, case: Case, home: Path) -> Flight:
     """Fly until the fault is due, with logs in a folder of `home`; raises NotInjectedError."""
-    status = rig.until(lambda s: s["state"] == "IDLE" and s["fault"] == "NONE")
+    status = rig.until(_rests)
     if status is None:
         raise NotInjectedError("it is not at rest")
     rig.flights += 1
@@ -75,6 +75,11 @@ def lift_off(rig: Rig, case: Case, home: Path) -> Flight:
         what = f"{status['state']}, {status['fault']}: {status['detail'] or answer}"
         raise NotInjectedError(f"expected {case.state}, found {what}")
     return flight
+
+
+def _rests(status: dict[str, Any]) -> bool:
+    """Return whether the next flight may begin: a session is over when its last row is on disk."""
+    return status["state"] == "IDLE" and status["fault"] == "NONE" and status["session"] is None
 
 
 def _take_off(rig: Rig, case: Case, flight: Flight) -> None:
@@ -154,7 +159,7 @@ def come_to_rest(rig: Rig) -> Rest:
                     rig.ask("clear")
                 except DaemonError as refused:
                     rest.refused = str(refused)
-            elif status["state"] == "IDLE":
+            elif _rests(status):
                 rest.seconds = passed_s
                 return rest
         time.sleep(0.05)

@@ -109,9 +109,9 @@ class Rig:
             for pid in self.pids.values():
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
-        if self.small is not None:
-            subprocess.run(["umount", "--lazy", str(self.small)], check=False)
-            self.small = None
+        if (self.folder / "small").is_mount():  # noted or not: it may have been ended in between
+            subprocess.run(["umount", "--lazy", str(self.folder / "small")], check=False)
+        self.small = None
 
     def say(self, line: str) -> dict[str, Any]:
         """Have the electronics do something; return what they did, and their state before it."""

@@ -150,6 +150,21 @@ def test_rig_is_one_that_the_daemon_takes(tmp_path: Path) -> None:
     assert 2 / rig.RATE_HZ < rig.STALL_S < (rig.EXPIRE_CYCLES - 2) / rig.RATE_HZ
 
 
+def test_rig_that_does_not_start_leaves_nothing_behind(tmp_path: Path, monkeypatch) -> None:
+    rig = module("_fault_rig")
+    broken = tmp_path / "broken.py"
+    broken.write_text("import sys; sys.exit('no bus')")
+    monkeypatch.setattr(rig._fault_electronics, "__file__", str(broken))
+    with pytest.raises(RuntimeError, match="did not start: no bus"):
+        rig.Rig("serial", tmp_path, True)
+    broken.write_text("import time; time.sleep(60)")
+    monkeypatch.setattr(rig, "_STARTS_S", 0.3)
+    (tmp_path / "small").rmdir()
+    with pytest.raises(RuntimeError, match="did not start"):
+        rig.Rig("serial", tmp_path, True)
+    assert not (tmp_path / "small").is_mount()
+
+
 def test_processes_are_waited_for_and_never_for_ever() -> None:
     gone = module("_fault_rig").gone
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:

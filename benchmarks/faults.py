@@ -156,6 +156,12 @@ def version() -> str:
     return f"{digest}-{'root' if os.geteuid() == 0 else 'user'}"
 
 
+def _end(*_: object) -> None:
+    """Answer SIGTERM, once: all processes are ended, and nothing is to end that."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(1)
+
+
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that all processes are ended
+    signal.signal(signal.SIGTERM, _end)
     _table.run("Faults", measure)

@@ -51,6 +51,7 @@ class Job:
     over: Callable[[], None]
     landing: tuple[int, int] | None
     land_when_gone: bool = False
+    abandoned: bool = False
     begins_at_rest: bool = True
     holds: bool = False
     number: int = 0
@@ -69,15 +70,22 @@ class Job:
 
 
 class Pilot:
-    """In the supervisor's thread; `tick` never waits."""
+    """In the supervisor's thread; `tick` never waits. `clients_gone` counts those in mid-flight."""
 
-    def __init__(self, rig: RigConfig, shared: Shared, recorder: RecorderLink) -> None:
-        self._rig, self._recorder = rig, recorder
+    def __init__(
+        self,
+        rig: RigConfig,
+        shared: Shared,
+        recorder: RecorderLink,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._rig, self._recorder, self._say = rig, recorder, say
         self._board, self._ring, self._program = shared.board, shared.ring, shared.program
         self._feeder: Feeder | None = None
         self._plans = 0
         self._flight_log = NO_LOG
         self.job: Job | None = None
+        self.clients_gone = 0
 
     @property
     def airborne(self) -> bool:
@@ -134,9 +142,9 @@ class Pilot:
                 job.over_s, job.end = now_s, self._ring.head
             else:
                 self._say_progress(job, now_s, self.step_of(job), self.share_of(job))
-            if job.land_when_gone and not job.reply.waiting:
-                job.land_when_gone = False
-                board.land()
+            if not job.reply.waiting and not job.abandoned:
+                job.abandoned = True
+                self._client_is_gone(job)
         elif job.holds or self._written(job) or now_s - job.over_s > _WRITING_S:
             self._recorder.hear()  # what it said before its last row was on disk
             self.job = self._feeder = None
@@ -144,6 +152,13 @@ class Pilot:
             self._tell(job)
         else:  # a client that hears nothing for long gives up
             self._say_progress(job, now_s, "writing", 1.0)
+
+    def _client_is_gone(self, job: Job) -> None:
+        self.clients_gone += 1
+        what = "it is landed" if job.land_when_gone else "the flight goes on"
+        self._say(f"the client that asked for '{job.plan.name}' is gone: {what}")
+        if job.land_when_gone:
+            self._board.land()
 
     def _say_progress(self, job: Job, now_s: float, step: str, share: float) -> None:
         if now_s - job.told_s >= _PROGRESS_S:

@@ -80,7 +80,7 @@ class Supervisor:
         self._recorder = RecorderLink(
             rig_json, self._shared.fd, self.board, fault_folder(rig, folder), say
         )
-        self.pilot = Pilot(rig, self._shared, self._recorder)
+        self.pilot = Pilot(rig, self._shared, self._recorder, say)
         self._requests = Requests(self)
         self._server = Server(socket_path, self._requests.handlers, Access(rig.service))
         self._mail: deque[Callable[[], None]] = deque()
@@ -205,6 +205,7 @@ class Supervisor:
             "clock_stepped_s": round(self._clock.stepped_s, 1),
             "recording": self._recorder.problem,
             "recorder_restarts": max(self._recorder.restarts, 0),
+            "clients_gone": pilot.clients_gone,
             "pids": {
                 "supervisor": os.getpid(),
                 "loop": self._loop.pid,

@@ -228,7 +228,8 @@ def test_states_follow_each_other_as_the_table_says(ready: Daemon, tmp_path: Pat
 
 
 def test_client_that_dies_leaves_a_flight_or_has_it_landed(ready: Daemon, tmp_path: Path) -> None:
-    for gone, land in (("land", False), ("go_on", True)):
+    before = ready.ask("status")["clients_gone"]
+    for count, (gone, land) in enumerate((("land", False), ("go_on", True)), start=1):
         with socket.socket(socket.AF_UNIX) as client:
             client.connect(str(ready.socket))
             request = {"op": "excite", "session": SESSION, "out": str(tmp_path / gone)}
@@ -242,6 +243,9 @@ def test_client_that_dies_leaves_a_flight_or_has_it_landed(ready: Daemon, tmp_pa
         log = read_log(tmp_path / gone / "02-land.mcap")
         assert log.complete
         assert log.rows["fault"].max() == 0
+        assert ready.ask("status")["clients_gone"] == before + count
+        what = "it is landed" if gone == "land" else "the flight goes on"
+        assert sum(f"is gone: {what}" in line for line in ready.said) == 1
 
 
 @pytest.mark.parametrize(("gone", "state"), [("land", "IDLE"), ("go_on", "LEVITATING")])

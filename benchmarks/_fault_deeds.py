@@ -178,9 +178,11 @@ def _kill_recorder(_: Rig, flight: Flight) -> Iterator[Seen]:
 
 
 @contextlib.contextmanager
-def _flood(rig: Rig, _: Flight) -> Iterator[Seen]:
+def _flood(rig: Rig, flight: Flight) -> Iterator[Seen]:
     """Ask for the status as often as it is answered, on several connections, all the while."""
-    seen, done, began_s = Seen(), threading.Event(), time.monotonic()
+    before_s = flight.status["flooded_s"]
+    seen = Seen(lambda s: s["flooded_s"] > before_s)
+    done, began_s = threading.Event(), time.monotonic()
 
     def ask() -> None:
         while not done.is_set():
@@ -219,7 +221,8 @@ def _pressure(rig: Rig, flight: Flight) -> Iterator[Seen]:
     pids = list(flight.status["pids"].values())
     try:
         with pressed(pids, rig.folder, most):
-            seen = Seen()
+            before_s = flight.status["memory_stalled_s"]
+            seen = Seen(lambda s: s["memory_stalled_s"] > before_s)
             yield seen
             seen.stalled_us = stalled_us() - before_us
     except NoPressureError as error:
@@ -229,10 +232,9 @@ def _pressure(rig: Rig, flight: Flight) -> Iterator[Seen]:
 def _client_gone(lands: bool) -> Callable[[Rig, Flight], Any]:
     @contextlib.contextmanager
     def deed(_: Rig, flight: Flight) -> Iterator[Seen]:
-        before = flight.status.get("clients_gone")
+        before = flight.status["clients_gone"]
         flight.hang_up()
-        told = None if before is None else lambda s: s["clients_gone"] > before
-        yield Seen(told, lands=lands)
+        yield Seen(lambda s: s["clients_gone"] > before, lands=lands)
 
     return deed
 

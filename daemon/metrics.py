@@ -21,6 +21,9 @@ _COUNTERS = {
     "stale": ("levid_stale_cycles", "cycles with a reading that came too late"),
     "lost": ("levid_lost_rows", "rows that should be in a log and are not"),
     "recorder_restarts": ("levid_recorder_restarts", "recorders that died"),
+    "clients_gone": ("levid_clients_gone", "clients that hung up during what they had asked for"),
+    "flooded_s": ("levid_flooded_seconds", "time with too many requests at the control socket"),
+    "memory_stalled_s": ("levid_memory_stalled_seconds", "waits for memory, where it was short"),
 }
 
 

@@ -90,6 +90,8 @@ class Server:
         self._posted: deque[tuple[_Connection, Mapping[str, Any], bool]] = deque()
         self._woken, self._wake = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._ending = False
+        self.asked = 0
+        """Requests and connections since the start."""
         self._thread = threading.Thread(target=self._run, name="levid-server", daemon=True)
 
     def start(self) -> None:
@@ -167,6 +169,7 @@ class Server:
             self._accept(accepted)
 
     def _accept(self, accepted: socket.socket) -> None:
+        self.asked += 1
         try:
             refused = self.access.refuses(peer_of(accepted))
         except OSError as error:
@@ -214,6 +217,7 @@ class Server:
             self._too_long(connection)
             return
         if line is not None:
+            self.asked += 1
             connection.reply = Reply(self, connection)
             self._handle(line, connection.reply)
 

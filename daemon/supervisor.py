@@ -16,6 +16,7 @@ from ..drivers.base import Context
 from ..drivers.registry import check_backends
 from .access import Access
 from .board import Word
+from .burdens import Burdens
 from .children import Child, module_of
 from .clock_watch import ClockWatch
 from .faults import Fault
@@ -96,6 +97,7 @@ class Supervisor:
         self._stop_s: float | None = None
         self._told = Fault.NONE
         self._clock = ClockWatch()
+        self._burdens = Burdens(say)
         self._notify = Notify()
 
     @property
@@ -206,6 +208,8 @@ class Supervisor:
             "recording": self._recorder.problem,
             "recorder_restarts": max(self._recorder.restarts, 0),
             "clients_gone": pilot.clients_gone,
+            "flooded_s": round(self._burdens.flooded_s, 1),
+            "memory_stalled_s": round(self._burdens.memory_stalled_s, 1),
             "pids": {
                 "supervisor": os.getpid(),
                 "loop": self._loop.pid,
@@ -238,6 +242,7 @@ class Supervisor:
         self._say_faults()
         if step_s := self._clock.look():
             self._say(f"the clock was set by {step_s:+.1f} s; times in logs go on as before")
+        self._burdens.look(time.monotonic(), self._server.asked)
         if self._reload:
             self._reload = False
             self._reader.ask()

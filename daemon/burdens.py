@@ -1,0 +1,94 @@
+"""What weighs on the daemon from outside: a flooded socket, a machine that is short of memory.
+
+Neither disturbs the loop. Whoever looks for the cause of late cycles is to find it in the journal.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+_LOOK_S = 2.0
+"""The kernel brings its sums up to date that often."""
+_QUIET_S = 60.0
+"""Of each burden one line in that time, at most."""
+_FLOOD_S = 500.0
+"""Requests and connections a second: many times what clients that watch send, and a tenth of what
+the socket answers."""
+_SHORT = 0.1
+"""Share of the time in which some process waited for memory."""
+
+
+class Burdens:
+    """Looks every two seconds, says what it finds, and adds it up; nothing in here waits."""
+
+    def __init__(self, say: Callable[[str], None], pressure: Path | None = None) -> None:
+        self._say = say
+        self._pressure = _pressure_file() if pressure is None else pressure
+        self._looked_s: float | None = None
+        self._asked, self._waited_s = 0, 0.0
+        self._said_s: dict[str, float] = {}
+        self.flooded_s = 0.0
+        """For how long there were too many requests, since the start."""
+        self.memory_stalled_s = 0.0
+        """For how long some process waited for memory, in looks that found the machine short."""
+
+    def look(self, now_s: float, asked: int) -> None:
+        """Look, if it is time; `asked`: requests and connections since the start."""
+        if self._looked_s is None:
+            self._looked_s, self._asked, self._waited_s = now_s, asked, self._waited()
+            return
+        passed_s = now_s - self._looked_s
+        if passed_s < _LOOK_S:
+            return
+        rate, waited_s = (asked - self._asked) / passed_s, self._waited()
+        stalled_s = waited_s - self._waited_s
+        self._looked_s, self._asked, self._waited_s = now_s, asked, waited_s
+        if rate > _FLOOD_S:
+            self.flooded_s += passed_s
+            self._tell("flood", now_s, f"the control socket is flooded: {rate:.0f} requests/s")
+        if stalled_s > _SHORT * passed_s:
+            self.memory_stalled_s += stalled_s
+            self._tell(
+                "memory",
+                now_s,
+                f"memory is short: processes waited for it for {stalled_s:.1f} of {passed_s:.1f} s",
+            )
+
+    def _tell(self, what: str, now_s: float, words: str) -> None:
+        if now_s - self._said_s.get(what, -_QUIET_S) >= _QUIET_S:
+            self._said_s[what] = now_s
+            self._say(words)
+
+    def _waited(self) -> float:
+        return 0.0 if self._pressure is None else _some_s(self._pressure)
+
+
+def _pressure_file() -> Path | None:
+    """Return where the kernel says what waits for memory: of this service, else of the machine."""
+    found = []
+    try:
+        own = re.search(r"^0::/(.+)$", Path("/proc/self/cgroup").read_text(), re.M)
+        found = [Path("/sys/fs/cgroup", own[1], "memory.pressure")] if own else []
+    except OSError:
+        pass
+    for path in (*found, Path("/proc/pressure/memory")):
+        try:
+            if _TOTAL.search(path.read_text()):
+                return path
+        except OSError:
+            continue  # an old kernel, or a service that does not see it
+    return None
+
+
+def _some_s(path: Path) -> float:
+    """Return for how long some process has waited since the machine started; 0 if nobody says."""
+    try:
+        found = _TOTAL.search(path.read_text())
+    except OSError:
+        return 0.0
+    return 1e-6 * int(found[1]) if found else 0.0
+
+
+_TOTAL = re.compile(r"^some .*\btotal=(\d+)", re.M)

@@ -1,0 +1,74 @@
+"""A flooded socket and a machine short of memory are told, once, and added up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from levid.daemon import burdens
+from levid.daemon.burdens import Burdens
+
+
+class World:
+    """Time goes on, requests come, processes wait for memory."""
+
+    def __init__(self, folder: Path) -> None:
+        self.file, self.said = folder / "memory", []
+        self.now_s, self.asked, self.waited_s = 100.0, 7, 3.0
+        self.burdens = Burdens(self.said.append, self.file)
+        self.passes(0.0)
+
+    def passes(self, seconds: float, requests: int = 0, waited_s: float = 0.0) -> None:
+        self.now_s += seconds
+        self.asked += requests
+        self.waited_s += waited_s
+        self.file.write_text(
+            f"some avg10=0.00 avg60=0.00 avg300=0.00 total={round(1e6 * self.waited_s)}\n"
+            "full avg10=0.00 avg60=0.00 avg300=0.00 total=99000000\n"
+        )
+        self.burdens.look(self.now_s, self.asked)
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> World:
+    return World(tmp_path)
+
+
+def test_clients_that_watch_and_a_machine_at_work_are_no_burden(world: World) -> None:
+    for _ in range(100):
+        world.passes(2.0, requests=640, waited_s=0.02)  # 32 of them, ten times a second each
+    assert (world.said, world.burdens.flooded_s, world.burdens.memory_stalled_s) == ([], 0.0, 0.0)
+
+
+def test_flood_is_told_once_a_minute_and_timed(world: World) -> None:
+    for _ in range(15):
+        world.passes(2.0, requests=8000)
+    assert world.said == ["the control socket is flooded: 4000 requests/s"]
+    for _ in range(20):
+        world.passes(2.0, requests=8000)
+    assert len(world.said) == 2
+    world.passes(2.0)
+    assert world.burdens.flooded_s == pytest.approx(70.0)
+
+
+def test_memory_that_is_short_is_told(world: World) -> None:
+    world.passes(0.01, waited_s=0.5)  # too soon: it looks every two seconds
+    assert not world.said
+    world.passes(2.0, waited_s=0.5)
+    assert world.said == ["memory is short: processes waited for it for 1.0 of 2.0 s"]
+    assert world.burdens.memory_stalled_s == pytest.approx(1.0)
+
+
+def test_kernel_that_does_not_say_is_no_error(tmp_path: Path) -> None:
+    found = Burdens(pytest.fail, tmp_path / "none")
+    for now_s in (0.0, 2.0, 4.0):
+        found.look(now_s, 0)
+    assert found.memory_stalled_s == 0.0
+
+
+def test_service_is_asked_before_the_machine() -> None:
+    found = burdens._pressure_file()
+    if found is None:
+        pytest.skip("a kernel without pressure stall information")
+    assert burdens._some_s(found) >= 0.0

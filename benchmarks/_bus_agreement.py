@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from _contenders import LAG_S, impulse_taps
-from _table import Figure
+from _table import Figure, Target
 from numpy.typing import NDArray
 
 from levid.identification.data import PiController, Record, operating_points
@@ -32,6 +32,10 @@ Complex = NDArray[np.complex128]
 
 WITHIN_95 = float(np.sqrt(-np.log(0.05)))
 """So many standard deviations hold 95 % of a circular complex normal variable: 1.73."""
+_LEAST_AGREEING = 92.0
+"""Percent of what holds 95: neighbouring frequencies share noise, and entries of one flight too."""
+_GAIN_SE = 2.58
+"""Standard errors that a flight without any difference exceeds in one of 100."""
 _SEEN_SE = 1.96 + 0.84
 """A difference of so many standard errors is found in 80 of 100 cases by a test at 5 %."""
 
@@ -116,6 +120,8 @@ def agreement_figures(name: str, who: str, it: Difference) -> list[Figure]:
             100.0 * it.agree,
             "%",
             f"{who}: P by (15), all entries: within the 95 % region of loopback's",
+            None,
+            Target(least=_LEAST_AGREEING),
         ),
         Figure(
             f"{name}_entry_se_percent",
@@ -129,7 +135,14 @@ def agreement_figures(name: str, who: str, it: Difference) -> list[Figure]:
             "%",
             f"{who}: the least that leaves the region at one frequency",
         ),
-        Figure(f"{name}_gain_percent", 100.0 * it.gain, "%", f"{who}: common gain, difference"),
+        Figure(
+            f"{name}_gain_percent",
+            100.0 * it.gain,
+            "%",
+            f"{who}: common gain, difference",
+            None,
+            Target(least=-100.0 * _GAIN_SE * it.gain_se, most=100.0 * _GAIN_SE * it.gain_se),
+        ),
         Figure(f"{name}_gain_se_percent", 100.0 * it.gain_se, "%", f"{who}: its standard error"),
         Figure(
             f"{name}_gain_seen_percent",

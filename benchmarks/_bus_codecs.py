@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import cantools
 import numpy as np
-from _table import Figure, median_times
+from _table import Figure, Target, median_times
 
 from levid.config.shipped import shipped
 from levid.wire.can_frames import CanFrames, ValueFrames, load_frames
@@ -31,6 +31,7 @@ from levid.wire.cia402 import (
 CYCLE, COILS = 5, 9
 NODES = ((1, POSITION_M), (2, POSITION_M), (3, POSITION_RAD))
 BATCHES = 100
+LEAST_TIMES = 5.0
 _STATUS, _PER_MILLE = 0x1637, 7
 _SYNC_DBC = """
 BO_ 128 CanopenSync: 1 Host
@@ -92,6 +93,14 @@ def codec_figures(n: int) -> list[Figure]:
                 "us",
                 f"{label}: both, cantools, no checks",
                 f"{name}_codec_us",
+            ),
+            Figure(
+                f"{name}_codec_times",
+                theirs / ours,
+                "",
+                f"{label}: times as long cantools takes",
+                None,
+                Target(least=LEAST_TIMES),
             ),
         ]
     return figures

@@ -14,7 +14,6 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -62,9 +61,9 @@ def flight_figures(quick: bool, kept: Parts) -> list[Figure]:
     for name in ("loopback", *TIMED):
         plain = kept.part(
             f"flight {name}",
-            lambda name=name: [asdict(f) for f in _of_one(name, text, reference, segment_s)],
+            lambda name=name: [f.plain for f in _of_one(name, text, reference, segment_s)],
         )
-        found += [Figure(**fields) for fields in plain]
+        found += map(Figure.of, plain)
     return found
 
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import serial
 from _bus_codecs import median_us
-from _table import Figure
+from _table import Figure, Target
 
 from levid.config.buses import SerialBus
 from levid.drivers.serial.port import TransactionPort
@@ -28,6 +28,7 @@ from levid.wire.stream import FrameStream
 CONTENTS = Contents(9, 9, True)
 FORCES_N, GAPS_M = np.arange(1.0, 10.0), np.arange(9) * 1e-5
 AXES = np.arange(9.0).reshape(3, 3) * 1e-3
+LEAST_TIMES = 3.0
 _BAUD = 3_000_000
 _ANSWER_S = 1.0
 """Far longer than any answer takes; who has none by then has failed."""
@@ -58,6 +59,14 @@ def serial_figures(n: int) -> list[Figure]:
             "us",
             f"{label} read_until",
             "serial_transaction_us",
+        ),
+        Figure(
+            "serial_read_until_times",
+            us["read_until"] / us["ours"],
+            "",
+            "serial: times as long read_until takes",
+            None,
+            Target(least=LEAST_TIMES),
         ),
         Figure(
             "serial_read_us",

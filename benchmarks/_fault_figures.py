@@ -9,7 +9,9 @@ from collections.abc import Iterable, Sequence
 
 from _fault_list import BUSES, LAST, SOON, kinds, untested
 from _fault_trial import Trial
-from _table import Figure
+from _table import Figure, Target
+
+ALL, NONE = Target(least=1.0), Target(most=0)
 
 
 def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figure]:
@@ -24,7 +26,7 @@ def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figur
     others = [trial for trial in injected if trial.must_not_disturb]
     return [
         Figure("asked", asked, "", "faults asked for, in flight"),
-        Figure("faults", len(injected), "", "faults injected in flight"),
+        Figure("faults", len(injected), "", "faults injected in flight", None, Target(least=asked)),
         Figure("not_injected", _in_vain(tried), "", "attempts in vain, tried again"),
         Figure("interrupted", interrupted, "", "attempts cut by the end of a run"),
         Figure("skipped", len(trials) - len(tried), "", "left out: no right to them"),
@@ -37,6 +39,8 @@ def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figur
             _share(t.rested and t.clears <= 1 for t in stops),
             "",
             "usable after one clear",
+            None,
+            ALL,
         ),
         Figure(
             "most_clears", max((t.clears for t in tried), default=0), "", "most clears that it took"
@@ -47,7 +51,9 @@ def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figur
             "s",
             "slowest until idle again",
         ),
-        Figure("failed", sum(bool(t.failed) for t in tried), "", "trials that did not end"),
+        Figure(
+            "failed", sum(bool(t.failed) for t in tried), "", "trials that did not end", None, NONE
+        ),
         *_logs(injected),
         *_strength(others),
     ]
@@ -63,11 +69,25 @@ def _stopping(stops: Sequence[Trial]) -> list[Figure]:
     slowest = max((t.cycles for t in timed if t.cycles is not None), default=0)
     of_each = {name: [t for t in own if t.fault == name] for name in _names()}
     return [
-        Figure("stopped", _share(t.cycles is not None for t in stops), "", "must stop: did"),
         Figure(
-            "came_back", sum(t.came_back > 0 for t in stops), "", "must stop: force acted again"
+            "stopped", _share(t.cycles is not None for t in stops), "", "must stop: did", None, ALL
         ),
-        Figure("within_3", _share(map(_soon, own)), "", f"loop can end it: zero within {SOON}"),
+        Figure(
+            "came_back",
+            sum(t.came_back > 0 for t in stops),
+            "",
+            "must stop: force acted again",
+            None,
+            NONE,
+        ),
+        Figure(
+            "within_3",
+            _share(map(_soon, own)),
+            "",
+            f"loop can end it: zero within {SOON}",
+            None,
+            ALL,
+        ),
         *(
             Figure(f"within_3_{_key(name)}", _share(map(_soon, of)), "", f"within {SOON}: {name}")
             for name, of in of_each.items()
@@ -75,7 +95,12 @@ def _stopping(stops: Sequence[Trial]) -> list[Figure]:
         ),
         Figure("within_all", _share(map(_soon, timed)), "", f"all: zero within {SOON}"),
         Figure(
-            "within_promise", _share(map(_promised, timed)), "", "all: in time, or its own timeout"
+            "within_promise",
+            _share(map(_promised, timed)),
+            "",
+            "all: in time, or its own timeout",
+            None,
+            ALL,
         ),
         Figure("slowest_stop", slowest, "cycles", "slowest to zero force"),
         Figure("shows_late", len(stops) - len(timed), "", "noticed when it shows: no promise"),
@@ -85,13 +110,34 @@ def _stopping(stops: Sequence[Trial]) -> list[Figure]:
 def _telling(stops: Sequence[Trial], others: Sequence[Trial]) -> list[Figure]:
     told = [trial.told for trial in others if trial.told is not None]
     return [
-        Figure("named", _share(t.named for t in stops), "", "must stop: named rightly"),
-        Figure("recorded", _share(t.recorded for t in stops), "", "must stop: recorded as that"),
         Figure(
-            "undisturbed", _share(t.undisturbed for t in others), "", "must not disturb: flew on"
+            "named",
+            _share(t.named for t in stops),
+            "",
+            "must stop: named rightly",
+            None,
+            Target(least=0.99),
         ),
-        Figure("told", _share(told), "", "must not disturb: status says so"),
-        Figure("not_named", len(others) - len(told), "", "must not disturb: no word for it"),
+        Figure(
+            "recorded",
+            _share(t.recorded for t in stops),
+            "",
+            "must stop: recorded as that",
+            None,
+            Target(least=0.99),
+        ),
+        Figure(
+            "undisturbed",
+            _share(t.undisturbed for t in others),
+            "",
+            "must not disturb: flew on",
+            None,
+            ALL,
+        ),
+        Figure("told", _share(told), "", "must not disturb: status says so", None, ALL),
+        Figure(
+            "not_named", len(others) - len(told), "", "must not disturb: no word for it", None, NONE
+        ),
     ]
 
 
@@ -99,13 +145,34 @@ def _logs(injected: Sequence[Trial]) -> list[Figure]:
     tail_s = max((trial.tail_s for trial in injected), default=0.0)
     return [
         Figure("logs", sum(t.logs for t in injected), "", "logs of flights read"),
-        Figure("without_log", sum(not t.logs for t in injected), "", "flights without one"),
-        Figure("unreadable", sum(t.unreadable for t in injected), "", "logs that do not open"),
+        Figure(
+            "without_log", sum(not t.logs for t in injected), "", "flights without one", None, NONE
+        ),
+        Figure(
+            "unreadable",
+            sum(t.unreadable for t in injected),
+            "",
+            "logs that do not open",
+            None,
+            NONE,
+        ),
         Figure("rowless", sum(t.rowless for t in injected), "", "logs cut before a row was due"),
         Figure(
-            "incomplete", sum(t.incomplete for t in injected), "", "logs not whole, though not cut"
+            "incomplete",
+            sum(t.incomplete for t in injected),
+            "",
+            "logs not whole, though not cut",
+            None,
+            NONE,
         ),
-        Figure("missing", sum(t.missing for t in injected), "", "rows missing within flights"),
+        Figure(
+            "missing",
+            sum(t.missing for t in injected),
+            "",
+            "rows missing within flights",
+            None,
+            NONE,
+        ),
         Figure("longest_tail", tail_s, "s", "most missing at a log's end"),
     ]
 

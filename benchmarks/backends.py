@@ -10,7 +10,6 @@ carries on.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import _table
@@ -35,8 +34,7 @@ def measure(quick: bool) -> list[Figure]:
     stretch_s, rounds = (2.0, 2) if quick else (60.0, 10)
 
     def part(key: str, figures: Callable[[], Sequence[Figure]]) -> list[Figure]:
-        plain = kept.part(key, lambda: [asdict(figure) for figure in figures()])
-        return [Figure(**fields) for fields in plain]
+        return list(map(Figure.of, kept.part(key, lambda: [figure.plain for figure in figures()])))
 
     found = [
         *part("codecs", lambda: codec_figures(many)),

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import _table
 import numpy as np
 from _bus_fault_words import EXPECTED, NO_FAULT_OF_A_DEVICE, UNHEARD, names
-from _table import Figure
+from _table import Figure, Target
 
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig
@@ -38,6 +38,7 @@ MOST_CYCLES = 60
 AFTER_CYCLES = 25
 """For so long it is watched whether force comes back: longer than setpoints take to expire."""
 EXPIRE_CYCLES, EXPIRE_UNHEARD_CYCLES = 20, 2
+SOON = 3
 _PACE_S = 0.01
 """What comes behind an answer comes within the cycle, which is longer than that."""
 BUSES = {
@@ -90,10 +91,16 @@ def measure(quick: bool) -> list[Figure]:
             figures.append(Figure(key, played.forced, "", f"{bus}: {line}: {played.words}"))
     return [
         *figures,
-        Figure("most_cycles", slowest, "", "the slowest of them"),
-        Figure("named", sum(named) / len(named), "", f"share of {len(named)} named rightly"),
-        Figure("came_back", came_back, "", "in which force acted again after it had ended"),
-    ]
+        Figure("most_cycles", slowest, "", "the slowest of them", None, Target(most=SOON)),
+        Figure(
+            "named", sum(named) / len(named), "", f"share of {len(named)} named rightly",
+            None, Target(least=1),
+        ),
+        Figure(
+            "came_back", came_back, "", "in which force acted again after it had ended",
+            None, Target(most=0),
+        ),
+    ]  # fmt: skip
 
 
 def until_zero(bus: str, line: str) -> Played:

@@ -30,7 +30,7 @@ from _fuzz_sequences import drives_followed
 from _fuzz_serial import serial_blocks, serial_crc12, serial_resealed, stream_of_noise
 from _kept import Parts
 from _mutations import Outcome
-from _table import Figure
+from _table import Figure, Target
 
 from levid.config.shipped import shipped
 
@@ -57,6 +57,7 @@ RUNS: dict[str, tuple[Fuzz, str]] = {
     "sdo": (sdo_answers, "answers of CANopen drives by SDO"),
     "nodes": (nodes_told, "frames to emulated CANopen drives"),
 }
+NONE, BY_CHANCE = Target(most=0), Target(most=4.0, least=-4.0)
 PREDICTED = ("can_random", "can_counter", "can_lengths", "serial_crc12")
 """Those of which counter and checksum alone say how many pass."""
 
@@ -99,11 +100,13 @@ def figures_of(key: str, outcome: Outcome, seconds: float) -> list[Figure]:
     figures = [
         Figure(f"{key}_tried", outcome.tried, "", label),
         Figure(f"{key}_accepted", outcome.accepted / outcome.tried, "", f"{label}: share accepted"),
-        Figure(f"{key}_wrong", outcome.wrong, "", f"{label}: judged wrongly, or lost"),
+        Figure(f"{key}_wrong", outcome.wrong, "", f"{label}: judged wrongly, or lost", None, NONE),
         Figure(f"{key}_s", seconds, "s", f"{label}: took"),
     ]
     if key in PREDICTED:
-        figures.append(Figure(f"{key}_z", outcome.z, "sd", f"{label}: off the prediction by"))
+        figures.append(
+            Figure(f"{key}_z", outcome.z, "sd", f"{label}: off the prediction by", None, BY_CHANCE)
+        )
     return figures
 
 

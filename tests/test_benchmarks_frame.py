@@ -170,3 +170,16 @@ def test_rounds_that_were_kept_are_carried_on_with(tmp_path: Path) -> None:
     assert third.of("a") == []
     assert "host" in third.lines[0]
     assert len(list(tmp_path.glob("rounds.*.jsonl"))) == 1
+
+
+def test_figure_that_was_kept_is_the_same_again() -> None:
+    table = module("_table")
+    figures = [
+        table.Figure("a", 1.5, "us", "takes", "b"),
+        table.Figure("b", None, "", "open", None, table.Target(most=1.5, met=table.Met.UNDECIDED)),
+        table.Figure("c", 3.0, "", "both ways", None, table.Target(most=4.0, least=-4.0)),
+    ]
+    again = [table.Figure.of(json.loads(json.dumps(figure.plain))) for figure in figures]
+    assert again == figures
+    assert [figure.met for figure in again] == [None, table.Met.UNDECIDED, table.Met.YES]
+    assert str(figures[2].target) == "-4 .. 4"

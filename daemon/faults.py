@@ -92,7 +92,8 @@ FAULTS: dict[Fault, FaultText] = {
         "SIM.yaml and the effect that the message names",
     ),
     Fault.LATE: FaultText(
-        "too many cycles in a row were late by a period or more",
+        "too many cycles were late by a period or more: in a row, within a minute, or all at once "
+        "(limits.late_cycles, late_in_window, stall_s)",
         "load of the machine, priority of the loop, a rate that the bus cannot carry",
     ),
     Fault.STOPPED: FaultText(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rig_effects import rig_places
@@ -19,6 +21,7 @@ from levid.identification.trace.residual import (
     beyond_rigid,
     denoised,
     density,
+    false_density,
     missing,
     noise_density,
     standing_out,
@@ -103,6 +106,33 @@ def test_noise_in_it_is_as_told(places: Places) -> None:
     # What is noise alone does not stand out.
     gain = standing_out(psd, noise, freq_hz)
     assert np.mean(gain[freq_hz < 60]) < 0.02
+
+
+def test_noisy_sensor_is_no_force(places: Places) -> None:
+    rng = np.random.default_rng(3)
+    sd, three = 1e-7, replace(places, sensor_shape=np.ones((3, 1)))
+    errors = sd * rng.standard_normal((60_000, 3)) * [1.0, 5.0, 1.0]
+    moved = errors.mean(axis=1, keepdims=True)
+    logged = replace(record(moved, np.zeros((60_000, 1)), three), gap=errors)
+    at = point(sd, 1e-20)
+    at = replace(
+        at, disturbance=replace(at.disturbance, noise=Noise(*np.array([[1e-20], [sd**2 / 3]])))
+    )
+    left = missing(at, logged)
+    freq_hz, psd = density(left.force, TS)
+    taken = noise_density(at, left.here, freq_hz)
+    false = false_density(at, left.here, left.reading)
+    band = (freq_hz > 5) & (freq_hz < 60)
+    # 27 of 3 parts are there; of that thirds of octaves tell all, but for 3 % of chance.
+    assert np.mean(psd[band] / taken[band]) == pytest.approx(9.0, rel=0.06)
+    assert np.mean(psd[band] / (taken + false)[band]) == pytest.approx(1.0, abs=0.08)
+    # A motion that all of them show is none of theirs.
+    x, _ = moved_by({12.0: 0.02}, TS * np.arange(60_000))
+    honest = sd * rng.standard_normal((60_000, 3)) + x[:, None]
+    y = honest.mean(axis=1, keepdims=True)
+    left = missing(at, replace(record(y, np.zeros((60_000, 1)), three), gap=honest))
+    false = false_density(at, left.here, left.reading)
+    assert np.mean((false / taken)[band]) < 0.15
 
 
 def test_what_stands_out_keeps_its_phase() -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import pytest
 from rig_effects import rig_places
 
-from levid.identification.trace import giving_up
-from levid.identification.trace.screening import Round, Tried
+from levid.identification.trace import giving_up, search
+from levid.identification.trace.screening import HeldError, Round, Tried
 from levid.model.effects.base import Placed
 from levid.model.effects.table import all_effects
 
@@ -18,8 +19,14 @@ EXCESS = 1e6
 
 
 @dataclass(frozen=True)
+class Measured:
+    measured: bool = False
+
+
+@dataclass(frozen=True)
 class Point:
     placed: tuple[Placed, ...]
+    disturbance: Measured = Measured()
 
 
 def tried(identity: str, gain: float) -> Tried:
@@ -68,3 +75,49 @@ def test_what_was_no_alternative_or_is_gone_is_no_stand_in(
     ):
         answer = giving_up.without_stand_in(begun, 1000.0, tried(SECOND, 5e4), rounds, None)
         assert answer == (begun, 1000.0, None)
+
+
+@pytest.mark.parametrize(("back", "led_on"), [(-1e4, True), (0.0, True), (5e3, True), (5e4, False)])
+def test_what_has_only_led_another_out_of_its_valley_goes(
+    back: float, led_on: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refined(point: Point, _: object, within: float) -> tuple[Point, float]:
+        return point, 1000.0 + back
+
+    monkeypatch.setattr(giving_up, "refine", refined)
+    begun = placed(FIRST, SECOND)
+    alone = giving_up.without_guide(begun, 1000.0, 1000.0 + 1e5, None)
+    assert (alone is not None) is led_on
+    assert alone is None or alone.placed == begun.placed[:1]
+    assert giving_up.without_guide(placed(FIRST), 1000.0, 1e5, None) is None
+
+
+@pytest.mark.parametrize(("after", "kept"), [(1.0, [FIRST]), (9.99, [FIRST, SECOND])])
+def test_search_goes_on_without_who_led_on_if_held_out_records_gain_by_that(
+    after: float, kept: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, alone = placed(FIRST), replace(placed(FIRST), disturbance=Measured(True))
+    train = SimpleNamespace(squares=1e5, excess=EXCESS)
+    asked = [round_of(None), round_of(None)]
+    asked[0] = replace(asked[0], survivors=(tried(SECOND, 9e4),))
+    rounds = iter(asked)
+    monkeypatch.setattr(search, "_screened", lambda *_: (next(rounds), train))
+    monkeypatch.setattr(
+        search, "sifted", lambda _, found, *__: replace(found, taken=found.survivors[0])
+    )
+    monkeypatch.setattr(search, "refine", lambda point, *_, **__: (point, 1e3))
+    monkeypatch.setattr(search, "asked_again", lambda _, taken, *__: taken)
+    monkeypatch.setattr(search, "without_guide", lambda *_: alone)
+    monkeypatch.setattr(search, "without_idle", lambda point, _: point)
+    monkeypatch.setattr(search, "_believing", lambda point, *_: point)
+    errors = {id(alone): after}
+    records = SimpleNamespace(
+        believed=lambda point: point,
+        held_error=lambda point: HeldError(errors.get(id(point), 5.0), 1.0),
+    )
+    point, error, told = search._grown(
+        begun, [NAMED[SECOND]], 3, 0.0, HeldError(10.0, 1.0), records, lambda *_: None
+    )
+    assert [p.effect.identity for p in point.placed] == kept
+    assert error.squares == min(after, 5.0)
+    assert [found.taken is None for found in told] == [len(kept) == 1, True]

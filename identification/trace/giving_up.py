@@ -16,6 +16,8 @@ from .working_point import WorkingPoint
 _STANDS_IN = 2e-3
 """Of what was there for two that fitted alike to it, what the first may take beside the second and
 is only in its place: an equation that is right to a twentieth leaves as much."""
+_LED_ON = 0.1
+"""Of what an effect brought, as much as it may take along when it goes and has only led on."""
 _GUESS = 0.3
 """A name that takes less than this share of what is left beside a free form was a guess."""
 
@@ -45,6 +47,22 @@ def without_stand_in(
         if left - squares < max(_STANDS_IN * earlier.excess, LEAST):
             return alone, left, number
     return point, squares, None
+
+
+def without_guide(
+    point: WorkingPoint, squares: float, before: float, records: Fitted
+) -> WorkingPoint | None:
+    """Return the point without the last effect, where that has only led on.
+
+    A fit ends in the valley that it began in. Beside another effect what was found before may come
+    out of it, and then needs no other: nine tenths of what that brought, `before` less `squares`,
+    stay without it. None where they do not.
+    """
+    *others, _ = point.placed
+    if not others:
+        return None
+    alone, left = refine(replace(point, placed=tuple(others)), records, within=NEARLY)
+    return alone if left - squares < _LED_ON * (before - squares) else None
 
 
 def taken_instead(found: Round, identity: str) -> Round:

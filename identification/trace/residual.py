@@ -87,11 +87,24 @@ def beyond_rigid(record: TraceRecord, gap: Array) -> Array:
 def noise_density(point: WorkingPoint, here: Along, freq_hz: Array) -> Array:
     """Return the one-sided density (F, n) of what noise alone leaves in Missing.force."""
     at, noise = here.at, point.disturbance.noise
-    M = np.linalg.inv(at.mobility.mean(axis=0))
-    s = 2j * np.pi * freq_hz[:, None, None]
-    Z = M @ (s * s * np.eye(len(M)) + s * at.D.mean(axis=0) + at.K.mean(axis=0))
-    seen = np.einsum("fij,j->fi", np.abs(Z) ** 2, noise.output_variance)
+    seen = np.einsum("fij,j->fi", np.abs(_impedance(here, freq_hz)) ** 2, noise.output_variance)
     return np.asarray(2 * at.Ts_s * seen + 2 * noise.force_psd)
+
+
+def false_density(point: WorkingPoint, here: Along, reading: Array) -> Array:
+    """Return the density (F, n), at the frequencies of `density`, that false readings leave there.
+
+    What no rigid platform shows (N, S) tells by how much the noise of each sensor is larger than it
+    was taken for, in thirds of octaves; that of one sensor is a force on every DOF.
+    """
+    shape, Ts_s = here.record.places.sensor_shape, here.at.Ts_s
+    freq_hz, psd = density(reading, Ts_s)
+    left = np.eye(len(shape)) - shape @ np.linalg.pinv(shape)
+    # Of sensors that err each by itself; a pose takes up a part of every one.
+    own = third_octaves(psd, freq_hz) @ np.linalg.pinv(left**2).T
+    excess = np.maximum(own - 2 * Ts_s * point.disturbance.sensor_sd**2, 0.0)
+    by_sensor = _impedance(here, freq_hz) @ here.record.places.decoupling
+    return np.asarray(np.einsum("fis,fs->fi", np.abs(by_sensor) ** 2, excess))
 
 
 def standing_out(psd: Array, noise: Array, freq_hz: Array) -> Array:
@@ -182,6 +195,14 @@ def _times(matrices: Array, values: Array) -> Array:
     if len(matrices) == 1:
         return np.asarray(values @ matrices[0].T)
     return np.asarray(np.einsum("nij,nj->ni", matrices[: len(values)], values))
+
+
+def _impedance(here: Along, freq_hz: Array) -> NDArray[np.complex128]:
+    """Return the force (F, n, n) that moves the pose by one, where the model is linear."""
+    at = here.at
+    M = np.linalg.inv(at.mobility.mean(axis=0))
+    s = 2j * np.pi * freq_hz[:, None, None]
+    return np.asarray(M @ (s * s * np.eye(len(M)) + s * at.D.mean(axis=0) + at.K.mean(axis=0)))
 
 
 def _rate(values: Array, Ts_s: float) -> Array:

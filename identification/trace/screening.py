@@ -27,6 +27,9 @@ ALONE = 20.0
 """By how much blocks that did not fit it must then agree: they are of records that chose it."""
 _WORTH = 0.004
 """An effect is worth naming if it takes this share of what noise does not explain."""
+_DESCRIBES = 0.03
+"""A free form is worth having if it takes this: it names nothing, and what is random lets one
+follow a little of it."""
 _IN_PASSING, _BESIDE = 1e-4, 1e-5
 """Of what other effects took, one that is named beside them must take this share: the first where
 little is left, or the drives alone feel it. An equation that is right to a hundredth leaves as
@@ -113,6 +116,8 @@ class Least:
     def taken_by(self, tried: Tried) -> bool:
         """Return whether a candidate takes that."""
         if self.unshown and tried.held and not is_internal(tried.effect):
+            return False
+        if tried.effect.effect_class == "unknown" and tried.gain < _DESCRIBES * self.excess:
             return False
         surely = (_PROMISING if tried.shape else BEYOND_CHANCE) if tried.held else ALONE
         beside = _IN_PASSING if self.little or is_internal(tried.effect) else _BESIDE

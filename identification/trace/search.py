@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from ...model.effects.base import Effect
 from ..data import IdentificationError
-from .giving_up import taken_instead, without_guesses, without_idle, without_stand_in
+from .giving_up import (
+    taken_instead,
+    without_guesses,
+    without_guide,
+    without_idle,
+    without_stand_in,
+)
 from .held_out import LOWERS, helps
 from .refine import FULLY, NEARLY, Candidate, gather, refine
 from .regression import Evidence, covariance
@@ -36,6 +42,7 @@ _MOST_EFFECTS = 6
 _MOST_UNKNOWN = 4
 _TRUST = 1e3
 _MOST_REFUSED = 3
+_MOST_GUIDES = 2
 _EXPLAINED = 1.06
 """Mean square errors of the free simulation, over what noise leaves, at which a model explains the
 records: 1.03 times the floor. A force that only the drives feel does not show there."""
@@ -112,7 +119,7 @@ def _grown(
     candidates = [(effect, tuple(shape)) for effect in effects for shape in effect.grid]
     rounds: list[Round] = []
     barred = {p.effect.identity for p in point.placed}
-    refused, most = 0, most + len(point.placed)
+    refused, guides, most = 0, 0, most + len(point.placed)
     while error.squares > enough * error.floor:
         explained = point.disturbance.measured and error.squares < _EXPLAINED * error.floor
         found, train = _screened(point, candidates, error, explained, rounds, records, progress)
@@ -129,6 +136,14 @@ def _grown(
         better, squares = refine(with_tried(point, taken), records, within=NEARLY)
         taken = asked_again(point, taken, better.placed[-1], records)
         better, squares, stood_in = without_stand_in(better, squares, taken, rounds, records)
+        if stood_in is None and guides < _MOST_GUIDES:
+            alone = without_guide(better, squares, train.squares, records)
+            after = error if alone is None else records.held_error(alone)
+            if alone is not None and after.squares < (1.0 - LOWERS) * error.squares:
+                # Nothing is taken; who has shown the way may be asked again.
+                point, error, guides = alone, after, guides + 1
+                rounds.append(replace(found, taken=None))
+                continue
         found = replace(found, taken=taken)
         better = records.believed(without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)

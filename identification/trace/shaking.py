@@ -3,7 +3,9 @@
 A floor that trembles has no phase that a model could foretell, so no effect of the table and no
 free form explains it: it is noise, but more of it, in a band, than coils and sensors make. Its
 signature is that it does not care: the force that the model lacks has the same density in still
-records as in excited ones. What depends on the motion is not there where nothing moves.
+records as in excited ones. What depends on the motion is not there where nothing moves. Readings
+that are false look like forces too, and on several DOF at once; but they show beyond the rigid
+pose.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .record import TraceRecord
-from .residual import FADE_S, density, missing, noise_density, third_octaves
+from .residual import FADE_S, density, false_density, missing, noise_density, third_octaves
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -73,6 +75,7 @@ def force_spectrum(point: WorkingPoint, record: TraceRecord) -> ForceSpectrum:
     freq_hz, psd = density(whole, Ts_s)
     averages = max(len(whole) * Ts_s * (freq_hz[1] - freq_hz[0]), 1.0)
     noise = noise_density(point, lacking.here, freq_hz)
+    noise += false_density(point, lacking.here, lacking.reading[ends : record.rows - ends])
     return ForceSpectrum(freq_hz, psd, noise, averages, record.still)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.polynomial import chebyshev
 from rig_effects import rig_places
 
 from levid.model.effects.base import Signals
@@ -14,7 +15,6 @@ from levid.model.effects.extent import Extent
 from levid.model.effects.freeform import (
     DEGREE,
     Form,
-    _shapes,
     depends_on,
     freeform_effect,
     freeform_effects,
@@ -100,10 +100,37 @@ def test_what_depends_on_commands_is_of_coils_and_readings_alone():
 def test_no_sum_of_functions_is_constant(by: str):
     """A constant force is an unknown of every record already; that of a reading stands apart."""
     s = np.linspace(-1.0, 1.0, 400) * (np.pi if by == "phi" else 1.0)
-    functions = _shapes(by, s, DEGREE)
+    functions = Form(by, 1.0)._shapes(s, DEGREE)
     best, *_ = np.linalg.lstsq(functions, np.ones(400), rcond=None)
     # What is left of a constant: all of it for harmonics, a peak as wide as a piece for splines.
     assert np.mean((1.0 - functions @ best) ** 2) > 1e-3
+
+
+def test_a_coil_may_do_anything_with_what_it_is_told():
+    """As an amplifier whose second stage comes in beyond a force, and has another offset."""
+    s = moving()
+    s = replace(s, coil=6.0 + s.coil)
+    extent = Extent.measured([s])
+    (own,) = (
+        e for e in freeform_effects(s.places, extent) if e.where == ("coil:3",) and "*" not in e.key
+    )
+    again = freeform_effect(s.places, own.key, own.where)
+    assert again is not None
+    assert own.identity == again.identity
+    alone = s.places.coil_shape[3]
+    columns = np.stack([acts(t) @ alone / (alone @ alone) for t in again.build(s, ())], axis=1)
+    step = 0.1 * (s.coil[:, 3] > 7.0)
+    left = (
+        step
+        - step.mean()
+        - (columns - columns.mean(axis=0))
+        @ np.linalg.lstsq(columns - columns.mean(axis=0), step - step.mean(), rcond=None)[0]
+    )
+    # A cube leaves two fifths of it; twelve pieces over six deviations a blur of half of one.
+    assert np.var(left) < 0.15 * np.var(step)
+    words = chebyshev.chebvander((s.coil[:, 3] - 6.0) / 3.0, 3)
+    cube = step - words @ np.linalg.lstsq(words, step, rcond=None)[0]
+    assert np.var(cube) > 0.3 * np.var(step)
 
 
 def test_a_reading_may_be_false_in_one_place_and_right_everywhere_else():

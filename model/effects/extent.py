@@ -33,7 +33,8 @@ class Extent:
     tones_hz: frequencies of the lines that are looked for. middle (n,), beam_middle_m: what each
     DOF and the beam move about, to a tenth of their motion. fastest_hz: up to where the slowest
     sampling tells resonances from their aliases. late_s: by how much the model has commands come
-    late, delay and lag together.
+    late, delay and lag together. commands: of each actuator mean and standard deviation of what it
+    is told, to three digits.
     """
 
     reach: tuple[float, ...]
@@ -48,6 +49,7 @@ class Extent:
     beam_middle_m: float = 0.0
     fastest_hz: float = math.inf
     late_s: float = _TYPICAL_LATE_S
+    commands: tuple[tuple[float, float], ...] = ()
 
     def around(self, dof: int) -> float:
         """Return what a DOF moves about."""
@@ -85,7 +87,16 @@ class Extent:
             _rounded(0.5 * (beam[0] + beam[1]), 0.5 * (beam[1] - beam[0])),
             _RESOLVED / max(r.Ts_s for r in records),
             max(r.delay_cycles * r.Ts_s + r.lag_s for r in records),
+            _commands(records),
         )
+
+
+def _commands(records: Sequence[Signals]) -> tuple[tuple[float, float], ...]:
+    """Return mean and standard deviation of each command; none where one stands still."""
+    told = np.concatenate([r.coil for r in records])
+    pairs = zip(told.mean(axis=0).tolist(), told.std(axis=0).tolist(), strict=True)
+    found = tuple((float(f"{mean:.3g}"), float(f"{sd:.3g}")) for mean, sd in pairs)
+    return found if all(sd > 0.0 for _, sd in found) else ()
 
 
 def _rounded(middle: float, size: float) -> float:

@@ -55,7 +55,8 @@ class Form:
     """`factor` times a function of `by`; without a factor, the function alone.
 
     Signals are in the words of the key, each with what it is measured by, `middle` +- `scale`; time
-    is always counted from the middle of the records.
+    is always counted from the middle of the records. `pieces`: of a coil's command a curve, as it
+    is of its own force, and no polynomial.
     """
 
     by: str
@@ -63,12 +64,18 @@ class Form:
     factor: str = ""
     unit: float = 1.0
     middle: float = 0.0
+    pieces: bool = False
+
+    @property
+    def curve(self) -> bool:
+        """Whether its function is a spline."""
+        return self.by in _LONG or self.pieces
 
     @property
     def key(self) -> str:
         """The name in a model file, which says all that there is to know."""
         by = self.by if self.by == _TURN else f"{self.by}[{self.scale:g}]"
-        if self.by == _TIME or self.middle:
+        if self.by == _TIME or self.middle or self.pieces:
             by = f"{self.by}[{self.middle:g}+-{self.scale:g}]"
         return f"unknown.{self.factor}[{self.unit:g}]*{by}" if self.factor else f"unknown.{by}"
 
@@ -87,7 +94,8 @@ class Form:
             return None
         if not (scale > 0.0 and unit > 0.0 and np.isfinite([scale, unit, middle]).all()):
             return None
-        return cls(found["by"], scale, found["factor"] or "", unit, middle)
+        pieces = found["by"].startswith(_COIL) and found["middle"] is not None
+        return cls(found["by"], scale, found["factor"] or "", unit, middle, pieces)
 
     def functions(self, signals: Signals, constant: bool, acting: bool = True) -> Array:
         """Return what one unit of each amplitude is along a trajectory (N, columns).
@@ -97,10 +105,10 @@ class Form:
         """
         s = (_read(signals, self.by, acting) - self.middle) / self.scale
         if not self.factor:
-            alone = _shapes(self.by, s, _degree(self.by))
+            alone = self._shapes(s, _degree(self.by))
             return np.column_stack([np.ones(len(s)), alone]) if constant else alone
         driven = _read(signals, self.factor, acting) / self.unit
-        whole = _shapes(self.by, s, _PRODUCT_DEGREE)
+        whole = self._shapes(s, _PRODUCT_DEGREE)
         if _constant_is_new(self.factor):
             whole = np.column_stack([np.ones(len(s)), whole])
         return np.asarray(driven[:, None] * whole)
@@ -111,16 +119,28 @@ class Form:
         if self.by == _TURN:
             return (*(("c0",) if first else ()), "sin", "cos", "sin2", "cos2")
         polynomial = _PRODUCT_DEGREE if self.factor else _degree(self.by)
-        count = _SPLINES - 1 if self.by in _LONG else polynomial
+        count = _SPLINES - 1 if self.curve else polynomial
         return tuple(f"c{k}" for k in range(0 if first else 1, count + 1))
 
     @property
     def words(self) -> str:
         """The function in words."""
-        kind = "a curve" if self.by in _LONG else "a polynomial"
+        kind = "a curve" if self.curve else "a polynomial"
         if self.by == _TURN:
             kind = "two harmonics"
         return f"{self.factor} f({self.by}), f {kind}" if self.factor else f"f({self.by}), {kind}"
+
+    def _shapes(self, s: Array, degree: int) -> Array:
+        """Return functions (N, columns) of the signal over its scale, none of them constant."""
+        if self.by == _TURN:
+            return np.column_stack([wave(k * s) for k in (1, 2) for wave in (np.sin, np.cos)])
+        s = np.clip(s, -1.0, 1.0)
+        if not self.curve:
+            return np.asarray(chebyshev.chebvander(s, degree)[:, 1:], float)
+        knots = np.concatenate([[-1.0] * 3, np.linspace(-1.0, 1.0, _SPLINES - 2), [1.0] * 3])
+        pieces = BSpline.design_matrix(s, knots, 3).toarray()
+        # All of them add up to one: without the one in the middle none of their sums is constant.
+        return np.delete(pieces, _SPLINES // 2, axis=1)
 
 
 def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
@@ -140,7 +160,7 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
         _effect(places, f"sensor:{s}", form) for form in beside for s in range(places.sensors)
     ]
     for c, own in enumerate(commands):
-        forms = [_form(places, extent, own)]
+        forms = [_curve(extent, c)]
         others = [by for by in commands if by != own] + (["x_b"] if places.beam else [])
         forms += [_form(places, extent, by, own) for by in others]
         found += [_effect(places, f"coil:{c}", form) for form in forms]
@@ -257,19 +277,6 @@ def _readings(signals: Signals, _shape: Sequence[float], *, form: Form, sensor: 
     return [on_sensor(signals, sensor, column) for column in columns]
 
 
-def _shapes(by: str, s: Array, degree: int) -> Array:
-    """Return functions (N, columns) of a signal over its scale, none of them constant."""
-    if by == _TURN:
-        return np.column_stack([wave(k * s) for k in (1, 2) for wave in (np.sin, np.cos)])
-    s = np.clip(s, -1.0, 1.0)
-    if by not in _LONG:
-        return np.asarray(chebyshev.chebvander(s, degree)[:, 1:], float)
-    knots = np.concatenate([[-1.0] * 3, np.linspace(-1.0, 1.0, _SPLINES - 2), [1.0] * 3])
-    pieces = BSpline.design_matrix(s, knots, 3).toarray()
-    # All of them add up to one: without the one in the middle none of their sums is constant.
-    return np.delete(pieces, _SPLINES // 2, axis=1)
-
-
 def _read(signals: Signals, word: str, acting: bool) -> Array:
     places = signals.places
     if word.startswith(_COIL):
@@ -316,6 +323,12 @@ def _middle(places: Places, extent: Extent, word: str) -> float:
     if word == "x_b":
         return extent.beam_middle_m
     return float(f"{0.5 * sum(places.span_s):g}") if word == _TIME else 0.0
+
+
+def _curve(extent: Extent, coil: int) -> Form:
+    """Return the form of a coil's own command: its amplifier may do anything with that."""
+    middle, sd = extent.commands[coil] if extent.commands else (0.0, extent.command / _WIDE)
+    return Form(f"{_COIL}{coil}", float(f"{_WIDE * sd:.3g}"), middle=middle, pieces=True)
 
 
 def _form(places: Places, extent: Extent, by: str, factor: str = "") -> Form:

@@ -121,3 +121,12 @@ def test_search_goes_on_without_who_led_on_if_held_out_records_gain_by_that(
     assert [p.effect.identity for p in point.placed] == kept
     assert error.squares == min(after, 5.0)
     assert [found.taken is None for found in told] == [len(kept) == 1, True]
+
+
+def test_who_took_little_of_what_is_random_has_followed_it() -> None:
+    drives = tried("cogging@beam", 0.001 * EXCESS)
+    rounds = [
+        round_of(tried(FIRST, 0.5 * EXCESS)), round_of(None), round_of(drives),
+        round_of(tried(SECOND, 0.006 * EXCESS)), round_of(tried(THIRD, 0.04 * EXCESS)),
+    ]  # fmt: skip
+    assert giving_up.followers(rounds) == {SECOND}

@@ -10,7 +10,7 @@ import numpy as np
 from ...model.effects.base import Placed
 from .refine import NEARLY, Fitted, gather, refine
 from .regression import Evidence, cross_validated, steadied
-from .screening import LEAST, Round, Tried, width
+from .screening import LEAST, Round, Tried, is_internal, width
 from .working_point import WorkingPoint
 
 _STANDS_IN = 2e-3
@@ -18,6 +18,8 @@ _STANDS_IN = 2e-3
 is only in its place: an equation that is right to a twentieth leaves as much."""
 _LED_ON = 0.1
 """Of what an effect brought, as much as it may take along when it goes and has only led on."""
+_FOLLOWS = 0.03
+"""A name that takes less than this share of what is left where that is random has followed it."""
 _GUESS = 0.3
 """A name that takes less than this share of what is left beside a free form was a guess."""
 
@@ -63,6 +65,16 @@ def without_guide(
         return None
     alone, left = refine(replace(point, placed=tuple(others)), records, within=NEARLY)
     return alone if left - squares < _LED_ON * (before - squares) else None
+
+
+def followers(rounds: Sequence[Round]) -> frozenset[str]:
+    """Return who took so little that it may have followed what is random, by identity.
+
+    What only the drives feel is held against what they measure, and that does not shake.
+    """
+    taken = ((r.taken, r.excess) for r in rounds if r.taken is not None)
+    little = (t.effect for t, excess in taken if t.gain < _FOLLOWS * excess)
+    return frozenset(effect.identity for effect in little if not is_internal(effect))
 
 
 def taken_instead(found: Round, identity: str) -> Round:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ...model.effects.base import Effect
 from ..data import IdentificationError
 from .giving_up import (
+    followers,
     taken_instead,
     without_guesses,
     without_guide,
@@ -93,6 +94,27 @@ def search(
         if point is not named:
             point = without_guesses(point, records)
             error = records.held_error(point)
+    return _settled(point, error, rounds, records)
+
+
+def without_followers(found: Found, records: Records) -> Found:
+    """Return what was found without the names that may have followed a force that is random.
+
+    Chance is that of errors that are white, and a force with no phase in a band is none: the best
+    of a table takes something of it, and held-out records agree by chance of their own.
+    """
+    idle = followers(found.rounds)
+    placed = tuple(p for p in found.point.placed if p.effect.identity not in idle)
+    if len(placed) == len(found.point.placed):
+        return found
+    point, _ = refine(replace(found.point, placed=placed), records, within=FULLY)
+    return _settled(point, records.held_error(point), found.rounds, records)
+
+
+def _settled(
+    point: WorkingPoint, error: HeldError, rounds: Sequence[Round], records: Records
+) -> Found:
+    """Return the point fitted to the end, with what it leaves."""
     # What was fitted last was so while it was not known whether more would come.
     fitted, _ = refine(point, records, within=FULLY)
     if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:

@@ -32,7 +32,7 @@ from .record import TraceRecord, split
 from .refine import NEARLY, Candidate, refine
 from .regression import FOLDS
 from .screening import HeldError
-from .search import Found, search
+from .search import Found, search, without_followers
 from .session_time import overlap, require_timeless, timeless
 from .shaking import Shaking, force_spectrum, shaking
 from .workers import Source, Workers
@@ -145,12 +145,21 @@ def _trace(
     error, floor = pooled(after)
     shaken: tuple[Shaking, ...] = ()
     if not error <= _UNEXPLAINED * floor:
-        spectra = partial(force_spectrum, found.point)
-        shaken = shaking(workers.map(spectra, logged.fitted), workers.map(spectra, logged.kept))
+        shaken = _shaken(found, logged, workers)
+        fewer = without_followers(found, logged) if shaken else found
+        if fewer is not found:
+            found = fewer
+            after = workers.map(partial(record_error, found.point), logged.kept)
+            shaken = _shaken(found, logged, workers)
     return Trace(
         config, places, declared, found, begun.fitted, begun.held,
         tuple(before), tuple(after), notes, shaken, begun.records,
     )  # fmt: skip
+
+
+def _shaken(found: Found, logged: _Logged, workers: Workers) -> tuple[Shaking, ...]:
+    spectra = partial(force_spectrum, found.point)
+    return shaking(workers.map(spectra, logged.fitted), workers.map(spectra, logged.kept))
 
 
 def _begin(

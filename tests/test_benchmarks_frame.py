@@ -91,6 +91,8 @@ sys.path.insert(0, sys.argv[1])
 import _table
 from _children import started
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run where nobody hangs up
+
 def measure(quick):
     with started(["sleep", "600"]) as child:
         print(child.pid, file=sys.stderr, flush=True)

@@ -79,9 +79,13 @@ class Kept:
     def publish(self, file: Path) -> int:
         """Write the results of this code, and of no other, compressed; return how many.
 
-        The same results make the same bytes.
+        The same results make the same bytes, wherever the files of effects lie.
         """
-        rows = [row for row in self._rows.values() if row["code"] == self._version and row["found"]]
+        rows = [
+            {**row, "effects": [wherever(entry) for entry in row["effects"]]}
+            for row in self._rows.values()
+            if row["code"] == self._version and row["found"]
+        ]
         rows.sort(key=lambda row: (row["plant"], row["key"]))
         text = "".join(json.dumps(row) + "\n" for row in rows)
         file.write_bytes(gzip.compress(text.encode(), mtime=0))

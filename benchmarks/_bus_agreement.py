@@ -120,8 +120,7 @@ def agreement_figures(name: str, who: str, it: Difference) -> list[Figure]:
             100.0 * it.agree,
             "%",
             f"{who}: P by (15), all entries: within the 95 % region of loopback's",
-            None,
-            Target(least=_LEAST_AGREEING),
+            target=Target(least=_LEAST_AGREEING),
         ),
         Figure(
             f"{name}_entry_se_percent",
@@ -140,8 +139,7 @@ def agreement_figures(name: str, who: str, it: Difference) -> list[Figure]:
             100.0 * it.gain,
             "%",
             f"{who}: common gain, difference",
-            None,
-            Target(least=-100.0 * _GAIN_SE * it.gain_se, most=100.0 * _GAIN_SE * it.gain_se),
+            target=Target(least=-100.0 * _GAIN_SE * it.gain_se, most=100.0 * _GAIN_SE * it.gain_se),
         ),
         Figure(f"{name}_gain_se_percent", 100.0 * it.gain_se, "%", f"{who}: its standard error"),
         Figure(

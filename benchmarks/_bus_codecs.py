@@ -99,8 +99,7 @@ def codec_figures(n: int) -> list[Figure]:
                 theirs / ours,
                 "",
                 f"{label}: times as long cantools takes",
-                None,
-                Target(least=LEAST_TIMES),
+                target=Target(least=LEAST_TIMES),
             ),
         ]
     return figures

@@ -65,8 +65,7 @@ def serial_figures(n: int) -> list[Figure]:
             us["read_until"] / us["ours"],
             "",
             "serial: times as long read_until takes",
-            None,
-            Target(least=LEAST_TIMES),
+            target=Target(least=LEAST_TIMES),
         ),
         Figure(
             "serial_read_us",

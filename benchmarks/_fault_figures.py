@@ -26,7 +26,9 @@ def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figur
     others = [trial for trial in injected if trial.must_not_disturb]
     return [
         Figure("asked", asked, "", "faults asked for, in flight"),
-        Figure("faults", len(injected), "", "faults injected in flight", None, Target(least=asked)),
+        Figure(
+            "faults", len(injected), "", "faults injected in flight", target=Target(least=asked)
+        ),
         Figure("not_injected", _in_vain(tried), "", "attempts in vain, tried again"),
         Figure("interrupted", interrupted, "", "attempts cut by the end of a run"),
         Figure("skipped", len(trials) - len(tried), "", "left out: no right to them"),
@@ -39,8 +41,7 @@ def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figur
             _share(t.rested and t.clears <= 1 for t in stops),
             "",
             "usable after one clear",
-            None,
-            ALL,
+            target=ALL,
         ),
         Figure(
             "most_clears", max((t.clears for t in tried), default=0), "", "most clears that it took"
@@ -52,7 +53,7 @@ def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figur
             "slowest until idle again",
         ),
         Figure(
-            "failed", sum(bool(t.failed) for t in tried), "", "trials that did not end", None, NONE
+            "failed", sum(bool(t.failed) for t in tried), "", "trials that did not end", target=NONE
         ),
         *_logs(injected),
         *_strength(others),
@@ -70,23 +71,21 @@ def _stopping(stops: Sequence[Trial]) -> list[Figure]:
     of_each = {name: [t for t in own if t.fault == name] for name in _names()}
     return [
         Figure(
-            "stopped", _share(t.cycles is not None for t in stops), "", "must stop: did", None, ALL
+            "stopped", _share(t.cycles is not None for t in stops), "", "must stop: did", target=ALL
         ),
         Figure(
             "came_back",
             sum(t.came_back > 0 for t in stops),
             "",
             "must stop: force acted again",
-            None,
-            NONE,
+            target=NONE,
         ),
         Figure(
             "within_3",
             _share(map(_soon, own)),
             "",
             f"loop can end it: zero within {SOON}",
-            None,
-            ALL,
+            target=ALL,
         ),
         *(
             Figure(f"within_3_{_key(name)}", _share(map(_soon, of)), "", f"within {SOON}: {name}")
@@ -99,8 +98,7 @@ def _stopping(stops: Sequence[Trial]) -> list[Figure]:
             _share(map(_promised, timed)),
             "",
             "all: in time, or its own timeout",
-            None,
-            ALL,
+            target=ALL,
         ),
         Figure("slowest_stop", slowest, "cycles", "slowest to zero force"),
         Figure("shows_late", len(stops) - len(timed), "", "noticed when it shows: no promise"),
@@ -115,63 +113,67 @@ def _telling(stops: Sequence[Trial], others: Sequence[Trial]) -> list[Figure]:
             _share(t.named for t in stops),
             "",
             "must stop: named rightly",
-            None,
-            Target(least=0.99),
+            target=Target(least=0.99),
         ),
         Figure(
             "recorded",
             _share(t.recorded for t in stops),
             "",
             "must stop: recorded as that",
-            None,
-            Target(least=0.99),
+            target=Target(least=0.99),
         ),
         Figure(
             "undisturbed",
             _share(t.undisturbed for t in others),
             "",
             "must not disturb: flew on",
-            None,
-            ALL,
+            target=ALL,
         ),
-        Figure("told", _share(told), "", "must not disturb: status says so", None, ALL),
+        Figure("told", _share(told), "", "must not disturb: status says so", target=ALL),
         Figure(
-            "not_named", len(others) - len(told), "", "must not disturb: no word for it", None, NONE
+            "not_named",
+            len(others) - len(told),
+            "",
+            "must not disturb: no word for it",
+            target=NONE,
         ),
     ]
 
 
 def _logs(injected: Sequence[Trial]) -> list[Figure]:
-    tail_s = max((trial.tail_s for trial in injected), default=0.0)
+    tail_s = max((trial.look.tail_s for trial in injected), default=0.0)
     return [
-        Figure("logs", sum(t.logs for t in injected), "", "logs of flights read"),
+        Figure("logs", sum(t.look.logs for t in injected), "", "logs of flights read"),
         Figure(
-            "without_log", sum(not t.logs for t in injected), "", "flights without one", None, NONE
+            "without_log",
+            sum(not t.look.logs for t in injected),
+            "",
+            "flights without one",
+            target=NONE,
         ),
         Figure(
             "unreadable",
-            sum(t.unreadable for t in injected),
+            sum(t.look.unreadable for t in injected),
             "",
             "logs that do not open",
-            None,
-            NONE,
+            target=NONE,
         ),
-        Figure("rowless", sum(t.rowless for t in injected), "", "logs cut before a row was due"),
+        Figure(
+            "rowless", sum(t.look.rowless for t in injected), "", "logs cut before a row was due"
+        ),
         Figure(
             "incomplete",
-            sum(t.incomplete for t in injected),
+            sum(t.look.incomplete for t in injected),
             "",
             "logs not whole, though not cut",
-            None,
-            NONE,
+            target=NONE,
         ),
         Figure(
             "missing",
-            sum(t.missing for t in injected),
+            sum(t.look.missing for t in injected),
             "",
             "rows missing within flights",
-            None,
-            NONE,
+            target=NONE,
         ),
         Figure("longest_tail", tail_s, "s", "most missing at a log's end"),
     ]
@@ -194,7 +196,9 @@ def _strength(others: Sequence[Trial]) -> list[Figure]:
 
 
 def _late(trials: Sequence[Trial]) -> float:
-    return sum(trial.late for trial in trials) / max(sum(trial.rows for trial in trials), 1)
+    return sum(trial.look.late for trial in trials) / max(
+        sum(trial.look.rows for trial in trials), 1
+    )
 
 
 def _soon(trial: Trial) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 from _fault_deeds import DEEDS, HARMLESS, Seen, cannot
 from _fault_flight import Flight, NotInjectedError, come_to_rest, lift_off
 from _fault_list import FLYING, HOLDING, LAST, Case, Kind, kinds
-from _fault_logs import Expected, look_at_logs, recording_of
+from _fault_logs import Expected, LogLook, look_at_logs, recording_of
 from _fault_rig import GIVE_UP_S, Rig
 
 from levid.daemon.client import DaemonError
@@ -33,7 +34,7 @@ class Trial:
     and recorded: the flight recording as well. told: None where the daemon has no word for it.
     clears: how often `clear` was asked for, and clear_s how long it took; rested: whether that was
     enough. answers, asked_s: of a flood. stalled_us: what processes waited for memory.
-    From logs on: of the flight's. failed: what kept the trial from its end. wrong: in words.
+    look: at the flight's logs. failed: what kept the trial from its end. wrong: in words.
     """
 
     bus: str
@@ -58,16 +59,14 @@ class Trial:
     clears: int = 0
     clear_s: float = 0.0
     rested: bool = False
-    logs: int = 0
-    unreadable: int = 0
-    rowless: int = 0
-    incomplete: int = 0
-    missing: int = 0
-    tail_s: float = 0.0
-    rows: int = 0
-    late: int = 0
+    look: LogLook = field(default_factory=LogLook)
     failed: str = ""
     wrong: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> Trial:
+        """Return the trial that `plain` was, as asdict gave it."""
+        return cls(**{**plain, "look": LogLook(**plain["look"])})
 
     @property
     def kind(self) -> Kind:
@@ -247,7 +246,5 @@ def _look_at_logs(
     )
     while (look := look_at_logs(rig.logs(), expected)).wrong and time.monotonic() < give_up_s:
         time.sleep(0.2)
-    trial.logs, trial.unreadable, trial.rowless = look.logs, look.unreadable, look.rowless
-    trial.incomplete, trial.missing, trial.tail_s = look.incomplete, look.missing, look.tail_s
-    trial.rows, trial.late = look.rows, look.late
+    trial.look = look
     trial.wrong += look.wrong

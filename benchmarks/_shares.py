@@ -93,7 +93,9 @@ def ratio_figures(rounds: Sequence[Round], low: str, high: str, who: str) -> lis
     target = Target(most=MOST_RATIO, met=ratio.met)
     return [
         Figure(low, ratio.low, "", f"{who}: ratio of the shares, lower 95 % bound"),
-        Figure(high, ratio.high, "", f"{who}: ratio of the shares, upper 95 % bound", None, target),
+        Figure(
+            high, ratio.high, "", f"{who}: ratio of the shares, upper 95 % bound", target=target
+        ),
     ]
 
 

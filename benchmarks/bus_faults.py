@@ -91,14 +91,14 @@ def measure(quick: bool) -> list[Figure]:
             figures.append(Figure(key, played.forced, "", f"{bus}: {line}: {played.words}"))
     return [
         *figures,
-        Figure("most_cycles", slowest, "", "the slowest of them", None, Target(most=SOON)),
+        Figure("most_cycles", slowest, "", "the slowest of them", target=Target(most=SOON)),
         Figure(
             "named", sum(named) / len(named), "", f"share of {len(named)} named rightly",
-            None, Target(least=1),
+            target=Target(least=1),
         ),
         Figure(
             "came_back", came_back, "", "in which force acted again after it had ended",
-            None, Target(most=0),
+            target=Target(most=0),
         ),
     ]  # fmt: skip
 

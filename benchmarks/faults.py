@@ -98,7 +98,7 @@ def kept(file: Path) -> Kept:
         if "begun" in plain:
             found.begun.append(plain["begun"])
         else:
-            found.trials.append(Trial(**plain))
+            found.trials.append(Trial.of(plain))
     return found
 
 

@@ -100,12 +100,12 @@ def figures_of(key: str, outcome: Outcome, seconds: float) -> list[Figure]:
     figures = [
         Figure(f"{key}_tried", outcome.tried, "", label),
         Figure(f"{key}_accepted", outcome.accepted / outcome.tried, "", f"{label}: share accepted"),
-        Figure(f"{key}_wrong", outcome.wrong, "", f"{label}: judged wrongly, or lost", None, NONE),
+        Figure(f"{key}_wrong", outcome.wrong, "", f"{label}: judged wrongly, or lost", target=NONE),
         Figure(f"{key}_s", seconds, "s", f"{label}: took"),
     ]
     if key in PREDICTED:
         figures.append(
-            Figure(f"{key}_z", outcome.z, "sd", f"{label}: off the prediction by", None, BY_CHANCE)
+            Figure(f"{key}_z", outcome.z, "sd", f"{label}: off the prediction by", target=BY_CHANCE)
         )
     return figures
 

@@ -131,12 +131,12 @@ def figures(soak: Soak) -> list[Figure]:
     failed = f"sessions that failed {soak.failed}".strip()
     return [
         Figure("sessions", len(soak.at_h), "", "sessions flown"),
-        Figure("failed", int(bool(soak.failed)), "", failed, None, none),
-        Figure("missing_rows", soak.found.missing, "", "flown rows in no log", None, none),
-        Figure("wrong_rows", wrong, "", "twice, strange, cut logs", None, none),
+        Figure("failed", int(bool(soak.failed)), "", failed, target=none),
+        Figure("missing_rows", soak.found.missing, "", "flown rows in no log", target=none),
+        Figure("wrong_rows", wrong, "", "twice, strange, cut logs", target=none),
         Figure("late", soak.late, "", "late cycles"),
-        Figure("restarted", soak.restarted, "", "recorders started anew", None, none),
-        Figure("cleared", soak.cleared, "", "faults of its start that were cleared", None, none),
+        Figure("restarted", soak.restarted, "", "recorders started anew", target=none),
+        Figure("cleared", soak.cleared, "", "faults of its start that were cleared", target=none),
         Figure("loop_priority", soak.rights.priority, "", "the loop's priority, 0: none"),
         Figure("loop_locked_mb", soak.rights.locked_mb, "MB", "the loop's memory that is locked"),
         *(figure for name in PROCESSES for figure in _sizes(name, soak)),
@@ -166,7 +166,7 @@ def _sizes(process: str, soak: Soak) -> list[Figure]:
             f"{process}_mb_h_95", found and found.most, "MB/h", "its upper 95 % bound", None,
             no_longer,
         ),
-        Figure(f"{process}_files", files, "", "more open files", None, Target(most=0)),
+        Figure(f"{process}_files", files, "", "more open files", target=Target(most=0)),
     ]  # fmt: skip
 
 

@@ -13,7 +13,7 @@ _LOOK_S = 2.0
 """The kernel brings its sums up to date that often."""
 _QUIET_S = 60.0
 """Of each burden one line in that time, at most."""
-_FLOOD_S = 500.0
+_FLOOD_HZ = 500.0
 """Requests and connections a second: many times what clients that watch send, and a tenth of what
 the socket answers."""
 _SHORT = 0.1
@@ -45,7 +45,7 @@ class Burdens:
         rate, waited_s = (asked - self._asked) / passed_s, self._waited()
         stalled_s = waited_s - self._waited_s
         self._looked_s, self._asked, self._waited_s = now_s, asked, waited_s
-        if rate > _FLOOD_S:
+        if rate > _FLOOD_HZ:
             self.flooded_s += passed_s
             self._tell("flood", now_s, f"the control socket is flooded: {rate:.0f} requests/s")
         if stalled_s > _SHORT * passed_s:
@@ -62,33 +62,32 @@ class Burdens:
             self._say(words)
 
     def _waited(self) -> float:
-        return 0.0 if self._pressure is None else _some_s(self._pressure)
+        waited_s = None if self._pressure is None else _some_s(self._pressure)
+        return self._waited_s if waited_s is None else waited_s
 
 
-def _pressure_file() -> Path | None:
-    """Return where the kernel says what waits for memory: of this service, else of the machine."""
-    found = []
+def _pressure_file(process: Path = Path("/proc/self"), root: Path = Path("/")) -> Path | None:
+    """Return where the kernel says what waits for memory: of this service, else of the machine.
+
+    None for an old kernel, and where a service does not see it.
+    """
+    found = [root / "proc/pressure/memory"]
     try:
-        own = re.search(r"^0::/(.+)$", Path("/proc/self/cgroup").read_text(), re.M)
-        found = [Path("/sys/fs/cgroup", own[1], "memory.pressure")] if own else []
+        own = re.search(r"^0::/(.+)$", (process / "cgroup").read_text(), re.M)
     except OSError:
-        pass
-    for path in (*found, Path("/proc/pressure/memory")):
-        try:
-            if _TOTAL.search(path.read_text()):
-                return path
-        except OSError:
-            continue  # an old kernel, or a service that does not see it
-    return None
+        own = None
+    if own is not None:
+        found.insert(0, root / "sys/fs/cgroup" / own[1] / "memory.pressure")
+    return next((path for path in found if _some_s(path) is not None), None)
 
 
-def _some_s(path: Path) -> float:
-    """Return for how long some process has waited since the machine started; 0 if nobody says."""
+def _some_s(path: Path) -> float | None:
+    """Return for how long some process has waited since the machine started, None if unknown."""
     try:
         found = _TOTAL.search(path.read_text())
     except OSError:
-        return 0.0
-    return 1e-6 * int(found[1]) if found else 0.0
+        return None
+    return 1e-6 * int(found[1]) if found else None
 
 
 _TOTAL = re.compile(r"^some .*\btotal=(\d+)", re.M)

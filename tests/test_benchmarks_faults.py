@@ -72,9 +72,10 @@ def test_trial_that_failed_counts_against_what_was_asked() -> None:
 
 
 def test_events_without_a_word_and_floods_are_told() -> None:
+    look = module("_fault_logs").LogLook
     found = by_key([
-        trial("socket flooded", answers=400, asked_s=2.0, rows=100, late=2),
-        trial("client gone, land", rows=200, late=1),
+        trial("socket flooded", answers=400, asked_s=2.0, look=look(rows=100, late=2)),
+        trial("client gone, land", look=look(rows=200, late=1)),
         trial("memory pressure", stalled_us=3000),
         trial("recorder killed", told=True),
     ])  # fmt: skip

@@ -67,8 +67,21 @@ def test_kernel_that_does_not_say_is_no_error(tmp_path: Path) -> None:
     assert found.memory_stalled_s == 0.0
 
 
-def test_service_is_asked_before_the_machine() -> None:
-    found = burdens._pressure_file()
-    if found is None:
-        pytest.skip("a kernel without pressure stall information")
-    assert burdens._some_s(found) >= 0.0
+def test_service_is_asked_before_the_machine(tmp_path: Path) -> None:
+    pressure = "some avg10=0.00 avg60=0.00 avg300=0.00 total=1\n"
+    group = tmp_path / "sys/fs/cgroup/system.slice/levid.service/memory.pressure"
+    machine = tmp_path / "proc/pressure/memory"
+    (tmp_path / "cgroup").write_text("1:name=systemd:/x\n0::/system.slice/levid.service\n")
+
+    def found() -> Path | None:
+        return burdens._pressure_file(tmp_path, tmp_path)
+
+    assert found() is None
+    for path in (machine, group):
+        path.parent.mkdir(parents=True)
+        path.write_text(pressure)
+        assert found() == path
+    group.write_text("")  # a kernel that has it switched off
+    assert found() == machine
+    (tmp_path / "cgroup").unlink()
+    assert found() == machine

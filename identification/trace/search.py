@@ -44,6 +44,7 @@ _MOST_UNKNOWN = 4
 _TRUST = 1e3
 _MOST_REFUSED = 3
 _MOST_GUIDES = 2
+"""Effects that led others out of their valleys: each costs a round, and may come again."""
 _EXPLAINED = 1.06
 """Mean square errors of the free simulation, over what noise leaves, at which a model explains the
 records: 1.03 times the floor. A force that only the drives feel does not show there."""
@@ -107,8 +108,8 @@ def without_followers(found: Found, records: Records) -> Found:
     placed = tuple(p for p in found.point.placed if p.effect.identity not in idle)
     if len(placed) == len(found.point.placed):
         return found
-    point, _ = refine(replace(found.point, placed=placed), records, within=FULLY)
-    return _settled(point, records.held_error(point), found.rounds, records)
+    fewer = replace(found.point, placed=placed)
+    return _settled(fewer, records.held_error(fewer), found.rounds, records)
 
 
 def _settled(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import io
 import json
+import tokenize
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -23,12 +25,12 @@ def code_version(
 ) -> str:
     """Return a digest of the code that roots are and import, of sources and of settings.
 
-    `roots` are modules or folders of the package. Of settings, which are YAML files, comments and
-    the order of keys do not count.
+    `roots` are modules or folders of the package. Comments and docstrings do not count, nor, of
+    settings, which are YAML files, the order of keys.
     """
     digest = hashlib.sha256()
     for path in (*needed(roots), *sources):
-        digest.update(path.read_bytes())
+        digest.update(bare(path.read_text(encoding="utf-8")).encode())
     for path in settings:
         digest.update(canonical(read_mapping(path)).encode())
     return digest.hexdigest()[:12]
@@ -44,6 +46,24 @@ def needed(roots: Iterable[str]) -> list[Path]:
             found.add(path)
             waiting += _imported(path)
     return sorted(found)
+
+
+def bare(source: str) -> str:
+    """Return a module's lines without comments, strings that stand alone, and empty lines.
+
+    What is left is text, not a tree: the same for every version of Python.
+    """
+    lines = source.splitlines()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            row, column = token.start
+            lines[row - 1] = lines[row - 1][:column]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            first, last = node.lineno - 1, node.end_lineno or node.lineno
+            if isinstance(node.value.value, str) and not lines[first][: node.col_offset].strip():
+                lines[first:last] = [""] * (last - first)
+    return "\n".join(line.rstrip() for line in lines if line.strip())
 
 
 def canonical(value: object) -> str:

@@ -41,6 +41,8 @@ MODEL = shipped("models/rig.yaml")
 SESSION = shipped("sessions/trace-short.yaml")
 HIGHEST_GAP_M = 0.85e-3
 """Beyond, a corner would touch its stop at 0.9 mm or leave what the sensors read."""
+PARTS = (1.0, 0.8, 0.64, 0.51, 0.36, 0.25)
+"""Of the size that was asked for, as much as can be flown."""
 
 _TRACING = (
     *FLYING, "log/reader.py", "identification/trace/study.py", "identification/trace/result.py",
@@ -129,7 +131,7 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
 
 def code_version(roots: Sequence[str] = _TRACING) -> str:
     """Return a digest of the code that roots need, and of the plant, the model and the session."""
-    here = [Path(__file__).with_name("_declared.py")]
+    here = [Path(__file__), Path(__file__).with_name("_declared.py")]
     return digest_of(roots, here, [RIG, SIM, MODEL, SESSION])
 
 

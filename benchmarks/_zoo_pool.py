@@ -1,7 +1,8 @@
 """Many tasks, some at once, each in a process of its own; all run the code there was at first.
 
 What takes hours must not change under way because somebody edits a file: processes are forked from
-a server that has imported levid once. One that hangs, crashes or raises is that task's failure.
+a server that has imported levid once, and what of the benchmarks is loaded when it starts. One that
+hangs, crashes or raises is that task's failure.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from __future__ import annotations
 import ctypes
 import importlib
 import multiprocessing
+import os
 import pkgutil
 import signal
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -18,6 +21,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
+from pathlib import Path
 from typing import Generic, TypeVar
 
 Item = TypeVar("Item")
@@ -32,6 +36,7 @@ _PACKAGES = (
     "levid.model",
     "levid.sim",
 )
+_HERE = Path(__file__).parent
 _PR_SET_PDEATHSIG = 1
 
 
@@ -61,6 +66,7 @@ def run_apart(
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_modules())
+    _found_by_the_server()
     waiting = deque(items)
     running: dict[Connection, _Running[Item]] = {}
     try:
@@ -88,13 +94,28 @@ def run_apart(
 
 
 def _modules() -> list[str]:
-    """Return all modules of the packages, those too that are loaded by name late."""
-    names = []
+    """Return all modules of the packages, those too that are loaded by name late.
+
+    With them those beside this one that are loaded by now, but for the one that was started.
+    """
+    names = [
+        name
+        for name, module in sys.modules.items()
+        if name not in {"__main__", "__mp_main__"}
+        and Path(getattr(module, "__file__", None) or "/").parent == _HERE
+    ]
     for name in _PACKAGES:
         package = importlib.import_module(name)
         found = pkgutil.walk_packages(package.__path__, f"{name}.")
         names += [name, *(module.name for module in found)]
     return names
+
+
+def _found_by_the_server() -> None:
+    """Let the server find what lies here: of where its parent looks, it knows the environment."""
+    path = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    if str(_HERE) not in path:
+        os.environ["PYTHONPATH"] = os.pathsep.join([str(_HERE), *filter(None, path)])
 
 
 def _received(

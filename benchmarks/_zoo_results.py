@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import json
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,7 +54,10 @@ class Kept:
             lines += gzip.decompress(published.read_bytes()).decode().splitlines()
         if self._file.exists():
             lines += self._file.read_text(encoding="utf-8").splitlines()
-        self._rows = {row["key"]: row for row in map(_row, lines) if row is not None}
+        rows = [row for row in map(_row, lines) if row is not None]
+        # One that failed does not take the place of one that did not.
+        rows.sort(key=lambda row: row["found"] is not None)
+        self._rows = {row["key"]: row for row in rows}
 
     def has(self, plant: Plant, sizes: Mapping[str, Sizes]) -> bool:
         """Return whether there is a result; one that failed is none."""
@@ -73,8 +77,10 @@ class Kept:
         }
         self._rows[key] = row
         self._file.parent.mkdir(parents=True, exist_ok=True)
-        with self._file.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+        with self._file.open("ab+") as file:
+            if file.tell() and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n":
+                file.write(b"\n")  # after a line that was cut off
+            file.write(json.dumps(row).encode() + b"\n")
 
     def publish(self, file: Path) -> int:
         """Write the results of this code, and of no other, compressed; return how many.

@@ -65,6 +65,7 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
     # 12 cm apart along y: their gaps differ by psi alone.
     "pulled-oscillator": ({"psi", "sensor:8"},),
     "second-stage": ({"coil:3"},),
+    "transducer-core": ({"coil:6"},),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 

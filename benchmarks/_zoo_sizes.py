@@ -32,9 +32,11 @@ _HEAD = (
     "\n# was sized for another case, session or plant (`of`). flown: [scale, error over floor].\n"
 )
 _LONGEST_S = 5400.0
-_MOST_FLIGHTS = 3
+_MOST_FLIGHTS = 6
 _NEAR = 1.4
-"""A scale within this factor of one that was flown is known well enough."""
+"""An error within this factor of one that was flown is known well enough."""
+_NARROW = 1.03
+"""Scales that are closer are one."""
 _FARTHEST = 16.0
 _FAINT = 0.3
 """What adds less than this is lost in the spread of the floor."""
@@ -162,39 +164,39 @@ def _write(sizes: dict[str, Sizes]) -> None:
 
 @dataclass
 class _Search:
-    """Flights at two or three scales, chosen as it goes."""
+    """Flights at a few scales, chosen as it goes."""
 
     case: ZooCase
     fly: Callable[[Sequence[dict[str, Any]], int], float]
     flown: dict[float, float] = field(default_factory=dict)
-    failed: bool = False
 
     def run(self) -> Sizes:
-        largest = _largest(self.case)
-        if largest is not None and largest[0] < 1.0:
-            raise TooLargeError(f"{self.case.name}: at its nominal size, {largest[1]}")
+        bound = _largest(self.case)
+        if bound is not None and bound[0] < 1.0:
+            raise TooLargeError(f"{self.case.name}: at its nominal size, {bound[1]}")
         self._try(1.0)
-        for _ in range(_MOST_FLIGHTS - 1):
-            wanted = [self._wanted(times, largest) for times in reversed(TARGETS)]
-            far = next((scale for scale in wanted if self._distance(scale) > _NEAR), None)
+        # The smallest of what was flown in vain.
+        vain: tuple[float, str] | None = None
+        for flight in range(1, _MOST_FLIGHTS):
+            # In turns, the largest first: it tells the most.
+            turn = TARGETS[::-1] if flight % 2 else TARGETS
+            wanted = [self._wanted(t, bound, vain) for t in turn if not self._near(t)]
+            far = next((scale for scale in wanted if self._is_new(scale)), None)
             if far is None:
                 break
             try:
                 self._try(far)
             except TooLargeError as error:
-                # Halfway to what flies; if that is not flown either, no more than what flies.
-                largest = (math.sqrt(far * max(self.flown)), str(error))
-                self.failed = True
-        if self.failed and largest is not None and largest[0] not in self.flown:
-            largest = (max(self.flown), largest[1])
+                vain = (far, str(error))
+        most = bound if vain is None else (max(self.flown), vain[1])
         # As they are written, or a plant flown today would not be the one of the file tomorrow.
-        at = {times: _short(self._wanted(times, largest)) for times in TARGETS}
-        free = {times: _short(self._wanted(times, None)) for times in TARGETS}
+        at = {times: _short(self._at_most(times, most)) for times in TARGETS}
+        free = {times: _short(self._at_most(times, None)) for times in TARGETS}
         return Sizes(
             _fingerprint(self.case),
             at,
             tuple((_short(scale), _short(ratio)) for scale, ratio in self._points),
-            "" if largest is None or at == free else largest[1],
+            "" if most is None or at == free else most[1],
         )
 
     @property
@@ -207,13 +209,24 @@ class _Search:
             raise TooLargeError("the refitted model runs away")
         self.flown[scale] = ratio
 
-    def _wanted(self, times: float, largest: tuple[float, str] | None) -> float:
-        scale = _interpolated(self._points, times)
-        scale = min(scale, _FARTHEST * max(self.flown))
-        return min(scale, math.inf if largest is None else largest[0])
+    def _near(self, times: float) -> bool:
+        return any(1 / _NEAR <= ratio / times <= _NEAR for ratio in self.flown.values())
 
-    def _distance(self, scale: float) -> float:
-        return min(max(scale / s, s / scale) for s in self.flown)
+    def _wanted(
+        self, times: float, bound: tuple[float, str] | None, vain: tuple[float, str] | None
+    ) -> float:
+        """Return the scale to fly next for an error of `times` the floor."""
+        scale = min(self._at_most(times, bound), _FARTHEST * max(self.flown))
+        if vain is not None and scale > max(self.flown):
+            # Halfway from what flies to what does not.
+            scale = min(scale, math.sqrt(vain[0] * max(self.flown)))
+        return scale
+
+    def _at_most(self, times: float, most: tuple[float, str] | None) -> float:
+        return min(_interpolated(self._points, times), math.inf if most is None else most[0])
+
+    def _is_new(self, scale: float) -> bool:
+        return all(max(scale / s, s / scale) > _NARROW for s in self.flown)
 
 
 def _largest(case: ZooCase) -> tuple[float, str] | None:

@@ -26,8 +26,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from _zoo_cases import CASES, UNLISTED
-from _zoo_fly import Entries, Found, TooLargeError, fly_and_trace
-from _zoo_plan import Plant, plan
+from _zoo_fly import PARTS, Entries, Found, TooLargeError, fly_and_trace
+from _zoo_plan import FIRST_SEED, Plant, plan
 from _zoo_pool import run_apart
 from _zoo_results import Kept, Result, figures, summary_table, verdicts_table
 from _zoo_score import score_plant
@@ -38,8 +38,6 @@ PROCESSES = 2
 LONGEST_S = 1800.0
 """On a machine that does much else; alone it takes about a minute and a half."""
 PUBLISHED = Path(__file__).with_name("zoo-results.jsonl.gz")
-PARTS = (1.0, 0.8, 0.64, 0.51, 0.36, 0.25)
-"""Of the size that was asked for, as much as can be flown."""
 DEFAULT = Path(__file__).resolve().parents[1] / "build" / "zoo"
 
 
@@ -85,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--first-seed",
         type=int,
-        default=1000,
+        default=FIRST_SEED,
         metavar="N",
         help="of others, none of which were seen",
     )

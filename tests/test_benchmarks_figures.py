@@ -98,11 +98,32 @@ def test_version_is_that_of_the_code_that_is_needed(tmp_path: Path, monkeypatch)
     for name in files:
         before = versions.code_version(["identification/fit.py"])
         with (tmp_path / name).open("a") as file:
-            file.write("# changed\n")
+            file.write("changed = 1\n")
         changes[name] = versions.code_version(["identification/fit.py"]) != before
     assert [name for name, changed in changes.items() if not changed] == [
         "identification/other.py", "wire/crc.py",
     ]  # fmt: skip
+
+
+def test_version_is_of_what_runs_not_of_what_is_said_of_it() -> None:
+    bare = module("_code_version").bare
+    said = '''"""What it is.
+
+With a # of its own.
+"""
+x = "# no comment"  # a comment
+
+Y = 1
+"""What Y is."""
+
+
+def f():
+    """Return one."""
+    return """kept"""
+'''
+    assert bare(said) == 'x = "# no comment"\nY = 1\ndef f():\n    return """kept"""'
+    assert bare(said.replace("Return one", "Return 1")) == bare(said)
+    assert bare(said.replace("Y = 1", "Y = 2")) != bare(said)
 
 
 def test_versions_of_benchmarks_know_control_and_fit() -> None:

@@ -61,11 +61,13 @@ class TooLargeError(Exception):
 class Found:
     """What `levid trace` says of a plant, and the seconds of processor time it all took.
 
-    `summary` is the object that `--json` prints, `placed` the effects of the model it ends with.
+    `summary` is the object that `--json` prints, `placed` the effects of the model it ends with,
+    `sensor_sd_m` the noise of a sensor that the summary's errors are in.
     """
 
     summary: dict[str, Any]
     placed: list[dict[str, Any]]
+    sensor_sd_m: float
     highest_gap_m: float
     flight_s: float
     trace_s: float
@@ -86,20 +88,23 @@ def fly_and_trace(effects: Entries, seed: int, flights: Path | None = None) -> F
         found = trace(logs, config, all_effects, Alone(config), lambda *_: None)
         placed = [effect.model_dump() for effect in model_after(found).effects]
         end = time.process_time()
-        return Found(summary(found), placed, highest_gap_m, flown - begin, end - flown)
+        sd_m = found.found.point.disturbance.sensor_sd
+        return Found(summary(found), placed, sd_m, highest_gap_m, flown - begin, end - flown)
 
 
-def fly_and_refit(effects: Entries, seed: int) -> float:
-    """Fly the same; return the error of the declared model, refitted, over the noise floor.
+def fly_and_refit(effects: Entries, seed: int) -> tuple[float, float]:
+    """Fly the same; return the error of the declared model, refitted, and the noise floor, m.
 
-    Infinite where the refitted model runs away. Raises TooLargeError.
+    Both are rms over rows and sensors; the error is infinite where the refitted model runs away.
+    Raises TooLargeError.
     """
     config = off_by_a_tenth(seed)
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         logs, _ = fly(effects, seed, Path(folder))
-        _, errors = refit(logs, config, Alone(config), lambda *_: None)
+        point, errors = refit(logs, config, Alone(config), lambda *_: None)
     error, floor = pooled(errors)
-    return error / floor if math.isfinite(error) else math.inf
+    sd_m = point.disturbance.sensor_sd
+    return (error * sd_m if math.isfinite(error) else math.inf), floor * sd_m
 
 
 def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:

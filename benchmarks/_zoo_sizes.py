@@ -2,8 +2,10 @@
 
 The size that counts is what the effect leaves of error, not what it does: the declared model is
 refitted to a flight with the effect, and its free-running error on held-out records is compared
-with the noise floor. Noise and effect add up in squares, so what an effect of the scale s adds is
-sqrt(ratio^2 - 1), and between two flights that is taken to go with a power of s.
+with the noise floor of a plant that holds nothing: an effect that never rests is noise to whoever
+does not know it, and would raise its own floor. Noise and effect add up in squares, so what an
+effect of the scale s adds is sqrt(ratio^2 - 1), and between two flights that is taken to go with a
+power of s.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +34,7 @@ _HEAD = (
     "# Sizes of the zoo's effects, flown by benchmarks/zoo.py, which flies what is missing here or"
     "\n# was sized for another case, session or plant (`of`). flown: [scale, error over floor].\n"
 )
+_NOTHING = "nothing"
 _LONGEST_S = 5400.0
 _MOST_FLIGHTS = 6
 _NEAR = 1.4
@@ -93,7 +97,8 @@ def sizes_of(
     }
     if missing:
         say(f"flying {len(missing)} cases for their sizes")
-    for done in run_apart(_sized, missing.values(), processes, _LONGEST_S):
+        sized = partial(_sized, floor_m=noise_floor_m(say))
+    for done in run_apart(sized, missing.values(), processes, _LONGEST_S) if missing else ():
         if done.answer is None:
             # It is flown as it is all the same, so that it does not drop out of the count.
             sizes[done.item.name] = _as_it_is(done.item, done.failed)
@@ -106,14 +111,34 @@ def sizes_of(
     return sizes
 
 
-def _sized(case: ZooCase) -> Sizes:
+def noise_floor_m(say: Callable[[str], None]) -> float:
+    """Return what noise leaves of error in a plant that holds nothing, m rms over rows and sensors.
+
+    It is in the file of sizes, or flown now and put there.
+    """
+    rows, of = _rows(), _fingerprint(None)
+    if _NOTHING not in rows or rows[_NOTHING]["of"] != of:
+        say("flying a plant that holds nothing, for its noise floor")
+        (done,) = run_apart(_floor, [SEED], 1, _LONGEST_S)
+        if done.answer is None:
+            raise SystemExit(f"error: the plant that holds nothing cannot be flown: {done.failed}")
+        rows[_NOTHING] = {"of": of, "floor_m": _short(done.answer)}
+        _write_rows(rows)
+    return float(rows[_NOTHING]["floor_m"])
+
+
+def _floor(seed: int) -> float:
+    return fly_and_refit((), seed)[1]
+
+
+def _sized(case: ZooCase, floor_m: float) -> Sizes:
     """Return the sizes of a case, flown where the model does not absorb it.
 
     Raises TooLargeError if not even the nominal size can be flown.
     """
     if case.absorbed is not None or not case.sized:
         return _as_it_is(case, "")
-    return _Search(case, fly_and_refit).run()
+    return _Search(case, lambda effects, seed: fly_and_refit(effects, seed)[0] / floor_m).run()
 
 
 def _as_it_is(case: ZooCase, limited: str) -> Sizes:
@@ -121,19 +146,18 @@ def _as_it_is(case: ZooCase, limited: str) -> Sizes:
     return Sizes(_fingerprint(case), scales, (), limited)
 
 
-def _fingerprint(case: ZooCase) -> str:
-    """Return a digest of all that the sizes of a case depend on."""
-    use = case.use.rpartition("/")[2]  # wherever the benchmarks lie
-    what = [use, dict(case.values), dict(case.size), case.absorbed, case.sized]
+def _fingerprint(case: ZooCase | None) -> str:
+    """Return a digest of all that the sizes of a case, or of a plant without one, depend on."""
+    what: list[Any] = []
+    if case is not None:
+        use = case.use.rpartition("/")[2]  # wherever the benchmarks lie
+        what = [use, dict(case.values), dict(case.size), case.absorbed, case.sized]
     text = canonical([what, *map(read_mapping, (SESSION, SIM, MODEL, RIG))])
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def _read() -> dict[str, Sizes]:
     """Return what is known of all cases, by name."""
-    if not SIZES.exists():
-        return {}
-    rows: dict[str, dict[str, Any]] = yaml.safe_load(SIZES.read_text(encoding="utf-8")) or {}
     return {
         name: Sizes(
             row["of"],
@@ -141,21 +165,31 @@ def _read() -> dict[str, Sizes]:
             tuple((float(scale), float(ratio)) for scale, ratio in row.get("flown", [])),
             row.get("limited", ""),
         )
-        for name, row in rows.items()
+        for name, row in _rows().items()
+        if name != _NOTHING
     }
 
 
 def _write(sizes: dict[str, Sizes]) -> None:
     """Keep sizes, all of them, for the next time."""
-    lines = [_HEAD]
-    for name in sorted(sizes):
-        s = sizes[name]
-        row: dict[str, Any] = {"of": s.of, **{_key(t): v for t, v in s.at.items()}}
+    rows = {name: row for name, row in _rows().items() if name == _NOTHING}
+    for name, s in sizes.items():
+        rows[name] = {"of": s.of, **{_key(t): v for t, v in s.at.items()}}
         if s.flown:
-            row["flown"] = [list(point) for point in s.flown]
+            rows[name]["flown"] = [list(point) for point in s.flown]
         if s.limited:
-            row["limited"] = s.limited
-        flow = yaml.safe_dump(row, default_flow_style=True, sort_keys=False, width=math.inf)
+            rows[name]["limited"] = s.limited
+    _write_rows(rows)
+
+
+def _rows() -> dict[str, dict[str, Any]]:
+    return (yaml.safe_load(SIZES.read_text(encoding="utf-8")) or {}) if SIZES.exists() else {}
+
+
+def _write_rows(rows: dict[str, dict[str, Any]]) -> None:
+    lines = [_HEAD]
+    for name in sorted(rows):
+        flow = yaml.safe_dump(rows[name], default_flow_style=True, sort_keys=False, width=math.inf)
         lines.append(f"{name}: {flow}")
     beside = SIZES.with_suffix(".part")
     beside.write_text("".join(lines), encoding="utf-8")

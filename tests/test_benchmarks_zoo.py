@@ -238,6 +238,7 @@ def test_case_that_cannot_be_sized_is_flown_as_it_is(tmp_path, monkeypatch) -> N
     case = CASE["cubic-z"]
     failed = SimpleNamespace(item=case, answer=None, failed="it meets its stops")
     monkeypatch.setattr(sizes, "run_apart", lambda *_: [failed])
+    monkeypatch.setattr(sizes, "noise_floor_m", lambda _: 1e-7)
     said_of: list[str] = []
     found = sizes.sizes_of([case], 1, said_of.append)
     assert found["cubic-z"].scale(5.0) == found["cubic-z"].scale(1.5) == 1.0
@@ -249,6 +250,13 @@ def test_sizes_survive_their_file(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(sizes, "SIZES", tmp_path / "sizes.yaml")
     known = {"a": sizes.Sizes("0a", {5.0: 1.5, 20.0: 6.5}, ((1.0, 3.3), (6.3, 19.0)), "stops")}
     sizes._write(known)
+    assert sizes._read() == known
+    clean = SimpleNamespace(item=1, answer=1.3e-7, failed="")
+    monkeypatch.setattr(sizes, "run_apart", lambda *_: [clean])
+    assert sizes.noise_floor_m(lambda _: None) == 1.3e-7
+    monkeypatch.setattr(sizes, "run_apart", lambda *_: [])
+    sizes._write(known)
+    assert sizes.noise_floor_m(lambda _: None) == 1.3e-7
     assert sizes._read() == known
 
 
@@ -432,7 +440,7 @@ def test_plant_that_meets_its_stops_is_flown_with_less_and_kept_as_it_was_flown(
         flown.append(entries[0]["k3_n_m3"] / full["k3_n_m3"])
         if flown[-1] > 0.7:
             raise zoo.TooLargeError("a corner moves 0.9 mm")
-        return zoo.Found(said(("rod_stiffness", "z")), [], 0.8e-3, 1.0, 2.0)
+        return zoo.Found(said(("rod_stiffness", "z")), [], 1e-7, 0.8e-3, 1.0, 2.0)
 
     def in_this_process(run, items, *_):
         for item in items:

@@ -33,6 +33,7 @@ from levid.identification.trace.linearise import (
 )
 from levid.identification.trace.noise import Disturbance
 from levid.identification.trace.record import TraceRecord
+from levid.identification.trace.regression import Evidence
 from levid.identification.trace.working_point import (
     WorkingPoint,
     along,
@@ -441,6 +442,19 @@ def test_every_number_of_what_drives_feel_shows_in_their_force() -> None:
             if term.drive is not None and np.ptp(term.drive) > 0:
                 left = beside_motion(at, term.drive)
                 assert np.std(left) > 1e-3 * np.std(term.drive), effect.identity
+
+
+def test_force_of_drives_of_unknown_noise_says_nothing_of_how_large_errors_are() -> None:
+    # It is not white, so that its rows count for few, and what is found is taken out of it besides.
+    made, here = record("moving"), point()
+    shaken = np.convolve(np.random.default_rng(2).standard_normal(made.rows), np.ones(40), "same")
+    excess = [
+        Evidence.gather(
+            [linearise(here, replace(made, drive_n=drive), ())], np.zeros((0, 1))
+        ).excess
+        for drive in (None, shaken)
+    ]
+    assert excess[1] == pytest.approx(excess[0], abs=1e-6 * made.rows)
 
 
 def test_a_start_of_the_filter_is_forgotten_as_the_fit_has_it() -> None:

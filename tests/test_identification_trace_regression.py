@@ -15,6 +15,7 @@ from levid.identification.trace.regression import (
     gains,
     remaining,
     solve,
+    standard_errors,
 )
 
 BLOCKS, ROWS, COLUMNS = 15, 60, 4
@@ -165,6 +166,46 @@ def test_agreement_under_noise_alone_is_a_standard_normal_number(noise: float) -
     assert abs(found.var() - 1.0) < 4 * np.sqrt(2 / 600)
     # Beyond three lie 2.7 in a thousand: 1.6 expected, more than seven once in 1500 runs.
     assert np.sum(np.abs(found) > 3) <= 7
+
+
+def uneven(seed: int, effect: float = 0.0, noise: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same where 18 of 60 rows are of a DOF that is not explained, and the rest is.
+
+    The columns show in that DOF alone: readings beyond the rigid pose know nothing of a force.
+    """
+    X, e = drawn(seed, effect)
+    X[:, 18:] = 0.0
+    e[:, 18:] = np.random.default_rng(10_000 + seed).normal(size=(BLOCKS, ROWS - 18))
+    e[:, :18] += np.sqrt(noise**2 - 1) * np.random.default_rng(20_000 + seed).normal(
+        size=(BLOCKS, 18)
+    )
+    return X, e
+
+
+def test_agreement_knows_that_errors_are_larger_where_the_candidate_acts() -> None:
+    """One variance for all rows would let the agreement scatter by 9 / 3.4."""
+    found = []
+    for seed in range(600):
+        train, held = (evidence(*uneven(2 * seed + i)) for i in (0, 1))
+        pick = [0, 1, 2]
+        there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
+        found.append(chance(held, [0, 1], [2], there))
+    # Of the larger of two estimates, one of them from 15 blocks: less than one, by a quarter.
+    assert 0.7 < np.var(found) < 1.0 + 4 * np.sqrt(2 / 600)
+    between = [chance_between(evidence(*uneven(s)), [0, 1], [2]) for s in range(300)]
+    assert np.var(between) < 2.0 + 4 * np.sqrt(8 / 300)
+
+
+@pytest.mark.parametrize("make", [drawn, uneven])
+def test_standard_errors_are_what_coefficients_scatter_by(make) -> None:
+    pick, found, told = [0, 1, 2], [], []
+    for seed in range(300):
+        some = evidence(*make(seed))
+        found.append(solve(some.whole, pick) / some.size[pick])
+        told.append(standard_errors(some, pick))
+    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(told), axis=0))
+    # A spread of 300 is good to 4 %; the larger of two estimates is too large by a tenth or so.
+    assert np.all((ratio > 0.8) & (ratio < 1.1))
 
 
 def test_errors_below_the_noise_make_no_agreement_larger() -> None:

@@ -59,7 +59,7 @@ def drive_channel(here: Along, columns: Array) -> Array | None:
     """Return columns (N', c) of forces in units of their noise; None where nobody measured any.
 
     The noise is unknown; the spread of what remains of the measured force stands for it, so that no
-    more is concluded from it than from its shape.
+    more is concluded from it than from its shape, and nothing from its size.
     """
     raw = here.record.drive_n
     if raw is None:

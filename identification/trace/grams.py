@@ -36,7 +36,7 @@ class Linearised:
 
     gram (blocks, B + 1, B + 1): of [model's parameters over scale, amplitudes and shapes of the
     effects found, errors], each column over `size` (B + 1,), that of the errors 1. `beside`: one
-    for every candidate. count (blocks,) of errors.
+    for every candidate. count (blocks,): squared errors that noise alone makes, one each.
     """
 
     name: str
@@ -49,10 +49,14 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Channel:
-    """Errors (N', i, c) of some of the columns, by number; the last column is the error itself."""
+    """Errors (N', i, c) of some of the columns, by number; the last column is the error itself.
+
+    Where what is left has to stand for a noise that nobody knows (`own_noise`), it is all expected.
+    """
 
     errors: Array
     columns: list[int]
+    own_noise: bool = False
 
 
 def grams(
@@ -92,7 +96,7 @@ def grams(
         own_size = size[first:last]
         scaled = inner[g] / (own_size * own_size[:, None])
         beside.append(Beside(cross[:, :, first:last].copy(), scaled, own_size))
-    count = np.diff(edges) * sum(channel.errors.shape[1] for channel in channels)
+    count = sum((_expected(channel, edges) for channel in channels), np.zeros(len(edges) - 1))
     every = row_s / record.experiment.Ts_s
     middle = np.rint((edges[:-1] + edges[1:]) // 2 * every).astype(int)
     time_s = record.time_s[np.minimum(middle, record.rows - 1)]
@@ -103,6 +107,13 @@ def block_edges(rows: int, row_s: float) -> NDArray[np.int64]:
     """Return where blocks begin, and the end of the last: none is shorter than half a block."""
     block = max(round(BLOCK_S / row_s), 1)
     return np.append(np.arange(0, max(rows - block // 2, 1), block), rows)
+
+
+def _expected(channel: Channel, edges: NDArray[np.int64]) -> Array:
+    if not channel.own_noise:
+        return np.asarray(np.diff(edges) * float(channel.errors.shape[1]))
+    squares = np.sum(channel.errors[:, :, -1] ** 2, axis=1)
+    return np.add.reduceat(squares, edges[:-1])
 
 
 def _sizes(channels: Sequence[Channel], total: int) -> Array:

@@ -110,7 +110,7 @@ def _with_candidates(
         forces = np.stack([column for column in shown_drive if column is not None], axis=1)
         drive = drive_channel(here, forces)
         if drive is not None:
-            channels.append(Channel(drive[:, None, :], shown_in_drive))
+            channels.append(Channel(drive[:, None, :], shown_in_drive, own_noise=True))
     base = len(point.parameters.names) + placed
     return grams(record, channels, base, widths, here.every * record.experiment.Ts_s)
 

@@ -27,7 +27,7 @@ _RIDGE = 1e-11
 
 @dataclass(frozen=True)
 class Evidence:
-    """Blocks of several records: gram (blocks, Q, Q) with errors last, count (blocks,) of errors.
+    """Blocks of several records: gram (blocks, Q, Q) with errors last, count as of Linearised.
 
     Columns are in units of `size` (Q,), common to all records. `beside`: candidates, each by
     itself.
@@ -199,21 +199,40 @@ def gains(evidence: Evidence) -> list[Array]:
     return found
 
 
+def standard_errors(evidence: Evidence, columns: Indices) -> Array:
+    """Return the standard errors of coefficients, in the columns' own units, at the least squares.
+
+    What is left need be neither white nor of one size everywhere: blocks of time stand for
+    themselves, in the sandwich H^-1 (sum of g g^T over blocks) H^-1 of their gradients g (Liang and
+    Zeger, Biometrika 73 (1986) 13), times B / (B - P) for P coefficients. Where that is less than
+    errors of one size would give, as by chance of few blocks, it is that; never less than noise of
+    unit variance.
+    """
+    pick = np.asarray(columns, int)
+    spread = covariance(evidence.whole, pick)
+    common = max(evidence.squares / max(float(evidence.count.sum()), 1.0), 1.0) * np.diag(spread)
+    gradients = evidence.gram[:, pick, -1] @ spread
+    spare = evidence.blocks - len(pick)
+    own = (gradients**2).sum(axis=0) * evidence.blocks / spare if spare > 0 else common
+    return np.asarray(np.sqrt(np.maximum(common, own)) / evidence.size[pick])
+
+
 def chance(evidence: Evidence, base: Indices, group: Indices, coefficients: Array) -> float:
     """Return how far beyond chance a prediction made elsewhere agrees with these errors.
 
     `coefficients` of [base, group] come from other records. What the group predicts, freed of what
     the base could do as well here, is correlated with the errors; if it predicts nothing that is a
-    standard normal number. Errors larger than noise make it smaller in proportion.
+    standard normal number. Errors larger than noise make it smaller: each block's by its own, and
+    all by how much what blocks say scatters.
     """
     b = np.asarray(coefficients)[len(list(base)) :]
-    return _beyond(_agreement(evidence.gram.sum(axis=0), base, group, b), evidence)
+    return _beyond(_agreement(evidence.gram, base, group, b), evidence.count)
 
 
 def expected(evidence: Evidence, base: Indices, group: Indices, coefficients: Array) -> float:
     """Return what `chance` is on average where the prediction is right and the rest is noise."""
     b = np.asarray(coefficients)[len(list(base)) :]
-    return float(np.sqrt(_agreement(evidence.gram.sum(axis=0), base, group, b).predicted))
+    return float(np.sqrt(_agreement(evidence.gram, base, group, b).predicted.sum()))
 
 
 def chance_between(evidence: Evidence, base: Indices, group: Indices) -> float:
@@ -223,39 +242,57 @@ def chance_between(evidence: Evidence, base: Indices, group: Indices) -> float:
     """
     evidence = steadied(evidence)
     columns, own = [*base, *group], len(list(base))
-    parts = [
-        _agreement(fold, base, group, solve(evidence.whole - fold, columns)[own:])
-        for fold in evidence.folds
-    ]
-    return _beyond(_Agreement(*(sum(part) for part in zip(*parts, strict=True))), evidence)
+    each = np.arange(evidence.blocks) % FOLDS
+    parts, counts = [], []
+    for fold, summed in enumerate(evidence.folds):
+        b = solve(evidence.whole - summed, columns)[own:]
+        parts.append(_agreement(evidence.gram[each == fold], base, group, b))
+        counts.append(evidence.count[each == fold])
+    together = _Agreement(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    return _beyond(together, np.concatenate(counts))
 
 
 class _Agreement(NamedTuple):
-    """Inner products of a prediction: with the errors, with itself, and what it leaves of them."""
+    """Of each block: a prediction times the errors, its own square, and what it leaves of them."""
 
-    with_errors: float
-    predicted: float
-    left: float
+    with_errors: Array
+    predicted: Array
+    left: Array
 
 
-def _agreement(gram: Array, base: Indices, group: Indices, b: Array) -> _Agreement:
+def _agreement(grams: Array, base: Indices, group: Indices, b: Array) -> _Agreement:
+    """Return how a prediction by `b` of the group agrees, freed of the base over all the blocks."""
     base_list, group_list = list(base), list(group)
-    A = gram[np.ix_(base_list, base_list)]
+    pick = np.array([*base_list, *group_list, grams.shape[1] - 1])
+    few = grams[:, pick][:, :, pick]
+    own, gram = len(base_list), few.sum(axis=0)
+    A = gram[:own, :own]
     scale = _scale(A)
-    inverse = np.linalg.inv(A / scale[:, None] / scale + _RIDGE * np.eye(len(A)))
+    inverse = np.linalg.inv(A / scale[:, None] / scale + _RIDGE * np.eye(own))
     inverse = inverse / scale[:, None] / scale
-    cross = gram[np.ix_(base_list, group_list)]
-    inner = gram[np.ix_(group_list, group_list)] - cross.T @ inverse @ cross
-    outer = gram[group_list, -1] - cross.T @ (inverse @ gram[base_list, -1])
-    predicted = max(float(b @ inner @ b), 0.0)
-    left = gram[-1, -1] - gram[base_list, -1] @ (inverse @ gram[base_list, -1])
+    prediction = np.concatenate([-inverse @ (gram[:own, own:-1] @ b), b, [0.0]])
+    errors = np.concatenate([-inverse @ gram[:own, -1], np.zeros(len(b)), [1.0]])
+    after = errors + prediction
+
+    def of(one: Array, other: Array) -> Array:
+        return np.asarray(np.einsum("i,kij,j->k", one, few, other, optimize=True))
+
     return _Agreement(
-        -float(b @ outer), predicted, max(float(left + 2 * (b @ outer) + predicted), 0.0)
+        -of(prediction, errors), np.maximum(of(prediction, prediction), 0.0), of(after, after)
     )
 
 
-def _beyond(agreement: _Agreement, evidence: Evidence) -> float:
-    if agreement.predicted <= 0.0:
+def _beyond(agreement: _Agreement, count: Array) -> float:
+    """Return the sum of with_errors over its standard deviation where nothing is predicted.
+
+    The larger of two: errors that are white in a block, of its own mean square, but no less than
+    noise; and blocks that have nothing to do with each other, whatever is in them.
+    """
+    with_errors, predicted, left = agreement
+    whole, blocks = float(predicted.sum()), len(predicted)
+    if whole <= 0.0:
         return 0.0
-    spread = np.sqrt(max(agreement.left / float(evidence.count.sum()), 1.0))
-    return float(agreement.with_errors / np.sqrt(agreement.predicted) / spread)
+    white = float(predicted @ np.maximum(left / np.maximum(count, 1.0), 1.0))
+    scatter = with_errors - predicted * (float(with_errors.sum()) / whole)
+    apart = float(scatter @ scatter) * blocks / max(blocks - 1, 1)
+    return float(with_errors.sum() / np.sqrt(max(white, apart)))

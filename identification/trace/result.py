@@ -259,8 +259,7 @@ def model_after(trace: Trace) -> ModelConfig:
     """Return the model with its effects, refitted, values with standard errors."""
     point, config = trace.found.point, trace.config
     free, values = point.parameters, point.values
-    sd = np.sqrt(np.maximum(np.diag(trace.found.covariance)[: len(values)], 0.0)) * free.scale
-    sd *= math.sqrt(max(trace.found.train.squares / float(trace.found.train.count.sum()), 1.0))
+    sd = trace.found.errors[: len(values)] * free.scale
     known = np.minimum(free.worth, free.prior_sd)
     parameters = dict(config.parameters)
     for name, value, error, before in zip(free.names, values, sd, known, strict=True):

@@ -20,7 +20,7 @@ from .giving_up import (
 )
 from .held_out import LOWERS, helps
 from .refine import FULLY, NEARLY, Candidate, gather, refine
-from .regression import Evidence, covariance
+from .regression import Evidence, standard_errors
 from .screening import (
     ALONE,
     BEYOND_CHANCE,
@@ -58,11 +58,14 @@ _MUCH = 1.7
 
 @dataclass(frozen=True)
 class Found:
-    """The working point at the end, how it was reached, and what both sets of records leave."""
+    """The working point at the end, how it was reached, and what both sets of records leave.
+
+    errors: standard errors of [the model's parameters over scale, amplitudes and shapes].
+    """
 
     point: WorkingPoint
     rounds: tuple[Round, ...]
-    covariance: Array
+    errors: Array
     train: Evidence
     held: Evidence
 
@@ -121,9 +124,8 @@ def _settled(
     if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:
         point = fitted
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
-    own = list(range(train.gram.shape[1] - 1))
-    spread = covariance(train.whole, own) / np.outer(train.size[:-1], train.size[:-1])
-    return Found(_with_errors(point, spread, train), tuple(rounds), spread, train, held)
+    errors = standard_errors(train, range(train.gram.shape[1] - 1))
+    return Found(_with_errors(point, errors), tuple(rounds), errors, train, held)
 
 
 def _grown(
@@ -232,10 +234,8 @@ def _share(rounds: int) -> float:
     return 0.85 - 0.7 * 0.6**rounds
 
 
-def _with_errors(point: WorkingPoint, spread: Array, train: Evidence) -> WorkingPoint:
-    """Return the point with standard errors, widened where the errors are larger than noise."""
-    inflation = max(train.squares / float(train.count.sum()), 1.0)
-    errors = np.sqrt(inflation * np.diag(spread))
+def _with_errors(point: WorkingPoint, errors: Array) -> WorkingPoint:
+    """Return the point with the standard errors of its effects."""
     at, placed = len(point.parameters.names), []
     for p in point.placed:
         names = [q.name for q in (*p.effect.amplitudes, *p.effect.shape)]

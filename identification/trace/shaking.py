@@ -112,9 +112,7 @@ def _of_dof(
             return None
     everything = [*still, *moving, *kept]
     rms = float(np.sqrt(_power(dof, band, everything)))
-    count = sum(s.averages for s in everything) * max(band.sum() / _LEAKAGE, 1.0)
-    # A power of so many independent bins is known to a root of their number, its root to half.
-    se = 0.5 * rms / float(np.sqrt(count))
+    se = 0.5 * _power_error(dof, band, everything) / rms
     return Shaking(dof, _middle(dof, band, everything), rms, se, _statistic(dof, band, asked))
 
 
@@ -145,6 +143,13 @@ def _power(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) 
     step_hz = float(spectra[0].freq_hz[1] - spectra[0].freq_hz[0])
     beyond = _mean(dof, spectra, "psd")[band] - _mean(dof, spectra, "noise")[band]
     return max(float(beyond.sum()) * step_hz, 1e-300)
+
+
+def _power_error(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) -> float:
+    """Return the standard error of that power: every bin's is its own, with the noise's in it."""
+    step_hz = float(spectra[0].freq_hz[1] - spectra[0].freq_hz[0])
+    squares = float(np.sum(_mean(dof, spectra, "psd")[band] ** 2))
+    return step_hz * float(np.sqrt(_LEAKAGE * squares / sum(s.averages for s in spectra)))
 
 
 def _middle(

@@ -50,7 +50,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "excess": (0.0, 1.0),  # no coil, no sensor, no Coriolis' force at all; or twice as much
     "loss": (0.0, 0.5),
     "share": (0.0, 0.5),
-    "film_m": (1e-3, math.inf),  # the platform moves 0.9 mm
+    "d_n_s_m": (0.0, 4.0),  # as much as is declared; beyond, all that moves the film is damped
     "distance_m": (2e-3, math.inf),
     "limit_n": (10.0, math.inf),  # each coil carries 8 N
     "width_n": (0.0, 8.0),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import statistics
 import sys
@@ -20,6 +21,9 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+
+_WIDE = 160
+"""Columns, where nothing says how many there are."""
 
 
 class Met(StrEnum):
@@ -50,7 +54,8 @@ class Figure:
     """One measured number: `key` names it in the JSON, `label` in the table.
 
     `value` is None where it could not be measured. `versus` is the key of the figure to compare
-    with; the table then shows how many times it this one is.
+    with; the table then shows how many times it this one is. One without a label is in the JSON
+    alone.
     """
 
     key: str
@@ -109,9 +114,15 @@ def parser(description: str) -> argparse.ArgumentParser:
 
 
 def show(
-    title: str, arguments: argparse.Namespace, measure: Callable[[], Iterable[Figure]]
+    title: str,
+    arguments: argparse.Namespace,
+    measure: Callable[[], Iterable[Figure]],
+    tables: Callable[[], Iterable[Table]] = tuple,
 ) -> None:
-    """Print the figures of `measure`, also of one that does not come to its end."""
+    """Print the figures of `measure`, also of one that does not come to its end.
+
+    `tables` returns others of what was measured by then, to be printed before, not with --json.
+    """
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             signal.signal(number, _end)
@@ -124,9 +135,9 @@ def show(
         if isinstance(found, Generator):  # what it has started ends now, not with the interpreter
             found.close()
         if figures:
-            _print(title, figures, arguments.json, f"{type(error).__name__}: {error}")
+            _print(title, figures, arguments.json, tables, f"{type(error).__name__}: {error}")
         raise
-    _print(title, figures, arguments.json)
+    _print(title, figures, arguments.json, tables)
     not_shown = [f"{f.key} is {f.met}" for f in figures if f.met in (Met.NO, Met.UNDECIDED)]
     if arguments.check and not_shown:
         sys.exit(f"{title}: {', '.join(not_shown)}")
@@ -153,7 +164,13 @@ def _end(number: int, _: object) -> None:
     raise SystemExit(128 + number)
 
 
-def _print(title: str, figures: Sequence[Figure], as_json: bool, problem: str = "") -> None:
+def _print(
+    title: str,
+    figures: Sequence[Figure],
+    as_json: bool,
+    tables: Callable[[], Iterable[Table]],
+    problem: str = "",
+) -> None:
     if as_json:
         said: dict[str, object] = {"figures": {figure.key: figure.value for figure in figures}}
         said["met"] = {figure.key: _IN_JSON[figure.met] for figure in figures if figure.met}
@@ -163,7 +180,12 @@ def _print(title: str, figures: Sequence[Figure], as_json: bool, problem: str = 
         sys.stdout.write("\n")
         sys.stdout.flush()
     else:
-        Console().print(_table(f"{title} (incomplete: {problem})" if problem else title, figures))
+        # A file has no width: what is narrower than that would be broken for nothing.
+        console = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDE)
+        for table in tables():
+            console.print(table)
+        labelled = [figure for figure in figures if figure.label]
+        console.print(_table(f"{title} (incomplete: {problem})" if problem else title, labelled))
 
 
 _IN_JSON: dict[Met | None, object] = {

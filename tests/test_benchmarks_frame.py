@@ -185,3 +185,20 @@ def test_figure_that_was_kept_is_the_same_again() -> None:
     assert again == figures
     assert [figure.met for figure in again] == [None, table.Met.UNDECIDED, table.Met.YES]
     assert str(figures[2].target) == "-4 .. 4"
+
+
+def test_other_tables_stand_before_that_of_the_figures(monkeypatch, capsys) -> None:
+    """What a benchmark says in a table of its own it need not say in that of the figures."""
+    table = module("_table")
+    figures = [table.Figure("asked", 1.0, "", "what is asked"), table.Figure("rest", 2.0, "", "")]
+    for option in ([], ["--json"]):
+        arguments = table.parser("x").parse_args(option)
+        monkeypatch.setattr(signal, "signal", lambda *_: None)
+        table.show("Title", arguments, lambda: figures, lambda: ["its own"])
+        printed = capsys.readouterr().out
+        if option:
+            assert json.loads(printed)["figures"] == {"asked": 1.0, "rest": 2.0}
+        else:
+            assert printed.index("its own") < printed.index("what is asked")
+            assert "rest" not in printed
+            assert "2" not in printed

@@ -33,8 +33,8 @@ class ZooCase:
     such that forces or readings grow about in proportion: 1 for a gain, -1 for a distance or a
     stiffness. `absorbed` says by what, where a refit of the declared model leaves nothing of the
     effect. `alike` are classes that the same data fit as well. `sized` is whether its error can be
-    chosen; what the drives alone feel leaves none in the gaps. `keys` are the beginnings of the
-    names in the table of effects that are the mechanism itself; without any it is the class.
+    chosen; what the drives alone feel leaves none in the gaps. `keys` are the names in the table of
+    effects, or of groups in it, that are the mechanism itself; without any it is the class.
     `unseen`: the tracer was never changed after what it said of this one.
     """
 
@@ -66,6 +66,11 @@ def wherever(entry: Mapping[str, Any]) -> dict[str, Any]:
         return dict(entry)
     digest = hashlib.sha256(Path(place).read_bytes()).hexdigest()[:12]
     return {**entry, "use": f"{digest}:{cls}"}
+
+
+def is_called(effect: str, key: str) -> bool:
+    """Return whether an effect's name in the table is `key`, or one of the group `key`."""
+    return effect == key or effect.startswith(f"{key}.")
 
 
 def _read(section: str) -> tuple[ZooCase, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -29,6 +30,7 @@ _LARGE = 5.0
 _APART = 1000
 """So many seeds are between those of one sort of plant and of the next."""
 _APART_TIMES = 100
+_NAME = re.compile(r"(?P<what>.+?)(?: (?P<times>[0-9.]+)x)? \(seed (?P<seed>\d+)\)")
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,21 @@ class Plant:
     def entries(self, sizes: Mapping[str, Sizes], part: float = 1.0) -> list[dict[str, Any]]:
         """Return the `effects` of its SIM.yaml, or those of a plant with `part` of each."""
         return [case.effect(part * sizes[case.name].scale(self.times)) for case in self.cases]
+
+
+def plant_named(name: str) -> Plant | None:
+    """Return the plant of a name; None if one of its cases is none of these."""
+    by_name = {case.name: case for case in CASES + UNLISTED}
+    match = _NAME.fullmatch(name)
+    if match is None:
+        return None
+    what, times, seed = match["what"], float(match["times"] or 0.0), int(match["seed"])
+    names = [] if what == "nothing" else what.split(" + ")
+    if not set(names) <= set(by_name):
+        return None
+    cases = tuple(by_name[one] for one in names)
+    kind = ("nothing", "alone", "pair", "triple")[len(cases)]
+    return Plant("unlisted" if any(c in UNLISTED for c in cases) else kind, cases, times, seed)
 
 
 def plan(quick: bool, full: bool, first_seed: int = FIRST_SEED, every: bool = False) -> list[Plant]:

@@ -138,6 +138,7 @@ def _received(
 
 def _answer(pipe: Connection, task: Callable[[Item], Answer], item: Item) -> None:
     _die_with_the_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is told as well, and ends us
     try:
         answer: Answer | None = task(item)
     except Exception as error:  # noqa: BLE001 - whatever is raised is this task's entry in the table

@@ -3,17 +3,17 @@
 An effect in the plant is *spoken of* by a reported one that has its class and shares a place with
 it, or names such a one among its alternatives. It is *right* if, besides,
 
-- its places and those of all that speaks of it have half or more in common (in common over named
+- its places and those of all that speaks of it have more than half in common (in common over named
   or true); `beam` and `rotor`, which a class implies, do not count where there are other places;
 - nothing speaks of it only together with more than two other things (class and place): whoever
   says that four may be it has named none.
 
-A plant is right if all its effects are, and nothing reported speaks of none of them: that is a
-*false alarm*, be it of the right class at a wrong place; a class that the case says to be alike
-raises none where it stands for the true one, and one where it is said beside it. Where a refit of
-the declared model absorbs the effect and has an error of the floor, saying nothing is right too
-('not visible'). With nothing undeclared in the plant, to report nothing is right, and to find no
-more than noise left.
+A plant is right if all its effects are, each by a reported one of its own, and nothing reported
+speaks of none of them: that is a *false alarm*, be it of the right class at a wrong place; a class
+that the case says to be alike raises none where it stands for the true one, and one where it is
+said beside it. Where a refit of the declared model absorbs the effect and has an error of the
+floor, saying nothing is right too ('not visible'). With nothing undeclared in the plant, to report
+nothing is right, and to find no more than noise left.
 
 *Family* right: for every effect something reported, or an alternative of it, is of the same family
 (FAMILIES) and shares a place with it. *Missed*: there is no such thing. Alternatives count as much
@@ -21,14 +21,18 @@ as what they stand beside, since the data decide no further; a class that fits t
 is reported alone is wrong.
 
 *Mechanism* right: what is named first, of its alternatives, is for every effect of an equation that
-the case allows (its `keys`), at a place of it. *Extra*: effects reported beyond one for each in the
-plant, right as they may be.
+the case allows (its `keys`), at a place of it. A random force is in no model that a trace ends
+with: it is named by what the result says of it. *Extra*: effects reported beyond one for each in
+the plant, right as they may be.
 
 A plant with an unlisted effect is right if nothing is *misnamed* (classes are reported none of
-which the case allows, and the result does not say that its names are in doubt), if something
-`unknown` is reported that shares half or more of its places with the truth, if it has half or more
-in common with what the effect depends on (SIGNALS; in common over named or true), and if the error
-is at least halved, or at the floor.
+which the case allows there, and the result does not say that its names are in doubt), if something
+`unknown` is reported that has more than half of its places in common with the truth, if it names
+the first of what the effect depends on (SIGNALS) and has half or more in common with all of it (in
+common over named or true), and if the error is at least halved, or at the floor.
+
+Errors are over the floor of a plant that holds nothing, where it is given: the floor that a result
+itself tells moves with the effect, since what a sensor does wrong may pass for its noise.
 """
 
 from __future__ import annotations
@@ -36,10 +40,11 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import permutations
 from typing import Any
 
-from _zoo_cases import ZooCase
+from _zoo_cases import ZooCase, is_called
 
 FAMILIES = (
     {"rod_stiffness"},
@@ -54,12 +59,13 @@ FAMILIES = (
     {"vibration"},
 )
 SIGNALS: Mapping[str, tuple[set[str], ...]] = {
-    "hung-plug": ({"psi", "psi'", "psi''"}, {"z", "z'", "z''"}),
-    "eddy-brake": ({"x_b"}, {"theta'"}, {"z'"}),
+    # It hangs 10 cm along y, and answers what psi and z make of it there: either tells.
+    "hung-plug": ({"psi", "psi'", "psi''", "z", "z'", "z''"},),
+    "eddy-brake": ({"theta'"}, {"x_b"}, {"z'"}),
     "gyroscope": ({"phi'"}, {"psi'"}, {"theta'"}),
     "passing-beam": ({"x_b"},),
     "stray-field": ({"coil:3"},),
-    "shared-yoke": ({"coil:5"}, {"coil:4"}),
+    "shared-yoke": ({"coil:4"}, {"coil:5"}),
     "cable-loop": ({"x_b", "v_b"},),
     "closed-cover": ({"v_b"}, {"x_b"}),
     # 12 cm apart along y: their gaps differ by psi alone.
@@ -69,11 +75,12 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 
-Of signals in one set any tells of it. An unknown effect names them in its evidence, under
-`signals`.
+Of signals in one set any tells of it; without one of the first set it is not described. An unknown
+effect names them in its evidence, under `signals`; what is allowed beside it, by its second place.
 """
 _CARRIERS = {"beam", "rotor"}
 _IN_COMMON = 0.5
+"""Of places there has to be more, of signals not less."""
 _MOST_IN_A_SET = 3
 _EXPLAINED = 1.15
 """Error over the floor of a model that explains the records."""
@@ -81,11 +88,12 @@ _EXPLAINED = 1.15
 
 @dataclass(frozen=True)
 class Score:
-    """What a result is worth; parameter_error (relative) and after over floor where right.
+    """What a result is worth, with its errors before and after over the floor.
 
     in_a_set: right as one of several that the data do not tell apart. hidden: right in saying
     nothing of an effect that a refit absorbs. in_doubt: classes are reported of an unlisted effect,
-    and the result itself doubts them. `said` in words.
+    and the result itself doubts them. own_floor: what the result takes for the floor, over the one
+    that errors are over. `said` in words.
     """
 
     right: bool
@@ -96,6 +104,7 @@ class Score:
     said: str
     before_over_floor: float
     after_over_floor: float
+    own_floor: float
     hidden: bool = False
     misnamed: bool = False
     in_doubt: bool = False
@@ -107,10 +116,11 @@ class Score:
 
 @dataclass(frozen=True)
 class Named:
-    """A class at places, as reported."""
+    """A class at places, as reported; the first of them is where it acts."""
 
     kind: str
     where: frozenset[str]
+    first: str = field(default="", compare=False)
 
     def like(self, case: ZooCase) -> bool:
         return self.kind == case.kind and self.near(case)
@@ -141,22 +151,40 @@ def score_plant(
     cases: Sequence[ZooCase],
     summary: Mapping[str, Any],
     placed: Sequence[Mapping[str, Any]] = (),
+    floor: float | None = None,
 ) -> Score:
     """Return the score of a result for a plant with these effects.
 
     `summary` is what `levid trace --json` prints, `placed` the effects of the model that it ends
-    with, each with its name in the table and its places.
+    with, each with its name in the table and its places. `floor` is that of a plant that holds
+    nothing, in the unit of the result's errors; without it errors are over the result's own.
     """
+    errors = _errors(summary, floor)
     if len(cases) == 1 and cases[0].kind == "unknown":
-        return _score_unlisted(cases[0], summary)
-    return _score_listed(cases, summary, placed)
+        return _score_unlisted(cases[0], summary, errors)
+    return _score_listed(cases, summary, named(summary, placed), errors)
+
+
+def named(
+    summary: Mapping[str, Any], placed: Sequence[Mapping[str, Any]]
+) -> list[Mapping[str, Any]]:
+    """Return the effects of the model that a trace ends with, and the random forces beside them."""
+    random = [
+        {"effect": "vibration.random", "where": e["where"], "parameters": e["parameters"]}
+        for e in summary["effects"]
+        if e["class"] == "vibration" and "rms" in e.get("parameters", {})
+    ]
+    return [*placed, *random]
 
 
 def _score_listed(
-    cases: Sequence[ZooCase], summary: Mapping[str, Any], placed: Sequence[Mapping[str, Any]]
+    cases: Sequence[ZooCase],
+    summary: Mapping[str, Any],
+    placed: Sequence[Mapping[str, Any]],
+    errors: _Errors,
 ) -> Score:
     reported = _reported(summary)
-    before, after = _errors(summary)
+    before, after = errors.before, errors.after
     absorbed = [
         case
         for case in cases
@@ -169,8 +197,9 @@ def _score_listed(
         if not any(r.speaks_of(case) for case in cases)
         and not any(r.stands_for(case) for case in unsaid)
     ]
-    right = not alarms and all(case in absorbed or _right(case, reported) for case in cases)
-    right = right and math.isfinite(after)
+    there = [case for case in cases if case not in absorbed]
+    right = not alarms and all(_right(case, reported) for case in there)
+    right = right and _each_its_own(there, reported) and math.isfinite(after)
     if not cases:
         right = right and not summary["unexplained"]["significant"]
     in_a_set = any(
@@ -185,6 +214,7 @@ def _score_listed(
         _said(reported),
         before,
         after,
+        errors.own_floor,
         hidden=right and bool(absorbed),
         mechanism=right and all(case in absorbed or _told(case, placed) for case in cases),
         extra=max(len(reported) - len(cases), 0),
@@ -193,26 +223,31 @@ def _score_listed(
 
 def _told(case: ZooCase, placed: Sequence[Mapping[str, Any]]) -> bool:
     return any(
-        one["effect"].startswith(case.keys) and Named("", frozenset(one["where"])).near(case)
+        any(is_called(one["effect"], key) for key in case.keys)
+        and Named("", frozenset(one["where"])).near(case)
         for one in placed
     )
 
 
-def _score_unlisted(case: ZooCase, summary: Mapping[str, Any]) -> Score:
+def _each_its_own(cases: Sequence[ZooCase], reported: Sequence[Reported]) -> bool:
+    """Return whether each case has a reported effect that speaks of it and stands for no other."""
+    return any(
+        all(r.speaks_of(case) for case, r in zip(cases, some, strict=True))
+        for some in permutations(reported, len(cases))
+    )
+
+
+def _score_unlisted(case: ZooCase, summary: Mapping[str, Any], errors: _Errors) -> Score:
     reported = _reported(summary)
-    allowed = {"unknown", *case.alike}
-    wrong = [r for r in reported if not any(o.kind in allowed for o in r.options)]
+    wrong = [r for r in reported if not any(_may_be(case, o) for o in r.options)]
     in_doubt = bool(wrong and summary["unexplained"].get("doubtful"))
     if in_doubt:
         wrong = []
-    unknown = [r for r in reported if r.options[0].kind in allowed]
-    there = frozenset().union(*(r.options[0].where for r in unknown))
-    signals = frozenset().union(*(r.signals for r in unknown))
-    true = SIGNALS[case.name]
-    hit, false = sum(bool(one & signals) for one in true), signals.difference(*true)
-    common = hit / (len(true) + len(false))
-    described = _in_common(there, case) >= _IN_COMMON and common >= _IN_COMMON
-    before, after = _errors(summary)
+    unknown = [r for r in reported if _may_be(case, r.options[0])]
+    there = frozenset().union(*(_acts_at(case, r.options[0]) for r in unknown))
+    signals = frozenset().union(*(r.signals | _second(case, r.options[0]) for r in unknown))
+    described = _in_common(there, case) > _IN_COMMON and _depends(signals, SIGNALS[case.name])
+    before, after = errors.before, errors.after
     # One of 1.5 times the floor cannot be halved: nothing falls below the floor.
     halved = after <= max(0.5 * before, _EXPLAINED)
     return Score(
@@ -224,11 +259,32 @@ def _score_unlisted(case: ZooCase, summary: Mapping[str, Any]) -> Score:
         _said(reported),
         before,
         after,
+        errors.own_floor,
         misnamed=bool(wrong),
         in_doubt=in_doubt,
         described=described,
         halved=halved,
     )
+
+
+def _may_be(case: ZooCase, option: Named) -> bool:
+    """Return whether what is reported may describe an unlisted effect: freely, or as one alike."""
+    return option.kind == "unknown" or (option.kind in case.alike and option.first in case.where)
+
+
+def _acts_at(case: ZooCase, option: Named) -> frozenset[str]:
+    return option.where - _second(case, option)
+
+
+def _second(case: ZooCase, option: Named) -> frozenset[str]:
+    """Return places of a class that is alike which say on what it depends: a sensor's neighbour."""
+    alike = option.kind in case.alike
+    return option.where - {option.first, *case.where} if alike else frozenset()
+
+
+def _depends(signals: frozenset[str], true: Sequence[set[str]]) -> bool:
+    hit, false = sum(bool(one & signals) for one in true), signals.difference(*true)
+    return bool(true[0] & signals) and hit / (len(true) + len(false)) >= _IN_COMMON
 
 
 def median(values: Sequence[float]) -> float:
@@ -245,7 +301,7 @@ def _right(case: ZooCase, reported: Sequence[Reported]) -> bool:
     if any(len(set(r.options)) > _MOST_IN_A_SET for r, _ in speaking):
         return False
     there = frozenset().union(*(option.where for _, option in speaking))
-    return _in_common(there, case) >= _IN_COMMON
+    return _in_common(there, case) > _IN_COMMON
 
 
 def _in_common(there: frozenset[str], case: ZooCase) -> float:
@@ -271,19 +327,34 @@ def _reported(summary: Mapping[str, Any]) -> list[Reported]:
         options = [effect, *evidence.get("alternatives", [])]
         found.append(
             Reported(
-                tuple(Named(o["class"], frozenset(o["where"])) for o in options),
+                tuple(
+                    Named(o["class"], frozenset(o["where"]), _first(o["where"])) for o in options
+                ),
                 frozenset(evidence.get("signals", [])),
             )
         )
     return found
 
 
-def _errors(summary: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the error before and after over the floor; nan for a model that ran away."""
+def _first(where: Sequence[str]) -> str:
+    return where[0] if where else ""
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Errors over the floor, nan of a model that ran away, and the result's own floor over it."""
+
+    before: float
+    after: float
+    own_floor: float
+
+
+def _errors(summary: Mapping[str, Any], floor: float | None) -> _Errors:
     told = summary["validation"]
     before, after = (math.nan if told[k] is None else float(told[k]) for k in ("before", "after"))
-    floor = float(told["noise_floor"])
-    return before / floor, after / floor
+    own = float(told["noise_floor"])
+    floor = own if floor is None else floor
+    return _Errors(before / floor, after / floor, own / floor)
 
 
 def _said(reported: Sequence[Reported]) -> str:

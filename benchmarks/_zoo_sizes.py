@@ -111,20 +111,32 @@ def sizes_of(
     return sizes
 
 
+def known_sizes() -> dict[str, Sizes]:
+    """Return the sizes in the file, whatever they were flown for."""
+    return _read()
+
+
+def known_floor_m() -> float | None:
+    """Return what `noise_floor_m` does, if that is in the file; None if it has to be flown."""
+    row = _rows().get(_NOTHING)
+    return None if row is None or row["of"] != _fingerprint(None) else float(row["floor_m"])
+
+
 def noise_floor_m(say: Callable[[str], None]) -> float:
     """Return what noise leaves of error in a plant that holds nothing, m rms over rows and sensors.
 
     It is in the file of sizes, or flown now and put there.
     """
-    rows, of = _rows(), _fingerprint(None)
-    if _NOTHING not in rows or rows[_NOTHING]["of"] != of:
-        say("flying a plant that holds nothing, for its noise floor")
-        (done,) = run_apart(_floor, [SEED], 1, _LONGEST_S)
-        if done.answer is None:
-            raise SystemExit(f"error: the plant that holds nothing cannot be flown: {done.failed}")
-        rows[_NOTHING] = {"of": of, "floor_m": _short(done.answer)}
-        _write_rows(rows)
-    return float(rows[_NOTHING]["floor_m"])
+    known = known_floor_m()
+    if known is not None:
+        return known
+    say("flying a plant that holds nothing, for its noise floor")
+    (done,) = run_apart(_floor, [SEED], 1, _LONGEST_S)
+    if done.answer is None:
+        raise SystemExit(f"error: the plant that holds nothing cannot be flown: {done.failed}")
+    floor_m = _short(done.answer)
+    _write_rows(_rows() | {_NOTHING: {"of": _fingerprint(None), "floor_m": floor_m}})
+    return floor_m
 
 
 def _floor(seed: int) -> float:

@@ -9,13 +9,17 @@ what both have in common is compared, or nothing.
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
-from _zoo_fly import SIM
+from _zoo_cases import is_called
+from _zoo_fly import SESSION, SIM
 
 from levid.config.base import read_mapping
+from levid.config.session import RecordStep, load_session
 
 Values = Mapping[str, Any]
 Found = Mapping[str, float]
@@ -32,7 +36,7 @@ class Known:
     """One number that is known of an effect: in which candidate, where, and how to read it there.
 
     `of` returns the number from a candidate's parameters, None if it is not about this one. Without
-    places it is known wherever the candidate is.
+    places it is known wherever the candidate is. An error is over `unit`, None for over the value.
     """
 
     key: str
@@ -40,19 +44,21 @@ class Known:
     label: str
     value: float
     of: Callable[[Found], float | None]
+    unit: float | None = None
 
 
 @dataclass(frozen=True)
 class Compared:
-    """A number found beside the true one; `error` is relative."""
+    """A number found beside the true one; `error` is relative to `unit`, or to the true one."""
 
     label: str
     true: float
     found: float
+    unit: float | None = None
 
     @property
     def error(self) -> float:
-        return abs(self.found / self.true - 1.0)
+        return abs(self.found - self.true) / abs(self.true if self.unit is None else self.unit)
 
 
 def compared(
@@ -61,21 +67,21 @@ def compared(
     """Return all that is known of the effects flown and was found.
 
     `entries` are those of the SIM.yaml, `placed` those of the model that the trace ends with
-    (effect, where, parameters with a value each).
+    (effect, where, parameters with a value each), and random forces among them.
     """
     found = []
     for entry in entries:
         cls = entry["use"].rpartition(":")[2]
         for known in _KNOWN.get(cls, _nothing)(entry):
             for effect in placed:
-                if not effect["effect"].startswith(known.key):
+                if not is_called(effect["effect"], known.key):
                     continue
                 if known.where is not None and set(effect["where"]) != known.where:
                     continue
                 values = {name: p["value"] for name, p in effect["parameters"].items()}
                 number = known.of(values)
                 if number is not None:
-                    found.append(Compared(known.label, known.value, number))
+                    found.append(Compared(known.label, known.value, number, known.unit))
     return found
 
 
@@ -101,6 +107,20 @@ def _get(name: str) -> Callable[[Found], float | None]:
 def _size(found: Found) -> float | None:
     """Return the amplitude of a cosine and a sine."""
     return math.hypot(found["a"], found["b"]) if {"a", "b"} <= set(found) else None
+
+
+@cache
+def _record_s() -> float:
+    """Return the length of the session's records, the median of them, s."""
+    records = [step.record for step in load_session(SESSION).steps if step.record is not None]
+    return statistics.median(_length_s(record) for record in records)
+
+
+def _length_s(record: RecordStep) -> float:
+    if record.each_s is not None:
+        return record.each_s * len(record.excite)
+    assert record.duration_s is not None
+    return record.duration_s
 
 
 def _arm(v: Values) -> float:
@@ -169,7 +189,7 @@ def _beam_cable(v: Values) -> Iterator[Known]:
 
 def _mode(v: Values) -> Iterator[Known]:
     for name, true in (("frequency", v["freq_hz"]), ("damping", v["damping"])):
-        yield Known("flexible_mode.", None, name, true, _get(name))
+        yield Known("flexible_mode", None, name, true, _get(name))
 
 
 def _centre(v: Values) -> Iterator[Known]:
@@ -178,13 +198,18 @@ def _centre(v: Values) -> Iterator[Known]:
 
 
 def _payload(v: Values) -> Iterator[Known]:
-    for name, key in (("m", "mass_kg"), ("x", "x_m"), ("y", "y_m"), ("time", "begin_s")):
-        yield _at(["psi", "theta", "z"], "payload", name, v[key])
+    places = ["psi", "theta", "z"]
+    for name, key in (("m", "mass_kg"), ("x", "x_m"), ("y", "y_m")):
+        yield _at(places, "payload", name, v[key])
+    # The clock's zero is nothing to the payload: to know when it came is to know where in a record.
+    when = _at(places, "payload", "time", v["begin_s"])
+    yield replace(when, unit=_record_s())
 
 
 def _motor_friction(v: Values) -> Iterator[Known]:
     # What goes with the speed is none of it: see model/effects/drives.py.
-    yield _at(["beam"], "friction.beam", "friction", v["coulomb_n"])
+    for key in ("friction.beam", "friction.beam_presliding"):
+        yield _at(["beam"], key, "friction", v["coulomb_n"])
     yield _at(["beam"], "friction.beam", "v_s", v["speed_m_s"])
 
 
@@ -313,6 +338,12 @@ def _tone(v: Values) -> Iterator[Known]:
     yield Known("vibration.force", frozenset({"z"}), "force", force, _line(v["freq_hz"]))
 
 
+def _shaken(v: Values) -> Iterator[Known]:
+    # All of its power is in its band, so that of the force is that of the floor times the mass.
+    force = v["rms_m_s2"] * v["mass_kg"]
+    yield Known("vibration.random", frozenset({"z"}), "rms", force, _get("rms"))
+
+
 def _line(f_hz: float) -> Callable[[Found], float | None]:
     """Return what reads the amplitude of one line and of no other."""
 
@@ -364,4 +395,5 @@ _KNOWN: dict[str, Callable[[Values], Iterator[Known]]] = {
     "MainsForce": _hum,
     "MainsPickup": _hum,
     "FloorTone": _tone,
+    "FloorNoise": _shaken,
 }

@@ -8,105 +8,176 @@ right is said in _zoo_score.py.
 
 Results are kept as they come, one line each, in OUT/results.jsonl; what is there already, of the
 same plant, size, seed and code, is not flown again. A plant that cannot be flown, since with this
-seed it meets its stops, is flown with effects a fifth smaller, and so on. Rows, lines and figures
-are made from what is kept, so that a change of the scoring flies nothing. With --publish what one
-code has found, in several runs, is written into zoo-results.jsonl.gz beside this file: as long as
-the code is that one, its plants are not flown either, but for --afresh.
+seed it meets its stops, is flown with effects of 0.8 times the size, then of 0.64, and so on down
+to a quarter. Rows, lines and figures are made from what is kept, so that a change of the scoring
+flies nothing; --show prints them. With --publish what one code has found, in several runs, is
+written into zoo-results.jsonl.gz beside this file: as long as the code is that one, its plants are
+not flown either, but for --afresh.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import asdict
 from pathlib import Path
 
+from _table import Figure, parser, show
 from _zoo_cases import CASES, UNLISTED
 from _zoo_fly import PARTS, Entries, Found, TooLargeError, fly_and_trace
 from _zoo_plan import FIRST_SEED, Plant, plan
 from _zoo_pool import run_apart
-from _zoo_results import Kept, Result, figures, summary_table, verdicts_table
-from _zoo_score import score_plant
-from _zoo_sizes import Sizes, sizes_of
-from rich.console import Console
+from _zoo_results import Kept, Result
+from _zoo_sizes import Sizes, known_floor_m, known_sizes, noise_floor_m, sizes_of
+from _zoo_tables import score_of, summary_table, told, verdicts_table
+from rich.table import Table
 
 PROCESSES = 2
 LONGEST_S = 1800.0
 """On a machine that does much else; alone it takes about a minute and a half."""
 PUBLISHED = Path(__file__).with_name("zoo-results.jsonl.gz")
+_THIS = "this"
 DEFAULT = Path(__file__).resolve().parents[1] / "build" / "zoo"
 
 
 def main() -> None:
-    arguments = _parser().parse_args()
+    options = _options()
+    arguments = options.parse_args()
+    if arguments.quick and arguments.full:
+        options.error("expected --quick or --full, found both")
+    zoo = _Kept(arguments) if arguments.show else _Flown(arguments)
+    show("The zoo against its targets", arguments, zoo.measure, zoo.tables)
+
+
+class _Flown:
+    """The plants of a plan, flown as far as there is no result of them."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self._arguments, self._results = arguments, list[Result]()
+        self._plants = _plants(arguments)
+
+    def measure(self) -> Iterator[Figure]:
+        """Fly, and yield the figures, after an interrupt too: of what there is by then."""
+        plants, out = self._plants, self._arguments.out
+        sizes = sizes_of([case for plant in plants for case in plant.cases], PROCESSES, _say)
+        floor_m = noise_floor_m(_say)
+        kept = Kept(out, None if self._arguments.afresh else PUBLISHED)
+        try:
+            flights = out / "flights" if self._arguments.keep_flights else None
+            _fly_all(plants, sizes, kept, floor_m, flights)
+            if self._arguments.publish:
+                _say(f"{PUBLISHED.name}: {kept.publish(PUBLISHED)} results")
+        finally:
+            self._results = [r for r in kept.of(plants, sizes, floor_m) if r.flown]
+            yield from told(self._results, len(plants) if self._default else None)
+
+    def tables(self) -> list[Table]:
+        """Return what was found of each plant, and what it comes to."""
+        return [verdicts_table(self._results), summary_table(self._results)]
+
+    @property
+    def _default(self) -> bool:
+        a = self._arguments
+        return not (a.quick or a.full or a.only or a.times)
+
+
+class _Kept:
+    """The results that there are of one version of the code."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        kept = Kept(arguments.out, PUBLISHED)
+        code = kept.version if arguments.show == _THIS else arguments.show
+        if code not in kept.codes:
+            others = ", ".join(f"{count} of {other}" for other, count in kept.codes.items())
+            raise SystemExit(f"error: no result of code {code} is kept; there are: {others or 0}")
+        results = kept.all(code, known_sizes(), known_floor_m())
+        chosen = _chosen([result.plant for result in results], arguments)
+        self._results = [result for result in results if result.plant in chosen]
+
+    def measure(self) -> list[Figure]:
+        """Return the figures."""
+        return told(self._results, None)
+
+    def tables(self) -> list[Table]:
+        """Return what was found of each plant, and what it comes to."""
+        return [verdicts_table(self._results), summary_table(self._results)]
+
+
+def _plants(arguments: argparse.Namespace) -> list[Plant]:
+    """Return what is to be flown; raises SystemExit where that is nothing."""
+    plants = plan(arguments.quick, arguments.full, arguments.first_seed, bool(arguments.only))
+    plants = _chosen(plants, arguments)
+    if not plants:
+        times = " ".join(f"{times:g}" for times in arguments.times or ())
+        more = "" if arguments.full else "; add --full, which has 1.5 and more plants"
+        raise SystemExit(f"error: this plan has no such plant of --times {times}{more}")
+    return plants
+
+
+def _chosen(plants: Sequence[Plant], arguments: argparse.Namespace) -> list[Plant]:
+    """Return the plants that --only and --times leave."""
     known = {case.name: case for case in CASES + UNLISTED}
     unknown = sorted(set(arguments.only or ()) - set(known) - {"nothing", "pair", "triple"})
     if unknown:
         raise SystemExit(f"error: --only: expected names of zoo-cases.yaml, found {unknown}")
-    plants = plan(arguments.quick, arguments.full, arguments.first_seed, bool(arguments.only))
     if arguments.only:
         only = set(arguments.only)
         plants = [p for p in plants if p.kind in only or {c.name for c in p.cases} <= only]
         plants = [p for p in plants if p.cases or p.kind in only]
     if arguments.times:
         plants = [p for p in plants if p.cases and p.times in arguments.times]
-    sizes = sizes_of([case for plant in plants for case in plant.cases], PROCESSES, _say)
-    kept = Kept(arguments.out, None if arguments.afresh else PUBLISHED)
-    _fly_all(plants, sizes, kept, arguments.out / "flights" if arguments.keep_flights else None)
-    if arguments.publish:
-        _say(f"{PUBLISHED.name}: {kept.publish(PUBLISHED)} results")
-    results = kept.of(plants, sizes)
-    if arguments.json:
-        json.dump({"figures": figures(results)}, sys.stdout)
-        sys.stdout.write("\n")
-    else:
-        console = Console(width=None if sys.stdout.isatty() else 160)
-        console.print(verdicts_table(results))
-        console.print(summary_table(results))
+    return list(plants)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description="The zoo: which effects a trace finds")
-    much = parser.add_mutually_exclusive_group()
-    much.add_argument("--quick", action="store_true", help="eight named cases")
-    much.add_argument(
+def _options() -> argparse.ArgumentParser:
+    options = parser("The zoo: which effects a trace finds; --quick: eight named cases")
+    options.add_argument(
         "--full",
         action="store_true",
         help="1.5 times the floor too, three seeds, more pairs, all unlisted effects",
     )
-    parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
-    parser.add_argument("--out", type=Path, default=DEFAULT, help="where results are kept")
-    parser.add_argument(
+    options.add_argument("--out", type=Path, default=DEFAULT, help="where results are kept")
+    options.add_argument(
+        "--show",
+        nargs="?",
+        const=_THIS,
+        metavar="CODE",
+        help="fly nothing: print what is kept, of this code or of another version of it",
+    )
+    options.add_argument(
         "--first-seed",
         type=int,
         default=FIRST_SEED,
         metavar="N",
         help="of others, none of which were seen",
     )
-    parser.add_argument(
+    options.add_argument(
         "--afresh", action="store_true", help=f"fly what {PUBLISHED.name} holds, too"
     )
-    parser.add_argument(
-        "--publish", action="store_true", help=f"write {PUBLISHED.name} from what this code found"
+    options.add_argument(
+        "--publish", action="store_true", help=f"add what this code found to {PUBLISHED.name}"
     )
-    parser.add_argument(
+    options.add_argument(
         "--keep-flights", action="store_true", help="keep logs too, 50 MB a plant, to trace again"
     )
-    parser.add_argument(
+    options.add_argument(
         "--only", nargs="+", metavar="NAME", help="cases by name, or nothing, pair, triple"
     )
-    parser.add_argument(
+    options.add_argument(
         "--times", nargs="+", type=float, metavar="N", help="of these sizes only, as 1.5 of --full"
     )
-    return parser
+    return options
 
 
 def _fly_all(
-    plants: Sequence[Plant], sizes: dict[str, Sizes], kept: Kept, flights: Path | None
+    plants: Sequence[Plant],
+    sizes: dict[str, Sizes],
+    kept: Kept,
+    floor_m: float | None,
+    flights: Path | None,
 ) -> None:
     """Fly and trace the plants that there is no result of; logs stay in `flights`, if given."""
     missing = [plant for plant in plants if not kept.has(plant, sizes)]
@@ -116,15 +187,22 @@ def _fly_all(
         _Task(plant, {part: plant.entries(sizes, part) for part in PARTS}, flights)
         for plant in missing
     ]
-    for count, done in enumerate(run_apart(_Task.fly, begun, PROCESSES, LONGEST_S), 1):
-        part, found = (1.0, None) if done.answer is None else done.answer
-        entries = tuple(done.item.plant.entries(sizes, part))
-        result = Result(
-            done.item.plant, None if found is None else asdict(found), done.failed, entries
-        )
-        kept.add(result, sizes)
-        less = "" if part == 1.0 else f", {part:g} of the size"
-        _say(f"{count}/{len(missing)} {_line(result)}{less} ({done.seconds:.0f} s)")
+    # Whatever ends this ends the processes that fly.
+    with closing(run_apart(_Task.fly, begun, PROCESSES, LONGEST_S)) as flown:
+        for count, done in enumerate(flown, 1):
+            part, found = (1.0, None) if done.answer is None else done.answer
+            result = Result(
+                done.item.plant,
+                None if found is None else asdict(found),
+                done.failed,
+                tuple(done.item.plant.entries(sizes, part)),
+                part < 1.0,
+                done.seconds,
+                floor_m,
+            )
+            kept.add(result, sizes)
+            less = f", {part:g} of the size" if result.less else ""
+            _say(f"{count}/{len(missing)} {_line(result)}{less} ({done.seconds:.0f} s)")
 
 
 class _Task:
@@ -145,7 +223,7 @@ class _Task:
 def _line(result: Result) -> str:
     if result.found is None:
         return f"{result.plant.name}: failed: {result.failed}"
-    score = score_plant(result.plant.cases, result.found["summary"], result.found["placed"])
+    score = score_of(result)
     after = score.after_over_floor
     ending = "" if math.isnan(after) else f", after {after:.2f} x floor"
     verdict = "right" if score.right else "wrong"

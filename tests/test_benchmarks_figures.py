@@ -133,21 +133,43 @@ def test_versions_of_benchmarks_know_control_and_fit() -> None:
     assert "daemon/server.py" not in names
 
 
-def test_growth_of_a_trace_is_a_ratio_and_effects_are_those_flown(monkeypatch) -> None:
+def test_growth_of_a_trace_is_a_power_and_effects_are_those_flown(monkeypatch) -> None:
     trace, isolated = script("trace"), module("_isolated")
     monkeypatch.setattr(trace, "fly_session", lambda *_: [Path()] * 12)
     monkeypatch.setattr(trace, "silverbox", list)
 
     def apart(_call: object, logs: list[Path]) -> object:
         placed = (*trace.FLOWN[: len(logs) // 6], "air_damping.squeeze_film@psi")
-        return isolated.Outcome(trace.Traced(3, placed, 8.0, 2.0, 2.0), 5.0 * len(logs), 10**9)
+        return isolated.Outcome(trace.Traced(3, placed, 8.0, 2.0, 2.0), len(logs) ** 1.5, 10**9)
 
     monkeypatch.setattr(trace, "_apart", apart)
-    found = by_key(trace.measure(False))
-    assert found["growth"] == 2.0
+    figures = trace.measure(False)
+    found = by_key(figures)
+    assert found["growth"] == pytest.approx(1.5)
+    met = {figure.key: figure.met for figure in figures if figure.target}
+    assert met == {"all_s": "met", "growth": "missed"}
+    assert (found["quarter_s"], found["quarter_rounds"]) == (3**1.5, 3)
     assert (found["half_flown"], found["half_others"]) == (1, 1)
     assert (found["all_flown"], found["all_others"]) == (2, 1)
     assert (found["all_before"], found["all_after"]) == (4.0, 1.0)
+
+
+def test_measured_data_that_are_not_there_are_told_and_no_cube_has_no_error(
+    tmp_path: Path, monkeypatch
+) -> None:
+    trace, isolated, silverbox = script("trace"), module("_isolated"), module("_silverbox")
+    monkeypatch.setattr(silverbox, "SOURCE", tmp_path / "none.csv")
+    absent = trace.silverbox()
+    assert {figure.value for figure in absent} == {None}
+    assert {figure.met for figure in absent if figure.target} == {"not asked"}
+    monkeypatch.setattr(silverbox, "SOURCE", tmp_path)
+    found = trace.OnSilverbox(("stiffness.asymmetric",), 9e-3, None, 3e-4)
+    monkeypatch.setattr(trace, "_apart", lambda _: isolated.Outcome(found, 7.0, 10**9))
+    there = {figure.key: figure for figure in trace.silverbox()}
+    assert [figure.key for figure in absent] == list(there)
+    assert (there["silverbox_cubic_mv"].value, there["silverbox_cubic"].met) == (None, "missed")
+    assert there["silverbox_traced_mv"].value == pytest.approx(0.3)
+    assert there["silverbox_traced_mv"].met == "met"
 
 
 def test_effects_of_the_trace_benchmark_are_in_the_table() -> None:

@@ -10,10 +10,7 @@ packages; what is missing or fails says so in the table.
 
 from __future__ import annotations
 
-import argparse
-import json
 import statistics
-import sys
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -25,9 +22,9 @@ from _declared import off_by_a_tenth
 from _flight import truth
 from _isolated import Outcome, measure_apart
 from _multisines import fly_multisines
+from _table import Figure, parser, show
 from _white_noise import fly
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from levid.identification.from_log import from_log
@@ -67,22 +64,22 @@ class Score:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="levid against its peers")
-    parser.add_argument("--quick", action="store_true", help="one flight of 20 s an input")
-    parser.add_argument("--json", action="store_true", help='print {"figures": {NAME: number}}')
-    parser.add_argument("--only", nargs="+", metavar="KEY", help="some of the contenders")
-    arguments = parser.parse_args()
+    options = parser("levid against its peers; --quick: one flight of 20 s an input")
+    options.add_argument("--only", nargs="+", metavar="KEY", help="some of the contenders")
+    arguments = options.parse_args()
     chosen = [c for c in CONTENDERS if arguments.only is None or c.key in arguments.only]
     if arguments.quick:
         seeds, duration_s, timeout_s = [1], 20.0, 60.0
     else:
         seeds, duration_s, timeout_s = [1, 2, 3], 60.0, 300.0
-    scores = measure(chosen, seeds, duration_s, timeout_s)
-    if arguments.json:
-        json.dump({"figures": figures(scores)}, sys.stdout)
-        sys.stdout.write("\n")
-    else:
-        Console().print(table(scores, f"P's diagonal, 1 to 64 Hz, from 3 x {duration_s:g} s"))
+    scores: list[Score] = []
+
+    def measured() -> list[Figure]:
+        scores.extend(measure(chosen, seeds, duration_s, timeout_s))
+        return told(scores)
+
+    title = f"P's diagonal, 1 to 64 Hz, from 3 x {duration_s:g} s"
+    show("levid against its peers", arguments, measured, lambda: [table(scores, title)])
 
 
 def measure(
@@ -178,6 +175,20 @@ def figures(scores: Sequence[Score]) -> dict[str, float]:
         if leads:
             out["lead_time"] = min(leads)
     return {key: value for key, value in out.items() if np.isfinite(value)}
+
+
+def told(scores: Sequence[Score]) -> list[Figure]:
+    """Return all figures; those that say by how much levid leads have a label."""
+    found = figures(scores)
+    leads = [Figure(key, found.pop(key, None), "x", label) for key, label in _LEADS.items()]
+    return [*leads, *(Figure(key, value, "", "") for key, value in found.items())]
+
+
+_LEADS = {
+    "lead_error": "least error of a peer over levid's least",
+    "lead_error_subspace": "least error of a peer over that of levid's subspace method",
+    "lead_time": "least lead in time over a peer of a comparable error",
+}
 
 
 def equals(scores: Sequence[Score]) -> list[Score]:

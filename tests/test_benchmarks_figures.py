@@ -191,26 +191,69 @@ def test_a_response_that_is_no_number_is_told(peers: ModuleType, error: float) -
     assert good["diverged_levid_subspace"] == 0.0
     failed = peers.figures([peers.Score(contender, failed="not done after 60 s")])
     assert failed == {"failed_levid_subspace": 1.0}
+    rest = {figure.key: figure.value for figure in peers.told([bad]) if not figure.label}
+    assert rest == found
+    leads = [figure.value for figure in peers.told([bad]) if figure.label]
+    assert leads == [None, None, None]  # there is no peer
 
 
-def test_peers_find_the_products_that_a_force_is_made_of() -> None:
+def test_the_library_of_peers_has_products_drag_and_friction() -> None:
+    peers = module("_discrepancy_peers")
+    x = np.array([[2.0, 3e-3, -20.0]])
+    library = peers.Library(np.array([1.0, 1e-3, 10.0]), (1, 2))
+    assert library.powers.shape == (20, 3)  # (3 + 3 over 3)
+    given = library.at(x)
+    assert given.shape == (1, len(library))
+    assert given[0, 0] == 1.0
+    np.testing.assert_allclose(given[0, 20:], [9.0, -4.0, 1.0, -1.0])
+    some = [3, 7, 21, 23]
+    np.testing.assert_array_equal(library.at(x, some), given[:, some])
+    coefficients = np.zeros((len(library), 1))
+    coefficients[some, 0] = 1.0
+    law = peers.ForceLaw(library, coefficients)
+    assert law.terms == 4
+    np.testing.assert_allclose(law.at(x), given[:, some].sum(axis=1, keepdims=True))
+
+
+@pytest.mark.parametrize("who", ["PySINDy", "SysIdentPy"])
+def test_peers_find_the_functions_that_a_force_is_made_of(who: str) -> None:
+    pytest.importorskip(who.lower())
     peers = module("_discrepancy_peers")
     rng = np.random.default_rng(1)
     x = rng.standard_normal((4000, 3)) * (1.0, 1e-3, 20.0)
-    scale = x.std(axis=0)
-    powers = peers.powers_of(3)
-    assert powers.shape == (20, 3)  # (3 + 3 over 3)
-    given = peers.products(x / scale, powers)
-    np.testing.assert_allclose(given[:, 0], 1.0)
-    true = {(0, 3, 0): 2e9, (1, 0, 1): -0.3}
-    force = sum(c * np.prod(x ** np.array(p), axis=1) for p, c in true.items())[:, None]
-    size, block = force.std(axis=0), np.arange(len(x)) // 100
-    sample = peers.Sample((given,), force / size, powers, scale, size, block)
-    for who, fit in peers.PEERS.items():
-        pytest.importorskip(who.lower())
-        found = fit(sample)
-        assert found.terms == 2
+    library = peers.Library(x.std(axis=0), (2,))
+    laws = (
+        2e9 * x[:, 1] ** 3 - 0.3 * x[:, 0] * x[:, 2],
+        0.2 * np.abs(x[:, 2]) * x[:, 2] + 5.0 * np.tanh(10.0 * x[:, 2] / library.scale[2]),
+    )
+    for law in laws:
+        force = law[:, None]
+        size, block = force.std(axis=0), np.arange(len(x)) // 100
+        peers.load(who)
+        found = peers.PEERS[who](peers.Sample((library.at(x),), force / size, library, size, block))
+        # Taken one by one, v comes before the |v| v that it looks like, and keeps next to nothing.
+        assert found.terms in (2, 3)
         np.testing.assert_allclose(found.at(x), force, atol=1e-6 * size[0])
+
+
+def test_levid_is_judged_by_what_it_knows_and_beside_the_best_of_the_others(
+    discrepancy: ModuleType,
+) -> None:
+    def rows(case: str, *errors: float) -> list[object]:
+        names = ("declared", "levid", "PySINDy", "SysIdentPy")
+        return [
+            discrepancy.Row(case, who, error, 1.0, 0.1, 3.0, "", prepared=2.0)
+            for who, error in zip(names, errors, strict=True)
+        ]
+
+    found = {f.key: f for f in discrepancy.told(rows("cubic-z", 20.0, 1.1, 2.2, np.inf))}
+    assert found["error_over_floor_levid_cubic_z"].met == "met"
+    assert found["levid_over_best_cubic_z"].value == pytest.approx(0.5)
+    assert found["prepared_pysindy_cubic_z_s"].value == 2.0
+    found = {f.key: f for f in discrepancy.told(rows("eddy-brake", 20.0, 3.0, np.nan, np.inf))}
+    assert found["error_over_floor_levid_eddy_brake"].met is None
+    assert found["levid_over_best_eddy_brake"].value is None
+    assert len(discrepancy.table(rows("cubic-z", 20.0, 1.1, 2.2, 3.3)).rows) == 4
 
 
 @pytest.mark.parametrize("error", [np.inf, np.nan])

@@ -17,7 +17,7 @@ nothing is right, and to find no more than noise left.
 
 *Family* right: for every effect something reported, or an alternative of it, is of the same family
 (FAMILIES) and shares a place with it. *Missed*: there is no such thing. Alternatives count as much
-as what they stand beside, since the data decide no further; a class that fits the data as well but
+as what they stand beside, since the trace says no more; a class that fits the data as well but
 is reported alone is wrong.
 
 *Mechanism* right: what is named first, of its alternatives, is for every effect of an equation that
@@ -90,7 +90,7 @@ _EXPLAINED = 1.15
 class Score:
     """What a result is worth, with its errors before and after over the floor.
 
-    in_a_set: right as one of several that the data do not tell apart. hidden: right in saying
+    in_a_set: right as one of several that fit about as well. hidden: right in saying
     nothing of an effect that a refit absorbs. in_doubt: classes are reported of an unlisted effect,
     and the result itself doubts them. own_floor: what the result takes for the floor, over the one
     that errors are over. `said` in words.
@@ -135,7 +135,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Reported:
-    """One reported effect: itself first, then what the data do not tell from it."""
+    """One reported effect: itself first, then what fits about as well."""
 
     options: tuple[Named, ...]
     signals: frozenset[str]

@@ -164,7 +164,7 @@ def told(rows: Sequence[Row]) -> list[Figure]:
     target = EXPLAINED if case in LISTED else None
     return [
         Figure(over, numbers.pop(over, None), "x floor", f"{case}: error of levid", target=target),
-        Figure(f"levid_over_best_{key}", ratio, "x", f"{case}: over the least of the others"),
+        Figure(f"levid_over_best_{key}", ratio, "x", f"{case}: levid over the least of the others"),
         *(Figure(name, value, "", "") for name, value in numbers.items()),
     ]
 

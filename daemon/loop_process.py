@@ -35,7 +35,9 @@ _CLOSING_S = 5
 
 def main(fd: str, parent: str, folder: str) -> None:
     """Run until the board says to end; the rig comes as JSON on standard input."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to answer
+    # Ctrl-C, and a reload that is sent to every process, are the supervisor's to answer.
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     call_me("levid-loop")
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     # The kernel sends it with the parent's end, too: what was begun with devices is to be stopped.

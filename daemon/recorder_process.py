@@ -209,7 +209,7 @@ def _taken_away(path: Path) -> bool:
 
 def main(fd: str, parent: str, end: str, faults: str) -> None:
     """Record until told to end; the rig comes as JSON on standard input."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the supervisor says when it is over
     call_me("levid-recorder")
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())

@@ -127,6 +127,15 @@ def test_stopped_recorder_delays_nobody(ready: Daemon, tmp_path: Path) -> None:
     assert flying.land()["lost"] == 0
 
 
+def test_reload_that_is_sent_to_every_process_ends_none(ready: Daemon) -> None:
+    before = ready.ask("status")
+    for name in ("loop", "recorder"):
+        os.kill(before["pids"][name], signal.SIGHUP)
+    after = ready.until(lambda s: s["cycle"] > before["cycle"] + 50 or s["fault"] != "NONE")
+    for key in ("fault", "pids", "recorder_restarts"):
+        assert after[key] == before[key]
+
+
 def test_dead_loop_is_a_fault_and_is_started_anew(ready: Daemon, tmp_path: Path) -> None:
     flying = Flying(ready, tmp_path / "out")
     ready.until(lambda s: s["state"] == "EXCITING")

@@ -130,6 +130,25 @@ def test_readings_are_not_waited_for_on_a_bus_that_is_busy(whole: bool) -> None:
     assert host.fresh is whole
 
 
+def test_bus_that_is_lost_is_shut_down_after_the_cycle() -> None:
+    """Some interfaces wait for a thread; other buses still wait for zero force."""
+    done: list[str] = []
+
+    def send(*_: object) -> None:
+        raise OSError(errno.ENETDOWN, "Network is down")
+
+    link = CanLink("main", CONFIG)
+    link._bus = SimpleNamespace(send=send, shutdown=lambda: done.append("shut down"))  # type: ignore[assignment]
+    with pytest.raises(LinkError, match="sending failed"):
+        link.send(1, b"")
+    with pytest.raises(LinkError, match="gone"):
+        link.send(1, b"")
+    assert not done
+    link.open()
+    assert done == ["shut down"]
+    link.close()
+
+
 def test_two_loops_do_not_fly_on_one_bus(tmp_path: Path) -> None:
     """The second would reset what the first has tripped, and home its drives in flight."""
     bus = CanBus(interface="levid_local", channel=str(tmp_path))

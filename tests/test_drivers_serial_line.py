@@ -124,6 +124,28 @@ def test_port_over_tcp_sends_at_once() -> None:
         line.close()
 
 
+def test_port_that_is_lost_is_closed_after_the_cycle() -> None:
+    """pyserial sleeps 0.3 s as it closes one over TCP; other ports still wait for zero force."""
+    took_s = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        line = SerialLine("main", SerialBus(port=url, baud=115_200))
+        for _ in range(2):
+            line.open()
+            lost = line._port
+            server.accept()[0].close()
+            began_s = time.perf_counter()
+            with pytest.raises(LinkError, match="the other end hung up"):
+                line.read(began_s + 10.0)
+            took_s.append(time.perf_counter() - began_s)
+            with pytest.raises(LinkError, match="gone"):
+                line.write(b"x")
+            assert lost.is_open
+        line.close()
+        assert not lost.is_open
+    assert min(took_s) < 0.25
+
+
 def test_port_without_a_descriptor_is_read_up_to_the_deadline() -> None:
     line = SerialLine("main", SerialBus(port="loop://", baud=3_000_000))
     line.open()

@@ -26,6 +26,7 @@ class CanLink:
         self._config = bus
         self._listeners: dict[int, Listener] = {}
         self._bus: FrameBus | None = None
+        self._aside: list[FrameBus] = []  # lost, and not shut down yet
         self._stamp_s = 0.0
         # A virtual bus is of this process alone.
         self._claim = None if bus.interface == "virtual" else Claim(bus.place)
@@ -51,9 +52,14 @@ class CanLink:
             self._claim.release()
 
     def _let_go(self) -> None:
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            bus.shutdown()
+        self._set_aside()
+        while self._aside:
+            self._aside.pop().shutdown()
+
+    def _set_aside(self) -> None:
+        if self._bus is not None:
+            self._aside.append(self._bus)
+        self._bus = None
 
     def listen(self, can_id: int, listener: Listener) -> None:
         """Hand every frame of this ID to `listener`; frames of other IDs are nobody's.
@@ -116,5 +122,7 @@ class CanLink:
                 return
 
     def _lost(self, why: str) -> NoReturn:
-        self._let_go()
+        # Shutting down waits, for a thread or a line: in the cycle at hand other buses have not had
+        # their zero force yet.
+        self._set_aside()
         raise LinkError(f"{self.what}: lost: {why}") from None

@@ -26,6 +26,7 @@ class SerialLine:
         self._what = f"serial {name} ({bus.port})"
         self._bus = bus
         self._port: Any = None
+        self._aside: list[Any] = []  # lost, and not closed yet
         self._fd = -1
         self._waiting = [-1]
 
@@ -65,10 +66,10 @@ class SerialLine:
 
     def close(self) -> None:
         """Let go of the port; safe to call twice."""
-        port, self._port, self._fd = self._port, None, -1
-        if port is not None:
+        self._set_aside()
+        while self._aside:
             with contextlib.suppress(Exception):
-                port.close()
+                self._aside.pop().close()
 
     def write(self, data: bytes) -> None:
         """Send bytes; raises LinkError."""
@@ -117,6 +118,13 @@ class SerialLine:
         waiting = min(port.in_waiting, _CHUNK)
         return data + port.read(waiting) if waiting else data
 
+    def _set_aside(self) -> None:
+        if self._port is not None:
+            self._aside.append(self._port)
+        self._port, self._fd = None, -1
+
     def _lost(self, error: Exception) -> None:
-        self.close()
+        # Closing waits: for a line to drain, over TCP 0.3 s, rfc2217:// for a thread. In this cycle
+        # other ports have not had their zero force yet.
+        self._set_aside()
         raise LinkError(f"{self._what}: lost: {error}") from None

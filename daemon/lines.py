@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 _PIECE = 65_536
@@ -70,6 +71,21 @@ class Lines:
         """Yield the whole lines that have come; raises TooLong."""
         while (line := self.next_line()) is not None:
             yield line
+
+    def rest(self, words: Iterable[bytes]) -> Iterator[bytes]:
+        """Yield the whole lines that have come and hold one of these words; no others will be read.
+
+        Two million empty ones are passed over at once.
+        """
+        data, at = bytes(self._in), 0
+        self.forget()
+        pattern = re.compile(b"|".join(map(re.escape, words)))
+        while found := pattern.search(data, at):
+            begin = max(data.rfind(b"\n", at, found.start()) + 1, at)
+            at = data.find(b"\n", found.end()) + 1
+            if not at:
+                return
+            yield data[begin : at - 1]
 
     def put(self, message: Mapping[str, Any]) -> None:
         """Send a message, or keep it until there is room; raises Closed where too much is kept."""

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ _MOST_UNREAD = 1 << 18
 _BACK_OFF_S = 0.05
 _HEARD_OUT = frozenset(("stop", "land"))
 """What is done for clients too that are gone before they had an answer to what they asked first."""
+_MOST_HEARD_OUT = 300
+"""Lines of such a client that are looked into: whoever flooded the socket holds nobody up."""
 
 
 class ServerError(Exception):
@@ -230,7 +233,8 @@ class Server:
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
-            reply.refuse("expected one JSON object a line")
+            if among is None:
+                reply.refuse("expected one JSON object a line")
             return
         op = request.get("op") if isinstance(request, dict) else None
         if among is not None and op not in among:
@@ -294,9 +298,8 @@ class Server:
         with contextlib.suppress(Closed, TooLong):
             while lines.receive():
                 pass
-        with contextlib.suppress(TooLong):
-            for line in lines.lines():
-                self._handle(line, Reply(self, connection), _HEARD_OUT)
+        for line in islice(lines.rest(tuple(map(str.encode, _HEARD_OUT))), _MOST_HEARD_OUT):
+            self._handle(line, Reply(self, connection), _HEARD_OUT)
 
 
 def refusal(error: str) -> dict[str, Any]:

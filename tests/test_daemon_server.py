@@ -20,6 +20,7 @@ import pytest
 from levid.config.base import ConfigError
 from levid.config.service import Service
 from levid.daemon.access import Access, Peer, peer_of
+from levid.daemon.lines import Lines
 from levid.daemon.server import LONGEST_LINE, Reply, Server, ServerError
 
 _GIVE_UP_S = 60.0
@@ -152,6 +153,28 @@ def test_stop_of_a_client_that_does_not_wait_is_heard(bench: Bench, before: byte
     while len(bench.stops) < 21 and time.monotonic() < deadline_s:
         time.sleep(0.01)
     assert len(bench.stops) == 21
+
+
+@pytest.mark.parametrize("line", [b"", b"stop", b'{"op": "echo"}'])
+def test_flood_of_a_client_that_goes_holds_nobody_up(bench: Bench, line: bytes) -> None:
+    flood = (line + b"\n") * (1_900_000 // (len(line) + 1))
+    with bench.connect() as connection:
+        connection.sendall(b'{"op": "wait"}\n' + flood)
+    began_s = time.monotonic()
+    assert bench.gone.wait(_GIVE_UP_S)
+    assert works(bench)
+    assert time.monotonic() - began_s < 0.7
+
+
+def test_what_is_left_of_a_conversation_is_searched_for_words() -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        lines = Lines(ours, 1000, 1000)
+        theirs.sendall(b"one\n\nstop 1\nno\nland stop 2\n\nstop 3 has no end")
+        lines.receive()
+        assert lines.next_line() == b"one"
+        assert list(lines.rest((b"stop", b"land"))) == [b"stop 1", b"land stop 2"]
+        assert lines.next_line() is None
 
 
 def test_who_is_being_hung_up_on_is_read_no_more(bench: Bench) -> None:

@@ -11,7 +11,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -80,8 +80,8 @@ class Server:
 
     Handlers run in the server's thread and must return at once: what takes time is answered later
     through the Reply. A client that sends nonsense or nothing, that takes no answer, or vanishes,
-    costs its own connection only; where too many hold one, the one that was silent longest makes
-    room.
+    costs its own connection only, and so does whatever goes wrong with one; where too many hold
+    one, the one that was silent longest makes room.
     """
 
     def __init__(self, path: Path, handlers: Mapping[str, Handler], access: Access) -> None:
@@ -96,6 +96,11 @@ class Server:
         self.asked = 0
         """Requests and connections since the start."""
         self._thread = threading.Thread(target=self._run, name="levid-server", daemon=True)
+
+    @property
+    def dead(self) -> bool:
+        """Whether it has begun to answer, and does so no more."""
+        return self._thread.ident is not None and not self._thread.is_alive()
 
     def start(self) -> None:
         """Open the socket and answer from now on; raises ServerError."""
@@ -129,6 +134,12 @@ class Server:
         self._ending = True
         self._wake_up()
         self._thread.join()
+        # Not in the thread: one that died leaves them to those who still post.
+        self._socket.close()
+        self._selector.close()
+        (woken, self._woken), (wake, self._wake) = (self._woken, -1), (self._wake, -1)
+        os.close(woken)
+        os.close(wake)
         self._path.unlink(missing_ok=True)
 
     def post(self, connection: _Connection, message: Mapping[str, Any], final: bool) -> None:
@@ -138,7 +149,7 @@ class Server:
             self._wake_up()
 
     def _wake_up(self) -> None:
-        with contextlib.suppress(BlockingIOError):
+        with contextlib.suppress(OSError):  # it is awake; or closed, and nobody is told any more
             os.write(self._wake, b"x")
 
     def _run(self) -> None:
@@ -150,16 +161,23 @@ class Server:
                     with contextlib.suppress(BlockingIOError):
                         os.read(self._woken, 4096)
                 else:
-                    self._serve(key.data, events)
+                    with self._at_its_cost(key.data):
+                        self._serve(key.data, events)
             for _ in range(len(self._ready)):
-                self._take_up(self._ready.popleft())
+                connection = self._ready.popleft()
+                with self._at_its_cost(connection):
+                    self._take_up(connection)
             self._deliver()
         for connection in list(self._connections):
             self._hang_up(connection)
-        self._socket.close()
-        self._selector.close()
-        os.close(self._woken)
-        os.close(self._wake)
+
+    @contextlib.contextmanager
+    def _at_its_cost(self, connection: _Connection) -> Iterator[None]:
+        """Whatever goes wrong in here ends this connection, and no other."""
+        try:
+            yield
+        except Exception:  # noqa: BLE001 - nobody else may stop a flight any more if this thread ends
+            self._hang_up(connection)
 
     def _accept_all(self) -> None:
         for _ in range(_WAITING_CLIENTS):
@@ -169,7 +187,8 @@ class Server:
                 if error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOMEM):
                     time.sleep(_BACK_OFF_S)  # it passes
                 return
-            self._accept(accepted)
+            with contextlib.suppress(Exception):  # it is closed as it is forgotten
+                self._accept(accepted)
 
     def _accept(self, accepted: socket.socket) -> None:
         self.asked += 1
@@ -183,11 +202,12 @@ class Server:
                 return
             self._make_room()
         connection = _Connection(Lines(accepted, LONGEST_LINE, _MOST_UNREAD))
-        self._connections.append(connection)
         self._selector.register(accepted, selectors.EVENT_READ, connection)
+        self._connections.append(connection)
         if refused:
             connection.last_words = True
-            self._put(connection, refusal(refused))
+            with self._at_its_cost(connection):
+                self._put(connection, refusal(refused))
 
     def _make_room(self) -> None:
         """Hang up on whoever was silent longest: rather one that waits for no answer."""
@@ -257,7 +277,8 @@ class Server:
             if final:
                 connection.reply = None
                 self._ready.append(connection)
-            self._put(connection, message)
+            with self._at_its_cost(connection):
+                self._put(connection, message)
 
     def _put(self, connection: _Connection, message: Mapping[str, Any]) -> None:
         try:
@@ -284,13 +305,16 @@ class Server:
             return
         connection.closed = True
         if not connection.last_words:
-            self._hear_out(connection)
+            with contextlib.suppress(Exception):
+                self._hear_out(connection)
         self._connections.remove(connection)
-        with contextlib.suppress(KeyError, ValueError):
+        with contextlib.suppress(KeyError, ValueError, OSError):
             self._selector.unregister(connection.lines.socket)
-        connection.lines.close()
+        with contextlib.suppress(OSError):
+            connection.lines.close()
         if connection.reply is not None:
-            connection.reply.gone()
+            with contextlib.suppress(Exception):
+                connection.reply.gone()
 
     def _hear_out(self, connection: _Connection) -> None:
         """Take up what is to end a flight, from whoever said it and went."""

@@ -26,7 +26,7 @@ from .pilot import Pilot
 from .recorder_link import RecorderLink
 from .reload import RigReader
 from .requests import Requests
-from .server import Reply, Server
+from .server import Reply, Server, ServerError
 from .shared import Shared
 from .states import IN_FLIGHT, State
 
@@ -88,6 +88,7 @@ class Supervisor:
         self._clearings: list[_Clearing] = []
         # Signal handlers set these, in the thread that reads them: no lock can be taken there.
         self._stopping = self._reload = False
+        self._failed = ""  # why the daemon has to end though nobody asked it to
         self._reader = RigReader(
             rig_file,
             lambda new, access: self.post(lambda: self._take_over(new, access)),
@@ -129,7 +130,8 @@ class Supervisor:
         """Supervise until stopped; all processes have ended on return, whatever happened.
 
         `ready` is called when requests are answered and the self-test is over. Raises ServerError
-        or MetricsError before any device is touched.
+        or MetricsError before any device is touched, and ServerError in the end where it answers
+        no more.
         """
         self._server.start()
         close_metrics = None
@@ -157,6 +159,8 @@ class Supervisor:
             if close_metrics is not None:
                 close_metrics()
             self._shared.close()
+        if self._failed:
+            raise ServerError(self._failed)
 
     def clear(self, reply: Reply) -> None:
         """Clear the fault at hand; answered when the loop has tried."""
@@ -235,6 +239,10 @@ class Supervisor:
         self.board[Word.BEAT] += 1
         while self._mail:
             self._mail.popleft()()
+        if self._server.dead and not self._stopping:
+            self._failed = "nobody answers at the control socket any more"
+            self._say(f"{self._failed}: landing, then ending")
+            self._stopping = True
         self._watch_loop()
         self._recorder.watch()
         self.pilot.tick()

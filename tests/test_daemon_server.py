@@ -132,6 +132,41 @@ def test_flood_of_requests_does_not_keep_others_waiting(bench: Bench) -> None:
             thread.join()
 
 
+def test_what_goes_wrong_with_one_connection_ends_no_other(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with bench.connect() as patient, bench.connect() as odd:
+        patient.sendall(b'{"op": "wait"}\n')
+        odd.sendall(b'{"op": "wait"}\n')
+        deadline_s = time.monotonic() + _GIVE_UP_S
+        while len(bench.waiting) < 2 and time.monotonic() < deadline_s:
+            time.sleep(0.001)
+        bench.waiting[1].done(said={1, 2})  # JSON has no sets
+        assert odd.recv(1) == b""
+        monkeypatch.setattr("levid.daemon.server.peer_of", lambda _: 1 / 0)
+        with bench.connect() as unknown, contextlib.suppress(ConnectionError):
+            assert unknown.recv(1) == b""
+        monkeypatch.undo()
+        bench.waiting[0].done(said=1)
+        assert json.loads(patient.makefile("rb").readline())["said"] == 1
+    assert works(bench)
+
+
+def test_server_whose_thread_ended_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    server = Server(tmp_path / "test.sock", {}, Access(Service()))
+    assert not server.dead  # it has not begun
+    monkeypatch.setattr(server, "_accept_all", lambda: 1 / 0)
+    server.start()
+    assert not server.dead
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.connect(str(tmp_path / "test.sock"))
+        server._thread.join(_GIVE_UP_S)
+    assert server.dead
+    server._wake_up()  # whoever still posts does not fail
+    server.close()
+
+
 def test_line_without_an_end_is_refused(bench: Bench) -> None:
     with bench.connect() as connection:
         with contextlib.suppress(OSError):

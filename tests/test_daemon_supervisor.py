@@ -19,6 +19,7 @@ from levid.daemon import supervisor as supervisor_module
 from levid.daemon.access import Access
 from levid.daemon.board import Word
 from levid.daemon.faults import Fault
+from levid.daemon.server import ServerError
 from levid.daemon.states import State
 from levid.daemon.supervisor import Supervisor
 
@@ -135,6 +136,24 @@ def test_watchdog_is_fed_while_the_end_is_being_told(
     monkeypatch.setattr(supervisor._notify, "alive", lambda: done.append("alive"))
     supervisor._land_and_end()  # there is no loop: what is left is to tell how it ended
     assert done == ["alive", "tick"] * 3
+
+
+def test_daemon_that_nobody_can_ask_any_more_lands_and_ends_in_an_error(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    monkeypatch.setattr(supervisor, "_say", done.append)
+    monkeypatch.setattr(supervisor, "_start_loop", lambda: None)
+    monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
+    monkeypatch.setattr(supervisor, "_land_and_end", lambda: done.append("landed"))
+    for name in ("watch", "end"):
+        monkeypatch.setattr(supervisor._recorder, name, lambda *_: None)
+    monkeypatch.setattr(supervisor._shared, "close", lambda: None)  # the fixture does
+    monkeypatch.setattr(supervisor._server._selector, "select", lambda *_: 1 / 0)
+    with pytest.raises(ServerError, match="nobody answers at the control socket"):
+        supervisor.run()
+    assert done == ["nobody answers at the control socket any more: landing, then ending", "landed"]
 
 
 class Opening:

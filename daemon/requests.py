@@ -6,6 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 _POLL_S = 0.02
 _READY_S = 60.0
 _TELL_S = 5.0
+_PLANNING_S = 600.0
+"""How long planning may take: many times what the longest session does. What never comes to an end
+is a folder on a mount that is dead."""
 _LEAST_WATCH_S, _MOST_WATCHERS = 0.05, 32
 
 Request = Mapping[str, Any]
@@ -36,17 +40,25 @@ Moment = tuple[int, int, int]
 """How often a landing was asked for, a fault was to be cleared, and the loop was started."""
 
 
+@dataclass
+class _Turn:
+    """From a request's planning to the end of its flight nobody else has a turn."""
+
+    reply: Reply
+    since_s: float | None = None  # it is being planned
+    told_s: float = 0.0
+
+
 class Requests:
     """Handlers for the server: each returns at once; what takes time goes on in another thread."""
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
-        self._busy = threading.Lock()
-        self._plans: queue.Queue[tuple[Planner, Request, Reply, Moment]]
+        self._guard = threading.Lock()  # of whose turn it is, for moments
+        self._turn: _Turn | None = None
+        self._plans: queue.Queue[tuple[Planner, Request, _Turn, Moment]]
         self._plans = queue.Queue(maxsize=1)
         self.watchers: list[Watcher] = []
-        self._planning: Reply | None = None
-        self._told_s = 0.0
 
     @property
     def _rig(self) -> RigConfig:
@@ -73,10 +85,15 @@ class Requests:
     def tick(self, now_s: float, status: Callable[[], dict[str, Any]]) -> None:
         """Tell watchers what is due, and whoever waits for a plan that it takes its time."""
         self.watchers[:] = [w for w in self.watchers if w.tick(now_s, status)]
-        planning = self._planning
-        if planning is not None and now_s - self._told_s > _TELL_S:
-            self._told_s = now_s
-            planning.send({"step": "planning", "share": 0.0})
+        turn = self._turn
+        since_s = turn.since_s if turn is not None else None
+        if turn is None or since_s is None:
+            return
+        if now_s - since_s > _PLANNING_S:
+            self._give_up(turn)
+        elif now_s - turn.told_s > _TELL_S:
+            turn.told_s = now_s
+            turn.reply.send({"step": "planning", "share": 0.0})
 
     def _stop(self, _: Request, reply: Reply) -> None:
         # The word is set before anything else happens: it needs none of the rest of the daemon.
@@ -105,9 +122,30 @@ class Requests:
         if board.fault is not Fault.NONE:
             raise RefusedError(in_fault(board))
         # One at a time, from its planning to its end: a plan begins where the manipulator is.
-        if not self._busy.acquire(blocking=False):
-            raise RefusedError("a session is being flown, or is about to be")
-        self._plans.put_nowait((planner, request, reply, self._moment))
+        turn = _Turn(reply)
+        with self._guard:
+            if self._turn is not None:
+                raise RefusedError("a session is being flown, or is about to be")
+            self._turn = turn
+        self._plans.put_nowait((planner, request, turn, self._moment))
+
+    def _over(self, turn: _Turn | None) -> None:
+        """Let the next one come, unless that has been done."""
+        with self._guard:
+            if self._turn is turn:
+                self._turn = None
+
+    def _give_up(self, turn: _Turn) -> None:
+        """Leave a planning that does not end to itself; another thread plans what comes next."""
+        with self._guard:
+            if self._turn is not turn or turn.since_s is None:
+                return  # it came to its end meanwhile
+            self._turn = None
+        self.start()
+        turn.reply.refuse(
+            f"planning took longer than {_PLANNING_S:g} s and is given up: expected a session that "
+            "this machine can plan, and an 'out' that answers (a mount may be dead)"
+        )
 
     @property
     def _moment(self) -> Moment:
@@ -116,20 +154,23 @@ class Requests:
 
     def _run(self) -> None:
         while True:
-            planner, request, reply, asked = self._plans.get()
+            planner, request, turn, asked = self._plans.get()
+            job, why = None, ""
             try:
-                self._wait_until_ready(reply)
-                self._told_s, self._planning = time.monotonic(), reply
-                try:
-                    job = planner(request, reply)
-                finally:
-                    self._planning = None
+                self._wait_until_ready(turn.reply)
+                turn.since_s = turn.told_s = time.monotonic()
+                job = planner(request, turn.reply)
             except Exception as error:  # noqa: BLE001 - the client is told, the daemon goes on
-                self._busy.release()
-                reply.refuse(str(error) or type(error).__name__)
+                why = str(error) or type(error).__name__
+            with self._guard:
+                turn.since_s = None
+                if self._turn is not turn:
+                    return  # it was given up, and this thread has a successor
+            if job is None:
+                self._over(turn)
+                turn.reply.refuse(why)
             else:
-                begin = partial(self._begin, job, asked)
-                self._supervisor.post(begin)
+                self._supervisor.post(partial(self._begin, job, asked))
 
     def _begin(self, job: Job, asked: Moment) -> None:
         """In the supervisor's thread. Nothing lifts off that nobody waits for any more."""
@@ -177,6 +218,7 @@ class Requests:
                 f"session {session.name}: rate_hz: expected the daemon's {self._rig.rate_hz:g} Hz, "
                 f"found {session.rate_hz:g} Hz"
             )
+        self._require_length(session.name, _least_cycles(session, self._rig.rate_hz))
         plan = plan_session(session, self._rig, *self._supervisor.manipulator)
         folder = _folder(out)
         texts = attachments(self._supervisor.rig_text, text.encode())
@@ -233,17 +275,21 @@ class Requests:
         if gone not in ("go_on", "land"):
             raise RefusedError(f"client_gone: expected go_on or land, found {gone!r}")
         rate_hz = self._rig.rate_hz
-        if plan.cycles > MOST_CYCLES:
-            raise RefusedError(
-                f"{plan.name}: expected at most {MOST_CYCLES / rate_hz:g} s in all at "
-                f"{rate_hz:g} Hz, found {plan.cycles / rate_hz:g} s; fly several sessions"
-            )
+        self._require_length(plan.name, plan.cycles)
         segments: list[tuple[PlannedStep, Any]] = [(s, s.segments()) for s in plan.steps]
         landing = None
         if land is not None:
             landing = round(land.ramp_s * rate_hz), round(land.release_s * rate_hz)
-        over = self._busy.release
+        over = partial(self._over, self._turn)
         return Job(plan, segments, files, reply, over, landing, land_when_gone=gone == "land")
+
+    def _require_length(self, name: str, cycles: int) -> None:
+        rate_hz = self._rig.rate_hz
+        if cycles > MOST_CYCLES:
+            raise RefusedError(
+                f"{name}: expected at most {MOST_CYCLES / rate_hz:g} s in all at "
+                f"{rate_hz:g} Hz, found {cycles / rate_hz:g} s; fly several sessions"
+            )
 
     def _check_rig(self, text: object) -> None:
         """Refuse a session that was written for another rig than this daemon runs."""
@@ -269,6 +315,32 @@ class Watcher:
             self._told_s = now_s
             self._reply.send(status())
         return self._reply.waiting
+
+
+def _least_cycles(session: SessionConfig, rate_hz: float) -> int:
+    """Return what a session's steps say of their lengths, added up; moves come on top.
+
+    To plan a session that is far too long would take hours.
+    """
+
+    def cycles(*parts_s: float | None) -> int:
+        return sum(int((part_s or 0.0) * rate_hz) for part_s in parts_s)
+
+    found = 0
+    for step in session.steps:
+        if step.levitate is not None:
+            found += cycles(step.levitate.unload_s, step.levitate.ramp_s, step.levitate.settle_s)
+        elif step.move is not None:
+            found += cycles(step.move.settle_s)
+        elif step.land is not None:
+            found += cycles(step.land.ramp_s, step.land.release_s)
+        elif step.record is not None:
+            record, inputs = step.record, len(step.record.excite)
+            found += cycles(record.settle_s, record.duration_s) + inputs * cycles(record.each_s)
+            if record.orthogonal is not None:
+                periods = record.orthogonal.realisations * inputs * record.orthogonal.periods
+                found += periods * cycles(session.excitations[record.excite[0]].period_s)
+    return found
 
 
 def _folder(out: str) -> Path:

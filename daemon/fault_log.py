@@ -40,6 +40,7 @@ class FaultLog:
         self._keep, self._attachments, self._told = config.keep_faults, attachments, told
         self._fault = Fault.NONE
         self._due: tuple[Fault, int, float] | None = None
+        self._written: list[Path] = []
         self.epoch_ns = 0
 
     def resume(self, seen: int, up_to: int) -> None:
@@ -82,7 +83,8 @@ class FaultLog:
         """Write the last seconds before row `end`, or before the newest, as those of `fault`."""
         first = (self._ring.head if end is None else end) - self._before - self._after
         found = self._ring.copy(max(first, 0), self._before + self._after)
-        if not len(found.rows):
+        if not len(found.rows):  # whoever asked for it waits to hear of it
+            self._told(fault, "", "there were no rows before it")
             return
         times = self.epoch_ns + np.rint(found.rows["cycle"] * (1e9 / self._rate_hz)).astype(
             np.uint64
@@ -115,7 +117,10 @@ class FaultLog:
 
     def _prune(self, written: Path) -> None:
         # The time of day stands first in the names: their order is that of the faults, but where
-        # the clock is behind. What has just been written is not the oldest, whatever it says.
-        others = [path for path in sorted(self._folder.glob("fault-*.mcap")) if path != written]
-        for path in others[: max(len(others) + 1 - self._keep, 0)]:
+        # the clock is behind. What this process wrote is newer than all else, whatever it says.
+        self._written.append(written)
+        found = set(self._folder.glob("fault-*.mcap"))
+        self._written = [path for path in self._written if path in found]
+        before = sorted(found - set(self._written))
+        for path in [*before, *self._written][: max(len(found) - self._keep, 0)]:
             path.unlink(missing_ok=True)

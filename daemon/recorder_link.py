@@ -73,6 +73,8 @@ class RecorderLink:
         self._logs.clear()
         self.files.clear()
         self.failed.clear()
+        # What could not be told of an earlier fault by now would be a recording of this flight.
+        self._untold = ""
         self._send({"forget": self._tags})
 
     def fault(self, fault: Fault) -> None:

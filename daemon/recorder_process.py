@@ -51,6 +51,7 @@ class RecorderProcess:
         self._fault_logs: dict[Path, str] = {}  # the last one, and its fault
         self._ending = False
         self._closed = NO_LOG  # tag of the last log that the supervisor has forgotten
+        self._failed = NO_LOG  # tag of the last log that the scribe failed with
         rotation = Rotation(
             int(rig.recording.rotate_mb * 1e6), int(rig.recording.rotate_s * rig.rate_hz)
         )
@@ -117,7 +118,7 @@ class RecorderProcess:
                     {"event": "fault", "fault": self._fault_logs[path], "path": "", "why": why}
                 )
             else:
-                self._tell(Event.FAILED, self._tags.get(path, self._scribe.tag), path, why)
+                self._tell_log(Event.FAILED, self._tags.get(path, self._scribe.tag), path, why)
 
     def _hear(self, wait_s: float) -> None:
         """Do what the supervisor says; wait for it for `wait_s` at most."""
@@ -161,13 +162,24 @@ class RecorderProcess:
         give_up_s = time.monotonic() + _UNKNOWN_S
         while tag not in self._logs and time.monotonic() < give_up_s:
             self._hear(_POLL_S)
+        if self._failed <= self._closed < tag:
+            # The last rows of a flight that is over may fail after it was forgotten.
+            self._scribe.forget_errors()
         return self._logs.get(tag)
 
     def _tell(self, event: Event, tag: int, path: Path, why: str) -> None:
         if event is Event.OPENED:
             self._tags[path] = tag
+            if tag in self._logs:  # should its rows come again after others, they go on in the next
+                log = self._logs[tag]
+                self._logs[tag] = replace(log, part=log.part + 1)
         elif event is Event.CLOSED:
             self._syncer.whole(path)
+        elif event is Event.FAILED:
+            self._failed = tag
+        self._tell_log(event, tag, path, why)
+
+    def _tell_log(self, event: Event, tag: int, path: Path, why: str) -> None:
         self._say({"event": event, "log": tag, "path": str(path), "why": why})
 
     def _tell_fault(self, fault: Fault, path: str, why: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,69 @@ def test_flight_that_was_closed_before_the_new_recorder_began_is_written(tmp_pat
         tell({"forget": 2}, {"forget": 2})
         assert not recorder._logs  # nothing is kept for ever
     shared.close()
+
+
+class Recording:
+    """A recorder in this process, and the supervisor's end of its conversation."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.shared = folder, Shared(load_rig(shipped("rigs/loopback.yaml")))
+        rig = load_rig(shipped("rigs/loopback.yaml"))
+        self.ours, theirs = socket.socketpair()
+        self.recorder = RecorderProcess(rig, self.shared, theirs, folder / "faults")
+
+    def tell(self, *messages: dict[str, object]) -> None:
+        self.ours.sendall(b"".join(json.dumps(m).encode() + b"\n" for m in messages))
+        self.recorder._hear(1.0)
+
+    def define(self, tag: int) -> None:
+        path = str(self.folder / f"{tag}.mcap")
+        file = {"path": path, "metadata": METADATA, "part": 1, "again": False}
+        self.tell({"log": tag, **file})
+
+    def write(self, *tags: int) -> None:
+        ring = self.shared.ring
+        ring.tags[ring.head : ring.head + len(tags)] = tags
+        ring.head += len(tags)
+        while len(self.recorder._scribe.work().rows):
+            pass
+
+    def close(self) -> None:
+        self.ours.close()
+        self.recorder._lines.close()
+        self.shared.close()
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Iterator[Recording]:
+    made = Recording(tmp_path)
+    yield made
+    made.close()
+
+
+def test_log_that_is_gone_on_with_after_others_has_another_part(recording: Recording) -> None:
+    recording.define(1)
+    recording.write(1, 1, 1)
+    recording.tell({"fault": "LOOP"})  # it ends the log at hand
+    recording.write(1, 1, 0, 1)
+    recording.recorder._scribe.finish()
+    assert recording.recorder._scribe.error is None
+    names = ("1.mcap", "1.2.mcap", "1.3.mcap")
+    assert [len(read_log(recording.folder / name).rows) for name in names] == [3, 2, 1]
+
+
+def test_late_failure_of_a_flight_that_is_over_stops_no_other(recording: Recording) -> None:
+    (recording.folder / "1.mcap").touch()  # no log is written over
+    (recording.folder / "3.mcap").touch()
+    recording.define(1)
+    recording.tell({"forget": 1})
+    for tag in (2, 3, 4):
+        recording.define(tag)
+    recording.write(1, 1, 2, 2, 3, 3, 4)  # the last rows of the first flight come after all
+    recording.recorder._scribe.finish()
+    assert len(read_log(recording.folder / "2.mcap").rows) == 2
+    assert recording.recorder._scribe.dropped == 5
+    assert not (recording.folder / "4.mcap").exists()  # but a flight's own failure ends its logs
 
 
 def test_log_that_nobody_knows_is_told_and_keeps_no_other_from_being_written(

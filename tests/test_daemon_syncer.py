@@ -71,13 +71,27 @@ def test_a_clock_that_is_behind_costs_no_flight_recording(tmp_path: Path) -> Non
     )  # fmt: skip
     ring.rows["cycle"][:2000] = np.arange(2000)
     ring.head = 2000
-    log.write(Fault.LINK)
-    ((_, path, error),) = told
-    assert not error
-    assert path.exists()
+    for years in (1, 0, 2):  # it is set back again, and on
+        log.epoch_ns = years * 10**16
+        log.write(Fault.LINK)
+    assert not any(error for _, _, error in told)
+    assert all(path.exists() for _, path, _ in told)
     kept = sorted(p.name for p in tmp_path.iterdir())
     assert len(kept) == 5
-    assert not any("T000000" in name for name in kept)  # the oldest went
+    assert [name for name in kept if "GAP" in name] == [  # the oldest went
+        "fault-20300101T000003.000Z-GAP.mcap", "fault-20300101T000004.000Z-GAP.mcap"
+    ]  # fmt: skip
+    for _ in range(4):
+        log.write(Fault.LINK)
+    assert [path.exists() for _, path, _ in told] == [False] * 2 + [True] * 5
+
+
+def test_a_fault_before_the_first_row_is_told_too(tmp_path: Path) -> None:
+    told: list[object] = []
+    log = FaultLog(Ring(DTYPE, 4000), 1e3, tmp_path, Recording(), {}, lambda *of: told.append(of))
+    log.write(Fault.LOOP)
+    assert told == [(Fault.LOOP, "", "there were no rows before it")]
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_recorder_that_follows_a_dead_one_writes_what_was_asked_of_that(
@@ -91,6 +105,12 @@ def test_a_recorder_that_follows_a_dead_one_writes_what_was_asked_of_that(
     link.fault(Fault.LOOP)
     link._start(0.0)
     assert sent == [{"fault": "LOOP"}] * 2
+    link.forget()  # a flight has begun since: it is no part of that fault
+    link._start(0.0)
+    assert sent[2:] == [{"forget": 0}]
+    del sent[2:]
+    link.fault(Fault.LOOP)
+    del sent[2:]
     link._take({"event": "fault", "fault": "LOOP", "path": str(tmp_path / "a.mcap"), "why": ""})
     link._start(1.0)
     assert len(sent) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..config.rig import RigConfig
 from ..config.service import Recording
 from ..log.writer import LogWriter
 from .faults import Fault
@@ -124,3 +126,14 @@ class FaultLog:
         before = sorted(found - set(self._written))
         for path in [*before, *self._written][: max(len(found) - self._keep, 0)]:
             path.unlink(missing_ok=True)
+
+
+def fault_folder(rig: RigConfig, folder: Path) -> Path:
+    """Return where flight recordings go: as the rig says, else among this user's or service's."""
+    if rig.recording.faults is not None:
+        return folder / rig.recording.faults
+    state = os.environ.get("STATE_DIRECTORY")
+    if state:
+        return Path(state.split(":", maxsplit=1)[0]) / "faults"
+    home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
+    return Path(home) / "levid" / "faults"

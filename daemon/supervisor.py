@@ -7,7 +7,6 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,9 @@ from .access import Access
 from .board import Word
 from .burdens import Burdens
 from .children import Child, module_of
+from .clearings import OPENING_S, Clearings
 from .clock_watch import ClockWatch
+from .fault_log import fault_folder
 from .faults import Fault
 from .metrics import serve_metrics
 from .notify import Notify
@@ -33,8 +34,6 @@ from .states import IN_FLIGHT, State
 _TICK_S = 0.01
 _RELOADED = ("allow_users", "allow_groups", "client_gone")
 """Keys of `service` that may change while the daemon runs."""
-_OPENING_S = 120.0
-"""How long devices may take to open, compare limits and home."""
 _STOP_S = 0.25
 """How long a loop that runs may take to see that it is to stop; it takes one cycle."""
 _STOPPING_S = 2.0
@@ -42,16 +41,6 @@ _KILLED_S = 0.5
 """How long a killed loop is waited for: nothing flies any more."""
 _LANDING_S = 10.0
 _RECORDER_S = 30.0
-
-
-@dataclass
-class _Clearing:
-    """Somebody waits for a fault to be cleared."""
-
-    reply: Reply
-    fault: Fault
-    number: int
-    give_up_s: float
 
 
 class Supervisor:
@@ -85,7 +74,7 @@ class Supervisor:
         self._requests = Requests(self)
         self._server = Server(socket_path, self._requests.handlers, Access(rig.service))
         self._mail: deque[Callable[[], None]] = deque()
-        self._clearings: list[_Clearing] = []
+        self._clearings = Clearings(self.board)
         # Signal handlers set these, in the thread that reads them: no lock can be taken there.
         self._stopping = self._reload = False
         self._failed = ""  # why the daemon has to end though nobody asked it to
@@ -182,8 +171,7 @@ class Supervisor:
                 return
         else:
             board[Word.CLEAR] += 1
-        give_up_s = time.monotonic() + _OPENING_S
-        self._clearings.append(_Clearing(reply, fault, board[Word.CLEAR], give_up_s))
+        self._clearings.add(reply, fault)
 
     def status(self) -> dict[str, Any]:
         """Return what the daemon is doing."""
@@ -246,7 +234,7 @@ class Supervisor:
         self._watch_loop()
         self._recorder.watch()
         self.pilot.tick()
-        self._answer_clearings()
+        self._clearings.answer()
         self._say_faults()
         if step_s := self._clock.look():
             self._say(f"the clock was set by {step_s:+.1f} s; times in logs go on as before")
@@ -284,8 +272,8 @@ class Supervisor:
         if board[Word.BUSY]:
             if board[Word.ZERO]:
                 self._loop.terminate()  # it may be homing, and sees nothing else
-            if now_s - self._busy_s > _OPENING_S:
-                self._end_loop(f"its devices did not open within {_OPENING_S:g} s")
+            if now_s - self._busy_s > OPENING_S:
+                self._end_loop(f"its devices did not open within {OPENING_S:g} s")
             return
         self._busy_s = now_s
         if now_s - self._loop_beat_s > self.rig.service.loop_s:
@@ -320,25 +308,6 @@ class Supervisor:
         board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
         self.pilot.abort(Fault.LOOP, why)
         self._recorder.fault(Fault.LOOP)
-
-    def _answer_clearings(self) -> None:
-        board = self.board
-        for clearing in list(self._clearings):
-            testing = board.state in (State.OFF, State.SELF_TEST)
-            trying = board[Word.CLEARED] < clearing.number or testing
-            in_time = time.monotonic() < clearing.give_up_s
-            if trying and in_time and board.fault is not Fault.LOOP:
-                continue
-            self._clearings.remove(clearing)
-            if board.fault is not Fault.NONE:
-                clearing.reply.refuse(f"the fault {board.fault.name} stays: {board.detail}")
-            elif trying:
-                clearing.reply.refuse(
-                    f"after {_OPENING_S:g} s devices are still being opened or tested: "
-                    "'levid status' says when it is done"
-                )
-            else:
-                clearing.reply.done(cleared=clearing.fault.name)
 
     def _say_faults(self) -> None:
         fault = self.board.fault
@@ -388,17 +357,6 @@ class Supervisor:
             self._recorder.watch()
             self.pilot.tick()
             time.sleep(_TICK_S)
-
-
-def fault_folder(rig: RigConfig, folder: Path) -> Path:
-    """Return where flight recordings go: as the rig says, else among this user's or service's."""
-    if rig.recording.faults is not None:
-        return folder / rig.recording.faults
-    state = os.environ.get("STATE_DIRECTORY")
-    if state:
-        return Path(state.split(":", maxsplit=1)[0]) / "faults"
-    home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
-    return Path(home) / "levid" / "faults"
 
 
 def _number(value: float) -> float | None:

@@ -23,7 +23,8 @@ from levid.drivers.base import Backend, Devices, FirstError, LinkError, StaleErr
 def test_clear_does_not_take_back_a_stop_that_nobody_has_looked_at() -> None:
     flight = ScriptedLoop()
     supervisor = SimpleNamespace(
-        board=flight.board, _stop_s=None, _clearings=[], _loop=SimpleNamespace(running=True),
+        board=flight.board, _stop_s=None, _loop=SimpleNamespace(running=True),
+        _clearings=SimpleNamespace(add=lambda *_: None),
         pilot=SimpleNamespace(note_fault=lambda: None),
     )  # fmt: skip
 

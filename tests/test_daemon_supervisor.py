@@ -110,10 +110,10 @@ def test_clear_whose_time_is_over_before_the_self_test_is_not_done(
     board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
     supervisor.clear(reply)  # type: ignore[arg-type]
     board[Word.STATE] = state
-    supervisor._answer_clearings()
+    supervisor._clearings.answer()
     assert reply.answers == []
     now_s += 121.0  # devices may take 120 s
-    supervisor._answer_clearings()
+    supervisor._clearings.answer()
     assert len(reply.answers) == 1
     assert "still being opened or tested" in reply.answers[0]
 

@@ -19,7 +19,7 @@ _QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999", "max": "1"}
 _COUNTERS = {
     "cycle": ("levid_cycles", "periods since the start"),
     "stale": ("levid_stale_cycles", "cycles with a reading that came too late"),
-    "lost": ("levid_lost_rows", "rows that should be in a log and are not"),
+    "lost": ("levid_lost_rows", "rows written over untaken, or missing in their log"),
     "recorder_restarts": ("levid_recorder_restarts", "recorders that died"),
     "clients_gone": ("levid_clients_gone", "clients that hung up during what they had asked for"),
     "flooded_s": ("levid_flooded_seconds", "time with too many requests at the control socket"),

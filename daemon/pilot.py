@@ -80,6 +80,7 @@ class Pilot:
         say: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._rig, self._recorder, self._say = rig, recorder, say
+        self._shared = shared
         self._board, self._ring, self._program = shared.board, shared.ring, shared.program
         self._feeder: Feeder | None = None
         self._plans = 0
@@ -117,7 +118,7 @@ class Pilot:
         self._plans += 1
         job.number = self._plans
         job.begun = board[Word.CYCLE]
-        job.misses = board[Word.LATE], self._lost
+        job.misses = board[Word.LATE], self._shared.lost
         board[Word.LAND_LOG] = tag  # the last step's: that is the landing, if there is one
         if job.landing is not None:
             board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
@@ -196,10 +197,6 @@ class Pilot:
         flown = self._board[Word.CYCLE] - job.begun
         return min(max(flown / max(job.plan.cycles, 1), 0.0), 1.0)
 
-    @property
-    def _lost(self) -> int:
-        return self._ring.lost + self._board[Word.DROPPED]
-
     def _check_coils(self, job: Job, feeder: Feeder) -> None:
         """Judge a check of coils once it is flown; meanwhile the platform settles.
 
@@ -261,7 +258,7 @@ class Pilot:
             tuple(records),
             board[Word.CYCLE] - job.begun,
             board[Word.LATE] - job.misses[0],
-            self._lost - job.misses[1],
+            self._shared.lost - job.misses[1],
             board[Word.PLAN_CUT] >= job.number,
         )
 

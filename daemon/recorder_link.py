@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from .awake import Awake
 from .board import Board, Word
 from .children import Child, module_of
 from .faults import Fault
@@ -46,7 +47,8 @@ class RecorderLink:
         self._untold = ""  # the fault that a flight recording was asked for, until there is one
         self.restarts = -1
         self._pause_s, self._again_s = _FIRST_PAUSE_S, 0.0
-        self._beat, self._beat_s = 0, time.monotonic()
+        self._awake, self._beat, self._beat_s = Awake(), 0, 0.0
+        self._hangs = False  # and was killed, but the kernel does not let go of it
 
     @property
     def pid(self) -> int | None:
@@ -58,6 +60,10 @@ class RecorderLink:
         """Why nothing is being recorded, in words; empty where all is well."""
         if not self._child.running:
             return f"the recorder is gone ({self._child.end}) and will be started anew"
+        if self._hangs:
+            return (
+                "the recorder hangs, and so does its disk perhaps: it is started anew once it ends"
+            )
         return next(reversed(self.failed.values()), "")
 
     def define(self, file: LogFile) -> int:
@@ -85,7 +91,7 @@ class RecorderLink:
     def watch(self) -> None:
         """Hear what it has to say; start it, or start it anew, where it is not there."""
         self.hear()
-        now_s = time.monotonic()
+        now_s = self._awake.look(time.monotonic())
         if not self._child.running:
             if now_s >= self._again_s:
                 self._start(now_s)
@@ -94,10 +100,11 @@ class RecorderLink:
         if beat != self._beat:
             self._beat, self._beat_s = beat, now_s
             self._pause_s = _FIRST_PAUSE_S
+            self._hangs = False
         elif now_s - self._beat_s > _HUNG_S:
             self._say(f"the recorder hangs for {_HUNG_S:g} s: it is killed")
             self._child.kill(0.0)  # its end is noticed as any is; nothing waits for a disk here
-            self._beat_s = now_s
+            self._beat_s, self._hangs = now_s, True
 
     def end(self, patience_s: float) -> None:
         """Let it write what is left and end."""
@@ -132,6 +139,7 @@ class RecorderLink:
             self._say(f"the recorder cannot be started: {error}")
             return
         self._beat_s = now_s + _HUNG_S  # it takes its time to begin
+        self._hangs = False
         self._head = None
         for tag, file in self._logs.items():
             # A part that was begun is never written over.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..log.signals import cycle_dtype
-from .board import Board
+from .board import Board, Word
 from .control import memory_shape
 from .program import Program
 from .ring import Ring, ring_rows
@@ -57,6 +57,15 @@ class Shared:
         )
         self.control = words.reshape(control)
         """What a controller remembers: a loop that follows a dead one finds the coils as hot."""
+
+    @property
+    def lost(self) -> int:
+        """Rows written over before the recorder took them, and rows missing in their log.
+
+        What a recorder that hangs is too slow for counts at once, not when it looks again.
+        """
+        unseen = max(self.ring.waiting - self.ring.capacity + 1, 0)
+        return self.ring.lost + unseen + self.board[Word.DROPPED]
 
     def close(self) -> None:
         """Let go of the descriptor; the mapping goes with the process."""

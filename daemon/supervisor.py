@@ -14,6 +14,7 @@ from ..config.rig import RigConfig
 from ..drivers.base import Context
 from ..drivers.registry import check_backends
 from .access import Access
+from .awake import Awake
 from .board import Word
 from .burdens import Burdens
 from .children import Child, module_of
@@ -83,6 +84,7 @@ class Supervisor:
             lambda new, access: self.post(lambda: self._take_over(new, access)),
             lambda why: self.post(lambda: self._say(f"RIG.yaml is not taken over: {why}")),
         )
+        self._awake = Awake()
         self._loop_beat, self._loop_beat_s, self._busy_s = -1, 0.0, 0.0
         self._stop_s: float | None = None
         self._told = Fault.NONE
@@ -175,9 +177,9 @@ class Supervisor:
 
     def status(self) -> dict[str, Any]:
         """Return what the daemon is doing."""
-        board, pilot, ring = self.board, self.pilot, self._shared.ring
+        board, pilot = self.board, self.pilot
         job = pilot.job  # may end while this is put together
-        rows = ring.last(1).rows
+        rows = self._shared.ring.last(1).rows
         pose = {
             name: _number(rows[name][0]) if len(rows) else None
             for name in ("psi_rad", "theta_rad", "z_m", "beam_m", "rotor_rad")
@@ -189,7 +191,7 @@ class Supervisor:
             "cycle": board[Word.CYCLE],
             "late": board[Word.LATE],
             "stale": board[Word.STALE],
-            "lost": ring.lost + board[Word.DROPPED],
+            "lost": self._shared.lost,
             "fault": board.fault.name,
             "detail": board.detail,
             "fault_log": self._recorder.last_fault_log,
@@ -248,13 +250,14 @@ class Supervisor:
         board = self.board
         board[Word.STATE] = State.OFF
         board[Word.BUSY] = 1
-        self._busy_s = time.monotonic()
+        self._busy_s = self._awake.look(time.monotonic())
         fd = self._shared.fd
         self._loop.start((fd, os.getpid(), self._folder), (fd,))
 
     def _watch_loop(self) -> None:
         """Notice a loop that died, hangs, or does not stop when told to."""
-        board, now_s = self.board, time.monotonic()
+        # A machine that stood still did so for the loop too: that is no silence.
+        board, now_s = self.board, self._awake.look(time.monotonic())
         if not self._loop.running:
             asked_to = self.stopping and board.state is State.OFF
             if board.fault is not Fault.LOOP and not asked_to:
@@ -279,7 +282,7 @@ class Supervisor:
         if now_s - self._loop_beat_s > self.rig.service.loop_s:
             self._end_loop(f"it did not advance for {now_s - self._loop_beat_s:.1f} s")
         elif board[Word.ZERO] and board.fault is Fault.NONE:
-            self._stop_s = self._stop_s or now_s
+            self._stop_s = now_s if self._stop_s is None else self._stop_s
             if now_s - self._stop_s > _STOP_S:
                 self._end_loop("it did not stop when told to")
         else:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -74,6 +75,24 @@ def test_stop_while_devices_are_being_opened_ends_their_loop(
     supervisor._watch_loop()
     assert board.fault is Fault.LOOP
     assert "stopped while its devices were being opened; exit code 143" in board.detail
+
+
+def test_machine_that_stood_still_has_not_lost_its_loop(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, ended = 1000.0, []
+    monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(supervisor, "_loop", SimpleNamespace(running=True))
+    monkeypatch.setattr(supervisor, "_end_loop", ended.append)
+    supervisor._watch_loop()
+    for _ in range(100):  # it was paused for a minute each time: what hangs is given 30 s
+        now_s += 60.0
+        supervisor._watch_loop()
+    assert not ended
+    for _ in range(4000):
+        now_s += 0.01
+        supervisor._watch_loop()
+    assert "it did not advance for 30.0 s" in ended[0]
 
 
 def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(

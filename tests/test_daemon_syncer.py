@@ -9,11 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from levid.config.rig import load_rig
 from levid.config.service import Recording
+from levid.config.shipped import shipped
+from levid.daemon.board import Word
 from levid.daemon.fault_log import FaultLog
 from levid.daemon.faults import Fault
 from levid.daemon.recorder_link import RecorderLink
 from levid.daemon.ring import Ring
+from levid.daemon.shared import Shared
 from levid.daemon.syncer import Syncer
 from levid.log.signals import cycle_dtype
 from levid.log.writer import LogWriter
@@ -114,3 +118,38 @@ def test_a_recorder_that_follows_a_dead_one_writes_what_was_asked_of_that(
     link._take({"event": "fault", "fault": "LOOP", "path": str(tmp_path / "a.mcap"), "why": ""})
     link._start(1.0)
     assert len(sent) == 2
+
+
+def test_recorder_that_waits_for_a_disk_in_the_kernel_records_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    now_s, board = 1000.0, {Word.RECORDER_BEAT: 0}
+    link = RecorderLink(b"{}", -1, board, tmp_path, said.append)  # type: ignore[arg-type]
+    child = SimpleNamespace(running=True, kill=lambda _: None, end="it runs")  # it is in no hurry
+    monkeypatch.setattr(link, "_child", child)
+    monkeypatch.setattr("levid.daemon.recorder_link.time.monotonic", lambda: now_s)
+    link.watch()
+    now_s += 60.0
+    link.watch()  # the machine stood still
+    assert not said
+    for _ in range(1010):
+        now_s += 0.01
+        link.watch()
+    assert said == ["the recorder hangs for 10 s: it is killed"]
+    assert "hangs" in link.problem
+    board[Word.RECORDER_BEAT] += 1  # its disk answers
+    link.watch()
+    assert not link.problem
+
+
+def test_rows_that_a_hung_recorder_has_lost_count_at_once() -> None:
+    shared = Shared(load_rig(shipped("rigs/loopback.yaml")))
+    ring = shared.ring
+    shared.board[Word.DROPPED] = 5
+    for waiting, lost in ((0, 0), (ring.capacity - 1, 0), (ring.capacity + 9, 10)):
+        ring.head = waiting
+        assert shared.lost == 5 + lost
+    ring.take(1)
+    assert (shared.lost, ring.lost) == (15, 10)
+    shared.close()

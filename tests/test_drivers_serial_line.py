@@ -124,6 +124,21 @@ def test_port_over_tcp_sends_at_once() -> None:
         line.close()
 
 
+def test_two_loops_do_not_fly_on_one_device_over_tcp() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        bus = SerialBus(port=f"socket://127.0.0.1:{server.getsockname()[1]}", baud=115_200)
+        first, second = SerialLine("main", bus), SerialLine("main", bus)
+        first.open()
+        with pytest.raises(LinkError, match="another loop"):
+            second.open()
+        first.open()  # anew, as after a fault
+        with pytest.raises(LinkError, match="another loop"):
+            second.open()
+        first.close()
+        second.open()
+        second.close()
+
+
 def test_port_that_is_lost_is_closed_after_the_cycle() -> None:
     """pyserial sleeps 0.3 s as it closes one over TCP; other ports still wait for zero force."""
     took_s = []

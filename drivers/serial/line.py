@@ -11,6 +11,7 @@ from typing import Any
 
 from ...config.buses import SerialBus
 from ..base import LinkError
+from ..claim import Claim
 
 _CHUNK = 4096
 _WRITE_S = 0.1
@@ -29,12 +30,21 @@ class SerialLine:
         self._aside: list[Any] = []  # lost, and not closed yet
         self._fd = -1
         self._waiting = [-1]
+        # A port of this machine the kernel opens for one alone; loop:// is of this process.
+        shared = "://" in bus.port and not bus.port.startswith("loop:")
+        self._claim = Claim(f"serial {bus.place}") if shared else None
 
     def open(self) -> None:
-        """Open the port, anew if it was open; raises LinkError."""
+        """Open the port, anew if it was open; raises LinkError, where another loop has it too."""
         import serial
 
-        self.close()
+        self._let_go()
+        try:
+            free = self._claim is None or self._claim.take()
+        except OSError as error:
+            raise LinkError(f"{self._what}: cannot be claimed: {error}") from None
+        if not free:
+            raise LinkError(f"{self._what}: another loop on this machine flies on it")
         # rfc2217:// knows no time to write within.
         apart = self._bus.port.startswith("rfc2217:")
         times: dict[str, Any] = (
@@ -66,6 +76,11 @@ class SerialLine:
 
     def close(self) -> None:
         """Let go of the port; safe to call twice."""
+        self._let_go()
+        if self._claim is not None:
+            self._claim.release()
+
+    def _let_go(self) -> None:
         self._set_aside()
         while self._aside:
             with contextlib.suppress(Exception):

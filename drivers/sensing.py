@@ -36,6 +36,9 @@ class SensorWatch:
         self._repeats = np.zeros(len(x), np.int64)
         self._off_before = np.zeros(len(x))
         self._told = False
+        # Compiled here, not in a cycle: no reading yet is one that repeats nothing.
+        repeats, off_before = self._repeats.copy(), self._off_before.copy()
+        _judge(np.zeros(len(x)), self._last.copy(), repeats, off_before, self._off_plane, range_m)
 
     def judge(self, gap_m: Array, state: int = SensorState.OK) -> None:
         """Look at a fresh reading (S,) in m; nan becomes the last one, so that the loop can go on.

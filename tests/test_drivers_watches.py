@@ -6,14 +6,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numba import typeof
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control import Controller
 from levid.daemon.warm_up import locate
+from levid.drivers import sensing
 from levid.drivers.base import AmplifierError, DriveError, SensorError, StaleError
 from levid.drivers.enabling import AmplifierWatch, worst_state
 from levid.drivers.sensing import SensorWatch
+from levid.wire import can_frames, cobs, serial_frames, values
 from levid.wire.device import AmplifierState, Parameter, Request, SensorState, declared
 
 RIG = load_rig(shipped("rigs/loopback.yaml"))
@@ -92,3 +95,40 @@ def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(
     monkeypatch.setattr("levid.daemon.warm_up._PATIENCE_S", 0.01)
     with pytest.raises(DriveError, match="did not come"):
         locate(controller, devices, RIG, 7)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("bus", ["can", "serial"])
+def test_nothing_is_compiled_in_the_first_cycle(monkeypatch: pytest.MonkeyPatch, bus: str) -> None:
+    """That takes seconds where no cache holds it."""
+    called: set[object] = set()
+
+    def note(module: object, name: str) -> None:
+        function = getattr(module, name)
+
+        def noting(*arguments: object) -> object:
+            called.add((name, *map(typeof, arguments)))
+            return function(*arguments)
+
+        monkeypatch.setattr(module, name, noting)
+
+    modules = {can_frames: ("_pack", "_unpack"), cobs: ("_encode", "_decode")}
+    modules |= {values: ("_quantise", "_scale"), sensing: ("_judge",)}
+    for module, names in modules.items():
+        for name in names:
+            note(module, name)
+    coils, gaps = np.zeros(9), np.zeros(9)
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    if bus == "can":
+        frames = can_frames.load_frames(None, 9, 9, True)
+        before = called.copy()
+        frames.setpoint.encode(coils, 12, 3)
+        frames.gap.finish(gaps)
+    else:
+        port = serial_frames.SerialFrames(serial_frames.Contents(9, 9, True))
+        before = called.copy()
+        port.accept(port.cycle(12, coils, np.zeros(3), np.zeros(3))[:-1])
+        port.amplifier_readings(coils)
+        port.sensor_readings(gaps)
+    watch.judge(gaps)
+    assert len(before) == (3 if bus == "can" else 5)
+    assert called == before

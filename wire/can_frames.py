@@ -66,6 +66,9 @@ class ValueFrames:
         }
         self._missing = set(self.ids)
         self._cycle = 0
+        values = np.zeros(channels)  # compiled here, not in a cycle
+        self.encode(values, 0, 0)
+        self.finish(values)
 
     @property
     def states(self) -> tuple[int, ...]:

@@ -104,6 +104,7 @@ class SerialFrames:
         self._stuffed = np.zeros(cobs.encoded_length(longest), np.uint8)
         self.longest = contents.on_wire(max(self._lengths.values()))
         """The longest frame in bytes on the wire, the final zero included."""
+        self._compile()
 
     def cycle(self, sequence: int, coil_n: Array, beam: Array, rotor: Array) -> bytes:
         """Return the CYCLE frame: forces (C,) in N, beam and rotor (3,) in m, rad and per s, s^2.
@@ -234,6 +235,18 @@ class SerialFrames:
         """Return index and value of the ANSWER frame accepted last."""
         index, value = _ANSWER.unpack_from(self._received.bytes, _HEADER.size)
         return index, value
+
+    def _compile(self) -> None:
+        """Call what a cycle calls, so that nothing is compiled there."""
+        coil_n, gap_m, axes = (
+            np.zeros(self.contents.coils), np.zeros(self.contents.sensors), np.zeros((3, 3)),
+        )  # fmt: skip
+        self.accept(self.cycle(0, coil_n, axes[0], axes[1])[:-1])
+        if self.contents.coils:
+            self.setpoints(coil_n)
+            self.amplifier_readings(coil_n)
+        if self.contents.sensors:
+            self.sensor_readings(gap_m)
 
     def _frame(self, kind: Kind, sequence: int) -> bytes:
         buffer = self._sent

@@ -42,6 +42,8 @@ _TESTS = 10
 """How often the self-test is tried before it has failed."""
 _MOST_AT_ONCE = 8
 """Periods that one look at the supervisor's sign of life counts."""
+_AROUND_CLEAR = 2
+"""Cycles that do not count as late or long: one in which a clear was seen to, and the next."""
 _FLYING = np.ones((1, 3))
 _FOREVER = 1 << 62
 # Indexing by an IntEnum costs a call; by a plain integer it does not.
@@ -81,6 +83,8 @@ class TimedLoop:
         self._words, self._recover, self._parent = shared.board.words, recover, parent
         self._counts, self._before = shared.timing.counts, memory_of(1e9 / rig.rate_hz)
         self._lateness = Lateness(rig.limits, rig.rate_hz)
+        # A loop that follows a dead one counts on.
+        self._lateness.late, self._stale_before = shared.board[Word.LATE], shared.board[Word.STALE]
         self._landing = Landing(controller, rig.limits, self._period_s)
         self._test_cycles = max(round(rig.self_test.duration_s * rig.rate_hz), 2)
         self._most_silent = max(round(rig.service.supervisor_s * rig.rate_hz), 2)
@@ -98,7 +102,7 @@ class TimedLoop:
         self._tag = NO_LOG
         self._tagged_left = _FOREVER
         self._k = self._left = self._tries = 0
-        self._position = 0
+        self._position = self._uncounted = 0
         self._announced: Announced | None = None
         self._advance = self._stand
 
@@ -127,8 +131,7 @@ class TimedLoop:
         stales = rows["stale"]
         tags, words, clock, period_s = ring.tags, self._words, self._clock, self._period_s
         wait, now, look, late = clock.wait, time.perf_counter_ns, self._look, self._lateness
-        counts, before = self._counts, self._before
-        head = ring.head
+        counts, before, head = self._counts, self._before, ring.head
         while not self._ended:
             late_s = wait()
             begin = now()
@@ -136,8 +139,11 @@ class TimedLoop:
             cycle = self.cycle = self.cycle + 1 + skipped
             words[_CYCLE] = cycle
             look(1 + skipped)
+            uncounted = self._uncounted and self._count_down()
+            if uncounted == _AROUND_CLEAR:  # it took as long as homing does
+                begin = now()
             if not cycle & _COUNT_EVERY:
-                words[_STALE], words[_LATE] = devices.stale, late.late
+                words[_STALE], words[_LATE] = self._stale_before + devices.stale, late.late
             k = self._advance()
             for sync in syncs:
                 sync(cycle)
@@ -147,10 +153,8 @@ class TimedLoop:
             read = now()
             slot = head % capacity
             fault = step(rows, slot, cycle, cycle * period_s, k)
-            if late.too_much(skipped) and not fault and control.engaged:
-                fault = int(Fault.LATE)
-                control.halt()
-                rows["fault"][slot] = fault
+            if not uncounted and late.too_much(skipped) and not fault and control.engaged:
+                fault = self._too_late(slot)
             computed = now()
             amplifiers.write(coil)
             if self._located:
@@ -164,12 +168,26 @@ class TimedLoop:
             execution[slot] = (ended - begin) * 1e-9
             head += 1
             ring.head = head
-            account(
-                counts, late_s * 1e9, read - begin, computed - read, ended - computed, skipped,
-                before,
-            )  # fmt: skip
+            if not uncounted:
+                account(
+                    counts, late_s * 1e9, read - begin, computed - read, ended - computed, skipped,
+                    before,
+                )  # fmt: skip
             if fault:
                 self._fail(Fault(fault), control.detail(Fault(fault)))
+
+    def _too_late(self, slot: int) -> int:
+        """End control in the cycle at hand, whose row is there; return the fault."""
+        self._controller.halt()
+        rows = self._ring.rows
+        rows["coil_n"][slot] = 0.0
+        rows["state"][slot], rows["fault"][slot] = State.FAULT, Fault.LATE
+        return int(Fault.LATE)
+
+    def _count_down(self) -> int:
+        """Return how many of the cycles around a clear there are, this one included."""
+        self._uncounted -= 1
+        return self._uncounted + 1
 
     def _look(self, periods: int) -> None:
         """Notice what others want, and whether the supervisor is there to want anything."""
@@ -329,9 +347,11 @@ class TimedLoop:
 
     def _land(self) -> None:
         """Land from here; without control there is nothing to land, only a plan to drop."""
-        if self._state is State.LANDING:
-            return
         words = self._words
+        if self._state is State.LANDING:
+            if not words[Word.PLAN]:  # a move that came as this began is not for the ground
+                words[Word.PLAN_CUT] = max(words[Word.PLAN_CUT], self._last_announced)
+            return
         words[Word.PLAN_CUT] = max(words[Word.PLAN], words[Word.PLAN_CUT], self._last_announced)
         if self._fault:
             return  # its rows are its story
@@ -460,6 +480,7 @@ class TimedLoop:
             if self._tagged_left < _FOREVER:
                 self._end_plan()  # its story ends here
             words[Word.BUSY] = 1
+            self._uncounted = _AROUND_CLEAR
             self._located = False  # until it is known where the manipulator is
             try:
                 self._recover()

@@ -1,0 +1,100 @@
+"""What the loop says of its cycles in counters and rows: nothing that was not so."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from scripted_loop import LIFT, ScriptedLoop
+
+from levid.daemon.board import Word
+from levid.daemon.faults import Fault
+from levid.daemon.states import State
+
+
+def test_homing_is_no_cycle() -> None:
+    """A clear that takes 10 s was a cycle of 10 s, and the next one late by as much."""
+    flight = ScriptedLoop()
+    clock = flight.loop._clock
+    flight.loop._recover = lambda: time.sleep(0.2)
+
+    def script(n: int) -> None:
+        clock.skipped = {401: 200, 501: 3}.get(n, 0)
+        if n == 300:
+            flight.board.stop()
+        if n == 400:
+            flight.board[Word.CLEAR] += 1
+
+    flight.run(script, 600)
+    assert flight.board.fault is Fault.NONE
+    figures = flight.shared.timing.figures()
+    assert figures["execution_us"]["max"] < 0.15e6
+    assert sum(figures["late_by"].values()) == 1  # the one that was
+    assert flight.loop._lateness.late == 1
+    rows = flight.shared.ring.last(300).rows
+    assert rows["execution_s"].max() < 0.15
+    assert rows["skipped"].max() == 200
+
+
+def test_loop_that_follows_a_dead_one_counts_on() -> None:
+    flight = ScriptedLoop()
+    board = flight.board
+    board[Word.LATE], board[Word.STALE] = 7, 11
+    flight.loop.__init__(  # type: ignore[misc]
+        flight.rig, flight.controller, flight.loop._devices, flight.loop._clock, flight.shared,
+        lambda: None, flight.parent,
+    )  # fmt: skip
+    clock = flight.loop._clock
+
+    def script(n: int) -> None:
+        clock.skipped = 2 if n == 50 else 0
+
+    flight.run(script, 200)
+    assert (board[Word.LATE], board[Word.STALE]) == (8, 11)
+
+
+def test_row_of_the_cycle_that_was_too_late_has_the_forces_that_were_sent() -> None:
+    flight = ScriptedLoop()
+    clock = flight.loop._clock
+
+    def script(n: int) -> None:
+        clock.skipped = 1500 if n == 1500 else 0  # more than limits.stall_s
+        if n == 300:
+            flight.fly({"levitate": {**LIFT, "settle_s": 5.0}})
+
+    flight.run(script, 1502)
+    assert flight.board.fault is Fault.LATE
+    rows = flight.shared.ring.last(10).rows
+    late = rows["fault"] == Fault.LATE
+    assert late.sum() == 3
+    assert rows["coil_n"][~late].any(axis=1).all()
+    assert not rows["coil_n"][late].any()
+    assert (rows["state"][late] == State.FAULT).all()
+
+
+@pytest.mark.parametrize("late", [1, 100])
+def test_move_that_is_asked_for_as_somebody_lands_is_dropped(late: int) -> None:
+    """Who announces it looks for a landing before, and asks for one again after."""
+    flight = ScriptedLoop()
+    board, seen = flight.board, []
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": LIFT})
+        if n == 2000:
+            assert board.state is State.LEVITATING
+            assert not board[Word.PLAN]
+            board.land()
+        if n == 2000 + late:
+            flight.fly({"move": {"beam_m": 0.01}})
+            assert flight._feeder is not None
+            flight._feeder.feed()
+            board.land()
+        seen.append(board.state)
+
+    flight.run(script, 4000)
+    assert board.fault is Fault.NONE
+    assert seen[-1] is State.IDLE
+    assert State.LANDING in seen
+    assert State.MOVING not in seen
+    assert board[Word.PLAN_DONE] == board[Word.PLAN_CUT] == flight.plans

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,8 @@ def status(rig_path: Path | None, as_json: bool) -> int:
             f"{n} by {k.replace('_', '-')}" for k, n in answer["timing"]["late_by"].items()
         )
         click.echo(f"late: {by}")
+    for line in _burdens(answer):
+        click.echo(line)
     if answer["recording"]:
         click.echo(f"not recording: {answer['recording']}")
     if answer["fault_log"]:
@@ -179,6 +181,16 @@ def clear(rig_path: Path | None, as_json: bool) -> int:
     cleared = answer["cleared"]
     _tell(answer, as_json, "there was no fault" if cleared == "NONE" else f"cleared {cleared}")
     return 0
+
+
+def _burdens(answer: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what has weighed on the daemon since its start, in words."""
+    if answer["clients_gone"]:
+        yield f"clients gone in mid-flight: {answer['clients_gone']}"
+    if answer["flooded_s"]:
+        yield f"control socket flooded for {answer['flooded_s']:g} s"
+    if answer["memory_stalled_s"]:
+        yield f"processes waited for memory for {answer['memory_stalled_s']:g} s"
 
 
 def _doing(answer: Mapping[str, Any]) -> str:

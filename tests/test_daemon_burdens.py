@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from levid.config.service import Service
 from levid.daemon import burdens
+from levid.daemon.access import Access
 from levid.daemon.burdens import Burdens
+from levid.daemon.server import Server
 
 
 class World:
@@ -85,3 +90,33 @@ def test_service_is_asked_before_the_machine(tmp_path: Path) -> None:
     assert found() == machine
     (tmp_path / "cgroup").unlink()
     assert found() == machine
+
+
+@pytest.mark.parametrize("heavy", [False, True])
+def test_status_says_in_words_what_weighed_on_the_daemon(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, levid: Callable[..., Any], heavy: bool
+) -> None:
+    us = {"p50": 1.0, "p99": 2.0, "p99.9": 3.0, "max": 4.0}
+    answer = {
+        **{"rig": "here", "rate_hz": 1000.0, "state": "IDLE", "fault": "NONE", "session": None},
+        **{"cycle": 5, "late": 0, "lost": 0, "recording": "", "fault_log": ""},
+        "timing": {"lateness_us": us, "execution_us": us},
+        **dict.fromkeys(("clients_gone", "flooded_s", "memory_stalled_s"), 0),
+    }
+    if heavy:
+        answer |= {"clients_gone": 3, "flooded_s": 4.0, "memory_stalled_s": 0.5}
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    handlers = {"status": lambda _, reply: reply.done(**answer)}
+    server = Server(tmp_path / "levid.sock", handlers, Access(Service()))
+    server.start()
+    try:
+        lines = levid("status").out.splitlines()
+    finally:
+        server.close()
+    assert lines[0] == "here at 1000 Hz: idle, zero force"
+    assert lines[4:] == heavy * [
+        "clients gone in mid-flight: 3",
+        "control socket flooded for 4 s",
+        "processes waited for memory for 0.5 s",
+    ]

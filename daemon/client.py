@@ -76,7 +76,8 @@ class Client:
         self, op: str, on_line: Callable[[Mapping[str, Any]], None] | None = None, **more: Any
     ) -> dict[str, Any]:
         """Send one request; lines before the answer go to `on_line`."""
-        self._socket.settimeout(_CLEARING_S if op == "clear" else _TIMEOUT_S)
+        between_s = float(more.get("every_s") or 0.0)  # of a watch
+        self._socket.settimeout(_CLEARING_S if op == "clear" else _TIMEOUT_S + between_s)
         try:
             # Whoever may not ask is told so and hung up on, perhaps before this is sent.
             with contextlib.suppress(BrokenPipeError):

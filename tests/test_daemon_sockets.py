@@ -10,8 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from levid.config.service import Service
 from levid.daemon import sockets
+from levid.daemon.access import Access
 from levid.daemon.client import Client, NoDaemonError
+from levid.daemon.server import Server
 
 
 def test_a_stop_waits_for_no_library() -> None:
@@ -54,3 +57,19 @@ def test_a_folder_that_others_may_write_to_is_not_trusted() -> None:
         Path(name).chmod(0o700)
         with pytest.raises(NoDaemonError, match="levid run"), Client(path):
             pass
+
+
+def test_who_watches_seldom_is_patient_for_longer(tmp_path: Path) -> None:
+    server = Server(
+        tmp_path / "levid.sock", {"watch": lambda _, reply: reply.done()}, Access(Service())
+    )
+    server.start()
+    try:
+        with Client(tmp_path / "levid.sock") as client:
+            for every_s in (0.05, 600.0):
+                client.request("watch", every_s=every_s)
+                patience_s = client._socket.gettimeout()
+                assert patience_s is not None
+                assert patience_s >= every_s + 30.0
+    finally:
+        server.close()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
-from wsgiref.simple_server import WSGIRequestHandler, make_server
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from .faults import Fault
 from .states import State
@@ -15,6 +17,8 @@ if TYPE_CHECKING:
 
 _ADDRESS = "127.0.0.1"
 _LONGEST_END_S = 1.0
+_REQUEST_S = 2.0
+"""How long a request may take, answer included: whoever drips his holds up the next for as long."""
 _QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999", "max": "1"}
 _COUNTERS = {
     "cycle": ("levid_cycles", "periods since the start"),
@@ -41,7 +45,7 @@ def serve_metrics(port: int, status: Callable[[], Mapping[str, Any]]) -> Callabl
     registry = CollectorRegistry()
     registry.register(_Collector(status))
     try:
-        server = make_server(_ADDRESS, port, make_wsgi_app(registry), handler_class=_Handler)
+        server = make_server(_ADDRESS, port, make_wsgi_app(registry), _Server, _Handler)
     except OSError as error:
         raise MetricsError(f"service.metrics_port {port}: {error.strerror}") from None
     thread = threading.Thread(target=server.serve_forever, name="levid-metrics", daemon=True)
@@ -57,8 +61,27 @@ def serve_metrics(port: int, status: Callable[[], Mapping[str, Any]]) -> Callabl
     return close
 
 
+class _Server(WSGIServer):
+    def handle_error(self, *_: object) -> None:
+        """Say nothing: who asks and goes is nobody's trouble."""
+
+
 class _Handler(WSGIRequestHandler):
     timeout = 1.0
+
+    def handle(self) -> None:
+        """Answer one request, in its time: `timeout` is from one byte to the next."""
+        deadline = threading.Timer(_REQUEST_S, self._hang_up)
+        deadline.daemon = True
+        deadline.start()
+        try:
+            super().handle()
+        finally:
+            deadline.cancel()
+
+    def _hang_up(self) -> None:
+        with contextlib.suppress(OSError):  # it is over
+            self.connection.shutdown(socket.SHUT_RDWR)
 
     def log_message(self, *_: object) -> None:
         """Say nothing: nobody wants to read of every look."""

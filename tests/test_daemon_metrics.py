@@ -1,10 +1,14 @@
 """Metrics as Prometheus would fetch them, parsed by its own library."""
 
+import contextlib
 import socket
+import struct
+import time
 import urllib.request
 
 import pytest
 
+from levid.daemon import metrics
 from levid.daemon.metrics import MetricsError, serve_metrics
 from levid.daemon.timing import Timing, account, memory_of
 
@@ -51,3 +55,31 @@ def test_status_is_served_in_prometheus_s_words() -> None:
     assert found["levid_late_cycles_total", "wake_up"] == 1
     assert found["levid_cycle_seconds", "lateness", "1"] == pytest.approx(3e-6)
     assert found["levid_recording",] == 1
+
+
+def test_whoever_drips_a_request_holds_the_next_one_up_for_a_while_only(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(metrics, "_REQUEST_S", 0.3)
+    port = free_port()
+    close = serve_metrics(port, lambda: 1 / 0)  # type: ignore[arg-type,return-value]
+    try:
+        with socket.create_connection(("127.0.0.1", port)) as slow:
+            slow.settimeout(0.1)
+            began_s = time.monotonic()
+            with contextlib.suppress(ConnectionError):
+                while time.monotonic() - began_s < 30.0:
+                    slow.sendall(b"G")
+                    with contextlib.suppress(TimeoutError):
+                        if not slow.recv(100):
+                            break
+        assert time.monotonic() - began_s < 10.0
+        with socket.create_connection(("127.0.0.1", port)) as rude:
+            rude.sendall(b"GET /")
+            rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        with socket.create_connection(("127.0.0.1", port)) as last:
+            last.sendall(b"nonsense\r\n\r\n")
+            assert last.recv(100)
+    finally:
+        close()
+    assert capfd.readouterr().err == ""

@@ -41,7 +41,7 @@ class Job:
     `over` is called when the next job may come. `landing` (ramp, release): cycles of a landing
     before the plan's end, None for that of the flight it is part of. A job that `holds` is over
     when its plan is, in the air. `rows`: of the ring, number and count of those of which one is
-    the plan's first.
+    the plan's first. `flown`: cycles, and late ones, up to its end.
     """
 
     plan: Plan
@@ -62,6 +62,7 @@ class Job:
     told_s: float = 0.0
     over_s: float | None = None
     end: int = 0
+    flown: tuple[int, int] = (0, 0)
     error: Exception | None = None
 
     def step_of(self, tag: int) -> str:
@@ -140,7 +141,7 @@ class Pilot:
         now_s = time.monotonic()
         if job.over_s is None:
             if board[Word.PLAN_DONE] >= job.number:
-                job.over_s, job.end = now_s, self._ring.head
+                self._over(job, now_s)
             else:
                 self._say_progress(job, now_s, self.step_of(job), self.share_of(job))
             if not job.reply.waiting and not job.abandoned:
@@ -186,7 +187,13 @@ class Pilot:
         if job is not None and job.over_s is None:
             at_s = board[Word.CYCLE] / self._rig.rate_hz
             job.error = FlightFault(fault, at_s, self.step_of(job), detail)
-            job.over_s, job.end = time.monotonic(), self._ring.head
+            self._over(job, time.monotonic())
+
+    def _over(self, job: Job, now_s: float) -> None:
+        """Note what was flown; what is left is to bring its last rows to the disk."""
+        board = self._board
+        job.over_s, job.end = now_s, self._ring.head
+        job.flown = board[Word.CYCLE] - job.begun, board[Word.LATE] - job.misses[0]
 
     def step_of(self, job: Job) -> str:
         """Return the name of the step of a job that is flown."""
@@ -256,8 +263,7 @@ class Pilot:
         return FlightResult(
             tuple(logs),
             tuple(records),
-            board[Word.CYCLE] - job.begun,
-            board[Word.LATE] - job.misses[0],
+            *job.flown,
             self._shared.lost - job.misses[1],
             board[Word.PLAN_CUT] >= job.number,
         )

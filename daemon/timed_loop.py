@@ -381,6 +381,7 @@ class TimedLoop:
     def _end_plan(self) -> None:
         """The plan at hand is over: its rows end here."""
         words = self._words
+        words[_LATE] = self._lateness.late  # whoever sees the plan's end counts up to it
         words[Word.PLAN_DONE] = max(words[Word.PLAN], words[Word.PLAN_DONE])
         words[Word.PLAN] = 0
         self._tagged_left = _FOREVER

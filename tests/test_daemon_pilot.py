@@ -85,12 +85,14 @@ def test_client_is_told_that_a_slow_disk_is_waited_for(monkeypatch: pytest.Monke
     flight, told = ScriptedLoop(), []
     pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = job_of(flight, told, Step(levitate=LIFT), Step(land={"ramp_s": 0.2, "release_s": 0.1}))
-    ring, now_s = flight.shared.ring, 0.0
+    ring, clock, now_s = flight.shared.ring, flight.loop._clock, 0.0
+    over = 300 + job.plan.cycles
     monkeypatch.setattr(pilot_module.time, "monotonic", lambda: now_s)
 
     def script(n: int) -> None:
         nonlocal now_s
         now_s = 1e-3 * n
+        clock.skipped = 1 if n in (over - 20, over + 500) else 0
         if n == 300:
             pilot.begin(job)
         if n == 7000:
@@ -99,11 +101,13 @@ def test_client_is_told_that_a_slow_disk_is_waited_for(monkeypatch: pytest.Monke
             pilot.tick()
 
     flight.run(script, 7100)
-    over = 300 + job.plan.cycles
     # Every half second from the end of the flight until all is on disk, some ticks of 10 ms late.
     waited = told.count({"step": "writing", "share": 1.0})
     assert (7000 - over) // 510 <= waited <= (7000 - over) // 500
     assert told[-1]["ok"]
+    # The wait is no part of the flight, nor what was late in it; a look is ten cycles late at most.
+    assert job.plan.cycles <= told[-1]["cycles"] <= job.plan.cycles + 12
+    assert told[-1]["late"] == 1
 
 
 @pytest.mark.parametrize("dead", [True, False])

@@ -53,7 +53,7 @@ class Child:
         if code is None:
             return "it runs"
         if code < 0:
-            return f"killed by {signal.Signals(-code).name}"
+            return f"killed by {_name_of(-code)}"
         return f"exit code {code}"
 
     def terminate(self) -> None:
@@ -79,6 +79,13 @@ class Child:
         except subprocess.TimeoutExpired:
             return False
         return True
+
+
+def _name_of(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # real-time signals have no names but the first and the last
+        return f"signal {number}"
 
 
 def module_of(name: str) -> str:

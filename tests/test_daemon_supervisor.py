@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -19,6 +21,7 @@ from levid.config.shipped import shipped
 from levid.daemon import supervisor as supervisor_module
 from levid.daemon.access import Access
 from levid.daemon.board import Word
+from levid.daemon.children import Child
 from levid.daemon.faults import Fault
 from levid.daemon.server import ServerError
 from levid.daemon.states import State
@@ -93,6 +96,18 @@ def test_machine_that_stood_still_has_not_lost_its_loop(
         now_s += 0.01
         supervisor._watch_loop()
     assert "it did not advance for 30.0 s" in ended[0]
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGRTMIN + 1, "signal 35")]
+)
+def test_child_that_was_killed_says_by_what(number: int, words: str) -> None:
+    child = Child("sleep", "", b"")
+    child._process = subprocess.Popen(["sleep", "60"])
+    assert child.end == "it runs"
+    child._process.send_signal(number)
+    assert child.wait(60.0)
+    assert child.end == f"killed by {words}"
 
 
 def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(

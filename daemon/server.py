@@ -17,22 +17,21 @@ from pathlib import Path
 from typing import Any
 
 from .access import Access, peer_of
+from .door import WAITING_CLIENTS, Door, ServerError
 from .lines import Closed, Lines, TooLong
-from .sockets import listens, require_own_folder
+
+__all__ = ["Handler", "Reply", "Server", "ServerError"]
 
 LONGEST_LINE = 1 << 20
 _MOST_CLIENTS = 64
-_WAITING_CLIENTS = 128
 _MOST_UNREAD = 1 << 18
 _BACK_OFF_S = 0.05
+_LOOK_S = 1.0
+"""How often it is looked whether clients still find the socket."""
 _HEARD_OUT = frozenset(("stop", "land"))
 """What is done for clients too that are gone before they had an answer to what they asked first."""
 _MOST_HEARD_OUT = 300
 """Lines of such a client that are looked into: whoever flooded the socket holds nobody up."""
-
-
-class ServerError(Exception):
-    """A control socket that cannot be opened."""
 
 
 class Reply:
@@ -84,9 +83,17 @@ class Server:
     one, the one that was silent longest makes room.
     """
 
-    def __init__(self, path: Path, handlers: Mapping[str, Handler], access: Access) -> None:
-        self._path, self._handlers, self.access = path, dict(handlers), access
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    def __init__(
+        self,
+        path: Path,
+        handlers: Mapping[str, Handler],
+        access: Access,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._path, self._handlers, self.access, self._say = path, dict(handlers), access, say
+        self._door = Door(path)
+        self._socket: socket.socket | None = None
+        self._look_s, self._missed = 0.0, False
         self._selector = selectors.DefaultSelector()
         self._connections: list[_Connection] = []
         self._ready: deque[_Connection] = deque()  # may have a request to take up
@@ -104,21 +111,7 @@ class Server:
 
     def start(self) -> None:
         """Open the socket and answer from now on; raises ServerError."""
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o750)
-            require_own_folder(self._path)
-            if self._path.exists():
-                if not self._path.is_socket():
-                    raise ServerError(f"{self._path}: expected a socket or nothing, found a file")
-                if listens(self._path):
-                    raise ServerError(f"{self._path}: another daemon answers here already")
-                self._path.unlink()
-            self._socket.bind(str(self._path))
-            self._path.chmod(self.access.mode)
-            self._socket.listen(_WAITING_CLIENTS)
-        except OSError as error:
-            raise ServerError(f"{self._path}: cannot open the control socket: {error}") from None
-        self._socket.setblocking(False)
+        self._socket = self._door.open(self.access.mode)
         self._selector.register(self._socket, selectors.EVENT_READ)
         self._selector.register(self._woken, selectors.EVENT_READ)
         self._thread.start()
@@ -126,8 +119,9 @@ class Server:
     def admit(self, access: Access) -> None:
         """Answer whom `access` lets in from now on."""
         self.access = access
-        with contextlib.suppress(OSError):
-            self._path.chmod(access.mode)
+        if self._door.in_place:
+            with contextlib.suppress(OSError):
+                self._path.chmod(access.mode)
 
     def close(self) -> None:
         """Send what is to be sent, as far as clients take it; stop answering, remove the socket."""
@@ -135,12 +129,13 @@ class Server:
         self._wake_up()
         self._thread.join()
         # Not in the thread: one that died leaves them to those who still post.
-        self._socket.close()
+        if self._socket is not None:
+            self._socket.close()
         self._selector.close()
         (woken, self._woken), (wake, self._wake) = (self._woken, -1), (self._wake, -1)
         os.close(woken)
         os.close(wake)
-        self._path.unlink(missing_ok=True)
+        self._door.close()
 
     def post(self, connection: _Connection, message: Mapping[str, Any], final: bool) -> None:
         """Have a message sent; `final` is a request's answer. From any thread."""
@@ -154,7 +149,7 @@ class Server:
 
     def _run(self) -> None:
         while not self._ending:
-            for key, events in self._selector.select(0.0 if self._ready else None):
+            for key, events in self._selector.select(0.0 if self._ready else _LOOK_S):
                 if key.fileobj is self._socket:
                     self._accept_all()
                 elif key.fileobj == self._woken:
@@ -168,6 +163,7 @@ class Server:
                 with self._at_its_cost(connection):
                     self._take_up(connection)
             self._deliver()
+            self._look_at_door()
         for connection in list(self._connections):
             self._hang_up(connection)
 
@@ -179,8 +175,33 @@ class Server:
         except Exception:  # noqa: BLE001 - nobody else may stop a flight any more if this thread ends
             self._hang_up(connection)
 
+    def _look_at_door(self) -> None:
+        """Open the socket anew where its path has vanished, under a daemon that flies perhaps."""
+        now_s = time.monotonic()
+        if now_s - self._look_s < _LOOK_S:
+            return
+        self._look_s = now_s
+        if self._door.in_place:
+            self._missed = False
+            return
+        try:
+            opened = self._door.open(self.access.mode)
+        except ServerError as error:
+            if not self._missed:
+                self._missed = True
+                self._say(f"clients find the control socket no more: {error}")
+            return
+        self._accept_all()  # who came to the old one
+        if self._socket is not None:
+            self._selector.unregister(self._socket)
+            self._socket.close()
+        self._socket = opened
+        self._selector.register(opened, selectors.EVENT_READ)
+        self._say(f"the control socket was gone: {self._path} is opened anew")
+
     def _accept_all(self) -> None:
-        for _ in range(_WAITING_CLIENTS):
+        assert self._socket is not None
+        for _ in range(WAITING_CLIENTS):
             try:
                 accepted, _ = self._socket.accept()
             except OSError as error:

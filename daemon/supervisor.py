@@ -73,7 +73,12 @@ class Supervisor:
         )
         self.pilot = Pilot(rig, self._shared, self._recorder, say)
         self._requests = Requests(self)
-        self._server = Server(socket_path, self._requests.handlers, Access(rig.service))
+        self._server = Server(
+            socket_path,
+            self._requests.handlers,
+            Access(rig.service),
+            lambda words: self.post(lambda: self._say(words)),
+        )
         self._mail: deque[Callable[[], None]] = deque()
         self._clearings = Clearings(self.board)
         # Signal handlers set these, in the thread that reads them: no lock can be taken there.

@@ -106,14 +106,18 @@ def transient_test(X: Complex) -> ExcessTest:
 def excess(power: Array, noise: Array, freedom: int, noise_freedom: int) -> ExcessTest:
     """Test power (K, m) of K independent lines against that of the noise, both estimated.
 
-    Each ratio follows F with twice as many degrees of freedom as are complex; the mean over lines
-    is taken as normal, which needs some ten of them.
+    Each ratio follows F with twice as many degrees of freedom as are complex, exactly; the lines'
+    probabilities are pooled as Fisher does: -2 sum log p is distributed as chi^2 with 2 K degrees
+    of freedom. The mean ratio is not: with 3 complex degrees of freedom it has no third moment,
+    and is far from normal with any number of lines. Fisher's sum loses little to a sum of normal
+    scores where distortion is the same at all lines, and sees a few strong ones far better.
     """
     K, m = power.shape
     a, b = 2.0 * freedom, 2.0 * noise_freedom
     if K == 0 or freedom < 1 or noise_freedom <= 2 or np.any(noise <= 0):
         return ExcessTest(np.full(m, np.nan), np.full(m, np.nan))
     chance = stats.f(a, b)
-    ratio = np.mean(power / noise, axis=0)
-    p_value = stats.norm.sf((ratio - chance.mean()) / (chance.std() / np.sqrt(K)))
-    return ExcessTest(np.asarray(ratio / chance.mean()), np.asarray(p_value))
+    each = np.maximum(chance.sf(power / noise), np.finfo(float).tiny)  # its logarithm is finite
+    p_value = stats.chi2.sf(-2.0 * np.log(each).sum(axis=0), 2 * K)
+    ratio = np.mean(power / noise, axis=0) / chance.mean()
+    return ExcessTest(np.asarray(ratio), np.asarray(p_value))

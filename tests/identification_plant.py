@@ -84,20 +84,28 @@ def closed_loop_markov(plant: SampledPlant, length: int) -> Array:
 
 
 def simulate(
-    plant: SampledPlant, v: Array, *, noise: bool = True, seed: int | Sequence[int] = 0
+    plant: SampledPlant,
+    v: Array,
+    *,
+    noise: bool = True,
+    seed: int | Sequence[int] = 0,
+    places: Array = COILS,
 ) -> tuple[Array, Array]:
-    """Fly excitation v (N, 3) in closed loop from rest; return pose y and wrench u, (N, 3)."""
+    """Fly excitation v (N, 3) in closed loop from rest; return pose y and wrench u, (N, 3).
+
+    `places` (P, 3): rows y, x, 1 of the coils, and of the sensors under them.
+    """
     rng = np.random.default_rng(seed)
-    n = len(v)
+    n, points = len(v), len(places)
     if noise:
-        sensor = rng.normal(0.0, SENSOR_NOISE_M, (n, 9))
+        sensor = rng.normal(0.0, SENSOR_NOISE_M, (n, points))
         held = COIL_NOISE_N * np.sqrt(COIL_NOISE_HELD_S / plant.Ts_s)
-        wrench = rng.normal(0.0, held, (n, 9)) @ COILS
+        wrench = rng.normal(0.0, held, (n, points)) @ places
         step = SENSOR_STEP_M
     else:
-        sensor, wrench, step = np.zeros((n, 9)), np.zeros((n, 3)), 0.0
-    ki = KI * plant.Ts_s
-    return _loop(plant.A, plant.B, plant.C, COILS, T, KP, ki, v, sensor, wrench, step)
+        sensor, wrench, step = np.zeros((n, points)), np.zeros((n, 3)), 0.0
+    ki, inverse = KI * plant.Ts_s, np.linalg.pinv(places)
+    return _loop(plant.A, plant.B, plant.C, places, inverse, KP, ki, v, sensor, wrench, step)
 
 
 def records(

@@ -27,9 +27,12 @@ X_M, Y_M = R_M * np.repeat([1.0, 0.0, -1.0], 3), R_M * np.tile([1.0, 0.0, -1.0],
 """Of the coils, and of the sensors under them."""
 
 
-def rig_places(span_s: tuple[float, float] = (0.0, 60.0)) -> Places:
-    """Return where the rig can be acted on and looked at, in a session of this span."""
-    shape, xy = shape_matrix(X_M, Y_M), np.stack([X_M, Y_M], axis=1)
+def rig_places(span_s: tuple[float, float] = (0.0, 60.0), lacks: int = 0) -> Places:
+    """Return where the rig can be acted on and looked at, in a session of this span.
+
+    The first `lacks` coils, and the sensors under them, are not there.
+    """
+    shape, xy = shape_matrix(X_M, Y_M)[lacks:], np.stack([X_M, Y_M], axis=1)[lacks:]
     return Places(
         ("psi", "theta", "z"), ("rad", "rad", "m"), shape, shape, "N", ("N m", "N m", "N"), "m",
         xy, xy, beam=True, span_s=span_s,

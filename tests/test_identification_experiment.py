@@ -1,4 +1,4 @@
-"""A record as the declared model sees it: when its schedule counts as moving."""
+"""A record as the declared model sees it: when its schedule moves, what its noise has in common."""
 
 from __future__ import annotations
 
@@ -59,3 +59,26 @@ def test_an_acceleration_alone_moves_the_schedule() -> None:
     assert experiment_from_log(replace(log, rows=rows), model).moving
     rows["beam_m_s"] = 0.0
     assert not experiment_from_log(replace(log, rows=rows), model).moving
+
+
+def test_noise_of_wrench_and_pose_is_correlated_as_the_places_are() -> None:
+    log, model = flown(np.full(4000, 0.05)), load_model(shipped("models/rig.yaml"))
+    for correlations in experiment_from_log(log, model).correlations or ():
+        np.testing.assert_allclose(correlations, np.eye(3), atol=1e-15)  # the grid is balanced
+    # Without the corner at (R, R) sums of x^2 and y^2 are 5 R^2, of 1 are 8, of x, y, x y are -R,
+    # -R, -R^2; sensors average by the inverse.
+    text = log.attachments["rig.yaml"]
+    for axis in (b"x", b"y"):
+        before, after = text.split(b"coil_%s_m: [0.12, " % axis)
+        text = before + b"coil_%s_m: [" % axis + after
+    cut = np.zeros(len(log.rows), cycle_dtype(8, 8))
+    for name in cut.dtype.names or ():
+        cut[name] = log.rows[name][..., 1:] if log.rows[name].ndim > 1 else log.rows[name]
+    less = replace(log, rows=cut, attachments={**log.attachments, "rig.yaml": text})
+    wrench, pose = experiment_from_log(less, model).correlations or ((), ())
+    c, s = 1 / 5, 1 / np.sqrt(40)
+    expected = np.array([[1, -c, -s], [-c, 1, -s], [-s, -s, 1]])
+    np.testing.assert_allclose(wrench, expected, rtol=1e-12)
+    inverse = np.linalg.inv(expected)
+    size = np.sqrt(np.diag(inverse))
+    np.testing.assert_allclose(pose, inverse / np.outer(size, size), rtol=1e-12)

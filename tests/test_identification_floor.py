@@ -34,7 +34,7 @@ lag_s: {LAG_S}
 """
 MODEL = declared_model(parse_text(CART, ModelConfig, "cart"))
 # About as much motion by the force as false reading, so that either would be missed.
-NOISE = Noise(np.array([1e-8]), np.array([4e-13]))
+NOISE = Noise.independent(np.array([1e-8]), np.array([4e-13]))
 CONTROLLER = PiController(np.array([60.0]), np.array([300.0]))
 RECORDS = 400
 
@@ -98,7 +98,7 @@ def test_motion_and_measurement_are_told_apart() -> None:
     floor = noise_floor(MODEL, e, "zoh", NOISE)
     assert floor.rms[0] ** 2 == pytest.approx(floor.motion[0, 0] + NOISE.output_variance[0])
     # Without forces only the controller's answer to false readings moves the cart.
-    quiet = noise_floor(MODEL, e, "zoh", replace(NOISE, force_psd=np.zeros(1)))
+    quiet = noise_floor(MODEL, e, "zoh", NOISE.scaled(force=0.0))
     assert 0 < quiet.motion[0, 0] < floor.motion[0, 0]
 
 

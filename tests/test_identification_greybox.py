@@ -40,7 +40,7 @@ K: [[k]]
 lag_s: lag
 """
 TS = 1e-3
-NOISE = Noise(np.array([1e-6]), np.array([1e-14]))
+NOISE = Noise.independent(np.array([1e-6]), np.array([1e-14]))
 
 
 def one_mass(**values: object) -> ModelConfig:

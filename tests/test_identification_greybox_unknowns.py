@@ -38,7 +38,7 @@ def test_columns_are_those_of_one_filter_each(force_psd: float, stiffness: float
     rng, rows = np.random.default_rng(1), 6000
     M = np.array([[2.0, 0.1], [0.1, 1.5]])
     at = motion_of(M, np.diag([12.0, 5.0]), stiffness * np.diag([800.0, 200.0]), 1e-3, rows)
-    kalman = kalman_filter(at, Noise(np.full(2, force_psd), np.full(2, SENSOR_SD**2)))
+    kalman = kalman_filter(at, Noise.independent(np.full(2, force_psd), np.full(2, SENSOR_SD**2)))
     y = SENSOR_SD * rng.normal(size=(rows, 2)).cumsum(axis=0)
     out = np.full((rows, 2, 7), np.nan)
     errors_and_unknowns(at.flow, kalman.gain[0], at.forcing[:rows], at.steady, y, out)
@@ -63,7 +63,7 @@ def test_a_start_that_is_forgotten_when_errors_begin_takes_no_share_of_the_force
     one = np.eye(1)
     at = replace(motion_of(2 * one, 12 * one, 800 * one, 1e-3, rows), blind=blind)
     noise = SENSOR_SD * np.random.default_rng(0).normal(size=(rows, 1))
-    kalman = kalman_filter(at, Noise(np.array([1e-2]), np.array([SENSOR_SD**2])))
+    kalman = kalman_filter(at, Noise.independent(np.array([1e-2]), np.array([SENSOR_SD**2])))
     found = predict_along(at, SimpleNamespace(name="held", y=force_n / 800 + noise), kalman)  # type: ignore[arg-type]
     # What the filter takes for force noise, 0.1 N a root of Hz, over five seconds, three times.
     assert found.offset[0] == pytest.approx(force_n, abs=0.15)

@@ -48,7 +48,9 @@ CONFIG = load_model(shipped("models/rig.yaml"))
 PLACES = rig_places((0.0, 20.0))
 SHAPE = PLACES.sensor_shape
 SENSOR_SD = 1e-7
-NOISE = Noise(np.diag(SHAPE.T @ SHAPE) * 1e-10, np.diag(np.linalg.pinv(SHAPE.T @ SHAPE)) * 1e-14)
+NOISE = Noise.independent(
+    np.diag(SHAPE.T @ SHAPE) * 1e-10, np.diag(np.linalg.pinv(SHAPE.T @ SHAPE)) * 1e-14
+)
 KINDS = ("fixed", "moving")
 
 
@@ -385,7 +387,9 @@ def test_what_a_force_does_to_one_dof_is_no_command() -> None:
     made = TraceRecord(
         e, places, np.arange(rows) * TS, e.y, u, np.zeros_like(u), none, none, None, "made"
     )
-    known = Disturbance(Noise(np.full(2, 1e-10), np.full(2, 1e-14)), SENSOR_SD, measured=True)
+    known = Disturbance(
+        Noise.independent(np.full(2, 1e-10), np.full(2, 1e-14)), SENSOR_SD, measured=True
+    )
 
     def at(b1: float) -> WorkingPoint:
         model = declared_model(config).with_values({"b1": b1})

@@ -105,7 +105,7 @@ def _record(u: np.ndarray, y: np.ndarray, loop: Loop | None) -> TraceRecord:
 
 def point(hold: str, *placed: Placed) -> WorkingPoint:
     config = parse_text(MODEL.replace("HOLD", hold), ModelConfig, "mass")
-    noise = Disturbance(Noise(np.array([1e-12]), np.array([SD**2])), SD, measured=True)
+    noise = Disturbance(Noise.independent(np.array([1e-12]), np.array([SD**2])), SD, measured=True)
     parameters = free_parameters(config)
     # Effects are known: the trajectory may follow the model.
     return WorkingPoint(declared_model(config), parameters, placed, noise, config.input, trust=1.0)

@@ -62,7 +62,7 @@ def places() -> Places:
 
 def point(sensor_sd: float, force_psd: float) -> WorkingPoint:
     config = parse_text(MODEL, ModelConfig, "made")
-    noise = Noise(np.array([force_psd]), np.array([sensor_sd**2]))
+    noise = Noise.independent(np.array([force_psd]), np.array([sensor_sd**2]))
     disturbance = Disturbance(noise, sensor_sd, measured=True)
     return WorkingPoint(
         declared_model(config), free_parameters(config), (), disturbance, config.input
@@ -116,7 +116,10 @@ def test_noisy_sensor_is_no_force(places: Places) -> None:
     logged = replace(record(moved, np.zeros((60_000, 1)), three), gap=errors)
     at = point(sd, 1e-20)
     at = replace(
-        at, disturbance=replace(at.disturbance, noise=Noise(*np.array([[1e-20], [sd**2 / 3]])))
+        at,
+        disturbance=replace(
+            at.disturbance, noise=Noise.independent(*np.array([[1e-20], [sd**2 / 3]]))
+        ),
     )
     left = missing(at, logged)
     freq_hz, psd = density(left.force, TS)

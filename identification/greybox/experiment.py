@@ -13,7 +13,7 @@ from ...config.model import ModelConfig
 from ...config.rig import RigConfig
 from ...log.reader import Log
 from ...log.signals_file import SignalsFile
-from ...model.geometry import shape_matrix
+from ...model.geometry import decoupling_matrix, shape_matrix
 from ..data import IdentificationError, PiController
 from ..from_log import (
     EXCITATION,
@@ -28,6 +28,7 @@ from ..from_log import (
     require_finite,
 )
 from ..gaps import without_gaps
+from .covariance import correlation
 from .inputs import Hold
 
 Array = NDArray[np.float64]
@@ -63,7 +64,9 @@ class Experiment:
     The input acts `delay_cycles` whole periods after its row, beyond any delay of the model.
     `moving` says that the schedule changes during the record, be it by a derivative alone. `loop`
     is None where no controller is known. `hold` is what the input does between samples as the log
-    says it, None where it does not.
+    says it, None where it does not. `correlations` (p, p) of the noise of the inputs and (n, n) of
+    the outputs, as independent coils and sensors at their places make them; None where nobody knows
+    of such.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Experiment:
     loop: Loop | None = None
     remarks: tuple[str, ...] = ()
     hold: Hold | None = None
+    correlations: tuple[Array, Array] | None = None
 
     def rows(self, start: int, stop: int) -> Experiment:
         """Return the experiment cut to rows start .. stop."""
@@ -157,6 +161,7 @@ def _flown(log: Log) -> Experiment:
     controller = controller_of(log)
     geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
+    T = decoupling_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
     loop = Loop(
         columns(log, EXCITATION) + log.field("coil_excitation_n").astype(float) @ S,
         columns(log, REFERENCE),
@@ -175,6 +180,7 @@ def _flown(log: Log) -> Experiment:
         loop,
         tuple(remarks_of(log)),
         "zoh",
+        (correlation(S.T @ S), correlation(T @ T.T)),
     )
 
 

@@ -299,10 +299,14 @@ def _shortened(e: Experiment) -> Experiment:
 
 
 def first_noise(experiments: Sequence[Experiment]) -> Noise:
-    """Return a guess: measurement noise from the outputs' roughness, forces from the inputs."""
+    """Return a guess: measurement noise from the outputs' roughness, forces from the inputs.
+
+    It is correlated as the first record says: records of one fit are of one rig.
+    """
     # A third difference of white noise has 20 times its variance; smooth motion has next to none.
     rough = np.min([np.var(np.diff(e.y, 3, axis=0), axis=0) / 20.0 for e in experiments], axis=0)
     push = np.max([np.var(e.u, axis=0) * e.Ts_s for e in experiments], axis=0)
     n = len(rough)
     psd = _FIRST_FORCE_SHARE**2 * (push if len(push) == n else np.full(n, push.mean()))
-    return Noise(np.maximum(psd, 1e-300), np.maximum(rough, 1e-300))
+    unit = experiments[0].correlations or (np.eye(n), np.eye(n))
+    return Noise(*unit).scaled(np.maximum(psd, 1e-300), np.maximum(rough, 1e-300))

@@ -114,6 +114,11 @@ def floor_psd(
     return np.array(smeared)
 
 
+def powers_of(response: Complex, covariance: Array) -> Array:
+    """Return the powers (F, n) of what responses (F, n, s) make of inputs of covariance (s, s)."""
+    return np.asarray(np.einsum("fia,ab,fib->fi", response, covariance, response.conj()).real)
+
+
 def _rms(covariance: Array, noise: Noise) -> Array:
     return np.asarray(np.sqrt(np.diag(covariance) + noise.output_variance))
 
@@ -137,7 +142,7 @@ def _error_system(
     States: [q, q'], and in a loop the lagged input, the integrators, and the commands of the
     `whole` + 1 periods before.
     """
-    Q = process_covariance(at, noise.force_psd)
+    Q = process_covariance(at, noise.force_density)
     Phi, powers = _flow(at)
     if experiment.loop is None:
         return Phi, Q
@@ -169,7 +174,7 @@ def _error_system(
     if step.whole == 0:
         by_noise[:, : 2 * n] = G_new @ answer
         by_noise[:, lag:integral] = step.end_new * answer
-    W = by_noise * noise.output_variance @ np.swapaxes(by_noise, 1, 2)
+    W = by_noise @ noise.output_covariance @ np.swapaxes(by_noise, 1, 2)
     W[:, : 2 * n, : 2 * n] += Q
     return A, W
 
@@ -180,7 +185,7 @@ def _spectra(
     """Return the one-sided spectra (R, F, n) of the errors that noise leaves, R places' each."""
     counted = experiment.rows(first_row(experiment), len(experiment.y))
     at = _thinned(model, counted, hold, max(len(counted.y) // _PLACES, 1))
-    Q, (Phi, powers) = process_covariance(at, noise.force_psd), _flow(at)
+    Q, (Phi, powers) = process_covariance(at, noise.force_density), _flow(at)
     n = at.K.shape[1]
     psd = np.empty((len(Phi), len(freq_hz), n))
     z = np.exp(2j * np.pi * freq_hz * at.Ts_s)[:, None, None]
@@ -194,8 +199,8 @@ def _spectra(
             inputs = _input_effect(powers[row], step, z)
             sensitivity = np.asarray(np.linalg.inv(np.eye(n) + (free @ inputs) * C[:, None, :]))
             by_force = np.asarray(sensitivity @ free)
-        motion_psd = np.einsum("fia,ab,fib->fi", by_force, Q[row], by_force.conj()).real
-        noise_psd = np.abs(sensitivity) ** 2 @ noise.output_variance
+        motion_psd = powers_of(by_force, Q[row])
+        noise_psd = powers_of(sensitivity, noise.output_covariance)
         psd[row] = 2 * at.Ts_s * (motion_psd + noise_psd)
     return psd
 

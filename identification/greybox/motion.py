@@ -200,8 +200,8 @@ def run_filter(model: Motion, gain: Array, y: Array, x0: Array) -> tuple[Array, 
     return out, x
 
 
-def process_covariance(model: Motion, psd: Array) -> Array:
-    """Return Q (R, 2n, 2n) of white generalised forces with two-sided densities psd (n,), N^2/Hz.
+def process_covariance(model: Motion, density: Array) -> Array:
+    """Return Q (R, 2n, 2n) of white generalised forces of a two-sided density (n, n), N^2/Hz.
 
     A period's Q is the integral of its flow times the noise (Van Loan 1978); along a schedule the
     flow over one period is taken to second order, which noise is never known better than.
@@ -210,11 +210,11 @@ def process_covariance(model: Motion, psd: Array) -> Array:
     if model.fixed:
         A, _ = model.continuous()
         G = np.vstack([np.zeros((n, n)), model.mobility[0]])
-        block = np.block([[-A, G @ np.diag(psd) @ G.T], [np.zeros_like(A), A.T]]) * Ts_s
+        block = np.block([[-A, G @ density @ G.T], [np.zeros_like(A), A.T]]) * Ts_s
         Phi = expm(block)
         Q = Phi[2 * n :, 2 * n :].T @ Phi[: 2 * n, 2 * n :]
         return np.asarray(0.5 * (Q + Q.T))[None]
-    force = model.mobility @ np.diag(psd) @ np.swapaxes(model.mobility, 1, 2)
+    force = model.mobility @ density @ np.swapaxes(model.mobility, 1, 2)
     Q = np.empty((len(force), 2 * n, 2 * n))
     Q[:, n:, n:] = force * Ts_s
     Q[:, :n, n:] = Q[:, n:, :n] = force * (Ts_s**2 / 2)

@@ -10,6 +10,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from ..data import IdentificationError
 from . import kernels
+from .covariance import correlation, scaled
 from .motion import Motion, process_covariance
 
 Array = NDArray[np.float64]
@@ -17,10 +18,37 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Noise:
-    """Two-sided density of white generalised forces (n,) N^2/Hz, and measurement variance (n,)."""
+    """White noise: `force_density` (n, n), two-sided, of generalised forces, N^2/Hz where forces
+    are in N; `output_covariance` (n, n) of what is measured.
 
-    force_psd: Array
-    output_variance: Array
+    Noise of single coils and sensors is independent from one to the next; of the wrench and the
+    pose that they make up it is not, unless their places are balanced around the middle.
+    """
+
+    force_density: Array
+    output_covariance: Array
+
+    @classmethod
+    def independent(cls, force_psd: Array, output_variance: Array) -> Noise:
+        """Return noise of densities and variances (n,) that has nothing in common between DOF."""
+        return cls(np.diag(force_psd), np.diag(output_variance))
+
+    @property
+    def force_psd(self) -> Array:
+        """Density (n,) of the force on each DOF."""
+        return np.diag(self.force_density)
+
+    @property
+    def output_variance(self) -> Array:
+        """Variance (n,) of each output."""
+        return np.diag(self.output_covariance)
+
+    def scaled(self, force: Array | float = 1.0, output: Array | float = 1.0) -> Noise:
+        """Return noise of so many times the densities and variances, (n,) or all alike.
+
+        Correlations stay as they are.
+        """
+        return Noise(scaled(self.force_density, force), scaled(self.output_covariance, output))
 
     def distance(self, other: Noise) -> float:
         """Return the largest change of a variance between two, as a logarithm."""
@@ -56,8 +84,8 @@ def kalman_filter(model: Motion, noise: Noise) -> Filter:
 
     Raises IdentificationError where the noise leaves no stationary filter.
     """
-    Q = process_covariance(model, noise.force_psd)
-    R = np.diag(noise.output_variance)
+    Q = process_covariance(model, noise.force_density)
+    R = np.ascontiguousarray(noise.output_covariance)
     n = len(R)
     A, _ = model.continuous()
     Phi = expm(A * model.Ts_s)
@@ -70,7 +98,7 @@ def kalman_filter(model: Motion, noise: Noise) -> Filter:
             (Phi / unit[:, None] * unit).T,
             C.T,
             Q[0] / unit[:, None] / unit,
-            np.eye(n),
+            correlation(R),
         )
     except (np.linalg.LinAlgError, ValueError) as error:
         raise IdentificationError(f"no Kalman filter for this noise: {error}") from None

@@ -22,7 +22,7 @@ _HOPELESS = 1e9
 def estimate_noise(
     motions: Sequence[Motion], experiments: Sequence[Experiment], first: Noise
 ) -> Noise:
-    """Return the noise of largest likelihood of the records' innovations.
+    """Return the noise of largest likelihood of the records' innovations, as correlated as `first`.
 
     Constant forces and starts are fitted anew for every noise that is tried: those found under much
     noise are poor, and under little noise their errors would pass for noise.
@@ -30,9 +30,7 @@ def estimate_noise(
     n = len(first.output_variance)
 
     def cost(log_sizes: Array) -> float:
-        noise = Noise(
-            first.force_psd * np.exp(log_sizes[:n]), first.output_variance * np.exp(log_sizes[n:])
-        )
+        noise = first.scaled(np.exp(log_sizes[:n]), np.exp(log_sizes[n:]))
         try:
             total = sum(
                 predict_along(at, e, kalman_filter(at, noise)).cost
@@ -50,4 +48,4 @@ def estimate_noise(
         options={"maxiter": 40, "eps": 1e-4, "ftol": 1e-7},
     )
     sizes = np.exp(found.x)
-    return Noise(first.force_psd * sizes[:n], first.output_variance * sizes[n:])
+    return first.scaled(sizes[:n], sizes[n:])

@@ -20,6 +20,7 @@ from ...model.declared import DeclaredModel
 from ...model.second_order import discretise
 from ..data import IdentificationError
 from ..greybox.experiment import Experiment
+from ..greybox.floor import powers_of
 from ..greybox.noise import Noise
 from .record import TraceRecord
 from .white_noise import white_noise
@@ -50,17 +51,18 @@ def disturbance(
     """Return the noise of records; `fallback` where no record is still enough to tell its force.
 
     All actuators are taken to be equally noisy, and all sensors: noise is what they have in common.
+    Each is independent of the others; what they add up to in several DOF often is not.
     """
     places = records[0].places
     T = places.decoupling
     still = [r for r in records if r.still and r.experiment.loop is not None]
     sd = float(np.median(sensor_noise(records)))
-    output = np.diag(T @ T.T) * sd**2
+    output = T @ T.T * sd**2
     if not still:
         # Unknown forces are the fit's own until something better explains them.
-        return Disturbance(Noise(fallback.force_psd, output), sd, measured=False)
-    unit = np.diag(places.coil_shape.T @ places.coil_shape)
-    first = float(np.median(fallback.force_psd / unit))
+        return Disturbance(Noise(fallback.force_density, output), sd, measured=False)
+    unit = places.coil_shape.T @ places.coil_shape
+    first = float(np.median(fallback.force_psd / np.diag(unit)))
     levels = [_force_level(model, r.experiment, Noise(first * unit, output)) for r in still]
     return Disturbance(Noise(float(np.median(levels)) * first * unit, output), sd, measured=True)
 
@@ -95,8 +97,8 @@ def _force_level(model: DeclaredModel, experiment: Experiment, noise: Noise) -> 
     by_force, by_sensor = _responses(model, experiment, freq_hz[band])
     # A sensor shows its own noise besides.
     shown = by_sensor + np.eye(by_sensor.shape[1])
-    force = 2 * np.einsum("fij,j->fi", np.abs(by_force) ** 2, noise.force_psd)
-    sensor = 2 * Ts_s * np.einsum("fij,j->fi", np.abs(shown) ** 2, noise.output_variance)
+    force = 2 * powers_of(by_force, noise.force_density)
+    sensor = 2 * Ts_s * powers_of(shown, noise.output_covariance)
 
     # The median of an average of few periodograms lies below their mean.
     halves = 2 * max(round(2 * len(experiment.y) / segment) - 1, 1)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from ...model.effects.base import Placed, Term
+from ..greybox.floor import powers_of
 from ..greybox.motion import Motion, input_moments
 from .drive import beside_motion, calm, drive_errors
 from .forces import force_moments
@@ -87,7 +88,7 @@ def beyond_rigid(record: TraceRecord, gap: Array) -> Array:
 def noise_density(point: WorkingPoint, here: Along, freq_hz: Array) -> Array:
     """Return the one-sided density (F, n) of what noise alone leaves in Missing.force."""
     at, noise = here.at, point.disturbance.noise
-    seen = np.einsum("fij,j->fi", np.abs(_impedance(here, freq_hz)) ** 2, noise.output_variance)
+    seen = powers_of(_impedance(here, freq_hz), noise.output_covariance)
     return np.asarray(2 * at.Ts_s * seen + 2 * noise.force_psd)
 
 

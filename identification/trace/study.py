@@ -19,7 +19,6 @@ from ...model.effects.freeform import freeform_effects
 from ..data import IdentificationError
 from ..declared import declared_model
 from ..greybox.fit import first_noise, fit_model
-from ..greybox.noise import Noise
 from ..greybox.parameters import free_parameters
 from .grams import BLOCK_S, Linearised
 from .hints import extent
@@ -303,7 +302,7 @@ def _start(
     point = WorkingPoint(model, parameters, placed, noise, config.input)
 
     for louder in _LOUDER if noise.measured else ():
-        loud = Noise(louder * noise.noise.force_psd, noise.noise.output_variance)
+        loud = noise.noise.scaled(force=louder)
         at, _ = refine(replace(point, disturbance=replace(noise, noise=loud)), _Loaded(parts))
         point = replace(at, disturbance=noise)
     if noise.measured:

@@ -15,7 +15,7 @@ from ..data import IdentificationError
 from ..greybox.experiment import Experiment
 from ..greybox.inputs import Hold
 from ..greybox.motion import Motion, motion
-from ..greybox.noise import Filter, Noise, kalman_filter
+from ..greybox.noise import Filter, kalman_filter
 from ..greybox.parameters import FreeParameters
 from ..greybox.prediction import predict_along, settled
 from .filterbank import thinned
@@ -101,13 +101,12 @@ def filter_of(point: WorkingPoint, record: TraceRecord, at: Motion, trust: float
     Any filter's errors are noise where the model is right, so along a moving schedule that of the
     reference model serves for all models like it: to find it takes longer than to use it.
     """
-    noise = point.disturbance.noise
-    noise = Noise(noise.force_psd * trust, noise.output_variance)
+    noise = point.disturbance.noise.scaled(force=trust)
     if at.fixed:
         return kalman_filter(at, noise)
     model = point.model if point.reference is None else point.reference
-    values = np.array([*model.values.values(), *noise.force_psd, *noise.output_variance])
-    key = values.tobytes()
+    told = np.array(list(model.values.values()))
+    key = np.concatenate([told, noise.force_density, noise.output_covariance], None).tobytes()
     if key not in record.filters:
         if len(record.filters) >= _MOST_FILTERS:
             record.filters.clear()
@@ -169,7 +168,7 @@ def with_likely_noise(point: WorkingPoint, records: Sequence[TraceRecord]) -> Wo
         parts.append(corrected_experiment(point, record, at, added))
 
     def cost(log_level: float) -> float:
-        tried = Noise(np.exp(log_level) * noise.force_psd, noise.output_variance)
+        tried = noise.scaled(force=float(np.exp(log_level)))
         try:
             return sum(predict_along(at, e, kalman_filter(at, tried)).cost for e, at in parts)
         except IdentificationError:
@@ -179,5 +178,5 @@ def with_likely_noise(point: WorkingPoint, records: Sequence[TraceRecord]) -> Wo
     best = levels[np.argmin([cost(level) for level in levels])]
     step = levels[1] - levels[0]
     found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
-    likely = Noise(float(np.exp(found.x)) * noise.force_psd, noise.output_variance)
+    likely = noise.scaled(force=float(np.exp(found.x)))
     return replace(point, disturbance=replace(point.disturbance, noise=likely))

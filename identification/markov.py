@@ -20,12 +20,15 @@ Array = NDArray[np.float64]
 DENSE_ELEMENTS = 15_000_000
 """Up to this size (120 MB) the matrix of a least-squares problem is formed."""
 
+_NOTHING = 1e-12
+"""Share of an excitation's power that rounding leaves where there is none."""
+
 
 @dataclass(frozen=True)
 class MarkovEstimate:
     """Markov parameters g (L, m, p): y(k) = sum_t g(t) v(k - t), with their standard error.
 
-    `standard_error` (m, p) is the same for every tap, `residual_rms` (m,) in units of the output.
+    `standard_error` (m, p) is that of a tap on average, `residual_rms` (m,) in units of the output.
     """
 
     method: str
@@ -57,25 +60,30 @@ def estimate_markov(records: Sequence[Record], length: int, method: str) -> Mark
 def by_correlation(records: Sequence[Record], length: int) -> MarkovEstimate:
     """Cross-correlate output and excitation, as the paper does; right for white excitation only.
 
-    g(t) = sum_k y(k + t) v(k) / sum_k v(k)^2, each input from the records that excite it. What the
-    other taps add to y acts as noise here ("self-noise"), so the standard error is that of the
-    whole output: rms(y) / sqrt(sum v^2), white excitation assumed.
+    g(t) = sum_k y(k + t) v(k) / sum_k v(k)^2, each input from the records that excite it; both sums
+    are over the N - t rows whose answer is in the record. What the other taps add to y acts as
+    noise here ("self-noise"), so the standard error is that of the whole output, rms(y) /
+    sqrt(sum v^2), both of the same rows, its mean square over the taps, white excitation assumed.
+    Of a tap that no excitation tells of, g is zero.
     """
     m, p = records[0].y.shape[1], records[0].v.shape[1]
     correlation = np.zeros((length, m, p))
-    power, variance = np.zeros(p), np.zeros((m, p))
+    power, variance = np.zeros((length, p)), np.zeros((length, m, p))
     for record in records:
         y = record.y - record.y.mean(axis=0)
+        rows = np.arange(1, len(y) + 1)
+        later = (np.cumsum(y[::-1] ** 2, axis=0) / rows[:, None])[: -length - 1 : -1]
         for j in np.flatnonzero(record.excited):
             v = record.v[:, j]
             for i in range(m):
                 correlation[:, i, j] += _cross_correlation(y[:, i], v, length)
-            power[j] += v @ v
-            variance[:, j] += (v @ v) * (y**2).mean(axis=0)
+            told = np.cumsum(v**2)[-1 : -length - 1 : -1]
+            power[:, j] += told
+            variance[:, :, j] += told[:, None] * later
     residual = np.sqrt(np.mean([(r.y - r.y.mean(axis=0)).var(axis=0) for r in records], axis=0))
-    return MarkovEstimate(
-        "correlation", correlation / power, np.sqrt(variance) / power, residual, records[0].Ts_s
-    )
+    power = np.where(power > _NOTHING * power[0], power, np.inf)[:, None]
+    error = np.sqrt(np.mean(variance / power**2, axis=0))
+    return MarkovEstimate("correlation", correlation / power, error, residual, records[0].Ts_s)
 
 
 def by_least_squares(records: Sequence[Record], length: int) -> MarkovEstimate:

@@ -92,6 +92,37 @@ def test_error_is_as_large_as_the_standard_error_says(method):
     assert ratio == pytest.approx(1.0, abs=0.3)
 
 
+def test_correlation_is_unbiased_at_taps_that_the_record_hardly_holds():
+    rows, length, tap, seeds = 400, 300, 100, 200
+    g = np.zeros((length, 1, 1))
+    g[tap] = 1.0
+    found, ratios = [], []
+    for seed in range(seeds):
+        v = np.random.default_rng(seed).normal(size=(rows, 1))
+        record = _record(v, markov.convolve(v, g), at_rest=True)
+        estimate = markov.estimate_markov([record], length, "correlation")
+        found.append(estimate.g[tap, 0, 0])
+        others = np.delete(estimate.g[:, 0, 0], tap)
+        ratios.append(np.mean(others**2) / estimate.standard_error[0, 0] ** 2)
+    # There is no noise; the output's mean, which is taken off, takes 1 / N of the tap along, and
+    # over so many seeds little else is left. With the power of all rows under it, it was 0.75.
+    assert np.mean(found) == pytest.approx(1.0, abs=0.01)
+    # 200 x 299 squares of taps that err by themselves are good to a percent; five of them, as error
+    # and stated error are ratios, of as few as 100 rows at the last taps.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+
+
+def test_correlation_of_an_excitation_that_begins_late_is_finite():
+    v = np.zeros((400, 1))
+    v[300:, 0] = np.random.default_rng(6).normal(size=100)
+    found = markov.estimate_markov([_record(v, v, at_rest=True)], 200, "correlation")
+    assert np.all(np.isfinite(found.g))
+    assert np.all(np.isfinite(found.standard_error))
+    # Of the answer after 100 rows and more the record holds nothing.
+    assert found.g[0, 0, 0] == pytest.approx(1.0, rel=0.05)
+    assert np.all(found.g[100:] == 0.0)
+
+
 def test_least_squares_has_no_self_noise():
     rng = np.random.default_rng(4)
     g = np.exp(-np.arange(100) / 20.0)[:, None, None]

@@ -37,7 +37,8 @@ class PiController:
 class Record:
     """One experiment: excitation v (N, p), plant input u (N, p), output y (N, m).
 
-    u is what controller and excitation ask for, without feed-forward; None where it is not known.
+    u is what was sent to the plant, behind all limits, without feed-forward; None where it is not
+    known. `asked` (N, p) is what controller and excitation asked for, v - C y; None where it is u.
     `controller` is the one that closed the loop, None in open loop or when it is not known.
     `delay_cycles` are whole cycles between an input and its first action; None when not known (the
     output may then react in the cycle of its input). `at_rest` says that v = 0 before the first row
@@ -54,6 +55,7 @@ class Record:
     output_names: tuple[str, ...]
     output_units: tuple[str, ...]
     u: Array | None = None
+    asked: Array | None = None
     beam_m: float | None = None
     controller: PiController | None = None
     delay_cycles: int | None = None
@@ -81,6 +83,7 @@ class Record:
             v=self.v[start:stop],
             y=self.y[start:stop],
             u=None if self.u is None else self.u[start:stop],
+            asked=None if self.asked is None else self.asked[start:stop],
             at_rest=self.at_rest and start == 0,
         )
 

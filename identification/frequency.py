@@ -125,12 +125,13 @@ def frequency_response(
 
 
 def sensitivity(records: Sequence[Record], freq_hz: Array, segment_s: float) -> ResponseEstimate:
-    """Return the input sensitivity S from excitation v to plant input u.
+    """Return the input sensitivity S from excitation v to the input that is asked for.
 
-    It is estimated as I plus the response to u - v = -C y, the same number without its rounding.
-    Raises IdentificationError when a record lacks the plant input.
+    It is estimated as I plus the response to asked - v = -C y, the same number without its
+    rounding: what limits take off a wrench is no answer of the controller. Raises
+    IdentificationError when a record lacks the plant input.
     """
-    feedback = [_plant_input(r) - r.v for r in records]
+    feedback = [(_plant_input(r) if r.asked is None else r.asked) - r.v for r in records]
     estimate = frequency_response(
         [r.v for r in records], feedback, records[0].Ts_s, freq_hz, segment_s
     )

@@ -12,6 +12,7 @@ from ..config.base import ConfigError, parse_text
 from ..config.rig import RigConfig
 from ..log.reader import Log
 from ..log.signals_file import SignalsFile
+from ..model.geometry import shape_matrix
 from .data import SAME_BEAM_M, IdentificationError, PiController, Record
 from .gaps import without_gaps
 
@@ -25,6 +26,7 @@ _WRENCH = ("tau_psi_n_m", "tau_theta_n_m", "tau_z_n")
 FEED_FORWARD = ("ff_psi_n_m", "ff_theta_n_m", "ff_z_n")
 POSE = ("psi_rad", "theta_rad", "z_m")
 REFERENCE = ("psi_ref_rad", "theta_ref_rad", "z_ref_m")
+_COILS = "coil_n"
 _CYCLE = (*EXCITATION, *_WRENCH, *FEED_FORWARD, *POSE, *REFERENCE, "beam_m")
 
 
@@ -75,11 +77,13 @@ def _from_cycles(log: Log) -> Record:
     if not np.any(v):
         raise NotARecordError(f"{log.path.name}: no wrench excitation in it")
     _check_still(log, "the beam", beam)
+    asked, sent, told = _inputs(log)
     return Record(
         name=log.metadata.get("name") or log.path.stem,
         Ts_s=1.0 / log.rate_hz,
         v=v,
-        u=columns(log, _WRENCH) - columns(log, FEED_FORWARD),
+        u=sent,
+        asked=asked,
         y=columns(log, POSE),
         input_names=DOF,
         input_units=INPUT_UNITS,
@@ -89,20 +93,46 @@ def _from_cycles(log: Log) -> Record:
         controller=controller_of(log),
         delay_cycles=1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
         at_rest=False,  # the platform may still ring from the record before
-        remarks=(*remarks_of(log), *gaps),
+        remarks=(*remarks_of(log), *told, *gaps),
     )
+
+
+def _inputs(log: Log) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return the wrench that was asked for and the one sent (N, 3), less feed-forward; remarks.
+
+    Sent is what the coils were told behind all limits, with what excites single coils.
+    """
+    feed_forward = columns(log, FEED_FORWARD)
+    asked = columns(log, _WRENCH) - feed_forward
+    if _COILS not in (log.rows.dtype.names or ()):
+        remark = f"without {_COILS}: coils are taken to have got what was asked for, at no limit"
+        return asked, asked, (remark,)
+    require_finite(log, [_COILS])
+    coils, geometry = log.field(_COILS).astype(float), rig_of(log).geometry
+    S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
+    if coils.shape[1:] != (len(S),):
+        raise IdentificationError(
+            f"{log.path}: {_COILS}: expected the {len(S)} coils of rig.yaml, found "
+            f"{' x '.join(map(str, coils.shape[1:])) or 'one value a row'}"
+        )
+    return asked, coils @ S - feed_forward, ()
 
 
 def controller_of(log: Log) -> PiController:
     """Return the controller that rig.yaml at the head of the log names; IdentificationError."""
+    control = rig_of(log).control
+    return PiController(np.array(control.kp), np.array(control.ki))
+
+
+def rig_of(log: Log) -> RigConfig:
+    """Return the rig.yaml at the head of the log; raises IdentificationError without one."""
     text = log.attachments.get("rig.yaml")
     if text is None:
         raise IdentificationError(f"{log.path}: expected the attachment rig.yaml, found none")
     try:
-        control = parse_text(text, RigConfig, f"{log.path}: rig.yaml").control
+        return parse_text(text, RigConfig, f"{log.path}: rig.yaml")
     except ConfigError as error:
         raise IdentificationError(str(error)) from None
-    return PiController(np.array(control.kp), np.array(control.ki))
 
 
 def remarks_of(log: Log) -> list[str]:

@@ -203,7 +203,7 @@ def _as_core_sees_it(record: Record, lag_pole: float) -> Record:
     # What the lag was before the first row is forgotten within the predictor's past.
     lagged = signal.lfilter([1.0 - lag_pole], [1.0, -lag_pole], u - u[0], axis=0)
     delay = record.leading_zeros
-    return replace(record, v=lagged[: len(u) - delay], y=record.y[delay:], u=None)
+    return replace(record, v=lagged[: len(u) - delay], y=record.y[delay:], u=None, asked=None)
 
 
 @dataclass(frozen=True)

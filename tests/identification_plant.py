@@ -108,6 +108,26 @@ def simulate(
     return _loop(plant.A, plant.B, plant.C, places, inverse, KP, ki, v, sensor, wrench, step)
 
 
+def fly_limited(
+    plant: SampledPlant, v: Array, limit_n: float, seed: int = 0
+) -> tuple[Array, Array, Array, Array]:
+    """Fly v (N, 3) as `simulate` does, each coil within +-limit_n; 7.63 N of it carry the weight.
+
+    Return pose y, the wrench asked for and its feed-forward (N, 3), and the coils' forces (N, 9).
+    Integrators stand still while a coil is at its limit.
+    """
+    rng, n = np.random.default_rng(seed), len(v)
+    sensor = rng.normal(0.0, SENSOR_NOISE_M, (n, 9))
+    held = COIL_NOISE_N * np.sqrt(COIL_NOISE_HELD_S / plant.Ts_s)
+    wrench = rng.normal(0.0, held, (n, 9)) @ COILS
+    ff = np.tile([0.0, 0.0, 7.0 * 9.81], (n, 1))
+    y, tau, coil = _limited_loop(
+        plant.A, plant.B, plant.C, COILS, T, KP, KI * plant.Ts_s, v, sensor, wrench, SENSOR_STEP_M,
+        ff[0], limit_n,
+    )  # fmt: skip
+    return y, tau, ff, coil
+
+
 def records(
     beams_m: Sequence[float],
     rate_hz: float,
@@ -155,3 +175,23 @@ def _loop(A, B, C, S, T, kp, ki, v, sensor, wrench, step):  # type: ignore[no-un
         x = A @ x + B @ (acting + wrench[k])
         acting = u[k].copy()
     return y, u
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _limited_loop(  # type: ignore[no-untyped-def]
+    A, B, C, S, T, kp, ki, v, sensor, wrench, step, ff, limit
+):
+    n = len(v)
+    y, tau, coil = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, len(S)))
+    x, integral, acting = np.zeros(len(A)), np.zeros(3), np.zeros(3)
+    for k in range(n):
+        gap = np.round((S @ (C @ x) + sensor[k]) / step) * step
+        y[k] = T @ gap
+        tau[k] = v[k] - kp * y[k] + integral - ki * y[k] + ff
+        force = T.T @ tau[k]
+        coil[k] = np.minimum(np.maximum(force, -limit), limit)
+        if np.all(coil[k] == force):
+            integral -= ki * y[k]
+        x = A @ x + B @ (acting + wrench[k])
+        acting = S.T @ coil[k] - ff
+    return y, tau, coil

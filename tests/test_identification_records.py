@@ -16,7 +16,9 @@ from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.log.reader import Log
 from levid.log.signals import cycle_dtype
+from levid.model.geometry import decoupling_matrix
 
+COILS_XY_M = 0.12 * np.repeat([1.0, 0.0, -1.0], 3), 0.12 * np.tile([1.0, 0.0, -1.0], 3)
 NAMES = ("psi", "theta", "z")
 SIGNALS_YAML = b"""levid: signals
 rate_hz: 50
@@ -32,6 +34,7 @@ def _cycles(n: int = 200) -> np.ndarray:
     rows["v_theta_n_m"] = np.random.default_rng(0).normal(size=n)
     rows["tau_theta_n_m"] = rows["v_theta_n_m"] + 0.5
     rows["ff_theta_n_m"] = 0.5
+    rows["coil_n"] = np.outer(rows["tau_theta_n_m"], decoupling_matrix(*COILS_XY_M)[1])
     rows["theta_rad"] = 1e-4
     rows["beam_m"] = 0.05
     return rows

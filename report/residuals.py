@@ -29,7 +29,7 @@ class Residuals:
 
     error_psd and floor_psd (F, m): one-sided densities at freq_hz (F,) of simulation error and of
     noise; correlation (m, L): of one-step-ahead errors at lags 1 to L, `bound` what 99 % of white
-    errors stay below, p_value (m,) the chance that white errors look less white.
+    records stay below at every lag, p_value (m,) the chance that white errors look less white.
     """
 
     record: str
@@ -85,7 +85,7 @@ def residual_correlation(
     """Draw the autocorrelation of one-step-ahead errors in % over the lag, with its bound."""
     legend: list[Artist] = [
         entry("autocorrelation, %", _ERROR),
-        entry("99 % of white errors stay within", BOUND),
+        entry("99 % of white records stay within", BOUND),
     ]
     with drawing(sheet):
         grid = new_grid((len(residuals), len(names)), sheet, 1.5, legend)

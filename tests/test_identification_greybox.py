@@ -153,6 +153,14 @@ def test_true_model_leaves_white_errors_of_unit_size() -> None:
     assert whiteness(errors).p_value.min() > 1e-3
 
 
+def test_of_white_records_99_percent_stay_within_the_bound() -> None:
+    found = whiteness(np.random.default_rng(11).normal(size=(2000, 1000)))
+    share = np.mean(np.all(np.abs(found.correlation) < found.bound, axis=1))
+    # Of 1000 records ten are beyond, scattering by three; a bound that holds for each of 25 lags by
+    # itself has 22 % of the records beyond it.
+    assert 0.98 <= share < 1.0
+
+
 def test_errors_vanish_with_the_noise() -> None:
     quiet, loud = (record(1, 4000, noise=scale) for scale in (1e-3, 1.0))
     for name, value in {"m": 2.0, "d": 3.0, "k": 800.0}.items():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from ...model.declared import DeclaredModel
 from ..fit import nrmse_fit_percent
@@ -32,7 +32,7 @@ class Whiteness:
     """Ljung and Box's test of one-step-ahead errors, one value an output (n,).
 
     correlation (n, lags): autocorrelation from lag 1 on; bound: what 99 % of white records stay
-    below; p_value: of a white record being less white than this one.
+    below at every lag; p_value: of a white record being less white than this one.
     """
 
     correlation: Array
@@ -101,7 +101,9 @@ def whiteness(errors: Array, lags: int = _LAGS) -> Whiteness:
     power = np.sum(centred**2, axis=0)
     rho = np.array([np.sum(centred[k:] * centred[:-k], axis=0) / power for k in range(1, lags + 1)])
     Q = n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1))[:, None], axis=0)
-    return Whiteness(rho.T, 2.576 / np.sqrt(n), np.asarray(chi2.sf(Q, lags)))
+    # Of so many lags, nearly independent ones, each may be beyond with its share of 1 %.
+    bound = float(norm.isf(0.005 / max(lags, 1))) / np.sqrt(n)
+    return Whiteness(rho.T, bound, np.asarray(chi2.sf(Q, lags)))
 
 
 def summary_lines(validations: Sequence[Validation], names: Sequence[str]) -> list[str]:

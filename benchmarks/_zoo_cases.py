@@ -35,7 +35,8 @@ class ZooCase:
     effect. `alike` are classes that the same data fit as well. `sized` is whether its error can be
     chosen; what the drives alone feel leaves none in the gaps. `keys` are the names in the table of
     effects, or of groups in it, that are the mechanism itself; without any it is the class.
-    `unseen`: the tracer was never changed after what it said of this one.
+    `implied` are places that follow from another, as the torque of a force from its arm: to name one
+    besides is neither right nor wrong. `unseen`: the tracer was never changed after what it said of this one.
     """
 
     name: str
@@ -48,6 +49,7 @@ class ZooCase:
     alike: tuple[str, ...]
     sized: bool
     keys: tuple[str, ...]
+    implied: tuple[str, ...]
     unseen: bool
 
     def effect(self, scale: float) -> dict[str, Any]:
@@ -92,6 +94,7 @@ def _case(name: str, row: dict[str, Any]) -> ZooCase:
         tuple(row.pop("alike", [])),
         row.pop("sized", True),
         tuple(row.pop("keys", [kind])),
+        tuple(row.pop("implied", [])),
         row.pop("unseen", False),
     )
 

@@ -306,7 +306,7 @@ def _right(case: ZooCase, reported: Sequence[Reported]) -> bool:
 
 def _in_common(there: frozenset[str], case: ZooCase) -> float:
     """Return how much of all places, named or true, is both."""
-    true, named = set(case.where), set(there)
+    true, named = set(case.where) - set(case.implied), set(there) - set(case.implied)
     if true - _CARRIERS:
         true, named = true - _CARRIERS, named - _CARRIERS
     return len(true & named) / max(len(true | named), 1)

@@ -651,3 +651,10 @@ def test_passing_beam_shows_on_its_sensor_alone() -> None:
     seen = beam.gap(0.0, np.zeros(9))
     assert seen[4] == pytest.approx(3e-6 * math.exp(-1))
     assert np.count_nonzero(seen) == 1
+
+
+def test_torque_of_a_force_that_is_named_with_its_arm_need_not_be_named_as_well() -> None:
+    assert score("magnet-field", ("external_field", "z")).right
+    assert score("magnet-field", ("external_field", "z"), ("external_field", "theta")).right
+    assert not score("magnet-field", ("external_field", "theta")).right
+    assert not score("magnet-field", ("external_field", "psi z")).right

@@ -35,8 +35,9 @@ class ZooCase:
     effect. `alike` are classes that the same data fit as well. `sized` is whether its error can be
     chosen; what the drives alone feel leaves none in the gaps. `keys` are the names in the table of
     effects, or of groups in it, that are the mechanism itself; without any it is the class.
-    `implied` are places that follow from another, as the torque of a force from its arm: to name one
-    besides is neither right nor wrong. `unseen`: the tracer was never changed after what it said of this one.
+    `implied` are places that follow from another, as the torque of a force from its arm: to name
+    one besides is neither right nor wrong. `unseen`: the tracer was never changed after what it
+    said of this one.
     """
 
     name: str

@@ -68,9 +68,8 @@ class _Flown:
         try:
             flights = out / "flights" if self._arguments.keep_flights else None
             _fly_all(plants, sizes, kept, floor_m, flights)
-            if self._arguments.publish:
-                _say(f"{PUBLISHED.name}: {kept.publish(PUBLISHED)} results")
         finally:
+            _publish(kept, self._arguments)
             self._results = [r for r in kept.of(plants, sizes, floor_m) if r.flown]
             yield from told(self._results, len(plants) if self._default else None)
 
@@ -93,6 +92,9 @@ class _Kept:
         if code not in kept.codes:
             others = ", ".join(f"{count} of {other}" for other, count in kept.codes.items())
             raise SystemExit(f"error: no result of code {code} is kept; there are: {others or 0}")
+        if arguments.publish and code != kept.version:
+            raise SystemExit(f"error: --publish is for results of this code, {kept.version}")
+        _publish(kept, arguments)
         results = kept.all(code, known_sizes(), known_floor_m())
         chosen = _chosen([result.plant for result in results], arguments)
         self._results = [result for result in results if result.plant in chosen]
@@ -104,6 +106,11 @@ class _Kept:
     def tables(self) -> list[Table]:
         """Return what was found of each plant, and what it comes to."""
         return [verdicts_table(self._results), summary_table(self._results)]
+
+
+def _publish(kept: Kept, arguments: argparse.Namespace) -> None:
+    if arguments.publish:
+        _say(f"{PUBLISHED.name}: {kept.publish(PUBLISHED)} results")
 
 
 def _plants(arguments: argparse.Namespace) -> list[Plant]:

@@ -592,12 +592,14 @@ def test_what_is_kept_is_shown_without_flying(tmp_path, monkeypatch, capsys) -> 
     shown = results.Kept(tmp_path).all("a", some)
     assert [result.plant for result in shown] == plants
     assert not any(result.less for result in shown)
+    monkeypatch.setattr(zoo, "PUBLISHED", tmp_path / "published.gz")
     options = ["zoo", "--out", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", [*options, "--show", "--json", "--times", "20"])
+    monkeypatch.setattr(sys, "argv", [*options, "--show", "--json", "--times", "20", "--publish"])
     zoo.main()
     said_of = json.loads(capsys.readouterr().out)
     assert said_of["figures"]["plants"] == 1
     assert said_of["met"]["nothing_false_alarms"] is None
+    assert len(results.Kept(tmp_path / "empty", zoo.PUBLISHED).all("a", some)) == 2
     monkeypatch.setattr(sys, "argv", [*options, "--show", "b"])
     with pytest.raises(SystemExit, match="there are: 2 of a"):
         zoo.main()
@@ -624,9 +626,10 @@ def test_what_there_is_at_an_interrupt_is_printed(tmp_path, monkeypatch, capsys,
     }.items():  # fmt: skip
         monkeypatch.setattr(zoo, name, value)
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # pytest's own stay
-    monkeypatch.setattr(sys, "argv", ["zoo", "--out", str(tmp_path), "--json"])
+    monkeypatch.setattr(sys, "argv", ["zoo", "--out", str(tmp_path), "--json", "--publish"])
     with pytest.raises(type(stop)):
         zoo.main()
+    assert zoo.PUBLISHED.exists()
     said_of = json.loads(capsys.readouterr().out)
     assert said_of["figures"]["plants"] == 1
     assert type(stop).__name__ in said_of["incomplete"]

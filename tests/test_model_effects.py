@@ -330,6 +330,17 @@ def test_saturation_runs_from_soft_to_hard():
     np.testing.assert_allclose(hard, np.clip(F, -10, 10), atol=0.18)
 
 
+def test_saturation_of_which_there_is_all_loses_as_much_far_below_its_limit():
+    s = coil_signals(np.linspace(-6, 6, moving().rows))
+    effect = table(rig_places)["saturation@coil:2"]
+    assert effect.plain is not None
+    shape = effect.plain((0.3,), (25.0, 4.0))
+    part = 0.3 * term("saturation@coil:2", (25.0, 4.0), s).held[:, 2]
+    np.testing.assert_allclose(
+        term("saturation@coil:2", shape, s).held[:, 2], part, atol=2e-3 * np.ptp(part)
+    )
+
+
 def test_delay_and_short_lag_are_one_and_a_long_lag_is_its_own():
     s = moving()
     t = s.time_s

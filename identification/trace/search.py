@@ -19,6 +19,7 @@ from .giving_up import (
     without_stand_in,
 )
 from .held_out import LOWERS, helps
+from .plain import is_held, with_plain_amplitudes
 from .refine import FULLY, NEARLY, Candidate, gather, refine
 from .regression import Evidence, standard_errors
 from .screening import (
@@ -60,7 +61,8 @@ _MUCH = 1.7
 class Found:
     """The working point at the end, how it was reached, and what both sets of records leave.
 
-    errors: standard errors of [the model's parameters over scale, amplitudes and shapes].
+    errors: standard errors of [the model's parameters over scale, amplitudes and shapes]; nan of
+    what is held.
     """
 
     point: WorkingPoint
@@ -123,8 +125,16 @@ def _settled(
     fitted, _ = refine(point, records, within=FULLY)
     if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:
         point = fitted
+    if any(p.effect.plain is not None for p in point.placed):
+        squares = gather(point, records.train(point)).squares
+        plain, _ = with_plain_amplitudes(point, squares, records)
+        if records.held_error(plain).squares < (1.0 + LOWERS) * error.squares:
+            point = plain
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
-    errors = standard_errors(train, range(train.gram.shape[1] - 1))
+    free = np.array([True] * len(point.parameters.names))
+    free = np.append(free, [not held for p in point.placed for held in is_held(p)]).astype(bool)
+    errors = np.full(len(free), np.nan)
+    errors[free] = standard_errors(train, np.flatnonzero(free))
     return Found(_with_errors(point, errors), tuple(rounds), errors, train, held)
 
 

@@ -188,6 +188,9 @@ class Effect:
     remains: Build | None = None
     """What is left, row by row, of a unit of force that was there before the first and that nobody
     knows; None for effects without a memory."""
+    plain: Callable[[Sequence[float], Sequence[float]], tuple[float, ...]] | None = None
+    """Of amplitudes and a shape, the shape that does about the same with amplitudes of one, where
+    those are what the equation has in books; None where amplitudes are numbers of their own."""
 
     @property
     def name(self) -> str:

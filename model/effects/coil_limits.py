@@ -49,6 +49,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.15 * largest,), (0.4 * largest,)),
                 absorbed_by="where no command comes near zero: constant force",
                 told_apart_by=_TOLD_APART,
+                plain=_whole_dead_zone,
             ),
             Effect(
                 "saturation",
@@ -65,6 +66,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.85 * largest, 6.0),),
                 absorbed_by="far below the limit nothing is seen",
                 told_apart_by=_TOLD_APART,
+                plain=_whole_saturation,
             ),
         ]
     return found
@@ -83,6 +85,16 @@ def _saturation(signals: Signals, shape: Sequence[float], *, coils: Coils) -> li
         return np.asarray(-F * np.expm1(-np.logaddexp(0.0, log_ratio) / hardness))
 
     return [_lost(signals, coils, lost)]
+
+
+def _whole_dead_zone(_depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:
+    return tuple(shape)
+
+
+def _whole_saturation(depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:
+    """Return the shape that loses as much far below the limit: depth F (F / limit)^p / p."""
+    limit, hardness = shape
+    return limit * float(depth[0]) ** (-1.0 / hardness) if depth[0] > 0.0 else limit, hardness
 
 
 def _lost(signals: Signals, coils: Coils, lost: Callable[[Array], Array]) -> Term:

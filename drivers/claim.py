@@ -6,6 +6,8 @@ import errno
 import hashlib
 import socket
 
+from .base import LinkError
+
 
 class Claim:
     """A name that one process of this machine can hold; it is free again when that is gone."""
@@ -34,6 +36,15 @@ class Claim:
             return False
         self._held = held
         return True
+
+    def require(self, what: str) -> None:
+        """Take it, or keep it; raises LinkError that names `what` it is for."""
+        try:
+            free = self.take()
+        except OSError as error:
+            raise LinkError(f"{what}: cannot be claimed: {error}") from None
+        if not free:
+            raise LinkError(f"{what}: another loop on this machine flies on it")
 
     def release(self) -> None:
         """Let others have it; safe to call twice."""

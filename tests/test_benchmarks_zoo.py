@@ -570,7 +570,7 @@ def test_targets_stand_beside_figures(tmp_path, monkeypatch) -> None:
     by_key = {figure.key: figure for figure in tables.told(found, 2)}
     assert by_key["alone_5x_and_20x_right_percent"].met == "met"
     assert by_key["pair_5x_right_percent"].met == "not asked"
-    assert by_key["alone_20x_parameter_error"].met == "missed"  # four times as large as flown
+    assert by_key["alone_20x_within_5_percent"].met == "missed"  # four times as large as flown
     assert (by_key["hours"].value, by_key["hours"].met) == (1.0, "met")
     assert {f.key: f.met for f in tables.told(found[:1], 2)}["hours"] == "undecided"
     assert {f.key: f.met for f in tables.told(found, None)}["hours"] is None

@@ -13,6 +13,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from claims import is_for_one_loop
 from serial import rfc2217
 
 from levid.config.buses import SerialBus
@@ -127,16 +128,7 @@ def test_port_over_tcp_sends_at_once() -> None:
 def test_two_loops_do_not_fly_on_one_device_over_tcp() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         bus = SerialBus(port=f"socket://127.0.0.1:{server.getsockname()[1]}", baud=115_200)
-        first, second = SerialLine("main", bus), SerialLine("main", bus)
-        first.open()
-        with pytest.raises(LinkError, match="another loop"):
-            second.open()
-        first.open()  # anew, as after a fault
-        with pytest.raises(LinkError, match="another loop"):
-            second.open()
-        first.close()
-        second.open()
-        second.close()
+        is_for_one_loop(SerialLine("main", bus), SerialLine("main", bus))
 
 
 def test_port_that_is_lost_is_closed_after_the_cycle() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import pytest
 from rig_effects import rig_places
@@ -17,8 +18,25 @@ SATURATION, GAIN = "saturation@coil:2", "coil_gain@coil:1"
 
 
 @dataclass(frozen=True)
+class Named:
+    names: tuple[str, ...] = ("m", "k")
+
+
+@dataclass(frozen=True)
 class Point:
     placed: tuple[Placed, ...]
+    parameters: Named = Named()
+
+
+@dataclass(frozen=True)
+class Records:
+    def train(self, point: Point) -> Point:
+        return point
+
+
+@pytest.fixture(autouse=True)
+def begun_with_a_thousand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plain, "gather", lambda *_: SimpleNamespace(squares=1000.0))
 
 
 @pytest.mark.parametrize(("costs", "held"), [(0.0, True), (0.5 * LEAST, True), (1e4, False)])
@@ -27,23 +45,22 @@ def test_an_amplitude_is_held_at_one_where_that_costs_little(
 ) -> None:
     begun = Point((Placed(NAMED[GAIN], (), (0.1,)), Placed(NAMED[SATURATION], (23.0, 4.0), (0.2,))))
     monkeypatch.setattr(plain, "refine", lambda point, *_, within: (point, 1000.0 + costs))
-    point, squares = plain.with_plain_amplitudes(begun, 1000.0, None)  # type: ignore[arg-type]
+    point = plain.with_plain_amplitudes(begun, Records())  # type: ignore[arg-type]
     gain, saturation = point.placed
     assert gain == begun.placed[0]
     if not held:
-        assert (point, squares) == (begun, 1000.0)
+        assert point is begun
         return
     assert saturation.amplitudes == (1.0,)
     assert saturation.shape[0] == pytest.approx(23.0 * 0.2**-0.25)
     assert saturation.effect.identity == SATURATION
-    assert plain.is_held(saturation) == [True, False, False]
-    assert plain.is_held(gain) == [False]
-    assert plain.with_plain_amplitudes(point, squares, None)[0] == point  # type: ignore[arg-type]
+    assert plain.free_numbers(point).tolist() == [True, True, True, False, True, True]  # type: ignore[arg-type]
+    assert plain.with_plain_amplitudes(point, Records()) == point  # type: ignore[arg-type]
 
 
 def test_a_limit_keeps_to_its_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plain, "refine", lambda point, *_, within: (point, 0.0))
     high = NAMED[SATURATION].shape[0].high
     begun = Point((Placed(NAMED[SATURATION], (high, 1.5), (1e-6,)),))
-    point, _ = plain.with_plain_amplitudes(begun, 0.0, None)  # type: ignore[arg-type]
+    point = plain.with_plain_amplitudes(begun, Records())  # type: ignore[arg-type]
     assert point.placed[0].shape[0] == high

@@ -34,12 +34,8 @@ class CanLink:
     def open(self) -> None:
         """Open the bus, anew if it was open; raises LinkError, where another loop has it too."""
         self._let_go()
-        try:
-            free = self._claim is None or self._claim.take()
-        except OSError as error:
-            raise LinkError(f"{self.what}: cannot be claimed: {error}") from None
-        if not free:
-            raise LinkError(f"{self.what}: another loop on this machine flies on it")
+        if self._claim is not None:
+            self._claim.require(self.what)
         try:
             self._bus = open_bus(self._config)
         except Exception as error:  # noqa: BLE001 - interfaces raise whatever they meet

@@ -39,12 +39,8 @@ class SerialLine:
         import serial
 
         self._let_go()
-        try:
-            free = self._claim is None or self._claim.take()
-        except OSError as error:
-            raise LinkError(f"{self._what}: cannot be claimed: {error}") from None
-        if not free:
-            raise LinkError(f"{self._what}: another loop on this machine flies on it")
+        if self._claim is not None:
+            self._claim.require(self._what)
         # rfc2217:// knows no time to write within.
         apart = self._bus.port.startswith("rfc2217:")
         times: dict[str, Any] = (

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ...config.base import parse_text
 from ...config.model import ModelConfig
-from ...config.rig import RigConfig
 from ...log.reader import Log
 from ...log.signals_file import SignalsFile
 from ...model.geometry import decoupling_matrix, shape_matrix
@@ -26,6 +25,7 @@ from ..from_log import (
     imported_record,
     remarks_of,
     require_finite,
+    rig_of,
 )
 from ..gaps import without_gaps
 from .covariance import correlation
@@ -159,7 +159,7 @@ def _flown(log: Log) -> Experiment:
             f"{log.path.name}: kind '{kind or 'none'}', only records are identified"
         )
     controller = controller_of(log)
-    geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
+    geometry = rig_of(log).geometry
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     T = decoupling_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
     loop = Loop(

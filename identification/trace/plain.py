@@ -5,36 +5,38 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...model.effects.base import Placed
-from .refine import FULLY, Fitted, refine
+from .refine import FULLY, Fitted, gather, refine
 from .screening import LEAST
 from .working_point import WorkingPoint
 
 
-def with_plain_amplitudes(
-    point: WorkingPoint, squares: float, records: Fitted
-) -> tuple[WorkingPoint, float]:
-    """Return the point, and its squared errors, with what need not have an amplitude held at one.
+def with_plain_amplitudes(point: WorkingPoint, records: Fitted) -> WorkingPoint:
+    """Return the point, refined, with what need not have an amplitude held at one.
 
     Regression asks of everything how much of it there is. Of a saturation there is all: how deep it
     is, and from where on, are one number far below its limit, and along that valley neither is
     known.
     """
+    squares = None
     for i, placed in enumerate(point.placed):
         if placed.effect.plain is None:
             continue
-        others = point.placed[:i], point.placed[i + 1 :]
-        held = replace(point, placed=(*others[0], _held(placed), *others[1]))
-        fitted, left = refine(held, records, within=FULLY)
+        if squares is None:
+            squares = gather(point, records.train(point)).squares
+        held = (*point.placed[:i], _held(placed), *point.placed[i + 1 :])
+        fitted, left = refine(replace(point, placed=held), records, within=FULLY)
         if left - squares < LEAST:
             point, squares = fitted, left
-    return point, squares
+    return point
 
 
-def is_held(placed: Placed) -> list[bool]:
-    """Return which of its amplitudes and shape can only be what they are."""
-    return [q.low == q.high for q in (*placed.effect.amplitudes, *placed.effect.shape)]
+def free_numbers(point: WorkingPoint) -> NDArray[np.bool_]:
+    """Return which of [the model's parameters, amplitudes and shapes] (P,) are not held."""
+    held = [q.low == q.high for p in point.placed for q in (*p.effect.amplitudes, *p.effect.shape)]
+    return ~np.array([False] * len(point.parameters.names) + held, dtype=bool)
 
 
 def _held(placed: Placed) -> Placed:

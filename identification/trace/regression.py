@@ -200,7 +200,7 @@ def gains(evidence: Evidence) -> list[Array]:
 
 
 def standard_errors(evidence: Evidence, columns: Indices) -> Array:
-    """Return the standard errors of coefficients, in the columns' own units, at the least squares.
+    """Return the standard errors (P,) of coefficients at the least squares, over no `size`.
 
     What is left need be neither white nor of one size everywhere: blocks of time stand for
     themselves, in the sandwich H^-1 (sum of g g^T over blocks) H^-1 of their gradients g (Liang and

@@ -19,7 +19,7 @@ from .giving_up import (
     without_stand_in,
 )
 from .held_out import LOWERS, helps
-from .plain import is_held, with_plain_amplitudes
+from .plain import free_numbers, with_plain_amplitudes
 from .refine import FULLY, NEARLY, Candidate, gather, refine
 from .regression import Evidence, standard_errors
 from .screening import (
@@ -125,14 +125,11 @@ def _settled(
     fitted, _ = refine(point, records, within=FULLY)
     if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:
         point = fitted
-    if any(p.effect.plain is not None for p in point.placed):
-        squares = gather(point, records.train(point)).squares
-        plain, _ = with_plain_amplitudes(point, squares, records)
-        if records.held_error(plain).squares < (1.0 + LOWERS) * error.squares:
-            point = plain
+    plain = with_plain_amplitudes(point, records)
+    if plain is not point and records.held_error(plain).squares < (1.0 + LOWERS) * error.squares:
+        point = plain
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
-    free = np.array([True] * len(point.parameters.names))
-    free = np.append(free, [not held for p in point.placed for held in is_held(p)]).astype(bool)
+    free = free_numbers(point)
     errors = np.full(len(free), np.nan)
     errors[free] = standard_errors(train, np.flatnonzero(free))
     return Found(_with_errors(point, errors), tuple(rounds), errors, train, held)

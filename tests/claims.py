@@ -1,0 +1,22 @@
+"""What two loops that want one bus are told."""
+
+from __future__ import annotations
+
+import pytest
+
+from levid.drivers.base import LinkError
+from levid.drivers.can.link import CanLink
+from levid.drivers.serial.line import SerialLine
+
+
+def is_for_one_loop(first: CanLink | SerialLine, second: CanLink | SerialLine) -> None:
+    """Assert that the second opens once the first is closed, and no sooner."""
+    first.open()
+    with pytest.raises(LinkError, match="another loop"):
+        second.open()
+    first.open()  # anew, as after a fault
+    with pytest.raises(LinkError, match="another loop"):
+        second.open()
+    first.close()
+    second.open()
+    second.close()

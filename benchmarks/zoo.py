@@ -159,7 +159,7 @@ def _options() -> argparse.ArgumentParser:
         type=int,
         default=FIRST_SEED,
         metavar="N",
-        help="of others, none of which were seen",
+        help="draw noise, excitation and pairs by other seeds, from this one on",
     )
     options.add_argument(
         "--afresh", action="store_true", help=f"fly what {PUBLISHED.name} holds, too"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -118,8 +119,13 @@ def error_spectra(
     return grid.figure
 
 
-def candidates(bars: Sequence[Bar], measure: str, *, sheet: Sheet = PAGE) -> Figure:
-    """Draw what candidates of one round explain, each by itself; `measure` says of what."""
+def candidates(
+    bars: Sequence[Bar], measure: str, *, last_tick: float = math.inf, sheet: Sheet = PAGE
+) -> Figure:
+    """Draw what candidates of one round explain, each by itself; `measure` says of what.
+
+    The axis is numbered no further than to `last_tick`: there is no share of 120 %.
+    """
     legend: list[Artist] = [
         Patch(facecolor=colour("blue"), label="taken"),
         Patch(facecolor=colour("sky"), label="fitted beside it"),
@@ -145,6 +151,7 @@ def candidates(bars: Sequence[Bar], measure: str, *, sheet: Sheet = PAGE) -> Fig
         ax.set_yticks(rows, [_cut(b.name) for b in bars])
         ax.set_ylim(len(bars) - 0.45, -0.55)
         ax.set_xlim(0, reach)
+        ax.set_xticks([t for t in ax.get_xticks() if t <= min(last_tick, reach)])
         ax.grid(visible=False, axis="y")
         ax.tick_params(length=2.5)
         ax.set_title(measure, fontweight="normal")

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ..config.model import Parameter
@@ -167,7 +168,7 @@ def search_section(found: Trace) -> Section:
         parts.append(
             Picture(
                 f"trace-round-{number}",
-                to_svg(candidates(bars, _OF_NOISE if _is_noise(r) else _OF_EXCESS)),
+                to_svg(_candidates(r, bars)),
                 f"What the best candidates of round {number} explain of what was left.",
                 f"Round {number}: {_told(r)} Beside each bar how far held-out records agree with "
                 "it, in standard deviations of chance.",
@@ -192,6 +193,12 @@ def _bars(r: Round) -> list[Bar]:
         share = min(t.gain / whole, most)
         bars.append(Bar(t.effect.name, share, agrees, t.effect.identity in fitted, is_taken))
     return bars
+
+
+def _candidates(r: Round, bars: list[Bar]) -> Figure:
+    if _is_noise(r):
+        return candidates(bars, _OF_NOISE)
+    return candidates(bars, _OF_EXCESS, last_tick=100.0)
 
 
 def _is_noise(r: Round) -> bool:

@@ -19,7 +19,8 @@ from .trace_words import CONFIDENCE, signal_text, unit_text
 
 Array = NDArray[np.float64]
 
-_FITTED = Line(colour("vermillion"), width=1.6, zorder=3.2)
+_FITTED = Line(colour("vermillion"), width=1.2, zorder=3.2)
+_OVER_TIME = Line(colour("sky"), width=3.4, zorder=3)  # shows on both sides where the fit covers it
 _SHAPE_IN = 2.7
 
 
@@ -52,14 +53,14 @@ def effect_shapes(shapes: Sequence[Shape], *, sheet: Sheet = PAGE) -> Figure:
             label="measured, 95 % intervals",
         ),
         entry("fitted effect", _FITTED),
-        entry("measured, over time", Line(colour("blue"), width=1.0)),
+        entry("measured, over time", _OVER_TIME),
     ]  # fmt: skip
     with drawing(sheet):
         height = _SHAPE_IN * len(shapes) + 0.35
         figure = new_figure(sheet, height)
         axes = figure.subplots(len(shapes), 2, squeeze=False)
         figure.subplots_adjust(
-            left=0.6 / sheet.width_in, right=1 - 0.12 / sheet.width_in, top=1 - 0.62 / height,
+            left=0.6 / sheet.width_in, right=1 - 0.22 / sheet.width_in, top=1 - 0.62 / height,
             bottom=0.52 / height, wspace=0.16, hspace=0.48,
         )  # fmt: skip
         figure.legend(
@@ -93,9 +94,7 @@ def _draw_shape(ax: Axes, shape: Shape) -> None:
 def _draw_stretch(ax: Axes, shape: Shape) -> None:
     factor, prefix = engineering(_reach(shape.stretch_measured, shape.stretch_fitted), shape.unit)
     ax.axhline(0, color=colour("edge"), linewidth=0.8, zorder=1)
-    ax.plot(
-        shape.time_s, factor * shape.stretch_measured, color=colour("blue"), linewidth=1.0, zorder=3
-    )
+    ax.plot(shape.time_s, factor * shape.stretch_measured, **_OVER_TIME.keywords())
     ax.plot(shape.time_s, factor * shape.stretch_fitted, **_FITTED.keywords())
     ax.set_title(f"the same in {shape.stretch}", fontweight="normal")
     ax.set_title(prefix + unit_text(shape.unit), loc="right", fontweight="normal")

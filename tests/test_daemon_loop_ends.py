@@ -54,7 +54,7 @@ def test_who_ends_while_a_landing_is_flown_lets_it_end(into_landing: int) -> Non
 
     rows = flown(flight, script, 10_000)
     assert len(landing) == 800  # the planned one
-    assert flight.loop._ended
+    assert flight.loop.course.ended
     assert flight.board.state is State.OFF
     assert flight.board.fault is Fault.NONE
     assert flight.forces == 0.0
@@ -75,7 +75,7 @@ def test_nothing_begins_once_the_loop_is_to_end() -> None:
             flight.fly({"levitate": LIFT})
 
     flight.run(script, 5000)
-    assert flight.loop._ended
+    assert flight.loop.course.ended
     assert flight.board[Word.PLAN_DONE] == 2
     assert flight.forces == 0.0
 
@@ -198,7 +198,7 @@ def test_a_story_of_a_fault_is_not_cut_by_who_asks_to_land() -> None:
             flight.board[Word.END] = 1
 
     flight.run(script, 5000)
-    assert flight.loop._ended
+    assert flight.loop.course.ended
     told = rows_of(flight, 5000)
     # Half a second of it, to the cycle in which that is noticed.
     assert np.sum(told["state"] == State.FAULT) == pytest.approx(500, abs=2)

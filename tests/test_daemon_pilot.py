@@ -66,7 +66,7 @@ def test_a_flight_that_failed_is_not_well_flown_because_somebody_cleared(
         if n == 300:
             pilot.begin(job)
         if n == 1200:
-            flight.loop._fail(Fault.GAP, "0.95 mm at sensor 3")
+            flight.loop.course.fail(Fault.GAP, "0.95 mm at sensor 3")
         if cleared_after and n == 1200 + cleared_after:
             pilot.note_fault()  # as the supervisor does before it hands a clear on
             board[Word.CLEAR] += 1

@@ -109,7 +109,7 @@ def _rig(rig: RigConfig, path: Path) -> str:
     try:
         found = check_backends(Context(rig, 1 / rig.rate_hz, path.parent))
     except ConfigError as error:
-        named = str(error).startswith(str(path.parent))
+        named = str(error).startswith(f"{path}: ")
         raise ConfigError(f"{'' if named else f'{path}: '}{error}") from None
     carried = f"; the wire carries {1 / found.cycle_s:.0f} Hz" if found.buses else ""
     return f"rig, {len(rig.geometry.coil_x_m)} coils, {rig.rate_hz:g} Hz{carried}"

@@ -103,8 +103,7 @@ def levitate(
       levid levitate --check-coils --out out/by-hand
     """
     more: dict[str, Any] = {"out": str(out.resolve())} if out else {}
-    if if_gone:
-        more["client_gone"] = if_gone
+    more |= _if_gone(if_gone)
     if check_coils:
         more["levitate"] = {"check_coils": {}}
     answer = _ask("levitate", rig_path, **more)
@@ -117,8 +116,13 @@ def levitate(
 @click.option("--rotor-rad", type=float, help="Where the rotor is to go.")
 @_RIG
 @_JSON
+@_GONE
 def move(
-    beam_m: float | None, rotor_rad: float | None, rig_path: Path | None, as_json: bool
+    beam_m: float | None,
+    rotor_rad: float | None,
+    rig_path: Path | None,
+    as_json: bool,
+    if_gone: str | None,
 ) -> int:
     """Move beam, rotor or both while levitating, and wait until they are there.
 
@@ -131,7 +135,7 @@ def move(
     given = {key: value for key, value in wanted.items() if value is not None}
     if not given:
         raise click.UsageError("expected --beam-m, --rotor-rad or both")
-    answer = _ask("move", rig_path, move=given)
+    answer = _ask("move", rig_path, move=given, **_if_gone(if_gone))
     _tell(answer, as_json, "landed before it was there" if answer["stopped"] else "there")
     return 1 if answer["stopped"] else 0
 
@@ -208,6 +212,10 @@ def _tell(answer: Mapping[str, Any], as_json: bool, words: str) -> None:
     click.echo(json.dumps(answer) if as_json else words)
 
 
+def _if_gone(what: str | None) -> dict[str, Any]:
+    return {"client_gone": what} if what else {}
+
+
 def _ask(
     op: str,
     rig_path: Path | None,
@@ -226,6 +234,6 @@ def _ask(
         try:
             return client.request(op, on_line, **more)
         except KeyboardInterrupt:
-            if op in ("levitate", "move"):
+            if op in ("levitate", "move") and more.get("client_gone") != "land":
                 say("the daemon goes on as it is configured; 'levid land' lands")
             raise

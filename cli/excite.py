@@ -118,9 +118,12 @@ def refuse_used_folder(out: Path) -> None:
     """Raise ConfigError where `out` is no folder or holds logs: none is ever overwritten."""
     from ..config.base import ConfigError
 
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out {out}: expected a folder, found a file")
-    logs = sorted(out.glob("*.mcap")) if out.is_dir() else []
+    try:
+        if out.exists() and not out.is_dir():
+            raise ConfigError(f"--out {out}: expected a folder, found a file")
+        logs = sorted(out.glob("*.mcap")) if out.is_dir() else []
+    except PermissionError:  # a service's folder: the daemon, who writes there, looks for itself
+        return
     if logs:
         raise ConfigError(
             f"--out {out}: expected a new folder or one without logs, found {len(logs)} logs "

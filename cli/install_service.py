@@ -32,7 +32,14 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
       sudo levid install-service /etc/levid/rig.yaml
     """
     from ..config.rig import load_rig
-    from ..daemon.service_files import hindrances, preview, service_files, write
+    from ..daemon.service_files import (
+        NETWORK,
+        hindrances,
+        left_over,
+        preview,
+        service_files,
+        write,
+    )
 
     config, rig_file = load_rig(rig), rig.resolve()
     program = Path(sysconfig.get_path("scripts")) / "levid"
@@ -43,12 +50,17 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
     else:
         for path, what in write(files, root, force).items():
             say(f"{root / path}: {what}")
+    for old in left_over(files, root):
+        say(f"warning: {old} is of a rig before this one and still holds: remove it")
     for hindrance in hindrances(config, rig_file, program):
         say(f"warning: {hindrance}")
     if not dry_run:
+        networked = any(path.startswith(NETWORK) for path in files)
+        reload = "systemctl enable --now systemd-networkd && networkctl reload && "
         say(
             "next: systemd-sysusers && udevadm control --reload && udevadm trigger && "
-            "networkctl reload && systemctl daemon-reload && systemctl enable --now levid\n"
+            f"{reload if networked else ''}"
+            "systemctl daemon-reload && systemctl enable --now levid\n"
             "who may ask it: usermod --append --groups levid NAME; then: levid status"
         )
     return 0

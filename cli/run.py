@@ -7,6 +7,9 @@ from pathlib import Path
 
 import click
 
+EXIT_CONFIG = 78
+"""The rig is wrong (EX_CONFIG of sysexits.h): the service is not started again on it."""
+
 
 @click.command("run")
 @click.argument("rig", type=click.Path(path_type=Path))
@@ -14,7 +17,7 @@ def command(rig: Path) -> int:
     """Run the daemon on RIG.yaml: zero force until a session is flown, landing on exit.
 
     Three processes: this one supervises and answers the control socket, one flies, one records.
-    Ctrl-C or SIGTERM lands the platform and ends them.
+    Ctrl-C or SIGTERM lands the platform and ends them. Exit code 78 if the rig is wrong.
 
     \b
     Examples:
@@ -22,16 +25,22 @@ def command(rig: Path) -> int:
       levid excite config/sessions/beam.yaml --out out/beam     # in another terminal
       levid status
     """
+    from ..config.base import ConfigError
     from ..config.rig import load_rig
     from ..daemon.journal import Journal
     from ..daemon.sockets import own_socket
     from ..daemon.supervisor import Supervisor
 
-    config = load_rig(rig)
-    path = own_socket(config)
     journal = Journal()
     say = journal.say
-    supervisor = Supervisor(config, rig, path, say)
+    try:
+        config = load_rig(rig)
+        path = own_socket(config)
+        supervisor = Supervisor(config, rig, path, say)
+    except ConfigError as error:
+        journal.close()
+        click.echo(f"error: {error}", err=True)
+        return EXIT_CONFIG
     journal.fields = supervisor.journal_fields
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: supervisor.stop())

@@ -25,7 +25,7 @@ class Burdens:
 
     def __init__(self, say: Callable[[str], None], pressure: Path | None = None) -> None:
         self._say = say
-        self._pressure = _pressure_file() if pressure is None else pressure
+        self._given, self._pressure = pressure, pressure or _pressure_file()
         self._looked_s: float | None = None
         self._asked, self._waited_s = 0, 0.0
         self._said_s: dict[str, float] = {}
@@ -42,6 +42,7 @@ class Burdens:
         passed_s = now_s - self._looked_s
         if passed_s < _LOOK_S:
             return
+        self._follow()
         rate, waited_s = (asked - self._asked) / passed_s, self._waited()
         stalled_s = waited_s - self._waited_s
         self._looked_s, self._asked, self._waited_s = now_s, asked, waited_s
@@ -60,6 +61,13 @@ class Burdens:
         if now_s - self._said_s.get(what, -_QUIET_S) >= _QUIET_S:
             self._said_s[what] = now_s
             self._say(words)
+
+    def _follow(self) -> None:
+        """Look where the process is now: in another group than before, nothing has been waited."""
+        pressure = self._given or _pressure_file()
+        if pressure != self._pressure:
+            self._pressure = pressure
+            self._waited_s = self._waited()
 
     def _waited(self) -> float:
         waited_s = None if self._pressure is None else _some_s(self._pressure)

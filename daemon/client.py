@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import socket
 import time
@@ -44,9 +45,15 @@ class Client:
             self._connect()
         except OSError as error:
             self._socket.close()
-            raise NoDaemonError(
-                f"no daemon answers at {self._path} ({error.strerror or error}); start one with "
-                "'levid run RIG.yaml'"
+            if error.errno != errno.EACCES:
+                raise NoDaemonError(
+                    f"no daemon answers at {self._path} ({error.strerror or error}); start one "
+                    "with 'levid run RIG.yaml'"
+                ) from None
+            raise DaemonError(
+                f"{self._path}: a daemon may be there, but this user may not ask it; expected a "
+                "member of its group (usermod --append --groups levid NAME, then log in anew) or "
+                "one of service.allow_users"
             ) from None
         self._stream = self._socket.makefile("rwb")
         return self

@@ -13,12 +13,22 @@ from ..config.base import ConfigError
 from ..config.buses import CanBus
 from ..config.rig import RigConfig
 from ..config.shipped import shipped
+from ..drivers.base import Context
+from ..drivers.registry import check_backends
 
 UNIT = "etc/systemd/system/levid.service"
 DROP_IN = "etc/systemd/system/levid.service.d/10-rig.conf"
 SYSUSERS = "etc/sysusers.d/levid.conf"
 UDEV = "etc/udev/rules.d/70-levid.rules"
 NETWORK = "etc/systemd/network/70-levid-"
+_SYSTEM = "etc/systemd/system"
+_PATIENCE = (
+    "# An adapter that is not plugged in keeps the daemon waiting no longer than this.\n"
+    + ("[Service]\nTimeoutStartSec=20\n")
+)
+_USB = ("ttyUSB", "ttyACM")
+_KERNELS = ("tty", "hvc", "rfcomm")
+"""How the kernel's own names of ports begin."""
 _QUEUE = 64
 _CAN_FD_MTU = 72
 _INTERNET = ("udp_multicast", "socketcand")
@@ -45,6 +55,10 @@ def service_files(rig: RigConfig, rig_file: Path, program: Path) -> dict[str, st
 
 def hindrances(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[str]:
     """Say what would keep the service from running, or what it is not told here."""
+    try:
+        check_backends(Context(rig, 1.0 / rig.rate_hz, rig_file.parent))
+    except ConfigError as error:
+        yield f"the daemon will not start: {error}"
     for path in (rig_file, program):
         where = next((hidden for hidden in _HIDDEN if path.is_relative_to(hidden)), None)
         if where is not None:
@@ -54,12 +68,24 @@ def hindrances(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[str]:
     for name, bus in rig.can.items():
         if bus.interface != "socketcan":
             yield f"can.{name}: {bus.interface} is nothing that networkd knows: it is left to you"
+    for port in _ports(rig):
+        leads_to = Path(port).resolve()
+        if _is_link(port) and leads_to.exists() and not leads_to.name.startswith(_USB):
+            yield f"{port} is a link to {leads_to}: name that; links are taken for USB adapters"
     if rig.socket is not None and not Path(rig.socket).is_relative_to("/run/levid"):
         yield f"socket: expected a path in /run/levid, found {rig.socket}"
     if rig.recording.faults is not None:
         folder = rig_file.parent / rig.recording.faults
         if not folder.is_relative_to("/var/lib/levid"):
             yield f"recording.faults: expected a folder in /var/lib/levid, found {folder}"
+
+
+def left_over(files: Mapping[str, str], root: Path) -> list[Path]:
+    """Return the files of networkd that were written below `root` for a rig before this one."""
+    folder = root / PurePosixPath(NETWORK).parent
+    wanted = {root / path for path in files}
+    found = [path for path in folder.rglob("*levid*") if path.is_file() and path not in wanted]
+    return sorted(path for path in found if _is_ours(path.read_text(errors="replace")))
 
 
 def write(files: Mapping[str, str], root: Path, force: bool) -> dict[str, str]:
@@ -69,7 +95,7 @@ def write(files: Mapping[str, str], root: Path, force: bool) -> dict[str, str]:
         ConfigError: a file was changed by hand, and nothing was written; not with `force`.
         OSError: one cannot be written.
     """
-    done = {path: _done(root / path, text) for path, text in files.items()}
+    done = preview(files, root)
     strange = [path for path, what in done.items() if what == "changed by hand"]
     if strange and not force:
         names = ", ".join(str(root / path) for path in strange)
@@ -80,6 +106,8 @@ def write(files: Mapping[str, str], root: Path, force: bool) -> dict[str, str]:
     for path, text in files.items():
         if done[path] == "unchanged":
             continue
+        if done[path] == "new":
+            done[path] = "written"
         target = root / path
         target.parent.mkdir(parents=True, exist_ok=True)
         if done[path] == "changed by hand":
@@ -90,7 +118,7 @@ def write(files: Mapping[str, str], root: Path, force: bool) -> dict[str, str]:
 
 
 def preview(files: Mapping[str, str], root: Path) -> dict[str, str]:
-    """Return what `write` would find: new, unchanged, ours, changed by hand."""
+    """Return what `write` would find: new, unchanged, written anew, changed by hand."""
     return {path: _done(root / path, text) for path, text in files.items()}
 
 
@@ -111,28 +139,34 @@ def _signed(text: str) -> str:
 
 def _done(target: Path, text: str) -> str:
     if not target.exists():
-        return "written"
+        return "new"
     found = target.read_text(errors="replace")
     if found == text:
         return "unchanged"
-    first, _, rest = found.partition("\n")
-    return (
-        "written anew" if first.startswith(_HEAD) and _signed(rest) == found else "changed by hand"
-    )
+    return "written anew" if _is_ours(found) else "changed by hand"
+
+
+def _is_ours(text: str) -> bool:
+    """Return whether a file is as it was written here, by any version."""
+    first, _, rest = text.partition("\n")
+    return first.startswith(_HEAD) and _signed(rest) == text
 
 
 def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
     interfaces = [str(bus.channel) for bus in _kernel_buses(rig)]
-    lines = ["[Unit]"]
-    for name in interfaces:
-        # Up to its time limit: an adapter that is not there is a fault, and the daemon starts.
-        unit = f"systemd-networkd-wait-online@{_escaped(name)}.service"
-        lines += [f"Wants={unit}", f"After={unit}"]
+    # Up to its time limit: an adapter that is not there is a fault, and the daemon starts.
+    units = [f"{_waiting(name)}" for name in interfaces]
+    classes = _device_classes(rig)
+    if any(device.startswith("char-") for device in classes):
+        # Classes of devices are looked up once, as the service starts: their drivers come first.
+        units += [f"modprobe@{driver}.service" for driver in ("usbserial", "cdc_acm")]
+    units += [_device_unit(device) for device in classes if device.startswith("/dev/")]
+    lines = ["[Unit]", *(line for unit in units for line in (f"Wants={unit}", f"After={unit}"))]
     lines += ["", "[Service]", "ExecStart=", f"ExecStart={_word(program)} run {_word(rig_file)}"]
     if any(path.is_relative_to(home) for path in (rig_file, program) for home in _HOMES):
         lines += ["# levid or its rig lies in a home:", "ProtectHome=read-only"]
     if _ports(rig):
-        lines += [f"DeviceAllow={device} rw" for device in _device_classes(rig)]
+        lines += [f"DeviceAllow={device} rw" for device in classes]
     if rig.service.metrics_port is not None or _speaks_ip(rig):
         lines += ["RestrictAddressFamilies=AF_INET AF_INET6"]
         lines += ["IPAddressAllow=any" if _speaks_ip(rig) else "IPAddressAllow=localhost"]
@@ -163,10 +197,11 @@ def _network(bus: CanBus) -> dict[str, str]:
     name = str(bus.channel)
     match = f"[Match]\nName={name}\n\n"
     online = "[Link]\nRequiredForOnline=carrier\n"
+    patience = {f"{_SYSTEM}/{_waiting(name)}.d/10-levid.conf": _PATIENCE}
     if name.startswith("vcan"):
         mtu = f"MTUBytes={_CAN_FD_MTU}\n" if bus.fd else ""
         netdev = f"[NetDev]\nName={name}\nKind=vcan\n{mtu}"
-        return {
+        return patience | {
             f"{NETWORK}{name}.netdev": netdev,
             f"{NETWORK}{name}.network": f"{match}{online}",
         }
@@ -179,7 +214,7 @@ def _network(bus: CanBus) -> dict[str, str]:
         f"[Match]\nOriginalName={name}\n\n"
         f"[Link]\nNamePolicy=keep\nTransmitQueueLength={_QUEUE}\n"
     )
-    return {
+    return patience | {
         f"{NETWORK}{name}.link": link,
         f"{NETWORK}{name}.network": f"{match}{online}\n[CAN]\n{rates}RestartSec=100ms\n",
     }
@@ -201,11 +236,16 @@ def _ports(rig: RigConfig) -> list[PurePosixPath]:
 
 def _port_names(rig: RigConfig) -> list[str]:
     """Return the kernel's names of serial ports; a link may point to any USB adapter."""
-    names = [port.name for port in _ports(rig) if port.parent == PurePosixPath("/dev")]
-    usb = [name for name in names if name.startswith(("ttyUSB", "ttyACM"))]
+    names = [port.name for port in _ports(rig) if not _is_link(port)]
+    usb = [name for name in names if name.startswith(_USB)]
     linked = len(names) < len(_ports(rig))
     plain = sorted(set(names) - set(usb))
     return plain + (["ttyUSB[0-9]*", "ttyACM[0-9]*"] if usb or linked else [])
+
+
+def _is_link(port: PurePosixPath) -> bool:
+    """Return whether a port is a name that rules of udev made, not the kernel's own."""
+    return port.parent != PurePosixPath("/dev") or not port.name.startswith(_KERNELS)
 
 
 def _device_classes(rig: RigConfig) -> list[str]:
@@ -213,7 +253,7 @@ def _device_classes(rig: RigConfig) -> list[str]:
     classes = []
     for name in _port_names(rig):
         family = re.match(r"[A-Za-z]+", name)
-        usb = name.startswith(("ttyUSB", "ttyACM"))
+        usb = name.startswith(_USB)
         classes.append(f"char-{family[0]}" if usb and family else f"/dev/{name}")
     return classes
 
@@ -229,6 +269,15 @@ def _word(path: Path) -> str:
     return f'"{text}"' if re.search(r"[\s\\\"';]", text) else text
 
 
+def _waiting(interface: str) -> str:
+    """Return the unit that waits for an interface."""
+    return f"systemd-networkd-wait-online@{_escaped(interface)}.service"
+
+
+def _device_unit(path: str) -> str:
+    return "-".join(_escaped(part) for part in path.strip("/").split("/")) + ".device"
+
+
 def _escaped(name: str) -> str:
-    """Return a name as systemd-escape does; interfaces have none but these."""
+    """Return a name as systemd-escape does; interfaces and ports have none but these."""
     return name.replace("-", "\\x2d")

@@ -188,6 +188,15 @@ def test_excite_without_a_daemon_says_how_to_start_one(
     assert levid("excite", session, "--sim", "x", "--out", tmp_path / "out").code == 2
 
 
+def test_check_names_the_rig_whose_simulator_is_missing(levid, tmp_path: Path) -> None:
+    text = shipped("rigs/loopback.yaml").read_text()
+    (tmp_path / "rig.yaml").write_text(text)
+    outcome = levid("check", tmp_path / "rig.yaml")
+    assert outcome.code == 1
+    assert outcome.err.startswith(f"{tmp_path}/rig.yaml: ")
+    assert "nominal.yaml" in outcome.err
+
+
 def test_out_that_is_a_file_is_refused(levid, session: Path) -> None:
     outcome = levid("excite", session, "--virtual", "--out", session)
     assert outcome.code == 1

@@ -65,6 +65,27 @@ def test_memory_that_is_short_is_told(world: World) -> None:
     assert world.burdens.memory_stalled_s == pytest.approx(1.0)
 
 
+def test_process_that_is_moved_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    groups = [tmp_path / "home", tmp_path / "small"]
+    said: list[str] = []
+    at = groups[0]
+    monkeypatch.setattr(burdens, "_pressure_file", lambda: at)
+
+    def wait(group: Path, total_s: float) -> None:
+        group.write_text(f"some avg10=0.00 avg60=0.00 avg300=0.00 total={1e6 * total_s:.0f}\n")
+
+    wait(groups[0], 50.0)
+    wait(groups[1], 900.0)
+    found = Burdens(said.append)
+    found.look(0.0, 0)
+    at = groups[1]
+    found.look(2.0, 0)
+    assert found.memory_stalled_s == 0.0, "what others waited for there is not the service's"
+    wait(groups[1], 901.5)
+    found.look(4.0, 0)
+    assert found.memory_stalled_s == pytest.approx(1.5)
+
+
 def test_kernel_that_does_not_say_is_no_error(tmp_path: Path) -> None:
     found = Burdens(pytest.fail, tmp_path / "none")
     for now_s in (0.0, 2.0, 4.0):

@@ -20,6 +20,8 @@ from levid.daemon.service_files import (
     UDEV,
     UNIT,
     _shut,
+    hindrances,
+    left_over,
     service_files,
     write,
 )
@@ -149,6 +151,7 @@ def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
     failed, said = install(tmp_path, "--dry-run")
     assert not failed
     assert "Type=notify" in said
+    assert f"{UNIT}: new" in said
     assert not list(tmp_path.iterdir())
 
 
@@ -189,3 +192,46 @@ def test_an_adapter_that_is_plugged_in_already_gets_its_latency() -> None:
     # `udevadm trigger` replays changes, not additions.
     rules = service_files(on_serial("/dev/ttyUSB0"), RIG_FILE, PROGRAM)[UDEV]
     assert 'ACTION!="remove", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio"' in rules
+
+
+def test_drivers_of_usb_ports_are_there_before_their_classes_are_looked_up() -> None:
+    unit = service_files(on_serial("/dev/ttyUSB0"), RIG_FILE, PROGRAM)[DROP_IN]
+    for driver in ("usbserial", "cdc_acm"):
+        assert f"Wants=modprobe@{driver}.service\nAfter=modprobe@{driver}.service\n" in unit
+    unit = service_files(on_serial("/dev/ttyAMA0"), RIG_FILE, PROGRAM)[DROP_IN]
+    assert "After=dev-ttyAMA0.device\n" in unit
+    assert "modprobe" not in unit
+
+
+def test_a_name_that_udev_made_is_a_link_wherever_it_lies() -> None:
+    files = service_files(on_serial("/dev/levid_amps"), RIG_FILE, PROGRAM)
+    assert 'KERNEL=="ttyUSB[0-9]*"' in files[UDEV]
+    assert "levid_amps" not in files[UDEV]
+    assert "DeviceAllow=char-ttyACM rw" in files[DROP_IN]
+
+
+def test_an_adapter_that_is_missing_keeps_nobody_waiting_for_minutes() -> None:
+    files = service_files(on_can(), RIG_FILE, PROGRAM)
+    unit = "systemd-networkd-wait-online@can0.service"
+    assert f"After={unit}" in files[DROP_IN]
+    assert "TimeoutStartSec=20" in files[f"etc/systemd/system/{unit}.d/10-levid.conf"]
+
+
+def test_files_of_the_rig_before_are_named(tmp_path: Path) -> None:
+    write(service_files(on_can(), RIG_FILE, PROGRAM), tmp_path, force=False)
+    by_hand = tmp_path / f"{NETWORK}can0.link"
+    by_hand.write_text(by_hand.read_text() + "# mine\n")
+    now = service_files(rig("loopback"), RIG_FILE, PROGRAM)
+    assert left_over(now, tmp_path) == [tmp_path / f"{NETWORK}can0.network"]
+    assert left_over(service_files(on_can(), RIG_FILE, PROGRAM), tmp_path) == []
+
+
+def test_a_rig_that_the_daemon_would_refuse_is_told(tmp_path: Path) -> None:
+    text = shipped("rigs/loopback.yaml").read_text()
+    found = parse_text(text.replace("../sims/nominal.yaml", "nowhere.yaml"), RigConfig, "rig")
+    said = list(hindrances(found, tmp_path / "rig.yaml", PROGRAM))
+    assert any("will not start" in line and "nowhere.yaml" in line for line in said)
+
+
+def test_networkd_is_named_only_where_there_is_something_for_it(tmp_path: Path) -> None:
+    assert "networkctl" not in install(tmp_path)[1]

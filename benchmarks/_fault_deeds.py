@@ -19,10 +19,9 @@ from typing import Any
 
 from _fault_flight import Flight, NotInjectedError
 from _fault_rig import EXPIRE_CYCLES, RATE_HZ, STALL_S, Rig
-from _memory_pressure import NoPressureError, pressed, stalled_us
+from _memory_pressure import NoPressureError, can_press, pressed, stalled_us
 
 Status = dict[str, Any]
-_QUICK_BYTES = 1 << 30
 _TIOCVHANGUP = 0x5437
 _PIDFD_OPEN, _PIDFD_GETFD = 434, 438
 _FLOODING = 8
@@ -217,10 +216,10 @@ def _lines(end: socket.socket, most: int) -> int:
 @contextlib.contextmanager
 def _pressure(rig: Rig, flight: Flight) -> Iterator[Seen]:
     """Have the daemon's processes short of memory."""
-    most, before_us = _QUICK_BYTES if rig.quick else None, stalled_us()
+    before_us = stalled_us()
     pids = list(flight.status["pids"].values())
     try:
-        with pressed(pids, rig.folder, most):
+        with pressed(pids, rig.folder):
             before_s = flight.status["memory_stalled_s"]
             seen = Seen(lambda s: s["memory_stalled_s"] > before_s)
             yield seen
@@ -254,6 +253,8 @@ def cannot(rig: Rig, kind: str) -> str:
     """Return why a kind that only root can do is left out here, empty where it is not."""
     if kind == "disk full" and rig.small is None:
         return "no right to mount a small file system"
+    if kind == "memory pressure" and not can_press():
+        return "no right to make a memory group"
     if kind == "host's end lost" and os.geteuid() != 0:
         return "no right to another process' port"
     return ""

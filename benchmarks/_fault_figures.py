@@ -8,6 +8,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from _fault_list import BUSES, LAST, SOON, kinds, untested
+from _fault_logs import LAST_S
+from _fault_rig import RATE_HZ, STALE_CYCLES
 from _fault_trial import Trial
 from _table import Figure, Target
 
@@ -25,6 +27,8 @@ def figures(trials: Sequence[Trial], asked: int, interrupted: int) -> list[Figur
     stops = [trial for trial in injected if trial.must_stop]
     others = [trial for trial in injected if trial.must_not_disturb]
     return [
+        Figure("rate_hz", RATE_HZ, "Hz", "flown at"),
+        Figure("stale_cycles", STALE_CYCLES, "", "cycles without a reading that are bridged"),
         Figure("asked", asked, "", "faults asked for, in flight"),
         Figure(
             "faults", len(injected), "", "faults injected in flight", target=Target(least=asked)
@@ -84,7 +88,7 @@ def _stopping(stops: Sequence[Trial]) -> list[Figure]:
             "within_3",
             _share(map(_soon, own)),
             "",
-            f"loop can end it: zero within {SOON}",
+            f"loop can end it: zero within {SOON} cycles of {1e3 / RATE_HZ:g} ms",
             target=ALL,
         ),
         *(
@@ -175,7 +179,20 @@ def _logs(injected: Sequence[Trial]) -> list[Figure]:
             "rows missing within flights",
             target=NONE,
         ),
-        Figure("longest_tail", tail_s, "s", "most missing at a log's end"),
+        Figure(
+            "longest_tail",
+            tail_s,
+            "s",
+            "most missing at a log's end",
+            target=Target(most=LAST_S),
+        ),
+        Figure(
+            "unclosed",
+            sum(not t.closed for t in injected),
+            "",
+            "flights whose log stayed open",
+            target=NONE,
+        ),
     ]
 
 

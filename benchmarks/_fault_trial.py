@@ -34,7 +34,8 @@ class Trial:
     and recorded: the flight recording as well. told: None where the daemon has no word for it.
     clears: how often `clear` was asked for, and clear_s how long it took; rested: whether that was
     enough. answers, asked_s: of a flood. stalled_us: what processes waited for memory.
-    look: at the flight's logs. failed: what kept the trial from its end. wrong: in words.
+    closed: whether the recorder was done with the flight's logs in time, and look: at them.
+    failed: what kept the trial from its end. wrong: in words.
     """
 
     bus: str
@@ -59,6 +60,7 @@ class Trial:
     clears: int = 0
     clear_s: float = 0.0
     rested: bool = False
+    closed: bool = True
     look: LogLook = field(default_factory=LogLook)
     failed: str = ""
     wrong: list[str] = field(default_factory=list)
@@ -234,7 +236,8 @@ def _look_at_logs(
     One that was just started has rows to catch up with: it has some seconds for that.
     """
     give_up_s = time.monotonic() + _TOLD_S
-    if not rig.logs_are_closed():
+    trial.closed = rig.logs_are_closed()
+    if not trial.closed:
         trial.wrong.append("the recorder does not close the log")
     cut_at = seen.cut_at if seen is not None else None
     expected = Expected(

@@ -25,15 +25,17 @@ class Kept:
     def __init__(self, file: Path) -> None:
         self._file = file
         file.parent.mkdir(parents=True, exist_ok=True)
-        self.lines = _lines(file)
+        self.lines, cut = _lines(file)
         if _WHOLE in self.lines:
             at = time.strftime("%Y%m%d-%H%M%S", time.localtime(file.stat().st_mtime))
             file.replace(file.with_suffix(f".{at}.jsonl"))
             self.lines = []
         if not self.lines:
             self.add({"host": host(), "begun": _now()})
-        else:  # without what was cut off
-            file.write_text("".join(json.dumps(line) + "\n" for line in self.lines))
+        elif cut:
+            new = file.with_suffix(".new")
+            new.write_text("".join(json.dumps(line) + "\n" for line in self.lines))
+            new.replace(file)  # at no time is less on disk than was
 
     def add(self, line: dict[str, Any]) -> None:
         """Append a line; it is in the file on return."""
@@ -106,11 +108,13 @@ def _now() -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")
 
 
-def _lines(file: Path) -> list[dict[str, Any]]:
+def _lines(file: Path) -> tuple[list[dict[str, Any]], bool]:
+    """Return what a file holds, and whether there is more behind that, cut off."""
     found: list[dict[str, Any]] = []
-    for line in file.read_text().splitlines() if file.exists() else []:
+    text = file.read_text() if file.exists() else ""
+    for line in text.splitlines():
         try:
             found.append(json.loads(line))
         except ValueError:
-            break
-    return found
+            return found, True
+    return found, not text.endswith("\n") and bool(text)

@@ -1,8 +1,7 @@
 """Memory pressure: processes in a memory group with one that reads more than the group may hold.
 
-All that they allocate or read then waits for pages to be given up, which the kernel counts. Where
-no group can be had, most of the machine's free memory is held instead, for which nobody has to wait
-as long as some is left: the count says so.
+All that they allocate or read then waits for pages to be given up, which the kernel counts. A group
+needs the right to make one.
 
 On its own: `python _memory_pressure.py FILE GROUP` joins the group, says so on a line, and reads
 the file over and over, until whoever began it is gone.
@@ -20,9 +19,6 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import _memory_hog
-from _memory_hog import available, to_take
-
 _GROUPS = (
     (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", ":memory:"),
     (Path("/sys/fs/cgroup"), "memory.high", "0::"),
@@ -37,8 +33,8 @@ class NoPressureError(Exception):
 
 
 @contextlib.contextmanager
-def pressed(pids: Sequence[int], folder: Path, most: int | None) -> Iterator[None]:
-    """Have these processes short of memory; `most` is held where they cannot be.
+def pressed(pids: Sequence[int], folder: Path) -> Iterator[None]:
+    """Have these processes short of memory.
 
     Raises:
         NoPressureError: there is none.
@@ -46,19 +42,21 @@ def pressed(pids: Sequence[int], folder: Path, most: int | None) -> Iterator[Non
     with contextlib.ExitStack() as stack:
         group = stack.enter_context(_group())
         if group is None:
-            wanted = to_take(available(), most)
-            held = stack.enter_context(_running(_memory_hog.__file__, str(wanted)))
-            if not held.isdecimal() or int(held) <= 0:
-                raise NoPressureError(f"none of {wanted} bytes could be held")
-        else:
-            ballast = stack.enter_context(_on_disk(folder / "ballast"))
-            try:
-                for pid in pids:
-                    (group / "cgroup.procs").write_text(str(pid))
-            except OSError as error:
-                raise NoPressureError(f"{group}: {error.strerror}") from None
-            stack.enter_context(_running(__file__, str(ballast), str(group)))
+            raise NoPressureError("no right to a memory group")
+        ballast = stack.enter_context(_on_disk(folder / "ballast"))
+        try:
+            for pid in pids:
+                (group / "cgroup.procs").write_text(str(pid))
+        except OSError as error:
+            raise NoPressureError(f"{group}: {error.strerror}") from None
+        stack.enter_context(_running(__file__, str(ballast), str(group)))
         yield
+
+
+def can_press() -> bool:
+    """Return whether this process may make a memory group."""
+    with _group() as group:
+        return group is not None
 
 
 def stalled_us() -> int:
@@ -120,7 +118,7 @@ def _on_disk(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _running(*command: str) -> Iterator[str]:
-    """Run a Python file until it is left; give its first line."""
+    """Run a Python file until it is left, once it has said something; give that line."""
     process = subprocess.Popen(
         [sys.executable, *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )

@@ -33,17 +33,21 @@ class Round(NamedTuple):
 class Ratio:
     """(some / of) / (others / of_others) over all rounds, and the ends of its 95 % interval.
 
-    `clustered`: whether there were rounds enough to know how late ones cluster.
+    `clustered`: whether there were rounds enough to know how late ones cluster. `counted`: whether
+    anything was late at all; without, there is no ratio.
     """
 
     value: float
     low: float
     high: float
     clustered: bool = True
+    counted: bool = True
 
     @property
     def met(self) -> Met:
         """Whether all of the interval lies on one side of MOST_RATIO."""
+        if not self.counted:
+            return Met.NOT_ASKED
         if not self.clustered or self.low <= MOST_RATIO < self.high:
             return Met.UNDECIDED
         return Met.YES if self.high <= MOST_RATIO else Met.NO
@@ -60,6 +64,7 @@ def ratio_95(rounds: Sequence[Round]) -> Ratio:
     0.97 from turn to turn, in 92 to 96 %; where `again` says when rounds end, in 93 to 98 %.
     """
     a, of, b, of_others = np.sum(rounds, axis=0) + np.array([0.5, 0, 0.5, 0])
+    counted = bool(a > 0.5 or b > 0.5)
     ratio, width = float(a / of / (b / of_others)), 1.96 * sqrt(1 / a + 1 / b)
     blocks = len(rounds) // _BLOCK
     if blocks > 1:
@@ -68,7 +73,7 @@ def ratio_95(rounds: Sequence[Round]) -> Ratio:
         without = np.log((some + 0.5) / n / ((others + 0.5) / n_others))
         error = sqrt((blocks - 1) / blocks * float(np.sum((without - without.mean()) ** 2)))
         width = max(width, float(t.ppf(0.975, blocks - 1)) * error)
-    return Ratio(ratio, ratio * exp(-width), ratio * exp(width), blocks > 1)
+    return Ratio(ratio, ratio * exp(-width), ratio * exp(width), blocks > 1, counted)
 
 
 def again(rounds: Sequence[Round], least: int, most: int) -> bool:
@@ -83,7 +88,14 @@ def again(rounds: Sequence[Round], least: int, most: int) -> bool:
 def ratio_figures(rounds: Sequence[Round], low: str, high: str, who: str) -> list[Figure]:
     """Return both ends of the interval under these keys, the upper with its target; say if open."""
     ratio = ratio_95(rounds)
-    if ratio.met is Met.UNDECIDED:
+    if not ratio.counted:
+        _, of, _, of_others = np.sum(rounds, axis=0)
+        print(
+            f"{who}: nothing was late, in {of} and {of_others}: with 95 % less than {3 / of:.2g} "
+            f"and {3 / of_others:.2g} of them are, and no ratio of that is asked for",
+            file=sys.stderr,
+        )
+    elif ratio.met is Met.UNDECIDED:
         some, of, others, of_others = np.sum(rounds, axis=0)
         print(
             f"{who}: undecided whether at most {MOST_RATIO:g} times: {some} of {of} late against "

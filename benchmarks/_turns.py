@@ -28,6 +28,8 @@ PRIORITY = 80
 REST_S = 2.0
 _LONGEST_US = 20_000
 _SYNC_S = 60.0
+_LEAST_LOGGED = 0.5
+"""Share of a flight's periods that have rows: skipped ones have none, and a stall skips many."""
 
 
 @dataclass
@@ -168,7 +170,11 @@ def _flown(
 
 
 def read(flight: Flight) -> Turn:
-    """Read the logs of a flight and hold them against what its loop wrote."""
+    """Read the logs of a flight and hold them against what its loop wrote.
+
+    Raises:
+        RuntimeError: so few rows are there that the loop did not log what it flew.
+    """
     late, lateness, execution = 0, [], []
     cycles: list[np.ndarray] = [np.empty(0, np.int64)]
     cut = 0
@@ -181,6 +187,8 @@ def read(flight: Flight) -> Turn:
         execution.append(Histogram.of(1e6 * rows["execution_s"]))
         cycles.append(rows["cycle"].astype(np.int64))
     logged = np.concatenate(cycles)
+    if len(logged) < _LEAST_LOGGED * (due := flight.seconds * flight.rate_hz):
+        raise RuntimeError(f"{len(logged)} rows are in the logs of {due:.0f} periods")
     return Turn(
         len(logged),
         late,

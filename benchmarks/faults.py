@@ -35,6 +35,8 @@ from _table import Figure
 KEPT = Path(__file__).resolve().parent.parent / "build" / "faults"
 _ATTEMPTS = 3
 _RIGS_IN_VAIN = 3
+_NONE_FLEW = 3
+"""So many trials in a row without a lift-off end a rig: the next ones would not fly either."""
 
 
 @dataclass
@@ -51,7 +53,7 @@ class Kept:
 
     def missing(self, each: int) -> list[int]:
         """Return the numbers that are still to be tried; the last one only has to fly."""
-        tries = Counter(self.begun)
+        tries = Counter(t.number for t in self.trials)
         over = {t.number for t in self.trials if t.injected or t.skipped}
         over |= {t.number for t in self.trials if t.fault == LAST and t.flew}
         return [n for n in range(each + 1) if n not in over and tries[n] < _ATTEMPTS]
@@ -69,15 +71,15 @@ def measure(quick: bool) -> list[Figure]:
     for bus, found in all_kept.items():
         in_vain = 0
         while found.missing(each):  # the rig is made anew where a trial failed
-            before = len(found.begun)
+            before = len(found.trials)
             try:
-                run(bus, found, each, quick, files[bus])
+                run(bus, found, each, files[bus])
             except (RuntimeError, OSError) as error:
                 in_vain += 1
                 print(f"{bus}: {error}", file=sys.stderr)
                 if in_vain >= _RIGS_IN_VAIN:
                     break
-            if len(found.begun) > before:
+            if any(trial.flew for trial in found.trials[before:]):
                 in_vain = 0
     trials = [trial for found in all_kept.values() for trial in found.trials]
     tell(trials)
@@ -110,16 +112,24 @@ def put_aside(file: Path) -> None:
     file.replace(to)
 
 
-def run(bus: str, found: Kept, each: int, quick: bool, file: Path) -> None:
-    """Fly what is missing on one rig until a trial fails; append to `found` and to `file`."""
+def run(bus: str, found: Kept, each: int, file: Path) -> None:
+    """Fly what is missing on one rig until a trial fails; append to `found` and to `file`.
+
+    Raises:
+        RuntimeError, OSError: there is no rig, or none that lifts off.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name,
         file.open("a") as out,
-        contextlib.closing(Rig(bus, Path(name), quick)) as rig,
+        contextlib.closing(Rig(bus, Path(name))) as rig,
     ):
+        grounded = 0
         while missing := found.missing(each):
             trial = _try(rig, missing[0], each, found, out)
+            grounded = 0 if trial.flew else grounded + (not trial.skipped)
+            if grounded == _NONE_FLEW:
+                raise RuntimeError(f"{grounded} trials in a row did not lift off: {trial.why_not}")
             print(f"{bus} {trial.number}/{each}", end="\r", file=sys.stderr)
             if trial.failed:
                 return

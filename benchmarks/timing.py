@@ -15,6 +15,7 @@ One that failed (a fault in flight, a recorder that was started anew) is counted
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import subprocess
 import sys
@@ -79,6 +80,11 @@ def measure(quick: bool, alone: bool = False, only: Sequence[str] = ()) -> Itera
     _require_priority()
     kept = Kept(plan.file)
     print(f"rounds are kept in {plan.file}", file=sys.stderr)
+    if old := {s: len(kept.of(s)) for s in only or SECTIONS if kept.of(s)}:
+        since = kept.lines[0].get("begun", "before")
+        counts = ", ".join(f"{count} of {section}" for section, count in old.items())
+        print(f"of a run begun {since}, not measured again: {counts}", file=sys.stderr)
+    _clean(LOGS)
     for section in only or SECTIONS:
         if section in RATES_HZ:
             try:
@@ -123,7 +129,7 @@ def one_round(
     """Return the turns of both; who was first in one round is second in the next."""
     found = {}
     LOGS.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=LOGS) as folder:
+    with tempfile.TemporaryDirectory(prefix=_prefix(), dir=LOGS) as folder:
 
         def loop() -> None:
             found["loop"] = fly(rate_hz, seconds, Path(folder))
@@ -146,7 +152,7 @@ def busy(plan: Plan, kept: Kept) -> None:
     line: dict[str, Any] = {"section": "busy"}
     LOGS.mkdir(parents=True, exist_ok=True)
     try:
-        with tempfile.TemporaryDirectory(dir=LOGS) as folder:
+        with tempfile.TemporaryDirectory(prefix=_prefix(), dir=LOGS) as folder:
             with busy_disk(LOGS) as writer:
                 peers = [_peer(plan, writer)]
                 written: list[tuple[float, int]] = []
@@ -311,6 +317,18 @@ def _failed(section: str, error: Exception) -> dict[str, str]:
     why = f"{type(error).__name__}: {error}"
     print(f"{section}: a round failed: {why}", file=sys.stderr)
     return {"failed": why}
+
+
+def _prefix() -> str:
+    return f"flight-{os.getpid()}-"
+
+
+def _clean(folder: Path) -> None:
+    """Remove the logs of runs that were killed: a gigabyte each."""
+    for left in folder.glob("flight-*"):
+        pid = left.name.split("-")[1]
+        if not Path(f"/proc/{pid}").exists():
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def _cyclictest() -> str:

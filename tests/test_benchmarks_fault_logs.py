@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
 import os
 import subprocess
 import sys
@@ -156,12 +155,12 @@ def test_rig_that_does_not_start_leaves_nothing_behind(tmp_path: Path, monkeypat
     broken.write_text("import sys; sys.exit('no bus')")
     monkeypatch.setattr(rig._fault_electronics, "__file__", str(broken))
     with pytest.raises(RuntimeError, match="did not start: no bus"):
-        rig.Rig("serial", tmp_path, True)
+        rig.Rig("serial", tmp_path)
     broken.write_text("import time; time.sleep(60)")
     monkeypatch.setattr(rig, "_STARTS_S", 0.3)
     (tmp_path / "small").rmdir()
     with pytest.raises(RuntimeError, match="did not start"):
-        rig.Rig("serial", tmp_path, True)
+        rig.Rig("serial", tmp_path)
     assert not (tmp_path / "small").is_mount()
 
 
@@ -202,46 +201,32 @@ def test_full_disk_is_one_without_a_byte_left(tmp_path: Path) -> None:
 
 def test_what_only_root_can_do_is_left_out_by_others(monkeypatch) -> None:
     deeds = module("_fault_deeds")
-    for root, without in ((0, ["disk full"]), (1000, ["disk full", "host's end lost"])):
+    others = ["disk full", "host's end lost", "memory pressure"]
+    for root, without in ((0, ["disk full"]), (1000, others)):
         monkeypatch.setattr(deeds.os, "geteuid", lambda root=root: root)
+        monkeypatch.setattr(deeds, "can_press", lambda root=root: root == 0)
         kinds = module("_fault_list").kinds("serial")
         rig = SimpleNamespace(small=None)
         assert sorted(name for name in kinds if deeds.cannot(rig, name)) == without
 
 
-def test_memory_pressure_leaves_the_machine_some_and_quickly_takes_little() -> None:
-    hog = module("_memory_hog")
-    assert hog.to_take(20 << 30) == int(0.9 * (20 << 30)) - (1 << 30)
-    assert hog.to_take(20 << 30, 1 << 30) == 1 << 30
-    assert hog.to_take(1 << 30) == 0
-    assert 0 < hog.available() < 1 << 50
-
-
-def test_memory_is_held_for_real(monkeypatch) -> None:
-    hog = module("_memory_hog")
-
-    def resident() -> int:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * mmap.PAGESIZE
-
-    before = resident()
-    blocks = hog.hold(100 << 20)
-    assert sum(len(block) for block in blocks) >= 100 << 20
-    assert resident() - before > 90 << 20
-    monkeypatch.setattr(hog, "available", lambda: hog.SAFETY)
-    assert not hog.hold(100 << 20)
-
-
-def test_memory_that_nobody_holds_is_waited_for_no_longer(tmp_path: Path, monkeypatch) -> None:
+def test_process_that_says_nothing_is_waited_for_no_longer(tmp_path: Path, monkeypatch) -> None:
     pressure = module("_memory_pressure")
     silent = tmp_path / "silent.py"
     silent.write_text("import time; time.sleep(60)")
     monkeypatch.setattr(pressure, "_BEGINS_S", 0.2)
-    monkeypatch.setattr(pressure, "_GROUPS", ())
-    monkeypatch.setattr(pressure._memory_hog, "__file__", str(silent))
     began_s = time.monotonic()
-    with pytest.raises(pressure.NoPressureError), pressure.pressed((), tmp_path, 1 << 20):
+    with pytest.raises(pressure.NoPressureError, match="says nothing"), pressure._running(silent):
         pass
     assert time.monotonic() - began_s < 10.0
+
+
+def test_without_a_memory_group_nothing_is_pressed(tmp_path: Path, monkeypatch) -> None:
+    pressure = module("_memory_pressure")
+    monkeypatch.setattr(pressure, "_GROUPS", ())
+    assert not pressure.can_press()
+    with pytest.raises(pressure.NoPressureError, match="no right"), pressure.pressed((), tmp_path):
+        pass
 
 
 def test_processes_short_of_memory_come_home(tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ class Rig:
 
     started = 0
 
-    def __init__(self, bus: str, folder: Path, _quick: bool) -> None:
+    def __init__(self, bus: str, folder: Path) -> None:
         self.bus, self.folder, self.flight = bus, folder, folder
         type(self).started += 1
 
@@ -160,8 +160,9 @@ def test_run_goes_on_behind_what_fails_and_where_it_stopped(
     first = [0, 1, 2, 3, 3, 4, 5, 5, 5, 6, 7, 7, 8, 9, 9, *range(10, 21)]
     second = [0, 1, 2, 3, 4, 4, 5, 5, 5, *range(6, 21)]
     assert tried == [*first, *second]
-    # One a bus, one behind each trial that failed, one wherever it carries on.
-    assert Rig.started == 2 + 2 + 2
+    # One a bus, one behind each trial that failed and each that never lifted off, one wherever it
+    # carries on.
+    assert Rig.started == 2 + 2 + 2 + 2
     assert (found["asked"], found["faults"], found["failed"]) == (40, 38, 2)
     assert (found["not_injected"], found["interrupted"]) == (8, 2)
     for number in (1, 2):  # a whole run is not carried on, and none is written over
@@ -169,6 +170,23 @@ def test_run_goes_on_behind_what_fails_and_where_it_stopped(
         faults.measure(True)
         assert len(tried) == before + 46
         assert len(list(tmp_path.glob(f"*.before-{number}.jsonl"))) == 2
+
+
+def test_rig_that_never_lifts_off_is_given_up(
+    faults: ModuleType, tmp_path: Path, monkeypatch
+) -> None:
+    tried: list[int] = []
+
+    def attempt(_: Rig, case, one) -> None:
+        tried.append(case.number)
+        one.why_not = "it is not at rest"
+
+    monkeypatch.setattr(faults, "KEPT", tmp_path)
+    monkeypatch.setattr(faults, "Rig", Rig)
+    monkeypatch.setattr(faults, "attempt", attempt)
+    found = {figure.key: figure.value for figure in faults.measure(True)}
+    assert tried == [0, 0, 0, 1, 1, 1, 2, 2, 2] * 2
+    assert (found["faults"], found["flew"]) == (0, 0.0)
 
 
 def test_rig_that_does_not_start_ends_the_run_and_no_figure(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -404,3 +405,32 @@ def test_the_slowest_seconds_of_a_disk_are_found() -> None:
     assert slowest(written, 2) == 1.0
     assert slowest(written, 5) == pytest.approx(40 / 6)
     assert slowest(written[:2], 10) is None
+
+
+def test_nothing_late_on_either_side_is_no_ratio_to_ask_for() -> None:
+    shares = module("_shares")
+    quiet = [shares.Round(0, 30_000, 0, 30_000)] * 20
+    assert shares.ratio_95(quiet).met is shares.Met.NOT_ASKED
+    assert shares.ratio_95([shares.Round(0, 30_000, 40, 30_000)] * 20).met is shares.Met.YES
+
+
+def test_what_is_cut_off_is_dropped_and_the_rest_stays_on_disk(tmp_path: Path) -> None:
+    file = tmp_path / "kept.jsonl"
+    kept = module("_kept")
+    kept.Kept(file).add({"section": "1khz"})
+    whole = file.read_text()
+    file.write_text(whole + '{"section": "1')
+    assert len(kept.Kept(file).of("1khz")) == 1
+    assert file.read_text() == whole
+    before = file.stat().st_ino
+    kept.Kept(file)
+    assert file.stat().st_ino == before, "what is whole is not written again"
+
+
+def test_logs_of_a_run_that_was_killed_are_removed(timing, tmp_path: Path) -> None:
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    for pid in (dead.pid, os.getpid()):
+        (tmp_path / f"flight-{pid}-x").mkdir()
+    timing._clean(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [f"flight-{os.getpid()}-x"]

@@ -123,6 +123,60 @@ def test_search_goes_on_without_who_led_on_if_held_out_records_gain_by_that(
     assert [found.taken is None for found in told] == [len(kept) == 1, True]
 
 
+@pytest.mark.parametrize("convinced", [True, False])
+def test_who_was_refused_is_asked_once_more_when_another_is_there(
+    convinced: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Held-out records refuse FIRST while SECOND is missing."""
+    asked: list[tuple[str, ...]] = []
+
+    def screened(point: Point, candidates, *_: object) -> tuple[Round, SimpleNamespace]:
+        there = [effect.identity for effect, _ in candidates]
+        asked.append(tuple(there))
+        survivors = tuple(tried(name, 9e4) for name in (FIRST, SECOND, THIRD) if name in there)
+        train = SimpleNamespace(squares=1e5, excess=1e5)
+        return replace(round_of(None), survivors=survivors), train
+
+    def answer(point: Point, taken: Tried, *_: object) -> Tried:
+        names = [p.effect.identity for p in point.placed]
+        refused = taken.effect.identity == THIRD or (
+            taken.effect.identity == FIRST and not (convinced and SECOND in names)
+        )
+        return replace(taken, chance=-20.0 if refused else 100.0)
+
+    monkeypatch.setattr(search, "_screened", screened)
+    monkeypatch.setattr(
+        search, "sifted", lambda _, found, *__: replace(found, taken=found.survivors[0])
+    )
+    monkeypatch.setattr(
+        search,
+        "with_tried",
+        lambda point, taken: replace(
+            point, placed=(*point.placed, Placed(taken.effect, (), taken.amplitudes))
+        ),
+    )
+    monkeypatch.setattr(search, "refine", lambda point, *_, **__: (point, 1e3))
+    monkeypatch.setattr(search, "asked_again", answer)
+    monkeypatch.setattr(search, "without_stand_in", lambda point, left, *_: (point, left, None))
+    monkeypatch.setattr(search, "without_guide", lambda *_: None)
+    monkeypatch.setattr(search, "without_idle", lambda point, _: point)
+    monkeypatch.setattr(search, "_believing", lambda point, *_: point)
+    records = SimpleNamespace(
+        believed=lambda point: point,
+        held_error=lambda point: HeldError(5.0 / (1 + len(point.placed)), 1.0),
+    )
+    effects = [NAMED[name] for name in (FIRST, SECOND, THIRD)]
+    point, _, told = search._grown(
+        placed(), effects, 6, 0.0, HeldError(10.0, 1.0), records, lambda *_: None
+    )
+    names = [p.effect.identity for p in point.placed]
+    assert names == ([SECOND, FIRST] if convinced else [SECOND])
+    # Whoever is refused twice is not asked a third time, and the search ends.
+    assert [FIRST in there for there in asked[:3]] == [True, False, True]
+    assert asked[-1] == ()
+    assert told[-1].taken is None
+
+
 def test_who_took_little_of_what_is_random_has_followed_it() -> None:
     drives = tried("cogging@beam", 0.001 * EXCESS)
     rounds = [

@@ -10,6 +10,7 @@ from scipy.ndimage import convolve1d
 
 from ...model.effects.extent import Extent
 from .record import TraceRecord
+from .resonances import resonances
 from .signals import trajectory
 
 Array = NDArray[np.float64]
@@ -26,9 +27,9 @@ _SETTLE_S = 1.0
 
 
 def extent(records: Sequence[TraceRecord]) -> Extent:
-    """Return what records cover, and the lines that stand out of the still ones."""
+    """Return what records cover, the lines that stand out of the still ones, and resonances."""
     signals = [trajectory(r, r.experiment.y, r.coil, 0.0) for r in records]
-    return Extent.measured(signals, tones(records))
+    return Extent.measured(signals, tones(records), resonances(records))
 
 
 def tones(records: Sequence[TraceRecord]) -> tuple[float, ...]:

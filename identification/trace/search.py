@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -44,6 +45,8 @@ _MOST_EFFECTS = 6
 _MOST_UNKNOWN = 4
 _TRUST = 1e3
 _MOST_REFUSED = 3
+_MOST_AGAIN = 1
+"""How often an effect that was refused is asked again, once another has been taken."""
 _MOST_GUIDES = 2
 """Effects that led others out of their valleys: each costs a round, and may come again."""
 _EXPLAINED = 1.06
@@ -150,12 +153,14 @@ def _grown(
     """
     candidates = [(effect, tuple(shape)) for effect in effects for shape in effect.grid]
     rounds: list[Round] = []
-    barred = {p.effect.identity for p in point.placed}
-    refused, guides, most = 0, 0, most + len(point.placed)
+    been = {p.effect.identity for p in point.placed}
+    refused: Counter[str] = Counter()
+    barred: set[str] = set()
+    in_a_row, guides, most = 0, 0, most + len(point.placed)
     while error.squares > enough * error.floor:
         explained = point.disturbance.measured and error.squares < _EXPLAINED * error.floor
         found, train = _screened(point, candidates, error, explained, rounds, records, progress)
-        if not found.survivors or len(point.placed) >= most or refused >= _MOST_REFUSED:
+        if not found.survivors or len(point.placed) >= most or in_a_row >= _MOST_REFUSED:
             rounds.append(found)
             break
         progress(
@@ -183,13 +188,17 @@ def _grown(
         helped = helps(taken, error, after, gone, explained)
         agrees = taken.chance > (BEYOND_CHANCE if taken.held else ALONE)
         stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
-        barred.add(taken.effect.identity)
         if agrees and stays and squares < train.squares and helped:
             point, error = better, after
-            barred |= {p.effect.identity for p in point.placed}
+            been |= {taken.effect.identity, *(p.effect.identity for p in point.placed)}
+            # Held-out records that were full of this may think otherwise of what they refused.
+            barred = {name for name, times in refused.items() if times > _MOST_AGAIN}
+            in_a_row = 0
         else:
             found, stood_in = replace(found, taken=None), None
-            refused += 1
+            refused[taken.effect.identity] += 1
+            barred.add(taken.effect.identity)
+            in_a_row += 1
         if stood_in is None:
             rounds.append(found)
         else:  # it is as if it had been taken then
@@ -197,7 +206,7 @@ def _grown(
         candidates = [
             (effect, tuple(shape))
             for effect in effects
-            if effect.identity not in barred
+            if effect.identity not in been | barred
             for shape in effect.grid
         ]
     return point, error, rounds

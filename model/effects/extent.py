@@ -34,7 +34,8 @@ class Extent:
     DOF and the beam move about, to a tenth of their motion. fastest_hz: up to where the slowest
     sampling tells resonances from their aliases. late_s: by how much the model has commands come
     late, delay and lag together. commands: of each actuator mean and standard deviation of what it
-    is told, to three digits.
+    is told, to three digits. resonances: name of a pattern of bending, frequency in Hz and damping
+    of what the readings show of it.
     """
 
     reach: tuple[float, ...]
@@ -50,6 +51,7 @@ class Extent:
     fastest_hz: float = math.inf
     late_s: float = _TYPICAL_LATE_S
     commands: tuple[tuple[float, float], ...] = ()
+    resonances: tuple[tuple[str, float, float], ...] = ()
 
     def around(self, dof: int) -> float:
         """Return what a DOF moves about."""
@@ -67,8 +69,13 @@ class Extent:
         )  # fmt: skip
 
     @classmethod
-    def measured(cls, records: Sequence[Signals], tones_hz: tuple[float, ...] = MAINS_HZ) -> Extent:
-        """Return what records cover; tones_hz as found in them."""
+    def measured(
+        cls,
+        records: Sequence[Signals],
+        tones_hz: tuple[float, ...] = MAINS_HZ,
+        resonances: tuple[tuple[str, float, float], ...] = (),
+    ) -> Extent:
+        """Return what records cover; tones_hz and resonances as found in them."""
         shape = records[0].places.sensor_shape
         reach = _liveliest([r.q for r in records])
         places = np.concatenate([r.q for r in records]).mean(axis=0).tolist()
@@ -88,6 +95,7 @@ class Extent:
             _RESOLVED / max(r.Ts_s for r in records),
             max(r.delay_cycles * r.Ts_s + r.lag_s for r in records),
             _commands(records),
+            resonances,
         )
 
 

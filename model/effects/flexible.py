@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Placed, Places, Quantity, Signals, Term, on_dof
+from .extent import Extent
 from .points import forces
 from .recursions import lagged_mean, oscillator
 
@@ -31,9 +32,9 @@ _DAMPING = 0.08
 """Broad enough that a resonance between two frequencies of the grid is seen from both."""
 
 
-def effects(places: Places) -> list[Effect]:
+def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return a bending mode near each base pattern, and a loose mass on each DOF."""
-    return _modes(places) + [
+    return _modes(places, extent) + [
         Effect(
             "flexible_mode.loose_mass",
             "Mass on a spring",
@@ -109,7 +110,7 @@ def _resonance() -> tuple[Quantity, Quantity]:
     )
 
 
-def _modes(places: Places) -> list[Effect]:
+def _modes(places: Places, extent: Extent) -> list[Effect]:
     names, _, _ = patterns(places)
     found = []
     for i, name in enumerate(names):
@@ -127,7 +128,7 @@ def _modes(places: Places) -> list[Effect]:
                 (Quantity("per_mass", "1/kg", 0.0),),
                 partial(_mode, base=i),
                 (*_resonance(), *(Quantity(other, "1", -3.0, 3.0) for other in others)),
-                tuple((f, _DAMPING, *(0.0 for _ in others)) for f in _frequencies(name)),
+                tuple((*at, *(0.0 for _ in others)) for at in _looked_for(name, extent)),
                 absorbed_by="without excitation of single coils nothing is seen",
                 told_apart_by="excitation of the coils one by one, up to its frequency",
             )
@@ -135,8 +136,10 @@ def _modes(places: Places) -> list[Effect]:
     return found
 
 
-def _frequencies(name: str) -> tuple[float, ...]:
-    return _HIGHER_HZ if name in _HIGHER else _MODES_HZ
+def _looked_for(name: str, extent: Extent) -> list[tuple[float, float]]:
+    """Return frequencies and dampings: some to begin from, and those that the readings show."""
+    shown = [(f_hz, zeta) for pattern, f_hz, zeta in extent.resonances if pattern == name]
+    return [(f_hz, _DAMPING) for f_hz in (_HIGHER_HZ if name in _HIGHER else _MODES_HZ)] + shown
 
 
 def _mode(signals: Signals, shape: Sequence[float], *, base: int) -> list[Term]:

@@ -36,7 +36,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *stiffness.effects(places, covered),
         *damping.effects(places),
         *friction.effects(places, covered),
-        *flexible.effects(places),
+        *flexible.effects(places, covered),
         *mass.effects(places, covered),
         *beam.effects(places),
         *drives.effects(places, covered),

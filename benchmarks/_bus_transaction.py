@@ -20,6 +20,7 @@ from _bus_codecs import median_us
 from _table import Figure, Target
 
 from levid.config.buses import SerialBus
+from levid.drivers.on_bus import AnswerTime
 from levid.drivers.serial.port import TransactionPort
 from levid.wire.rejected import Rejected
 from levid.wire.serial_frames import FORCE_N, GAP_M, Contents, Header, Kind, SerialFrames
@@ -101,7 +102,7 @@ class Driver:
     def __init__(self, path: str) -> None:
         self.readings, self.cycle = Readings(), 0
         bus = SerialBus(port=path, baud=_BAUD, stale_cycles=0)  # the first that is missing raises
-        self.port = TransactionPort("bench", bus, CONTENTS, _ANSWER_S)
+        self.port = TransactionPort("bench", bus, CONTENTS, AnswerTime(_ANSWER_S))
         self.port.open()
         self.port.coil_n[:] = FORCES_N
         self.port.beam[:] = self.port.rotor[:] = 0.0

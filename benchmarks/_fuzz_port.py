@@ -12,6 +12,7 @@ from _fuzz_serial import CONTENTS, LENGTHS, good_frame, readings_are, unstuffed
 from _mutations import Outcome, mutated
 
 from levid.config.buses import SerialBus
+from levid.drivers.on_bus import AnswerTime
 from levid.drivers.serial.port import TransactionPort
 from levid.drivers.watch import Watch
 from levid.wire.device import CYCLES
@@ -62,7 +63,7 @@ def transactions(n: int, rng: np.random.Generator) -> Outcome:
     be taken where one of the cycle came, its values must be those of the first, and answers to
     questions must all be handed on; what is left over is no part of the next cycle.
     """
-    port = TransactionPort("noise", SerialBus(port="/", baud=9600), CONTENTS, 1e9)
+    port = TransactionPort("noise", SerialBus(port="/", baud=9600), CONTENTS, AnswerTime(1e9))
     port.watch = Watch("noise", _PATIENT)
     line, device = _Line(), SerialFrames(CONTENTS)
     port._line = line  # type: ignore[assignment]

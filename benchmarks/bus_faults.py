@@ -72,7 +72,7 @@ class Played(NamedTuple):
 def measure(quick: bool) -> list[Figure]:
     assert {line.split()[0] for line in EXPECTED} == set(FAULTS) - NO_FAULT_OF_A_DEVICE
     core._SILENT_PERIODS = 1e9  # type: ignore[misc]
-    on_bus._ANSWER_SHARE = 1e4  # type: ignore[misc]
+    on_bus._ANSWER_SHARE = on_bus._SENT_BY = 1e4  # type: ignore[misc]
     figures, named, came_back, slowest = [], [], 0, 0
     for bus in ("canfd", "serial") if quick else BUSES:
         for line in EXPECTED:
@@ -181,7 +181,7 @@ def _wait_for(device: Core, cycle: int) -> None:
 def _answers_by(devices: Devices, seconds: float) -> None:
     for backend in devices.backends:
         for waiting in getattr(backend, "_ports", {"": backend}).values():
-            waiting._wait_s = seconds
+            waiting._answers = on_bus.AnswerTime(seconds)
 
 
 def _rig(bus: str, folder: Path, expire_cycles: int) -> RigConfig:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,13 @@ from ..config.rig import RigConfig
 from ..log.signals import Stale
 
 Array = NDArray[np.float64]
-Sync = Callable[[int], None]
+
+
+class Sync(Protocol):
+    """Begins a cycle."""
+
+    def __call__(self, cycle: int, late_s: float = 0.0, /) -> None:
+        """Begin the cycle of that number, which was due `late_s` ago."""
 
 
 class DriverError(Exception):
@@ -121,8 +126,12 @@ class Backend(ABC):
         """Open what is needed to play `roles` (name to options); raises DriverError."""
 
     @abstractmethod
-    def sync(self, cycle: int) -> None:
-        """Begin a cycle: all readings are of this moment. `cycle` jumps where periods were late."""
+    def sync(self, cycle: int, late_s: float = 0.0) -> None:
+        """Begin a cycle, due `late_s` ago: all readings are of this moment.
+
+        `cycle` jumps where periods were late. What is waited for after a late beginning is to be
+        there before the next cycle is due all the same.
+        """
 
     def amplifiers(self) -> CoilAmplifiers:
         """Return the amplifiers; raises DriverError where this backend has none."""
@@ -200,7 +209,7 @@ class Devices:
         """What to call, in this order, to begin a cycle."""
         return (self.backends[0].sync,) if len(self.backends) == 1 else (self.sync,)
 
-    def sync(self, cycle: int) -> None:
+    def sync(self, cycle: int, late_s: float = 0.0) -> None:
         """Begin a cycle on every backend, whatever happens to the others; raises what came first.
 
         Zero force, too, acts only where a cycle begins.
@@ -208,7 +217,7 @@ class Devices:
         first = FirstError()
         for backend in self.backends:
             with first:
-                backend.sync(cycle)
+                backend.sync(cycle, late_s)
         first.raise_it()
 
     @property

@@ -37,6 +37,11 @@ def compare_limits(
         raise DriverError(f"{what}: limits in the device are not the rig's: {'; '.join(wrong)}")
 
 
+def refusal(index: int) -> str:
+    """Return in brackets why a device refused, where the index of its answer says so."""
+    return f" ({Refusal(index).name})" if index in _REFUSALS else ""
+
+
 def worst_state(states: Sequence[int]) -> int:
     """Return the state that is told of several amplifiers: that of the one that is worst off."""
     first = states[0]
@@ -108,12 +113,14 @@ class AmplifierWatch:
         if index == Parameter.CHALLENGE:
             self._ask(Request.ENABLE, 0, response(value, self._limits))
         elif index in _REFUSALS:
-            self._refused = f" ({Refusal(index).name})"
+            self._refused = refusal(index)
 
     def reset(self, exchange: Exchange) -> None:
         """Reset trips after a fault; raises AmplifierError where the cause is not gone."""
         index, tripped = exchange(Request.RESET, 0, 0)
-        if index != Parameter.TRIPPED_COILS or tripped:
+        if index not in (Parameter.TRIPPED_COILS, Refusal.STILL_TRIPPED):
+            raise AmplifierError(f"{self._what}: does not reset trips{refusal(index)}")
+        if index == Refusal.STILL_TRIPPED or tripped:
             coils = ", ".join(str(i) for i in range(32) if tripped >> i & 1)
             raise AmplifierError(f"{self._what}: still tripped, coil {coils}")
         self._told, self._commanded, self._patience = False, False, 0

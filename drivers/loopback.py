@@ -38,7 +38,7 @@ class LoopbackBackend(Backend):
         self._pending = _Command(len(context.rig.geometry.coil_x_m), self._plant)
         self._acting = _Command(len(context.rig.geometry.coil_x_m), self._plant)
 
-    def sync(self, cycle: int) -> None:
+    def sync(self, cycle: int, late_s: float = 0.0) -> None:  # noqa: ARG002
         """Bring the plant to this cycle's moment and sample it."""
         plant, acting = self._plant, self._acting
         if self._cycle is None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from math import inf
+from typing import NamedTuple
+
 from ..wire.budget import LONGEST_WAIT, budget
 from .base import Backend, CoilAmplifiers, Context, ManipulatorDrives, PositionSensors
 
@@ -9,19 +12,32 @@ _ANSWER_SHARE = 0.5
 """Share of the period for which answers are waited for where the wire is quick: what is not there
 by then is stale, and there is time left for control, setpoints and a late wake-up."""
 _WIRE_MARGIN = 0.15
+_SENT_BY = 0.97
+"""Share of the period by which setpoints have left: behind the next SYNC they act a cycle late."""
 
 
-def answer_wait_s(context: Context) -> float:
-    """Return how long after a cycle's begin answers count: longer where the wire takes longer."""
-    needed_s = max(
-        (
-            bus.before_s + bus.answers_s + bus.latency_s
-            for bus in budget(context.rig, context.folder).buses
-        ),
-        default=0.0,
-    )
-    share = min(needed_s / context.period_s + _WIRE_MARGIN, LONGEST_WAIT)
-    return max(_ANSWER_SHARE, share) * context.period_s
+class AnswerTime(NamedTuple):
+    """How long answers count: `wait_s` after SYNC, and `latest_s` after the cycle was due."""
+
+    wait_s: float
+    latest_s: float = inf
+
+    @classmethod
+    def of(cls, context: Context) -> AnswerTime:
+        """Return it for a rig: longer where the wire takes longer, and setpoints still to go out.
+
+        A reading that is missing is not to cost the setpoints of its cycle as well.
+        """
+        buses = budget(context.rig, context.folder).buses
+        needed = max((bus.answered_s for bus in buses), default=0.0) / context.period_s
+        to_go = max((bus.setpoints_s for bus in buses), default=0.0) / context.period_s
+        latest = max(_SENT_BY - to_go, needed)
+        share = max(_ANSWER_SHARE, min(needed + _WIRE_MARGIN, LONGEST_WAIT))
+        return cls(min(share, latest) * context.period_s, latest * context.period_s)
+
+    def deadline_s(self, now_s: float, late_s: float) -> float:
+        """Return until when answers count in a cycle that begins now, `late_s` late."""
+        return now_s + max(min(self.wait_s, self.latest_s - late_s), 0.0)
 
 
 class BusBackend(Backend):

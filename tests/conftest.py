@@ -156,7 +156,8 @@ def host_paced(monkeypatch: pytest.MonkeyPatch) -> None:
     half of one.
     """
     monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    monkeypatch.setattr("levid.drivers.on_bus._ANSWER_SHARE", 1e4)
+    for share in ("_ANSWER_SHARE", "_SENT_BY"):
+        monkeypatch.setattr(f"levid.drivers.on_bus.{share}", 1e4)
 
 
 @pytest.fixture

@@ -276,7 +276,10 @@ def test_electronics_that_do_not_come_to_a_cycle_end_the_trial(monkeypatch) -> N
 
 def test_trial_that_failed_is_a_fault_that_was_not_named(monkeypatch, capsys) -> None:
     bus_faults = script("bus_faults")
-    for owner, name in ((bus_faults.core, "_SILENT_PERIODS"), (bus_faults.on_bus, "_ANSWER_SHARE")):
+    core, on_bus = bus_faults.core, bus_faults.on_bus
+    for owner, name in (
+        (core, "_SILENT_PERIODS"), (on_bus, "_ANSWER_SHARE"), (on_bus, "_SENT_BY"),
+    ):  # fmt: skip
         monkeypatch.setattr(owner, name, getattr(owner, name))
 
     def until_zero(bus: str, line: str) -> object:

@@ -190,10 +190,10 @@ def test_bus_that_is_gone_for_days_costs_no_memory() -> None:
         def __init__(self, backend: Backend) -> None:
             self._backend = backend
 
-        def sync(self, cycle: int) -> None:
+        def sync(self, cycle: int, late_s: float = 0.0) -> None:
             first = FirstError()
             with first:
-                self._backend.sync(cycle)
+                self._backend.sync(cycle, late_s)
             with first:
                 if dead.now:
                     raise LinkError("gone")

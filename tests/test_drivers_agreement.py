@@ -13,6 +13,7 @@ from levid.daemon.clock import VirtualClock
 from levid.daemon.flight import Flight
 from levid.daemon.plan import plan_session
 from levid.drivers.base import Devices
+from levid.drivers.on_bus import AnswerTime
 from levid.log.reader import read_log
 from levid.log.signals import Stale
 from levid.sim.electronics.rig import Electronics
@@ -77,12 +78,12 @@ def test_rows_with_an_earlier_reading_say_so(bus: str, rig_on, quiet_sim, tmp_pa
             def syncs(self):  # type: ignore[no-untyped-def]
                 return (sync,)
 
-        def sync(cycle: int) -> None:
+        def sync(cycle: int, late_s: float = 0.0) -> None:
             lost = cycle in dropped
             electronics.injector.command("drop" if lost else "clear")
             # Only where nothing is to come is the wait a short one.
             for waiting in getattr(backend, "_ports", {"": backend}).values():
-                waiting._wait_s = 0.1 if lost else 30.0
+                waiting._answers = AnswerTime(0.1 if lost else 30.0)
             backend.sync(cycle)
 
         flight.loop._devices = Dropping(*vars(flight.devices).values())

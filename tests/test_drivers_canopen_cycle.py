@@ -301,3 +301,41 @@ def test_node_that_leaves_operation_by_itself_is_a_fault(
             bench.read()
     else:
         bench.read()
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_drives_beside_one_in_fault_are_stopped_in_this_cycle(rig: RigConfig, every: int) -> None:
+    """Also where the next targets are some cycles away: two motors of a gantry are on."""
+    bench = Bench(rig, every)
+    bench.drives.sync(0)
+    bench.wire.answer(0, time.time(), DriveStates.FAULT.value[1])
+    bench.wire.sent.clear()
+    cycles = 0
+    with pytest.raises(DriveError):  # noqa: PT012
+        while True:
+            bench.read()
+            bench.drives.write(np.zeros(3), np.zeros(3))
+            cycles += 1
+            bench.drives._link.drain()  # as the backend does first
+            bench.drives.sync(cycles)
+    bench.drives.write(np.zeros(3), np.zeros(3))
+    assert cycles <= 1  # slower drives have until the next cycle to answer
+    assert QUICK_STOP in [word for word, _ in bench.wire.targets()]
+
+
+@pytest.mark.parametrize(("every", "stale_cycles", "syncs"), [(1, 2, 2), (4, 20, 5), (4, 2, 1)])
+def test_staleness_is_bounded_in_cycles_however_slow_the_drives_are(
+    rig: RigConfig, every: int, stale_cycles: int, syncs: int
+) -> None:
+    bench = Bench(rig, every)
+    options = rig.on_bus("drives")[1].model_copy(update={"every": every})
+    link = CanLink("main", rig.can[options.bus])
+    link._bus = Wire()
+    drives = CanDrives(link, rig, options, Path(), stale_cycles, lambda: 0.0)
+    k = 0
+    with pytest.raises(StaleError):  # noqa: PT012
+        for k in range(100):
+            drives.sync(k)
+            drives.read(bench.beam, bench.rotor)
+    # So many answers may be missing; the one too many is told as the next is asked for.
+    assert k == (syncs + 1) * every if every > 1 else k == syncs

@@ -289,3 +289,24 @@ def test_fault_is_reset_though_it_did_not_go_the_first_time(rig: RigConfig) -> N
         drive._control = again
         opened(rig).close()
         assert not left
+
+
+def test_drive_that_fails_while_it_is_homed_says_why(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not after ten seconds, as one that is not homed: at once, with its error code."""
+    with Electronics(rig, Path()) as electronics:
+        drives = nodes_of(electronics)
+        never_home(drives[2])
+        begun = DriveNode.start_homing
+
+        def start(node: DriveNode) -> None:
+            begun(node)
+            if node.name == "phi":
+                drives[2].fail(0x7305, 1)
+
+        monkeypatch.setattr(DriveNode, "start_homing", start)
+        began_s = time.monotonic()
+        with pytest.raises(DriveError, match="error code 0x7305"):
+            opened(rig)
+        assert time.monotonic() - began_s < 5.0

@@ -15,6 +15,7 @@ from levid.config.rig import RigConfig
 from levid.daemon.control import Controller
 from levid.daemon.warm_up import locate
 from levid.drivers.base import Context, Devices
+from levid.drivers.on_bus import AnswerTime
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.rig import Electronics
 
@@ -225,7 +226,9 @@ def test_a_cycle_that_begins_twice_is_answered_twice(bench: Bench) -> None:
     bench.run(6)
     for backend in bench.devices.backends:
         for port in getattr(backend, "_ports", {}).values():
-            port._wait_s = 1.0  # what does not come is not waited for till the end of days
+            port._answers = AnswerTime(
+                1.0
+            )  # what does not come is not waited for till the end of days
     before = bench.gap_m.copy()
     bench.cycle -= 1
     bench.run()

@@ -24,6 +24,7 @@ from levid.drivers.base import (
     LinkError,
     SensorError,
 )
+from levid.drivers.on_bus import AnswerTime
 from levid.drivers.registry import open_devices
 from levid.log.signals import Stale
 from levid.sim.electronics.faults import FAULTS, InjectionError
@@ -91,11 +92,11 @@ def fly(bench: Bench) -> None:
 
 def answer_by(bench: Bench, seconds: float) -> None:
     for backend in bench.devices.backends:
-        if hasattr(backend, "_wait_s"):
-            backend._wait_s = seconds
+        if hasattr(backend, "_answers"):
+            backend._answers = AnswerTime(seconds)
         else:
             for port in backend._ports.values():
-                port._wait_s = seconds
+                port._answers = AnswerTime(seconds)
 
 
 def cycles_of_force(bench: Bench, most: int = 10) -> tuple[int, DriverError | None]:

@@ -19,6 +19,7 @@ from serial import rfc2217
 from levid.config.buses import SerialBus
 from levid.config.rig import RigConfig
 from levid.drivers.base import Context, DriverError, LinkError
+from levid.drivers.on_bus import AnswerTime
 from levid.drivers.registry import open_devices
 from levid.drivers.serial.line import SerialLine
 from levid.drivers.serial.port import TransactionPort
@@ -185,7 +186,7 @@ class Babble:
 
 def port_on(babble: Babble, wait_s: float) -> TransactionPort:
     bus = SerialBus(port="loop://", baud=3_000_000, stale_cycles=1000)
-    port = TransactionPort("main", bus, CONTENTS, wait_s)
+    port = TransactionPort("main", bus, CONTENTS, AnswerTime(wait_s))
     port._line = babble  # type: ignore[assignment]
     return port
 

@@ -134,7 +134,7 @@ def test_time_that_the_electronics_slept_through_is_no_silence(
     can_end: CanElectronics, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frames waited for their turn for ten periods: their stamps say when they came."""
-    monkeypatch.setattr("levid.sim.electronics.can_bus.age_s", lambda _: 10 * PERIOD_S)
+    monkeypatch.setattr(can_end._ages, "of", lambda _: 10 * PERIOD_S)
 
     def come(k: int) -> object:
         clock.now += 10 * PERIOD_S if k == 0 else 0.0

@@ -11,6 +11,8 @@ from pydantic import ValidationError
 from levid.config.base import ConfigError, parse_text
 from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
+from levid.drivers.base import Context
+from levid.drivers.on_bus import AnswerTime
 from levid.wire.budget import budget, can_frame_s, canfd_frame_s, check_budget
 
 HEAD = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
@@ -174,3 +176,28 @@ def test_two_names_for_one_wire_are_refused(
             RigConfig.model_validate(data)
         data |= {role: {"backend": backend, "bus": "force"} for role in on}
     RigConfig.model_validate(data)  # one that no role is on is nobody's
+
+
+def test_what_goes_before_the_answers_is_waited_for_too() -> None:
+    """SYNC of slower drives and a position that has begun: 200 us in which the ADC is silent."""
+    data = load_rig(shipped("rigs/can.yaml")).model_dump()
+    data["sensors"]["bus"] = data["drives"]["bus"] = "motion"
+    both = RigConfig.model_validate(data)
+    (motion,) = [b for b in budget(both, Path()).buses if b.name == "can motion"]
+    assert motion.before_s == pytest.approx(200e-6)
+    with pytest.raises(ConfigError, match="the fastest rate that fits is 896 Hz"):
+        check_budget(both, Path())
+
+
+@pytest.mark.parametrize("kind", ["can", "canfd", "serial"])
+def test_a_reading_that_is_missing_does_not_cost_the_setpoints(kind: str) -> None:
+    path = shipped(f"rigs/{kind}.yaml")
+    loaded = load_rig(path)
+    period_s = 1.0 / loaded.rate_hz
+    buses = budget(loaded, path.parent).buses
+    answers = AnswerTime.of(Context(loaded, period_s, path.parent))
+    assert max(b.answered_s for b in buses) <= answers.wait_s
+    assert answers.wait_s + max(b.setpoints_s for b in buses) < period_s
+    # However late a cycle begins, its answers are not waited for beyond its end.
+    for late_s in (0.0, 0.3 * period_s, 0.9 * period_s, 3.0 * period_s):
+        assert 0.0 <= answers.deadline_s(1.0, late_s) - 1.0 <= max(period_s - late_s, 0.0)

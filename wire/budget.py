@@ -61,8 +61,8 @@ def serial_s(length: int, baud: float) -> float:
 class BusTime:
     """What a cycle takes of one bus, in s.
 
-    `answers` and `setpoints` are waited for one after the other; `others` only fill the bus, and
-    in some cycles `before` of them comes before the answers.
+    `answers` and `setpoints` are waited for one after the other; `others` only fill the bus, but
+    in some cycles `before` of them comes before the answers, and the rate has to hold those too.
     """
 
     name: str
@@ -71,6 +71,11 @@ class BusTime:
     others_s: float
     latency_s: float
     before_s: float = 0.0
+
+    @property
+    def answered_s(self) -> float:
+        """How long after a cycle's begin the last answer may come, latency included."""
+        return self.before_s + self.answers_s + self.latency_s
 
     @property
     def busy_s(self) -> float:
@@ -89,7 +94,7 @@ class Budget:
         """The shortest period that carries a cycle, 0 where there is no bus."""
         if not self.buses:
             return 0.0
-        answered_s = max(b.answers_s + b.latency_s for b in self.buses)
+        answered_s = max(b.answered_s for b in self.buses)
         in_turn = answered_s + max(b.setpoints_s for b in self.buses)
         return max(in_turn, answered_s / LONGEST_WAIT, *(b.busy_s for b in self.buses))
 

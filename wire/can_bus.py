@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import select
 import socket
 from pathlib import Path
@@ -34,13 +35,42 @@ _SENDS_BY = {"slcan", "udp_multicast"}
 """Interfaces that take a time by which a frame is to be on its way. Others ignore it, or wait for
 the frame to have left."""
 _OLDEST_STAMP_S = 1.0
+_STAMPED_HERE = {"levid_local", "slcan", "socketcan", "udp_multicast", "virtual"}
+_WINDOW_S = 1.0
+"""Clocks that differ by 20 ppm are 0.04 ms apart after twice that."""
 _SEND_S = 0.005
 
 
-def age_s(stamp_s: float) -> float:
-    """Return how long ago a frame came by its stamp; 0 for a stamp that is no time of day."""
-    age = time() - stamp_s
-    return age if 0.0 <= age < _OLDEST_STAMP_S else 0.0
+class Ages:
+    """Tells how long ago frames came, by their stamps.
+
+    Interfaces of the kernel stamp with this host's time of day. Hardware counts from its own start,
+    and runs slower or faster: of all frames of the last seconds the one that came quickest says how
+    far the clocks are apart, and counts as of no age.
+    """
+
+    def __init__(self, interface: str) -> None:
+        self._here = interface in _STAMPED_HERE
+        self._apart_s = self._apart_before_s = math.inf
+        self._since_s = -math.inf
+
+    def of(self, stamp_s: float) -> float | None:
+        """Return the age in s of the frame that was just read, None where its stamp tells none."""
+        if stamp_s <= 0.0:
+            return None
+        now_s = time()
+        apart_s = now_s - stamp_s
+        if self._here:
+            return apart_s if 0.0 <= apart_s < _OLDEST_STAMP_S else None
+        if not 0.0 <= now_s - self._since_s < _WINDOW_S:
+            self._apart_before_s, self._apart_s, self._since_s = self._apart_s, apart_s, now_s
+        self._apart_s = min(self._apart_s, apart_s)
+        age_s = apart_s - min(self._apart_s, self._apart_before_s)
+        if age_s < _OLDEST_STAMP_S:
+            return age_s
+        # The stamps have begun anew: a counter that is full, or a clock that was set.
+        self._apart_s = self._apart_before_s = apart_s
+        return None
 
 
 class FrameBus(Protocol):

@@ -18,7 +18,7 @@ from ...wire.cia402 import NMT_ID, NODE_IDS, SYNC_ID
 from ...wire.device import AMPLIFIER_LIMITS, CYCLES, ROLES, SENSOR_LIMITS, require_told
 from ...wire.values import LARGEST
 from ..base import Context, FirstError, LinkError
-from ..on_bus import BusBackend, answer_wait_s
+from ..on_bus import AnswerTime, BusBackend
 from .devices import CanAmplifiers, CanSensors
 from .drives import CanDrives
 from .link import CanLink
@@ -48,7 +48,7 @@ class CanBackend(BusBackend):
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the buses, compare limits with the devices', home and enable the drives."""
         rig = context.rig
-        self._wait_s = answer_wait_s(context)
+        self._answers = AnswerTime.of(context)
         self._deadline_s = 0.0
         self._links: dict[str, CanLink] = {}
         self._syncs: list[tuple[CanLink, CanFrames]] = []
@@ -86,13 +86,13 @@ class CanBackend(BusBackend):
             self.close()
             raise
 
-    def sync(self, cycle: int) -> None:
+    def sync(self, cycle: int, late_s: float = 0.0) -> None:
         """Begin a cycle on every bus, whatever happens to the others; raises what came first.
 
         Without its Sync a bus that is well would go on with the force it has.
         """
         # From the first moment on: what answers a Sync that went out late is of a later moment.
-        self._deadline_s = perf_counter() + self._wait_s
+        self._deadline_s = self._answers.deadline_s(perf_counter(), late_s)
         self._nothing_came()
         first = FirstError()
         for link in self._links.values():

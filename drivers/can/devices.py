@@ -12,7 +12,7 @@ from ...wire.device import AMPLIFIER_LIMITS, SENSOR_LIMITS, AmplifierState, Requ
 from ...wire.rejected import Rejected
 from ...wire.values import LARGEST
 from ..base import Array, CoilAmplifiers, LinkError, PositionSensors
-from ..enabling import AmplifierWatch, compare_limits, worst_state
+from ..enabling import AmplifierWatch, compare_limits, refusal, worst_state
 from ..rounding import CarriedRounding
 from ..sensing import SensorWatch
 from .link import CanLink
@@ -111,6 +111,10 @@ class CanSensors(PositionSensors):
         compare_limits(self.readings.what, self._limits, SENSOR_LIMITS, exchange)
 
 
+def _answers(answer: int, request: Request, index: int) -> bool:
+    return request != Request.READ or answer == index or bool(refusal(answer))
+
+
 class Questions:
     """Requests to one device, in the cycle without waiting or between cycles with its answer."""
 
@@ -132,7 +136,8 @@ class Questions:
             self.ask(request, index, value)
             deadline_s = perf_counter() + _EXCHANGE_S
             while perf_counter() < deadline_s and self._link.receive(deadline_s):
-                if self._latest is not None:
+                # An answer to what was asked before this, and came too late, is another's.
+                if self._latest is not None and _answers(self._latest[0], request, index):
                     return self._latest
         raise LinkError(f"{self._link.what}: nobody answers to {self._request.name}")
 

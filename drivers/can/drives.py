@@ -59,7 +59,9 @@ class CanDrives(ManipulatorDrives):
         deadline: Callable[[], float],
     ) -> None:
         self.what = f"drives on {link.what}"
-        self.watch = Watch(self.what, stale_cycles)
+        # Theirs come in every n-th cycle only: so many are as many cycles. One may be lost.
+        tolerated = max(stale_cycles // options.every, min(stale_cycles, 1))
+        self.watch = Watch(self.what, tolerated)
         self._link, self._options, self._deadline = link, options, deadline
         self._limits, self._period_s = rig.limits, 1.0 / rig.rate_hz
         self._sync_s = self._period_s * options.every
@@ -138,7 +140,13 @@ class CanDrives(ManipulatorDrives):
         with first:
             if not self._told:
                 self._told = True
-                self._check()
+                try:
+                    self._check()
+                except DriveError:
+                    if not every_cycle:  # the next targets are some cycles away
+                        with suppress(LinkError):
+                            self.release()
+                    raise
                 self._told = False
         with first:
             if every_cycle:
@@ -210,6 +218,8 @@ class CanDrives(ManipulatorDrives):
         """Home drives at the same time: two motors of one gantry would pull against each other."""
         for node in together:
             node.enable(self._options.homing_method)
+        for axis in self._axes:
+            axis.error = 0  # that was before the reset
         for node in together:
             node.start_homing()
         give_up_s = perf_counter() + _HOMING_S
@@ -218,6 +228,9 @@ class CanDrives(ManipulatorDrives):
         while True:
             at_m = _places(together)
             attained, done = zip(*(node.homing() for node in together), strict=True)
+            for axis in self._axes:
+                if axis.node in together:
+                    axis.check_homing()
             if list(attained) != seen:  # one of them counts from somewhere else now
                 begin, seen = None, list(attained)
             elif begin is None:
@@ -345,6 +358,11 @@ class _Axis:
         self._operational = False
         self.cycle, self.heard_s = -self._every, perf_counter()
         self._differences.at_rest(self.position)
+
+    def check_homing(self) -> None:
+        """Raise DriveError where the drive has said meanwhile that it does not go on."""
+        if self.error:
+            raise DriveError(f"{self.node.what}: emergency, error code 0x{self.error:04X}")
 
     def take(self, cycle: int) -> None:
         """Take over what came with the SYNC of `cycle`."""

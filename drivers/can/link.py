@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import NoReturn
 
 from ...config.buses import CanBus
-from ...wire.can_bus import FrameBus, age_s, open_bus
+from ...wire.can_bus import Ages, FrameBus, open_bus
 from ...wire.kernel_frame import BusOffError
 from ..base import DriverError, LinkError
 from ..claim import Claim
@@ -27,7 +27,10 @@ class CanLink:
         self._listeners: dict[int, Listener] = {}
         self._bus: FrameBus | None = None
         self._aside: list[FrameBus] = []  # lost, and not shut down yet
-        self._stamp_s = 0.0
+        self._ages, self._stamped = Ages(bus.interface), False
+        self.received_s = 0.0
+        """When the last frame came, on the loop's clock (perf_counter), by the stamp of hardware or
+        kernel where the interface gives one: it is free of the delays of this process."""
         # A virtual bus is of this process alone.
         self._claim = None if bus.interface == "virtual" else Claim(bus.place)
 
@@ -92,20 +95,14 @@ class CanLink:
             self._lost(f"receiving failed: {error}")
         if frame is None:
             return False
-        can_id, data, self._stamp_s = frame
+        can_id, data, stamp_s = frame
+        age_s = self._ages.of(stamp_s)
+        self._stamped = age_s is not None
+        self.received_s = perf_counter() - (age_s or 0.0)
         listener = self._listeners.get(can_id)
         if listener is not None:
             listener(can_id, data)
         return True
-
-    @property
-    def received_s(self) -> float:
-        """When the last frame came, on the loop's clock (perf_counter); now, if that is not known.
-
-        By the stamp of hardware or kernel, where the interface gives one: it is free of the delays
-        of this process. Interfaces stamp with the time of day.
-        """
-        return perf_counter() - age_s(self._stamp_s)
 
     def drain(self) -> None:
         """Hand on all that has come; raises LinkError.
@@ -114,7 +111,7 @@ class CanLink:
         """
         began_s = perf_counter()
         for _ in range(_MOST_DRAINED):
-            if not self.receive(0.0) or 0.0 < age_s(self._stamp_s) < perf_counter() - began_s:
+            if not self.receive(0.0) or (self._stamped and self.received_s > began_s):
                 return
 
     def _lost(self, why: str) -> NoReturn:

@@ -142,6 +142,7 @@ class DriveNode:
         it may be one of before the start, of the last time.
         """
         word = self._read(Object.STATUSWORD)
+        self._require_operation(word)
         if self._started_s is not None:
             told = word & (HOMING_ATTAINED | HOMING_ERROR)
             if told and perf_counter() - self._started_s < _LAG_S:
@@ -191,17 +192,23 @@ class DriveNode:
             if state is DriveStates.OPERATION_ENABLED:
                 return
             if perf_counter() > give_up_s:
-                code = self._read(Object.ERROR_CODE)
-                words = state.words if state else "in an unknown state"
-                raise DriveError(
-                    f"{self.what}: expected operation enabled, found {words}, "
-                    f"error code 0x{code:04X}"
-                )
+                self._require_operation(self._read(Object.STATUSWORD))
+                return
             if state is DriveStates.FAULT:
                 self._write(Object.CONTROLWORD, 0)  # the reset takes a rising edge
             if state in TOWARDS_OPERATION:
                 self._write(Object.CONTROLWORD, TOWARDS_OPERATION[state])
             sleep(_POLL_S)
+
+    def _require_operation(self, word: int) -> None:
+        """Raise DriveError, with the drive's error code, where it is not enabled."""
+        state = state_of(word)
+        if state is not DriveStates.OPERATION_ENABLED:
+            code = self._read(Object.ERROR_CODE)
+            words = state.words if state else "in an unknown state"
+            raise DriveError(
+                f"{self.what}: expected operation enabled, found {words}, error code 0x{code:04X}"
+            )
 
     def _mode(self, mode: Mode) -> None:
         self._write(Object.MODE, mode)

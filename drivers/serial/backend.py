@@ -33,8 +33,8 @@ from ..base import (
     ManipulatorDrives,
     PositionSensors,
 )
-from ..enabling import AmplifierWatch, compare_limits
-from ..on_bus import BusBackend, answer_wait_s
+from ..enabling import AmplifierWatch, compare_limits, refusal
+from ..on_bus import AnswerTime, BusBackend
 from ..rounding import CarriedRounding
 from ..sensing import SensorWatch, check_skew
 from .port import TransactionPort
@@ -69,9 +69,9 @@ class SerialBackend(BusBackend):
         options = {role: found[1] for role in roles if (found := rig.on_bus(role)) is not None}
         names = dict.fromkeys(option.bus for option in options.values())
         on = {name: {r for r, o in options.items() if o.bus == name} for name in names}
-        wait_s = answer_wait_s(context)
+        answers = AnswerTime.of(context)
         self._ports = {
-            name: TransactionPort(name, rig.serial[name], Contents.of(rig, on[name]), wait_s)
+            name: TransactionPort(name, rig.serial[name], Contents.of(rig, on[name]), answers)
             for name in names
         }
         played: dict[str, _Amplifiers | _Sensors | _Drives] = {}
@@ -90,13 +90,13 @@ class SerialBackend(BusBackend):
             self.close()
             raise
 
-    def sync(self, cycle: int) -> None:
+    def sync(self, cycle: int, late_s: float = 0.0) -> None:
         """Begin a cycle on every port: setpoints out, samples in; raises what came first."""
         self._nothing_came()
         first = FirstError()
         for port in self._ports.values():
             with first:
-                port.sync(cycle)
+                port.sync(cycle, late_s)
         first.raise_it()
 
     def recover(self) -> None:
@@ -220,7 +220,9 @@ class _Drives(ManipulatorDrives):
         self._go_nowhere()
         self._axes[:] = np.nan
         compare_limits(port.what, self._limits, DRIVE_LIMITS, port.exchange)
-        _, error = port.exchange(Request.ENABLE_DRIVES, 0, 0)
+        index, error = port.exchange(Request.ENABLE_DRIVES, 0, 0)
+        if why := refusal(index):
+            raise DriveError(f"drives on {port.what}: cannot be enabled{why}")
         if error:
             raise DriveError(f"drives on {port.what}: cannot be enabled, error code 0x{error:04X}")
         self._told = False

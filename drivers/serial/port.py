@@ -13,6 +13,7 @@ from ...wire.serial_frames import Contents, Header, Kind, SerialFrames
 from ...wire.stream import FrameStream
 from ..base import LinkError
 from ..enabling import AmplifierWatch
+from ..on_bus import AnswerTime
 from ..watch import Watch
 from .line import SerialLine
 
@@ -29,7 +30,7 @@ class TransactionPort:
     readings of this cycle, or where they are stale those of an earlier one.
     """
 
-    def __init__(self, name: str, bus: SerialBus, contents: Contents, wait_s: float) -> None:
+    def __init__(self, name: str, bus: SerialBus, contents: Contents, answers: AnswerTime) -> None:
         self.what = f"serial {name} ({bus.port})"
         self.frames = SerialFrames(contents)
         self.coil_n = np.zeros(contents.coils)
@@ -42,7 +43,7 @@ class TransactionPort:
         self._line = SerialLine(name, bus)
         self._stream = FrameStream(self.frames.longest)
         self._reading = SerialFrames(contents)
-        self._wait_s = wait_s
+        self._answers = answers
         self._deadline_s = 0.0
         self._cycle = 0
         self._collected = True
@@ -62,10 +63,10 @@ class TransactionPort:
         """Let go of the port."""
         self._line.close()
 
-    def sync(self, cycle: int) -> None:
+    def sync(self, cycle: int, late_s: float = 0.0) -> None:
         """Begin a cycle: send setpoints, at which the device samples and answers."""
         # From the first moment on: what answers a late CYCLE is of a later moment.
-        self._deadline_s = perf_counter() + self._wait_s
+        self._deadline_s = self._answers.deadline_s(perf_counter(), late_s)
         self._drain()
         self._unasked = 0  # what has not been answered by now is lost
         self.watch.begin()

@@ -14,7 +14,7 @@ import numpy as np
 from ...config.base import ConfigError
 from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
-from ...wire.can_bus import FrameBus, age_s, open_bus
+from ...wire.can_bus import Ages, FrameBus, open_bus
 from ...wire.can_frames import Fields, load_frames
 from ...wire.cia402 import SYNC_COUNTER, SYNC_ID, cycle_of_sync
 from ...wire.rejected import Rejected
@@ -37,6 +37,7 @@ class CanElectronics:
         injector: Injector,
     ) -> None:
         self._config, self._core, self._injector = rig.can[name], core, injector
+        self._ages = Ages(self._config.interface)
         dbc = folder / self._config.dbc if self._config.dbc else None
         self._frames = load_frames(dbc, core.coils, core.sensors, self._config.fd)
         self._outgoing = Outgoing(injector)
@@ -115,7 +116,7 @@ class CanElectronics:
             elif self._drives is not None and can_id >= 0:
                 self._drives.take(can_id, data)
             # All that came before this frame has been handled, whatever it is itself.
-            self._core.tick(time.monotonic() - age_s(stamp_s))
+            self._core.tick(time.monotonic() - (self._ages.of(stamp_s) or 0.0))
 
     def _send(self, can_id: int, data: bytes) -> None:
         if self._bus is not None:

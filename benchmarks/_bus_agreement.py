@@ -32,6 +32,9 @@ Complex = NDArray[np.complex128]
 
 WITHIN_95 = float(np.sqrt(-np.log(0.05)))
 """So many standard deviations hold 95 % of a circular complex normal variable: 1.73."""
+_MOST_DELAY_US = 100.0
+"""A tenth of a period: a force acts from the next cycle on, on every backend. Cycles that are late
+or whose setpoints are lost delay some of them by a whole one."""
 _LEAST_AGREEING = 92.0
 """Percent of what holds 95: neighbouring frequencies share noise, and entries of one flight too."""
 _GAIN_SE = 2.58
@@ -149,7 +152,13 @@ def agreement_figures(name: str, who: str, it: Difference) -> list[Figure]:
             f"{who}: the least that would be seen (5 %, power 80 %)",
         ),
         Figure(f"{name}_differ_percent", 100.0 * it.ho_kalman, "%", f"{who}: Ho-Kalman, rms"),
-        Figure(f"{name}_delay_us", 1e6 * it.delay_s, "us", f"{who}: its own delay, taken out"),
+        Figure(
+            f"{name}_delay_us",
+            1e6 * it.delay_s,
+            "us",
+            f"{who}: its own delay, taken out",
+            target=Target(least=-_MOST_DELAY_US, most=_MOST_DELAY_US),
+        ),
         Figure(f"{name}_delay_se_us", 1e6 * it.delay_se_s, "us", f"{who}: its standard error"),
     ]
 

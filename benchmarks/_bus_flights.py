@@ -25,7 +25,7 @@ from _bus_rigs import LABELS, TIMED, electronics_on, rig_text
 from _daemon import running
 from _flight import fly_session
 from _kept import Parts
-from _table import Figure
+from _table import Figure, Target
 
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped
@@ -46,6 +46,7 @@ PATIENT = """
 SERVICE = """
 service: {loop_s: 10, supervisor_s: 10}
 """
+_ONE = Target(least=1)
 _ATTEMPTS = 3
 """Coils that hold their force through a stall, excitation in it, may push the platform too far."""
 _QUICK_S = 10.0
@@ -82,19 +83,20 @@ def _of_one(name: str, text: str, reference: Plants, segment_s: float) -> list[F
                 for fault, count in sorted(Counter(ended_by).items())
             ),
         ]
+        found = f"{name}_identified"
         if not logs:
-            return figures
+            return [*figures, Figure(found, 0, "", f"{who}: no flight", target=_ONE)]
         read = [read_log(path) for path in logs]
         if name != "loopback":  # in virtual time nothing is late
             figures += punctuality_figures(name, who, read)
         try:
             plants = Plants.of(logs, segment_s)
         except IdentificationError as error:
-            return [*figures, Figure(f"{name}_identified", 0, "", f"{who}: {error}")]
+            return [*figures, Figure(found, 0, "", f"{who}: {error}", target=_ONE)]
         rows = sum(len(log.rows) for log in read)
         return [
             *figures,
-            Figure(f"{name}_identified", 1, "", f"{who}: P was identified"),
+            Figure(found, 1, "", f"{who}: P was identified", target=_ONE),
             Figure(f"{name}_flown_used", plants.rows / rows, "", f"{who}: of the rows, used"),
             *agreement_figures(name, who, difference(plants, reference)),
         ]

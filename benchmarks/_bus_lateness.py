@@ -20,10 +20,11 @@ from typing import NamedTuple
 
 import _real_time
 import numpy as np
+from _bus_cycles import MOST_STALE
 from _bus_rigs import LABELS, RATE_HZ, TIMED, cycle_of, electronics_on, opened, rig_on, rig_text
 from _kept import Parts
-from _shares import Round, ratio_figures
-from _table import Figure
+from _shares import MOST_RATIO, Round, ratio_figures
+from _table import Figure, Met, Target
 
 from levid.config.service import Realtime
 from levid.daemon.clock import RealClock
@@ -71,6 +72,8 @@ def lateness_figures(seconds: float, rounds: int, kept: Parts) -> list[Figure]:
         figures.append(Figure(f"{name}_broken_off", broken, "", f"{LABELS[name]}: {what}"))
         if turns:
             figures += figures_of(name, turns)
+        else:
+            figures += nothing_of(name)
     return figures
 
 
@@ -149,7 +152,13 @@ def figures_of(name: str, turns: list[dict[str, Stretch]]) -> list[Figure]:
     stale = sum(loop.stale for loop in loops)
     return [
         *figures,
-        Figure(f"{name}_stale_share", stale / n, "", f"{who}: cycles with a stale reading"),
+        Figure(
+            f"{name}_stale_share",
+            stale / n,
+            "",
+            f"{who}: cycles with a stale reading",
+            target=Target(most=MOST_STALE),
+        ),
         Figure(f"{name}_cycles", n, "", f"{who}: cycles, as many of the empty loop"),
         Figure(
             f"{name}_real_time",
@@ -158,6 +167,15 @@ def figures_of(name: str, turns: list[dict[str, Stretch]]) -> list[Figure]:
             f"{who}, and the empty loop: stretches at real-time priority",
         ),
         Figure(f"{name}_stretch_s", loops[0].cycles / RATE_HZ, "s", f"{who}: in one piece"),
+    ]
+
+
+def nothing_of(name: str) -> list[Figure]:
+    """Return the ratios of a backend that did not last for one round: what is asked is not met."""
+    target = Target(most=MOST_RATIO, met=Met.NO)
+    return [
+        Figure(f"{name}_{which}_late_ratio_95", None, "", f"{LABELS[name]}: no round", None, target)
+        for which in ("begun", "ended")
     ]
 
 

@@ -16,12 +16,15 @@ import numpy as np
 from _mutations import Outcome, are, mutated
 
 from levid.wire.can_frames import Fields, ValueFrames, load_frames
+from levid.wire.device import CYCLES
 from levid.wire.kernel_frame import ERROR_BUS_OFF, FRAME_SIZES, OTHER, BusOffError, Frame, unpacked
 from levid.wire.local_bus import LocalFrames
 from levid.wire.rejected import Rejected
 
 _BATCH = 10_000
 _LONGEST = 64
+_STRIDE = 4001
+"""Has no factor in common with the cycles that are counted."""
 _EFF, _RTR, _ERR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 """linux/can.h: flags in the ID of a frame."""
 
@@ -49,7 +52,7 @@ def can_mutated(n: int, rng: np.random.Generator, *, resealed: bool = False) -> 
     group = frames.force
     accepted = wrong = 0
     for k in range(n):
-        cycle = k & 0xFF
+        cycle = _cycle(k)
         sent = group.encode(rng.uniform(-20, 20, 9), cycle, 1)
         at = int(rng.integers(3))
         can_id, good = sent[at]
@@ -85,7 +88,7 @@ def can_lengths(n: int, rng: np.random.Generator) -> Outcome:
     accepted = wrong = 0
     expected = 0.0
     for k in range(n):
-        decoder, cycle = decoders[k % len(decoders)], k & 0xFF
+        decoder, cycle = decoders[k % len(decoders)], _cycle(k)
         of_values = isinstance(decoder, ValueFrames)
         right = decoder.frames[0].length if of_values else decoder.length
         length = right if rng.random() < 0.5 else int(rng.integers(_LONGEST + 1))
@@ -201,7 +204,12 @@ def _payloads(n: int, length: int, rng: np.random.Generator) -> Iterator[tuple[b
     for begin in range(0, n, _BATCH):
         batch = rng.integers(0, 256, (min(_BATCH, n - begin), length), np.uint8)
         for k, row in enumerate(batch):
-            yield bytearray(row.tobytes()), k & 0xFF
+            yield bytearray(row.tobytes()), _cycle(begin + k)
+
+
+def _cycle(k: int) -> int:
+    """Return a number of a cycle: each there is comes once in so many."""
+    return k * _STRIDE % CYCLES
 
 
 def crc8(data: bytes) -> int:

@@ -76,6 +76,7 @@ def test_what_ended_flights_is_among_the_figures(flights, monkeypatch) -> None:
     found = by_key(flights._of_one("serial", "", None, 10.0))
     assert found == {
         "serial_attempts": 3, "serial_ended_by_GAP": 2, "serial_ended_by_LATE": 1,
+        "serial_identified": 0,
     }  # fmt: skip
 
 
@@ -182,7 +183,10 @@ def test_stretch_that_breaks_off_is_counted_and_begun_anew(tmp_path: Path, monke
     assert (found["serial_broken_off"], found["serial_cycles"]) == (4, 18)
     ends = iter([LinkError("gone")] * 3)
     kept = module("_kept").Parts(tmp_path / "other.jsonl")
-    assert by_key(lateness.lateness_figures(1.0, 1, kept)) == {"serial_broken_off": 3}
+    figures = lateness.lateness_figures(1.0, 1, kept)
+    assert by_key(figures)["serial_broken_off"] == 3
+    # What lasted for no round is not punctual.
+    assert [str(f.met) for f in figures if f.met] == ["missed", "missed"]
 
 
 def test_round_counts_each_loop_with_its_own_cycles() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -472,3 +473,24 @@ def test_a_start_of_the_filter_is_forgotten_as_the_fit_has_it() -> None:
     expected[: at.blind] = 0.0
     found = bank_of(made).errors(np.zeros((1, 1500, 6)), None, start[:, None])[:, :, 0]
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_what_a_free_form_may_have_held_before_is_no_part_of_its_columns() -> None:
+    rng = np.random.default_rng(0)
+    basis, _ = np.linalg.qr(rng.standard_normal((300, 2)))
+    held = rng.standard_normal((100, 3, 2))
+    remembers = SimpleNamespace(
+        amplitudes=(1, 2, 3), effect_class="unknown", remains=lambda *_: [None, None]
+    )
+    forgets = SimpleNamespace(amplitudes=(1,), effect_class="unknown", remains=None)
+    friction = SimpleNamespace(amplitudes=(1,), effect_class="friction", remains=lambda *_: [None])
+    bank = SimpleNamespace(columns=lambda terms, count: held[:, :, :count])
+    columns = rng.standard_normal((300, 5))
+    columns -= basis @ (basis.T @ columns)
+    before = columns.copy()
+    candidates = [(forgets, ()), (remembers, ()), (friction, ())]
+    linearised._forget(columns, SimpleNamespace(signals=None), bank, basis, candidates)
+    np.testing.assert_array_equal(columns[:, [0, 4]], before[:, [0, 4]])
+    both = np.hstack([basis, held.reshape(300, 2)])
+    expected = before - both @ np.linalg.lstsq(both, before, rcond=None)[0]
+    np.testing.assert_allclose(columns[:, 1:4], expected[:, 1:4], atol=1e-12)

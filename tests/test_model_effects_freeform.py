@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -112,7 +113,7 @@ def test_a_coil_may_do_anything_with_what_it_is_told():
     s = replace(s, coil=6.0 + s.coil)
     extent = Extent.measured([s])
     (own,) = (
-        e for e in freeform_effects(s.places, extent) if e.where == ("coil:3",) and "*" not in e.key
+        e for e in freeform_effects(s.places, extent) if e.where == ("coil:3",) and "+-" in e.key
     )
     again = freeform_effect(s.places, own.key, own.where)
     assert again is not None
@@ -245,3 +246,34 @@ def test_functions_lie_where_the_motion_is():
     again = freeform_effect(places, by_z.key, by_z.where)
     for ours, theirs in zip(by_z.build(s, ()), again.build(s, ()), strict=True):
         np.testing.assert_array_equal(acts(ours), acts(theirs))
+
+
+def test_coil_that_remembers_where_its_command_turned():
+    """A loop of the command: there and back give forces apart, and no sum of stops is smooth."""
+    s = moving()
+    t = np.arange(200) / 100
+    command = 7.6 + 2.0 * np.sin(2 * np.pi * t)
+    s = replace(s, coil=np.tile(command[:, None], 9))
+    extent = replace(Extent.typical(rig_places()), commands=((7.6, 1.41),) * 9)
+    (effect,) = [
+        e
+        for e in freeform_effects(rig_places(), extent)
+        if e.key == "unknown.turns.command[1.41]" and e.where == ("coil:6",)
+    ]
+    assert depends_on(effect) == ("coil:6",)
+    terms = effect.build(s, ())
+    for term, width in zip(terms, (0.05, 0.15, 0.4, 1.0, 2.5), strict=True):
+        own = term.held @ np.linalg.pinv(np.atleast_2d(s.places.coil_shape[6]))
+        held, r = [], 1.41 * width
+        for start in (1.0, -1.0):  # a stop by its definition
+            f, path = start, [start]
+            for a, b in pairwise(command):
+                f = min(max(f + (b - a) / r, -1.0), 1.0)
+                path.append(f)
+            held.append(path)
+        np.testing.assert_allclose(own[:, 0], np.mean(held, axis=0), atol=1e-12)
+    up, down = terms[1].held[110], terms[1].held[140]  # the same command, 16 ms before the turn
+    assert np.abs(up - down).max() > np.abs(up).max()
+    assert len(effect.remains(s, ())) == len(terms)
+    assert freeform_effect(rig_places(), "unknown.turns.command[0]", ("coil:6",)) is None
+    assert freeform_effect(rig_places(), "unknown.turns.command[1]", ("z",)) is None

@@ -155,3 +155,18 @@ def test_yielding_spring_takes_energy_the_more_the_further_it_is_driven():
         x, taken = recursions.yielding(q, qd, size * 1e3 * np.sin(wd * t), 50.0, 0.01, x_s, TS)
         lost.append(float(np.sum(taken[3000:5999] * np.diff(x[3000:]))) / size**2)
     assert lost[0] < lost[1] < lost[2]
+
+
+def test_slipping_element_lies_between_what_it_may_have_held():
+    """Stop operators keep their order: of all starts the ends bound what comes."""
+    rng = np.random.default_rng(3)
+    x = np.cumsum(rng.normal(0.0, 3e-6, 4000))
+    middle, half = recursions.slip_of_any(x, 4e-5)
+    assert half[0] == 1.0
+    assert np.all(np.diff(half) <= 1e-15)
+    for held in np.linspace(-1.0, 1.0, 9):
+        f = recursions._slip(x, 4e-5, held)
+        assert np.all(np.abs(f - middle) <= half + 1e-12)
+    went = np.maximum.accumulate(x) - np.minimum.accumulate(x)
+    assert np.all(half[went > 8e-5] == 0.0)  # to and fro by twice its break-away: all forgotten
+    assert half[went < 4e-5][-1] > 0.0

@@ -99,6 +99,7 @@ def _with_candidates(
     shown_drive.append(None if drive_n is None else thinned(drive_n, here.every))
     flat = pose.reshape(-1, pose.shape[2])
     flat -= basis @ (basis.T @ flat)
+    _forget(flat[:, own.shape[2] + placed : -1], here, bank, basis, candidates)
     seen = [j for j, column in enumerate(shown) if column is not None]
     beyond = np.stack([column for column in shown if column is not None], axis=2)
     channels = [
@@ -134,6 +135,24 @@ def _unknown(point: WorkingPoint, here: Along, bank: FilterBank) -> Array:
         for term in p.effect.remains(here.signals, p.shape)
     ]
     return _widened(basis, bank.columns(remembered, len(remembered))) if remembered else basis
+
+
+def _forget(
+    columns: Array, here: Along, bank: FilterBank, basis: Array, candidates: Sequence[Candidate]
+) -> None:
+    """Free columns (N', .) of free forms with a memory of what each may have held before.
+
+    The errors keep it: what a candidate explains of them is what it does without that.
+    """
+    at = 0
+    for effect, shape in candidates:
+        width = len(effect.amplitudes)
+        if effect.remains is not None and effect.effect_class == "unknown":
+            terms = effect.remains(here.signals, shape)
+            held = _widened(basis, bank.columns(terms, len(terms)))[:, basis.shape[1] :]
+            own = columns[:, at : at + width]
+            own -= held @ (held.T @ own)
+        at += width
 
 
 def _widened(basis: Array, columns: Array) -> Array:

@@ -70,6 +70,17 @@ def slip(x: Array, break_away: float, Ts_s: float) -> Array:
     return _with_past(_slip, x, break_away, Ts_s)
 
 
+def slip_of_any(x: Array, break_away: float) -> tuple[Array, Array]:
+    """Return the middle and half the range (N,) of what such an element may do.
+
+    Whatever it held before row 0, within its break-away, it does something in between; where x has
+    gone to and fro by twice that the range is nothing.
+    """
+    x = np.ascontiguousarray(x)
+    high, low = _slip(x, break_away, 1.0), _slip(x, break_away, -1.0)
+    return 0.5 * (high + low), 0.5 * (high - low)
+
+
 def bouc_wen(x: Array, break_away: float, sharpness: float, shape: float, Ts_s: float) -> Array:
     """Return Bouc and Wen's hysteresis (N,): dz = (1 - |z|^n (b sign(z dx) + 1 - b)) dx / x_s.
 
@@ -243,9 +254,8 @@ def _lugre(x, level, break_away):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _slip(x, break_away):  # type: ignore[no-untyped-def]
+def _slip(x, break_away, f=0.0):  # type: ignore[no-untyped-def]
     out = np.empty_like(x)
-    f = 0.0
     out[0] = f
     for k in range(1, len(x)):
         f = min(max(f + (x[k] - x[k - 1]) / break_away, -1.0), 1.0)

@@ -72,6 +72,7 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
     "pulled-oscillator": ({"psi", "sensor:8"},),
     "second-stage": ({"coil:3"},),
     "transducer-core": ({"coil:6"},),
+    "loaded-rod": ({"a_b"}, {"z"}),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 

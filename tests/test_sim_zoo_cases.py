@@ -20,7 +20,7 @@ PLACES = {"psi", "theta", "z", "beam", "rotor"} | {
 
 
 ZOO, UNLISTED = module("_zoo_cases"), module("_unlisted_effects")
-UNLISTED_2 = module("_unlisted_effects_2")
+UNLISTED_2, UNLISTED_4 = module("_unlisted_effects_2"), module("_unlisted_effects_4")
 EVERY = ZOO.CASES + ZOO.UNLISTED
 
 
@@ -176,3 +176,33 @@ def test_second_stage_stays_on_between_its_two_currents() -> None:
         np.testing.assert_allclose(steps, 0.1 * np.array([0, 1, 1, 1, 0, 0, 1, 0]), atol=1e-14)
     with pytest.raises(ValueError, match="off_n"):
         UNLISTED_2.SecondStage(coil=3, step_n=0.1, on_n=8.0, off_n=9.0)
+
+
+def test_loaded_rod_pulls_along_itself_with_what_accelerates_the_beam() -> None:
+    """Its force lies along the line between its ends, and holds the platform against the beam."""
+    rod = UNLISTED_4.LoadedRod(m_b_kg=1.4, length_m=0.05, level_m=2e-4)
+    rod.reset(SimpleNamespace(dt_s=0.0))
+    for z, a in ((0.0, 3.0), (0.0, -3.0), (5e-4, 3.0), (-3e-4, -2.0), (2e-4, 4.0), (5e-4, 0.0)):
+        along = np.array([0.05, 2e-4 - z])
+        tension = 1.4 * a * np.hypot(*along) / along[0]
+        up = tension * along[1] / np.hypot(*along)
+        tau = rod.wrench(0, [1e-3, -2e-3, z], np.ones(3), BeamState(0.1, 0.2, a, 1, 5, 9))
+        np.testing.assert_allclose(tau, [0, 0, up], atol=1e-15)
+    with pytest.raises(ValueError, match="length_m"):
+        UNLISTED_4.LoadedRod(m_b_kg=1.4, length_m=0.0, level_m=0.0)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_loaded_rod_is_a_string_in_tension_and_a_falling_column_in_compression(way) -> None:
+    """A mass swings about the level with w^2 = N / m L, or runs from it as cosh(w t); undamped."""
+    rod = UNLISTED_4.LoadedRod(m_b_kg=1.4, length_m=0.05, level_m=2e-4)
+    rod.reset(SimpleNamespace(dt_s=DT))
+    omega = np.sqrt(1.4 * 4.0 / (7.0 * 0.05))
+    beam, z, v, height = BeamState(0, 0, way * 4.0, 0, 0, 0), 3e-4, 0.0, []
+    t = np.arange(round(2 / DT)) * DT
+    for s in t:
+        height.append(z)
+        acceleration = rod.wrench(s, [0, 0, z], [0, 0, v], beam)[2] / 7.0
+        z, v = z + DT * v + 0.5 * DT * DT * acceleration, v + DT * acceleration
+    goes = np.cos(omega * t) if way > 0 else np.cosh(omega * t)
+    np.testing.assert_allclose(height, 2e-4 + 1e-4 * goes, rtol=1e-4)

@@ -24,7 +24,7 @@ class Clock(Protocol):
         """Begin cycle 0 now."""
 
     def wait(self) -> float:
-        """Wait for the next cycle; return how late it begins, in s."""
+        """Wait for the next cycle; return how late it begins, in s, skipped periods included."""
 
 
 class VirtualClock:

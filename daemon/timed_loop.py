@@ -96,7 +96,7 @@ class TimedLoop:
                 words[_STALE], words[_LATE] = self._stale_before + devices.stale, late.late
             k = course.advance()
             for sync in syncs:
-                sync(cycle, late_s)
+                sync(cycle, late_s - skipped * period_s)
             sensors.read(gap)
             drives.read(beam, rotor)
             amplifiers.read(readback)

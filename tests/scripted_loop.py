@@ -35,7 +35,7 @@ class ScriptedClock(Clock):
 
     def __init__(self, script: Callable[[int], None]) -> None:
         self.n, self.script, self.skipped = 0, script, 0
-        self.epoch_ns = 0
+        self.epoch_ns, self.late_s = 0, 0.0
 
     def start(self) -> None:
         return
@@ -43,7 +43,7 @@ class ScriptedClock(Clock):
     def wait(self) -> float:
         self.n += 1
         self.script(self.n)
-        return 0.0
+        return self.late_s
 
 
 class ScriptedLoop:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import pytest
 from scripted_loop import LIFT, ScriptedLoop
@@ -10,6 +11,7 @@ from scripted_loop import LIFT, ScriptedLoop
 from levid.daemon.board import Word
 from levid.daemon.faults import Fault
 from levid.daemon.states import State
+from levid.drivers.base import Backend
 
 
 def test_homing_is_no_cycle() -> None:
@@ -98,3 +100,33 @@ def test_move_that_is_asked_for_as_somebody_lands_is_dropped(late: int) -> None:
     assert State.LANDING in seen
     assert State.MOVING not in seen
     assert board[Word.PLAN_DONE] == board[Word.PLAN_CUT] == flight.plans
+
+
+def test_devices_are_told_how_late_a_cycle_begins_without_those_that_were_skipped() -> None:
+    """A reading is waited for until this cycle's end: what was missed before has no part in it."""
+    heard: list[tuple[int, float]] = []
+
+    class Listening:
+        def __init__(self, backend: Backend) -> None:
+            self._backend = backend
+
+        def sync(self, cycle: int, late_s: float = 0.0) -> None:
+            heard.append((cycle, late_s))
+            self._backend.sync(cycle, late_s)
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self._backend, name)
+
+    flight = ScriptedLoop(
+        lambda devices: replace(devices, backends=(Listening(devices.backends[0]),))
+    )
+    clock = flight.loop._clock
+
+    def script(n: int) -> None:
+        clock.skipped, clock.late_s = (3, 3.4e-3) if n == 50 else (0, 2e-5)
+
+    before = len(heard)
+    flight.run(script, 60)
+    told = [late_s for _, late_s in heard[before:]]
+    assert told[49] == pytest.approx(0.4e-3)
+    assert told[48] == told[50] == 2e-5

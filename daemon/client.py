@@ -51,9 +51,9 @@ class Client:
                     "with 'levid run RIG.yaml'"
                 ) from None
             raise DaemonError(
-                f"{self._path} ({error.strerror}): a daemon may be there, but this user may not ask "
-                "it; expected a member of its group (usermod --append --groups levid NAME, then log in anew) or "
-                "one of service.allow_users"
+                f"{self._path} ({error.strerror}): a daemon may be there, but this user may not "
+                "ask it; expected a member of its group (usermod --append --groups levid NAME, "
+                "then log in anew) or one of service.allow_users"
             ) from None
         self._stream = self._socket.makefile("rwb")
         return self

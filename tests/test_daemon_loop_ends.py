@@ -283,10 +283,10 @@ class Told:
             self._now = float(beam[0])
             write(beam, rotor)
 
-        def synced(cycle: int) -> None:
+        def synced(cycle: int, late_s: float = 0.0) -> None:
             self.beam.append(self._now)
             self._now = np.nan
-            sync(cycle)
+            sync(cycle, late_s)
 
         devices.drives.write = told  # type: ignore[method-assign]
         devices.backends[0].sync = synced  # type: ignore[method-assign]

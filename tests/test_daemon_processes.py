@@ -111,6 +111,9 @@ def test_dead_recorder_is_started_anew_and_no_row_is_lost(
     names = [Path(path).name for path in answer["records"]]
     assert names[: 1 + late] == ["01-tilt.mcap", "01-tilt.2.mcap"][: 1 + late]
     rows = np.concatenate([read_log(path).rows for path in answer["logs"]])
+    # What it had written and not yet told is written again: parts overlap, and nothing is missing.
+    _, once = np.unique(rows["cycle"], return_index=True)
+    rows = rows[once]
     periods = np.diff(rows["cycle"].astype(int))
     np.testing.assert_array_equal(periods, 1 + rows["skipped"][1:].astype(int))
 

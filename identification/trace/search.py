@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...model.effects.base import Effect
 from ..data import IdentificationError
+from .asked import Asked
 from .giving_up import (
     followers,
     taken_instead,
@@ -45,8 +45,6 @@ _MOST_EFFECTS = 6
 _MOST_UNKNOWN = 4
 _TRUST = 1e3
 _MOST_REFUSED = 3
-_MOST_AGAIN = 1
-"""How often an effect that was refused is asked again, once another has been taken."""
 _MOST_GUIDES = 2
 """Effects that led others out of their valleys: each costs a round, and may come again."""
 _EXPLAINED = 1.06
@@ -151,16 +149,15 @@ def _grown(
 
     It ends with `most` effects, or with held-out errors of `enough` times what noise leaves.
     """
-    candidates = [(effect, tuple(shape)) for effect in effects for shape in effect.grid]
     rounds: list[Round] = []
-    been = {p.effect.identity for p in point.placed}
-    refused: Counter[str] = Counter()
-    barred: set[str] = set()
-    in_a_row, guides, most = 0, 0, most + len(point.placed)
+    asked = Asked(point.placed)
+    candidates = asked.candidates(effects)
+    guides, most = 0, most + len(point.placed)
     while error.squares > enough * error.floor:
         explained = point.disturbance.measured and error.squares < _EXPLAINED * error.floor
         found, train = _screened(point, candidates, error, explained, rounds, records, progress)
-        if not found.survivors or len(point.placed) >= most or in_a_row >= _MOST_REFUSED:
+        found = asked.worth(found)
+        if not found.survivors or len(point.placed) >= most or asked.in_a_row >= _MOST_REFUSED:
             rounds.append(found)
             break
         progress(
@@ -190,25 +187,15 @@ def _grown(
         stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
         if agrees and stays and squares < train.squares and helped:
             point, error = better, after
-            been |= {taken.effect.identity, *(p.effect.identity for p in point.placed)}
-            # Held-out records that were full of this may think otherwise of what they refused.
-            barred = {name for name, times in refused.items() if times > _MOST_AGAIN}
-            in_a_row = 0
+            asked.take(taken, point.placed)
         else:
             found, stood_in = replace(found, taken=None), None
-            refused[taken.effect.identity] += 1
-            barred.add(taken.effect.identity)
-            in_a_row += 1
+            asked.refuse(taken)
         if stood_in is None:
             rounds.append(found)
         else:  # it is as if it had been taken then
             rounds[stood_in] = taken_instead(rounds[stood_in], taken.effect.identity)
-        candidates = [
-            (effect, tuple(shape))
-            for effect in effects
-            if effect.identity not in been | barred
-            for shape in effect.grid
-        ]
+        candidates = asked.candidates(effects)
     return point, error, rounds
 
 

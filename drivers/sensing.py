@@ -35,10 +35,13 @@ class SensorWatch:
         self._last = np.full(len(x), np.nan)
         self._repeats = np.zeros(len(x), np.int64)
         self._off_before = np.zeros(len(x))
+        self._missed = np.zeros(len(x), np.bool_)
         self._told = False
         # Compiled here, not in a cycle: no reading yet is one that repeats nothing.
-        repeats, off_before = self._repeats.copy(), self._off_before.copy()
-        _judge(np.zeros(len(x)), self._last.copy(), repeats, off_before, self._off_plane, range_m)
+        _judge(
+            np.zeros(len(x)), self._last.copy(), self._repeats.copy(), self._off_before.copy(),
+            self._missed.copy(), self._off_plane, range_m,
+        )  # fmt: skip
 
     def judge(self, gap_m: Array, state: int = SensorState.OK) -> None:
         """Look at a fresh reading (S,) in m; nan becomes the last one, so that the loop can go on.
@@ -49,8 +52,9 @@ class SensorWatch:
             SensorError: a channel is not to be trusted; raised once, until `reset`.
         """
         bad = _judge(
-            gap_m, self._last, self._repeats, self._off_before, self._off_plane, self._end_m
-        )
+            gap_m, self._last, self._repeats, self._off_before, self._missed, self._off_plane,
+            self._end_m,
+        )  # fmt: skip
         if bad and not self._told:
             self._told = True
             what = {1: "no reading", 2: "at the end of its range", 3: "frozen"}[bad % 4]
@@ -69,14 +73,24 @@ class SensorWatch:
 
 @njit(cache=True)
 def _judge(  # type: ignore[no-untyped-def]
-    gap, last, repeats, off_before, off_plane, end
+    gap, last, repeats, off_before, missed, off_plane, end
 ) -> int:
     """Return 4 times the channel plus what is wrong with it, 0 if nothing is."""
     bad = 0
+    back = False
     for i in range(gap.size):
-        if np.isnan(gap[i]):
+        absent = np.isnan(gap[i])
+        if absent:
             bad = 4 * i + 1
             gap[i] = last[i]
+        back = back or (missed[i] and not absent)
+        missed[i] = absent
+    if back:  # where it is by now moves the plane, and nobody else
+        repeats[:] = 0
+        for i in range(gap.size):
+            off_before[i] = 0.0
+            for j in range(gap.size):
+                off_before[i] += off_plane[i, j] * gap[j]
     for i in range(gap.size):
         off = 0.0
         for j in range(gap.size):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -132,3 +133,29 @@ def test_nothing_is_compiled_in_the_first_cycle(monkeypatch: pytest.MonkeyPatch,
     watch.judge(gaps)
     assert len(before) == (3 if bus == "can" else 5)
     assert called == before
+
+
+def test_sensor_that_is_back_does_not_make_others_look_frozen() -> None:
+    """The platform has dropped meanwhile: where the missing one is now moves the plane of all."""
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    flying, down = np.zeros(9), np.full(9, -5e-4)
+    watch.judge(flying.copy())
+    lost = flying.copy()
+    lost[6] = np.nan
+    with pytest.raises(SensorError, match="sensor 6: no reading"):
+        watch.judge(lost.copy())
+    for _ in range(5):  # at rest, and by chance the others repeat themselves
+        lost = down.copy()
+        lost[6] = np.nan
+        watch.judge(lost)
+    watch.reset()
+    for _ in range(4):
+        lost = down.copy()
+        lost[6] = np.nan
+        with contextlib.suppress(SensorError):
+            watch.judge(lost)
+    watch.reset()
+    watch._repeats[4] = 5
+    watch.judge(down.copy())
+    for _ in range(30):
+        watch.judge(down.copy())

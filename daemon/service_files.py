@@ -22,10 +22,11 @@ SYSUSERS = "etc/sysusers.d/levid.conf"
 UDEV = "etc/udev/rules.d/70-levid.rules"
 NETWORK = "etc/systemd/network/70-levid-"
 _SYSTEM = "etc/systemd/system"
-_PATIENCE = (
-    "# An adapter that is not plugged in keeps the daemon waiting no longer than this.\n"
-    + ("[Service]\nTimeoutStartSec=20\n")
-)
+_PATIENCE = """\
+# An adapter that is not plugged in keeps the daemon waiting no longer than this.
+[Service]
+TimeoutStartSec=20
+"""
 _USB = ("ttyUSB", "ttyACM")
 _KERNELS = ("tty", "hvc", "rfcomm")
 """How the kernel's own names of ports begin."""
@@ -81,10 +82,10 @@ def hindrances(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[str]:
 
 
 def left_over(files: Mapping[str, str], root: Path) -> list[Path]:
-    """Return the files of networkd that were written below `root` for a rig before this one."""
-    folder = root / PurePosixPath(NETWORK).parent
-    wanted = {root / path for path in files}
-    found = [path for path in folder.rglob("*levid*") if path.is_file() and path not in wanted]
+    """Return the files of interfaces that were written below `root` for a rig before this one."""
+    patterns = (f"{NETWORK}*", f"{_SYSTEM}/{_waiting('*')}.d/10-levid.conf")
+    found = {path for pattern in patterns for path in root.glob(pattern)}
+    found -= {root / path for path in files}
     return sorted(path for path in found if _is_ours(path.read_text(errors="replace")))
 
 
@@ -155,7 +156,7 @@ def _is_ours(text: str) -> bool:
 def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
     interfaces = [str(bus.channel) for bus in _kernel_buses(rig)]
     # Up to its time limit: an adapter that is not there is a fault, and the daemon starts.
-    units = [f"{_waiting(name)}" for name in interfaces]
+    units = [_waiting(name) for name in interfaces]
     classes = _device_classes(rig)
     if any(device.startswith("char-") for device in classes):
         # Classes of devices are looked up once, as the service starts: their drivers come first.

@@ -258,7 +258,7 @@ def test_coil_that_remembers_where_its_command_turned():
     (effect,) = [
         e
         for e in freeform_effects(rig_places(), extent)
-        if e.key == "unknown.turns.command[1.41]" and e.where == ("coil:6",)
+        if e.key == "unknown.hysteresis.command[1.41]" and e.where == ("coil:6",)
     ]
     assert depends_on(effect) == ("coil:6",)
     terms = effect.build(s, ())
@@ -275,5 +275,5 @@ def test_coil_that_remembers_where_its_command_turned():
     up, down = terms[1].held[110], terms[1].held[140]  # the same command, 16 ms before the turn
     assert np.abs(up - down).max() > np.abs(up).max()
     assert len(effect.remains(s, ())) == len(terms)
-    assert freeform_effect(rig_places(), "unknown.turns.command[0]", ("coil:6",)) is None
-    assert freeform_effect(rig_places(), "unknown.turns.command[1]", ("z",)) is None
+    assert freeform_effect(rig_places(), "unknown.hysteresis.command[0]", ("coil:6",)) is None
+    assert freeform_effect(rig_places(), "unknown.hysteresis.command[1]", ("z",)) is None

@@ -161,7 +161,7 @@ def test_slipping_element_lies_between_what_it_may_have_held():
     """Stop operators keep their order: of all starts the ends bound what comes."""
     rng = np.random.default_rng(3)
     x = np.cumsum(rng.normal(0.0, 3e-6, 4000))
-    middle, half = recursions.slip_of_any(x, 4e-5)
+    middle, half = recursions.slip_range(x, 4e-5)
     assert half[0] == 1.0
     assert np.all(np.diff(half) <= 1e-15)
     for held in np.linspace(-1.0, 1.0, 9):

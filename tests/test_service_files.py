@@ -222,7 +222,8 @@ def test_files_of_the_rig_before_are_named(tmp_path: Path) -> None:
     by_hand = tmp_path / f"{NETWORK}can0.link"
     by_hand.write_text(by_hand.read_text() + "# mine\n")
     now = service_files(rig("loopback"), RIG_FILE, PROGRAM)
-    assert left_over(now, tmp_path) == [tmp_path / f"{NETWORK}can0.network"]
+    waits = "etc/systemd/system/systemd-networkd-wait-online@can0.service.d/10-levid.conf"
+    assert left_over(now, tmp_path) == [tmp_path / f"{NETWORK}can0.network", tmp_path / waits]
     assert left_over(service_files(on_can(), RIG_FILE, PROGRAM), tmp_path) == []
 
 

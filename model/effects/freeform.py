@@ -31,7 +31,7 @@ from .base import (
     resolved,
 )
 from .extent import Extent
-from .turns import turned, turned_command, turns
+from .hysteresis import hystereses, hysteresis, hysteretic_command
 
 Array = NDArray[np.float64]
 
@@ -165,14 +165,14 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
         others = [by for by in commands if by != own] + (["x_b"] if places.beam else [])
         forms += [_form(places, extent, by, own) for by in others]
         found += [_effect(places, f"coil:{c}", form) for form in forms]
-    return resolved([*found, *turns(places, extent), *answers(places)], extent.fastest_hz)
+    return resolved([*found, *hystereses(places, extent), *answers(places)], extent.fastest_hz)
 
 
 def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the free form that a model file names by key and place; None if it is none."""
     form = Form.of(key)
     if form is None:
-        return answer(places, key, where) or turned(places, key, where)
+        return answer(places, key, where) or hysteresis(places, key, where)
     known = _signals(places)
     sensors, coils = (
         [f"{what}:{k}" for k in range(count)]
@@ -193,7 +193,7 @@ def depends_on(effect: Effect) -> tuple[str, ...]:
     """Return the signals that a free form depends on: x_b, theta, theta' for its rate."""
     form = Form.of(effect.key)
     if form is None:
-        motion = answered(effect) or turned_command(effect)
+        motion = answered(effect) or hysteretic_command(effect)
         return () if motion is None else (motion,)
     return tuple(_spoken(word) for word in (form.factor, form.by) if word)
 

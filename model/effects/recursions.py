@@ -70,7 +70,7 @@ def slip(x: Array, break_away: float, Ts_s: float) -> Array:
     return _with_past(_slip, x, break_away, Ts_s)
 
 
-def slip_of_any(x: Array, break_away: float) -> tuple[Array, Array]:
+def slip_range(x: Array, break_away: float) -> tuple[Array, Array]:
     """Return the middle and half the range (N,) of what such an element may do.
 
     Whatever it held before row 0, within its break-away, it does something in between; where x has

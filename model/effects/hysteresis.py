@@ -1,4 +1,4 @@
-"""A force of a coil that remembers where its command turned: hysteresis of an amplifier or a core.
+"""Hysteresis of a coil's force in its command, as of a core: it remembers where that turned.
 
 Stop operators of several widths, each by any amount: Prandtl's model (Brokate and Sprekels,
 *Hysteresis and Phase Transitions*, 1996, ch. 2), which does not depend on how fast the command
@@ -14,21 +14,21 @@ from math import inf
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
 from .extent import Extent
-from .recursions import slip_of_any
+from .recursions import slip_range
 
-_KEY = re.compile(r"unknown\.turns\.command\[(?P<scale>[0-9.e+-]+)\]")
+_KEY = re.compile(r"unknown\.hysteresis\.command\[(?P<scale>[0-9.e+-]+)\]")
 _WIDTHS = (0.05, 0.15, 0.4, 1.0, 2.5)
 """Of what a command moves about its mean, standard deviation: from what is hardly more than a dead
 zone on turning to what never slips all the way."""
 _WIDE = 3.0
 
 
-def turns(places: Places, extent: Extent) -> list[Effect]:
-    """Return such a force of every coil."""
-    return [_turns(places, coil, _scale(extent, coil)) for coil in range(places.coils)]
+def hystereses(places: Places, extent: Extent) -> list[Effect]:
+    """Return one of every coil."""
+    return [_hysteresis(places, coil, _scale(extent, coil)) for coil in range(places.coils)]
 
 
-def turned(places: Places, key: str, where: Sequence[str]) -> Effect | None:
+def hysteresis(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the effect that a model file names by key and place; None if it is none."""
     found = _KEY.fullmatch(key)
     coils = [f"coil:{c}" for c in range(places.coils)]
@@ -38,10 +38,10 @@ def turned(places: Places, key: str, where: Sequence[str]) -> Effect | None:
         scale = float(found["scale"])
     except ValueError:
         return None
-    return _turns(places, coils.index(where[0]), scale) if 0.0 < scale < inf else None
+    return _hysteresis(places, coils.index(where[0]), scale) if 0.0 < scale < inf else None
 
 
-def turned_command(effect: Effect) -> str | None:
+def hysteretic_command(effect: Effect) -> str | None:
     """Return the coil whose command an effect depends on; None if it is no such effect."""
     return effect.where[0] if _KEY.fullmatch(effect.key) else None
 
@@ -51,11 +51,11 @@ def _scale(extent: Extent, coil: int) -> float:
     return float(f"{sd:.3g}")
 
 
-def _turns(places: Places, coil: int, scale: float) -> Effect:
+def _hysteresis(places: Places, coil: int, scale: float) -> Effect:
     widths = ", ".join(f"{scale * w:.3g}" for w in _WIDTHS)
     return Effect(
-        f"unknown.turns.command[{scale:g}]",
-        "Force of a coil that depends on where its command turned",
+        f"unknown.hysteresis.command[{scale:g}]",
+        "Force of a coil that depends on its command with hysteresis",
         "unknown",
         (f"coil:{coil}",),
         f"sum of c_k s_k, s_k' = F'/r_k within -1 .. 1, r_k = {widths} {places.coil_unit}",
@@ -66,11 +66,11 @@ def _turns(places: Places, coil: int, scale: float) -> Effect:
 
 
 def _forces(signals: Signals, _: Sequence[float], *, coil: int, scale: float) -> list[Term]:
-    stops = (slip_of_any(signals.coil[:, coil], scale * width) for width in _WIDTHS)
+    stops = (slip_range(signals.coil[:, coil], scale * width) for width in _WIDTHS)
     return [on_coil(signals, coil, middle) for middle, _ in stops]
 
 
 def _remains(signals: Signals, _: Sequence[float], *, coil: int, scale: float) -> list[Term]:
     """Return what is left of what each stop held at row 0, which nobody knows."""
-    stops = (slip_of_any(signals.coil[:, coil], scale * width) for width in _WIDTHS)
+    stops = (slip_range(signals.coil[:, coil], scale * width) for width in _WIDTHS)
     return [on_coil(signals, coil, half) for _, half in stops]

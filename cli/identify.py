@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -155,14 +156,21 @@ def _multisine(blas: Sequence[dict[str, Any]]) -> list[str]:
     """
     from ..report.multisine import SIGNIFICANT
 
-    p_values = [[p for p in bla["tests"]["distortion"]["p_value"] if p is not None] for bla in blas]
-    tests = max(sum(map(len, p_values)), 1)
+    def least(test: str) -> list[float]:
+        found = [[p for p in b["tests"][test]["p_value"] if p is not None] for b in blas]
+        tests = sum(map(len, found))
+        return [tests * min(own) if own else math.nan for own in found]
+
+    chances = {test: least(test) for test in ("distortion", "even", "odd")}
     said = []
     places = [_where(bla["beam_m"]) for bla in blas]
-    for bla, own, place in zip(blas, p_values, places, strict=True):
-        told = "found" if own and min(own) * tests < SIGNIFICANT else "not found"
-        if not own:
+    for k, (bla, place) in enumerate(zip(blas, places, strict=True)):
+        if any(of_all[k] < SIGNIFICANT for of_all in chances.values()):
+            told = "found"
+        elif math.isnan(chances["distortion"][k]):
             told = "not told by one realisation"
+        else:
+            told = "not found"
         of = f" of {', '.join(bla['records'])}" if places.count(place) > 1 else ""
         said.append(f"{place}: multisine{of}, {bla['lines']} lines, distortion {told}")
     return said
@@ -176,6 +184,8 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
     line = f"{_where(point['beam_m'])}: {count} record{'s' * (count != 1)}, order {point['order']}"
     lines = [f"{line}{gap}"]
     lines += [f"  not to be trusted: {doubt}" for doubt in point.get("doubts", [])]
+    of_records = tuple(f"{record}: " for record in point["records"])
+    lines += [f"  note: {text}" for text in point["remarks"] if not text.startswith(of_records)]
     if "order_gap" in point:
         return lines
     for held in point["holdout"]:

@@ -14,7 +14,7 @@ from .data import OperatingPoint, PiController, Record
 from .ho_kalman import Decomposition, OrderChoice, Scaling, decompose, order_from_gap, realise
 from .hold_out import hold_out, settled_row
 from .loop import without_delay
-from .markov import ESTIMATORS, MarkovEstimate, estimate_markov, markov_response
+from .markov import ESTIMATORS, MarkovEstimate, estimate_markov, markov_response, most_taps
 from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
 from .plant import Plant, closed_loop, plant_from_loop
 from .plausibility import HARMS, STATES_A_DOF, doubts, has_decayed, predicted_errors, settling_time
@@ -76,6 +76,7 @@ def identify_closed_loop(
     grid = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.25 / Ts_s), POINTS)
     S = frequency.sensitivity(settled, grid, segment_s)
     joint = frequency.plant_from_joint(settled, grid, segment_s)
+    free = [i for i in range(len(controller.kp)) if not (controller.kp[i] or controller.ki[i])]
     G = frequency.frequency_response(
         [r.v for r in settled], [r.y for r in settled], Ts_s, grid, segment_s
     )
@@ -97,7 +98,7 @@ def identify_closed_loop(
         freq_hz=S.freq_hz,
         from_ho_kalman=plant.response(S.freq_hz),
         from_markov=frequency.plant_from_loop_response(measured, controller, S.freq_hz, Ts_s),
-        from_sensitivity=frequency.plant_from_sensitivity(S, controller),
+        from_sensitivity=joint if free else frequency.plant_from_sensitivity(S, controller),
         from_joint=joint,
         sensitivity=S,
         loop_coherence=G.coherence,
@@ -105,17 +106,23 @@ def identify_closed_loop(
         remarks=(
             *(f"{r.name}: {text}" for r in point.records for text in r.remarks),
             *_length_remarks(options, first, ladder[-1], segment_s),
+            *_settling_remarks(settled_s, starts, Ts_s),
+            *_feedback_remarks([point.records[0].output_names[i] for i in free]),
         ),
         doubts=doubts(plant, full_loop, holdout, predicted_errors(point.records, holdout, first)),
     )
 
 
 def _lengths(options: Options, training: Sequence[Record]) -> list[int]:
-    """Return the numbers of taps to try, ascending: up to a third of the shortest record."""
+    """Return the numbers of taps to try, ascending.
+
+    Up to a third of the shortest record, and as many as the rows of all records allow: one record
+    with three inputs has to be longer than three with one each.
+    """
     Ts_s = training[0].Ts_s
     if options.impulse_s is not None:
         return [round(options.impulse_s / Ts_s)]
-    longest = min(len(r.y) for r in training) // LEAST_RESPONSES
+    longest = min(min(len(r.y) for r in training) // LEAST_RESPONSES, most_taps(training))
     out = [min(round(LOOP_IMPULSE_S / Ts_s), longest)]
     while out[-1] < longest:
         out.append(min(round(LENGTHEN * out[-1]), longest))
@@ -176,3 +183,22 @@ def _length_remarks(
     if options.segment_s is None and segment_s < LOOP_SEGMENT_S:
         remarks.append(f"short records: spectra resolve only {1 / segment_s:.2g} Hz")
     return remarks
+
+
+def _settling_remarks(settled_s: float, starts: Sequence[int], Ts_s: float) -> list[str]:
+    if settled_s <= SETTLED_S:
+        return []
+    told = f"the loop rings for {settled_s:.3g} s: as much is left out at the begin of records"
+    left_s = [start * Ts_s for start in starts if start]
+    if left_s and min(left_s) < settled_s - Ts_s:
+        told += f", of the shortest {min(left_s):.3g} s, a quarter of it"
+    return [told] if left_s else []
+
+
+def _feedback_remarks(without: Sequence[str]) -> list[str]:
+    if not without:
+        return []
+    return [
+        f"no feedback from {', '.join(without)}, of which the sensitivity tells nothing: the joint "
+        "estimate stands in the place of (15)"
+    ]

@@ -69,7 +69,9 @@ def write_mat(path: Path, result: IdentificationResult) -> None:
     """Write the identified models and measured responses of all K operating points for MATLAB.
 
     The plant with delay and lag as states, as `ss(A, B, C, D, Ts)` takes it (as an array of K
-    models): A (n, n, K), B (n, p, K), C (m, n, K), D (m, p, K), Ts in s. The response measured
+    models): A (n, n, K), B (n, p, K), C (m, n, K), D (m, p, K), Ts in s. It is the one that the
+    identification recommends; where it can recommend none, Ho-Kalman's, and `trusted` (1, K) is 0.
+    `method`: a cell of how each was found. The response measured
     without a model, a point of which `idfrd(frf, freq, Ts, 'FrequencyUnit', 'Hz')` takes: frf
     (m, p, F, K) with its standard deviation frf_sd (of the complex entries), freq (F, 1) in Hz.
     beam_m (1, K) in m, nan without a beam. input_names, input_units, output_names, output_units:
@@ -86,6 +88,8 @@ def write_mat(path: Path, result: IdentificationResult) -> None:
         [p.beam_m for p in result.points],
     )
     contents = {**_matrices(models), **measured, **_signals(result.signals)}
+    contents["method"] = _cell([_method(point) for point in result.points])
+    contents["trusted"] = np.array([[float(_trusted(point)) for point in result.points]])
     savemat(path, contents, appendmat=False)
 
 
@@ -202,7 +206,19 @@ def _state_space(model: StateSpace | Plant) -> StateSpace:
 
 
 def _model(point: ClosedLoopPoint | OpenLoopPoint) -> StateSpace:
-    return point.plant.state_space() if isinstance(point, ClosedLoopPoint) else point.model
+    if isinstance(point, OpenLoopPoint):
+        return point.model
+    return (point.recommended or point.plant).state_space()
+
+
+def _method(point: ClosedLoopPoint | OpenLoopPoint) -> str:
+    if isinstance(point, OpenLoopPoint) or point.recommended is None:
+        return "ho_kalman"
+    return "ho_kalman" if point.recommended is point.plant else "subspace"
+
+
+def _trusted(point: ClosedLoopPoint | OpenLoopPoint) -> bool:
+    return isinstance(point, OpenLoopPoint) or point.recommended is not None
 
 
 def _spectra(point: ClosedLoopPoint | OpenLoopPoint) -> ResponseEstimate:

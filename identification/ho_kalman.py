@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 from ..model.second_order import StateSpace
 from .data import IdentificationError, Record
 from .hankel import HankelOperator, HankelSvd, leading_svd
+from .least_squares import BLOCK_ROWS
 
 Array = NDArray[np.float64]
 
 SINGULAR_VALUES = 24
 """How many singular values are computed: the figure's, and the candidates for the order."""
+_ROUNDING = 1e-13
+"""Singular values, over the largest, of which nothing but rounding is known."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,11 @@ class Decomposition:
     D: Array
     scaling: Scaling
     Ts_s: float
+
+    @property
+    def orders(self) -> int:
+        """The highest order that the singular values reach: what is below rounding is no state."""
+        return int(np.sum(self.singular_values > _ROUNDING * self.singular_values[0]))
 
 
 @dataclass(frozen=True)
@@ -97,7 +105,7 @@ def order_from_gap(singular_values: Array, least: int = 1) -> OrderChoice:
 
     What is below rounding counts as equal.
     """
-    s = np.maximum(singular_values, 1e-13 * singular_values[0])
+    s = np.maximum(singular_values, _ROUNDING * singular_values[0])
     gaps = s[:-1] / s[1:]
     first = min(least, len(gaps)) - 1
     order = first + int(np.argmax(gaps[first:])) + 1
@@ -111,8 +119,7 @@ def realise(decomposition: Decomposition, order: int) -> StateSpace:
     (as S^-1/2 U^T H, the same), C the first m rows of U S^1/2, D = g(0). Raises IdentificationError
     for an order that the singular values do not reach.
     """
-    s = decomposition.singular_values
-    available = int(np.sum(s > 1e-13 * s[0]))
+    s, available = decomposition.singular_values, decomposition.orders
     if not 1 <= order <= available:
         raise IdentificationError(f"expected an order of 1 to {available}, found {order}")
     root = np.sqrt(s[:order])
@@ -155,9 +162,10 @@ def _covariance_root(inputs: Sequence[Array], blocks: int) -> Array:
     p = inputs[0].shape[1]
     total, count = np.zeros((blocks * p, blocks * p)), 0
     for u in inputs:
-        rows = len(u) - blocks + 1
-        past = np.hstack([u[blocks - 1 - b : blocks - 1 - b + rows] for b in range(blocks)])
-        total += past.T @ past
-        count += rows
+        for first in range(blocks - 1, len(u), BLOCK_ROWS):
+            last = min(first + BLOCK_ROWS, len(u))
+            past = np.hstack([u[first - b : last - b] for b in range(blocks)])
+            total += past.T @ past
+            count += len(past)
     values, vectors = np.linalg.eigh(total / count)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -29,4 +29,4 @@ def hold_out(record: Record, loop: StateSpace, rows: int, settled: int) -> HoldO
     measured, modelled = record.y[start:], np.asarray(simulated[start:] + offset)
     time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
     fit = nrmse_fit_percent(measured, modelled)
-    return HoldOut(record.name, time_s, measured, modelled, fit)
+    return HoldOut(record.name, time_s, measured, modelled, fit, driven=record.excited)

@@ -22,6 +22,8 @@ DENSE_ELEMENTS = 15_000_000
 
 _NOTHING = 1e-12
 """Share of an excitation's power that rounding leaves where there is none."""
+ROWS_A_TAP = 2
+"""Least rows for each unknown of a least-squares problem: with fewer, errors grow like noise."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,17 @@ def estimate_markov(records: Sequence[Record], length: int, method: str) -> Mark
                 f"record '{record.name}': expected at least {needed} rows for {length} Markov "
                 f"parameters, found {len(record.y)}"
             )
+    if method == "least_squares":
+        _check_rows(records, length)
     return ESTIMATORS[method](records, length)
+
+
+def most_taps(records: Sequence[Record]) -> int:
+    """Return how many Markov parameters the rows of all records together allow at most."""
+    rows, moving = sum(len(r.y) for r in records), sum(not r.at_rest for r in records)
+    # Each has an offset; those that move have length - 1 rows before the first whose past is known.
+    per_tap = ROWS_A_TAP * records[0].v.shape[1] + moving
+    return int((rows - (len(records) - moving)) // per_tap)
 
 
 def by_correlation(records: Sequence[Record], length: int) -> MarkovEstimate:
@@ -109,6 +121,18 @@ def by_least_squares(records: Sequence[Record], length: int) -> MarkovEstimate:
         freedom += len(error) - 1
     rms = np.sqrt(squares / max(freedom, 1))
     return MarkovEstimate("least_squares", g, np.outer(rms, spread), rms, records[0].Ts_s)
+
+
+def _check_rows(records: Sequence[Record], length: int) -> None:
+    # A large problem is solved by iteration, which finds an answer whether there is one or many.
+    unknown = length * records[0].v.shape[1]
+    rows = sum(len(r.y) - r.first_row(length) - 1 for r in records)
+    if rows < ROWS_A_TAP * unknown:
+        raise IdentificationError(
+            f"expected at least {ROWS_A_TAP * unknown} rows whose past is known, for {unknown} "
+            f"Markov parameters an output, found {rows}: longer records, or a shorter impulse "
+            "response"
+        )
 
 
 def solve_dense(records: Sequence[Record], length: int) -> tuple[Array, Array]:

@@ -29,6 +29,13 @@ Index = NDArray[np.intp]
 
 EXCITED = 1e-6
 """A line is excited when its power is at least this share of the strongest line's."""
+REPEATS_BY = 100.0
+"""Least power of a line's mean over periods, over that of the scatter about it.
+
+Commands held over skipped cycles spread over all lines, and may exceed that share at lines that
+were never played; but no two periods are skipped alike: 1 is to be expected there, and 100 of
+three experiments with three periods at less than one line of 10^8 (F of 6 and 12 degrees).
+"""
 ALIKE = 1e8
 """Condition number of the inputs' powers above which they cannot be told apart."""
 TRANSIENT_P = 1e-6
@@ -136,7 +143,7 @@ def best_linear_approximation(records: Sequence[PeriodicRecord]) -> BestLinearAp
     _check_alike(records)
     first = records[0]
     spectra = _Spectra.of(records)
-    excited = spectra.excited()
+    excited, still = spectra.excited()
     flown, P, K, p = spectra.V.shape
     same = _numbered(spectra.V[:, :, excited].mean(axis=1))
     V, U, Y = (
@@ -164,7 +171,7 @@ def best_linear_approximation(records: Sequence[PeriodicRecord]) -> BestLinearAp
         total, freedom = noise, noise_freedom
         distortion = np.full(noise.shape[:2], np.nan)
     lines, f0 = np.arange(1, K + 1), 1.0 / (first.v.shape[2] * first.Ts_s)
-    even, odd = _detection(lines, excited, H, spectra, same, f0)
+    even, odd = _detection(lines, excited, still, H, spectra, same, f0)
     return BestLinearApproximation(
         freq_hz=lines[excited] * f0,
         H=H,
@@ -185,7 +192,9 @@ def best_linear_approximation(records: Sequence[PeriodicRecord]) -> BestLinearAp
         output_units=first.output_units,
         beam_m=first.beam_m,
         records=tuple(r.name for r in records),
-        remarks=_remarks(records, flown - E, transient_test(of_period)),
+        remarks=_remarks(
+            records, flown - E, int(np.sum(~excited & ~still)), transient_test(of_period)
+        ),
     )
 
 
@@ -241,11 +250,11 @@ class _Spectra:
 
     @classmethod
     def of(cls, records: Sequence[PeriodicRecord]) -> _Spectra:
-        """Return the spectra of all records' experiments up to the last line excited."""
+        """Return the spectra of all records' experiments up to the last line played."""
         N = records[0].v.shape[2]
         V = np.concatenate([_lines(r.v, (N - 1) // 2) for r in records])
-        power = np.einsum("epkj,epkj->k", V, V.conj()).real
-        K = int(np.flatnonzero(power >= EXCITED * power.max())[-1]) + 1
+        played = np.flatnonzero(_played(V).any(axis=0))
+        K = int(played[-1]) + 1 if len(played) else V.shape[2]
         V = V[:, :, :K]
         U, e = V.copy(), 0
         for r in records:
@@ -254,16 +263,33 @@ class _Spectra:
             e += len(r.v)
         return cls(V, U, np.concatenate([_lines(r.y, K) for r in records]))
 
-    def excited(self) -> NDArray[np.bool_]:
-        """Return which lines (K,) are excited: at all inputs; raises IdentificationError."""
-        power = np.einsum("epkj,epkj->jk", self.V, self.V.conj()).real
-        strongest = power.max(axis=1, keepdims=True)
-        if np.any(strongest == 0):
+    def excited(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which lines (K,) all inputs excite, and which none does; else it is drowned.
+
+        Raises IdentificationError where there is none, or where some inputs are still at lines at
+        which others play.
+        """
+        played = _played(self.V)
+        if not np.all(played.any(axis=1)):
             raise IdentificationError("expected every input to be excited, found one that is not")
-        excited = power >= EXCITED * strongest
-        if np.any(excited != excited[0]):
+        excited, loud = played.all(axis=0), _loud(self.V)
+        if np.any(played & ~loud.all(axis=0)) or not np.any(excited):
             raise IdentificationError("expected all inputs to be excited at the same lines")
-        return np.asarray(excited[0])
+        return np.asarray(excited), np.asarray(~played.any(axis=0))
+
+
+def _loud(V: Complex) -> NDArray[np.bool_]:
+    """Return (p, K): whether V (E, P, K, p) is as strong there as a line has to be, as a rule."""
+    power = np.median(np.abs(V) ** 2, axis=(0, 1)).T
+    return np.asarray((power >= EXCITED * power.max(axis=1, keepdims=True)) & (power > 0))
+
+
+def _played(V: Complex) -> NDArray[np.bool_]:
+    """Return (p, K): whether V (E, P, K, p) is strong there, and repeats in every period."""
+    mean = V.mean(axis=1)
+    coherent = V.shape[1] * np.sum(np.abs(mean) ** 2, axis=0)
+    scatter = np.sum(np.abs(V - mean[:, None]) ** 2, axis=(0, 1)) / (V.shape[1] - 1)
+    return np.asarray(_loud(V) & (coherent >= REPEATS_BY * scatter).T)
 
 
 def _lines(x: Array, last: int) -> Complex:
@@ -328,14 +354,15 @@ def _by_level(records: Sequence[PeriodicRecord]) -> list[list[PeriodicRecord]]:
 def _detection(
     lines: NDArray[np.int_],
     excited: NDArray[np.bool_],
+    still: NDArray[np.bool_],
     H: Complex,
     spectra: _Spectra,
     same: Index,
     f0: float,
 ) -> tuple[DetectionLines, DetectionLines]:
-    """Return what even and odd lines between excited ones show."""
+    """Return what even and odd lines that are still, between excited ones, show."""
     freq_hz = np.asarray(lines * f0, dtype=np.float64)
-    inside = ~excited & (lines >= lines[excited][0])
+    inside = still & (lines > lines[excited][0]) & (lines < lines[excited][-1])
     even, odd = (
         detection_lines(
             freq_hz[part], freq_hz[excited], H, spectra.U[:, :, part], spectra.Y[:, :, part], same
@@ -346,9 +373,14 @@ def _detection(
 
 
 def _remarks(
-    records: Sequence[PeriodicRecord], repeats: int, transient: ExcessTest
+    records: Sequence[PeriodicRecord], repeats: int, drowned: int, transient: ExcessTest
 ) -> tuple[str, ...]:
     found = [f"{r.name}: {text}" for r in records for text in r.remarks]
+    if drowned:
+        found.append(
+            f"{drowned} lines are left out: commands held over skipped cycles drown there what "
+            "some input plays"
+        )
     if repeats:
         experiments = sum(len(r.v) for r in records)
         found.append(

@@ -13,7 +13,7 @@ from .data import IdentificationError, OperatingPoint, Record
 from .fit import nrmse_fit_percent
 from .frequency import ResponseEstimate, frequency_response
 from .ho_kalman import Scaling, decompose_coloured, realise
-from .markov import MarkovEstimate, estimate_markov
+from .markov import MarkovEstimate, estimate_markov, most_taps
 from .options import Options
 from .predictor import choose_past, innovation_model, state_sequence
 from .results import HoldOut, OpenLoopPoint
@@ -25,10 +25,14 @@ HIGHEST_ORDER = 20
 PAST = (4, 6, 8, 10, 15, 20, 30, 40)
 ROWS_A_TAP = 4
 MOST_TAPS = 200
+SHORT_SHARE = 0.1
+"""Share of all rows that records may hold which are left out for being short."""
 VALIDATION_SHARE = 0.25
 BLOCKS = 8
 """The standard error of a validation error is that of this many blocks in time."""
 BINS = 180
+SETTLED = 1e-3
+"""Least size by which an output's errors are judged, over that in the whole record."""
 _RUNS_AWAY = 1e12
 """Squared error, over the output's own, of a model that is no candidate: a predictor that runs
 away."""
@@ -54,12 +58,14 @@ def identify_open_loop(
     models of every order from the first three quarters of them are judged on the last. What
     `options.holdout` keeps back only measures the fit. Raises IdentificationError.
     """
-    stops = [len(r.y) - options.holdout_rows(len(r.y)) for r in point.records]
-    centred = [_centred(r, stop) for r, stop in zip(point.records, stops, strict=True)]
+    records, too_short = _long_enough(point.records)
+    stops = [len(r.y) - options.holdout_rows(len(r.y)) for r in records]
+    centred = [_centred(r, stop) for r, stop in zip(records, stops, strict=True)]
     training = [r.rows(0, stop) for r, stop in zip(centred, stops, strict=True)]
     part_stops = [stop - round(VALIDATION_SHARE * stop) for stop in stops]
     parts = [r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)]
 
+    _check_outputs(parts)
     trial = _candidates(parts, options)
     progress(0.4)
     simulated = _errors(
@@ -82,7 +88,7 @@ def identify_open_loop(
     spectra = _spectra(training, options)
     return OpenLoopPoint(
         beam_m=point.beam_m,
-        records=tuple(r.name for r in point.records),
+        records=tuple(r.name for r in records),
         markov={options.markov: final.markov},
         singular_values={options.markov: final.singular_values},
         order=order,
@@ -96,10 +102,35 @@ def identify_open_loop(
         from_spectra=spectra,
         holdout=tuple(
             _hold_out(original, record, stop, model, predictor)
-            for original, record, stop in zip(point.records, centred, stops, strict=True)
+            for original, record, stop in zip(records, centred, stops, strict=True)
         ),
-        remarks=tuple(f"{r.name}: {text}" for r in point.records for text in r.remarks),
+        remarks=(
+            *(f"{r.name}: {text}" for r in records for text in r.remarks),
+            *(
+                f"'{r.name}' is left out: its {len(r.y)} rows would shorten the impulse response "
+                "of all"
+                for r in too_short
+            ),
+        ),
     )
+
+
+def _long_enough(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
+    """Return the records to use, and those so short that they cost more than they tell.
+
+    An impulse response is at most half as long as the shortest record. Of records that are no
+    longer than that allows, those are left out that hold a tenth of all rows together at most, as
+    long as the others excite all that they do.
+    """
+    kept = sorted(records, key=lambda r: len(r.y), reverse=True)
+    spare = SHORT_SHARE * sum(len(r.y) for r in records)
+    excited = np.any([r.excited for r in records], axis=0)
+    while len(kept[-1].y) <= min(spare, 2 * MOST_TAPS):
+        if np.any(excited & ~np.any([r.excited for r in kept[:-1]], axis=0)):
+            break
+        spare -= len(kept.pop().y)
+    names = {id(r) for r in kept}
+    return [r for r in records if id(r) in names], [r for r in records if id(r) not in names]
 
 
 def _centred(record: Record, stop: int) -> Record:
@@ -112,6 +143,16 @@ def _centred(record: Record, stop: int) -> Record:
     )
 
 
+def _check_outputs(parts: Sequence[Record]) -> None:
+    for record in parts:
+        for name, moves in zip(record.output_names, np.ptp(record.y, axis=0) > 0, strict=True):
+            if not moves:
+                raise IdentificationError(
+                    f"record '{record.name}': expected outputs that move, found '{name}' constant "
+                    f"over the {len(record.y)} rows that models are made from"
+                )
+
+
 def _candidates(records: Sequence[Record], options: Options) -> _Candidates:
     Ts_s = records[0].Ts_s
     scaling = Scaling.of(records)
@@ -122,7 +163,7 @@ def _candidates(records: Sequence[Record], options: Options) -> _Candidates:
     simulators, predictors = {}, {}
     failed: list[IdentificationError] = []
     for n in [options.order] if options.order else range(1, HIGHEST_ORDER + 1):
-        if n <= len(decomposition.singular_values):
+        if n <= decomposition.orders:
             model = realise(decomposition, n)
             if spectral_radius(model.A) < 1.0:
                 simulators[n] = fit_input_matrices(model, records)
@@ -141,7 +182,8 @@ def _taps(records: Sequence[Record], options: Options) -> int:
         return max(3, round(options.impulse_s / records[0].Ts_s))
     rows = sum(len(r.y) for r in records)
     shortest = min(len(r.y) for r in records)
-    return int(min(MOST_TAPS, rows // (ROWS_A_TAP * records[0].v.shape[1]), shortest // 2))
+    enough = min(rows // (ROWS_A_TAP * records[0].v.shape[1]), most_taps(records))
+    return int(min(MOST_TAPS, enough, shortest // 2))
 
 
 Run = Callable[[int, Record], Array]
@@ -167,8 +209,10 @@ def _errors(
     for order, run in runs.items():
         blocks = np.zeros(BLOCKS)
         for number, (record, start) in enumerate(zip(records, starts, strict=True)):
+            # An output may come to rest before the rows that judge; not before all of them.
+            size = np.maximum(record.y[start:].std(axis=0), SETTLED * record.y.std(axis=0))
             with np.errstate(over="ignore", invalid="ignore"):
-                error = (record.y - run(number, record))[start:] / record.y[start:].std(axis=0)
+                error = (record.y - run(number, record))[start:] / size
                 blocks += [np.mean(part**2) for part in np.array_split(error, BLOCKS)]
         if np.all(blocks < _RUNS_AWAY):  # and is a number
             errors[order] = blocks / len(records)

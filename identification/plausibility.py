@@ -104,7 +104,8 @@ def doubts(
         error = (held.measured - held.simulated).std(axis=0)
         worse = (error > WORSE * expected) & (error > MATTERS * motion)
         if np.any(worse) or not np.all(np.isfinite(error)):
-            worst = int(np.argmax(np.nan_to_num(error / np.maximum(expected, 1e-300), nan=np.inf)))
+            times = np.nan_to_num(error / np.maximum(expected, 1e-300), nan=np.inf)
+            worst = int(np.argmax(np.where(worse | ~np.isfinite(error), times, 0.0)))
             found.append(
                 f"on rows kept back of '{held.record}' output {worst + 1} is missed by "
                 f"{error[worst] / expected[worst]:.1f} times the error of the impulse response"

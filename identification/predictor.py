@@ -11,7 +11,7 @@ from scipy.linalg import solve_discrete_are, solve_triangular
 
 from ..model.second_order import StateSpace
 from .data import IdentificationError, Record
-from .least_squares import independent, triangle
+from .least_squares import BLOCK_ROWS, independent, triangle
 from .simulate import InnovationModel
 
 Array = NDArray[np.float64]
@@ -55,16 +55,17 @@ def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> Observe
 
     That is log det of the error's covariance plus twice the parameters a row. All lengths are
     judged on the same rows, as the likelihoods of different rows do not compare, and so follow from
-    one QR. Raises IdentificationError for fewer than two rows a parameter.
+    one QR; records shorter than the past have none. Raises IdentificationError for fewer than two
+    rows a parameter.
     """
     p, m = records[0].v.shape[1], records[0].y.shape[1]
-    rows = sum(len(r.y) for r in records)
-    possible = [s for s in candidates if 2 * (s * (p + m) + p) < rows - s * len(records)]
+    possible = [s for s in candidates if 2 * (s * (p + m) + p) < _rows_with(records, s)]
     if not possible:
-        raise IdentificationError(f"expected longer records for a predictor, found {rows} rows")
+        total = sum(len(r.y) for r in records)
+        raise IdentificationError(f"expected longer records for a predictor, found {total} rows")
     longest = max(possible)
-    R = _observer_triangle(records, longest, longest)
-    rows -= longest * len(records)
+    R = _observer_triangle(records, longest)
+    rows = _rows_with(records, longest)
 
     def akaike(past: int) -> float:
         columns = p + past * (p + m)
@@ -74,7 +75,7 @@ def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> Observe
 
     past = min(possible, key=akaike)
     if past < longest:
-        R = _observer_triangle(records, past, past)
+        R = _observer_triangle(records, past)
     theta = _solve(R, p + past * (p + m), m)
     return ObserverMarkov(theta[p:].reshape(past, p + m, m).transpose(0, 2, 1), theta[:p].T)
 
@@ -89,22 +90,25 @@ def state_sequence(
     data keeps what coloured inputs never drove from deciding the states.
     """
     past, m, width = observer.blocks.shape
+    inputs = width - m
     H = np.zeros((past, m, past, width))
     for row in range(past):
         H[row, :, : past - row] = observer.blocks[row:].transpose(1, 0, 2)
     flat = H.reshape(past * m, -1)
-    Z = [_past(r, past, past) for r in records]
+    blocks = [(r, k) for r in records for k in _blocks(past, len(r.y))]
+    Z = (_past(r, past, k) for r, k in blocks)
     # H Z = H R^T Q^T: the triangle has the singular values and left vectors of the whole.
     U, s, _ = np.linalg.svd(flat @ triangle(Z).T, full_matrices=False)
     count = int(min(count, np.sum(s > np.finfo(float).eps * s[0])))
     states = flat.T @ (U[:, :count] / np.sqrt(s[:count]))
-    p = records[0].v.shape[1]
-    parts = []
-    for record, z in zip(records, Z, strict=True):
-        x = z @ states
-        v, y = record.v[past:-1], record.y[past:-1]
-        parts.append(np.hstack([v, x[:-1], x[1:], y]))
-    return StateSequence(s[:count], _rounded(triangle(parts)), sum(map(len, parts)), p)
+    steps = [(r, k) for r in records for k in _blocks(past, len(r.y) - 1)]
+
+    def step(record: Record, k: slice) -> Array:
+        x = _past(record, past, slice(k.start, k.stop + 1)) @ states
+        return np.hstack([record.v[k], x[:-1], x[1:], record.y[k]])
+
+    R = _rounded(triangle(step(r, k) for r, k in steps))
+    return StateSequence(s[:count], R, sum(k.stop - k.start for _, k in steps), inputs)
 
 
 def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> InnovationModel:
@@ -137,16 +141,27 @@ def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> Innova
     return InnovationModel(StateSpace(A, B, C, D, Ts_s), K, e_covariance)
 
 
-def _past(record: Record, past: int, skip: int) -> Array:
-    """Return rows [v(k-1) y(k-1) ... v(k-past) y(k-past)] for k = skip..N-1."""
-    z = np.hstack([record.v, record.y])
-    return np.hstack([z[skip - i : len(z) - i] for i in range(1, past + 1)])
+def _rows_with(records: Sequence[Record], past: int) -> int:
+    """Return how many rows of all records have so many rows before them."""
+    return sum(max(len(r.y) - past, 0) for r in records)
 
 
-def _observer_triangle(records: Sequence[Record], past: int, skip: int) -> Array:
+def _blocks(first: int, last: int) -> list[slice]:
+    """Return the rows first..last-1 in parts, for matrices that are never formed as a whole."""
+    return [slice(k, min(k + BLOCK_ROWS, last)) for k in range(first, last, BLOCK_ROWS)]
+
+
+def _past(record: Record, past: int, k: slice) -> Array:
+    """Return rows [v(k-1) y(k-1) ... v(k-past) y(k-past)] for rows k, which have such a past."""
+    z = np.hstack([record.v[k.start - past : k.stop], record.y[k.start - past : k.stop]])
+    return np.hstack([z[past - i : len(z) - i] for i in range(1, past + 1)])
+
+
+def _observer_triangle(records: Sequence[Record], past: int) -> Array:
     """Return R of the QR of [v(k) z(k-1) ... z(k-past) | y(k)], shorter pasts in front."""
-    parts = (np.hstack([r.v[skip:], _past(r, past, skip), r.y[skip:]]) for r in records)
-    R, p = triangle(parts), records[0].v.shape[1]
+    blocks = ((r, k) for r in records for k in _blocks(past, len(r.y)))
+    R = triangle(np.hstack([r.v[k], _past(r, past, k), r.y[k]]) for r, k in blocks)
+    p = records[0].v.shape[1]
     # Outputs without noise follow from others, and rounding stands for it; inputs may not.
     if not independent(R[:p, :p], 1e-13):
         raise _not_independent("inputs")

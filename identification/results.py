@@ -37,7 +37,8 @@ class HoldOut:
     """Rows that no estimate has seen: measured (N, m), simulated from the input alone, predicted.
 
     Fits are in percent, one for each output (m,). `predicted` (one step ahead) is None where no
-    predictor was identified.
+    predictor was identified. `driven` (m,) says which outputs the record moves by excitation at
+    their own inputs; None where outputs have no inputs of their own.
     """
 
     record: str
@@ -47,6 +48,7 @@ class HoldOut:
     simulated_fit_percent: Array
     predicted: Array | None = None
     predicted_fit_percent: Array | None = None
+    driven: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from scipy import signal
 
 from ..model.second_order import StateSpace
 from .data import Record
-from .least_squares import triangle
+from .least_squares import BLOCK_ROWS, triangle
 
 Array = NDArray[np.float64]
 
@@ -96,8 +96,13 @@ def initial_state(model: StateSpace, u: Array, y: Array) -> Array:
     n = len(model.A)
     weight = 1.0 / np.maximum(y.std(axis=0), np.finfo(float).tiny)
     missing = (y - simulate(model, u)) * weight
-    response = free_response(model, len(u)) * weight[:, None]
-    R = triangle([np.hstack([response.reshape(-1, n), missing.reshape(-1, 1)])])
+
+    def rows() -> Iterator[Array]:
+        for k, free in _free_responses(model, len(u)):
+            response = (free * weight[:, None]).reshape(-1, n)
+            yield np.hstack([response, missing[k].reshape(-1, 1)])
+
+    R = triangle(rows())
     return np.asarray(np.linalg.lstsq(R[:, :n], R[:, n], rcond=None)[0])
 
 
@@ -115,14 +120,15 @@ def fit_input_matrices(model: StateSpace, records: Sequence[Record]) -> StateSpa
     n, p = model.B.shape
     m = len(model.C)
     weight = 1.0 / np.maximum(_rms(records), np.finfo(float).tiny)
-    reduced = []
-    for record in records:
-        free = free_response(model, len(record.y)) * weight[:, None]
-        driven = _input_regressors(model, record.v) * weight[:, None]
-        columns = [x.reshape(-1, x.shape[2]) for x in (free, driven)]
-        # Below the rows of the initial state, the triangle is that of the rest without it.
-        target = (record.y * weight).reshape(-1, 1)
-        reduced.append(triangle([np.hstack([*columns, target])])[n:, n:])
+
+    def rows(record: Record) -> Iterator[Array]:
+        driven = _input_regressors(model, record.v)
+        for (k, free), by_input in zip(_free_responses(model, len(record.v)), driven, strict=True):
+            columns = [(x * weight[:, None]).reshape(-1, x.shape[2]) for x in (free, by_input)]
+            yield np.hstack([*columns, (record.y[k] * weight).reshape(-1, 1)])
+
+    # Below the rows of the initial state, a triangle is that of the rest without it.
+    reduced = [triangle(rows(record))[n:, n:] for record in records]
     stacked = np.vstack(reduced)
     scale = np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), np.finfo(float).tiny)
     found = np.linalg.lstsq(stacked[:, :-1] / scale, stacked[:, -1], rcond=None)[0] / scale
@@ -131,17 +137,44 @@ def fit_input_matrices(model: StateSpace, records: Sequence[Record]) -> StateSpa
     return StateSpace(model.A, B, model.C, D, model.Ts_s)
 
 
-def _input_regressors(model: StateSpace, u: Array) -> Array:
-    """Return (N, m, n p + m p): the output that each entry of B and D alone causes."""
+def _blocks(rows: int) -> Iterator[slice]:
+    return (slice(k, min(k + BLOCK_ROWS, rows)) for k in range(0, rows, BLOCK_ROWS))
+
+
+def _free_responses(model: StateSpace, rows: int) -> Iterator[tuple[slice, Array]]:
+    """Yield the rows of `free_response` block by block: all at once they may be larger than y."""
+    response = free_response(model, min(rows, BLOCK_ROWS))
+    later = np.linalg.matrix_power(model.A, BLOCK_ROWS)
+    state = np.eye(len(model.A))
+    for k in _blocks(rows):
+        yield k, response[: k.stop - k.start] @ state
+        state = later @ state
+
+
+def _input_regressors(model: StateSpace, u: Array) -> Iterator[Array]:
+    """Yield (N, m, n p + m p), block by block: the output that each entry of B and D alone causes.
+
+    The state of entry B[i, j] obeys x(k + 1) = A x(k) + e_i u_j(k); it is carried from one block to
+    the next.
+    """
     m, n = model.C.shape
-    response = free_response(model, len(u)).reshape(len(u), m * n)
-    columns = []
-    for u_j in u.T:
-        driven = np.zeros((len(u), m * n))
-        driven[1:] = signal.fftconvolve(response, u_j[:, None], axes=0)[: len(u) - 1]
-        columns.append(driven.reshape(len(u), m, n))
-    columns += [u_j[:, None, None] * np.eye(m) for u_j in u.T]
-    return np.concatenate(columns, axis=2)
+    states = free_response(replace(model, C=np.eye(n), D=np.zeros((n, 0))), BLOCK_ROWS)
+    later = states[-1] @ model.A
+    outputs = model.C @ states
+    begin = np.zeros((u.shape[1], n, n))
+    for k in _blocks(len(u)):
+        rows = k.stop - k.start
+        columns = []
+        for j, u_j in enumerate(u[k].T):
+            driven = outputs[:rows] @ begin[j]
+            flat = outputs[:rows].reshape(rows, m * n)
+            convolved = signal.fftconvolve(flat, u_j[:, None], axes=0)[: rows - 1]
+            driven[1:] += convolved.reshape(-1, m, n)
+            columns.append(driven)
+            if rows == BLOCK_ROWS:
+                begin[j] = later @ begin[j] + np.tensordot(u_j, states[::-1], 1)
+        columns += [u_j[:, None, None] * np.eye(m) for u_j in u[k].T]
+        yield np.concatenate(columns, axis=2)
 
 
 def _rms(records: Sequence[Record]) -> Array:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from ..config.model import ModelConfig
 from ..log.errors import LogError
 from ..log.reader import Log, read_log
@@ -21,9 +23,6 @@ from .options import Options
 from .periodic import IncompleteError, NotPeriodicError, PeriodicRecord, periodic_record
 from .results import ClosedLoopPoint, IdentificationResult
 from .trace.known import experiment_of
-
-_FIRST_ROWS = 1000
-"""So many rows of two records are not equal by chance: the noise of every sensor differs."""
 
 Progress = Callable[[str, float], None]
 
@@ -174,9 +173,9 @@ def _distrusted(result: IdentificationResult) -> list[str]:
 
 
 def _identity(log: Log) -> object:
-    """Return what two copies of one log share: record, session and first rows, cycle and all."""
-    first = hashlib.sha256(log.rows[:_FIRST_ROWS].tobytes()).digest()
-    return log.metadata.get("name"), log.metadata.get("session"), first
+    """Return what two copies of one log share: record, session and rows, cycle and all."""
+    rows = hashlib.sha256(np.ascontiguousarray(log.rows).view(np.uint8).data).digest()
+    return log.metadata.get("name"), log.metadata.get("session"), rows
 
 
 def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:

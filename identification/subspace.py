@@ -142,7 +142,8 @@ def _identify(
         choice = OrderChoice(order, float(gap), choice.gaps)
     states = to_states.first(choice.order)
     ABCD = _state_equations(gram, states.of_past, p, len(predictor.theta))
-    innovation = predictor.squares / sum(len(part) - past for part in z)
+    freedom = sum(len(part) - past - 1 for part in z) - predictor.theta.shape[1]
+    innovation = predictor.squares / freedom
     return ScaledEstimate(
         tuple(z), gram, predictor.theta, states, ABCD, choice, singular_values, innovation
     )

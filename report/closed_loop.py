@@ -149,7 +149,7 @@ def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
     if fits.size:
         kept_back = (
             "On the end of every record, which no estimate has seen, the model in its loop fits "
-            f"the output that was excited by {fits.min():.1f} to {fits.max():.1f} %."
+            f"what was excited by {fits.min():.1f} to {fits.max():.1f} %, output by output."
         )
         texts.append(Text(kept_back))
     return tuple(texts)
@@ -214,7 +214,9 @@ def _ratios(estimates: Sequence[Curve], references: Sequence[Curve]) -> tuple[Cu
 
 
 def _fits(report: ClosedLoopReport) -> Array:
-    """Return the fit of the best explained output of each record: the one it excites."""
+    """Return the fit of every output that a record excites, of all records."""
     points = [p for p in report.points if p.trusted] or report.points
-    fits = [held.simulated_fit_percent for point in points for held in point.holdout]
-    return np.array([np.nanmax(f) for f in fits if np.isfinite(f).any()])
+    held = [h for point in points for h in point.holdout]
+    fits = [h.simulated_fit_percent[h.driven] for h in held if h.driven is not None]
+    together = np.concatenate([np.zeros(0), *fits])
+    return np.asarray(together[np.isfinite(together)])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..identification.data import describe_position
 from ..identification.greybox.result import GreyBox
 from ..identification.multisine import BestLinearApproximation
 from ..identification.results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
@@ -373,6 +374,7 @@ def _record_parts(
     notes: Sequence[str],
 ) -> tuple[Part, ...]:
     rows: dict[tuple[str, str], list[str]] = {}
+    of_point: list[Part] = []
     for point in (*(result.points if result is not None else ()), *multisine):
         where = "—" if point.beam_m is None else f"{signed(1e3 * point.beam_m, 1)} mm"
         for record in point.records:
@@ -380,6 +382,14 @@ def _record_parts(
                 r.removeprefix(f"{record}: ") for r in point.remarks if r.startswith(f"{record}: ")
             ]
             rows[record, where] = own
+    for point in result.points if result is not None else ():
+        own_to_records = tuple(f"{record}: " for record in point.records)
+        where = describe_position(point.beam_m)
+        of_point += [
+            Text(f"{where[0].upper()}{where[1:]}: {r}.")
+            for r in point.remarks
+            if not r.startswith(own_to_records)
+        ]
     for prediction in () if grey is None else grey.fit.predictions:
         experiment = prediction.experiment
         where = "moving" if experiment.moving else "—"
@@ -389,6 +399,7 @@ def _record_parts(
     parts: list[Part] = [
         Table("Records that were identified", ("record", "beam", "remarks"), told, 3)
     ]
+    parts += of_point
     of_all = [
         r
         for bla in multisine

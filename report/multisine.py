@@ -48,6 +48,14 @@ class MultisineReport:
         """Return (position, output) wherever distortion stands above the noise."""
         return _significant([bla.test() for bla in self.blas])
 
+    def kinds(self) -> tuple[str, ...]:
+        """Return what the lines left out show, one realisation or several: odd, even or both."""
+        tests = (
+            ("odd", [bla.odd.test() for bla in self.blas]),
+            ("even", [bla.even.test() for bla in self.blas]),
+        )
+        return tuple(kind for kind, of_kind in tests if _significant(of_kind))
+
     def uncertainty_db(self) -> float:
         """Return the 95 % confidence radius on the diagonal in dB, the largest up to the top."""
         worst = [0.0]
@@ -160,28 +168,23 @@ def level_db(bla: BestLinearApproximation, i: int) -> float:
 
 
 def _distortion_words(report: MultisineReport) -> str:
-    if not _tested(report):
-        return "With one realisation noise and nonlinear distortion cannot be told apart."
-    distorted = report.distorted()
-    if not distorted:
-        return "No nonlinear distortion stands above the noise: at this amplitude it is linear."
-    k, i = max(distorted, key=lambda at: report.blas[at[0]].test().ratio[at[1]])
-    symbols = report.signals.output_symbols
-    outputs = [symbols[o] for o in sorted({o for _, o in distorted})]
-    kinds = [
-        kind
-        for kind, tests in (
-            ("odd", [bla.odd.test() for bla in report.blas]),
-            ("even", [bla.even.test() for bla in report.blas]),
-        )
-        if _significant(tests)
-    ]
     lines = {
         (): "lines left out do not show it",
         ("odd",): "lines left out show an odd nonlinearity, as of a spring that hardens",
         ("even",): "lines left out show an even nonlinearity, an asymmetry",
         ("odd", "even"): "lines left out show both an odd and an even nonlinearity",
-    }[tuple(kinds)]
+    }[report.kinds()]
+    distorted = report.distorted()
+    if not distorted and report.kinds():
+        scatter = "is too small to show" if _tested(report) else "is not told by one realisation"
+        return f"There is nonlinear distortion, whose size {scatter}: {lines}."
+    if not _tested(report):
+        return "With one realisation noise and nonlinear distortion cannot be told apart."
+    if not distorted:
+        return "No nonlinear distortion stands above the noise: at this amplitude it is linear."
+    k, i = max(distorted, key=lambda at: report.blas[at[0]].test().ratio[at[1]])
+    symbols = report.signals.output_symbols
+    outputs = [symbols[o] for o in sorted({o for _, o in distorted})]
     worst, where = report.blas[k], f"beam {report.labels[k]}"
     return (
         f"Nonlinear distortion stands above the noise in {', '.join(outputs)}, most in "
@@ -192,9 +195,11 @@ def _distortion_words(report: MultisineReport) -> str:
 
 
 def _distortion_number(report: MultisineReport) -> tuple[str, str]:
-    if not _tested(report):
+    if not _tested(report) and not report.kinds():
         return "not told", "nonlinear distortion: one realisation only"
     distorted = report.distorted()
+    if not distorted and report.kinds():
+        return " and ".join(report.kinds()), "nonlinear distortion, at lines left out alone"
     if not distorted:
         return "none", "nonlinear distortion above the noise"
     worst = max(level_db(report.blas[k], i) for k, i in distorted)

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -229,8 +230,10 @@ def test_truth_is_for_the_rig_alone(tmp_path: Path, levid: Command) -> None:
 
 
 def test_distortion_is_told_as_often_as_chance_allows_and_not_of_one_realisation() -> None:
-    def bla(*p_values: float | None) -> dict[str, object]:
-        tests = {"distortion": {"p_value": list(p_values)}}
+    no = {"p_value": [None, 0.5]}
+
+    def bla(*p_values: float | None) -> dict[str, Any]:
+        tests = {"distortion": {"p_value": list(p_values)}, "even": no, "odd": no}
         return {"beam_m": None, "records": ["a", "b"], "lines": 7, "tests": tests}
 
     said = _multisine([bla(None, None), bla(0.5, 0.004), bla(0.9, 1e-6)])
@@ -241,3 +244,8 @@ def test_distortion_is_told_as_often_as_chance_allows_and_not_of_one_realisation
     ]
     assert said[0].startswith("all records: multisine of a, b, 7 lines")  # levels of one place
     assert _multisine([bla(None)])[0].startswith("all records: multisine, 7 lines")
+    # Lines left out tell of distortion where one realisation does not.
+    (one,) = _multisine(
+        [{**bla(None), "tests": {**bla(None)["tests"], "odd": {"p_value": [1e-9]}}}]
+    )
+    assert one.endswith("distortion found")

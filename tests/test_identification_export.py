@@ -106,7 +106,7 @@ def test_mat_file_holds_models_and_responses_of_all_positions(rig, tmp_path):
     write_mat(tmp_path / "plant.mat", result)
     mat = loadmat(tmp_path / "plant.mat")
     first, second = result.points
-    n, frequencies = len(first.plant.state_space().A), len(first.freq_hz)
+    n, frequencies = len(first.recommended.state_space().A), len(first.freq_hz)
     assert mat["A"].shape == (n, n, 2)
     assert mat["B"].shape == (n, 3, 2)
     assert mat["C"].shape == (3, n, 2)
@@ -117,14 +117,26 @@ def test_mat_file_holds_models_and_responses_of_all_positions(rig, tmp_path):
     np.testing.assert_allclose(mat["beam_m"], [[-0.1, 0.1]])
     assert [name.item() for name in mat["input_names"][0]] == ["psi", "theta", "z"]
     assert [unit.item() for unit in mat["output_units"][0]] == ["rad", "rad", "m"]
+    assert [name.item() for name in mat["method"][0]] == ["subspace", "subspace"]
+    np.testing.assert_array_equal(mat["trusted"], [[1.0, 1.0]])
     for k, point in enumerate((first, second)):
         model = StateSpace(*(mat[name][:, :, k] for name in "ABCD"), mat["Ts"].item())
-        np.testing.assert_array_equal(
-            model.response(FREQ_HZ), point.plant.state_space().response(FREQ_HZ)
-        )
+        best = point.recommended
+        np.testing.assert_array_equal(model.response(FREQ_HZ), best.state_space().response(FREQ_HZ))
         np.testing.assert_array_equal(
             mat["frf"][..., k].transpose(2, 0, 1), point.from_sensitivity.H
         )
+
+
+def test_mat_file_of_a_model_that_nothing_recommends_says_so(rig, tmp_path):
+    result = _identified(rig, (0.0,))
+    (point,) = result.points
+    doubted = replace(point, subspace=None, doubts=("it is unstable",))
+    write_mat(tmp_path / "plant.mat", replace(result, points=(doubted,)))
+    mat = loadmat(tmp_path / "plant.mat")
+    assert mat["trusted"].item() == 0.0
+    assert mat["method"].item().item() == "ho_kalman"
+    assert len(mat["A"]) == len(point.plant.state_space().A)
 
 
 def test_mat_file_of_one_position_has_plain_matrices(rig, tmp_path):
@@ -136,11 +148,13 @@ def test_mat_file_of_one_position_has_plain_matrices(rig, tmp_path):
 
 def test_mat_file_keeps_positions_of_different_order_apart(rig, tmp_path):
     one, other = _identified(rig, (0.0,), order=9), _identified(rig, (0.1,), order=10)
-    both = IdentificationResult(one.signals, one.points + other.points)
+    points = tuple(replace(p, subspace=None) for p in one.points + other.points)
+    both = IdentificationResult(one.signals, points)
     write_mat(tmp_path / "plant.mat", both)
     mat = loadmat(tmp_path / "plant.mat")
     assert mat["A"].shape == (1, 2)
     assert [len(A) for A in mat["A"][0]] == [len(p.plant.state_space().A) for p in both.points]
+    assert [name.item() for name in mat["method"][0]] == ["ho_kalman", "ho_kalman"]
     assert mat["frf"].shape[-1] == 2  # the responses are at the same frequencies
 
 

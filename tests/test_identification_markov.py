@@ -147,6 +147,20 @@ def test_a_short_record_is_named():
         markov.estimate_markov([record], 6, "least_squares")
 
 
+@pytest.mark.parametrize("dense", [True, False])
+def test_more_unknowns_than_rows_have_no_answer(monkeypatch, dense):
+    monkeypatch.setattr(markov, "DENSE_ELEMENTS", 10**9 if dense else 0)
+    v = np.random.default_rng(5).normal(size=(420, 3))
+    record = _record(v, v, at_rest=False)
+    assert markov.most_taps([record]) == 60
+    markov.estimate_markov([record], 60, "least_squares")
+    # Iteration would find a response that fits the noise, and a standard error of next to nothing.
+    with pytest.raises(IdentificationError, match="expected at least 840 rows whose past is known"):
+        markov.estimate_markov([record], 140, "least_squares")
+    alone = [_record(v * (np.arange(3) == j), v, at_rest=False) for j in range(3)]
+    assert markov.most_taps(alone) == 140  # a third of each, if each excites one
+
+
 def test_an_empty_band_of_the_excitation_is_an_error():
     # Above an eighth-order low pass at a tenth of Nyquist 1e-16 of the power is left, or less.
     rng = np.random.default_rng(5)

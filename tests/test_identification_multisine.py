@@ -99,6 +99,30 @@ def test_without_noise_the_response_is_exact(m: int, p: int) -> None:
     assert np.all(found.even.level < 1e-12)
 
 
+@pytest.mark.parametrize("stalls", [[(700, 8)], [(k, 2) for k in range(30, 9000, 90)]])
+def test_commands_held_over_skipped_cycles_are_no_lines(stalls: list[tuple[int, int]]) -> None:
+    g = impulse_response(2, 3)
+    v = playing(3, 2, seed=1)
+    smooth = best_linear_approximation([periodic(v, filtered(v, g), 3)])
+    for row, length in stalls:
+        v[row : row + length] = v[row]
+    # What is left of a skip passes for noise: that of the plant is not needed here.
+    found = best_linear_approximation([periodic(v, filtered(v, g), 3)])
+    np.testing.assert_array_equal(found.freq_hz, smooth.freq_hz)
+    assert len(found.odd.freq_hz) == len(smooth.odd.freq_hz)
+    error = np.abs(found.H - response(g, found.freq_hz)) / np.abs(found.H).max()
+    assert np.median(error) < 0.05  # a stall's transient reaches over a period's end
+
+
+def test_inputs_at_different_lines_are_refused() -> None:
+    v = playing(2, 2, seed=1)
+    spectrum = np.fft.rfft(v[:, 1].reshape(-1, N), axis=1)
+    spectrum[:, np.flatnonzero(np.abs(spectrum[0]) > 1e-6)[10]] = 0.0
+    v[:, 1] = np.fft.irfft(spectrum, N, axis=1).ravel()
+    with pytest.raises(IdentificationError, match="excited at the same lines"):
+        best_linear_approximation([periodic(v, v, 2)])
+
+
 @pytest.mark.parametrize(("p", "realisations"), [(2, 1), (2, 2), (3, 2), (1, 4)])
 def test_intervals_hold_the_truth_as_often_as_they_say(p: int, realisations: int) -> None:
     g = impulse_response(2, p)

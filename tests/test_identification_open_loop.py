@@ -107,6 +107,48 @@ def test_data_without_noise_are_no_failure(noise):
     assert np.all(holdout.predicted_fit_percent > 99.9)
 
 
+def test_a_system_of_one_state_without_noise_has_no_second():
+    rng = np.random.default_rng(2)
+    u = rng.normal(size=(2000, 1))
+    y = lfilter([0.0, 1.0], [1.0, -0.5], u, axis=0)
+    (point,) = identify([Record("r", 0.02, u, y, ("u",), ("N",), ("y",), ("m",))]).points
+    assert isinstance(point, OpenLoopPoint)
+    assert point.order == 1
+    assert point.model.A[0, 0] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_a_short_record_beside_a_long_one_does_no_harm():
+    long, short = _records(1, 2)
+    (alone,) = identify([long]).points
+    (both,) = identify([short.rows(0, 60), long]).points
+    assert isinstance(alone, OpenLoopPoint)
+    assert isinstance(both, OpenLoopPoint)
+    assert both.records == alone.records == ("r0",)
+    assert both.order == alone.order
+    assert both.remarks == (
+        "'r1' is left out: its 60 rows would shorten the impulse response of all",
+    )
+
+
+def test_a_short_record_that_alone_excites_an_input_is_used():
+    long, short = _records(1, 2)
+    still = replace(long, v=long.v * [1.0, 0.0])
+    (point,) = identify([still, short.rows(0, 200)]).points
+    assert isinstance(point, OpenLoopPoint)
+    assert point.records == ("r0", "r1")
+
+
+def test_an_output_that_stands_still_is_named():
+    (record,) = _records(1)
+    y = record.y.copy()
+    y[:, 1] = 0.1
+    with pytest.raises(IdentificationError, match=r"'r0': expected outputs that move, found 'd'"):
+        identify([replace(record, y=y)])
+    settled = record.y.copy()
+    settled[1200:, 1] = settled[1199, 1]
+    identify([replace(record, y=settled)])  # still where the order is judged: another output tells
+
+
 def test_an_order_without_a_predictor_is_passed_over(monkeypatch):
     def failing(sequence, order, Ts_s):
         if order in refused:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from levid.identification.data import IdentificationError
+from levid.identification.data import IdentificationError, PiController
 from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.identification.results import ClosedLoopPoint, IdentificationResult
@@ -166,6 +166,18 @@ def test_short_records_give_less_and_say_so(rig):
     dB, degrees = _worst(point.from_ho_kalman, true, point.freq_hz)
     assert dB < 0.5
     assert degrees < 6.0
+
+
+def test_an_axis_without_feedback_takes_the_joint_estimate(rig):
+    records = rig.records([0.0], 1000.0, 10.0, at_rest=False)
+    # Flown with it: which estimate stands for (15) is all that is looked at here.
+    controller = PiController(rig.KP * [1, 1, 0], rig.KI * [1, 1, 0])
+    (point,) = identify(
+        [replace(r, controller=controller) for r in records], Options(lag_s=rig.LAG_S)
+    ).points
+    assert isinstance(point, ClosedLoopPoint)
+    assert point.from_sensitivity is point.from_joint
+    assert any("no feedback from z" in text for text in point.remarks)
 
 
 def test_wrong_options_are_errors():

@@ -103,6 +103,13 @@ def test_one_realisation_tells_nothing_of_distortion(tmp_path):
     report = multisine_report([single], RIG_SIGNALS)
     assert "cannot be told apart" in said(multisine_words(report))
     identification_report(None, None, tmp_path, multisine=[single])
+    # But lines left out do, of distortion that is there.
+    distorted = replace(approximation(distorted=4.0), distortion_variance=nothing)
+    report = multisine_report([distorted], RIG_SIGNALS)
+    assert "is not told by one realisation: lines left out show an odd" in said(
+        multisine_words(report)
+    )
+    assert "odd" in [n.value for n in multisine_numbers(report)]
 
 
 def test_a_page_of_multisines_alone(tmp_path):

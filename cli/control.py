@@ -25,6 +25,13 @@ _GONE = click.option(
 )
 
 
+_COUNTED = {
+    "stale": "readings not in time",
+    "lost": "rows lost",
+}
+"""What `levid status` tells of if there was any."""
+
+
 @click.command("status")
 @_RIG
 @_JSON
@@ -41,8 +48,8 @@ def status(rig_path: Path | None, as_json: bool) -> int:
         click.echo(json.dumps(answer))
         return 0
     click.echo(f"{answer['rig']} at {answer['rate_hz']:g} Hz: {_doing(answer)}")
-    lost = f", {answer['lost']} rows lost" if answer["lost"] else ""
-    click.echo(f"cycle {answer['cycle']}, {answer['late']} late{lost}")
+    counts = [f"{answer[key]} {words}" for key, words in _COUNTED.items() if answer[key]]
+    click.echo(", ".join([f"cycle {answer['cycle']}", f"{answer['late']} late", *counts]))
     for what in ("lateness", "execution"):
         us = answer["timing"][f"{what}_us"]
         shares = ", ".join(f"{name} {us[name]:.0f}" for name in ("p50", "p99", "p99.9", "max"))
@@ -80,7 +87,9 @@ def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
             return
         z_m, beam_m = answer["z_m"], answer["beam_m"]
         where = "" if z_m is None else f"  z {1e6 * z_m:7.1f} um  beam {1e3 * beam_m:7.2f} mm"
-        click.echo(f"{answer['cycle']:>12d}  {answer['late']:>6d} late{where}  {_doing(answer)}")
+        stale = f"  {answer['stale']} stale" if answer["stale"] else ""
+        late = f"{answer['cycle']:>12d}  {answer['late']:>6d} late{stale}"
+        click.echo(f"{late}{where}  {_doing(answer)}")
 
     _ask("watch", rig_path, show, every_s=every_s)
     return 0
@@ -191,6 +200,8 @@ def _burdens(answer: Mapping[str, Any]) -> Iterator[str]:
     """Yield what has weighed on the daemon since its start, in words."""
     if answer["clients_gone"]:
         yield f"clients gone in mid-flight: {answer['clients_gone']}"
+    if answer["recorder_restarts"]:
+        yield f"recorders started anew: {answer['recorder_restarts']}"
     if answer["flooded_s"]:
         yield f"control socket flooded for {answer['flooded_s']:g} s"
     if answer["memory_stalled_s"]:

@@ -60,7 +60,9 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
         say(
             "next: systemd-sysusers && udevadm control --reload && udevadm trigger && "
             f"{reload if networked else ''}"
-            "systemctl daemon-reload && systemctl enable --now levid\n"
-            "who may ask it: usermod --append --groups levid NAME; then: levid status"
+            "systemctl daemon-reload && systemctl enable --now levid"
         )
+        if any(path.endswith(".link") for path in files):
+            say("then plug CAN adapters in anew, or reboot: queue and name come with that")
+        say("who may ask it: usermod --append --groups levid NAME; then: levid status")
     return 0

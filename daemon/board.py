@@ -21,6 +21,8 @@ class Word(IntEnum):
     LAND = auto()  # counts requests to land
     ZERO = auto()  # the fault to stop with at once, 0 for none; any process may set it
     CLEAR = auto()  # counts requests to clear a fault
+    CLEAR_STOPS = auto()  # STOPS when the last of them came: later ones are not taken back by it
+    STOPS = auto()  # counts requests to stop
     END = auto()  # 1: land and end
     QUEUE_HEAD = auto()  # segments announced
     ROWS_HEAD = auto()  # rows of the program that are there
@@ -101,6 +103,21 @@ class Board:
             if detail:
                 self.detail = detail
             self.words[Word.ZERO] = fault
+        self.words[Word.STOPS] += 1
+
+    def clear(self, stops: int | None = None) -> None:
+        """Ask for the fault to be cleared, and for what stopped the loop to be taken back.
+
+        `stops`: STOPS when somebody asked for this, now unless given.
+        """
+        words = self.words
+        words[Word.CLEAR_STOPS] = words[Word.STOPS] if stops is None else stops
+        words[Word.CLEAR] += 1
+
+    def take_back_stop(self) -> None:
+        """Forget a stop, unless one came after the clear that is being answered was asked for."""
+        if self.words[Word.STOPS] == self.words[Word.CLEAR_STOPS]:
+            self.words[Word.ZERO] = 0
 
     def land(self) -> None:
         """Ask for a landing, in whatever flight there is."""

@@ -38,8 +38,8 @@ class Child:
 
     @property
     def pid(self) -> int | None:
-        """The process, None before the first start."""
-        return self._process.pid if self._process is not None else None
+        """The process, None where there is none: a number of before may be another's by now."""
+        return self._process.pid if self._process is not None and self.running else None
 
     @property
     def running(self) -> bool:

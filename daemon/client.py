@@ -64,7 +64,11 @@ class Client:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Disconnect."""
+        """Disconnect, whoever still holds a part of this: the daemon is to see it at once."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        with contextlib.suppress(OSError):  # what was not sent is not wanted any more
+            self._stream.close()
         self._socket.close()
 
     def _connect(self) -> None:

@@ -20,9 +20,8 @@ _DELAY = 2
 _OFF = 0.2
 """Share of what a coil should have moved by which it may be off. Noise and what the template leaves
 out, stiffness and control, make 0.04; a dead coil is off by 1, two that changed places by 0.6."""
-_MOST_TRIPLES = 3000
-
-
+_MOST_TRIPLES = 500
+"""The check is judged between two looks at the loop, in some 50 ms: nine coils make 84."""
 _FLAT = 1e4
 """Condition of three coils in a line: they say nothing of one tilt."""
 
@@ -89,7 +88,7 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> st
 
     # Least median of squares: three coils that most others agree with, then all who do.
     sound = np.flatnonzero(judged)
-    every = max(comb(len(sound), 3) // _MOST_TRIPLES, 1)
+    every = max(-(-comb(len(sound), 3) // _MOST_TRIPLES), 1)
     chosen = islice(combinations(sound, 3), 0, None, every)
     triples = [np.array(t) for t in chosen if np.linalg.cond(S[list(t)]) < _FLAT]
     if not triples:

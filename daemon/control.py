@@ -152,6 +152,11 @@ def memory_shape(coils: int, sensors: int) -> tuple[int, int]:
     return _ROWS + (coils + sensors + 4) // 4, 4
 
 
+def heat_of(memory: Array, coils: int) -> Array:
+    """Return a view (C,) of how hot the coils are in a controller's memory, in N^2."""
+    return memory[_ROWS:].ravel()[:coils]
+
+
 @njit(cache=True)
 def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - the cycle, in its order
     rows, slot, cycle, time_s, k, inputs, outputs, law, memory,
@@ -210,8 +215,9 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         fault = _BEAM
     for j in range(n_coils):
         if np.isfinite(readback[j]):
+            # A readback that is stuck tells nothing: what the coil was told counts as well.
             # Squared, what no coil can carry would stay in there for ever.
-            carried = min(abs(readback[j]), _MOST_CARRIED * coil_limit)
+            carried = min(max(abs(readback[j]), abs(coil[j])), _MOST_CARRIED * coil_limit)
             heat[j] += cooling * (carried * carried - heat[j])
         if heat[j] > heat_limit and in_control:
             fault = _HEAT

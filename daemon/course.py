@@ -364,7 +364,7 @@ class Course:
         self._clear_seen = request
         words = self._words
         if self.fault:
-            words[_ZERO] = 0  # nobody but who has stopped takes a stop back
+            self._board.take_back_stop()  # nobody but who has stopped does that
             if self._tagged_left < _FOREVER:
                 self._end_plan()  # its story ends here
             words[Word.BUSY] = 1

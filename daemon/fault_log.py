@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,10 +14,13 @@ from ..config.rig import RigConfig
 from ..config.service import Recording
 from ..log.writer import LogWriter
 from .faults import Fault
+from .heat import state_folder
 from .ring import Ring, Rows
 
 _AFTER_S = 0.5
 _PATIENCE_S = 2.0
+_MOST_DUE = 8
+"""Faults that wait for their recording at a time; others are in those of these."""
 
 
 class FaultLog:
@@ -41,7 +44,7 @@ class FaultLog:
         self._after = int(_AFTER_S * rate_hz)
         self._keep, self._attachments, self._told = config.keep_faults, attachments, told
         self._fault = Fault.NONE
-        self._due: tuple[Fault, int, float] | None = None
+        self._due: deque[tuple[Fault, int, float]] = deque()
         self._written: list[Path] = []
         self.epoch_ns = 0
 
@@ -55,36 +58,36 @@ class FaultLog:
     @property
     def nothing_due(self) -> bool:
         """Whether all faults seen so far are on disk."""
-        return self._due is None
+        return not self._due
 
     def see(self, taken: Rows) -> None:
         """Look through rows that were taken from the ring; write what is due."""
         if len(taken.rows):
             faults = taken.rows["fault"]
             came = (faults != 0) & (np.concatenate([[self._fault], faults[:-1]]) == 0)
-            if came.any() and self._due is None:
-                at = int(np.argmax(came))
-                give_up_s = time.monotonic() + _PATIENCE_S
-                self._due = Fault(int(faults[at])), taken.first + at, give_up_s
+            give_up_s = time.monotonic() + _PATIENCE_S
+            for at in np.flatnonzero(came)[: _MOST_DUE - len(self._due)].tolist():
+                self._due.append((Fault(int(faults[at])), taken.first + at, give_up_s))
             self._fault = Fault(int(faults[-1]))
-        if self._due is None:
-            return
-        fault, row, give_up_s = self._due
-        # A loop that died with its fault writes no more rows.
-        if self._ring.tail >= row + self._after or time.monotonic() > give_up_s:
-            self._due = None
+        while self._due:
+            fault, row, give_up_s = self._due[0]
+            # A loop that died with its fault writes no more rows.
+            if self._ring.tail < row + self._after and time.monotonic() <= give_up_s:
+                return
+            self._due.popleft()
             self.write(fault, row + self._after)
 
     def finish(self) -> None:
         """Write what is due, as far as it goes: no more rows will come."""
-        if self._due is not None:
-            (fault, row, _), self._due = self._due, None
+        while self._due:
+            fault, row, _ = self._due.popleft()
             self.write(fault, row + self._after)
 
     def write(self, fault: Fault, end: int | None = None) -> None:
         """Write the last seconds before row `end`, or before the newest, as those of `fault`."""
-        first = (self._ring.head if end is None else end) - self._before - self._after
-        found = self._ring.copy(max(first, 0), self._before + self._after)
+        end = self._ring.head if end is None else end
+        first = max(end - self._before - self._after, 0)
+        found = self._ring.copy(first, end - first)
         if not len(found.rows):  # whoever asked for it waits to hear of it
             self._told(fault, "", "there were no rows before it")
             return
@@ -132,8 +135,4 @@ def fault_folder(rig: RigConfig, folder: Path) -> Path:
     """Return where flight recordings go: as the rig says, else among this user's or service's."""
     if rig.recording.faults is not None:
         return folder / rig.recording.faults
-    state = os.environ.get("STATE_DIRECTORY")
-    if state:
-        return Path(state.split(":", maxsplit=1)[0]) / "faults"
-    home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
-    return Path(home) / "levid" / "faults"
+    return state_folder() / "faults"

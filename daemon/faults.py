@@ -85,7 +85,7 @@ FAULTS: dict[Fault, FaultText] = {
     Fault.DRIVE: FaultText(
         "a drive of the manipulator does not follow",
         "encoder and motor that the message names, the gantry's skew",
-        "levid clear, which homes and enables the drives",
+        "levid clear, which homes the drives (on CAN) and enables them",
     ),
     Fault.SIMULATION: FaultText(
         "the simulated plant or one of its effects failed",

@@ -6,6 +6,8 @@ from ..config.rig import Limits
 
 _FORGIVEN = 0.1
 """What a cycle in time takes back of the late cycles that are counted against their limit."""
+_PARTS = 10
+"""The window moves on by a tenth of its length: it holds the last nine tenths at any time."""
 
 
 class Lateness:
@@ -14,22 +16,24 @@ class Lateness:
     def __init__(self, limits: Limits, rate_hz: float) -> None:
         self._most, self._longest = limits.late_cycles, limits.stall_s * rate_hz
         self._most_in_window = limits.late_in_window
-        self._window = max(round(limits.late_window_s * rate_hz), 1)
+        self._part = max(round(limits.late_window_s * rate_hz / _PARTS), 1)
         self.late = 0
         self._score = 0.0
-        self._cycles = self._in_window = 0
+        self._cycles = self._in_window = self._at = 0
+        self._in_part = [0] * _PARTS
 
     def too_much(self, skipped: int) -> bool:
         """Count a cycle before which so many periods were skipped; return whether it is a fault."""
         self._cycles += 1 + skipped
-        if self._cycles >= self._window:
-            self._cycles = self._in_window = 0
+        if self._cycles >= self._part:
+            self._next_parts()
         if not skipped:
             if self._score > 0.0:
                 self._score -= _FORGIVEN
             return False
         self.late += 1
         self._in_window += 1
+        self._in_part[self._at] += 1
         self._score = min(self._score + 1.0, self._most + 1.0)
         return (
             self._score > self._most
@@ -39,4 +43,14 @@ class Lateness:
 
     def forget(self) -> None:
         """Begin anew after a fault."""
-        self._score, self._cycles, self._in_window = 0.0, 0, 0
+        self._score = 0.0
+        self._cycles = self._in_window = 0
+        self._in_part[:] = [0] * _PARTS
+
+    def _next_parts(self) -> None:
+        """Let go of what was late in the parts that the window leaves behind."""
+        for _ in range(min(self._cycles // self._part, _PARTS)):
+            self._at = (self._at + 1) % _PARTS
+            self._in_window -= self._in_part[self._at]
+            self._in_part[self._at] = 0
+        self._cycles %= self._part

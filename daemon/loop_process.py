@@ -162,7 +162,7 @@ def _opened(
             board[Word.WAITING] += 1
             time.sleep(_POLL_S)
         seen = board[Word.CLEAR]
-        board[Word.ZERO] = 0  # one of before: what comes from now on ends what is begun here
+        board.take_back_stop()  # of before: what comes from then on ends what is begun here
         board[Word.BUSY] = 1
 
 

@@ -66,8 +66,10 @@ class Job:
     error: Exception | None = None
 
     def step_of(self, tag: int) -> str:
-        """Return the name of the step whose log this is."""
-        return self.tags[tag].name if tag in self.tags else ""
+        """Return the name of the step whose log this is; without a log of the only step."""
+        if tag in self.tags:
+            return self.tags[tag].name
+        return self.plan.steps[0].name if len(self.plan.steps) == 1 else ""
 
 
 class Pilot:
@@ -149,6 +151,9 @@ class Pilot:
                 self._client_is_gone(job)
         elif job.holds or self._written(job) or now_s - job.over_s > _WRITING_S:
             self._recorder.hear()  # what it said before its last row was on disk
+            if job.error is None and not job.holds and not self._written(job):
+                why = self._recorder.problem or f"not after {_WRITING_S:g} s"
+                job.error = RecordingError(f"the last rows are not on the disk: {why}")
             self.job = self._feeder = None
             job.over()
             self._tell(job)
@@ -181,12 +186,13 @@ class Pilot:
     def abort(self, fault: Fault, detail: str) -> None:
         """The loop is gone: what is flown ends here."""
         job, board = self.job, self._board
+        step = "" if job is None else self.step_of(job)  # by a word that goes with the loop
         board[Word.PLAN], board[Word.LOG] = 0, NO_LOG
         board[Word.PLAN_CUT] = board[Word.PLAN_DONE] = self._plans
         board[Word.QUEUE_TAIL] = board[Word.QUEUE_HEAD]
         if job is not None and job.over_s is None:
             at_s = board[Word.CYCLE] / self._rig.rate_hz
-            job.error = FlightFault(fault, at_s, self.step_of(job), detail)
+            job.error = FlightFault(fault, at_s, step, detail)
             self._over(job, time.monotonic())
 
     def _over(self, job: Job, now_s: float) -> None:

@@ -308,7 +308,7 @@ class _Planner:
         weight[:, 1], weight[:, 2] = beam_torque, ff.mass_kg * ff.gravity_m_s2
         carried = float(np.max(np.abs(weight @ self.T_coils)))
         played = _peak_force(v, self.T_coils) + float(np.max(np.abs(coil_excitation)))
-        if carried + played > limit:
+        if not carried + played <= limit:  # nor is what is no number
             raise ConfigError(
                 f"{where}: the excitation would saturate the coils: expected at most {limit:g} N "
                 f"a coil, found {carried:.1f} N of weight and {played:.1f} N of excitation at its "

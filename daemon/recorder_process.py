@@ -71,7 +71,8 @@ class RecorderProcess:
         self._scribe.dropped = self._board[Word.DROPPED]  # of those before this one
         # A recorder that died left rows behind that were taken and are in no file.
         self._ring.tail = self._ring.durable
-        self._faults.epoch_ns = self._board[Word.EPOCH_NS]
+        # What it is told first may be that the loop is dead, and what is left of its rows to write.
+        self._scribe.epoch_ns = self._faults.epoch_ns = self._board[Word.EPOCH_NS]
         self._faults.resume(self._board[Word.FAULTS_SEEN], self._ring.tail)
 
     def run(self, parent: int) -> None:

@@ -71,7 +71,7 @@ class Requests:
             "status": lambda _, reply: reply.done(**self._supervisor.status()),
             "stop": self._stop,
             "land": self._land,
-            "clear": lambda _, reply: self._supervisor.post(lambda: self._supervisor.clear(reply)),
+            "clear": self._clear,
             "excite": lambda request, reply: self._plan(self._session, request, reply),
             "levitate": lambda request, reply: self._plan(self._lift_off, request, reply),
             "move": lambda request, reply: self._plan(self._move, request, reply),
@@ -99,6 +99,12 @@ class Requests:
         # The word is set before anything else happens: it needs none of the rest of the daemon.
         self._supervisor.board.stop()
         reply.done(stopping=True)
+
+    def _clear(self, _: Request, reply: Reply) -> None:
+        # In the thread that answers `stop`: a stop that comes after this is one of its own.
+        supervisor = self._supervisor
+        stops = supervisor.board[Word.STOPS]
+        supervisor.post(lambda: supervisor.clear(reply, stops))
 
     def _land(self, _: Request, reply: Reply) -> None:
         pilot = self._supervisor.pilot

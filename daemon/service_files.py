@@ -15,6 +15,7 @@ from ..config.rig import RigConfig
 from ..config.shipped import shipped
 from ..drivers.base import Context
 from ..drivers.registry import check_backends
+from .access import Access
 
 UNIT = "etc/systemd/system/levid.service"
 DROP_IN = "etc/systemd/system/levid.service.d/10-rig.conf"
@@ -58,6 +59,7 @@ def hindrances(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[str]:
     """Say what would keep the service from running, or what it is not told here."""
     try:
         check_backends(Context(rig, 1.0 / rig.rate_hz, rig_file.parent))
+        Access(rig.service)
     except ConfigError as error:
         yield f"the daemon will not start: {error}"
     for path in (rig_file, program):
@@ -210,8 +212,9 @@ def _network(bus: CanBus) -> dict[str, str]:
     if bus.fd:
         rates += f"FDMode=yes\nDataBitRate={bus.data_bitrate}\n"
     link = (
-        "# With several adapters, match one by where it is plugged in (udevadm info\n"
-        f"# /sys/class/net/{name}) and name it: Property=ID_PATH=..., and Name={name} below.\n"
+        "# With several adapters, match each by where it is plugged in (udevadm info\n"
+        f"# /sys/class/net/{name}) and name it: in a copy, 60-levid-{name}.link, which comes\n"
+        f"# before this one, Property=ID_PATH=... below [Match] and Name={name} below [Link].\n"
         f"[Match]\nOriginalName={name}\n\n"
         f"[Link]\nNamePolicy=keep\nTransmitQueueLength={_QUEUE}\n"
     )

@@ -6,8 +6,11 @@ the last process that holds it, however that one dies.
 
 from __future__ import annotations
 
+import hashlib
 import mmap
 import os
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +18,7 @@ from numpy.typing import NDArray
 from ..config.rig import RigConfig
 from ..log.signals import cycle_dtype
 from .board import Board, Word
-from .control import memory_shape
+from .control import heat_of, memory_shape
 from .program import Program
 from .ring import Ring, ring_rows
 from .timing import Timing
@@ -27,7 +30,10 @@ _PAGE = 4096
 
 
 class Shared:
-    """Maps the memory of a rig's daemon; the first process makes it, the others get its `fd`."""
+    """Maps the memory of a rig's daemon; the first process makes it, the others get its `fd`.
+
+    Ends the process where the memory was laid out by another levid: every word would be another's.
+    """
 
     def __init__(self, rig: RigConfig, fd: int | None = None) -> None:
         coils, sensors = len(rig.geometry.coil_x_m), len(rig.geometry.sensors_x_m)
@@ -43,9 +49,15 @@ class Shared:
             8 * int(np.prod(control)),
         )
         ends = np.cumsum([-(-size // _PAGE) * _PAGE for size in sizes]).tolist()
+        name = _name_of(self.dtype, ends)
         if fd is None:
-            fd = os.memfd_create("levid", os.MFD_CLOEXEC)
+            fd = os.memfd_create(name, os.MFD_CLOEXEC)
             os.ftruncate(fd, ends[-1])
+        elif name not in (found := str(Path(f"/proc/self/fd/{fd}").readlink())):
+            raise SystemExit(
+                f"levid was replaced while its daemon ran: expected memory laid out as {name}, "
+                f"found {found}; restart the daemon"
+            )
         self.fd = fd
         memory = memoryview(mmap.mmap(fd, ends[-1]))
         self.board = Board(memory[: ends[0]])
@@ -57,6 +69,7 @@ class Shared:
         )
         self.control = words.reshape(control)
         """What a controller remembers: a loop that follows a dead one finds the coils as hot."""
+        self.heat = heat_of(self.control, coils)
 
     @property
     def lost(self) -> int:
@@ -70,3 +83,9 @@ class Shared:
     def close(self) -> None:
         """Let go of the descriptor; the mapping goes with the process."""
         os.close(self.fd)
+
+
+def _name_of(dtype: np.dtype[np.void], ends: Sequence[int]) -> str:
+    """Return the name of memory laid out like this, which the kernel keeps with it."""
+    layout = repr((dtype.descr, list(ends), [word.name for word in Word]))
+    return f"levid-{hashlib.sha256(layout.encode()).hexdigest()[:16]}"

@@ -22,6 +22,7 @@ from .clearings import OPENING_S, Clearings
 from .clock_watch import ClockWatch
 from .fault_log import fault_folder
 from .faults import Fault
+from .heat import HeatFile, state_folder
 from .metrics import serve_metrics
 from .notify import Notify
 from .pilot import Pilot
@@ -42,6 +43,7 @@ _KILLED_S = 0.5
 """How long a killed loop is waited for: nothing flies any more."""
 _LANDING_S = 10.0
 _RECORDER_S = 30.0
+_HEAT_S = 2.0
 
 
 class Supervisor:
@@ -96,6 +98,9 @@ class Supervisor:
         self._clock = ClockWatch()
         self._burdens = Burdens(say)
         self._notify = Notify()
+        self._heat = HeatFile(
+            rig, state_folder(), self._shared.heat, lambda words: self.post(lambda: say(words))
+        )
 
     @property
     def stopping(self) -> bool:
@@ -137,6 +142,7 @@ class Supervisor:
             self._requests.start()
             self._reader.start()
             self._recorder.watch()
+            self._heat.start()
             self._start_loop()
             waiting = True
             while not self._stopping:
@@ -151,6 +157,7 @@ class Supervisor:
             self._notify.stopping()
             self._end_loop_at_once()
             self._recorder.end(_RECORDER_S)
+            self._heat.close(_HEAT_S)
             self._server.close()
             if close_metrics is not None:
                 close_metrics()
@@ -158,8 +165,11 @@ class Supervisor:
         if self._failed:
             raise ServerError(self._failed)
 
-    def clear(self, reply: Reply) -> None:
-        """Clear the fault at hand; answered when the loop has tried."""
+    def clear(self, reply: Reply, stops: int) -> None:
+        """Clear the fault at hand; answered when the loop has tried.
+
+        `stops`: Word.STOPS when it was asked for; a stop of after that is not taken back.
+        """
         board = self.board
         fault = board.fault
         if fault is Fault.NONE and not board[Word.ZERO]:
@@ -168,7 +178,9 @@ class Supervisor:
         self.pilot.note_fault()  # before it is gone
         self._stop_s = None
         if not self._loop.running:
-            board[Word.ZERO], board[Word.FAULT] = 0, Fault.NONE
+            board[Word.CLEAR_STOPS] = stops
+            board.take_back_stop()
+            board[Word.FAULT] = Fault.NONE
             try:
                 self._start_loop()
             except OSError as error:  # no memory, too many processes: another try may do
@@ -177,7 +189,7 @@ class Supervisor:
                 reply.refuse(f"the loop cannot be started: {error}")
                 return
         else:
-            board[Word.CLEAR] += 1
+            board.clear(stops)
         self._clearings.add(reply, fault)
 
     def status(self) -> dict[str, Any]:

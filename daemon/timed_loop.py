@@ -92,7 +92,7 @@ class TimedLoop:
             uncounted = course.uncounted and course.count_down()
             if uncounted == AROUND_CLEAR:  # it took as long as homing does
                 begin = now()
-            if not cycle & _COUNT_EVERY:
+            if not head & _COUNT_EVERY:  # rows, not cycles: periods that are skipped may never hit
                 words[_STALE], words[_LATE] = self._stale_before + devices.stale, late.late
             k = course.advance()
             for sync in syncs:

@@ -145,6 +145,19 @@ def test_stop_is_there_at_once_and_twice_is_once() -> None:
     assert board[Word.ZERO] == Fault.STOPPED
 
 
+def test_a_stop_that_comes_after_a_clear_is_not_taken_back_by_it() -> None:
+    board = Board(memoryview(bytearray(Board.SIZE)))
+    board.stop()
+    asked = board[Word.STOPS]
+    board.stop()  # before the clear is acted upon
+    board.clear(asked)
+    board.take_back_stop()
+    assert board[Word.ZERO] == Fault.STOPPED
+    board.clear()
+    board.take_back_stop()
+    assert board[Word.ZERO] == 0
+
+
 def test_detail_of_any_length_comes_back() -> None:
     board = Board(memoryview(bytearray(Board.SIZE)))
     for text in ("", "short", "ü" * 1000):

@@ -227,6 +227,16 @@ def test_coil_that_carries_too_much_for_too_long_is_a_fault() -> None:
     assert bench.run(flying(1), np.zeros((1, 9)))["fault"][0] == Fault.NONE
 
 
+def test_coil_whose_readback_is_stuck_is_as_hot_as_it_was_told_to_be() -> None:
+    bench = Bench(limited(coil_rms_n=5.0, coil_time_constant_s=0.1))
+    bench.control.readback_n[:] = 0.0
+    pushed = np.zeros((1, 9))
+    pushed[0, 4] = 10.0
+    rows = bench.run(flying(1000, coil_excitation=pushed), np.zeros((1000, 9)))
+    assert rows["fault"][-1] == Fault.HEAT
+    assert bench.control.detail(Fault.HEAT).endswith("in coil 4")
+
+
 def test_readback_that_no_coil_can_carry_is_forgotten_as_any_other() -> None:
     """Squared it would overflow, and a heat that is not a number exceeds no limit ever again."""
     bench = Bench(limited(coil_rms_n=5.0, coil_time_constant_s=1.0))

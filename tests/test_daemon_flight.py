@@ -136,6 +136,17 @@ def test_level_that_saturates_the_coils_is_refused_before_anything_is_written(
     assert not (tmp_path / "logs").exists()
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_level_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    """Squares beyond all numbers make one that no comparison finds too large."""
+    band = {"input": "psi", "rms_n_m": 1e308, "band_hz": [1, 100]}
+    with pytest.raises(ConfigError, match=r"would saturate the coils.*found .* nan N"):
+        fly(
+            tmp_path / "logs",
+            session(excitations={"psi": band, "coil": {"input": "z", "rms_n": 1}}),
+        )
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -25,7 +25,7 @@ def test_homing_is_no_cycle() -> None:
         if n == 300:
             flight.board.stop()
         if n == 400:
-            flight.board[Word.CLEAR] += 1
+            flight.board.clear()
 
     flight.run(script, 600)
     assert flight.board.fault is Fault.NONE
@@ -36,6 +36,18 @@ def test_homing_is_no_cycle() -> None:
     rows = flight.shared.ring.last(300).rows
     assert rows["execution_s"].max() < 0.15
     assert rows["skipped"].max() == 200
+
+
+def test_counters_go_on_where_every_cycle_is_late() -> None:
+    """With every other period skipped the cycle is odd for ever, and no multiple of 64."""
+    flight = ScriptedLoop()
+    clock = flight.loop._clock
+
+    def script(n: int) -> None:
+        clock.skipped = 1 if n > 100 else 0
+
+    flight.run(script, 400)
+    assert flight.board[Word.LATE] >= 400 - 100 - 64
 
 
 def test_loop_that_follows_a_dead_one_counts_on() -> None:

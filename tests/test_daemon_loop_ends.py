@@ -345,11 +345,11 @@ def test_drives_that_nobody_located_are_told_nothing() -> None:
             flight.board.stop()
         if n == 400:
             refused.append(n)
-            flight.board[Word.CLEAR] += 1
+            flight.board.clear()
         if n == 500:
             assert flight.board.fault is Fault.STOPPED
             refused.clear()
-            flight.board[Word.CLEAR] += 1
+            flight.board.clear()
 
     flight.run(script, 600)
     silent = np.isnan(told.beam)

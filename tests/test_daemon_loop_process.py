@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from daemon_process import GIVE_UP_S, calm
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon import loop_process
+from levid.daemon import shared as shared_module
 from levid.daemon.board import Board, Word
 from levid.daemon.faults import Fault
 from levid.daemon.shared import Shared
@@ -39,7 +41,7 @@ def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_tes
 
     def wait(_: float) -> None:
         assert (board.fault, board.state) == (Fault.LINK, State.FAULT)
-        board[Word.CLEAR] += 1
+        board.clear()
 
     monkeypatch.setattr(loop_process, "open_devices", open_devices)
     monkeypatch.setattr(loop_process.time, "sleep", wait)
@@ -83,6 +85,15 @@ loop_process.main(*arguments)
 """
 
 
+def test_process_of_another_levid_touches_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = load_rig(RIG_FILE)
+    shared = Shared(rig)
+    assert Shared(rig, shared.fd).board[Word.LOOPS] == 0
+    monkeypatch.setattr(shared_module, "Word", [*Word, SimpleNamespace(name="NEW")])
+    with pytest.raises(SystemExit, match="levid was replaced while its daemon ran"):
+        Shared(rig, shared.fd)
+
+
 @pytest.mark.parametrize(
     ("slow", "lines", "code"),
     [
@@ -115,7 +126,7 @@ def test_loop_that_is_ended_while_a_driver_blocks_closes_its_devices(
                     assert time.monotonic() < give_up_s
                     time.sleep(0.01)
                 then()
-            board[Word.CLEAR] += 1
+            board.clear()
         said = [process.stdout.readline().decode().strip()]
         process.terminate()
         said += process.stdout.read().decode().split()

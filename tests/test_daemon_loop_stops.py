@@ -34,7 +34,7 @@ def test_clear_does_not_take_back_a_stop_that_nobody_has_looked_at() -> None:
         if n == 1500:
             assert flight.board.state is State.LEVITATING
             flight.board.stop()
-            Supervisor.clear(supervisor, SimpleNamespace())
+            Supervisor.clear(supervisor, SimpleNamespace(), flight.board[Word.STOPS])
 
     flight.run(script, 1510)
     assert flight.forces == 0.0
@@ -87,7 +87,7 @@ def test_orphan_lands_whatever_happened_to_its_supervisor_before(
                 board.stop()
         if n == 5000:
             seen.append(board.fault)
-            board[Word.CLEAR] += 1
+            board.clear()
         if n == 6000:
             flight.fly({"levitate": LIFT})
         if n == 8000:

@@ -26,6 +26,7 @@ class Recorder:
     def __init__(self) -> None:
         self.files: dict[int, list[Path]] = {}
         self.failed: dict[int, str] = {}
+        self.problem = ""
 
     def forget(self) -> None:
         return
@@ -69,7 +70,7 @@ def test_a_flight_that_failed_is_not_well_flown_because_somebody_cleared(
             flight.loop.course.fail(Fault.GAP, "0.95 mm at sensor 3")
         if cleared_after and n == 1200 + cleared_after:
             pilot.note_fault()  # as the supervisor does before it hands a clear on
-            board[Word.CLEAR] += 1
+            board.clear()
         if n > 3000:
             ring.durable = ring.head
         if not n % 10:
@@ -108,6 +109,50 @@ def test_client_is_told_that_a_slow_disk_is_waited_for(monkeypatch: pytest.Monke
     # The wait is no part of the flight, nor what was late in it; a look is ten cycles late at most.
     assert job.plan.cycles <= told[-1]["cycles"] <= job.plan.cycles + 12
     assert told[-1]["late"] == 1
+
+
+def test_a_flight_whose_rows_never_reach_the_disk_did_not_go_well(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flight, told, recorder = ScriptedLoop(), [], Recorder()
+    pilot = Pilot(flight.rig, flight.shared, recorder)  # type: ignore[arg-type]
+    job = job_of(flight, told, Step(levitate=LIFT), Step(land={"ramp_s": 0.2, "release_s": 0.1}))
+    now_s = 0.0
+    monkeypatch.setattr(pilot_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(pilot_module, "_WRITING_S", 1.0)
+    recorder.problem = "the recorder does not answer"
+
+    def script(n: int) -> None:
+        nonlocal now_s
+        now_s = 1e-3 * n
+        if n == 300:
+            pilot.begin(job)
+        if not n % 10:
+            pilot.tick()
+
+    flight.run(script, 300 + job.plan.cycles + 1200)
+    assert told[-1] == "the last rows are not on the disk: the recorder does not answer"
+
+
+def test_a_loop_that_dies_does_so_in_a_step_with_a_name() -> None:
+    flight, told = ScriptedLoop(), []
+    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job = job_of(flight, told, Step(levitate=LIFT), Step(land={}))
+    ring = flight.shared.ring
+
+    def script(n: int) -> None:
+        if n == 300:
+            pilot.begin(job)
+        if n == 600:
+            pilot.abort(Fault.LOOP, "killed by SIGKILL")
+            ring.durable = ring.head
+            flight.board[Word.WRITING] = 0
+        if not n % 10:
+            pilot.tick()
+
+    flight.run(script, 650)
+    assert "LOOP" in told[-1]
+    assert f"'{job.plan.steps[0].name}'" in told[-1]
 
 
 @pytest.mark.parametrize("dead", [True, False])

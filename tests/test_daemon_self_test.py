@@ -83,6 +83,16 @@ def test_late_cycles_in_a_window_are_too_much_though_none_follow_each_other() ->
     assert found.index(True) == 600  # the 31st
 
 
+def test_a_window_has_no_end_across_which_late_cycles_are_forgotten() -> None:
+    late = lateness(late_in_window=30, late_window_s=1.0)
+    # 25 late cycles before 1 s, and 25 after it: 50 within half a second.
+    found = [late.too_much(int(750 <= k < 1250 and k % 10 == 0)) for k in range(1300)]
+    assert 1050 <= found.index(True) <= 1070
+    late = lateness(late_in_window=30, late_window_s=1.0)
+    # 25 in every second for ever are none too many.
+    assert not any(late.too_much(int(k % 40 == 0)) for k in range(20_000))
+
+
 def test_one_long_stall_is_too_much() -> None:
     late = lateness(stall_s=0.5)
     assert not late.too_much(500)

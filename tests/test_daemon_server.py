@@ -20,6 +20,7 @@ import pytest
 from levid.config.base import ConfigError
 from levid.config.service import Service
 from levid.daemon.access import Access, Peer, peer_of
+from levid.daemon.client import Client
 from levid.daemon.lines import Lines
 from levid.daemon.server import LONGEST_LINE, Reply, Server, ServerError
 
@@ -237,6 +238,16 @@ def test_client_that_vanishes_is_noticed(bench: Bench) -> None:
     assert not bench.waiting[0].waiting
     bench.waiting[0].done()  # answered all the same, to nobody
     assert works(bench)
+
+
+def test_client_that_is_left_is_gone_whoever_still_holds_it(bench: Bench) -> None:
+    with Client(bench.path) as daemon:
+        stream = daemon._stream  # as the traceback of an interrupt does
+        stream.write(b'{"op": "wait"}\n')
+        stream.flush()
+        while not bench.waiting:
+            time.sleep(0.01)
+    assert bench.gone.wait(_GIVE_UP_S)
 
 
 def test_kernel_says_who_asks() -> None:

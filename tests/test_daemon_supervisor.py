@@ -105,9 +105,11 @@ def test_child_that_was_killed_says_by_what(number: int, words: str) -> None:
     child = Child("sleep", "", b"")
     child._process = subprocess.Popen(["sleep", "60"])
     assert child.end == "it runs"
+    assert child.pid == child._process.pid
     child._process.send_signal(number)
     assert child.wait(60.0)
     assert child.end == f"killed by {words}"
+    assert child.pid is None
 
 
 def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(
@@ -124,7 +126,7 @@ def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(
     board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
     for n in (1, 2):
         reply: Any = Told()
-        supervisor.post(lambda reply=reply: supervisor.clear(reply))
+        supervisor.post(lambda reply=reply: supervisor.clear(reply, 0))
         supervisor._mail.popleft()()
         assert tries == n
         assert "cannot be started" in reply.answers[0]
@@ -142,7 +144,7 @@ def test_clear_whose_time_is_over_before_the_self_test_is_not_done(
     monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
     monkeypatch.setattr(supervisor._loop, "start", lambda *_: None)
     board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
-    supervisor.clear(reply)  # type: ignore[arg-type]
+    supervisor.clear(reply, 0)  # type: ignore[arg-type]
     board[Word.STATE] = state
     supervisor._clearings.answer()
     assert reply.answers == []

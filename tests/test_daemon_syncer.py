@@ -19,6 +19,7 @@ from levid.daemon.recorder_link import RecorderLink
 from levid.daemon.ring import Ring
 from levid.daemon.shared import Shared
 from levid.daemon.syncer import Syncer
+from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype
 from levid.log.writer import LogWriter
 
@@ -88,6 +89,26 @@ def test_a_clock_that_is_behind_costs_no_flight_recording(tmp_path: Path) -> Non
     for _ in range(4):
         log.write(Fault.LINK)
     assert [path.exists() for _, path, _ in told] == [False] * 2 + [True] * 5
+
+
+def test_every_fault_gets_its_recording_however_fast_they_come(tmp_path: Path) -> None:
+    ring, told = Ring(DTYPE, 4000), []
+    log = FaultLog(ring, 1e3, tmp_path, Recording(), {}, lambda *of: told.append(of))
+    faults = ring.rows["fault"]
+    ring.rows["cycle"][:3000] = np.arange(3000)
+    faults[1000:1050], faults[1100:1200], faults[1300:1400] = Fault.GAP, Fault.STOPPED, Fault.POSE
+    for head in (1010, 1250, 1320, 1550, 2500):  # two of them in one block
+        ring.head = head
+        taken = ring.take(4000)
+        ring.tail = head
+        log.see(taken)
+    assert [fault for fault, *_ in told] == [Fault.GAP, Fault.STOPPED, Fault.POSE]
+    assert not any(error for *_, error in told)
+    # Half a second goes on after each.
+    assert [int(read_log(Path(path)).rows["cycle"][-1]) for _, path, _ in told] == [
+        1499, 1599, 1799
+    ]  # fmt: skip
+    assert log.nothing_due
 
 
 def test_a_fault_before_the_first_row_is_told_too(tmp_path: Path) -> None:

@@ -358,6 +358,16 @@ def test_expiry_shorter_than_two_syncs_is_refused(rig: RigConfig) -> None:
         check_backends(Context(with_drives(rig, every=4, expire_s=0.05), 1 / RATE_HZ, Path()))
 
 
+def test_an_eds_that_is_none_is_refused_before_anything_is_opened(
+    rig: RigConfig, tmp_path: Path
+) -> None:
+    for eds in ("nowhere.eds", "text.eds"):
+        (tmp_path / "text.eds").write_text("no such thing")
+        context = Context(with_drives(rig, eds=eds), 1 / RATE_HZ, tmp_path)
+        with pytest.raises(ConfigError, match=f"{eds}: not a valid EDS"):
+            check_backends(context)
+
+
 def test_frames_of_one_id_are_refused_before_anything_is_opened(
     rig: RigConfig, tmp_path: Path
 ) -> None:

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from levid.cli.main import levid
 from levid.config.base import parse_text
-from levid.config.rig import RigConfig
+from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.daemon.service_files import (
     DROP_IN,
@@ -232,6 +232,14 @@ def test_a_rig_that_the_daemon_would_refuse_is_told(tmp_path: Path) -> None:
     found = parse_text(text.replace("../sims/nominal.yaml", "nowhere.yaml"), RigConfig, "rig")
     said = list(hindrances(found, tmp_path / "rig.yaml", PROGRAM))
     assert any("will not start" in line and "nowhere.yaml" in line for line in said)
+
+
+def test_users_that_are_not_there_are_told() -> None:
+    found = load_rig(shipped("rigs/loopback.yaml"))
+    service = found.service.model_copy(update={"allow_users": ["nobody-such"]})
+    found = found.model_copy(update={"service": service})
+    said = list(hindrances(found, shipped("rigs/loopback.yaml"), PROGRAM))
+    assert any("will not start" in line and "nobody-such" in line for line in said)
 
 
 def test_networkd_is_named_only_where_there_is_something_for_it(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from ..on_bus import AnswerTime, BusBackend
 from .devices import CanAmplifiers, CanSensors
 from .drives import CanDrives
 from .link import CanLink
+from .nodes import node_of
 
 
 class CanBackend(BusBackend):
@@ -35,6 +36,7 @@ class CanBackend(BusBackend):
         if role == "drives":
             cia402.require_told(context.rig.limits)
             _check_expiry(context.rig)
+            _check_eds(context)
             return
         require_told(context.rig, AMPLIFIER_LIMITS if role == "amplifiers" else SENSOR_LIMITS)
         frames = _frames(context, bus)
@@ -193,6 +195,13 @@ def _check_expiry(rig: RigConfig) -> None:
             f"drives.expire_s: expected at least {least_s:g}, two periods of the drives' SYNC, "
             f"found {drives.expire_s:g}"
         )
+
+
+def _check_eds(context: Context) -> None:
+    drives = _option(context.rig, "drives")
+    assert isinstance(drives, CanDriveOptions)
+    if drives.eds is not None:
+        node_of(drives.nodes.x1, context.folder / drives.eds)
 
 
 def _option(rig: RigConfig, role: str) -> RoleOptions:

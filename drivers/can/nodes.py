@@ -56,6 +56,17 @@ _OBJECTS = frozenset(Object)
 _OTHER_PDOS = frozenset((*range(0x1401, 0x1600), *range(0x1801, 0x1A00)))
 
 
+def node_of(node_id: int, eds: Path | None) -> Any:
+    """Return the library's node by its EDS, the shipped one for None; raises ConfigError."""
+    # The library warns on every object that an EDS leaves out.
+    logging.getLogger("canopen").setLevel(logging.ERROR)
+    path = eds or shipped("drive.eds")
+    try:
+        return canopen.RemoteNode(node_id, str(path))
+    except Exception as error:  # noqa: BLE001 - the library raises whatever it meets
+        raise ConfigError(f"{path}: not a valid EDS: {error}") from None
+
+
 class DriveNode:
     """One drive, by its EDS; methods wait for its answers, and have to be called within `Answers`.
 
@@ -65,13 +76,7 @@ class DriveNode:
     def __init__(self, name: str, node_id: int, eds: Path | None, link: CanLink) -> None:
         self.name, self.node_id = name, node_id
         self.what = f"drive {name} (node {node_id}) on {link.what}"
-        # The library warns on every object that an EDS leaves out.
-        logging.getLogger("canopen").setLevel(logging.ERROR)
-        path = eds or shipped("drive.eds")
-        try:
-            self._node: Any = canopen.RemoteNode(node_id, str(path))
-        except Exception as error:  # noqa: BLE001 - the library raises whatever it meets
-            raise ConfigError(f"{path}: not a valid EDS: {error}") from None
+        self._node = node_of(node_id, eds)
         self._node.sdo.RESPONSE_TIMEOUT = 0.3
         self.counts_syncs = False
         """Whether its SYNC has a counter, which others take for an error; known once configured."""

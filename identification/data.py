@@ -18,6 +18,10 @@ class IdentificationError(Exception):
     """Records that cannot be identified; the message says which, what was expected and found."""
 
 
+class NotARecordError(IdentificationError):
+    """A log that is not to be identified, with the reason: part of a session, no failure."""
+
+
 @dataclass(frozen=True)
 class PiController:
     """The diagonal controller C(z) = Kp + Ki Ts z / (z - 1) of u = v - C y; kp and ki are (p,)."""

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from ..config.base import ConfigError, parse_text
 from ..config.rig import RigConfig
 from ..log.reader import Log
 from ..log.signals_file import SignalsFile
 from ..model.geometry import shape_matrix
-from .data import SAME_BEAM_M, IdentificationError, PiController, Record
+from .data import SAME_BEAM_M, IdentificationError, NotARecordError, PiController, Record
 from .gaps import without_gaps
 
 Array = NDArray[np.float64]
@@ -31,12 +32,10 @@ _CYCLE = (*EXCITATION, *_WRENCH, *FEED_FORWARD, *POSE, *REFERENCE, "beam_m")
 
 
 _SHORTEST_ROWS = 50
+_AROUND = 25
+"""Rows of each side of a step in the log times that say whether it stays."""
 _SAME_RATE = 0.01
 """Share by which the rate of a log may differ from its log times: clocks of others drift."""
-
-
-class NotARecordError(IdentificationError):
-    """A log that is not to be identified, with the reason: part of a session, no failure."""
 
 
 def from_log(log: Log) -> Record:
@@ -141,18 +140,18 @@ def remarks_of(log: Log) -> list[str]:
     found = []
     if np.any(columns(log, REFERENCE)):
         found.append("references are not zero; only their constant part does no harm")
-    for field, what in (
-        ("saturated", "cycles with coils at a limit"),
-        ("fault", "cycles under a fault"),
-    ):
-        count = int(np.count_nonzero(rows[field])) if field in names else 0
-        if count:
-            found.append(f"{count} {what}")
+    at_limit = int(np.count_nonzero(rows["saturated"])) if "saturated" in names else 0
+    if at_limit:
+        found.append(f"{at_limit} cycles with coils at a limit")
     if "coil_excitation_n" in names and np.any(rows["coil_excitation_n"]):
         found.append("coils were excited one by one besides, which counts as noise here")
-    if not log.complete:
-        found.append(f"the log is not complete ({log.problem}); what is left of it is used")
-    return found
+    return [*found, *_cut_off(log)]
+
+
+def _cut_off(log: Log) -> list[str]:
+    if log.complete:
+        return []
+    return [f"the log is not complete ({log.problem}); what is left of it is used"]
 
 
 def imported_record(log: Log) -> Record:
@@ -177,6 +176,7 @@ def imported_record(log: Log) -> Record:
         input_units=tuple(c.unit for c in inputs),
         output_names=tuple(c.name for c in outputs),
         output_units=tuple(c.unit for c in outputs),
+        remarks=tuple(_cut_off(log)),
     )
 
 
@@ -249,11 +249,42 @@ def _require(log: Log, names: Sequence[str]) -> None:
         raise IdentificationError(
             f"{log.path}: expected at least {_SHORTEST_ROWS} rows, found {len(log.rows)}"
         )
-    period_s = 1e-9 * float(np.median(np.diff(log.log_time_ns.astype(np.int64))))
+    time_ns, half = log.log_time_ns.astype(np.int64), len(log.rows) // 2
+    time_s = 1e-9 * (time_ns - time_ns[0])
+    # The second is that of times that scatter: the usual step of those, sorted, is none.
+    steps_s = (
+        np.median(np.diff(time_s)),
+        np.median(time_s[-half:] - time_s[:half]) / (len(time_s) - half),
+    )
+    period_s = min(map(float, steps_s), key=lambda step_s: abs(step_s * log.rate_hz - 1.0))
     if abs(period_s * log.rate_hz - 1.0) > _SAME_RATE:
         raise IdentificationError(
-            f"{log.path}: rate_hz: expected what the log times say, a row every {period_s:g} s, "
+            f"{log.path}: rate_hz: expected what the log times say, a row every {steps_s[0]:g} s, "
             f"found {log.rate_hz:g} Hz"
+        )
+    if "signals.yaml" in log.attachments or "cycle" not in present:
+        _require_even(log, time_s, period_s)
+
+
+def _require_even(log: Log, time_s: Array, period_s: float) -> None:
+    """Raise IdentificationError where samples are missing, by the log times: nothing else tells.
+
+    A message that came late, and those behind it in a bunch, is none that is missing: after one
+    that is, all are late by as much.
+    """
+    late = time_s - period_s * np.arange(len(time_s))
+    rows = np.flatnonzero(np.diff(late) > 0.5 * period_s) + 1
+    if not len(rows):
+        return
+    usual, half = median_filter(late, _AROUND, mode="nearest"), _AROUND // 2
+    after = usual[np.minimum(rows + half, len(late) - 1)]
+    stays_s = after - usual[np.maximum(rows - 1 - half, 0)]
+    lost = np.flatnonzero(stays_s > 0.5 * period_s)
+    if len(lost):
+        row, gap_s = rows[lost[0]], stays_s[lost[0]] + period_s
+        raise IdentificationError(
+            f"{log.path}: expected a row every {period_s:g} s, found {gap_s:.3g} s before row "
+            f"{row}: samples are missing, which nothing fills in; cut the log there"
         )
 
 

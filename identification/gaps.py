@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..log.reader import Log
 from ..log.signals import Stale
 from .acted import Acted, acted
-from .data import IdentificationError
+from .data import IdentificationError, NotARecordError
 from .filling import bridged, filled
 
 LONGEST_S = 0.01
@@ -47,16 +47,20 @@ def without_gaps(log: Log) -> tuple[Log, tuple[str, ...]]:
     - Commands (and everything else) of a row are those that acted when its own should have (see
       `acted`): where a period was skipped or a command came too late, an earlier row's.
 
-    Imported logs have no cycles and are returned as they are.
+    - From a fault on the coils have no force and the platform falls: these rows are left out.
 
-    Raises IdentificationError for cycle numbers that do not rise, or too much that is missing.
+    Imported logs, and others with a signals.yaml, have no such cycles and are returned as they are.
+
+    Raises IdentificationError for cycle numbers that do not rise, or too much that is missing,
+    NotARecordError where a fault left next to nothing.
     """
     names = log.rows.dtype.names or ()
-    if log.metadata.get("kind") == "import" or "cycle" not in names or len(log.rows) < 2:
+    if "signals.yaml" in log.attachments or "cycle" not in names or len(log.rows) < 2:
         return log, ()
+    log, cut = _before_fault(log)
     periods = _Periods.of(log)
     if not periods.imperfect:
-        return log, ()
+        return log, cut
     periods = _with_stalls_told_apart(log, periods)
     command, told = _acting(log, periods)
     acting = log.rows[periods.held[command]]
@@ -80,8 +84,18 @@ def without_gaps(log: Log) -> tuple[Log, tuple[str, ...]]:
     _fill_heights(measured, periods.no_heights[first:end], force)
     for name, values in measured.items():
         rows[name] = values.reshape(rows[name].shape)
-    remarks = (*periods.remarks(first, end), *told)
+    remarks = (*cut, *periods.remarks(first, end), *told)
     return replace(log, rows=rows, log_time_ns=log.log_time_ns[periods.held][first:end]), remarks
+
+
+def _before_fault(log: Log) -> tuple[Log, tuple[str, ...]]:
+    if "fault" not in (log.rows.dtype.names or ()) or not np.any(log.rows["fault"]):
+        return log, ()
+    first = int(np.argmax(log.rows["fault"] != 0))
+    if first < _FEWEST:
+        raise NotARecordError(f"{log.path.name}: a fault after {first} rows, which are too few")
+    remark = f"{len(log.rows) - first} rows from a fault on are left out"
+    return replace(log, rows=log.rows[:first], log_time_ns=log.log_time_ns[:first]), (remark,)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ..config.base import ConfigError, parse_text
 from ..config.session import RecordStep, SessionConfig
 from ..log.reader import Log
-from .data import IdentificationError, PiController
-from .from_log import NotARecordError, from_log
+from .data import IdentificationError, NotARecordError, PiController
+from .from_log import from_log
 from .gaps import without_gaps
 
 Array = NDArray[np.float64]
@@ -165,7 +165,9 @@ def _check_repeats(periodic: PeriodicRecord, log: Log) -> None:
     difference = np.sqrt(np.mean((v - v[:, :1]) ** 2, axis=(0, 1, 2)))
     share = difference / np.sqrt(np.mean(v**2, axis=(0, 1, 2)))
     # Commands held over a skipped period differ from those that the period was to play.
-    held = 1.0 - len(log.rows) / float(np.ptp(log.rows["cycle"].astype(np.int64)) + 1)
+    held = 0.0
+    if "cycle" in (log.rows.dtype.names or ()):
+        held = 1.0 - len(log.rows) / float(np.ptp(log.rows["cycle"].astype(np.int64)) + 1)
     if not np.all(share < REPEATS_WITHIN + np.sqrt(2.0 * held)):
         raise IdentificationError(
             f"{log.path}: expected v to repeat every {v.shape[2] * periodic.Ts_s:g} s, found "

@@ -12,9 +12,9 @@ import numpy as np
 from ..config.model import ModelConfig
 from ..log.errors import LogError
 from ..log.reader import Log, read_log
-from .data import IdentificationError, Record, describe_position
+from .data import IdentificationError, NotARecordError, Record, describe_position
 from .declared import declared_model
-from .from_log import NotARecordError, from_log
+from .from_log import from_log
 from .greybox.experiment import Experiment
 from .greybox.result import GreyBox, identify_grey_box
 from .identify import identify

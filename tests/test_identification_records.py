@@ -9,8 +9,14 @@ import pytest
 from cycle_log import cycle_log
 
 from levid.config.model import ModelConfig
-from levid.identification.data import IdentificationError, PiController, Record, operating_points
-from levid.identification.from_log import NotARecordError, from_log, records_from_logs
+from levid.identification.data import (
+    IdentificationError,
+    NotARecordError,
+    PiController,
+    Record,
+    operating_points,
+)
+from levid.identification.from_log import from_log, records_from_logs
 from levid.identification.greybox.experiment import experiment_from_log
 from levid.identification.identify import identify
 from levid.identification.options import Options
@@ -86,14 +92,25 @@ def test_records_without_excitation_or_with_a_moving_beam_are_skipped():
 def test_what_disturbed_a_record_is_remarked():
     rows = _cycles()
     rows["saturated"][5:8] = 2
-    rows["fault"][10] = 3
+    rows["fault"][150:] = 3
     rows["z_ref_m"] = 1e-5
     rows["coil_excitation_n"][:, 4] = 0.1
     text = "; ".join(from_log(_log(rows, complete=False, problem="cut off at byte 9000")).remarks)
-    for part in ("references", "3 cycles with coils", "1 cycles under a fault"):
+    for part in ("references", "3 cycles with coils", "50 rows from a fault on"):
         assert part in text
     assert "one by one" in text
     assert "cut off" in text
+
+
+def test_rows_of_a_platform_that_falls_are_no_data():
+    rows = _cycles()
+    rows["fault"][150:] = 3
+    rows["theta_rad"][150:] = 1e-2
+    assert len(from_log(_log(rows)).y) == 150
+    assert from_log(_log(rows)).y.max() == pytest.approx(1e-4)
+    rows["fault"][20:] = 3
+    with pytest.raises(NotARecordError, match="a fault after 20 rows"):
+        from_log(_log(rows))
 
 
 def test_a_log_without_its_rig_or_with_a_broken_one_is_an_error():
@@ -132,6 +149,36 @@ def test_imported_signals_take_their_roles_from_the_attachment():
     assert record.leading_zeros == 0  # nothing is known: the output may react at once
     assert record.Ts_s == 0.02
     assert record.beam_m is None
+
+
+def _drive(times_ns: np.ndarray, **changes: object) -> Log:
+    """Return a log of somebody's own program: a signals.yaml, but nothing that counts cycles."""
+    rows = np.zeros(len(times_ns), [("force", "<f8"), ("position", "<f8")])
+    return _log(
+        rows,
+        metadata={"kind": "record", "name": "bench"},
+        rate_hz=50.0,
+        log_time_ns=times_ns.astype(np.uint64),
+        schema_name="drive/msg/Sample",
+        attachments={"signals.yaml": SIGNALS_YAML},
+        **changes,
+    )
+
+
+def test_samples_that_are_missing_are_an_error_and_messages_that_came_late_are_none():
+    times_ns = np.arange(2000) * 20_000_000
+    lost = np.delete(times_ns, np.s_[700:703])
+    with pytest.raises(
+        IdentificationError, match=r"found 0.08 s before row 700: samples are missing"
+    ):
+        from_log(_drive(lost))
+    late = times_ns.copy()
+    late[700:703] = times_ns[703]  # in a bunch, as a busy machine writes them
+    assert len(from_log(_drive(late)).y) == 2000
+    late = times_ns + np.random.default_rng(0).integers(0, 15_000_000, 2000)  # each by chance
+    assert len(from_log(_drive(np.sort(late))).y) == 2000
+    (remark,) = from_log(_drive(times_ns, complete=False, problem="cut off")).remarks
+    assert "not complete (cut off)" in remark
 
 
 def _scheduled(**columns: tuple[str, np.ndarray]) -> Log:

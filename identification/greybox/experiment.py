@@ -13,13 +13,12 @@ from ...config.model import ModelConfig
 from ...log.reader import Log
 from ...log.signals_file import SignalsFile
 from ...model.geometry import decoupling_matrix, shape_matrix
-from ..data import IdentificationError, PiController
+from ..data import IdentificationError, NotARecordError, PiController
 from ..from_log import (
     EXCITATION,
     FEED_FORWARD,
     POSE,
     REFERENCE,
-    NotARecordError,
     columns,
     controller_of,
     imported_record,

@@ -12,8 +12,7 @@ import numpy as np
 
 from ...config.model import ModelConfig
 from ...log.reader import read_log
-from ..data import IdentificationError
-from ..from_log import NotARecordError
+from ..data import IdentificationError, NotARecordError
 from .record import TraceRecord, trace_record
 
 

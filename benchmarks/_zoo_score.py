@@ -73,6 +73,8 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
     "second-stage": ({"coil:3"},),
     "transducer-core": ({"coil:6"},),
     "loaded-rod": ({"a_b"}, {"z"}),
+    # A phase of its motor: the current of a_b, with a wave along x_b.
+    "shared-return": ({"x_b"}, {"a_b"}),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 
@@ -136,10 +138,14 @@ class Named:
 
 @dataclass(frozen=True)
 class Reported:
-    """One reported effect: itself first, then what fits about as well."""
+    """One reported effect: itself first, then what fits about as well.
+
+    `doubted`: the result says that it may be a part of what it describes freely.
+    """
 
     options: tuple[Named, ...]
     signals: frozenset[str]
+    doubted: bool = False
 
     def speaks_of(self, case: ZooCase) -> Named | None:
         return next((option for option in self.options if option.like(case)), None)
@@ -241,7 +247,8 @@ def _each_its_own(cases: Sequence[ZooCase], reported: Sequence[Reported]) -> boo
 def _score_unlisted(case: ZooCase, summary: Mapping[str, Any], errors: _Errors) -> Score:
     reported = _reported(summary)
     wrong = [r for r in reported if not any(_may_be(case, o) for o in r.options)]
-    in_doubt = bool(wrong and summary["unexplained"].get("doubtful"))
+    all_doubted = summary["unexplained"].get("doubtful") or all(r.doubted for r in wrong)
+    in_doubt = bool(wrong and all_doubted)
     if in_doubt:
         wrong = []
     unknown = [r for r in reported if _may_be(case, r.options[0])]
@@ -332,6 +339,7 @@ def _reported(summary: Mapping[str, Any]) -> list[Reported]:
                     Named(o["class"], frozenset(o["where"]), _first(o["where"])) for o in options
                 ),
                 frozenset(evidence.get("signals", [])),
+                bool(evidence.get("perhaps_part_of")),
             )
         )
     return found

@@ -111,7 +111,7 @@ def trace_logs(
 
 def words(found: Trace) -> list[str]:
     """Return what was found, a line a thing."""
-    from ..identification.trace.result import outcome
+    from ..identification.trace.result import PERHAPS_A_PART, outcome
 
     result = outcome(found)
     lines = [
@@ -127,6 +127,8 @@ def words(found: Trace) -> list[str]:
         )
     for effect in result.effects:
         lines += _effect(effect)
+        if result.perhaps_part_of(effect):
+            lines.append(f"    {PERHAPS_A_PART}")
     for force in result.shaken:
         s = force.shaking
         lines += [

@@ -8,6 +8,7 @@ from pathlib import Path
 from ..config.model import EffectParameter
 from ..identification.trace.result import (
     NOISE_MOST,
+    PERHAPS_A_PART,
     SQUARE_MOST,
     FoundEffect,
     Outcome,
@@ -61,7 +62,7 @@ def _title(result: Outcome) -> str:
 
 def _words(result: Outcome, views: Views) -> list[Text]:
     texts = [Text(_headline(result), "lead")]
-    texts += [Text(_sentence(f, views)) for f in result.effects]
+    texts += [Text(_sentence(f, views) + _doubt(result, f)) for f in result.effects]
     texts += [Text(_shaken(force)) for force in result.shaken]
     if result.declared:
         names = listed([f.effect.name for f in result.declared])
@@ -134,6 +135,13 @@ def _sentence(found: FoundEffect, views: Views) -> str:
             names = listed([e.name for e in why.alternatives])
             text += f" These records do not tell it from: {names}."
     return text
+
+
+def _doubt(result: Outcome, found: FoundEffect) -> str:
+    forms = result.perhaps_part_of(found)
+    if not forms:
+        return ""
+    return f" It is {PERHAPS_A_PART}: the table lacks what is there, and this may be its best."
 
 
 def _shaken(force: RandomForce) -> str:

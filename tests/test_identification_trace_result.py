@@ -9,6 +9,8 @@ from rig_effects import rig_places
 
 from levid.identification.trace.result import FoundEffect, Outcome
 from levid.model.effects.base import Placed
+from levid.model.effects.extent import Extent
+from levid.model.effects.freeform import freeform_effects
 from levid.model.effects.table import all_effects
 
 CUBIC = next(e for e in all_effects(rig_places()) if e.identity == "rod_stiffness.cubic@z")
@@ -36,6 +38,18 @@ def test_names_that_explain_little_of_much_are_in_doubt(
     found = result(before, after)
     assert found.doubtful is doubtful
     assert found.verdict.startswith("perhaps: Cubic" if doubtful else "found: Cubic")
+
+
+def test_a_name_beside_a_free_form_at_its_place_may_be_a_part_of_it() -> None:
+    forms = freeform_effects(rig_places(), Extent((1e-4,) * 3, (1e-2,) * 3, 1e-4, 12.0, 0.2))
+    at_z, at_psi = (next(e for e in forms if e.where == (dof,)) for dof in ("z", "psi"))
+    cubic = FoundEffect(Placed(CUBIC, (), (1.0,)), None)
+    for form, told in ((at_z, (at_z.name,)), (at_psi, ())):
+        free = FoundEffect(Placed(form, (), (0.0,) * len(form.amplitudes)), None)
+        found = Outcome((cubic, free), (), 20.0, 2.0, 1.0, (), 4.0, 1.0, (), (), ())
+        assert found.perhaps_part_of(cubic) == told
+        assert found.perhaps_part_of(free) == ()
+        assert ("perhaps a part of" in found.verdict) == bool(told)
 
 
 def test_who_names_nothing_is_in_no_doubt() -> None:

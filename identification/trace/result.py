@@ -32,6 +32,7 @@ SQUARE_MOST = 1.05
 _IN_DOUBT, _EXPLAINED = 2.0, 2.0 / 3.0
 """Names are doubted where the error stays above this multiple of its floor, and they explain less
 than this share of the squares that there were to explain."""
+PERHAPS_A_PART = "perhaps a part of what is described freely there"
 _NEXT_TO_NOTHING = 0.01
 _TOLD = 0.5
 """Of what was known before: a standard error above says that the records told nothing."""
@@ -152,12 +153,26 @@ class Outcome:
         named = any(not f.unknown for f in self.effects)
         return named and self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED
 
+    def perhaps_part_of(self, found: FoundEffect) -> tuple[str, ...]:
+        """Return the free forms at the place of a known effect, of which it may be a part.
+
+        The table lacks what they describe, and what it has may be named for as much of that as
+        looks like it.
+        """
+        if found.unknown:
+            return ()
+        at = found.effect.where[0]
+        return tuple(f.effect.name for f in self.effects if f.unknown and at == f.effect.where[0])
+
     @property
     def verdict(self) -> str:
         """What was found, in a sentence."""
-        names = ", ".join(
-            [f.effect.name for f in self.effects if not f.unknown] + [s.name for s in self.shaken]
-        )
+        known = [
+            f.effect.name + (f" ({PERHAPS_A_PART})" if self.perhaps_part_of(f) else "")
+            for f in self.effects
+            if not f.unknown
+        ]
+        names = ", ".join(known + [s.name for s in self.shaken])
         forms = ", ".join(f.effect.name for f in self.effects if f.unknown)
         if self.effects or self.shaken:
             parts = [f"{'perhaps' if self.doubtful else 'found'}: {names}"] if names else []
@@ -215,7 +230,7 @@ def summary(trace: Trace) -> dict[str, Any]:
     plain: dict[str, Any] = _plain(
         {
             "effects": [
-                *(_effect(f, trace.places) for f in found.effects),
+                *(_effect(f, trace.places, found.perhaps_part_of(f)) for f in found.effects),
                 *(_random(s) for s in found.shaken),
             ],
             "validation": {
@@ -350,7 +365,7 @@ def _beyond(trace: Trace) -> float | None:
     return float((rows / rows.sum()) @ squares) / float(sensors - n)
 
 
-def _effect(found: FoundEffect, places: Places) -> dict[str, Any]:
+def _effect(found: FoundEffect, places: Places, part_of: Sequence[str]) -> dict[str, Any]:
     effect, why = found.effect, found.evidence
     evidence: dict[str, Any] = {"equation": effect.equation}
     if found.unknown:
@@ -363,6 +378,7 @@ def _effect(found: FoundEffect, places: Places) -> dict[str, Any]:
             "share": why.share,
             "round": why.round,
             "alternatives": [_named(e) for e in why.alternatives],
+            "perhaps_part_of": list(part_of),
         }
     evidence |= {"absorbed_by": effect.absorbed_by, "told_apart_by": effect.told_apart_by}
     parameters = {

@@ -223,8 +223,9 @@ def _products(places: Places) -> list[tuple[str, str]]:
     pairs = [(a, b) for k, a in enumerate(places.dof) for b in places.dof[k + 1 :]]
     pairs += [(speed, name) for speed in speeds for name in places.dof]
     if places.beam:
-        pairs += [(factor, "x_b") for factor in (*places.dof, *speeds, "v_b", "phi_speed")]
-        pairs += [(factor, name) for factor in ("v_b", "phi_speed") for name in places.dof]
+        pairs += [(factor, "x_b") for factor in (*places.dof, *speeds, "v_b", "a_b", "phi_speed")]
+        # What pulls along something makes it stiffer, what presses softer: the beam's reaction too.
+        pairs += [(factor, name) for factor in ("v_b", "a_b", "phi_speed") for name in places.dof]
         # Whatever turns or runs meets a velocity with a force across it.
         pairs += [(speed, by) for speed in speeds for by in ("phi_speed", "v_b")]
     return pairs

@@ -29,7 +29,7 @@ def command(files: tuple[Path, ...], rig_path: Path | None) -> int:
     """Check FILES: rigs, simulators, sessions, models, signals, and logs (.mcap).
 
     Every problem is one line that names file, key, what was expected and what came. No device is
-    touched. Exit code 0 when all is well, 1 otherwise.
+    touched. Exit code 0 when all can be used, a log that was cut off too, 1 otherwise.
 
     \b
     Examples:

@@ -86,7 +86,8 @@ def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
             click.echo(json.dumps(answer))
             return
         z_m, beam_m = answer["z_m"], answer["beam_m"]
-        where = "" if z_m is None else f"  z {1e6 * z_m:7.1f} um  beam {1e3 * beam_m:7.2f} mm"
+        where = "" if z_m is None else f"  z {1e6 * z_m:7.1f} um"
+        where += "" if beam_m is None else f"  beam {1e3 * beam_m:7.2f} mm"
         stale = f"  {answer['stale']} stale" if answer["stale"] else ""
         late = f"{answer['cycle']:>12d}  {answer['late']:>6d} late{stale}"
         click.echo(f"{late}{where}  {_doing(answer)}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .folders import logs_in, quoted
 from .progress import progress, say
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> in
     from ..report.session import session_report
 
     excited = any(step.record is not None and step.record.excite for step in config.steps)
-    following = f"levid identify {out}/*.mcap --out {out}/identification"
+    following = f"levid identify {logs_in(out)} --out {quoted(out / 'identification')}"
     if result.stopped:
         say(f"the session was asked to land before its end; to use what there is: {following}")
         return 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from .folders import older_results, writable_folder
 from .progress import progress, say
 
 if TYPE_CHECKING:
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
     from ..identification.study import Study
     from ..log.reader import Log
     from ..report.closed_loop import Truth
+
+
+_RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
 
 
 @click.command("identify")
@@ -57,9 +62,12 @@ def command(
       levid identify out/first/*.mcap out/beam/*.mcap --out out/all --mat
       levid identify arm.mcap --out out/arm --json
     """
+    began = time.time()
     found, page = identify_logs(logs, model, truth, out)
     if mat:
         _write_mat(found, out)
+    for old in older_results(out, _RESULTS, began):
+        say(f"warning: {old} is of an earlier run: this one has found nothing of the kind")
     for remark in _contradictions(found):
         say(f"warning: {remark}")
     if as_json:
@@ -78,7 +86,7 @@ def identify_logs(
     logs: Sequence[Path], model: Path | None, truth: Path | None, out: Path
 ) -> tuple[Study, Path]:
     """Identify logs, write report and model.yaml; return what was found and the page's path."""
-    from ..config.base import ConfigError, load_yaml
+    from ..config.base import load_yaml
     from ..config.model import load_model
     from ..config.shipped import shipped
     from ..config.sim import SimConfig
@@ -90,8 +98,7 @@ def identify_logs(
     from ..report.identification import identification_report
 
     # Whatever can be wrong without reading a log is found before the work begins.
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out {out}: expected a folder, found a file")
+    writable_folder(out)
     declared = None if model is None else load_model(model)
     simulator = None if truth is None else load_yaml(truth, SimConfig)
     flown = False
@@ -105,6 +112,10 @@ def identify_logs(
 
     with progress("identifying") as report:
         found = study(logs, model_of, Options(), lambda what, share: report(what, 0.85 * share))
+        # First of all what took so long: a page that cannot be drawn loses nothing.
+        out.mkdir(parents=True, exist_ok=True)
+        if found.grey is not None:
+            (out / "model.yaml").write_text(to_yaml(found.grey.fitted), encoding="utf-8")
         report("report", 0.85)
         # Plant time is continuous within one session: the page shows the one of the first log.
         session = [path for path in logs if path.parent == logs[0].parent]
@@ -117,8 +128,6 @@ def identify_logs(
             found.multisine,
             found.notes,
         )
-    if found.grey is not None:
-        (out / "model.yaml").write_text(to_yaml(found.grey.fitted), encoding="utf-8")
     return replace(found, notes=(*found.notes, *_contradictions(found))), page
 
 
@@ -193,8 +202,12 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
             ("simulated", held["simulated_fit_percent"]),
             ("one step ahead", held["predicted_fit_percent"]),
         ):
-            said = [f"{n} {fit:.1f} %" for n, fit in zip(names, fits or [], strict=False) if fit]
-            lines.append(f"  last {held['rows']} rows, {what}: {', '.join(said)}")
+            said = [
+                f"{name} constant" if fit is None else f"{name} {fit:.1f} %"
+                for name, fit in zip(names, fits or [], strict=False)
+            ]
+            if said:
+                lines.append(f"  last {held['rows']} rows, {what}: {', '.join(said)}")
     return lines
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from .folders import quoted
 from .progress import say
 
 
@@ -30,5 +31,6 @@ def command(file: Path, signals: Path, out: Path) -> int:
 
     samples = import_file(file, signals, out)
     click.echo(f"{out}: {samples} samples")
-    say(f"next: levid identify {out} --out {out.with_suffix('')}")
+    folder = out.with_suffix("") if out.suffix else out.with_name(f"{out.name}-identified")
+    say(f"next: levid identify {quoted(out)} --out {quoted(folder)}")
     return 0

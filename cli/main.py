@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 
 import click
@@ -75,6 +76,9 @@ def levid() -> None:
 
 def main() -> None:
     """Run the command line; what a user can get wrong ends in one line and exit code 1."""
+    for stream in (sys.stdout, sys.stderr):  # names of files need not be text in any encoding
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = levid(standalone_mode=False)
     except click.ClickException as error:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .folders import quoted, same_logs, writable_folder
 from .progress import progress, say
 
 if TYPE_CHECKING:
@@ -84,7 +85,6 @@ def trace_logs(
     dask: str | None = None,
 ) -> tuple[Trace, Path]:
     """Trace logs, write report and model.yaml; return what was found and the page's path."""
-    from ..config.base import ConfigError
     from ..identification.greybox.result import to_yaml
     from ..identification.trace.result import model_after
     from ..identification.trace.study import trace
@@ -92,8 +92,7 @@ def trace_logs(
     from ..model.effects.table import all_effects
     from ..report.trace import trace_report
 
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out {out}: expected a folder, found a file")
+    writable_folder(out)
     config = _model(model, logs)
     with progress("tracing") as report, _workers(config, workers, dask) as spread:
         found = trace(
@@ -182,7 +181,6 @@ def _values(found: FoundEffect) -> str:
 def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
     """Return the command that is worth running next."""
     rivals = [f for f in result.effects if f.evidence is not None and f.evidence.alternatives]
-    folder = logs[0].parent
     if rivals:
         return f"fly what tells {rivals[0].effect.name} from its alternatives: see the report"
     if result.shaken and not result.effects:
@@ -191,7 +189,7 @@ def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
         return f"see in the report ({out / 'index.html'}) on what the rest depends"
     if result.effects:
         model, where = out / "model.yaml", out / "identification"
-        return f"levid identify {folder}/*.mcap --model {model} --out {where}"
+        return f"levid identify {same_logs(logs)} --model {quoted(model)} --out {quoted(where)}"
     return "nothing: the model is as good as these records can tell"
 
 

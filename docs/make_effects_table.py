@@ -102,6 +102,8 @@ def _section(module: ModuleType, rows: Mapping[Row, Sequence[Effect]]) -> str:
         quantities = ", ".join(
             _quantity(q, same) for q in (*first.amplitudes, *first.shape) if q.name not in PATTERNS
         )
+        if any(q.name in PATTERNS for q in (*first.amplitudes, *first.shape)):
+            quantities += ", and one share [1] for each other pattern"
         lines.append(
             _row(
                 f"`{key}`", f"`{first.effect_class}`", where, _code(equation), quantities,

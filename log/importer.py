@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +60,8 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> int:
             f"{_LONGEST_S:g} s, as a log's times do, found {signals.rate_hz:g} Hz"
         )
     rows = _rows(signals, values)
-    source = data_path.read_bytes()
+    with data_path.open("rb") as source:
+        sha256 = hashlib.file_digest(source, "sha256").hexdigest()
     metadata = {
         "kind": "import",
         "name": signals.name or data_path.stem,
@@ -66,21 +69,47 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> int:
         "session": "",
         "input_hold": signals.input_hold,
         "source": data_path.name,
-        "source_sha256": hashlib.sha256(source).hexdigest(),
+        "source_sha256": sha256,
     }
-    with LogWriter(
-        out_path,
-        rows.dtype,
-        rate_hz=signals.rate_hz,
-        metadata=metadata,
-        attachments={"signals.yaml": signals_path.read_bytes()},
-        schema_name=SCHEMA_NAME,
-        topic=TOPIC,
-        units={column.name: column.unit for column in signals.columns},
-        chunk_s=math.inf,
-    ) as log:
+    # One that was interrupted would open as a whole log with fewer rows.
+    part = out_path.with_name(f"{out_path.name}.part")
+    with (
+        _in_its_place(out_path, part),
+        LogWriter(
+            part,
+            rows.dtype,
+            rate_hz=signals.rate_hz,
+            metadata=metadata,
+            attachments={"signals.yaml": signals_path.read_bytes()},
+            schema_name=SCHEMA_NAME,
+            topic=TOPIC,
+            units={column.name: column.unit for column in signals.columns},
+            chunk_s=math.inf,
+        ) as log,
+    ):
         log.write(rows, np.round(rows["time_s"] * 1e9).astype(np.uint64))
     return rows.size
+
+
+@contextmanager
+def _in_its_place(path: Path, part: Path) -> Iterator[None]:
+    """Have a log written as `part`, which gets its name when it is whole, or goes.
+
+    Raises LogError where there is one of that name.
+    """
+    if path.exists():
+        raise LogError(f"{path}: exists; a log is never written over another")
+    try:
+        part.unlink(missing_ok=True)  # of one that was killed
+        yield
+        try:
+            path.hardlink_to(part)  # unlike a renaming, this takes nobody's place
+        except FileExistsError:
+            raise LogError(f"{path}: exists; a log is never written over another") from None
+        except OSError:  # a file system without such links
+            part.rename(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _scaled(

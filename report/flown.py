@@ -11,15 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.base import ConfigError, parse_text
+from ..config.rig import RigConfig
 from ..daemon.faults import FAULTS, Fault
 from ..daemon.states import State
 from ..log.reader import Log, read_log
 from .envelope import Envelope, envelope, over_time
-from .trajectory import BeamRecord
+from .trajectory import BeamRecord, joined
 
 Array = NDArray[np.float64]
 
 _FINE_BINS = 1024
+_COILS = "coil_excitation_n"
+_STANDS_M = 1e-3
+"""A beam that moves by less while something else does is not what the record is about."""
 _LATENESS_EDGES_S = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, 71)])
 
 
@@ -84,6 +89,7 @@ class Timing:
 class Session:
     """A session as flown: its steps, its signals over the plant's one continuous time, its states.
 
+    gap_limit_m is how far a sensor may read in flight, None where no rig tells.
     signals are envelopes by the log's field name ('coil_n': over all coils). beam_records are, by
     name, the records in which nothing but the beam moved. timing is None in virtual time, where
     both figures are logged as 0.
@@ -97,6 +103,7 @@ class Session:
     signals: dict[str, Envelope]
     beam_records: dict[str, BeamRecord]
     timing: Timing | None
+    gap_limit_m: float | None = None
 
     @property
     def duration_s(self) -> float:
@@ -134,6 +141,7 @@ class _Part:
     spans: list[Span]
     signals: dict[str, Envelope]
     beam: BeamRecord | None
+    gap_limit_m: float | None
     lateness: NDArray[np.int64] = field(repr=False)
     execution: NDArray[np.int64] = field(repr=False)
     timed: bool
@@ -162,9 +170,29 @@ def _assembled(parts: list[_Part], bins: int) -> Session:
         tuple(part.step for part in parts),
         tuple(_merged([span for part in parts for span in part.spans])),
         signals,
-        {part.step.name: part.beam for part in parts if part.beam is not None},
+        _beam_records(parts),
         timing,
+        first.gap_limit_m,
     )
+
+
+def _beam_records(parts: Sequence[_Part]) -> dict[str, BeamRecord]:
+    """Return the records of moving beams by name; one that was rotated is one again."""
+    found: dict[str, list[BeamRecord]] = {}
+    for part in parts:
+        if part.beam is not None:
+            found.setdefault(part.step.name, []).append(part.beam)
+    return {name: joined(records) for name, records in found.items()}
+
+
+def _gap_limit(log: Log) -> float | None:
+    text = log.attachments.get("rig.yaml")
+    if text is None:
+        return None
+    try:
+        return parse_text(text, RigConfig, "rig.yaml").limits.gap_m
+    except ConfigError:  # whoever identifies it is told
+        return None
 
 
 def _reduced(log: Log) -> _Part:
@@ -181,6 +209,7 @@ def _reduced(log: Log) -> _Part:
         spans=_spans(log, t),
         signals=signals,
         beam=_beam_record(log, t, step),
+        gap_limit_m=_gap_limit(log),
         lateness=np.histogram(lateness, _LATENESS_EDGES_S)[0],
         execution=np.histogram(execution, _LATENESS_EDGES_S)[0],
         timed=bool(np.any(lateness) or np.any(execution)),
@@ -194,7 +223,10 @@ def _step(log: Log, t: Array) -> StepFlown:
         working[:] = True
     inputs = [n for n in names if n.startswith("v_")]
     levels = {n: _rms(log.rows[n][working]) for n in inputs}
-    excited = tuple(n for n in inputs if levels[n] > 0)
+    if _COILS in names:
+        coils = np.asarray(log.rows[_COILS], float)[working]
+        levels |= {f"coil:{c}": _rms(column) for c, column in enumerate(np.atleast_2d(coils.T))}
+    excited = tuple(n for n, level in levels.items() if level > 0)
     beam, peak = None, None
     if "beam_m" in names:
         x = _finite(log.rows["beam_m"][working])
@@ -226,7 +258,8 @@ def _beam_record(log: Log, t: Array, step: StepFlown) -> BeamRecord | None:
     needed = {"beam_m", "theta_rad", "z_m"}
     if step.kind != "record" or step.excited or not needed <= set(log.rows.dtype.names or ()):
         return None
-    if not moving.any():
+    # A rotor that turns is a motion as well, and shows nothing of the beam's weight.
+    if not moving.any() or np.ptp(_finite(_column(log, "beam_m")[moving])) < _STANDS_M:
         return None
     beam, theta, z, reference = (
         np.asarray(_column(log, n)[moving], float)

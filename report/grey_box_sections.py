@@ -164,7 +164,7 @@ def _bode(report: GreyBoxReport, curves: Sequence[Curve]) -> Figure:
 
 def _simulated_parts(report: GreyBoxReport) -> tuple[Part, ...]:
     parts: list[Part] = []
-    for number, v in enumerate(report.moving, start=1):
+    for number, v in enumerate(report.moving[:_MOST_PICTURED], start=1):
         names = ", ".join(trace.name for trace in _traces(report, v))
         parts.append(
             Picture(
@@ -178,6 +178,8 @@ def _simulated_parts(report: GreyBoxReport) -> tuple[Part, ...]:
                 "Fig. 14",
             )
         )
+    if len(report.moving) > _MOST_PICTURED:
+        parts.append(Text("The other records with a moving schedule are in the table.", "note"))
     if not report.moving:
         parts.append(Text("No record has a moving schedule; all are in the table.", "note"))
     parts.append(_fits_table(report))

@@ -354,7 +354,8 @@ def _move_the_beam(flight: str) -> tuple[str, str]:
 
 
 def _after_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
-    poor = [h for h in point.holdout if np.nanmin(h.simulated_fit_percent) < _POOR_FIT_PERCENT]
+    # An output that is constant there has no fit; one that is no number is no poor one.
+    poor = [h for h in point.holdout if np.any(h.simulated_fit_percent < _POOR_FIT_PERCENT)]
     if poor:
         return [
             (

@@ -128,7 +128,7 @@ def multisine_words(report: MultisineReport) -> tuple[Text, ...]:
         f"{first.freq_hz[0]:.3g} to {first.freq_hz[-1]:.3g} Hz"
         + (f" and {positions} beam positions" if positions > 1 else "")
         + f". Up to {report.shown.top_hz:.3g} Hz its diagonal is known with 95 % confidence to "
-        f"{report.uncertainty_db():.2g} dB",
+        f"{_short(report.uncertainty_db())} dB",
     ]
     if report.ratios:
         error = told(largest(report.ratios, report.shown))
@@ -140,7 +140,7 @@ def multisine_numbers(report: MultisineReport) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
     top = f"up to {report.shown.top_hz:.3g} Hz"
     numbers = [
-        Number(f"{report.uncertainty_db():.2g} dB", f"95 % confidence by multisines, {top}"),
+        Number(f"{_short(report.uncertainty_db())} dB", f"95 % confidence by multisines, {top}"),
         Number(*_distortion_number(report)),
     ]
     if report.ratios:
@@ -158,6 +158,10 @@ def multisine_sections(report: MultisineReport) -> tuple[Section, ...]:
         Section("Best linear approximation", _response_parts(report)),
         Section("Noise and distortion apart", _distortion_parts(report)),
     )
+
+
+def _short(value: float) -> str:
+    return f"{value:.2g}" if value < 10.0 else f"{value:.0f}"
 
 
 def level_db(bla: BestLinearApproximation, i: int) -> float:

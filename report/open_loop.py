@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..identification.results import HoldOut, OpenLoopPoint
@@ -9,11 +11,14 @@ from .bode import bode_magnitude, bode_phase
 from .closed_loop import ESTIMATOR, Truth
 from .curves import Curve, Range, Signals
 from .outputs import HeldOut, held_out_outputs
-from .page import Number, Part, Section, Text
+from .page import Number, Part, Section, Table, Text
 from .singular_values import SingularValues, Spectrum, singular_values
 from .style import TRUTH, line_of
 from .svg import Picture, to_svg
 from .validation import OrderErrors, validation_errors
+
+_MOST_TOLD = 6
+"""Records that get a sentence, numbers and a figure each; of more only those that fit worst."""
 
 
 def open_loop_words(point: OpenLoopPoint, signals: Signals) -> tuple[Text, ...]:
@@ -26,26 +31,46 @@ def open_loop_words(point: OpenLoopPoint, signals: Signals) -> tuple[Text, ...]:
             f"predicts a step ahead {point.predictor_order}.",
         )
     ]
-    for held in point.holdout:
+    for held in _worst_first(point.holdout)[:_MOST_TOLD]:
         texts.append(
             Text(
                 f"On the last {len(held.time_s)} rows of record {held.record}, which no estimate "
                 f"has seen: {_fit_words(held, signals)}."
             )
         )
+    if len(point.holdout) > _MOST_TOLD:
+        left = len(point.holdout) - _MOST_TOLD
+        texts.append(Text(f"The other {left} records fit better; all are in the table below."))
     return tuple(texts)
 
 
 def open_loop_numbers(point: OpenLoopPoint) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
     numbers = [Number(str(point.order), "states of the model")]
-    for held in point.holdout:
-        fits = " / ".join(f"{f:.1f} %" for f in held.simulated_fit_percent)
-        numbers.append(Number(fits, "fit simulated, on data kept back"))
+    least = ", the least of all records" if len(point.holdout) > _MOST_TOLD else ""
+    for held in _worst_first(point.holdout)[: 1 if least else None]:
+        fits = " / ".join(map(_percent, held.simulated_fit_percent))
+        numbers.append(Number(fits, f"fit simulated, on data kept back{least}"))
         if held.predicted_fit_percent is not None:
-            fits = " / ".join(f"{f:.1f} %" for f in held.predicted_fit_percent)
-            numbers.append(Number(fits, "fit one step ahead, on data kept back"))
+            fits = " / ".join(map(_percent, held.predicted_fit_percent))
+            numbers.append(Number(fits, f"fit one step ahead, on data kept back{least}"))
     return tuple(numbers)
+
+
+def _worst_first(holdout: Sequence[HoldOut]) -> list[HoldOut]:
+    """Return as many as a page can show in the records' order, of more those that fit worst."""
+    if len(holdout) <= _MOST_TOLD:
+        return list(holdout)
+
+    def least(held: HoldOut) -> float:
+        fits = held.simulated_fit_percent
+        return float(np.min(fits[np.isfinite(fits)], initial=np.inf))
+
+    return sorted(holdout, key=least)
+
+
+def _percent(fit: float) -> str:
+    return f"{fit:.1f} %" if np.isfinite(fit) else "—"
 
 
 def open_loop_sections(
@@ -66,8 +91,8 @@ def open_loop_sections(
 
 
 def _held_out_parts(point: OpenLoopPoint, signals: Signals, name: str) -> tuple[Part, ...]:
-    pictures = []
-    for number, held in enumerate(point.holdout):
+    pictures: list[Part] = []
+    for number, held in enumerate(_worst_first(point.holdout)[:_MOST_TOLD]):
         tail = HeldOut(
             signals.output_names,
             signals.output_units,
@@ -88,7 +113,20 @@ def _held_out_parts(point: OpenLoopPoint, signals: Signals, name: str) -> tuple[
                 "up to the row before. A fit of 100 % is perfect, 0 % no better than the mean.",
             )
         )
+    if len(point.holdout) > _MOST_TOLD:
+        pictures.append(_fits_table(point.holdout, signals))
     return tuple(pictures)
+
+
+def _fits_table(holdout: Sequence[HoldOut], signals: Signals) -> Table:
+    rows = []
+    for held in holdout:
+        by_kind = {"simulated": held.simulated_fit_percent}
+        if held.predicted_fit_percent is not None:
+            by_kind["one step ahead"] = held.predicted_fit_percent
+        rows += [(held.record, kind, *map(_percent, fits)) for kind, fits in by_kind.items()]
+    head = ("record", "model", *signals.output_names)
+    return Table("Fit on rows that no estimate has seen", head, tuple(rows), labels=2)
 
 
 def _response_parts(

@@ -92,10 +92,15 @@ def write_report(out_dir: Path, title: str, sections: Sequence[Section]) -> Path
     figures = out_dir / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     for picture in pictures:
-        (figures / f"{picture.name}.svg").write_text(picture.svg, encoding="utf-8")
+        _write(figures / f"{picture.name}.svg", picture.svg)
     page = out_dir / "index.html"
-    page.write_text(render(title, sections), encoding="utf-8")
+    _write(page, render(title, sections))
     return page
+
+
+def _write(path: Path, text: str) -> None:
+    # Names of files need not be text in any encoding.
+    path.write_bytes(text.encode("utf-8", errors="backslashreplace"))
 
 
 def render(title: str, sections: Sequence[Section]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +18,11 @@ from .time_plot import session_plot
 from .timing import quantile_s, timing_histogram
 from .trajectory import beam_trajectory
 
-_LIMIT_M = 0.6e-3
+_COIL = "coil:"
+_MOST_PICTURED = 6
+"""Of records with a moving beam so many have a picture each; all are in the table of steps."""
+_NEAR = 0.8
+"""Share of the allowed gap beyond which the next flight may meet its limit."""
 _TAKING_OFF = (
     " Taking off from the stops and landing on them, some 0.9 mm away, lie outside of the range of "
     "the pose."
@@ -36,7 +41,8 @@ def session_report(log_paths: Sequence[Path], out_dir: Path) -> Path:
     folder = session.steps[0].path.parent
     next_step = ("Fly a session that excites every input, then identify it.", "")
     if any(step.excited for step in session.steps):
-        command = f"levid identify {folder}/*.mcap --out {folder}/identification"
+        where = shlex.quote(str(folder))
+        command = f"levid identify {where}/*.mcap --out {where}/identification"
         next_step = ("Identify the plant from the records.", command)
     summary = (Text(session_words(session), "lead"), Figures(session_numbers(session)))
     sections = (
@@ -56,9 +62,9 @@ def session_words(session: Session) -> str:
     if len(records) == len(session.steps):
         steps = _count(len(records), "record")
     text = f"A flight of {session.duration_s:.0f} s at {session.rate_hz:g} Hz: {steps}."
-    inputs = dict.fromkeys(name for step in records for name in step.excited)
+    inputs = dict.fromkeys(_input_name(name) for step in records for name in step.excited)
     if inputs:
-        names = listed([symbol(name.removeprefix("v_").split("_")[0]) for name in inputs])
+        names = listed(list(inputs))
         turn = " in turn" if all(len(step.excited) <= 1 for step in records) else ""
         text += f" Excited were {names}{turn}"
         beams = sorted({round(1e3 * step.beam_m[1]) for step in records if step.beam_m})
@@ -78,14 +84,7 @@ def session_numbers(session: Session) -> tuple[Number, ...]:
     numbers = [Number(f"{session.duration_s:.0f} s", f"flown at {session.rate_hz:g} Hz")]
     peaks = [s.peak_gap_m for s in session.steps if s.kind == "record" and s.peak_gap_m is not None]
     if peaks:
-        peak = max(peaks)
-        numbers.append(
-            Number(
-                f"{1e3 * peak:.2f} mm",
-                "farthest any corner went in a record",
-                "good" if peak <= _LIMIT_M else "bad",
-            )
-        )
+        numbers.append(_farthest(max(peaks), session.gap_limit_m))
     saturated = sum(step.saturated for step in session.steps if step.kind == "record")
     skipped = sum(step.skipped for step in session.steps)
     numbers.append(
@@ -95,6 +94,14 @@ def session_numbers(session: Session) -> tuple[Number, ...]:
     )
     numbers.append(Number(str(skipped), "periods skipped by late cycles", _zero_is_good(skipped)))
     return tuple(numbers)
+
+
+def _farthest(peak_m: float, limit_m: float | None) -> Number:
+    value, words = f"{1e3 * peak_m:.2f} mm", "farthest any sensor read in a record"
+    if limit_m is None:
+        return Number(value, words)
+    near = peak_m > _NEAR * limit_m
+    return Number(value, f"{words}, of {1e3 * limit_m:g} mm allowed", "bad" if near else "good")
 
 
 def session_sections(session: Session) -> tuple[Section, ...]:
@@ -141,7 +148,8 @@ def session_sections(session: Session) -> tuple[Section, ...]:
 
 def _beam_pictures(session: Session) -> list[Picture]:
     pictures = []
-    for number, (name, record) in enumerate(session.beam_records.items()):
+    shown = list(session.beam_records.items())[:_MOST_PICTURED]
+    for number, (name, record) in enumerate(shown):
         theta, z = (float(np.ptp(x)) for x in (record.theta_rad, record.z_m))
         pictures.append(
             Picture(
@@ -177,10 +185,21 @@ def _steps_table(steps: Sequence[StepFlown]) -> Table:
 
 def _excitation(step: StepFlown) -> str:
     words = []
-    for name, rms in zip(step.excited, step.excitation_rms, strict=True):
-        axis, unit = name.removeprefix("v_").split("_")[0], "N m" if name.endswith("n_m") else "N"
-        words.append(f"{symbol(axis)} {rms:.3g} {unit}")
+    levels = dict(zip(step.excited, step.excitation_rms, strict=True))
+    coils = {name: rms for name, rms in levels.items() if name.startswith(_COIL)}
+    for name, rms in levels.items():
+        if name not in coils or len(coils) == 1:
+            unit = "N m" if name.endswith("n_m") else "N"
+            words.append(f"{_input_name(name)} {rms:.3g} {unit}")
+    if len(coils) > 1:
+        words.append(f"{len(coils)} coils, {max(coils.values()):.3g} N at most")
     return ", ".join(words) or "—"
+
+
+def _input_name(field: str) -> str:
+    if field.startswith(_COIL):
+        return "coils one by one"
+    return symbol(field.removeprefix("v_").split("_")[0])
 
 
 def _beam(step: StepFlown) -> str:

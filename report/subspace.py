@@ -13,9 +13,9 @@ from ..identification.results import ClosedLoopPoint, SubspacePoint
 from .bode import bode_magnitude, bode_phase
 from .closed_loop import HO_KALMAN, METHOD, TRUTH_NAME, Truth, factor
 from .curves import CONFIDENCE, Curve, Range, Signals, ratio, rig_or
-from .deviation import ACCURACY, deviation, largest, told, worst_on_diagonal
-from .page import Number, Part, Section, Table, Text
-from .style import TRUTH, line_of, position_label
+from .deviation import ACCURACY, bounds_told, deviation, largest, told, worst_on_diagonal
+from .page import Number, Part, Section, Table, Text, Verdict
+from .style import DOUBTFUL, TRUTH, line_of, position_label
 from .svg import Picture, to_svg
 
 Array = NDArray[np.float64]
@@ -74,8 +74,11 @@ def subspace_report(
         # A figure's band is CONFIDENCE deviations wide, as is right for errors in two dimensions.
         wide = SURE_95 / CONFIDENCE
         bands = wide * r.magnitude_deviation, wide * r.phase_deviation_rad
-        curves.append(Curve(label, line_of(k), r.freq_hz, r.H, *bands))
-        ho_kalman.append(Curve(label, line_of(k), point.freq_hz, point.from_ho_kalman))
+        line = line_of(k) if model.trusted else DOUBTFUL
+        name = label if model.trusted else f"{label}, not to be trusted"
+        curves.append(Curve(name, line, r.freq_hz, r.H, *bands))
+        other = line if point.trusted else DOUBTFUL
+        ho_kalman.append(Curve(label, other, point.freq_hz, point.from_ho_kalman))
         if truth is not None:
             exact.append(Curve("", TRUTH, r.freq_hz, truth(point.beam_m, r.freq_hz)))
     ratios: dict[str, tuple[Curve, ...]] = {}
@@ -112,7 +115,7 @@ def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
     text = (
         f"The subspace method finds the plant of {states} states straight from its input and "
         f"output, standing out by a factor of {gap} at least. Up to {report.shown.top_hz:g} Hz its "
-        f"diagonal is known with 95 % confidence to {report.uncertainty_db():.1g} dB"
+        f"diagonal is known with 95 % confidence to {_short(report.uncertainty_db())} dB"
     )
     compared = "; ".join(_comparison(report, name) for name in report.ratios)
     return (Text(f"{text}; {compared}. {use}"),)
@@ -121,12 +124,17 @@ def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
 def subspace_numbers(report: SubspaceReport) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
     top = f"up to {report.shown.top_hz:g} Hz"
-    numbers = [Number(f"{report.uncertainty_db():.1g} dB", f"95 % confidence by subspace, {top}")]
+    numbers = [
+        Number(f"{_short(report.uncertainty_db())} dB", f"95 % confidence by subspace, {top}")
+    ]
     if report.truth:
         error = largest(report.ratios[f"{SUBSPACE} / truth"], report.shown)
         kept = error[0] <= ACCURACY.decibel and error[1] <= ACCURACY.degree
         meaning = f"{SUBSPACE} against the truth at worst, {top}"
-        numbers.append(Number(told(error, ", "), meaning, "good" if kept else "bad"))
+        verdict: Verdict = "good" if kept else "bad"
+        if not all(model.trusted for model in report.models):
+            meaning, verdict = f"{meaning}; not all to be trusted", "doubt"
+        numbers.append(Number(told(error, ", "), meaning, verdict))
     return tuple(numbers)
 
 
@@ -163,8 +171,8 @@ def subspace_sections(report: SubspaceReport) -> tuple[Section, ...]:
                 to_svg(picture),
                 f"Error of {first} against {second} in dB and degrees on the diagonal.",
                 f"{_upper(_METHODS[first])} against {against}: up to "
-                f"{report.shown.top_hz:g} Hz {error} at most; the dotted lines are at "
-                f"{ACCURACY.decibel:g} dB and {ACCURACY.degree:g}°.",
+                f"{report.shown.top_hz:g} Hz {error} at most; "
+                f"{bounds_told(curves, ACCURACY, report.shown)}.",
             )
         )
     parts += [_differences_table(report), _modes_table(report), _fits_table(report)]
@@ -221,6 +229,10 @@ def _with_error(value: float, se: float) -> str:
         return f"{value:.4g}"
     digits = max(1 - int(np.floor(np.log10(se))), 0)
     return f"{value:.{digits}f} ± {se:.{digits}f}"
+
+
+def _short(value: float) -> str:
+    return f"{value:.1g}" if value < 1.0 else f"{value:.0f}"
 
 
 def _upper(text: str) -> str:

@@ -11,7 +11,8 @@ from .flown import Timing
 from .grid import entry, new_grid
 from .style import BOUND, PAGE, Line, Sheet, colour, drawing, log_ticks
 
-_FLOOR_US = 0.1
+_FLOOR_US = 0.05
+"""Where the axis begins: within the first bin, which begins at 0."""
 
 
 def timing_histogram(timing: Timing, *, sheet: Sheet = PAGE) -> Figure:

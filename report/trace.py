@@ -74,7 +74,7 @@ def _words(result: Outcome, views: Views) -> list[Text]:
     if result.doubtful:
         texts.append(
             Text(
-                f"All of this is in doubt: the effects explain {share_text(result.explained)} of "
+                f"All of this is in doubt: the effects explain {100 * result.explained:.2g} % of "
                 "the squared error that there was to explain, and much is left. The best of a "
                 "table that lacks what is there takes something too; these may stand for it."
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,18 @@ class BeamRecord:
     theta_rad: Array
     z_m: Array
     beam_ref_m: Array | None = None
+
+
+def joined(parts: Sequence[BeamRecord]) -> BeamRecord:
+    """Return the parts of one record, in order of time, as one."""
+    references = [part.beam_ref_m for part in parts if part.beam_ref_m is not None]
+    return BeamRecord(
+        np.concatenate([part.t_s for part in parts]),
+        np.concatenate([part.beam_m for part in parts]),
+        np.concatenate([part.theta_rad for part in parts]),
+        np.concatenate([part.z_m for part in parts]),
+        np.concatenate(references) if len(references) == len(parts) else None,
+    )
 
 
 def beam_trajectory(record: BeamRecord, *, sheet: Sheet = PAGE) -> Figure:

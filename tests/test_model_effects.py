@@ -215,6 +215,17 @@ def test_damping_and_friction_take_energy(places_of):
                 assert power(found.force, s).sum() < 0, effect.identity
 
 
+@BOTH
+def test_nothing_that_takes_energy_may_be_found_to_give_it(places_of):
+    # Excesses over a damping that is fitted; a chain that the beam drags pulls to either side.
+    free = ("air_damping.linear", "damping.outward", "damping.one_sided", "friction.beam_chain")
+    for effect in table(places_of).values():
+        dissipates = effect.effect_class in ("friction", "air_damping", "damping")
+        if (dissipates and effect.key not in free) or effect.key == "flexible_mode.loose_mass":
+            for quantity in effect.amplitudes:
+                assert quantity.low == 0.0, (effect.identity, quantity.name)
+
+
 def test_squeezed_air_resists_more_below_and_less_above_than_declared():
     s = moving()
     force = term("air_damping.squeeze_film_lift@z").force[:, 2]
@@ -283,6 +294,11 @@ def test_force_constant_takes_the_height_in_the_period_in_which_a_command_acts()
     k = 100
     # delay_cycles = 1: the command of row 100 acts from row 101 to row 102.
     assert held[k] == pytest.approx(s.coil[k, 2] * (h[k + 1] + h[k + 2]) / 2)
+    # Lagged with the command, the height would be late: it is taken as much ahead.
+    effect = table()["force_constant.linear@coil:2"]
+    (late,) = effect.build(replace(s, lag_s=3e-4), ())
+    ahead = h + 3e-4 * (s.qd @ [-R_M, R_M, 1.0])
+    assert late.held[k, 2] == pytest.approx(s.coil[k, 2] * (ahead[k + 1] + ahead[k + 2]) / 2)
 
 
 def test_all_coils_alike_are_the_sum_of_each():

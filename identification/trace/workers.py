@@ -7,7 +7,10 @@ of the records, so that the result does not depend on who did what, to the last 
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.connection
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -21,6 +24,7 @@ from threadpoolctl import threadpool_limits
 from ...config.model import ModelConfig
 from ...log.reader import read_log
 from ...model.effects.base import Loads
+from ..data import IdentificationError
 from .record import TraceRecord, trace_record
 
 Answer = TypeVar("Answer")
@@ -102,19 +106,46 @@ def local_workers(config: ModelConfig, processes: int | None = None) -> Iterator
         yield Alone(config)
         return
     context = multiprocessing.get_context("forkserver")
-    with ProcessPoolExecutor(count, mp_context=context) as pool:
-        yield Spread(config, pool)
+    others = set(multiprocessing.active_children())
+    with ProcessPoolExecutor(count, mp_context=context, initializer=_begin) as pool:
+        try:
+            yield Spread(config, pool)
+        except BaseException:
+            # What was submitted would be worked through first, for nobody.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            raise
+
+
+def _begin() -> None:
+    """Leave an interrupt to the process that has this worker, and end when that one does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    multiprocessing.connection.wait([sentinel])
+    os._exit(1)
 
 
 @contextmanager
 def cluster_workers(config: ModelConfig, address: str) -> Iterator[Workers]:
     """Give the workers of a dask.distributed scheduler; they must see the logs where we do.
 
-    Raises OSError where nobody answers at the address.
+    Raises OSError where nobody answers at the address, IdentificationError where it is none.
     """
     from distributed import Client
 
-    with Client(address, timeout="10s") as client, client.get_executor(pure=False) as executor:
+    try:
+        client = Client(address, timeout="10s")
+    except ValueError as error:  # of whoever reads addresses there
+        raise IdentificationError(
+            f"--dask {address}: expected tcp://HOST:PORT, found no address ({error})"
+        ) from None
+    with client, client.get_executor(pure=False) as executor:
         yield Spread(config, executor)
 
 

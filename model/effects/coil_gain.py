@@ -15,6 +15,8 @@ from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
 from .points import forces, heights
 
 _ONE_BY_ONE = "excitation of the coils one by one"
+_MOST_GAIN = 3.0
+"""A dead coil has a gain of -1, and one that is wired the wrong way round -2: not at the bound."""
 _ALL = "all coils alike: masses, damping and stiffness, all by the same share"
 
 
@@ -31,7 +33,7 @@ def effects(places: Places) -> list[Effect]:
                 "coil_gain",
                 where,
                 "force = (1 + gain) F",
-                (Quantity("gain", "1", -1.0, 1.0),),
+                (Quantity("gain", "1", -_MOST_GAIN, _MOST_GAIN),),
                 partial(_times_height, coils=(c,), power=0),
                 absorbed_by=_ALL,
                 told_apart_by=_ONE_BY_ONE,
@@ -73,6 +75,7 @@ def _times_height(
     rows = list(coils)
     F = signals.coil[:, rows]
     if power:
+        # The command is lagged with what it is multiplied by: the height has to be as much ahead.
         h = height_when_acting(signals, rows)
         F = F * h if power == 1 else F * h * h
     if len(rows) == 1:
@@ -81,5 +84,6 @@ def _times_height(
 
 
 def height_when_acting(signals: Signals, coils: Sequence[int]) -> Array:
-    """Return the heights (N, len(coils)) of coils when each row's command acts."""
-    return signals.when_acting(heights(signals.q, signals.places.coil_shape[list(coils)]))
+    """Return the heights (N, len(coils)) of coils when each row's command acts, lag and all."""
+    ahead = signals.q + signals.lag_s * signals.qd
+    return signals.when_acting(heights(ahead, signals.places.coil_shape[list(coils)]))

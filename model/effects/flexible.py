@@ -42,7 +42,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             (dof,),
             "force = m (w^2 x + 2 zeta w x'), x'' + 2 zeta w x' + w^2 x = -q''; "
             "w = 2 pi frequency, zeta = damping",
-            (Quantity("m", f"{places.force_unit(i)} s^2/{unit}"),),
+            (Quantity("m", f"{places.force_unit(i)} s^2/{unit}", 0.0),),
             partial(_loose_mass, dof=i),
             _resonance(),
             tuple((f, _DAMPING) for f in _LOOSE_HZ),

@@ -56,7 +56,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "friction",
                 (dof,),
                 "force = -(friction + peak exp(-(q'/v_s)^2)) tanh(q'/(turn v_s))",
-                (*amplitude, Quantity("peak", force)),
+                (*amplitude, Quantity("peak", force, 0.0)),
                 partial(_stribeck, dof=i),
                 (v_s, Quantity("turn", "1", 0.02, 1.0, log=True)),
                 ((0.1 * speed, 0.2), (0.6 * speed, 0.2)),
@@ -117,7 +117,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 (dof,),
                 "force = -sum of f_j, df_j = friction_j dq / x_j while |f_j| < friction_j; "
                 "x_j = x_s, 4 x_s, 16 x_s",
-                tuple(Quantity(f"friction_{j + 1}", force) for j in range(len(_ELEMENTS))),
+                tuple(Quantity(f"friction_{j + 1}", force, 0.0) for j in range(len(_ELEMENTS))),
                 partial(_maxwell, dof=i),
                 (x_s,),
                 ((0.15 * reach,),),

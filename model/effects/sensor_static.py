@@ -20,6 +20,8 @@ _WARM_S = 80.0
 _MOST_BENT = 0.4
 """k h where sensors move, rms; peaks are twice that, and k h stays above -1."""
 _LEAST_LEFT = 0.05
+_MOST_GAIN = 3.0
+"""A dead sensor has a gain of -1, one that is wired the wrong way round -2: not at the bound."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
@@ -30,7 +32,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         where = (f"sensor:{s}",)
         for key, title, effect_class, equation, quantity, power in (
             ("sensor_gain", "Gain of a sensor", "sensor_gain", "reading = (1 + gain) h",
-             Quantity("gain", "1", -1.0, 1.0), 1),
+             Quantity("gain", "1", -_MOST_GAIN, _MOST_GAIN), 1),
             ("sensor_nonlinearity.quadratic", "Sensor that is not straight", "sensor_nonlinearity",
              "reading = h + a h^2", Quantity("a", f"1/{unit}"), 2),
             ("sensor_nonlinearity.cubic", "Sensor with a gain that changes to both sides",

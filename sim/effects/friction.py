@@ -24,7 +24,7 @@ class Coulomb(OnDof):
 
     def __init__(self, dof: Dof, coulomb_n: float, speed_m_s: float) -> None:
         super().__init__(dof)
-        positive(speed_m_s=speed_m_s)
+        positive(coulomb_n=coulomb_n, speed_m_s=speed_m_s)
         self.coulomb_n, self.speed_m_s = coulomb_n, speed_m_s
 
     def force(self, s: float, v: float) -> float:
@@ -77,7 +77,7 @@ class Dahl(WithMemory):
 
     def __init__(self, dof: Dof, coulomb_n: float, stiffness_n_m: float) -> None:
         super().__init__(dof)
-        positive(coulomb_n=coulomb_n)
+        positive(coulomb_n=coulomb_n, stiffness_n_m=stiffness_n_m)
         self.coulomb_n, self.stiffness_n_m = coulomb_n, stiffness_n_m
 
     def reset(self, plant: EffectPlant) -> None:
@@ -154,6 +154,8 @@ class BoucWen(WithMemory):
         positive(yield_m=yield_m)
         if exponent < 1.0:
             raise ValueError(f"exponent: expected 1 or more, found {exponent!r}")
+        if not 0.0 <= left <= 1.0:
+            raise ValueError(f"left: expected 0 .. 1, found {left!r}: beyond, it drives")
         if not 0.5 <= loss <= 1.0:
             raise ValueError(f"loss: expected 0.5 .. 1, which dissipates, found {loss!r}")
         self.stiffness_n_m, self.yield_m, self.left = stiffness_n_m, yield_m, left
@@ -220,6 +222,8 @@ class Springs:
                 "stiffness_n_m and slip_n: expected lists of one length, found "
                 f"{len(stiffness_n_m)} and {len(slip_n)}"
             )
+        for k, slip in zip(stiffness_n_m, slip_n, strict=True):
+            positive(stiffness_n_m=k, slip_n=slip)
         self._pairs = list(zip(map(float, stiffness_n_m), map(float, slip_n), strict=True))
         self.slacken()
 

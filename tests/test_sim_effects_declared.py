@@ -105,6 +105,25 @@ def test_what_remembers_follows_the_whole_motion(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(error**2)) < 0.02
 
 
+def test_a_spring_that_is_held_for_a_millisecond_feeds_no_motion(tmp_path: Path) -> None:
+    """Friction far below its slip is a spring; late by half of what it is held, it would drive."""
+    dahl = played(tmp_path, effect("friction.dahl", "z", friction=(0.2, "N"), x_s=(2e-3, "m")))
+    t = DT_S * np.arange(20_000)
+    omega, size = 2 * np.pi * 10.0, 1e-6
+    z, rate = size * np.sin(omega * t), size * omega * np.cos(omega * t)
+    force = np.array(
+        [
+            dahl.wrench(at, np.array([0, 0, a]), np.array([0, 0, v]), at_rest())[2]
+            for at, a, v in zip(t, z, rate, strict=True)
+        ]
+    )
+    # Of whole periods at the end. In the middle of the step a force acts at q + v dt / 2.
+    work = DT_S * np.sum((force * (rate - 0.5 * DT_S * omega**2 * z))[-10_000:])
+    k, periods = 0.2 / 2e-3, DT_S * 10_000 * 10.0
+    late_by_half = periods * np.pi * k * size**2 * omega * 0.5e-3
+    assert work < 0.05 * late_by_half
+
+
 def test_a_model_without_effects_is_refused(tmp_path: Path) -> None:
     (tmp_path / "model.yaml").write_text(shipped("models/rig.yaml").read_text())
     with pytest.raises(EffectError, match="expected a model with effects, found none"):

@@ -35,7 +35,8 @@ class Extent:
     sampling tells resonances from their aliases. late_s: by how much the model has commands come
     late, delay and lag together. commands: of each actuator mean and standard deviation of what it
     is told, to three digits. resonances: name of a pattern of bending, frequency in Hz and damping
-    of what the readings show of it.
+    of what the readings show of it. beam_rates: how fast the beam goes and how hard it is sped up,
+    and how fast the rotor turns, at most; 0 where they do not.
     """
 
     reach: tuple[float, ...]
@@ -52,6 +53,7 @@ class Extent:
     late_s: float = _TYPICAL_LATE_S
     commands: tuple[tuple[float, float], ...] = ()
     resonances: tuple[tuple[str, float, float], ...] = ()
+    beam_rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def around(self, dof: int) -> float:
         """Return what a DOF moves about."""
@@ -96,6 +98,7 @@ class Extent:
             max(r.delay_cycles * r.Ts_s + r.lag_s for r in records),
             _commands(records),
             resonances,
+            _beam_rates(records),
         )
 
 
@@ -105,6 +108,19 @@ def _commands(records: Sequence[Signals]) -> tuple[tuple[float, float], ...]:
     pairs = zip(told.mean(axis=0).tolist(), told.std(axis=0).tolist(), strict=True)
     found = tuple((float(f"{mean:.3g}"), float(f"{sd:.3g}")) for mean, sd in pairs)
     return found if all(sd > 0.0 for _, sd in found) else ()
+
+
+def _beam_rates(records: Sequence[Signals]) -> tuple[float, float, float]:
+    """Return the largest speed and acceleration of the beam, and speed of the rotor."""
+    v, a, phi = (
+        max(float(np.abs(x).max(initial=0.0)) for x in each)
+        for each in (
+            [r.v_b_m_s for r in records],
+            [r.a_b_m_s2 for r in records],
+            [r.phi_rad_s for r in records],
+        )
+    )
+    return v, a, phi
 
 
 def _rounded(middle: float, size: float) -> float:

@@ -312,9 +312,14 @@ def _scale(places: Places, extent: Extent, word: str) -> float:
         scale = extent.command
     else:
         beam = max(0.5 * extent.beam_m, 1e-3)
-        scale = {"x_b": beam, "v_b": 4 * beam, "a_b": 40 * beam, "phi_speed": 40.0, _TURN: 1.0}[
-            word
-        ]
+        v, a, phi = extent.beam_rates
+        # What does not move may have any: it is laid out like a rig's.
+        scale = {
+            "x_b": beam,
+            "v_b": v or 4 * beam,
+            "a_b": a or 40 * beam,
+            "phi_speed": phi or 40.0,
+        }[word]
     return float(f"{scale:.3g}")
 
 

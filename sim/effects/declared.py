@@ -86,7 +86,9 @@ class FromModel:
             phi_rad=phi, phi_rad_s=phi_rate, phi_rad_s2=phi_rate2,
         )  # fmt: skip
         self._last_t_s = t_s
-        self._past.see(self._row)
+        # What remembers is held for longer, and has to look as far ahead.
+        later = q + 0.5 * self._past.step_s * qd
+        self._past.see(replace(self._row, q=later[None]))
         force = self._sum("force")
         return np.zeros(len(q)) if force is None else force
 
@@ -118,7 +120,7 @@ class _Past:
     """The last seconds of the motion, a row a millisecond, and what effects make of it."""
 
     def __init__(self, placed: Sequence[Placed], places: Places, step_s: float) -> None:
-        self._placed, self._places, self._step_s = placed, places, step_s
+        self._placed, self._places, self.step_s = placed, places, step_s
         self._most = round(_HISTORY_S / step_s)
         # Twice as long as needed, so that rows rarely move.
         self._table = np.zeros((2 * self._most, len(_flat(_at_rest(places)))))
@@ -131,9 +133,9 @@ class _Past:
     def see(self, row: Signals) -> None:
         """Take a row in, at most one a millisecond, and evaluate the effects at it."""
         t_s = float(row.time_s[0])
-        if not self or t_s < self._next_s - 0.1 * self._step_s:
+        if not self or t_s < self._next_s - 0.1 * self.step_s:
             return
-        self._next_s = t_s + self._step_s
+        self._next_s = t_s + self.step_s
         if self._rows == len(self._table):
             self._table[: self._most] = self._table[self._most :]
             self._rows = self._most
@@ -142,7 +144,7 @@ class _Past:
         if self._rows < _FEWEST_ROWS:
             return
         along = _along(self._table[max(self._rows - self._most, 0) : self._rows], self._places)
-        sums = total([p.term(replace(along, Ts_s=self._step_s)) for p in self._placed])
+        sums = total([p.term(replace(along, Ts_s=self.step_s)) for p in self._placed])
         self.term = Term(*(None if part is None else part[-1:] for part in sums.parts))
 
 

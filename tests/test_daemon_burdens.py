@@ -120,12 +120,17 @@ def test_status_says_in_words_what_weighed_on_the_daemon(
     us = {"p50": 1.0, "p99": 2.0, "p99.9": 3.0, "max": 4.0}
     answer = {
         **{"rig": "here", "rate_hz": 1000.0, "state": "IDLE", "fault": "NONE", "session": None},
-        **{"cycle": 5, "late": 0, "lost": 0, "recording": "", "fault_log": ""},
+        **{"cycle": 5, "late": 0, "stale": 2, "lost": 0, "recording": "", "fault_log": ""},
         "timing": {"lateness_us": us, "execution_us": us},
-        **dict.fromkeys(("clients_gone", "flooded_s", "memory_stalled_s"), 0),
+        **dict.fromkeys(("clients_gone", "recorder_restarts", "flooded_s", "memory_stalled_s"), 0),
     }
     if heavy:
-        answer |= {"clients_gone": 3, "flooded_s": 4.0, "memory_stalled_s": 0.5}
+        answer |= {
+            "clients_gone": 3,
+            "recorder_restarts": 1,
+            "flooded_s": 4.0,
+            "memory_stalled_s": 0.5,
+        }
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     handlers = {"status": lambda _, reply: reply.done(**answer)}
@@ -136,8 +141,10 @@ def test_status_says_in_words_what_weighed_on_the_daemon(
     finally:
         server.close()
     assert lines[0] == "here at 1000 Hz: idle, zero force"
+    assert lines[1] == "cycle 5, 0 late, 2 readings not in time"
     assert lines[4:] == heavy * [
         "clients gone in mid-flight: 3",
+        "recorders started anew: 1",
         "control socket flooded for 4 s",
         "processes waited for memory for 0.5 s",
     ]

@@ -14,12 +14,14 @@ import pytest
 
 GIVE_UP_S = 60.0
 SCRIPT = """
-import multiprocessing, os, sys, time
+import multiprocessing, os, signal, sys, time
 from levid.config.model import load_model
 from levid.config.shipped import shipped
 from levid.identification.trace.workers import local_workers
 
 if __name__ == "__main__":
+    # A shell has its background jobs ignore it, and their children too.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with local_workers(load_model(shipped("models/rig.yaml")), 2) as workers:
         futures = [workers.executor.submit(time.sleep, 600.0) for _ in range(6)]
         print(*[child.pid for child in multiprocessing.active_children()], flush=True)

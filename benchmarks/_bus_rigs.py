@@ -28,9 +28,10 @@ FD = (
     CAN,
 )
 BUSES = {
-    "can": (  # two buses: one classic one does not carry 1 kHz
+    "can": (  # a bus a role, as in the shipped rig: two classic ones carry 896 Hz
         "can: {main: {interface: INTERFACE, channel: CHANNEL, stale_cycles: 1000}, "
-        "motion: {interface: INTERFACE, channel: CHANNEL-2, stale_cycles: 1000}}",
+        "gap: {interface: INTERFACE, channel: CHANNEL-2, stale_cycles: 1000}, "
+        "motion: {interface: INTERFACE, channel: CHANNEL-3, stale_cycles: 1000}}",
         CAN,
     ),
     "canfd": FD,
@@ -76,12 +77,12 @@ sim: {shipped("sims/nominal.yaml")}
     buses = buses.replace("INTERFACE", interface).replace("CHANNEL", channel)
     buses = buses.replace("FOLDER", str(folder))
     every = ", every: 4, expire_s: 60" if name.startswith("can") else ""
-    other = role.replace("main", "motion") if name == "can" else role
+    gap, motion = ("gap", "motion") if name == "can" else ("main", "main")
     return f"""{HEAD}
 {buses}
 amplifiers: {role}, expire_cycles: 1000}}
-sensors: {other}}}
-drives: {other}{every}}}
+sensors: {role.replace("main", gap)}}}
+drives: {role.replace("main", motion)}{every}}}
 sim: {shipped("sims/nominal.yaml")}
 """
 

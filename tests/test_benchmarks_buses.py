@@ -13,6 +13,7 @@ import pytest
 from from_benchmarks import module, script
 
 from levid.drivers.base import DriverError, LinkError, SensorError, StaleError
+from levid.wire.budget import check_budget
 
 MS = 1e-3
 
@@ -306,3 +307,9 @@ def _error(line: str) -> DriverError:
     """Return an error with all the words that are expected of this fault."""
     (kind, *_), words = module("_bus_fault_words").EXPECTED[line]
     return kind(words.partition("|")[0])
+
+
+@pytest.mark.parametrize("name", ["can", "canfd", "canfd_udp", "canfd_virtual", "serial"])
+def test_wire_carries_the_rigs_that_are_timed(name: str, tmp_path: Path) -> None:
+    rig = module("_bus_rigs").rig_on(name, tmp_path)
+    assert check_budget(rig, tmp_path).cycle_s * rig.rate_hz <= 1.0

@@ -37,7 +37,7 @@ from levid.identification.greybox.result import identify_grey_box
 from levid.identification.ho_kalman import Scaling, decompose, realise
 from levid.identification.local_polynomial import plant_by_local_polynomial
 from levid.identification.loop import without_delay
-from levid.identification.markov import estimate_markov, markov_response
+from levid.identification.markov import estimate_markov, markov_response, most_taps
 from levid.identification.multisine import best_linear_approximation
 from levid.identification.periodic import PeriodicRecord
 from levid.identification.plant import Plant, plant_from_loop
@@ -264,11 +264,12 @@ def _lag_pole(records: Sequence[Record]) -> float:
 
 
 def impulse_taps(records: Sequence[Record]) -> int:
-    """Return the Markov parameters of 8 s, or of a third of a record where that is less.
+    """Return the Markov parameters of 8 s, or as many as the records allow where that is less.
 
     The slowest mode, of the integrators, decays in 1.15 s: after 8 s a thousandth of it is left.
     """
-    return min(round(8.0 / records[0].Ts_s), len(records[0].y) // 3)
+    shortest = min(len(record.y) for record in records)  # what stalls left of it
+    return min(round(8.0 / records[0].Ts_s), shortest // 3, most_taps(records))
 
 
 def _controller(records: Sequence[Record]) -> PiController:

@@ -153,13 +153,10 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
         forms += [_form(places, extent, by, factor) for factor, by in _products(places)]
         found += [_effect(places, places.dof[i], form) for form in forms]
     commands = [f"{_COIL}{c}" for c in range(places.coils)]
-    # What a reading depends on beside the height under it: coils, what passes by, and what turns.
-    beside = [_form(places, extent, by) for by in commands]
-    if places.beam:
-        beside += [_form(places, extent, "x_b"), Form(_TURN, 1.0)]
-    found += [
-        _effect(places, f"sensor:{s}", form) for form in beside for s in range(places.sensors)
-    ]
+    # A reading may depend on all that a force does, and on coils.
+    read = [_form(places, extent, by) for by in (*_signals(places), *commands)]
+    read += [_form(places, extent, by, factor) for factor, by in _products_read(places)]
+    found += [_effect(places, f"sensor:{s}", form) for form in read for s in range(places.sensors)]
     for c, own in enumerate(commands):
         forms = [_curve(extent, c)]
         others = [by for by in commands if by != own] + (["x_b"] if places.beam else [])
@@ -228,6 +225,14 @@ def _products(places: Places) -> list[tuple[str, str]]:
         pairs += [(factor, name) for factor in ("v_b", "a_b", "phi_speed") for name in places.dof]
         # Whatever turns or runs meets a velocity with a force across it.
         pairs += [(speed, by) for speed in speeds for by in ("phi_speed", "v_b")]
+    return pairs
+
+
+def _products_read(places: Places) -> list[tuple[str, str]]:
+    """Return those pairs of which a reading may be: how it stands, and what passes it how fast."""
+    pairs = [(a, b) for k, a in enumerate(places.dof) for b in places.dof[k + 1 :]]
+    if places.beam:
+        pairs += [(factor, "x_b") for factor in (*places.dof, "v_b", "a_b", "phi_speed")]
     return pairs
 
 

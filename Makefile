@@ -26,8 +26,13 @@ help:
 demo: $(RUNTIME)
 	@$(BIN)/levid demo
 
+# What only computes runs on several processors, with one thread each; what waits for clocks, processes
+# and buses by itself, after it.
 test: $(DEV)
-	@$(BIN)/python -m pytest
+	@failed=0; \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone" \
+	  --numprocesses auto --maxprocesses 4 --dist loadfile || failed=$$?; \
+	$(BIN)/python -m pytest -m alone && exit $$failed
 
 test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh

@@ -18,6 +18,17 @@ from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 
 _WATCH = pytest.StashKey[Watch]()
+_COMPUTE = ("cli", "config", "docs", "identification", "log", "model", "report", "sim", "wire")
+"""Rooms whose tests do nothing but compute, so that several of them may run at the same time."""
+_BUT = ("test_identification_trace_workers", "test_report_session", "test_wire_local_bus")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that a busy machine could fail."""
+    for item in items:
+        name = item.path.stem
+        if name in _BUT or name.split("_")[1] not in _COMPUTE:
+            item.add_marker(pytest.mark.alone)
 
 
 @pytest.fixture(scope="session")

@@ -1,11 +1,14 @@
-"""How punctual 1 kHz is on each backend: whole loops against an empty one, in turns.
+"""How punctual 1 kHz is on each backend: whole loops against an empty one, in turns and beside it.
 
 A loop is the devices' part of a cycle, readings in and zero force out, without control and
-recording; those of the whole daemon are in _bus_flights. It runs for a minute without a pause, as
-in the daemon without the garbage collector, then the empty one does, in the next round the other
-way round. Two things are called late: a cycle that begins a period after its time or more, and one
-that has not ended by then. Loops and electronics run at real-time priority where that may be had,
-the empty one too; what carries udp's frames has none, nor can it be given.
+recording; those of the whole daemon are in _bus_flights. It runs for a minute without a pause, with
+all that the daemon's loop asks of the kernel, while another empty one with a higher priority runs
+on the same processor; then an empty one runs alone, in the next round the other way round. A host
+takes its processors from a machine that uses them, and more often than from one that sleeps: what
+the one beside it is late by is not of the loop's making, and of a machine of one's own both ratios
+say the same. Two things are called late: a cycle that begins a period after its time or more, and
+one that has not ended by then. Electronics have the other processors, as on a rig, and a priority
+of their own; what carries udp's frames has none, nor can it be given.
 """
 
 from __future__ import annotations
@@ -14,9 +17,8 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
-from time import monotonic
-from typing import NamedTuple
 
 import _real_time
 import numpy as np
@@ -24,32 +26,19 @@ from _bus_cycles import MOST_STALE
 from _bus_rigs import LABELS, RATE_HZ, TIMED, cycle_of, electronics_on, opened, rig_on, rig_text
 from _kept import Parts
 from _shares import MOST_RATIO, Round, ratio_figures
+from _stretch import Stretch, beside, processors, timed
 from _table import Figure, Met, Target
 
-from levid.config.service import Realtime
-from levid.daemon.clock import RealClock
-from levid.daemon.realtime import be_punctual, no_collections
 from levid.drivers.base import DriverError
 
-_WARM_UP = 200
-"""Cycles of each stretch that do not count: devices that were left alone have to be enabled."""
 _TRIES = 3
 _ANOTHER_HOST = 1000
 """After such a jump of the cycle electronics do not catch up with what they missed."""
-
-
-class Stretch(NamedTuple):
-    """Cycles run, of them late in either sense and with a stale reading; and the last one's.
-
-    real_time: whether it ran first in, first out.
-    """
-
-    cycles: int
-    begun_late: int
-    ended_late: int
-    stale: int
-    last: int
-    real_time: bool = False
+_AGAINST = (
+    ("beside", "", "empty loop beside it"),
+    ("empty", "_alone", "empty loop alone"),
+)
+"""Whom a loop is compared with, what that adds to a key, and what it is called."""
 
 
 def lateness_figures(seconds: float, rounds: int, kept: Parts) -> list[Figure]:
@@ -88,68 +77,74 @@ def until_whole(name: str, seconds: float, number: int) -> tuple[dict[str, Stret
 
 
 def one_round(name: str, seconds: float, number: int) -> dict[str, Stretch]:
-    """Run both loops for so long each; which of them is first changes from round to round.
+    """Run the loop, one beside it, and one alone for so long each.
 
-    Raises DriverError where the devices do not last.
+    Which comes first changes from round to round. Raises DriverError where the devices do not last.
     """
-    with tempfile.TemporaryDirectory() as text:
-        folder = Path(text)
+    n = int(seconds * RATE_HZ)
+    ours, others = processors()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         path = folder / "rig.yaml"
         path.write_text(rig_text(name, folder))
-        with (
-            electronics_on(path) as electronics,
-            opened(rig_on(name, folder), folder) as devices,
-        ):
-            loops: dict[str, Callable[[int], bool]] = {
-                "empty": lambda _: True,
-                "bus": cycle_of(devices),
-            }
-            try:
-                _real_time.hurry(_real_time.ELECTRONICS, electronics.pid)
-                _real_time.hurry(_real_time.LOOP)
-                turn: dict[str, Stretch] = {}
-                begin = 0
-                for which in sorted(loops, reverse=bool(number % 2)):
-                    turn[which] = _timed(loops[which], seconds, begin)
-                    begin = turn[which].last + _ANOTHER_HOST + 1
-                return turn
-            finally:
-                _real_time.relax()
+        electronics = stack.enter_context(electronics_on(path))
+        devices = stack.enter_context(opened(rig_on(name, folder), folder))
+        stack.callback(os.sched_setaffinity, 0, os.sched_getaffinity(0))
+        stack.callback(_real_time.relax)
+        _real_time.stay(others, electronics.pid)
+        _real_time.hurry(_real_time.ELECTRONICS, electronics.pid)
+        _real_time.stay(ours)
+        _real_time.hurry(_real_time.LOOP)
+        turn: dict[str, Stretch] = {}
+
+        def bus(begin: int) -> int:
+            with beside(RATE_HZ, n) as witness:
+                turn["bus"] = timed(cycle_of(devices), RATE_HZ, n, begin)
+                turn["beside"] = witness()
+            return turn["bus"].last
+
+        def empty(begin: int) -> int:
+            turn["empty"] = timed(lambda _: True, RATE_HZ, n, begin)
+            return turn["empty"].last
+
+        begin = 0
+        loops: tuple[Callable[[int], int], ...] = (bus, empty)
+        for loop in loops[:: -1 if number % 2 else 1]:
+            begin = loop(begin) + _ANOTHER_HOST + 1
+        return turn
 
 
 def figures_of(name: str, turns: list[dict[str, Stretch]]) -> list[Figure]:
     """Return the shares over all rounds, late by either definition, and their ratios."""
     who = LABELS[name]
-    loops, empties = [turn["bus"] for turn in turns], [turn["empty"] for turn in turns]
+    loops = [turn["bus"] for turn in turns]
     n = sum(loop.cycles for loop in loops)
     figures = []
     for which, what in (
         ("begun", "begins a period late or more"),
         ("ended", "has not ended a period after its time"),
     ):
-        rounds = [
-            Round(
-                getattr(loop, f"{which}_late"),
-                loop.cycles,
-                getattr(empty, f"{which}_late"),
-                empty.cycles,
-            )
-            for loop, empty in zip(loops, empties, strict=True)
-        ]
-        others = sum(one.others for one in rounds)
-        key, empty_key = f"{name}_{which}_late", f"{name}_empty_{which}_late"
-        figures += [
-            Figure(f"{empty_key}_share", others / n, "", f"empty loop beside it: {what}"),
-            Figure(
-                f"{key}_share",
-                sum(one.some for one in rounds) / n,
-                "",
-                f"{who}: {what}",
-                f"{empty_key}_share" if others else None,
-            ),
-            *ratio_figures(rounds, f"{key}_ratio_low", f"{key}_ratio_95", f"{who}, {which} late"),
-        ]
+        key, late = f"{name}_{which}_late", f"{which}_late"
+        share = sum(getattr(loop, late) for loop in loops) / n
+        figures.append(Figure(f"{key}_share", share, "", f"{who}: {what}"))
+        for against, added, whom in _AGAINST:
+            peers = [turn[against] for turn in turns]
+            rounds = [
+                Round(getattr(loop, late), loop.cycles, getattr(peer, late), peer.cycles)
+                for loop, peer in zip(loops, peers, strict=True)
+            ]
+            share = sum(one.others for one in rounds) / sum(one.of_others for one in rounds)
+            figures += [
+                Figure(f"{key}{added}_empty_share", share, "", f"{whom}: {what}"),
+                *ratio_figures(
+                    rounds,
+                    f"{key}{added}_ratio_low",
+                    f"{key}{added}_ratio_95",
+                    f"{who}, {which} late, {whom}",
+                ),
+            ]
     stale = sum(loop.stale for loop in loops)
+    every = [stretch for turn in turns for stretch in turn.values()]
     return [
         *figures,
         Figure(
@@ -159,12 +154,12 @@ def figures_of(name: str, turns: list[dict[str, Stretch]]) -> list[Figure]:
             f"{who}: cycles with a stale reading",
             target=Target(most=MOST_STALE),
         ),
-        Figure(f"{name}_cycles", n, "", f"{who}: cycles, as many of the empty loop"),
+        Figure(f"{name}_cycles", n, "", f"{who}: cycles, as many of each empty loop"),
         Figure(
             f"{name}_real_time",
-            float(np.mean([one.real_time for one in (*loops, *empties)])),
+            float(np.mean([one.real_time for one in every])),
             "",
-            f"{who}, and the empty loop: stretches at real-time priority",
+            f"{who}, and the empty loops: stretches at real-time priority",
         ),
         Figure(f"{name}_stretch_s", loops[0].cycles / RATE_HZ, "s", f"{who}: in one piece"),
     ]
@@ -174,27 +169,14 @@ def nothing_of(name: str) -> list[Figure]:
     """Return the ratios of a backend that did not last for one round: what is asked is not met."""
     target = Target(most=MOST_RATIO, met=Met.NO)
     return [
-        Figure(f"{name}_{which}_late_ratio_95", None, "", f"{LABELS[name]}: no round", None, target)
+        Figure(
+            f"{name}_{which}_late{added}_ratio_95",
+            None,
+            "",
+            f"{LABELS[name]}: no round",
+            None,
+            target,
+        )
         for which in ("begun", "ended")
+        for _, added, _ in _AGAINST
     ]
-
-
-def _timed(loop: Callable[[int], bool], seconds: float, begin: int) -> Stretch:
-    """Run `loop`, which says whether its readings are fresh, at 1 kHz from cycle `begin` on."""
-    be_punctual(Realtime(priority=0, lock_memory=False, cpu_latency_us=None))
-    period_s, n = 1 / RATE_HZ, int(seconds * RATE_HZ)
-    clock = RealClock(period_s)
-    cycle, begun, ended, stale = begin, 0, 0, 0
-    with no_collections():
-        clock.start()
-        for k in range(-_WARM_UP, n):
-            late_s = clock.wait()
-            began_s = monotonic()
-            cycle += 1 + clock.skipped
-            fresh = loop(cycle)
-            if k >= 0:
-                begun += clock.skipped > 0
-                ended += late_s + monotonic() - began_s >= period_s
-                stale += not fresh
-    real_time = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
-    return Stretch(n, begun, ended, stale, cycle, real_time)

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-LOOP, ELECTRONICS = 50, 45
+WITNESS, LOOP, ELECTRONICS = 55, 50, 45
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,8 @@ class Rights:
 
 def hurry(priority: int, pid: int | None = None) -> bool:
     """Run this thread, or all threads of a process, first in, first out; return whether it may."""
-    tasks = [0] if pid is None else [int(p.name) for p in Path(f"/proc/{pid}/task").iterdir()]
     try:
-        for task in tasks:
+        for task in _tasks(pid):
             # What this thread starts is no part of the loop.
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(task, policy, os.sched_param(priority))
@@ -39,7 +38,17 @@ def hurry(priority: int, pid: int | None = None) -> bool:
     return True
 
 
+def stay(processors: set[int], pid: int | None = None) -> None:
+    """Keep this thread, or all threads of a process, on these processors."""
+    for task in _tasks(pid):
+        os.sched_setaffinity(task, processors)
+
+
 def relax() -> None:
     """Run this thread as any other again."""
     if hasattr(os, "SCHED_OTHER"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def _tasks(pid: int | None) -> list[int]:
+    return [0] if pid is None else [int(p.name) for p in Path(f"/proc/{pid}/task").iterdir()]

@@ -147,11 +147,11 @@ class Clock:
 
 
 def test_cycle_that_ends_late_counts_though_the_next_begins_in_time(monkeypatch) -> None:
-    lateness = module("_bus_lateness")
-    monkeypatch.setattr(lateness, "RealClock", Clock)
-    monkeypatch.setattr(lateness, "monotonic", lambda: Clock.now_s)
-    monkeypatch.setattr(lateness, "be_punctual", lambda _: [])
-    monkeypatch.setattr(lateness, "_WARM_UP", 1)
+    stretch = module("_stretch")
+    monkeypatch.setattr(stretch, "RealClock", Clock)
+    monkeypatch.setattr(stretch, "monotonic", lambda: Clock.now_s)
+    monkeypatch.setattr(stretch, "be_punctual", lambda _: [])
+    monkeypatch.setattr(stretch, "_WARM_UP", 1)
     Clock.now_s = 0.0
     took_s = {12: 1.2 * MS, 15: 3.5 * MS}
 
@@ -159,7 +159,7 @@ def test_cycle_that_ends_late_counts_though_the_next_begins_in_time(monkeypatch)
         Clock.now_s += took_s.get(cycle, 0.1 * MS)
         return cycle != 13
 
-    found = lateness._timed(loop, 20 * MS, 10)
+    found = stretch.timed(loop, 1 / MS, 20, 10)
     # Of 12 the end, of 15 the end and, two periods skipped, the begin of the next: 18.
     assert (found.begun_late, found.ended_late, found.stale) == (1, 3, 1)
     assert found.cycles == 20
@@ -168,7 +168,8 @@ def test_cycle_that_ends_late_counts_though_the_next_begins_in_time(monkeypatch)
 
 def test_stretch_that_breaks_off_is_counted_and_begun_anew(tmp_path: Path, monkeypatch) -> None:
     lateness = module("_bus_lateness")
-    turn = {"bus": lateness.Stretch(9, 1, 1, 1, 0), "empty": lateness.Stretch(9, 1, 1, 0, 0)}
+    late, empty = lateness.Stretch(9, 1, 1, 1, 0), lateness.Stretch(9, 1, 1, 0, 0)
+    turn = {"bus": late, "beside": empty, "empty": empty}
     ends = iter([turn, LinkError("gone"), turn, *[LinkError("gone")] * 3])
 
     def one_round(*_: object) -> object:
@@ -187,18 +188,34 @@ def test_stretch_that_breaks_off_is_counted_and_begun_anew(tmp_path: Path, monke
     figures = lateness.lateness_figures(1.0, 1, kept)
     assert by_key(figures)["serial_broken_off"] == 3
     # What lasted for no round is not punctual.
-    assert [str(f.met) for f in figures if f.met] == ["missed", "missed"]
+    assert [str(f.met) for f in figures if f.met] == ["missed"] * 4
 
 
 def test_round_counts_each_loop_with_its_own_cycles() -> None:
     lateness = module("_bus_lateness")
-    turn = {"bus": lateness.Stretch(1000, 4, 8, 5, 0), "empty": lateness.Stretch(1000, 2, 2, 0, 0)}
+    turn = {
+        "bus": lateness.Stretch(1000, 4, 8, 5, 0),
+        "beside": lateness.Stretch(1000, 4, 4, 0, 0),
+        "empty": lateness.Stretch(1000, 2, 2, 0, 0),
+    }
     found = by_key(lateness.figures_of("serial", [turn] * 4))
     assert found["serial_begun_late_share"] == 0.004
     assert found["serial_ended_late_share"] == 0.008
-    assert found["serial_empty_ended_late_share"] == 0.002
+    assert found["serial_ended_late_empty_share"] == 0.004
+    assert found["serial_ended_late_alone_empty_share"] == 0.002
     assert found["serial_stale_share"] == 0.005
-    assert found["serial_ended_late_ratio_low"] < 4.0 < found["serial_ended_late_ratio_95"]
+    assert found["serial_ended_late_ratio_low"] < 2.0 < found["serial_ended_late_ratio_95"]
+    assert found["serial_ended_late_alone_ratio_low"] < 4.0
+    assert found["serial_ended_late_alone_ratio_95"] > 4.0
+
+
+def test_empty_loop_runs_beside_for_as_long_as_the_one_it_watches() -> None:
+    stretch = module("_stretch")
+    with stretch.beside(1000.0, 50) as counts:
+        found = stretch.timed(lambda _: True, 1000.0, 50, 0)
+        witness = counts()
+    assert witness.cycles == found.cycles == 50
+    assert witness.last >= 250
 
 
 def test_run_that_was_stopped_carries_on_with_what_it_has(tmp_path: Path, capsys) -> None:

@@ -25,6 +25,9 @@ _SILENT = 3.0
 """Held-out records to which an effect does less than this, in the same measure, cannot be asked."""
 ALONE = 20.0
 """By how much blocks that did not fit it must then agree: they are of records that chose it."""
+_PROMISING_ALONE = 6.0
+"""The same for an effect whose shape is a first guess. A dead zone at two thirds of its width took
+two thirds of the errors and agreed by 8, and at its width by some thousand."""
 _WORTH = 0.004
 """An effect is worth naming if it takes this share of what noise does not explain."""
 _DESCRIBES = 0.03
@@ -119,7 +122,8 @@ class Least:
             return False
         if tried.effect.effect_class == "unknown" and tried.gain < _DESCRIBES * self.excess:
             return False
-        surely = (_PROMISING if tried.shape else BEYOND_CHANCE) if tried.held else ALONE
+        at_first, at_last = (_PROMISING, BEYOND_CHANCE) if tried.held else (_PROMISING_ALONE, ALONE)
+        surely = at_first if tried.shape else at_last
         beside = _IN_PASSING if self.little or is_internal(tried.effect) else _BESIDE
         worth = max(_WORTH * self.excess, beside * self.explained, LEAST)
         return tried.chance > surely and tried.gain > worth

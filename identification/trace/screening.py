@@ -30,9 +30,9 @@ _PROMISING_ALONE = 6.0
 two thirds of the errors and agreed by 8, and at its width by some thousand."""
 _WORTH = 0.004
 """An effect is worth naming if it takes this share of what noise does not explain."""
-_DESCRIBES = 0.03
-"""A free form is worth having if it takes this: it names nothing, and what is random lets one
-follow a little of it."""
+_DESCRIBES = 0.1
+"""A free form is worth having if it takes this: it names nothing. What is random lets one follow a
+little of it, and so does what an equation of a hysteresis leaves of another one, some 5 %."""
 _IN_PASSING, _BESIDE = 1e-4, 1e-5
 """Of what other effects took, one that is named beside them must take this share: the first where
 little is left, or the drives alone feel it. An equation that is right to a hundredth leaves as

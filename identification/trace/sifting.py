@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,9 @@ nor those that differ by less than three standard deviations."""
 _PRICE = 4.0
 """Squared errors that a parameter must save to be worth it."""
 _TELLING = 0.8
-_SIFTING_STEPS = 4
+_SIFTING_STEPS, _MOST_HEATS = 4, 4
+"""Steps of a fit, after which it goes on if it is behind and another such fall makes it the best: a
+yielding spring has more numbers to find than a mass on a plain one."""
 _UNFINISHED = 0.1
 """Share of what tells two fits apart that either may still lack."""
 
@@ -43,28 +45,47 @@ def sifted(point: WorkingPoint, found: Round, train: Evidence, records: Fitted) 
     before = gather(point, records.train(point, only=only)).squares
     unfinished = _UNFINISHED * max(_ALIKE * best_tried.gain, _NEAR)
 
-    def fit(tried: Tried) -> tuple[float, Tried]:
+    def begin(tried: Tried) -> _Fit:
+        told = np.isin(train.record, only)
+        return _Fit(tried, before - float(tried.blocks[told].sum()))
+
+    def fit(so_far: _Fit) -> _Fit:
         at, squares = refine(
-            with_tried(point, tried),
-            records,
-            only,
-            _SIFTING_STEPS,
-            ROUGHLY,
-            unfinished,
+            with_tried(point, so_far.tried), records, only, _SIFTING_STEPS, ROUGHLY, unfinished
         )
         last = at.placed[-1]
-        price = _PRICE * (len(last.amplitudes) + len(last.shape))
-        return squares + price, replace(tried, shape=last.shape, amplitudes=last.amplitudes)
+        squares += _PRICE * (len(last.amplitudes) + len(last.shape))
+        tried = replace(so_far.tried, shape=last.shape, amplitudes=last.amplitudes)
+        return _Fit(tried, squares, so_far.squares - squares)
 
-    fitted = sorted((fit(tried) for tried in found.survivors), key=lambda pair: pair[0])
+    fitted = [fit(begin(tried)) for tried in found.survivors]
+    for _ in range(_MOST_HEATS - 1):
+        best = min(one.squares for one in fitted)
+        behind = [best < one.squares < best + one.fell for one in fitted]
+        if not any(behind):
+            break
+        fitted = [fit(one) if on else one for one, on in zip(fitted, behind, strict=True)]
+    fitted.sort(key=_squares)
     # A fit ends in the valley that it began in: the best one also begins elsewhere.
-    identity = fitted[0][1].effect.identity
-    again = [fit(t) for t in found.elsewhere if t.effect.identity == identity]
-    fitted[0] = min(fitted[0], *again, key=lambda pair: pair[0]) if again else fitted[0]
-    best, taken = fitted[0]
-    near = max(_ALIKE * (before - best), _NEAR)
-    alike = tuple(tried for squares, tried in fitted[1:] if squares - best < near)
-    return replace(found, taken=taken, alternatives=alike)
+    identity = fitted[0].tried.effect.identity
+    again = [fit(begin(t)) for t in found.elsewhere if t.effect.identity == identity]
+    winner = min((fitted[0], *again), key=_squares)
+    near = max(_ALIKE * (before - winner.squares), _NEAR)
+    alike = tuple(one.tried for one in fitted[1:] if one.squares - winner.squares < near)
+    return replace(found, taken=winner.tried, alternatives=alike)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A candidate as far as it was fitted, its squared errors, and by how much they fell last."""
+
+    tried: Tried
+    squares: float
+    fell: float = 0.0
+
+
+def _squares(fit: _Fit) -> float:
+    return fit.squares
 
 
 def with_tried(point: WorkingPoint, tried: Tried) -> WorkingPoint:

@@ -24,7 +24,8 @@ class CanBus(Strict):
     data_bitrate: Annotated[int, Field(ge=10_000, le=12_000_000)] | None = None
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
     dbc: str | None = None
-    latency_s: NonNegative = 2e-5
+    latency_s: NonNegative | None = None
+    """What adapter and host add to a cycle; what is usual for the interface unless given."""
     stale_cycles: Cycles = 2
 
     @property

@@ -20,7 +20,12 @@ from levid.config.shipped import shipped
 _WATCH = pytest.StashKey[Watch]()
 _COMPUTE = ("cli", "config", "docs", "identification", "log", "model", "report", "sim", "wire")
 """Rooms whose tests do nothing but compute, so that several of them may run at the same time."""
-_BUT = ("test_identification_trace_workers", "test_report_session", "test_wire_local_bus")
+_BUT = (
+    "test_identification_trace_workers",
+    "test_report_session",
+    "test_wire_local_bus",
+    "test_wire_read_ahead",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -201,3 +201,35 @@ def test_a_reading_that_is_missing_does_not_cost_the_setpoints(kind: str) -> Non
     # However late a cycle begins, its answers are not waited for beyond its end.
     for late_s in (0.0, 0.3 * period_s, 0.9 * period_s, 3.0 * period_s):
         assert 0.0 <= answers.deadline_s(1.0, late_s) - 1.0 <= max(period_s - late_s, 0.0)
+
+
+SLCAN = """
+can: {main: {interface: slcan, channel: /dev/ttyUSB0, latency_s: 0OPTIONS}}
+amplifiers: {backend: loopback}
+sensors: {backend: can, bus: main}
+drives: {backend: loopback}
+sim: sim.yaml
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "channel", "baud"),
+    [
+        ("", "/dev/ttyUSB0", 115_200),
+        (", options: {tty_baudrate: 3000000}", "/dev/ttyUSB0", 3_000_000),
+        (", options: {tty_baudrate: 9600}", "/dev/ttyUSB0@2000000", 2_000_000),
+    ],
+)
+def test_characters_of_slcan_are_counted(options: str, channel: str, baud: int) -> None:
+    text = SLCAN.replace("OPTIONS", options).replace("/dev/ttyUSB0", channel)
+    (bus,) = budget(rig(text, 100.0), Path()).buses
+    # Three readings of 22 characters and a Sync of 12 with two that confirm it, or the 135 and
+    # 85 us on the bus if those are longer; a frame each way passes the other of the two as well.
+    reading_s, longest_s, sync_s = 220 / baud, 240 / baud, 140 / baud
+    needed = max(sync_s, 85e-6) + 3 * max(reading_s, 135e-6) + 2 * min(longest_s, 135e-6)
+    assert bus.answers_s == pytest.approx(needed)
+
+
+def test_slcan_at_its_usual_rate_does_not_carry_1_khz() -> None:
+    with pytest.raises(ConfigError, match="more than the wire carries"):
+        check_budget(rig(SLCAN.replace("OPTIONS", ""), 1000.0), Path())

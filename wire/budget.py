@@ -16,6 +16,7 @@ from pathlib import Path
 from ..config.base import ConfigError
 from ..config.buses import CanBus, CanDriveOptions, RoleOptions, SerialBus
 from ..config.rig import RigConfig
+from .adapters import adapter_of, latency_s
 from .can_frames import ValueFrames, load_frames
 from .cia402 import RPDO, TPDO
 from .device import ROLES
@@ -162,34 +163,59 @@ def _can(
     geometry = rig.geometry
     frames = load_frames(dbc, len(geometry.coil_x_m), len(geometry.sensors_x_m), bus.fd)
 
-    def frame_s(length: int) -> float:
-        if bus.data_bitrate is not None and length > 8:
-            return canfd_frame_s(length, bus.bitrate, bus.data_bitrate)
-        return can_frame_s(length, bus.bitrate)
+    frame_s = _FrameTime(bus)
 
-    def all_s(values: ValueFrames) -> float:
-        return sum(frame_s(frame.length) for frame in values.frames)
+    def all_s(values: ValueFrames, *, sent: bool = False) -> float:
+        return sum(frame_s(frame.length, sent=sent) for frame in values.frames)
 
     answers, setpoints, others, before = 0.0, 0.0, 0.0, 0.0
     if "amplifiers" in on or "sensors" in on:
-        answers += frame_s(frames.sync.length)
+        answers += frame_s(frames.sync.length, sent=True)
     if "amplifiers" in on:
         answers += all_s(frames.force)
-        setpoints += all_s(frames.setpoint)
+        setpoints += all_s(frames.setpoint, sent=True)
     if "sensors" in on:
         answers += all_s(frames.gap)
     drives = on.get("drives")
     if isinstance(drives, CanDriveOptions):
-        read_s = frame_s(_SYNC_BYTES) + _DRIVES * frame_s(TPDO.size)
-        write_s = _DRIVES * frame_s(RPDO.size)
+        read_s = frame_s(_SYNC_BYTES, sent=True) + _DRIVES * frame_s(TPDO.size)
+        write_s = _DRIVES * frame_s(RPDO.size, sent=True)
         if drives.every == 1:
             answers += read_s
             setpoints += write_s
         else:  # reading and writing fall into different cycles
             others += max(read_s, write_s)
             # SYNC goes before the answers, and a frame that has begun is not cut off.
-            before = frame_s(_SYNC_BYTES) + frame_s(TPDO.size)
-    return BusTime(f"can {name}", answers, setpoints, others, bus.latency_s, before)
+            before = frame_s(_SYNC_BYTES, sent=True) + frame_s(TPDO.size)
+    answers += frame_s.passing_s(max(frame.length for frame in frames.gap.frames))
+    return BusTime(f"can {name}", answers, setpoints, others, latency_s(bus), before)
+
+
+class _FrameTime:
+    """How long a frame keeps a bus busy, or the line to its adapter where that takes longer."""
+
+    def __init__(self, bus: CanBus) -> None:
+        self._bus, self._line = bus, adapter_of(bus.interface).line
+        self._baud = self._line.rate(bus) if self._line is not None else 0
+
+    def __call__(self, length: int, *, sent: bool = False) -> float:
+        return max(self._bus_s(length), self._line_s(length, sent=sent))
+
+    def passing_s(self, longest: int) -> float:
+        """Return what a way out and one back take longer than the slower of bus and line.
+
+        Frames pass both, one behind the other: the quicker one counts for one frame each way.
+        """
+        return 2.0 * min(self._bus_s(longest), self._line_s(longest, sent=True))
+
+    def _bus_s(self, length: int) -> float:
+        bus = self._bus
+        if bus.data_bitrate is not None and length > 8:
+            return canfd_frame_s(length, bus.bitrate, bus.data_bitrate)
+        return can_frame_s(length, bus.bitrate)
+
+    def _line_s(self, length: int, *, sent: bool) -> float:
+        return self._line.frame_s(length, self._baud, sent=sent) if self._line is not None else 0.0
 
 
 def _others(rig: RigConfig, folder: Path) -> Iterator[tuple[str, Budget]]:

@@ -1,8 +1,9 @@
 """A bus of python-can as plain frames: a number and bytes in, a number, bytes and a stamp out.
 
-Any interface goes through python-can's own Message. For socketcan, the interface of the rig, frames
-are read and written as the kernel lays them out: a Message, its checks and copies take longer than
-the frame takes on the wire. The bus is opened, configured and closed by python-can all the same.
+Any interface goes through python-can's own Message, and where it does not wait by the time it is
+given, through a thread that reads it. For socketcan, the interface of the rig, frames are read and
+written as the kernel lays them out: a Message, its checks and copies take longer than the frame
+takes on the wire. The bus is opened, configured and closed by python-can all the same.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from time import sleep, time
 from typing import Any, Protocol
 
 from ..config.buses import CanBus
+from .adapters import adapter_of, arguments
 from .kernel_frame import (
     ERROR_BUS_OFF,
     FRAME_SIZES,
@@ -28,6 +30,7 @@ from .kernel_frame import (
     packed,
     unpacked,
 )
+from .read_ahead import ReadAhead
 
 _LONGEST = max(FRAME_SIZES)
 _FULL_S = 0.001
@@ -94,22 +97,18 @@ def open_bus(config: CanBus) -> FrameBus:
         return LocalFrames(Path(str(config.channel)), config.fd)
     import can
 
-    more: dict[str, Any] = dict(config.options)
-    if config.fd:
-        more |= {"fd": True, "data_bitrate": config.data_bitrate}
-    elif config.interface == "udp_multicast":
-        more |= {"fd": False}  # it would send CAN FD unless told otherwise
     bus: Any = can.Bus(
         interface=config.interface,
         channel=config.channel,
         bitrate=config.bitrate,
         receive_own_messages=False,
-        **more,
+        **arguments(config),
     )
     if config.interface == "socketcan" and isinstance(getattr(bus, "socket", None), socket.socket):
         return _KernelBus(bus, bus.socket)
     timeout_s = _SEND_S if config.interface in _SENDS_BY else None
-    return _MessageBus(bus, can.Message, timeout_s)
+    messages = _MessageBus(bus, can.Message, timeout_s)
+    return messages if adapter_of(config.interface).punctual else ReadAhead(messages)
 
 
 class _MessageBus:
@@ -139,7 +138,8 @@ class _MessageBus:
             if message.arbitration_id & ERROR_BUS_OFF:
                 raise BusOffError
             return OTHER._replace(stamp_s=message.timestamp)
-        if message.is_extended_id or message.is_remote_frame:
+        # Some hand back what was sent, whatever they are asked for.
+        if message.is_extended_id or message.is_remote_frame or not message.is_rx:
             return OTHER._replace(stamp_s=message.timestamp)
         return Frame(message.arbitration_id, bytes(message.data), message.timestamp)
 

@@ -13,7 +13,7 @@ from ..base import DriverError, LinkError
 from ..claim import Claim
 
 _MOST_DRAINED = 1000
-"""More frames than queues hold; where frames have no stamp nothing else ends it."""
+"""More frames than come between cycles; where frames have no stamp nothing else ends it."""
 
 Listener = Callable[[int, bytes], None]
 

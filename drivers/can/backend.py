@@ -13,6 +13,7 @@ from ...config.base import ConfigError
 from ...config.buses import AmplifierOptions, CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig
 from ...wire import cia402
+from ...wire.adapters import check_bus
 from ...wire.can_frames import CanFrames, load_frames
 from ...wire.cia402 import NMT_ID, NODE_IDS, SYNC_ID
 from ...wire.device import AMPLIFIER_LIMITS, CYCLES, ROLES, SENSOR_LIMITS, require_told
@@ -32,6 +33,7 @@ class CanBackend(BusBackend):
     def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:  # noqa: ARG003
         """Check a role's options, its bus and the DBC; raises ConfigError."""
         bus = _bus_of(context.rig, role)
+        check_bus(f"can.{_option(context.rig, role).bus}", bus)
         _check_ids(context, role)
         if role == "drives":
             cia402.require_told(context.rig.limits)

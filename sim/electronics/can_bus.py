@@ -14,6 +14,7 @@ import numpy as np
 from ...config.base import ConfigError
 from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
+from ...wire.adapters import check_bus
 from ...wire.can_bus import Ages, FrameBus, open_bus
 from ...wire.can_frames import Fields, load_frames
 from ...wire.cia402 import SYNC_COUNTER, SYNC_ID, cycle_of_sync
@@ -37,6 +38,7 @@ class CanElectronics:
         injector: Injector,
     ) -> None:
         self._config, self._core, self._injector = rig.can[name], core, injector
+        check_bus(f"can.{name}", self._config)
         self._ages = Ages(self._config.interface)
         dbc = folder / self._config.dbc if self._config.dbc else None
         self._frames = load_frames(dbc, core.coils, core.sensors, self._config.fd)

@@ -22,6 +22,7 @@ from _table import Figure, Target
 from levid.config.buses import SerialBus
 from levid.drivers.on_bus import AnswerTime
 from levid.drivers.serial.port import TransactionPort
+from levid.wire.device import CYCLES
 from levid.wire.rejected import Rejected
 from levid.wire.serial_frames import FORCE_N, GAP_M, Contents, Header, Kind, SerialFrames
 from levid.wire.stream import FrameStream
@@ -134,9 +135,10 @@ class Pyserial:
 
     def __call__(self) -> None:
         self.cycle += 1
-        self.port.write(self.frames.cycle(self.cycle, FORCES_N, self.still, self.still))
+        number = self.cycle % CYCLES
+        self.port.write(self.frames.cycle(number, FORCES_N, self.still, self.still))
         header = self.frames.accept(self._read()[:-1])
-        assert header == Header(Kind.READINGS, self.cycle & 0xFFFF), header
+        assert header == Header(Kind.READINGS, number), header
         self.readings.take(self.frames)
 
     def close(self) -> None:

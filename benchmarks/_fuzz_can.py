@@ -68,6 +68,9 @@ def can_mutated(n: int, rng: np.random.Generator, *, resealed: bool = False) -> 
             if resealed and bad:
                 data = bad[:-1] + bytes((crc8(struct.pack(">H", fields.can_id) + bad[:-1]),))
             wrong += not _fields_are(fields, data, length)
+        any_cycle = rng.integers(0, 256, 2, np.uint8).tobytes()
+        sealed = crc8(struct.pack(">H", frames.sync.can_id) + any_cycle)
+        wrong += not _fields_are(frames.sync, any_cycle + bytes((sealed,)), 3)
     # Nearly all mutations keep the length; they hit the counter now and then, and so do not pass.
     return Outcome(n, accepted, wrong, accepted / n)
 
@@ -96,7 +99,7 @@ def can_lengths(n: int, rng: np.random.Generator) -> Outcome:
         if not of_values:
             taken = not isinstance(decoder.decode(bytes(data)), Rejected)
             rightly = _fields_are(decoder, bytes(data), right)
-            share = 2.0**-8
+            share = 2.0**-8 * (CYCLES / 2**16 if decoder.name == "Sync" else 1.0)
         else:
             share = 2.0**-12
             if length > 1 and rng.random() < 0.5:
@@ -194,6 +197,8 @@ def _tried(group: ValueFrames, sent: list[tuple[int, bytes]], cycle: int) -> tup
 def _fields_are(fields: Fields, data: bytes, length: int) -> bool:
     numbers = fields.decode(data)
     right = len(data) == length and data[-1] == crc8(struct.pack(">H", fields.can_id) + data[:-1])
+    if fields.name == "Sync":
+        right = right and int.from_bytes(data[:2], "little") < CYCLES
     if isinstance(numbers, Rejected):
         return not right
     layout = {3: "<H", 7: "<BBI", 6: "<BI"}[length]

@@ -11,6 +11,7 @@ import numpy as np
 from _mutations import Outcome, are, mutated
 
 from levid.wire import serial_frames
+from levid.wire.device import CYCLES
 from levid.wire.rejected import Rejected
 from levid.wire.serial_frames import Contents, Header, Kind, SerialFrames
 from levid.wire.stream import FrameStream
@@ -18,6 +19,9 @@ from levid.wire.stream import FrameStream
 CONTENTS = Contents(9, 9, True)
 # docs/serial-protocol.md: length of the body of each kind
 LENGTHS = {0x01: 18 + 24, 0x81: 20 + 20 + 4 + 36, 0x02: 6, 0x82: 5}
+_OF_CYCLES = (0x01, 0x81)
+_STRIDE = 4001
+"""Odd, so that every sequence comes, those beyond the cycles that are counted too."""
 _FORCE_N, _GAP_M, _BEAM_M, _ROTOR_RAD = 1e-3, 2e-3 / 65536, 1e-9, 1e-7
 
 
@@ -30,7 +34,7 @@ def serial_blocks(n: int, rng: np.random.Generator) -> Outcome:
         if k % 2:
             block = rng.integers(0, 256, int(rng.integers(0, 120)), np.uint8).tobytes()
         else:
-            good = good_frame(frames, Kind.CYCLE, k, rng)
+            good = good_frame(frames, Kind.CYCLE, k * _STRIDE & 0xFFFF, rng)
             block = mutated(good, rng)
         header = frames.accept(block)
         accepted += isinstance(header, Header) and block != good
@@ -43,7 +47,8 @@ def serial_resealed(n: int, rng: np.random.Generator) -> Outcome:
     frames = SerialFrames(CONTENTS)
     accepted = wrong = 0
     for k in range(n):
-        good = unstuffed(good_frame(frames, tuple(Kind)[k % 4], k, rng))[:-4]
+        number = k * _STRIDE & 0xFFFF
+        good = unstuffed(good_frame(frames, tuple(Kind)[k % 4], number, rng))[:-4]
         raw = bytearray(mutated(good, rng))
         if k % 3 == 0 and len(raw) > 1:  # version or kind: one of those next to the right one
             raw[k // 3 % 2] ^= 1 << int(rng.integers(8))
@@ -63,7 +68,7 @@ def serial_crc12(n: int, rng: np.random.Generator) -> Outcome:
     Of 32 bits a million frames would show nothing: one in 4e9 passes.
     """
     frames = SerialFrames(CONTENTS)
-    beyond = {Rejected.VERSION, Rejected.KIND, Rejected.LENGTH}
+    beyond = {Rejected.VERSION, Rejected.KIND, Rejected.LENGTH, Rejected.CYCLE}
     accepted = wrong = 0
     with mock.patch.multiple(serial_frames, zlib=_Narrow, _CRC=_Narrow):
         for _ in range(n):
@@ -101,12 +106,12 @@ def stream_of_noise(n: int, rng: np.random.Generator) -> Outcome:
     values, pose = np.zeros(9), np.zeros(3)
     for k in range(n):
         noise = rng.integers(0, 256, int(rng.integers(1, 400)), np.uint8).tobytes()
-        good = frames.cycle(k, values, pose, pose)
+        good = frames.cycle(k % CYCLES, values, pose, pose)
         data = noise + good + good
         cut = int(rng.integers(0, len(data)))
         blocks = stream.feed(data[:cut]) + stream.feed(data[cut:])
         last = frames.accept(blocks[-1])
-        lost += not (isinstance(last, Header) and last.sequence == k & 0xFFFF)
+        lost += not (isinstance(last, Header) and last.sequence == k % CYCLES)
     return Outcome(n, n - lost, lost, 1.0)
 
 
@@ -134,6 +139,7 @@ def _judged_rightly(frames: SerialFrames, header: Header | Rejected, block: byte
         and zlib.crc32(raw[:-4]) == struct.unpack("<I", raw[-4:])[0]
         and raw[0] == 1
         and LENGTHS.get(raw[1]) == len(body)
+        and (raw[1] not in _OF_CYCLES or raw[2] | raw[3] << 8 < CYCLES)
     )
     if not isinstance(header, Header):
         return not right

@@ -120,6 +120,9 @@ def test_frames_that_do_not_count_say_why(frames: CanFrames) -> None:
     assert group.accept(can_id, data, 5) is Rejected.REPEATED
     assert frames.sync.decode(b"\0\0\0") is Rejected.CHECKSUM
     assert frames.sync.decode(b"") is Rejected.LENGTH
+    assert frames.sync.decode(frames.sync.encode(61_439)[1]) == (61_439,)
+    for beyond in (61_440, 65_535):
+        assert frames.sync.decode(frames.sync.encode(beyond)[1]) is Rejected.CYCLE
 
 
 @pytest.mark.parametrize("late", [1, 15, 16, 17, 32, 63])

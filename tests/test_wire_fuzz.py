@@ -59,7 +59,7 @@ def test_every_check_of_a_serial_frame_is_reached(fuzz, monkeypatch) -> None:
 
     monkeypatch.setattr(SerialFrames, "accept", noted)
     fuzz.serial_resealed(500, np.random.default_rng(5))
-    assert reached >= {Rejected.VERSION, Rejected.KIND, Rejected.LENGTH}
+    assert reached >= {Rejected.VERSION, Rejected.KIND, Rejected.LENGTH, Rejected.CYCLE}
     fuzz.serial_blocks(500, np.random.default_rng(5))
     assert reached >= {Rejected.FRAMING, Rejected.CHECKSUM}
 

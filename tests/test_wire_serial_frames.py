@@ -141,6 +141,26 @@ def test_frames_that_do_not_count_say_why() -> None:
     assert frames.accept(b"") is Rejected.FRAMING
 
 
+def test_cycles_beyond_those_that_are_counted_do_not_count() -> None:
+    """Requests and answers may have any number."""
+    frames, none = SerialFrames(ALL), np.zeros(9)
+
+    def judged(sequence: int) -> list[Header | Rejected]:
+        sent = [
+            frames.cycle(sequence, none, none[:3], none[:3]),
+            frames.readings(sequence, (0, none), (0, none), (0, 0, np.zeros((3, 3)))),
+            frames.request(sequence, 1, 0),
+            frames.answer(sequence, 0, 1),
+        ]
+        return [frames.accept(frame[:-1]) for frame in sent]
+
+    kinds = [Kind.CYCLE, Kind.READINGS, Kind.REQUEST, Kind.ANSWER]
+    assert judged(61_439) == [Header(kind, 61_439) for kind in kinds]
+    for beyond in (61_440, 65_535):
+        whole = [Header(kind, beyond) for kind in kinds[2:]]
+        assert judged(beyond) == [Rejected.CYCLE, Rejected.CYCLE, *whole]
+
+
 @given(st.binary(max_size=60), st.integers(1, 7))
 def test_stream_is_in_step_again_by_the_next_whole_frame(noise: bytes, step: int) -> None:
     frames = SerialFrames(ALL)

@@ -214,6 +214,8 @@ class Fields:
     name: str
     layout: struct.Struct
     crc: FrameCrc = field(compare=False, repr=False)
+    below: int = 1 << 32
+    """What the first of the numbers has to be less than."""
 
     @property
     def length(self) -> int:
@@ -231,7 +233,8 @@ class Fields:
             return Rejected.LENGTH
         if self.crc.of(data) != data[-1]:
             return Rejected.CHECKSUM
-        return self.layout.unpack_from(data)
+        numbers = self.layout.unpack_from(data)
+        return numbers if numbers[0] < self.below else Rejected.CYCLE
 
 
 @dataclass(frozen=True)
@@ -290,7 +293,7 @@ class _Compiler:
 
     def compile(self, coils: int, sensors: int) -> CanFrames:
         return CanFrames(
-            self._fields("Sync", "<H"),
+            self._fields("Sync", "<H", CYCLES),
             self._fields("Request", "<BBI"),
             self._fields("Answer", "<BI"),
             self._fields("SensorRequest", "<BBI"),
@@ -300,7 +303,7 @@ class _Compiler:
             self._values("gap", sensors),
         )
 
-    def _fields(self, name: str, layout: str) -> Fields:
+    def _fields(self, name: str, layout: str, below: int = 1 << 32) -> Fields:
         message = next((m for m in self._database.messages if m.name == name), None)
         if message is None:
             raise ConfigError(f"{self._path}: expected a message {name}, found none")
@@ -320,7 +323,7 @@ class _Compiler:
             at += signal.length
         self._check(message, crc, at, 8, signed=False, name="crc")
         frame_id = message.frame_id
-        return Fields(frame_id, name, compiled, FrameCrc(frame_id, message.length))
+        return Fields(frame_id, name, compiled, FrameCrc(frame_id, message.length), below)
 
     def _values(self, kind: Kind, channels: int) -> ValueFrames:
         unit_name = UNITS[kind]

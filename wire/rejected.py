@@ -15,3 +15,4 @@ class Rejected(Enum):
     VERSION = "of another protocol version"
     KIND = "of an unknown kind"
     FRAMING = "wrongly framed"
+    CYCLE = "of a cycle beyond those that are counted"

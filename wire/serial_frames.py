@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from . import cobs
-from .device import PROTOCOL
+from .device import CYCLES, PROTOCOL
 from .rejected import Rejected
 from .values import Array, quantise, scale
 
@@ -188,6 +188,8 @@ class SerialFrames:
             return Rejected.KIND
         if end != _HEADER.size + length:
             return Rejected.LENGTH
+        if sequence >= CYCLES and kind in _OF_CYCLES:
+            return Rejected.CYCLE
         return Header(_KINDS[kind], sequence)
 
     def setpoints(self, coil_n: Array) -> None:
@@ -258,6 +260,7 @@ class SerialFrames:
 
 
 _KINDS = {kind.value: kind for kind in Kind}
+_OF_CYCLES = {Kind.CYCLE.value, Kind.READINGS.value}
 
 
 class _Buffer:

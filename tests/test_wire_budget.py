@@ -92,12 +92,31 @@ def test_one_classic_bus_does_not_carry_1_khz_and_says_what_does() -> None:
     assert "a cycle takes 2.135 ms" in text
     assert "fastest rate that fits is 468 Hz" in text
     assert "with two buses of classic CAN (amplifiers apart) and drives asked every 4" in text
+    # What is enough is marked; that it fits no single bus would be wrong: it fits one of CAN FD.
+    assert "one a role: 1092 Hz (enough)" in text
+    assert "every 4 cycles: 558 Hz;" in text
+    assert "no single" not in text
 
 
 def test_10_khz_fits_no_single_can_bus() -> None:
     with pytest.raises(ConfigError, match="fastest rate that fits is 3032 Hz") as error:
         check_budget(rig(ONE_FD_WITHOUT_DRIVES, 10_000.0), Path())
-    assert "with two buses of CAN FD" in str(error.value)
+    text = str(error.value)
+    assert "10 kHz fits no single CAN bus: CAN FD at 5 Mbit/s carries 3032 Hz at most" in text
+    assert "with two buses of CAN FD (amplifiers apart): 4029 Hz;" in text
+    assert "enough" not in text
+
+
+def test_a_slow_adapter_is_told_from_a_slow_bus() -> None:
+    """1 kHz fits a bus: it is USB that takes the time."""
+    with pytest.raises(
+        ConfigError, match=r"main is busy for 3.115 ms, 1.000 ms of it latency_s\)"
+    ) as e:
+        check_budget(
+            rig(ONE_CLASSIC.replace("virtual, channel: x", "gs_usb, channel: 0"), 1000.0), Path()
+        )
+    assert "no single" not in str(e.value)
+    assert "CAN FD" not in str(e.value)  # which it does not carry
 
 
 def test_rig_on_no_bus_has_no_budget() -> None:

@@ -28,6 +28,8 @@ _DRIVES = 3
 _SYNC_BYTES = 1
 _SLOW_DRIVES = 4
 _FD_BITRATE = 5_000_000
+_TOLD_S = 1e-4
+"""A latency above this is worth a word where the wire is too slow."""
 
 
 def can_frame_s(length: int, bitrate: float) -> float:
@@ -114,18 +116,53 @@ def check_budget(rig: RigConfig, folder: Path) -> Budget:
     found = budget(rig, folder)
     if found.cycle_s * rig.rate_hz <= 1.0:
         return found
-    buses = ", ".join(f"{b.name} is busy for {1e3 * b.busy_s:.3f} ms" for b in found.buses)
+    buses = ", ".join(map(_busy, found.buses))
     lines = [
         f"rate_hz: {rig.rate_hz:g} Hz is more than the wire carries: a cycle takes "
         f"{1e3 * found.cycle_s:.3f} ms at worst ({buses}); the fastest rate that fits is "
         f"{_rate(found.cycle_s)} Hz"
     ]
-    lines += [f"{how}: {_rate(other.cycle_s)} Hz" for how, other in _others(rig, folder)]
+    lines += _no_single_bus(rig, folder)
+    for how, other in _others(rig, folder):
+        enough = " (enough)" if other.cycle_s * rig.rate_hz <= 1.0 else ""
+        lines.append(f"{how}: {_rate(other.cycle_s)} Hz{enough}")
     raise ConfigError("; ".join(lines))
 
 
 def _rate(cycle_s: float) -> str:
     return f"{int(1.0 / cycle_s)}"
+
+
+def _busy(bus: BusTime) -> str:
+    adapter = f", {1e3 * bus.latency_s:.3f} ms of it latency_s" if bus.latency_s > _TOLD_S else ""
+    return f"{bus.name} is busy for {1e3 * bus.busy_s:.3f} ms{adapter}"
+
+
+def _no_single_bus(rig: RigConfig, folder: Path) -> Iterator[str]:
+    """Yield words for a rate that these roles reach on no single bus, whatever its adapter."""
+    on_can = {r: o for r, (backend, o) in _options(rig).items() if backend == "can"}
+    if not on_can:
+        return
+    bus = rig.can[next(iter(on_can.values())).bus]
+    data_bitrate = max(bus.data_bitrate or 0, _FD_BITRATE)
+    plain = bus.model_copy(
+        update={
+            "interface": "socketcan",
+            "bitrate": 1_000_000,
+            "data_bitrate": data_bitrate,
+            "latency_s": 0.0,
+            "dbc": bus.dbc if bus.fd else None,
+        }
+    )
+    slow = {role: _moved(option, "one", _slow(on_can)) for role, option in on_can.items()}
+    with suppress(ConfigError):  # a DBC of its own may have no frames for it
+        cycle_s = Budget((_can(rig, "one", plain, slow, folder),)).cycle_s
+        if cycle_s * rig.rate_hz > 1.0:
+            rate = f"{rig.rate_hz / 1e3:g} kHz" if rig.rate_hz >= 1e3 else f"{rig.rate_hz:g} Hz"
+            yield (
+                f"{rate} fits no single CAN bus: CAN FD at {data_bitrate / 1e6:g} Mbit/s carries "
+                f"{_rate(cycle_s)} Hz at most"
+            )
 
 
 def _options(rig: RigConfig) -> dict[str, tuple[str, RoleOptions]]:
@@ -218,6 +255,20 @@ class _FrameTime:
         return self._line.frame_s(length, self._baud, sent=sent) if self._line is not None else 0.0
 
 
+def _slow(options: Mapping[str, RoleOptions]) -> int | None:
+    """Return in every how many cycles slow drives are asked, None where there are none."""
+    drives = options.get("drives")
+    return max(_SLOW_DRIVES, drives.every) if isinstance(drives, CanDriveOptions) else None
+
+
+def _moved(option: RoleOptions, bus: str, every: int | None) -> RoleOptions:
+    """Return a role's options on another bus, with drives asked every so many cycles."""
+    update: dict[str, object] = {"bus": bus}
+    if every is not None and isinstance(option, CanDriveOptions):
+        update["every"] = every
+    return option.model_copy(update=update)
+
+
 def _others(rig: RigConfig, folder: Path) -> Iterator[tuple[str, Budget]]:
     """Yield what else could be done with the roles that are on CAN, and its budget."""
     options = _options(rig)
@@ -229,10 +280,7 @@ def _others(rig: RigConfig, folder: Path) -> Iterator[tuple[str, Budget]]:
         moved = dict(options)
         can: dict[str, CanBus] = {}
         for role, option in on_can.items():
-            update: dict[str, object] = {"bus": buses[role]}
-            if every is not None and isinstance(option, CanDriveOptions):
-                update["every"] = every
-            moved[role] = "can", option.model_copy(update=update)
+            moved[role] = "can", _moved(option, buses[role], every)
             bus = rig.can[option.bus]
             if fd and not bus.fd:
                 bus = bus.model_copy(update={"data_bitrate": _FD_BITRATE, "dbc": None})
@@ -242,7 +290,7 @@ def _others(rig: RigConfig, folder: Path) -> Iterator[tuple[str, Budget]]:
     one = dict.fromkeys(ROLES, "one")
     two = {"amplifiers": "one", "sensors": "two", "drives": "two"}
     three = dict(zip(ROLES, ("one", "two", "three"), strict=True))
-    slow = _SLOW_DRIVES if "drives" in on_can else None
+    slow = _slow(on_can)
     fd = all(rig.can[option.bus].fd for option in on_can.values())
     kind = "CAN FD" if fd else "classic CAN"
     # What would fit is a hint: a rig with a DBC of its own may have none for the other format.
@@ -252,7 +300,7 @@ def _others(rig: RigConfig, folder: Path) -> Iterator[tuple[str, Budget]]:
         (f"with two buses of {kind} (amplifiers apart){said}", two, slow, False),
         (f"with three buses of {kind}, one a role", three, None, False),
     ]
-    if not fd:
+    if not fd and all(adapter_of(rig.can[o.bus].interface).fd != "no" for o in on_can.values()):
         choices += [
             (f"with one bus of CAN FD at 5 Mbit/s{said}", one, slow, True),
             (f"with two buses of CAN FD (amplifiers apart){said}", two, slow, True),

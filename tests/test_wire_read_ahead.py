@@ -69,6 +69,7 @@ def ahead(source: Source) -> Iterator[ReadAhead]:
     yield bus
     bus.shutdown()
     assert source.closed
+    assert not bus._thread.is_alive()
 
 
 def test_frames_come_in_order_with_the_stamp_of_hardware_or_of_their_arrival(source, ahead) -> None:

@@ -146,6 +146,23 @@ def test_a_reading_may_be_false_in_one_place_and_right_everywhere_else():
     assert len(columns.T) == len(effect.amplitudes) == 12
 
 
+def test_a_reading_may_be_bent_over_a_small_part_of_a_tilt():
+    """As of an oscillator that is locked to its neighbour where their gaps are nearly alike."""
+    s = moving()
+    s = replace(s, q=np.linspace(-3e-3, 3e-3, len(s.q))[:, None] * np.ones(3))
+    effect = freeform_effect(rig_places(), "unknown.psi[0+-0.003]~", ("sensor:4",))
+    assert effect is not None
+    columns = np.stack([acts(t)[:, 4] for t in effect.build(s, ())], axis=1)
+    assert len(columns.T) == len(effect.amplitudes) == 20
+    off, width = s.q[:, 0] - 4e-4, 3e-4
+    lock = off - np.sign(off) * np.sqrt(np.maximum(off**2 - width**2, 0.0))
+    left = lock - columns @ np.linalg.lstsq(columns, lock, rcond=None)[0]
+    words = chebyshev.chebvander(s.q[:, 0] / 3e-3, 6)
+    smooth = lock - words @ np.linalg.lstsq(words, lock, rcond=None)[0]
+    # A polynomial has no room for it. What cubic pieces of 0.35 mrad leave is at its two edges.
+    assert np.var(left) < 0.25 * np.var(smooth)
+
+
 @pytest.mark.parametrize("key", ["unknown.z_rate[1]*phi", "unknown.z[1]*phi", "unknown.phi"])
 @pytest.mark.parametrize("where", ["z", "sensor:4"])
 def test_every_function_of_a_model_file_has_its_amplitude(key: str, where: str):
@@ -166,6 +183,7 @@ def test_what_happens_at_one_end_of_the_beam_says_nothing_of_the_other():
 
 def test_nonsense_is_no_effect():
     keys = ("unknown.nobody[1]", "unknown.theta", "unknown.theta[x]", "unknown.theta[0]")
+    assert Form.of("unknown.theta[1]~") is Form.of("unknown.coil_1[0+-1]~") is None
     for key in (*keys, "friction.coulomb", "unknown.phi[1]", "unknown.z[1]*nobody[2]"):
         assert freeform_effect(rig_places(), key, ("theta",)) is None
     for nowhere in (("beam",), ("sensor:9",), ("psi", "z"), ()):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -42,6 +42,8 @@ _COMMAND_DEGREE = 3
 """Of a polynomial in a coil's command: there are as many of these as coils, for each sensor."""
 _SPLINES = 12
 """Cubic pieces along the beam's way or a session: one end says nothing of the other."""
+_FINE_SPLINES = 20
+"""The same along a DOF, for readings: what they show of a narrow step is as narrow."""
 _WIDE = 3.0
 """Standard deviations that a polynomial covers; beyond, it stays at its end."""
 _TIME = "time"
@@ -56,8 +58,8 @@ class Form:
     """`factor` times a function of `by`; without a factor, the function alone.
 
     Signals are in the words of the key, each with what it is measured by, `middle` +- `scale`; time
-    is always counted from the middle of the records. `pieces`: of a coil's command a curve, as it
-    is of its own force, and no polynomial.
+    is always counted from the middle of the records. `pieces`: a curve, as its own force is of a
+    coil's command and a reading of a DOF, and no polynomial.
     """
 
     by: str
@@ -78,6 +80,8 @@ class Form:
         by = self.by if self.by == _TURN else f"{self.by}[{self.scale:g}]"
         if self.by == _TIME or self.middle or self.pieces:
             by = f"{self.by}[{self.middle:g}+-{self.scale:g}]"
+        if self.pieces and not self.by.startswith(_COIL):
+            by += _CURVED
         return f"unknown.{self.factor}[{self.unit:g}]*{by}" if self.factor else f"unknown.{by}"
 
     @classmethod
@@ -95,7 +99,10 @@ class Form:
             return None
         if not (scale > 0.0 and unit > 0.0 and np.isfinite([scale, unit, middle]).all()):
             return None
-        pieces = found["by"].startswith(_COIL) and found["middle"] is not None
+        if found["curved"] and (found["middle"] is None or found["by"].startswith(_COIL)):
+            return None
+        coiled = found["by"].startswith(_COIL) and found["middle"] is not None
+        pieces = coiled or bool(found["curved"])
         return cls(found["by"], scale, found["factor"] or "", unit, middle, pieces)
 
     def functions(self, signals: Signals, constant: bool, acting: bool = True) -> Array:
@@ -120,7 +127,7 @@ class Form:
         if self.by == _TURN:
             return (*(("c0",) if first else ()), "sin", "cos", "sin2", "cos2")
         polynomial = _PRODUCT_DEGREE if self.factor else _degree(self.by)
-        count = _SPLINES - 1 if self.curve else polynomial
+        count = self._splines - 1 if self.curve else polynomial
         return tuple(f"c{k}" for k in range(0 if first else 1, count + 1))
 
     @property
@@ -138,10 +145,15 @@ class Form:
         s = np.clip(s, -1.0, 1.0)
         if not self.curve:
             return np.asarray(chebyshev.chebvander(s, degree)[:, 1:], float)
-        knots = np.concatenate([[-1.0] * 3, np.linspace(-1.0, 1.0, _SPLINES - 2), [1.0] * 3])
+        knots = np.concatenate([[-1.0] * 3, np.linspace(-1.0, 1.0, self._splines - 2), [1.0] * 3])
         pieces = BSpline.design_matrix(s, knots, 3).toarray()
         # All of them add up to one: without the one in the middle none of their sums is constant.
-        return np.delete(pieces, _SPLINES // 2, axis=1)
+        return np.delete(pieces, self._splines // 2, axis=1)
+
+    @property
+    def _splines(self) -> int:
+        fine = self.pieces and not self.by.startswith(_COIL)
+        return _FINE_SPLINES if fine else _SPLINES
 
 
 def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
@@ -155,6 +167,7 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
     commands = [f"{_COIL}{c}" for c in range(places.coils)]
     # A reading may depend on all that a force does, and on coils.
     read = [_form(places, extent, by) for by in (*_signals(places), *commands)]
+    read = [replace(form, pieces=True) if form.by in places.dof else form for form in read]
     read += [_form(places, extent, by, factor) for factor, by in _products_read(places)]
     found += [_effect(places, f"sensor:{s}", form) for form in read for s in range(places.sensors)]
     for c, own in enumerate(commands):
@@ -203,8 +216,9 @@ def _spoken(word: str) -> str:
 
 _KEY = re.compile(
     r"unknown\.(?:(?P<factor>\w+)\[(?P<unit>[0-9.e+-]+)\]\*)?"
-    r"(?P<by>\w+)(?:\[(?:(?P<middle>[0-9.e+-]+)\+-)?(?P<scale>[0-9.e+-]+)\])?"
+    r"(?P<by>\w+)(?:\[(?:(?P<middle>[0-9.e+-]+)\+-)?(?P<scale>[0-9.e+-]+)\](?P<curved>~)?)?"
 )
+_CURVED = "~"
 _BEAM = ("x_b", "v_b", "a_b", "phi_speed")
 _COIL = "coil_"
 

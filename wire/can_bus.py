@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import math
 import select
 import socket
 from pathlib import Path
-from time import sleep, time
+from time import perf_counter, sleep, time
 from typing import Any, Protocol
 
 from ..config.buses import CanBus
@@ -23,57 +22,41 @@ from .kernel_frame import (
     ERROR_BUS_OFF,
     FRAME_SIZES,
     OTHER,
-    STAMP_BYTES,
     BusOffError,
     Frame,
-    kernel_stamp_s,
     packed,
     unpacked,
 )
 from .read_ahead import ReadAhead
+from .stamps import OLDEST_S, HardwareClock, KernelStamps
 
 _LONGEST = max(FRAME_SIZES)
 _FULL_S = 0.001
 _SENDS_BY = {"slcan", "udp_multicast"}
 """Interfaces that take a time by which a frame is to be on its way. Others ignore it, or wait for
 the frame to have left."""
-_OLDEST_STAMP_S = 1.0
 _STAMPED_HERE = {"levid_local", "slcan", "socketcan", "udp_multicast", "virtual"}
-_WINDOW_S = 1.0
-"""Clocks that differ by 20 ppm are 0.04 ms apart after twice that."""
 _SEND_S = 0.005
 
 
 class Ages:
     """Tells how long ago frames came, by their stamps.
 
-    Interfaces of the kernel stamp with this host's time of day. Hardware counts from its own start,
-    and runs slower or faster: of all frames of the last seconds the one that came quickest says how
-    far the clocks are apart, and counts as of no age.
+    Interfaces of the kernel stamp with this host's time of day, or bring hardware's to it; others
+    stamp by a clock of their own.
     """
 
     def __init__(self, interface: str) -> None:
-        self._here = interface in _STAMPED_HERE
-        self._apart_s = self._apart_before_s = math.inf
-        self._since_s = -math.inf
+        self._hardware = None if interface in _STAMPED_HERE else HardwareClock()
 
     def of(self, stamp_s: float) -> float | None:
         """Return the age in s of the frame that was just read, None where its stamp tells none."""
         if stamp_s <= 0.0:
             return None
-        now_s = time()
-        apart_s = now_s - stamp_s
-        if self._here:
-            return apart_s if 0.0 <= apart_s < _OLDEST_STAMP_S else None
-        if not 0.0 <= now_s - self._since_s < _WINDOW_S:
-            self._apart_before_s, self._apart_s, self._since_s = self._apart_s, apart_s, now_s
-        self._apart_s = min(self._apart_s, apart_s)
-        age_s = apart_s - min(self._apart_s, self._apart_before_s)
-        if age_s < _OLDEST_STAMP_S:
-            return age_s
-        # The stamps have begun anew: a counter that is full, or a clock that was set.
-        self._apart_s = self._apart_before_s = apart_s
-        return None
+        if self._hardware is not None:
+            return self._hardware.age_s(stamp_s, perf_counter())
+        age_s = time() - stamp_s
+        return age_s if 0.0 <= age_s < OLDEST_S else None
 
 
 class FrameBus(Protocol):
@@ -149,11 +132,11 @@ class _MessageBus:
 
 
 class _KernelBus:
-    """socketcan, on the socket that python-can opened, with the stamps that it asked for."""
+    """socketcan, on the socket that python-can opened."""
 
     def __init__(self, bus: Any, raw: socket.socket) -> None:
         self._bus, self._socket = bus, raw
-        self._waiting = [raw]
+        self._waiting, self._stamps = [raw], KernelStamps(raw)
 
     def send(self, can_id: int, data: bytes) -> None:
         frame = packed(can_id, data)
@@ -170,12 +153,14 @@ class _KernelBus:
 
     def receive(self, wait_s: float) -> Frame | None:
         try:  # mostly it is there already, and need not be waited for
-            raw, extra, _, _ = self._socket.recvmsg(_LONGEST, STAMP_BYTES, socket.MSG_DONTWAIT)
+            raw, extra, _, _ = self._socket.recvmsg(
+                _LONGEST, KernelStamps.room, socket.MSG_DONTWAIT
+            )
         except BlockingIOError:
             if wait_s <= 0.0 or not select.select(self._waiting, (), (), wait_s)[0]:
                 return None
-            raw, extra, _, _ = self._socket.recvmsg(_LONGEST, STAMP_BYTES)
-        return unpacked(raw, kernel_stamp_s(extra))
+            raw, extra, _, _ = self._socket.recvmsg(_LONGEST, KernelStamps.room)
+        return unpacked(raw, self._stamps.came_s(extra))
 
     def shutdown(self) -> None:
         with contextlib.suppress(Exception):

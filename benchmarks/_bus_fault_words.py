@@ -20,7 +20,7 @@ EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
     "corrupt": ((StaleError,), "wrong checksum|wrongly framed"),
     "repeat": ((StaleError,), "out of their cycle|too late"),
     "reorder": ((StaleError,), "out of their cycle"),
-    "bus-off": ((StaleError,), "came: nothing"),
+    "bus-off": ((LinkError, StaleError), "the controller is bus-off|^serial .*came: nothing"),
     "disconnect": ((StaleError, LinkError), "came: nothing|lost"),
     "stuck 4": ((SensorError,), "sensor 4: no reading"),
     "frozen 6": ((SensorError,), "sensor 6: frozen"),

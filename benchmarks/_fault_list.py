@@ -116,8 +116,6 @@ _EVERYWHERE = {
         name: Kind(_one(Fault.STALE), _plain(name))
         for name in ("drop", "delay", "corrupt", "repeat", "reorder")
     },
-    # The controller of the other end: here nobody answers, and nothing else is to be seen.
-    "bus-off": Kind(_one(Fault.STALE), _plain("bus-off"), own_timeout=True),
     "drop-setpoints": Kind(_one(Fault.AMPLIFIER), _plain("drop-setpoints"), own_timeout=True),
     "host's end lost": Kind(_one(Fault.LINK), own_timeout=True),
     "stuck": Kind(_one(Fault.SENSOR), _channel("stuck")),
@@ -149,7 +147,12 @@ _EVERYWHERE = {
 }
 # A port that goes is seen at once. A node that leaves a CAN bus is merely silent.
 _SERIAL = {
+    "bus-off": Kind(_one(Fault.STALE), _plain("bus-off"), own_timeout=True),
     "disconnect": Kind(_one(Fault.LINK), _plain("disconnect"), own_timeout=True),
     "nan-axis": Kind(_one(Fault.READING), _axis("nan-axis")),
 }
-_CAN = {"disconnect": Kind(_one(Fault.STALE), _plain("disconnect"), own_timeout=True)}
+_CAN = {
+    # The host's own controller, whose driver says so.
+    "bus-off": Kind(_one(Fault.LINK), _plain("bus-off"), own_timeout=True),
+    "disconnect": Kind(_one(Fault.STALE), _plain("disconnect"), own_timeout=True),
+}

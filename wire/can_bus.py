@@ -19,6 +19,7 @@ from typing import Any, Protocol
 from ..config.buses import CanBus
 from .adapters import adapter_of, arguments
 from .kernel_frame import (
+    ERROR,
     ERROR_BUS_OFF,
     FRAME_SIZES,
     OTHER,
@@ -63,7 +64,10 @@ class FrameBus(Protocol):
     """An open bus."""
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame, CAN FD with bit rate switch beyond 8 bytes; raises what the bus raises."""
+        """Send a frame, CAN FD with bit rate switch beyond 8 bytes; raises what the bus raises.
+
+        An ID with ERROR makes it an error frame, where there is no wire but software.
+        """
 
     def receive(self, wait_s: float) -> Frame | None:
         """Return the next frame, None if none comes within `wait_s`; raises BusOffError too."""
@@ -104,8 +108,9 @@ class _MessageBus:
         fd = len(data) > 8
         self._bus.send(
             self._message(
-                arbitration_id=can_id,
+                arbitration_id=can_id & ~ERROR,
                 is_extended_id=False,
+                is_error_frame=bool(can_id & ERROR),
                 data=data,
                 is_fd=fd,
                 bitrate_switch=fd,

@@ -10,7 +10,9 @@ from typing import NamedTuple
 ERROR_BUS_OFF = 0x40
 """linux/can/error.h, in the ID of an error frame."""
 _NOT_PLAIN = 0xE000_0000
-_ERROR = 0x2000_0000
+ERROR = 0x2000_0000
+BUS_OFF_ID = ERROR | ERROR_BUS_OFF
+"""Of the error frame by which a driver says that its controller has left the bus."""
 FRAME_SIZES = (16, 72)
 """Bytes of a classic frame and of one of CAN FD, as the kernel lays them out."""
 _BRS = 0x01
@@ -54,7 +56,7 @@ def unpacked(raw: bytes, stamp_s: float) -> Frame:
     """Return what the kernel, or another process, laid out; raises BusOffError."""
     can_id, length, _ = _HEAD.unpack_from(raw)
     if can_id & _NOT_PLAIN:
-        if can_id & _ERROR and can_id & ERROR_BUS_OFF:
+        if can_id & ERROR and can_id & ERROR_BUS_OFF:
             raise BusOffError
         return OTHER._replace(stamp_s=stamp_s)
     data = raw[8 : 8 + length]

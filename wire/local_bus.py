@@ -3,7 +3,8 @@
 An interface of python-can, `levid_local`, whose channel is a folder. It needs no rights, as vcan
 does, is nobody else's, and is quicker than udp_multicast, which hands every frame back to who sent
 it and lets ordinary priority carry the frames of a real-time loop. For emulated electronics and
-tests; nothing is on a wire, nothing arbitrates, and there is no error but a frame that is lost.
+tests; nothing is on a wire, nothing arbitrates, and there is no error but a frame that is lost, and
+one that electronics play.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ from typing import Any
 import can
 
 from .kernel_frame import (
+    ERROR_BUS_OFF,
     FRAME_SIZES,
     OTHER,
     SO_TIMESTAMPNS,
     STAMP_BYTES,
+    BusOffError,
     Frame,
     kernel_stamp_s,
     packed,
@@ -84,7 +87,10 @@ class LocalFrames:
                 self._drop(peer)
 
     def receive(self, wait_s: float | None) -> Frame | None:
-        """Return the next frame, None if none comes within `wait_s` (None: forever)."""
+        """Return the next frame, None if none comes within `wait_s` (None: forever).
+
+        Raises BusOffError where another process plays that.
+        """
         for peer in self._peers:  # mostly it is there already, and need not be waited for
             frame = self._from(peer)
             if frame is not None:
@@ -178,7 +184,12 @@ class LocalBus(can.BusABC):
         self.frames.shutdown()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        frame = self.frames.receive(timeout)
+        try:
+            frame = self.frames.receive(timeout)
+        except BusOffError:
+            return can.Message(
+                timestamp=time(), arbitration_id=ERROR_BUS_OFF, is_error_frame=True
+            ), False
         if frame is None or frame.can_id < 0:
             return None, False
         fd = len(frame.data) > 8

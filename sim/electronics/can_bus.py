@@ -12,17 +12,24 @@ from typing import Any
 import numpy as np
 
 from ...config.base import ConfigError
-from ...config.buses import CanDriveOptions
+from ...config.buses import CanBus, CanDriveOptions
 from ...config.rig import RigConfig
 from ...wire.adapters import check_bus
 from ...wire.can_bus import Ages, FrameBus, open_bus
 from ...wire.can_frames import Fields, load_frames
 from ...wire.cia402 import SYNC_COUNTER, SYNC_ID, cycle_of_sync
+from ...wire.kernel_frame import BUS_OFF_ID
 from ...wire.rejected import Rejected
 from .core import Core
 from .faults import Injector, Outgoing
 
 Frame = tuple[int, bytes]
+
+_SOFTWARE = {"levid_local", "udp_multicast", "virtual"}
+"""Interfaces without a controller, which hand on an error frame as any other. So does a vcan, but a
+controller that is told to send one puts something else on the wire."""
+_WITHOUT_DEVICE = Path("/sys/devices/virtual/net")
+_ERROR_BYTES = 8
 
 
 class CanElectronics:
@@ -69,6 +76,7 @@ class CanElectronics:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"levid-{name}", daemon=True)
         self._bus: FrameBus | None = None
+        self._off = False
 
     def start(self) -> None:
         """Open the bus and answer from now on; raises ConfigError."""
@@ -108,6 +116,7 @@ class CanElectronics:
                 frame = None
             if frame is None and self._drives is not None and self._injector.hears:
                 self._drives.poll()
+            self._play_bus_off()
             if frame is None or not self._injector.hears:
                 self._core.tick(min(silent_s, time.monotonic()))
                 continue
@@ -124,6 +133,12 @@ class CanElectronics:
         if self._bus is not None:
             with contextlib.suppress(Exception):  # nobody on the bus: as on a wire
                 self._bus.send(can_id, data)
+
+    def _play_bus_off(self) -> None:
+        """Say once, as the host's driver would, that its controller has left the bus."""
+        was_off, self._off = self._off, "bus-off" in self._injector.wire
+        if self._off and not was_off and _hands_on_errors(self._config):
+            self._send(BUS_OFF_ID, bytes(_ERROR_BYTES))
 
     def _sync(self, _: int, data: bytes) -> None:
         numbers = self._frames.sync.decode(data)
@@ -178,3 +193,9 @@ class CanElectronics:
                 self._send(*answer.encode(*self._core.request(*numbers)))
 
         return asked
+
+
+def _hands_on_errors(bus: CanBus) -> bool:
+    if bus.interface == "socketcan":
+        return (_WITHOUT_DEVICE / str(bus.channel)).exists()
+    return bus.interface in _SOFTWARE

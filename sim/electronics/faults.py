@@ -30,8 +30,10 @@ FAULTS: dict[str, FaultKind] = {
     "corrupt": FaultKind("a bit of every answer is turned"),
     "repeat": FaultKind("the answers of the cycle before are sent again instead of new ones"),
     "reorder": FaultKind("the answers of two cycles change places"),
-    "bus-off": FaultKind("the bus controller neither sends nor hears"),
-    "disconnect": FaultKind("the port is closed, or the node leaves the bus"),
+    "bus-off": FaultKind(
+        "the host's CAN controller leaves the bus; on a serial port nobody hears or sends"
+    ),
+    "disconnect": FaultKind("the port is closed, or the devices leave the bus without a word"),
     "stuck": FaultKind("a sensor channel is stuck, which the ADC's self-test finds", "channel"),
     "frozen": FaultKind(
         "a sensor channel repeats its reading, which no self-test finds", "channel"

@@ -276,6 +276,21 @@ def test_who_goes_on_purpose_leaves_drives_that_are_off(rig: RigConfig) -> None:
         until(lambda: electronics.core.drive_state is DriveState.OFF)
 
 
+def test_drives_that_are_released_do_not_bring_the_plant_ahead(rig: RigConfig) -> None:
+    """A SYNC out of turn has a counter that says so many cycles more: the force would act on."""
+    slow = with_drives(rig, every=4)
+    with Electronics(slow, Path()) as electronics:
+        devices = open_devices(Context(slow, 1 / RATE_HZ, Path()))
+        run(devices, range(6))
+        until(lambda: electronics.core.cycle == 5)
+        devices.drives.release()
+        until(lambda: electronics.core.drive_state is DriveState.OFF)
+        run(devices, range(6, 7))  # by then everything has been heard
+        until(lambda: electronics.core.cycle >= 6)
+        assert electronics.core.cycle == 6
+        devices.close()
+
+
 def test_drives_that_count_no_syncs_get_none_that_are_counted(
     rig: RigConfig, tmp_path: Path
 ) -> None:

@@ -26,6 +26,7 @@ from levid.wire.cia402 import (
     RPDO,
     RPDO1_ID,
     SDO_ANSWER_ID,
+    SDO_REQUEST_ID,
     SYNC_ID,
     TPDO,
     TPDO1_ID,
@@ -170,6 +171,37 @@ def test_syncs_come_at_multiples_and_count_by_one(rig: RigConfig) -> None:
         sent = len(syncs(bench.wire)) - before
         assert sent == (k in (0, 4, 9, 12) and not (k == 0 and before))
     assert syncs(bench.wire) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("released", [4, 5, 7])
+def test_release_sends_no_sync_out_of_turn(rig: RigConfig, released: int) -> None:
+    """The regular one after it would have the same counter, and drives that look at it a fault."""
+    bench = Bench(rig, 4)
+    bench.drives._counted = True
+    bench.drives.watch = Watch("drives", 100)
+    for k in range(17):
+        bench.drives.sync(k)
+        if k == released:
+            before = len(bench.wire.sent)
+            bench.drives.release()
+            sent = bench.wire.sent[before:]
+            assert {can_id for can_id, _ in sent} == {
+                base + node for base in (SDO_REQUEST_ID, RPDO1_ID) for node in (1, 2, 3)
+            }
+    assert syncs(bench.wire) == [1, 2, 3, 4, 5]
+
+
+def test_last_sync_makes_the_quick_stop_act_and_counts_on(rig: RigConfig) -> None:
+    bench = Bench(rig, 4)
+    bench.drives._counted = True
+    for k in range(6):
+        bench.drives.sync(k)
+    bench.wire.sent.clear()
+    bench.drives.leave()
+    *stops, (last, counter) = bench.wire.sent
+    ids = [RPDO1_ID + node for node in (1, 2, 3)]
+    assert [RPDO.unpack(data)[0] for can_id, data in stops if can_id in ids] == [QUICK_STOP] * 3
+    assert (last, counter) == (SYNC_ID, b"\x03")
 
 
 @pytest.mark.parametrize("written", [1, 2])

@@ -142,7 +142,7 @@ class CanBackend(BusBackend):
                     self._begin_last_cycle()
             if self._drives is not None:  # also where only some of them could be enabled
                 with suppress(LinkError):
-                    self._drives.release()
+                    self._drives.leave()
         finally:
             for link in self._links.values():
                 link.close()

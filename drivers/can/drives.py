@@ -178,14 +178,21 @@ class CanDrives(ManipulatorDrives):
     def release(self) -> None:
         """Let the drives brake and switch off: who goes on purpose is not to be missed.
 
-        Until they are recovered `write` sends nothing but quick stops. Raises LinkError.
+        At once by SDO, and by PDO with the next SYNC: one out of turn would have its number, and
+        bring positions that belong to no cycle. Until they are recovered `write` sends nothing but
+        quick stops. Raises LinkError.
         """
         self._told = True
         for axis in self._axes:
             axis.node.stop()
             counts = round(axis.position / axis.unit)
             self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(QUICK_STOP, counts))
-        self._send_sync(self._sync_number + 1)
+
+    def leave(self) -> None:
+        """Release the drives, and send the SYNC that no cycle will bring; raises LinkError."""
+        self.release()
+        self._sync_number += 1
+        self._send_sync(self._sync_number)
 
     def _tell(self, beam: Array, rotor: Array) -> None:
         """Fill beam and rotor as of this cycle, from what the drives said last."""

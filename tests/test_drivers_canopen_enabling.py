@@ -56,6 +56,67 @@ def never_home(drive) -> Callable[[], None]:
     return lambda: setattr(drive, "see", see)
 
 
+def do_not_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let hosts take drives for homed that are merely enabled."""
+    monkeypatch.setattr(DriveNode, "start_homing", lambda _: None)
+    monkeypatch.setattr(DriveNode, "homing", lambda _: (True, True))
+
+
+def off_by(devices: Devices, electronics: Electronics, cycles: range) -> np.ndarray:
+    """Return how far what the host reads of beam and rotor is from where they are."""
+    run(devices, cycles)
+    beam, rotor = np.zeros(3), np.zeros(3)
+    devices.drives.read(beam, rotor)
+    true = electronics.core.axes
+    return np.array([beam[0] - 0.5 * (true[0, 0] + true[1, 0]), rotor[0] - true[2, 0]])
+
+
+def test_positions_are_right_once_drives_are_homed(rig: RigConfig) -> None:
+    """Each counts from another place until then: one that is trusted before is wrong by far."""
+    with Electronics(rig, Path()) as electronics:
+        drives = nodes_of(electronics)
+        for drive, (position, _, force) in zip(drives, electronics.core.axes, strict=True):
+            drive.see(position, force)
+        wrong_m = [(d._counts * d._unit - d._true) for d in drives[:2]]
+        assert min(map(abs, wrong_m)) > 1e-3
+        assert max(map(abs, wrong_m)) < rig.limits.beam_m  # within its travel, as it would be
+        assert abs(wrong_m[0] - wrong_m[1]) > 1e-3
+        assert abs(drives[2]._counts * drives[2]._unit - drives[2]._true) > 0.1
+        devices = opened(rig)
+        np.testing.assert_allclose(off_by(devices, electronics, range(3)), 0.0, atol=2e-7)
+        devices.close()
+
+
+def test_host_that_trusts_what_was_not_homed_is_found_out(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    do_not_home(monkeypatch)
+    with Electronics(rig, Path()):
+        devices = opened(rig)
+        with pytest.raises(DriveError, match=r"X1 and X2 are 50\.000 mm apart"):
+            run(devices, range(3))
+        devices.close()
+
+
+def test_drive_whose_encoder_was_lost_knows_its_place_when_it_is_homed_again(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Electronics(rig, Path()) as electronics:
+        devices = opened(rig)
+        run(devices, range(3))
+        electronics.injector.command("encoder phi")
+        with pytest.raises(DriveError, match="0x7305"):
+            run(devices, range(3, 10))
+        electronics.injector.clear()
+        with monkeypatch.context() as patch:
+            do_not_home(patch)
+            devices.recover()  # and goes to where it takes zero to be
+            assert abs(off_by(devices, electronics, range(10, 13))[1]) > 0.1
+        devices.recover()
+        np.testing.assert_allclose(off_by(devices, electronics, range(13, 16)), 0.0, atol=2e-7)
+        devices.close()
+
+
 def test_start_that_fails_leaves_no_drive_powered_and_the_next_homes_again(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:

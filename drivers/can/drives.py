@@ -231,14 +231,15 @@ class CanDrives(ManipulatorDrives):
             node.start_homing()
         give_up_s = perf_counter() + _HOMING_S
         begin: list[float] | None = None
-        seen: list[bool] = []
+        seen: list[bool | None] = []
         while True:
             at_m = _places(together)
             attained, done = zip(*(node.homing() for node in together), strict=True)
             for axis in self._axes:
                 if axis.node in together:
                     axis.check_homing()
-            if list(attained) != seen:  # one of them counts from somewhere else now
+            # One of them counts from somewhere else now, or does so any moment.
+            if list(attained) != seen or None in attained:
                 begin, seen = None, list(attained)
             elif begin is None:
                 begin = at_m

@@ -140,18 +140,18 @@ class DriveNode:
         self._write(Object.CONTROLWORD, START_HOMING)
         self._started_s = perf_counter()
 
-    def homing(self) -> tuple[bool, bool]:
+    def homing(self) -> tuple[bool | None, bool]:
         """Return whether positions count from home, and whether the drive stands there.
 
         A statusword that says so from the first, or that it failed, is believed after a while only:
-        it may be one of before the start, of the last time.
+        it may be one of before the start, of the last time. Until then nobody knows (None).
         """
         word = self._read(Object.STATUSWORD)
         self._require_operation(word)
         if self._started_s is not None:
             told = word & (HOMING_ATTAINED | HOMING_ERROR)
             if told and perf_counter() - self._started_s < _LAG_S:
-                return False, False
+                return None, False
             self._started_s = None
         if word & HOMING_ERROR:
             raise DriveError(f"{self.what}: homing failed")

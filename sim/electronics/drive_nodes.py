@@ -53,6 +53,9 @@ _COUNTS_16 = 32767
 _RATED_BEAM, _RATED_ROTOR = 1000, 10
 """Rated force of X1 and X2 in mN and torque of PHI in mN m, so that an actual one has a range of
 32 N and 0.3 N m."""
+_X1_AT, _X2_AT, _PHI_AT_RAD = 0.3, -0.2, 0.7
+"""Where counts are zero until a drive is homed, of X1 and X2 in shares of the beam's range: an
+encoder of increments counts from wherever it was switched on."""
 
 
 class DriveNodes:
@@ -74,10 +77,12 @@ class DriveNodes:
         beam, rotor = beam_limits(rig.limits), rotor_limits(rig.limits)
         numbers = (options.nodes.x1, options.nodes.x2, options.nodes.phi)
         units = ((POSITION_M, _RATED_BEAM),) * 2 + ((POSITION_RAD, _RATED_ROTOR),)
+        range_m = rig.limits.beam_m
+        origins = (_X1_AT * range_m, _X2_AT * range_m, _PHI_AT_RAD)
         self.drives = [
-            Drive(i, number, path, self._network, limits, *unit)
-            for i, (number, limits, unit) in enumerate(
-                zip(numbers, (beam, beam, rotor), units, strict=True)
+            Drive(i, number, path, self._network, limits, *unit, origin)
+            for i, (number, limits, unit, origin) in enumerate(
+                zip(numbers, (beam, beam, rotor), units, origins, strict=True)
             )
         ]
         self.every = options.every
@@ -193,7 +198,7 @@ class DriveNodes:
 
 
 class Drive:
-    """One node: object dictionary, states of CiA 402, counts from where it was switched on."""
+    """One node: object dictionary, states of CiA 402, counts from anywhere until it is homed."""
 
     def __init__(
         self,
@@ -204,6 +209,7 @@ class Drive:
         limits: dict[tuple[Object, int], int],
         unit: float,
         rated: int,
+        origin: float,
     ) -> None:
         self.axis, self.node_id = axis, node_id
         self._unit, self._per_mille = unit, 1e-3 * RATED * rated
@@ -230,7 +236,7 @@ class Drive:
         self._homed = False
         self._homed_at_s = 0.0
         self._true = self._force = 0.0
-        self._origin = 0.0
+        self._origin = self._unhomed = origin
         self._target = 0
         self._controlword = 0
         self._heartbeat_s = 0.0
@@ -255,7 +261,7 @@ class Drive:
         return self._target * self._unit + self._origin
 
     def boot(self) -> None:
-        """Announce itself; positions count from here until it is homed."""
+        """Announce itself."""
         self._node.nmt.send_command(Node.BOOT_UP.value)
         self._node.nmt.send_command(Node.PRE_OPERATIONAL.value)
 
@@ -361,6 +367,8 @@ class Drive:
         last, self._controlword = self._controlword, word
         if self.state is DriveStates.FAULT:
             if word & 0x80 and not last & 0x80:
+                if self.error == ENCODER_LOST:  # so is where it was
+                    self._homed, self._origin = False, self._unhomed
                 self.state, self.error = DriveStates.SWITCH_ON_DISABLED, 0
             return
         if not word & 0x02:

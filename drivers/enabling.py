@@ -111,6 +111,8 @@ class AmplifierWatch:
     def answered(self, index: int, value: int) -> None:
         """Take an answer of the device that came between readings."""
         if index == Parameter.CHALLENGE:
+            if self._told or self._commanded:  # it comes late: nobody wants them enabled any more
+                return
             self._ask(Request.ENABLE, 0, response(value, self._limits))
         elif index in _REFUSALS:
             self._refused = refusal(index)

@@ -77,6 +77,27 @@ def test_amplifiers_that_failed_in_flight_stay_off_until_that_is_cleared() -> No
     assert asked
 
 
+@pytest.mark.parametrize("late", ["in flight", "after a fault", "in time"])
+def test_a_challenge_is_answered_while_they_are_to_be_enabled_alone(late: str) -> None:
+    """It was asked for on the ground; what it leads to is force, or amplifiers on after a fault."""
+    asked = []
+    watch = AmplifierWatch("amplifiers", declared(RIG, 3), lambda *what: asked.append(what), 2)
+    zero_n = np.zeros(9)
+    watch.judge(AmplifierState.OFF, zero_n)
+    assert asked == [(Request.READ, Parameter.CHALLENGE, 0)]
+    if late != "in time":
+        watch.commanding(np.full(9, 7.0))
+    if late == "after a fault":
+        with pytest.raises(AmplifierError):
+            watch.judge(AmplifierState.TRIPPED, zero_n)
+        watch.commanding(zero_n)
+    watch.answered(Parameter.CHALLENGE, 0x12345678)
+    assert (asked[-1][0] == Request.ENABLE) == (late == "in time")
+    watch.reset(lambda *_: (Parameter.TRIPPED_COILS, 0))
+    watch.answered(Parameter.CHALLENGE, 0x12345678)
+    assert asked[-1][0] == Request.ENABLE
+
+
 def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

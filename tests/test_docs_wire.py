@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,15 @@ import pytest
 
 from levid.wire.can_frames import load_frames
 from levid.wire.crc import crc8
-from levid.wire.device import AMPLIFIER_LIMITS, Parameter, Request, response
+from levid.wire.device import (
+    AMPLIFIER_LIMITS,
+    AmplifierState,
+    DriveState,
+    Parameter,
+    Request,
+    SensorState,
+    response,
+)
 from levid.wire.serial_frames import Contents, SerialFrames
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -41,6 +51,37 @@ def test_frames_of_the_serial_protocol():
     frames = SerialFrames(Contents(9, 9, True))
     assert frames.request(1, *READ_PROTOCOL) == payload(SERIAL, "REQUEST, sequence 1")
     assert frames.answer(1, Parameter.PROTOCOL, 1) == payload(SERIAL, "its ANSWER")
+
+
+def test_a_cycle_of_the_serial_protocol():
+    frames = SerialFrames(Contents(2, 1, True))
+    beam, rotor = np.array([0.01, 0.1, 2.0]), np.array([-0.2, 0.5, -1.0])
+    told = frames.cycle(18, np.array([1.0, -0.5]), beam, rotor)
+    assert told == payload(SERIAL, "CYCLE 18")
+    axes = np.array([[0.01, 0.1, 1.5], [0.01, 0.1, 1.25], [-0.2, 0.5, -0.25]])
+    amplifiers = AmplifierState.ENABLED, np.array([0.999, -0.5])
+    adc = SensorState.OK, np.array([-0.9e-3])
+    readings = frames.readings(18, amplifiers, adc, (DriveState.OPERATING, 0, axes))
+    assert readings == payload(SERIAL, "its READINGS")
+    # Without our own words for it: stuffing, checksum, and the fields where the page has them.
+    raw = unstuffed(readings)
+    assert zlib.crc32(raw[:-4]).to_bytes(4, "little") == raw[-4:]
+    layout = "<BBH BBhh BBh BBH iff iff iff"
+    version, kind, sequence, *fields = struct.unpack(layout, raw[:-4])
+    assert (version, kind, sequence) == (1, 0x81, 18)
+    assert fields[:7] == [1, 0, 999, -500, 0, 0, round(-0.9e-3 / 2e-3 * 65536)]
+    assert fields[7:] == pytest.approx(
+        [2, 0, 0, 10_000_000, 0.1, 1.5, 10_000_000, 0.1, 1.25, -2_000_000, 0.5, -0.25]
+    )
+
+
+def unstuffed(line: bytes) -> bytes:
+    """Return what is in a frame, by the definition of consistent overhead byte stuffing."""
+    out, at = b"", 0
+    while line[at]:
+        out += line[at + 1 : at + line[at]] + b"\0"
+        at += line[at]
+    return out[:-1]
 
 
 def test_checksum_and_response():

@@ -63,16 +63,21 @@ def test_payloads_are_those_of_cantools(frames: CanFrames) -> None:
 
 
 def test_fields_are_those_of_cantools(frames: CanFrames) -> None:
-    can_id, data = frames.request.encode(1, 7, 0x12345678)
-    message = DATABASE.get_message_by_frame_id(can_id)
-    signals = message.decode(data)
-    assert {k: signals[k] for k in ("request", "index", "value")} == {
-        "request": 1,
-        "index": 7,
-        "value": 0x12345678,
-    }
-    assert frames.request.decode(data) == (1, 7, 0x12345678)
-    assert frames.sync.decode(frames.sync.encode(61_439)[1]) == (61_439,)
+    for fields, name, numbers in (
+        (frames.sync, "Sync", {"cycle": 61_439}),
+        (frames.request, "Request", {"request": 1, "index": 7, "value": 0x12345678}),
+        (frames.answer, "Answer", {"index": 252, "value": 0xFEDCBA98}),
+        (frames.sensor_request, "SensorRequest", {"request": 3, "index": 18, "value": 0x89ABCDEF}),
+        (frames.sensor_answer, "SensorAnswer", {"index": 16, "value": 0x12345678}),
+    ):
+        can_id, data = fields.encode(*numbers.values())
+        message = DATABASE.get_message_by_name(name)
+        assert (can_id, len(data)) == (message.frame_id, message.length)
+        signals = message.decode(data, decode_choices=False)
+        crc = crc8(struct.pack(">H", can_id) + data[:-1])
+        assert signals == {**numbers, "crc": crc}
+        assert message.encode(signals) == data
+        assert fields.decode(data) == tuple(numbers.values())
 
 
 def test_what_is_packed_is_unpacked(frames: CanFrames) -> None:

@@ -29,6 +29,7 @@ AXES = ("X1", "X2", "PHI")
 
 _HEADER = struct.Struct("<BBH")
 _CRC = struct.Struct("<I")
+_STATE = struct.Struct("<BB")
 _SETPOINTS = struct.Struct("<iffiff")
 _DRIVES = struct.Struct("<BBH" + "iff" * len(AXES))
 _REQUEST = struct.Struct("<BBI")
@@ -140,11 +141,11 @@ class SerialFrames:
         buffer, contents = self._sent, self.contents
         if contents.coils:
             state, force = amplifiers
-            buffer.bytes[buffer.amplifier_state] = state
+            _STATE.pack_into(buffer.bytes, buffer.amplifier_state, state, 0)
             quantise(force, 1.0 / FORCE_N, buffer.forces)
         if contents.sensors:
             state, gap = sensors
-            buffer.bytes[buffer.sensor_state] = state
+            _STATE.pack_into(buffer.bytes, buffer.sensor_state, state, 0)
             quantise(gap, 1.0 / GAP_M, buffer.gaps)
         if contents.drives:
             state, error, axes = drives

@@ -61,7 +61,7 @@ def _obey(electronics: object) -> None:
                 answer = json.dumps(electronics.status())
             case _:
                 try:
-                    answer = electronics.injector.command(line)
+                    answer = electronics.injector.command(line.strip())
                 except InjectionError as error:
                     answer = f"error: {error}"
         click.echo(answer)

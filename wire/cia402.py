@@ -79,8 +79,9 @@ TPDO_MAPPING = (
     (Object.STATUSWORD, 16), (Object.ACTUAL_POSITION, 32), (Object.ACTUAL_FORCE, 16),
 )  # fmt: skip
 DEVICE_TYPE_DRIVE = 402
-ENCODER_LOST, RPDO_TIMEOUT = 0x7305, 0x8250
-"""Error codes of an incremental sensor and of an RPDO that did not come within its event timer."""
+ENCODER_LOST, RPDO_TIMEOUT, FOLLOWING_ERROR = 0x7305, 0x8250, 0x8611
+"""Error codes of an incremental sensor, of an RPDO that did not come within its event timer, and of
+a drive that is too far from its target."""
 
 
 class Mode(IntEnum):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,8 +17,10 @@ from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
 from ...wire.cia402 import (
+    ACCELERATION,
     ENCODER_LOST,
     EVENT_TIMER,
+    FOLLOWING_ERROR,
     HEARTBEAT_ID,
     HOMING_ATTAINED,
     POSITION_M,
@@ -56,6 +59,10 @@ _RATED_BEAM, _RATED_ROTOR = 1000, 10
 _X1_AT, _X2_AT, _PHI_AT_RAD = 0.3, -0.2, 0.7
 """Where counts are zero until a drive is homed, of X1 and X2 in shares of the beam's range: an
 encoder of increments counts from wherever it was switched on."""
+_TIMES_SPEED, _TIMES_ACCELERATION, _ROUNDED_COUNTS = 1.1, 5.0, 4
+"""How much more than the limits is no following error. Targets that are carried forward overshoot
+where the acceleration changes its sign: by as much as it can do in a period, four times in a second
+difference. That of rounded ones is off by four halves of a count."""
 
 
 class DriveNodes:
@@ -171,6 +178,9 @@ class DriveNodes:
                 beam, rotor = self._core.motion[:, 0]
             self._differences[0].at_rest(float(beam))
             self._differences[1].at_rest(float(rotor))
+            self._planned_at = self._core.cycle
+            for drive in self.drives:
+                drive.stand()
         elif not operating and self._was_operating:
             self._core.disable_drives(max(drive.error for drive in self.drives))
         self._was_operating = operating
@@ -179,18 +189,27 @@ class DriveNodes:
         """Lead from where the drives are told to be to the new targets, in `every` periods."""
         if not (self._was_operating and all(drive.has_setpoint for drive in self.drives)):
             return
+        begin, cycle = self._core.motion, self._core.cycle
+        cycles = (cycle - self._planned_at) % CYCLES
+        regular = cycles == self.every
+        self._planned_at = cycle
+        n, T = self.every, self._core.period_s * self.every
+        # Without a counter another bus tells the cycle, sooner or later than this one's SYNC. With
+        # fewer SYNCs than cycles one may be late by all but one of these, where some were skipped.
+        known, late_s = regular and self.counts_syncs, (n - 1) * self._core.period_s
+        lost = [d for d in self.drives if not d.follows(max(cycles / n, 1.0), T, late_s, known)]
+        for drive in lost:
+            drive.fail(FOLLOWING_ERROR, 0x21)
+        if lost:
+            return
         x1, x2, phi = (drive.target for drive in self.drives)
         targets = 0.5 * (x1 + x2), phi
-        begin, cycle = self._core.motion, self._core.cycle
-        regular = (cycle - self._planned_at) % CYCLES == self.every
-        self._planned_at = cycle
         end = np.array(
             [
                 (p, *(moved.push(p) if regular else moved.resume(p)))
                 for p, moved in zip(targets, self._differences, strict=True)
             ]
         )
-        n, T = self.every, self._core.period_s * self.every
         plan = [quintic(begin, end, i / n, T) for i in range(1, n)]
         self._core.drive_setpoints([*plan, end], begun=True)
         for drive in self.drives:
@@ -238,6 +257,9 @@ class Drive:
         self._true = self._force = 0.0
         self._origin = self._unhomed = origin
         self._target = 0
+        self._speed = limits[Object.MAX_SPEED, 0] * unit
+        self._acceleration = limits[Object.MAX_ACCELERATION, 0] * ACCELERATION
+        self._led_to, self._led_by, self._skipped = 0.0, math.nan, 0.0
         self._controlword = 0
         self._heartbeat_s = 0.0
 
@@ -259,6 +281,27 @@ class Drive:
     def target(self) -> float:
         """Target position in SI units, from the plant's zero."""
         return self._target * self._unit + self._origin
+
+    def stand(self) -> None:
+        """Begin to follow targets, from where it stands."""
+        self._led_to, self._led_by, self._skipped = self._true, math.nan, 0.0
+
+    def follows(self, syncs: float, sync_s: float, late_s: float, regular: bool) -> bool:
+        """Return whether its limits allow for the target, so many SYNCs after the last one.
+
+        One may have been lost before, or be late by `late_s`; and where cycles were skipped the
+        target after that makes up for them. How the speed changed is known of SYNCs alone that came
+        in a row (`regular`).
+        """
+        by = self.target - self._led_to
+        skipped, self._skipped = self._skipped, syncs - 1.0
+        regular = regular and not skipped
+        rounded = _ROUNDED_COUNTS * self._unit
+        changed = by - self._led_by if regular else math.nan
+        self._led_to, self._led_by = self.target, by if regular else math.nan
+        reach = _TIMES_SPEED * self._speed * (skipped + syncs + 1.0) * sync_s
+        most = _TIMES_ACCELERATION * self._acceleration * sync_s**2 + 2.0 * self._speed * late_s
+        return not (abs(by) > reach + rounded or abs(changed) > most + rounded)
 
     def boot(self) -> None:
         """Announce itself."""

@@ -1,4 +1,4 @@
-"""Checks what candump saw: format, length, checksum and order of every frame but CANopen's."""
+"""Checks what candump saw: format and length of all frames, checksum and order of the DBC's."""
 
 from __future__ import annotations
 
@@ -10,12 +10,61 @@ from pathlib import Path
 import cantools
 
 from levid.config.shipped import shipped
+from levid.wire.cia402 import (
+    EMERGENCY_ID,
+    HEARTBEAT_ID,
+    NMT_ID,
+    RPDO,
+    RPDO1_ID,
+    SDO_ANSWER_ID,
+    SDO_REQUEST_ID,
+    SYNC_COUNTER,
+    SYNC_ID,
+    TPDO,
+    TPDO1_ID,
+    DriveStates,
+    Node,
+    state_of,
+)
 from levid.wire.crc import FrameCrc
 
 LINE = re.compile(r"\(\d+\.\d+\) vcan0 ([0-9A-F]{3})(?:#([0-9A-F]*)|##([0-9A-F])([0-9A-F]*))")
 # A socket's queue holds some 270 frames, a cycle is three: who is further behind loses some.
 FULL = 50
 DATABASE = cantools.database.load_file(str(shipped("levid.dbc")))
+
+
+NODES = (1, 2, 3)
+CANOPEN = {NMT_ID: ("NMT", 2), SYNC_ID: ("SYNC", 1)} | {
+    base + node: (name, length)
+    for name, base, length in (
+        ("emergency", EMERGENCY_ID, 8), ("TPDO", TPDO1_ID, TPDO.size),
+        ("RPDO", RPDO1_ID, RPDO.size), ("SDO answer", SDO_ANSWER_ID, 8),
+        ("SDO request", SDO_REQUEST_ID, 8), ("heartbeat", HEARTBEAT_ID, 1),
+    )
+    for node in NODES
+}  # fmt: skip
+"""Name and length by ID: the rig's drives count SYNCs."""
+
+
+def of_canopen(can_id: int, data: bytes, line: str) -> str:
+    """Return what a frame of CANopen is, and check what it says."""
+    assert can_id in CANOPEN, f"nobody's frame: {line}"
+    name, length = CANOPEN[can_id]
+    assert len(data) == length, f"{name}: expected {length} bytes: {line}"
+    if name == "SYNC":
+        assert 1 <= data[0] <= SYNC_COUNTER, line
+    elif name == "heartbeat":
+        assert data[0] in frozenset(Node), line
+        told[can_id, "heartbeat"] += 1
+    elif name == "TPDO":
+        state = state_of(TPDO.unpack(data)[0])
+        assert state is not None, f"no state of CiA 402: {line}"
+        told[can_id, state.name] += 1
+        told[can_id, "TPDO"] += 1
+        # Each SYNC is answered once at most, however late.
+        assert told[can_id, "TPDO"] <= seen["SYNC"], line
+    return name
 
 
 def answered(crc: FrameCrc, data: bytes, before: list[int], line: str) -> int:
@@ -30,6 +79,7 @@ def answered(crc: FrameCrc, data: bytes, before: list[int], line: str) -> int:
 
 
 seen: Counter[str] = Counter()
+told: Counter[tuple[int, str]] = Counter()
 syncs: list[int] = []
 waiting: list[int] = []  # Syncs that were not answered yet when each was sent
 answers: dict[str, list[int]] = {"GapsFd": [], "ForcesFd": []}
@@ -42,9 +92,8 @@ for line in Path(sys.argv[1]).read_text().splitlines():
     try:
         message = DATABASE.get_message_by_frame_id(can_id)
     except KeyError:
-        seen["CANopen"] += 1
         assert not fd, f"CANopen is classic CAN: {line}"
-        assert can_id == 0 or can_id >= 0x80, line
+        seen[of_canopen(can_id, data, line)] += 1
         continue
     seen[message.name] += 1
     assert fd == message.is_fd, f"{message.name}: {line}"
@@ -65,8 +114,12 @@ for line in Path(sys.argv[1]).read_text().splitlines():
         # The host sends them between one Sync and the next, however late it is.
         assert signals["counter"] == syncs[-1] % 16, f"setpoints of another cycle: {line}"
 
-for name in ("Sync", "GapsFd", "ForcesFd", "SetpointsFd", "CANopen", "Request", "Answer"):
+of_dbc = ("Sync", "GapsFd", "ForcesFd", "SetpointsFd", "Request", "Answer")
+for name in (*of_dbc, "NMT", "SYNC", "RPDO", "SDO request", "SDO answer"):
     assert seen[name], f"expected {name}, found {dict(seen)}"
+for node in NODES:
+    assert told[TPDO1_ID + node, DriveStates.OPERATION_ENABLED.name], f"node {node}: {told}"
+    assert told[HEARTBEAT_ID + node, "heartbeat"], f"node {node}: {told}"
 for name, found in answers.items():
     # The last may have come too late for candump.
     assert len(syncs) - found[-1] <= 2, f"{name}: nothing after Sync {found[-1]} of {len(syncs)}"

@@ -25,9 +25,11 @@ for module in can-dev vcan can can-raw; do
 done
 {
   ip link set lo up
-  ip link add vcan0 type vcan
-  ip link set vcan0 mtu 72 up # 72: CAN FD
-  ip -details link show vcan0
+  for name in vcan0 vcan1; do # the second for what would disturb a flight
+    ip link add $name type vcan
+    ip link set $name mtu 72 up # 72: CAN FD
+    ip -details link show $name
+  done
 } >> "$out/init.log" 2>&1 || finish 21
 
 /bin/bash "$HERE/fly.sh" >> "$out/fly.log" 2>&1

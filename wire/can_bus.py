@@ -133,7 +133,7 @@ class _MessageBus:
         if message is None:
             return None
         if message.is_error_frame:
-            if message.arbitration_id & ERROR_BUS_OFF:
+            if int(message.arbitration_id) & ERROR_BUS_OFF:
                 raise BusOffError
             return OTHER._replace(stamp_s=message.timestamp)
         # Some hand back what was sent, whatever they are asked for.

@@ -21,6 +21,10 @@ LAST_S = 1.0
 _SKIPPED_MORE = 255
 """What a row says of so many skipped periods or more: how many, it does not know."""
 _AGAIN_S = 0.05
+_MARGIN_S = 0.1
+"""A loop that died has no row of its fault: how far back it looks is counted from its last."""
+_FIRST_S = 0.5
+"""By when a loop that was just started has written its first row."""
 
 
 @dataclass(frozen=True)
@@ -123,11 +127,15 @@ class Recording:
 
 
 def recording_of(
-    recordings: Callable[[], set[Path]], before: set[Path], since: int, seconds: float
+    recordings: Callable[[], set[Path]],
+    before: set[Path],
+    since: int,
+    seconds: float,
+    promised_s: float,
 ) -> Recording:
     """Wait so long for a recording that was not there before, and look at it.
 
-    since: the cycle before the fault was brought about.
+    since: the cycle before the fault was brought about. promised_s: how far it is to look back.
     """
     give_up_s = time.monotonic() + seconds
     while True:
@@ -141,29 +149,44 @@ def recording_of(
                 continue
             if log.complete:
                 more = () if len(new) == 1 else (f"{len(new)} flight recordings",)
-                return Recording(path, log.metadata.get("name", ""), (*more, *_wrong(log, since)))
+                return Recording(
+                    path, log.metadata.get("name", ""), (*more, *_wrong(log, since, promised_s))
+                )
             problem = f"the flight recording is not complete: {log.problem}"
         if time.monotonic() > give_up_s:
             return Recording(None, "nothing", (problem,))
         time.sleep(_AGAIN_S)
 
 
-def _wrong(log: Log, since: int) -> list[str]:
+def _wrong(log: Log, since: int, promised_s: float) -> list[str]:
     """Return what is wrong with the story that it tells."""
     rows: Any = log.rows
     name = log.metadata.get("name", "")
     if name == Fault.LOOP.name:  # who is dead writes no row of it
         reaches = int(rows["cycle"][-1])
-        return (
+        early = (
             [] if reaches >= since - 1 else [f"the recording ends {since - reaches} cycles early"]
         )
+        return early + _short(log, reaches, promised_s)
     came = np.flatnonzero((rows["fault"] != 0) & (np.r_[0, rows["fault"][:-1]] == 0))
     if not len(came):
         return ["the recording has no row of the fault"]
     first = rows[came[-1]]  # what came before is another trial's
-    wrong = []
+    wrong = _short(log, int(first["cycle"]), promised_s)
     if Fault(int(first["fault"])).name != name:
         wrong.append(f"the recording of {name} has rows of {Fault(int(first['fault'])).name}")
     if int(first["cycle"]) < since:
         wrong.append(f"the fault is recorded {since - int(first['cycle'])} cycles before it came")
     return wrong
+
+
+def _short(log: Log, fault: int, promised_s: float) -> list[str]:
+    """Say so if it does not reach as far back from the fault's cycle as was promised.
+
+    Of a daemon that was just started there are no more rows than from its first on.
+    """
+    first = int(log.rows["cycle"][0])
+    before_s = (fault - first) / log.rate_hz
+    if before_s >= promised_s - _MARGIN_S or first <= _FIRST_S * log.rate_hz:
+        return []
+    return [f"the recording looks {before_s:.2f} s back, of {promised_s:g} s"]

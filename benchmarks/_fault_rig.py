@@ -37,6 +37,8 @@ EXPIRE_CYCLES = 10
 """The device's own timeout: far behind what the loop is given, so that ending in time is its."""
 STALL_S = 0.1
 """For how long the loop may stand still: less than until setpoints expire."""
+BEFORE_FAULT_S = 10.0
+"""How far flight recordings are to look back."""
 GIVE_UP_S = 40.0
 SETTINGS = (shipped("rigs/loopback.yaml"), shipped("sims/nominal.yaml"))
 _SMALL_BYTES = 8 << 20
@@ -258,7 +260,11 @@ def rig_of(bus: str, folder: Path) -> dict[str, Any]:
         "amplifiers": {"backend": kind, "bus": "main", "expire_cycles": EXPIRE_CYCLES},
         "sensors": {"backend": kind, "bus": "main"},
         "drives": {"backend": kind, "bus": "main", "skew_m": 0.02},
-        "recording": {"faults": str(folder / "faults"), "keep_faults": 10_000},  # all are read
+        "recording": {
+            "faults": str(folder / "faults"),
+            "keep_faults": 10_000,  # all are read
+            "before_fault_s": BEFORE_FAULT_S,
+        },
     }
     plain["limits"] |= {
         "late_cycles": 200,

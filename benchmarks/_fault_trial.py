@@ -14,7 +14,7 @@ from _fault_deeds import DEEDS, HARMLESS, Seen, cannot
 from _fault_flight import Flight, NotInjectedError, come_to_rest, lift_off
 from _fault_list import FLYING, HOLDING, LAST, Case, Kind, kinds
 from _fault_logs import Expected, LogLook, look_at_logs, recording_of
-from _fault_rig import GIVE_UP_S, Rig
+from _fault_rig import BEFORE_FAULT_S, GIVE_UP_S, Rig
 
 from levid.daemon.client import DaemonError
 
@@ -163,7 +163,7 @@ def _must_stop(rig: Rig, case: Case, trial: Trial, flight: Flight) -> int:
 
 def _look_at_names(rig: Rig, trial: Trial, before: set[Path], since: int) -> None:
     """See what the daemon calls it, and its flight recording, which a dead one has left too."""
-    found = recording_of(rig.recordings, before, since, _TOLD_S)
+    found = recording_of(rig.recordings, before, since, _TOLD_S, BEFORE_FAULT_S)
     if rig.daemon_is_there:
         status = rig.until(lambda s: s["fault"] != "NONE", _TOLD_S)
         trial.found = str(status["fault"]) if status else "nothing"

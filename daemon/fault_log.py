@@ -26,8 +26,9 @@ _MOST_DUE = 8
 class FaultLog:
     """Sees a fault come in the rows that go by, and writes a log of its own around it.
 
-    `told(fault, path, error)` is called when one was written, or could not be: path or error is
-    empty. The newest `keep_faults` of the folder are kept.
+    `told(fault, path, why)` is called when one was written, or could not be: then path is empty.
+    With a path, `why` says what it lacks, if anything. The newest `keep_faults` of the folder are
+    kept.
     """
 
     def __init__(
@@ -88,12 +89,15 @@ class FaultLog:
         end = self._ring.head if end is None else end
         first = max(end - self._before - self._after, 0)
         found = self._ring.copy(first, end - first)
-        if not len(found.rows):  # whoever asked for it waits to hear of it
-            self._told(fault, "", "there were no rows before it")
+        rows = found.rows[: max(end - found.first, 0)]  # later ones stand for those that are gone
+        if not len(rows):  # whoever asked for it waits to hear of it
+            self._told(
+                fault, "", "there were no rows before it" if not first else "its rows are gone"
+            )
             return
-        times = self.epoch_ns + np.rint(found.rows["cycle"] * (1e9 / self._rate_hz)).astype(
-            np.uint64
-        )
+        # Of before the first row there is nothing to tell: this is about rows that there were.
+        lacking_s = (found.first - first) / self._rate_hz
+        times = self.epoch_ns + np.rint(rows["cycle"] * (1e9 / self._rate_hz)).astype(np.uint64)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             path = self._free_path(int(times[-1]), fault)
@@ -101,15 +105,26 @@ class FaultLog:
                 path,
                 self._ring.dtype,
                 rate_hz=self._rate_hz,
-                metadata={"kind": "fault", "name": fault.name, "step": "0", "session": ""},
+                metadata={
+                    **{"kind": "fault", "name": fault.name, "step": "0", "session": ""},
+                    **({"lacks_s": f"{lacking_s:.3f}"} if lacking_s else {}),
+                },
                 attachments=self._attachments,
             ) as log:
-                log.write(found.rows, times)
+                log.write(rows, times)
             self._prune(path)
         except Exception as error:  # noqa: BLE001 - told; a full disk must not end the recorder
             self._told(fault, "", str(error))
         else:
-            self._told(fault, str(path), "")
+            self._told(fault, str(path), self._lacks(lacking_s) if lacking_s else "")
+
+    def _lacks(self, seconds: float) -> str:
+        promised_s = self._before / self._rate_hz
+        lacking_s = min(seconds, promised_s)
+        return (
+            f"it lacks the first {lacking_s:.1f} of {promised_s:g} s before the fault, for which "
+            f"the recorder was too late"
+        )
 
     def _free_path(self, time_ns: int, fault: Fault) -> Path:
         at = datetime.fromtimestamp(time_ns * 1e-9, UTC).strftime("%Y%m%dT%H%M%S.%f")[:-3]

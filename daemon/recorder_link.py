@@ -17,10 +17,10 @@ from .board import Board, Word
 from .children import Child, module_of
 from .faults import Fault
 from .lines import Closed, Lines, TooLong
+from .ring import HUNG_S
 from .scribe import Event, LogFile
 
 _MOST_BYTES = 16 << 20
-_HUNG_S = 10.0
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
 
 Say = Callable[[str], None]
@@ -101,8 +101,8 @@ class RecorderLink:
             self._beat, self._beat_s = beat, now_s
             self._pause_s = _FIRST_PAUSE_S
             self._hangs = False
-        elif now_s - self._beat_s > _HUNG_S:
-            self._say(f"the recorder hangs for {_HUNG_S:g} s: it is killed")
+        elif now_s - self._beat_s > HUNG_S:
+            self._say(f"the recorder hangs for {HUNG_S:g} s: it is killed")
             self._child.kill(0.0)  # its end is noticed as any is; nothing waits for a disk here
             self._beat_s, self._hangs = now_s, True
 
@@ -138,7 +138,7 @@ class RecorderLink:
         except OSError as error:
             self._say(f"the recorder cannot be started: {error}")
             return
-        self._beat_s = now_s + _HUNG_S  # it takes its time to begin
+        self._beat_s = now_s + HUNG_S  # it takes its time to begin
         self._hangs = False
         self._head = None
         for tag, file in self._logs.items():
@@ -182,7 +182,8 @@ class RecorderLink:
         if message["event"] == "fault":
             self._untold = "" if message["fault"] == self._untold else self._untold
             self.last_fault_log = message["path"]
-            what = message["path"] or f"could not be written: {message['why']}"
+            path, why = message["path"], message["why"]
+            what = "; ".join(filter(None, (path, why))) if path else f"could not be written: {why}"
             self._say(f"flight recording of {message['fault']}: {what}")
             return
         tag, path = int(message["log"]), Path(message["path"])

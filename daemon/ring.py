@@ -14,8 +14,12 @@ NO_LOG = 0
 
 _HEAD, _TAIL, _DURABLE, _LOST, _COUNTERS = range(5)
 _ALIGNMENT = 64
-_BEHIND_S = 5.0
-"""How far the recorder may fall behind, beside what a flight recording looks back on."""
+HUNG_S = 10.0
+"""After so long without a sign of life a recorder is killed, and another one started."""
+_STARTING_S = 5.0
+_BEHIND_S = HUNG_S + _STARTING_S
+"""How far the recorder may fall behind, beside what a flight recording looks back on: a fault that
+comes as it begins to hang is written by the next one, whole. 41 MB at 10 kHz."""
 _LEAST_ROWS = 4096
 
 

@@ -107,19 +107,19 @@ def test_recording_is_new_whole_and_begins_with_the_fault(logs: ModuleType, tmp_
         return set(tmp_path.glob("*.mcap"))
 
     old = log(tmp_path / "fault-1-DRIVE.mcap", range(100), "DRIVE", Fault.DRIVE, 50)
-    assert logs.recording_of(recordings, {old}, 150, 0.1).path is None
+    assert logs.recording_of(recordings, {old}, 150, 0.1, 1.0).path is None
     new = log(tmp_path / "fault-2-STALE.mcap", range(200), "STALE", Fault.STALE, 160)
-    found = logs.recording_of(recordings, {old}, 150, 0.1)
+    found = logs.recording_of(recordings, {old}, 150, 0.1, 1.0)
     assert (found.path, found.name, found.wrong) == (new, "STALE", ())
-    assert "10 cycles before" in logs.recording_of(recordings, {old}, 170, 0.1).wrong[0]
+    assert "10 cycles before" in logs.recording_of(recordings, {old}, 170, 0.1, 1.0).wrong[0]
     whole = new.read_bytes()
     without_end(new)
-    assert "not complete" in logs.recording_of(recordings, {old}, 150, 0.1).wrong[0]
+    assert "not complete" in logs.recording_of(recordings, {old}, 150, 0.1, 1.0).wrong[0]
     new.write_bytes(whole)
     log(tmp_path / "fault-3-LINK.mcap", range(200), "LINK", Fault.DRIVE, 160)
-    found = logs.recording_of(recordings, {old, new}, 150, 0.1)
+    found = logs.recording_of(recordings, {old, new}, 150, 0.1, 1.0)
     assert found.wrong == ("the recording of LINK has rows of DRIVE",)
-    assert "2 flight" in logs.recording_of(recordings, {old}, 150, 0.1).wrong[0]
+    assert "2 flight" in logs.recording_of(recordings, {old}, 150, 0.1, 1.0).wrong[0]
 
 
 def test_loop_that_died_has_no_row_of_its_fault_but_those_before(
@@ -127,8 +127,24 @@ def test_loop_that_died_has_no_row_of_its_fault_but_those_before(
 ) -> None:
     log(tmp_path / "fault-1-LOOP.mcap", range(200), "LOOP")
     for since, wrong in ((200, 0), (205, 1)):
-        found = logs.recording_of(lambda: set(tmp_path.glob("*")), set(), since, 0.1)
+        found = logs.recording_of(lambda: set(tmp_path.glob("*")), set(), since, 0.1, 1.0)
         assert (found.name, len(found.wrong)) == ("LOOP", wrong)
+
+
+@pytest.mark.parametrize("fault", [Fault.GAP, Fault.LOOP])
+def test_recording_that_does_not_look_back_as_far_as_promised_is_wrong(
+    logs: ModuleType, tmp_path: Path, fault: Fault
+) -> None:
+    def wrong(promised_s: float) -> tuple[str, ...]:
+        return logs.recording_of(lambda: set(tmp_path.glob("*")), set(), 290, 0.1, promised_s).wrong
+
+    rows = Fault.NONE if fault is Fault.LOOP else fault
+    late = log(tmp_path / "fault-1.mcap", range(100, 300), fault.name, rows, 299)
+    assert wrong(3.9) == ()  # at 50 Hz
+    assert wrong(10.0) == ("the recording looks 3.98 s back, of 10 s",)
+    late.unlink()
+    log(tmp_path / "fault-1.mcap", range(300), fault.name, rows, 299)
+    assert wrong(10.0) == ()  # of a daemon that had just begun
 
 
 def test_flight_recordings_are_kept_until_they_are_read(tmp_path: Path) -> None:

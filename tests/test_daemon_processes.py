@@ -130,6 +130,24 @@ def test_stopped_recorder_delays_nobody(ready: Daemon, tmp_path: Path) -> None:
     assert flying.land()["lost"] == 0
 
 
+def test_fault_while_the_recorder_hangs_is_recorded_as_far_back_as_promised(
+    ready: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("levid.daemon.recorder_link.HUNG_S", 1.0)
+    before = ready.ask("status")
+    begun = before["cycle"]
+    ready.until(lambda s: s["cycle"] > begun + 4 * 250)  # it promises 3 s
+    os.kill(before["pids"]["recorder"], signal.SIGSTOP)
+    ready.ask("stop")
+    ready.until(lambda s: s["fault_log"] not in ("", before["fault_log"]))
+    assert any("the recorder hangs for 1 s: it is killed" in line for line in ready.said)
+    log = recording(ready, Fault.STOPPED)
+    at = int(np.flatnonzero(np.diff(log.rows["fault"].astype(int)) > 0)[-1]) + 1
+    assert int(log.rows["cycle"][at]) - int(log.rows["cycle"][0]) >= 3 * 250
+    assert "lacks_s" not in log.metadata
+    assert any(line.endswith(f"STOPPED: {ready.ask('status')['fault_log']}") for line in ready.said)
+
+
 def test_reload_that_is_sent_to_every_process_ends_none(ready: Daemon) -> None:
     before = ready.ask("status")
     for name in ("loop", "recorder"):

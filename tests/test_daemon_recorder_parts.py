@@ -14,8 +14,10 @@ import pytest
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon import recorder_process
+from levid.daemon.board import Word
+from levid.daemon.faults import Fault
 from levid.daemon.recorder_process import RecorderProcess, without_empty_part
-from levid.daemon.ring import Ring
+from levid.daemon.ring import HUNG_S, Ring
 from levid.daemon.scribe import BLOCK, Event, LogFile, Scribe
 from levid.daemon.shared import Shared
 from levid.log.reader import read_log
@@ -93,8 +95,9 @@ class Recording:
     def __init__(self, folder: Path) -> None:
         self.folder, self.shared = folder, Shared(load_rig(shipped("rigs/loopback.yaml")))
         rig = load_rig(shipped("rigs/loopback.yaml"))
-        self.ours, theirs = socket.socketpair()
-        self.recorder = RecorderProcess(rig, self.shared, theirs, folder / "faults")
+        self.rig = rig
+        self.ours, self.theirs = socket.socketpair()
+        self.recorder = RecorderProcess(rig, self.shared, self.theirs, folder / "faults")
 
     def tell(self, *messages: dict[str, object]) -> None:
         self.ours.sendall(b"".join(json.dumps(m).encode() + b"\n" for m in messages))
@@ -134,6 +137,36 @@ def test_log_that_is_gone_on_with_after_others_has_another_part(recording: Recor
     assert recording.recorder._scribe.error is None
     names = ("1.mcap", "1.2.mcap", "1.3.mcap")
     assert [len(read_log(recording.folder / name).rows) for name in names] == [3, 2, 1]
+
+
+@pytest.mark.parametrize(("behind_s", "lacking_s"), [(HUNG_S + 4.0, 0.0), (HUNG_S + 7.0, 2.0)])
+def test_fault_as_the_recorder_began_to_hang_is_recorded_as_far_as_rows_are_there(
+    tmp_path: Path, behind_s: float, lacking_s: float
+) -> None:
+    """It is killed after HUNG_S, and the next one takes its time to begin."""
+    recording, rate_hz, at = Recording(tmp_path), 1000, 40_000
+    try:
+        shared = recording.shared
+        ring, head = shared.ring, at + round(behind_s * rate_hz)
+        numbers = np.arange(head - ring.capacity, head)
+        ring.rows["cycle"][numbers % ring.capacity] = numbers
+        ring.rows["fault"][numbers % ring.capacity] = Fault.GAP * (numbers >= at)
+        ring.head, ring.tail, ring.durable = head, at, at
+        shared.board[Word.FAULTS_SEEN] = at
+        again = RecorderProcess(recording.rig, shared, recording.theirs.dup(), tmp_path / "faults")
+        while len((taken := again._scribe.work()).rows):
+            again._faults.see(taken)
+        again._lines.close()
+        (told,) = map(json.loads, recording.ours.recv(4096).splitlines())
+        found = read_log(told["path"])
+        assert found.rows["cycle"][-1] == at + 0.5 * rate_hz - 1
+        before_s = (at - int(found.rows["cycle"][0])) / rate_hz
+        assert before_s == pytest.approx(10.0 - lacking_s, abs=2.0 / rate_hz)
+        assert float(found.metadata.get("lacks_s", 0.0)) == pytest.approx(10.0 - before_s)
+        assert ("lacks the first 2.0 of 10 s" in told["why"]) == (lacking_s > 0.0)
+        assert bool(told["why"]) == (lacking_s > 0.0)
+    finally:
+        recording.close()
 
 
 def test_late_failure_of_a_flight_that_is_over_stops_no_other(recording: Recording) -> None:

@@ -1,6 +1,7 @@
-"""What weighs on the daemon from outside: a flooded socket, a machine that is short of memory.
+"""What weighs on the daemon: a flooded socket, a machine short of memory, a recorder too slow.
 
-Neither disturbs the loop. Whoever looks for the cause of late cycles is to find it in the journal.
+None of it disturbs the loop. Whoever looks for the cause of late cycles, or for rows that a log
+does not have, is to find it in the journal.
 """
 
 from __future__ import annotations
@@ -27,15 +28,18 @@ class Burdens:
         self._say = say
         self._given, self._pressure = pressure, pressure or _pressure_file()
         self._looked_s: float | None = None
-        self._asked, self._waited_s = 0, 0.0
+        self._asked, self._waited_s, self._lost = 0, 0.0, 0
         self._said_s: dict[str, float] = {}
         self.flooded_s = 0.0
         """For how long there were too many requests, since the start."""
         self.memory_stalled_s = 0.0
         """For how long some process waited for memory, in looks that found the machine short."""
 
-    def look(self, now_s: float, asked: int) -> None:
-        """Look, if it is time; `asked`: requests and connections since the start."""
+    def look(self, now_s: float, asked: int, lost: int) -> None:
+        """Look, if it is time.
+
+        asked: requests and connections, lost: rows that no log has, both since the start.
+        """
         if self._looked_s is None:
             self._looked_s, self._asked, self._waited_s = now_s, asked, self._waited()
             return
@@ -57,10 +61,29 @@ class Burdens:
                 f"memory is short: processes waited for it for {stalled_s:.1f} of {passed_s:.1f} s",
             )
 
-    def _tell(self, what: str, now_s: float, words: str) -> None:
-        if now_s - self._said_s.get(what, -_QUIET_S) >= _QUIET_S:
-            self._said_s[what] = now_s
-            self._say(words)
+        # What is lost in a quiet minute is told after it: no row is left out.
+        if lost > self._lost and self._tell("lost", now_s, self._losses(lost)):
+            self._lost = lost
+
+    def end(self, lost: int) -> None:
+        """Say what was not told yet of rows that are lost: nobody looks any more."""
+        if lost > self._lost:
+            self._say(self._losses(lost))
+            self._lost = lost
+
+    def _losses(self, lost: int) -> str:
+        return (
+            f"rows are lost: {lost - self._lost} that the recorder did not take in time or could "
+            f"not write, {lost} since the start"
+        )
+
+    def _tell(self, what: str, now_s: float, words: str) -> bool:
+        """Say it, unless that was said less than a minute ago; return whether it was."""
+        if now_s - self._said_s.get(what, -_QUIET_S) < _QUIET_S:
+            return False
+        self._said_s[what] = now_s
+        self._say(words)
+        return True
 
     def _follow(self) -> None:
         """Look where the process is now: in another group than before, nothing has been waited."""

@@ -157,6 +157,7 @@ class Supervisor:
             self._notify.stopping()
             self._end_loop_at_once()
             self._recorder.end(_RECORDER_S)
+            self._burdens.end(self._shared.lost)
             self._heat.close(_HEAT_S)
             self._server.close()
             if close_metrics is not None:
@@ -257,7 +258,7 @@ class Supervisor:
         self._say_faults()
         if step_s := self._clock.look():
             self._say(f"the clock was set by {step_s:+.1f} s; times in logs go on as before")
-        self._burdens.look(time.monotonic(), self._server.asked)
+        self._burdens.look(time.monotonic(), self._server.asked, self._shared.lost)
         if self._reload:
             self._reload = False
             self._reader.ask()

@@ -1,4 +1,4 @@
-"""A flooded socket and a machine short of memory are told, once, and added up."""
+"""A flooded socket, a machine short of memory and rows that were lost are told, and added up."""
 
 from __future__ import annotations
 
@@ -20,19 +20,22 @@ class World:
 
     def __init__(self, folder: Path) -> None:
         self.file, self.said = folder / "memory", []
-        self.now_s, self.asked, self.waited_s = 100.0, 7, 3.0
+        self.now_s, self.asked, self.waited_s, self.lost = 100.0, 7, 3.0, 0
         self.burdens = Burdens(self.said.append, self.file)
         self.passes(0.0)
 
-    def passes(self, seconds: float, requests: int = 0, waited_s: float = 0.0) -> None:
+    def passes(
+        self, seconds: float, requests: int = 0, waited_s: float = 0.0, lost: int = 0
+    ) -> None:
         self.now_s += seconds
         self.asked += requests
         self.waited_s += waited_s
+        self.lost += lost
         self.file.write_text(
             f"some avg10=0.00 avg60=0.00 avg300=0.00 total={round(1e6 * self.waited_s)}\n"
             "full avg10=0.00 avg60=0.00 avg300=0.00 total=99000000\n"
         )
-        self.burdens.look(self.now_s, self.asked)
+        self.burdens.look(self.now_s, self.asked, self.lost)
 
 
 @pytest.fixture
@@ -65,6 +68,25 @@ def test_memory_that_is_short_is_told(world: World) -> None:
     assert world.burdens.memory_stalled_s == pytest.approx(1.0)
 
 
+def test_rows_that_are_lost_are_told_all_of_them_once_a_minute(world: World) -> None:
+    world.passes(2.0, lost=300)
+    words = "that the recorder did not take in time or could not write"
+    assert world.said == [f"rows are lost: 300 {words}, 300 since the start"]
+    for _ in range(10):
+        world.passes(2.0, lost=7)
+    assert len(world.said) == 1
+    for _ in range(20):  # nothing is lost any more, and what was is told
+        world.passes(2.0)
+    assert world.said[1:] == [f"rows are lost: 70 {words}, 370 since the start"]
+    for _ in range(100):
+        world.passes(2.0)
+    assert len(world.said) == 2
+    world.passes(0.5, lost=1)  # and then it ends
+    for _ in range(2):
+        world.burdens.end(world.lost)
+    assert world.said[2:] == [f"rows are lost: 1 {words}, 371 since the start"]
+
+
 def test_process_that_is_moved_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     groups = [tmp_path / "home", tmp_path / "small"]
     said: list[str] = []
@@ -77,19 +99,19 @@ def test_process_that_is_moved_is_followed(tmp_path: Path, monkeypatch: pytest.M
     wait(groups[0], 50.0)
     wait(groups[1], 900.0)
     found = Burdens(said.append)
-    found.look(0.0, 0)
+    found.look(0.0, 0, 0)
     at = groups[1]
-    found.look(2.0, 0)
+    found.look(2.0, 0, 0)
     assert found.memory_stalled_s == 0.0, "what others waited for there is not the service's"
     wait(groups[1], 901.5)
-    found.look(4.0, 0)
+    found.look(4.0, 0, 0)
     assert found.memory_stalled_s == pytest.approx(1.5)
 
 
 def test_kernel_that_does_not_say_is_no_error(tmp_path: Path) -> None:
     found = Burdens(pytest.fail, tmp_path / "none")
     for now_s in (0.0, 2.0, 4.0):
-        found.look(now_s, 0)
+        found.look(now_s, 0, 0)
     assert found.memory_stalled_s == 0.0
 
 

@@ -98,6 +98,22 @@ def test_machine_that_stood_still_has_not_lost_its_loop(
     assert "it did not advance for 30.0 s" in ended[0]
 
 
+def test_rows_that_are_lost_are_told_in_the_journal(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, said = 1000.0, []
+    monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(supervisor._burdens, "_say", said.append)
+    monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
+    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+    supervisor._tick()
+    ring = supervisor._shared.ring
+    ring.head = ring.capacity + 41  # 42 rows more than nobody's having looked leaves room for
+    now_s += 2.0
+    supervisor._tick()
+    assert any("rows are lost: 42 that" in line for line in said)
+
+
 @pytest.mark.parametrize(
     ("number", "words"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGRTMIN + 1, "signal 35")]
 )

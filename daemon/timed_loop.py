@@ -77,15 +77,15 @@ class TimedLoop:
         beam, rotor, beam_ref, rotor_ref = (
             control.beam, control.rotor, control.beam_ref, control.rotor_ref,
         )  # fmt: skip
-        lateness, execution, skips = rows["lateness_s"], rows["execution_s"], rows["skipped"]
-        stales = rows["stale"]
+        lateness, execution, skips, stales = (
+            rows["lateness_s"], rows["execution_s"], rows["skipped"], rows["stale"],
+        )  # fmt: skip
         tags, words, clock, period_s = ring.tags, self._words, self._clock, self._period_s
         wait, now, late, course = clock.wait, time.perf_counter_ns, self._lateness, self.course
         counts, before, head, look = self._counts, self._before, ring.head, course.look
         while not course.ended:
             late_s = wait()
-            begin = now()
-            skipped = clock.skipped
+            begin, skipped = now(), clock.skipped
             cycle = self.cycle = self.cycle + 1 + skipped
             words[_CYCLE] = cycle
             look(1 + skipped)
@@ -95,6 +95,7 @@ class TimedLoop:
             if not head & _COUNT_EVERY:  # rows, not cycles: periods that are skipped may never hit
                 words[_STALE], words[_LATE] = self._stale_before + devices.stale, late.late
             k = course.advance()
+            chosen = now()
             for sync in syncs:
                 sync(cycle, late_s - skipped * period_s)
             sensors.read(gap)
@@ -109,6 +110,7 @@ class TimedLoop:
             amplifiers.write(coil)
             if course.located:
                 drives.write(beam_ref, rotor_ref)
+            written = now()
             tags[slot] = course.tag
             lateness[slot] = late_s
             skips[slot] = min(skipped, 255)
@@ -120,8 +122,9 @@ class TimedLoop:
             ring.head = head
             if not uncounted:
                 account(
-                    counts, late_s * 1e9, read - begin, computed - read, ended - computed, skipped,
-                    before,
+                    counts, late_s * 1e9, read - chosen,
+                    chosen - begin + computed - read + ended - written, written - computed,
+                    skipped, before,
                 )  # fmt: skip
             if fault:
                 course.fail(Fault(fault), control.detail(Fault(fault)))

@@ -22,7 +22,7 @@ class Time(IntEnum):
 
     LATENESS = 0  # from the deadline to the cycle's begin
     DRIVERS = 1  # sync and readings
-    CONTROL = 2  # control, its row of the log
+    CONTROL = 2  # choosing what to fly, control, its row of the log
     WRITING = 3  # setpoints
     EXECUTION = 4  # all of it
 
@@ -31,7 +31,7 @@ class LateBy(IntEnum):
     """Why a cycle was late by a period or more."""
 
     WAKE_UP = 0  # the kernel woke the loop too late
-    DRIVERS = 1  # devices took too long in the cycle before
+    DRIVERS = 1  # devices took too long in the cycle before, read or written
     CONTROL = 2  # everything else in the cycle before did
 
 
@@ -89,9 +89,10 @@ def _edge_ns(bin_: int) -> float:
 def account(counts, late, drivers, control, writing, skipped, before) -> None:  # type: ignore[no-untyped-def]
     """Count one cycle's times in ns.
 
-    `before` (4,) keeps of it what the next one needs: times of drivers and of the rest, what it had
-    left of its period, and the period. A cycle that was late is put down to what the one before it
-    spent its time on, or where that had ended in time, to the wake-up.
+    late: from its deadline, skipped periods included. `before` (4,) keeps of it what the next one
+    needs: times of drivers and of the rest, what it had left of its period, and the period. A cycle
+    that was late is put down to what the one before it spent its time on, or where that had ended
+    in time, to the wake-up.
     """
     facts = counts[-1]
     times = float(late), float(drivers), float(control), float(writing)
@@ -108,4 +109,5 @@ def account(counts, late, drivers, control, writing, skipped, before) -> None:  
             facts[6] += 1
         else:
             facts[7] += 1
-    before[0], before[1], before[2] = drivers, control + writing, before[3] - late
+    before[0], before[1] = drivers + writing, control
+    before[2] = (1 + skipped) * before[3] - late  # it began in the last of the periods it missed

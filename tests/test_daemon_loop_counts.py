@@ -38,6 +38,54 @@ def test_homing_is_no_cycle() -> None:
     assert rows["skipped"].max() == 200
 
 
+@pytest.mark.parametrize(
+    ("slow", "part", "cause"),
+    [
+        ("amplifiers.write", "writing", "drivers"),
+        ("drives.write", "writing", "drivers"),
+        ("sensors.read", "drivers", "drivers"),
+        ("course.advance", "control", "control"),
+    ],
+)
+def test_time_is_counted_to_whoever_took_it(slow: str, part: str, cause: str) -> None:
+    flight = ScriptedLoop()
+    loop, clock = flight.loop, flight.loop._clock
+    whose, name = slow.split(".")
+    one = loop.course if whose == "course" else getattr(loop._devices, whose)
+    takes_long = False
+
+    def script(n: int) -> None:
+        nonlocal takes_long
+        takes_long = n == 300
+        clock.skipped = 19 if n == 301 else 0
+        if n == 300 and whose == "course":  # it changes its method as what is flown changes
+            slowly()
+
+    def slowly() -> None:
+        usual = getattr(one, name)
+
+        def action(*arguments: object) -> object:
+            if takes_long:
+                time.sleep(0.02)
+            return usual(*arguments)
+
+        setattr(one, name, action)
+
+    if whose != "course":
+        slowly()
+    flight.run(script, 310)
+    figures = flight.shared.timing.figures()
+    assert figures["late_by"] == {"wake_up": 0, "drivers": 0, "control": 0, cause: 1}
+    parts = {name: figures[f"{name}_us"]["max"] for name in ("drivers", "control", "writing")}
+    assert max(parts, key=lambda name: parts[name]) == part
+    assert figures["execution_us"]["max"] == pytest.approx(sum_at(flight), rel=0.05)
+
+
+def sum_at(flight: ScriptedLoop) -> float:
+    """Return the longest execution of the rows, us."""
+    return float(1e6 * flight.shared.ring.last(300).rows["execution_s"].max())
+
+
 def test_counters_go_on_where_every_cycle_is_late() -> None:
     """With every other period skipped the cycle is odd for ever, and no multiple of 64."""
     flight = ScriptedLoop()

@@ -38,12 +38,32 @@ def test_quantiles_are_numpy_s_to_the_width_of_a_bin() -> None:
         ((0, 10e3, 5e3, 1e3), "wake_up"),
         ((0, 1.2e6, 5e3, 1e3), "drivers"),
         ((0, 10e3, 1.2e6, 1e3), "control"),
+        ((0, 10e3, 20e3, 1.2e6), "drivers"),  # an amplifier that blocks when it is written to
         ((0.9e6, 300e3, 5e3, 1e3), "drivers"),  # it began late itself, and so ended late
     ],
 )
 def test_late_cycle_is_put_down_to_its_cause(before: tuple[float, ...], cause: str) -> None:
     timing = counted(np.array([[*before, 0], [1.3e6, 10e3, 5e3, 1e3, 1]]))
     late_by = timing.figures()["late_by"]
+    assert late_by.pop(cause) == 1
+    assert not any(late_by.values())
+
+
+@pytest.mark.parametrize(
+    ("before", "skipped", "cause"),
+    [
+        ((1.3e6, 10e3, 5e3, 1e3), 1, "wake_up"),  # it had 0.7 ms left, and took less
+        ((1.3e6, 10e3, 0.8e6, 1e3), 1, "control"),
+        ((2.9e6, 150e3, 5e3, 1e3), 2, "drivers"),  # 0.1 ms left
+    ],
+)
+def test_second_late_cycle_in_a_row_is_put_down_to_its_own_cause(
+    before: tuple[float, ...], skipped: int, cause: str
+) -> None:
+    quick = (0, 10e3, 5e3, 1e3, 0)
+    timing = counted(np.array([quick, [*before, skipped], [1.3e6, 10e3, 5e3, 1e3, 1]]))
+    late_by = timing.figures()["late_by"]
+    late_by["wake_up"] -= 1  # the first: before it all was quick
     assert late_by.pop(cause) == 1
     assert not any(late_by.values())
 

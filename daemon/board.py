@@ -50,11 +50,11 @@ class Word(IntEnum):
     LOOPS = auto()  # how often the loop was started
     EPOCH_NS = auto()  # log time of cycle 0
     EPOCH_MONOTONIC_NS = auto()
+    SUPERVISOR_STOPPED = auto()  # 1: the supervisor is stopped by a signal
     # From the recorder.
     RECORDER_BEAT = auto()
     DROPPED = auto()  # rows that should be in a log and are not
     WRITING = auto()  # tag of the log that is being written
-    SUPERVISOR_STOPPED = auto()  # 1: the supervisor is stopped by a signal
     FAULTS_SEEN = auto()  # rows that were looked through for faults, what was found being on disk
 
 

@@ -20,6 +20,7 @@ from .control import Controller
 from .failures import fault_of
 from .faults import Fault
 from .journal import Journal
+from .parent_watch import ParentWatch
 from .realtime import be_punctual, call_me, die_with, no_collections
 from .shared import Shared
 from .states import State
@@ -107,6 +108,8 @@ def _fly(
 
     journal = Journal()
     loop = TimedLoop(rig, controller, devices, clock, shared, recover, parent)
+    # Before this thread is bound to processors and its rights: what it begins would inherit them.
+    watch = ParentWatch(parent, board.words, 1.0 / rig.rate_hz, rig.realtime.priority)
     for warning in be_punctual(rig.realtime):
         journal.say(f"warning: {warning}")
     journal.close()
@@ -118,7 +121,10 @@ def _fly(
             board[Word.EPOCH_NS] = clock.epoch_ns
         loop.cycle = _cycle_now(board, rig.rate_hz)
         board[Word.BUSY] = 0
-        loop.run()
+        try:
+            loop.run()
+        finally:
+            watch.close()
 
 
 def _cycle_now(board: Board, rate_hz: float) -> int:

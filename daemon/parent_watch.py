@@ -2,49 +2,111 @@
 
 Its heartbeat is that of an ordinary process, for which a busy machine needs patience; that it is
 stopped the kernel knows at once. It tells parents only, which the supervisor has none of here, and
-so it is asked: by the recorder, which has the time, and whose word reaches the loop over the board.
+so it is asked, in /proc: by a thread beside the timed loop, which itself touches no file. Compiled,
+it never holds the interpreter; it is below the loop in priority and above all that is ordinary, and
+it is there as long as the loop, whatever becomes of the recorder.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import threading
-import time
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numpy.typing import NDArray
 
 from .board import Word
+from .states import IN_FLIGHT, State
 
-_LOOK_S = 0.002
-_MOST_BYTES = 1024
+_AT_REST_S = 0.002
+"""How often it looks where nothing flies, and in flight at least; there it is once a period."""
+_MOST_BYTES = 64
+"""The state stands behind a number and a name of 15 bytes."""
+_JOIN_S = 1.0
+_NAME_ENDS, _STATE_STOPPED = ord(")"), ord("T")
+_pread: Any = types.ExternalFunction(
+    "pread", types.intp(types.int32, types.uintp, types.uintp, types.int64)
+)
+_nanosleep: Any = types.ExternalFunction("nanosleep", types.int32(types.uintp, types.uintp))
 
 
 class ParentWatch:
-    """Writes Word.SUPERVISOR_STOPPED every 2 ms, in a thread of its own, while `parent` lives."""
+    """Writes Word.SUPERVISOR_STOPPED once a period in flight, every 2 ms else; `parent` lives.
 
-    def __init__(self, parent: int, words: memoryview) -> None:
-        self._words = words
-        words[Word.SUPERVISOR_STOPPED] = 0
+    `priority` is the loop's, 0 for none; where it is not permitted, it looks as often as it can.
+    """
+
+    def __init__(self, parent: int, words: memoryview, period_s: float, priority: int) -> None:
+        self._priority = priority
+        self._ended = np.zeros(1, np.int64)
+        board: NDArray[np.int64] = np.frombuffer(words, np.int64)
+        self._state, self._stopped = (
+            board[word : word + 1] for word in (Word.STATE, Word.SUPERVISOR_STOPPED)
+        )
+        self._sleeps = np.zeros((len(State), 2), np.int64)  # timespecs
+        self._sleeps[:, 1] = [
+            round(1e9 * (min(period_s, _AT_REST_S) if state in IN_FLIGHT else _AT_REST_S))
+            for state in State
+        ]
+        self._watch(-1)  # compiled now, not beside the loop
+        self._thread = threading.Thread(target=self._run, name="levid-parent", daemon=True)
         try:
             self._stat = os.open(f"/proc/{parent}/stat", os.O_RDONLY | os.O_CLOEXEC)
         except OSError:
             return  # dead already, which the loop sees for itself; or no /proc: it is silent later
-        threading.Thread(target=self._run, name="levid-parent", daemon=True).start()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._ended[0] = 1
+        if self._thread.ident is not None:
+            self._thread.join(_JOIN_S)
 
     def _run(self) -> None:
-        words, stat = self._words, self._stat
+        # Signals are the loop's: what is blocked in a driver is to be woken by them.
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+        if self._priority:
+            below = os.sched_param(max(self._priority - 1, 1))
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_FIFO, below)  # of this thread
         try:
-            while True:
-                words[Word.SUPERVISOR_STOPPED] = is_stopped(os.pread(stat, _MOST_BYTES, 0))
-                time.sleep(_LOOK_S)
-        except OSError:  # it is gone
-            words[Word.SUPERVISOR_STOPPED] = 0
+            self._watch(self._stat)
         finally:
-            os.close(stat)
+            os.close(self._stat)
+
+    def _watch(self, stat: int) -> None:
+        watch(stat, self._state, self._stopped, self._sleeps, self._ended)
 
 
-def is_stopped(stat: bytes) -> bool:
-    """Return whether a process is stopped by a signal, by what /proc/PID/stat says (proc(5)).
+@njit(cache=True)
+def is_stopped(stat) -> bool:  # type: ignore[no-untyped-def]
+    """Return whether a process is stopped by a signal, by how /proc/PID/stat begins (proc(5)).
 
     Its state follows its name, which stands in brackets and may hold brackets itself. Who is
     traced ("t") goes on in a moment, or is missed as one that hangs.
     """
-    return stat[stat.rfind(b")") + 2 :].startswith(b"T")
+    for at in range(len(stat) - 3, -1, -1):
+        if stat[at] == _NAME_ENDS:
+            return bool(stat[at + 2] == _STATE_STOPPED)
+    return False
+
+
+# What is compiled is kept until this file changes: what others define comes as an argument.
+@njit(cache=True, nogil=True)
+def watch(descriptor, state, stopped, sleeps, ended) -> None:  # type: ignore[no-untyped-def]
+    """Write into `stopped` whether the process is, until it is gone or `ended` is set.
+
+    In between it sleeps as long as `sleeps` (states, 2), s and ns, says of the `state` at hand.
+    """
+    stat = np.zeros(_MOST_BYTES, np.uint8)
+    while not ended[0]:
+        found = _pread(descriptor, stat.ctypes.data, _MOST_BYTES, 0)
+        if found <= 0:  # it is dead, which the loop sees for itself
+            break
+        stopped[0] = is_stopped(stat[:found])
+        _nanosleep(sleeps[state[0]].ctypes.data, 0)
+    stopped[0] = 0

@@ -23,7 +23,6 @@ from .board import Word
 from .fault_log import FaultLog
 from .faults import Fault
 from .lines import Closed, Lines
-from .parent_watch import ParentWatch
 from .realtime import call_me
 from .result import attachments
 from .ring import NO_LOG
@@ -78,7 +77,6 @@ class RecorderProcess:
     def run(self, parent: int) -> None:
         """Record."""
         words = self._board.words
-        ParentWatch(parent, words)
         quiet_since_s, cycle = time.monotonic(), words[Word.CYCLE]
         while True:
             self._hear(0.0 if self._ring.waiting >= BLOCK else _POLL_S)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
+import subprocess
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,9 +15,9 @@ import numpy as np
 import pytest
 from scripted_loop import LIFT, ScriptedLoop
 
-from levid.daemon.board import Word
+from levid.daemon.board import Board, Word
 from levid.daemon.faults import Fault
-from levid.daemon.parent_watch import is_stopped
+from levid.daemon.parent_watch import ParentWatch, is_stopped
 from levid.daemon.states import State
 from levid.daemon.supervisor import Supervisor
 from levid.drivers.base import Backend, Devices, FirstError, LinkError, StaleError
@@ -59,12 +62,50 @@ def test_stopped_supervisor_is_zero_force_in_the_cycle_that_is_told() -> None:
 
 
 def test_process_is_stopped_whatever_its_name() -> None:
-    assert is_stopped(b"7 (levid) T 1 7 7")
-    assert is_stopped(b"7 (a) S (b) T 1 7 7")
+    def stopped(stat: bytes) -> bool:
+        return bool(is_stopped(np.frombuffer(stat, np.uint8)))
+
+    assert stopped(b"7 (levid) T 1 7 7")
+    assert stopped(b"7 (a) S (b) T 1 7 7")
     for state in (b"S", b"R", b"D", b"t"):
-        assert not is_stopped(b"7 (T) T) " + state + b" 1 7 7")
-    assert not is_stopped(b"")
-    assert not is_stopped(Path("/proc/self/stat").read_bytes())
+        assert not stopped(b"7 (T) T) " + state + b" 1 7 7")
+    assert not stopped(b"")
+    assert not stopped(Path("/proc/self/stat").read_bytes())
+
+
+@pytest.mark.parametrize("state", [State.IDLE, State.EXCITING])
+def test_process_that_is_stopped_is_told_on_the_board_until_it_goes_on_or_is_dead(
+    state: State,
+) -> None:
+    board = Board(memoryview(bytearray(Board.SIZE)))
+    board[Word.STATE] = state
+
+    def wait_for(stopped: int) -> None:
+        give_up_s = time.monotonic() + 60.0
+        while board[Word.SUPERVISOR_STOPPED] != stopped:
+            assert time.monotonic() < give_up_s
+            time.sleep(0.001)
+
+    with subprocess.Popen(["sleep", "600"]) as process:
+        watch = ParentWatch(process.pid, board.words, 1e-3, priority=0)
+        try:
+            for _ in range(2):
+                process.send_signal(signal.SIGSTOP)
+                wait_for(1)
+                process.send_signal(signal.SIGCONT)
+                wait_for(0)
+            process.send_signal(signal.SIGSTOP)
+            wait_for(1)
+            process.kill()
+            wait_for(0)
+        finally:
+            process.kill()
+            watch.close()
+    assert not watch._thread.is_alive()
+    ParentWatch(
+        process.pid, board.words, 1e-3, priority=0
+    ).close()  # who is dead is watched by none
+    assert not board[Word.SUPERVISOR_STOPPED]
 
 
 @pytest.mark.parametrize("silence", ["in flight, and a stop as it lands", "as it lands"])

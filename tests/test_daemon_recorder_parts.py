@@ -13,7 +13,6 @@ import pytest
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
-from levid.daemon import recorder_process
 from levid.daemon.board import Word
 from levid.daemon.faults import Fault
 from levid.daemon.recorder_process import RecorderProcess, without_empty_part
@@ -203,8 +202,6 @@ def test_log_that_nobody_knows_is_told_and_keeps_no_other_from_being_written(
 def test_recorder_pauses_unless_a_whole_block_waits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # It would watch this process for ever.
-    monkeypatch.setattr(recorder_process, "ParentWatch", lambda *_: None)
     # At 1 kHz the ring would not hold two blocks.
     rig = load_rig(shipped("rigs/loopback.yaml")).model_copy(update={"rate_hz": 2000.0})
     shared = Shared(rig)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
 from levid.config.rig import load_rig
+from levid.daemon.board import Board
 from levid.daemon.clock import VirtualClock
 from levid.daemon.control import Controller
 from levid.daemon.flight import Flight
 from levid.daemon.landing import Landing
+from levid.daemon.parent_watch import ParentWatch
 from levid.daemon.timing import memory_of
 from levid.drivers.sensing import SensorWatch
 from levid.wire.can_frames import load_frames
@@ -38,6 +41,7 @@ with Flight(rig.model_copy(update=roles), HERE, rig.rate_hz, VirtualClock()) as 
 # What the loop in real time has of its own.
 Landing(Controller(rig, 1 / rig.rate_hz), rig.limits, 1 / rig.rate_hz)
 memory_of(1e9 / rig.rate_hz)
+ParentWatch(os.getpid(), Board(memoryview(bytearray(Board.SIZE))).words, 1.0, 0).close()
 values = np.zeros(9)
 for fd in (False, True):
     frames = load_frames(None, 9, 9, fd)

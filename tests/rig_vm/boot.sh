@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Boots a Linux with vcan as a process of this machine (User-mode Linux, no KVM), flies a short session on it
 # through socketcan, and checks the frames that candump saw; then a second one with systemd, where the daemon is a
-# service, until its power is cut. Needs Debian or Ubuntu, root, apt; .venv as `make test` makes it. Everything it
+# service, until its power is cut; and that one again, from the same disk. Needs Debian or Ubuntu, root, apt; .venv as `make test` makes it. Everything it
 # fetches and writes lies in build/rig-vm. Exit code 77: it cannot be done here, and why.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
@@ -49,7 +49,7 @@ start() {
   mkdir -p "$1"
   cat > "$work/init.sh" <<EOF
 #!/bin/bash
-export HERE=$here ROOT=$root WORK=$work BASE=$base
+export HERE=$here ROOT=$root WORK=$work BASE=$base OUT=$1
 exec /bin/bash "$here/$2"
 EOF
   chmod +x "$work/init.sh"
@@ -82,13 +82,18 @@ for program in /lib/systemd/{systemd,systemd-networkd,systemd-udevd} /sbin/{mkfs
 done
 out=$work/out-service
 rm -f "$work/disk"
-truncate --size 64M "$work/disk"
+truncate --size 512M "$work/disk"
 mkfs.ext4 -q "$work/disk"
 start "$out" init_systemd.sh "ubda=$work/disk"
 while kill -0 "$guest" 2>/dev/null && [ ! -e "$out/cut" ]; do sleep 0.05; done
 cut
 ended "$out"
 e2fsck -fy "$work/disk" > "$out/disk.log" 2>&1 || true # 1: mended, as after any power cut
-debugfs -R "rdump /cut-logs $out" "$work/disk" 2>> "$out/disk.log"
+debugfs -R "rdump /state/cut-logs $out" "$work/disk" 2>> "$out/disk.log"
 "$python" "$here/check_power_cut.py" "$out" >> "$out/report.txt"
+cat "$out/report.txt"
+# The power comes back.
+out=$work/out-again
+start "$out" init_systemd.sh "ubda=$work/disk"
+ended "$out"
 cat "$out/report.txt"

@@ -89,6 +89,7 @@ def install() -> None:
     run("udevadm", "control", "--reload")
     run("networkctl", "reload")
     run("systemctl", "daemon-reload")
+    run("systemctl", "enable", "systemd-networkd", "levid")  # for the day when its power is cut
     until(Path("/sys/class/net/vcan0").exists, "networkd makes vcan0")
     run("chown", "-R", "levid:levid", "/var/cache/levid")
     judged = run("systemd-analyze", "security", "--no-pager", "levid").strip().splitlines()[-1]

@@ -11,6 +11,9 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 
+from .board import Board
+from .faults import Fault
+
 _SOCKET = "/run/systemd/journal/socket"
 _ERROR, _WARNING, _INFO = 3, 4, 6
 _STDERR = 2
@@ -65,6 +68,16 @@ class Journal:
                 data = f"{text}\n".encode(errors="backslashreplace")
                 while data:
                     data = data[os.write(_STDERR, data) :]
+
+
+def moment(rig: str, board: Board) -> dict[str, str]:
+    """Return the fields that every entry carries; empty where there is nothing."""
+    fault = board.fault
+    return {
+        "LEVID_RIG": rig,
+        "LEVID_STATE": board.state.name,
+        "LEVID_FAULT": fault.name if fault is not Fault.NONE else "",
+    }
 
 
 def entry(text: str, priority: int, fields: Mapping[str, str]) -> bytes:

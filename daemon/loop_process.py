@@ -19,7 +19,7 @@ from .clock import RealClock
 from .control import Controller
 from .failures import fault_of
 from .faults import Fault
-from .journal import Journal
+from .journal import Journal, moment
 from .parent_watch import ParentWatch
 from .realtime import be_punctual, call_me, die_with, no_collections
 from .shared import Shared
@@ -51,16 +51,19 @@ def main(fd: str, parent: str, folder: str) -> None:
     board[Word.LOOPS] += 1
     controller = Controller(rig, 1.0 / rig.rate_hz, shared.control)
     row = np.zeros(1, shared.dtype)
+    journal = Journal()
+    journal.fields = lambda: moment(rig.name, board)
 
     def ready(devices: Devices) -> None:
         warm_up(controller, devices, row, rig, _cycle_now(board, rig.rate_hz))
 
     try:
-        devices = _opened(rig, Path(folder), board, ready)
+        devices = _opened(rig, Path(folder), board, ready, journal.say)
         if devices is None:
+            journal.close()
             return
         try:
-            _fly(rig, controller, devices, shared, int(parent))
+            _fly(rig, controller, devices, shared, int(parent), journal)
         finally:
             devices.close()
     except SystemExit:
@@ -91,7 +94,12 @@ def _bounded() -> Iterator[None]:
 
 
 def _fly(
-    rig: RigConfig, controller: Controller, devices: Devices, shared: Shared, parent: int
+    rig: RigConfig,
+    controller: Controller,
+    devices: Devices,
+    shared: Shared,
+    parent: int,
+    journal: Journal,
 ) -> None:
     board = shared.board
     clock = RealClock(1.0 / rig.rate_hz)
@@ -106,7 +114,6 @@ def _fly(
         finally:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
-    journal = Journal()
     loop = TimedLoop(rig, controller, devices, clock, shared, recover, parent)
     # Before this thread is bound to processors and its rights: what it begins would inherit them.
     watch = ParentWatch(parent, board.words, 1.0 / rig.rate_hz, rig.realtime.priority)
@@ -136,7 +143,11 @@ def _cycle_now(board: Board, rate_hz: float) -> int:
 
 
 def _opened(
-    rig: RigConfig, folder: Path, board: Board, ready: Callable[[Devices], None]
+    rig: RigConfig,
+    folder: Path,
+    board: Board,
+    ready: Callable[[Devices], None],
+    say: Callable[[str], None],
 ) -> Devices | None:
     """Open the devices and get `ready`; where that fails, every request to clear tries again."""
     seen = board[Word.CLEAR]
@@ -153,6 +164,7 @@ def _opened(
             fault, detail = fault_of(error)
             board.detail = detail
             board[Word.FAULT], board[Word.STATE] = fault, State.FAULT
+            say(f"no flight recording of {fault.name}: it came as devices were opened")
             board[Word.CLEARED] = seen
             board[Word.BUSY] = 0
         else:

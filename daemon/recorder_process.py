@@ -19,6 +19,7 @@ from typing import Any
 from ..config.rig import RigConfig
 from ..log.container import scan
 from ..log.errors import LogError
+from ..log.writer import BEGINNING
 from .board import Word
 from .fault_log import FaultLog
 from .faults import Fault
@@ -51,6 +52,8 @@ class RecorderProcess:
         self._ending = False
         self._closed = NO_LOG  # tag of the last log that the supervisor has forgotten
         self._failed = NO_LOG  # tag of the last log that the scribe failed with
+        self._asked: list[Fault] = []  # whose recordings have to wait for the scribe
+        self._switching = False  # the scribe is in the middle of its work
         rotation = Rotation(
             int(rig.recording.rotate_mb * 1e6), int(rig.recording.rotate_s * rig.rate_hz)
         )
@@ -121,6 +124,8 @@ class RecorderProcess:
 
     def _hear(self, wait_s: float) -> None:
         """Do what the supervisor says; wait for it for `wait_s` at most."""
+        while self._asked and not self._switching:
+            self._record(self._asked.pop(0))
         try:
             ready, _, _ = select.select([self._lines.socket], [], [], wait_s)
             if ready:
@@ -148,19 +153,31 @@ class RecorderProcess:
             self._logs = {tag: log for tag, log in self._logs.items() if tag > before}
             self._tags = {path: tag for path, tag in self._tags.items() if tag > before}
             self._scribe.forget_errors()
-        if "fault" in message:  # of a loop that can write no row of it
-            while len(self._scribe.work().rows):
-                pass
-            self._scribe.finish()
-            self._faults.finish()
-            self._faults.write(Fault[message["fault"]])
+        if "fault" in message:
+            fault = Fault[message["fault"]]
+            if self._switching:
+                self._asked.append(fault)
+            else:
+                self._record(fault)
         if "end" in message:
             self._ending = True
 
+    def _record(self, fault: Fault) -> None:
+        """Record a fault of a loop that can write no row of it."""
+        while len(self._scribe.work().rows):
+            pass
+        self._scribe.finish()
+        self._faults.finish()
+        self._faults.write(fault)
+
     def _log_of(self, tag: int) -> LogFile | None:
         give_up_s = time.monotonic() + _UNKNOWN_S
-        while tag not in self._logs and time.monotonic() < give_up_s:
-            self._hear(_POLL_S)
+        self._switching = True  # what it is told meanwhile must not have the scribe work
+        try:
+            while tag not in self._logs and time.monotonic() < give_up_s:
+                self._hear(_POLL_S)
+        finally:
+            self._switching = False
         if self._failed <= self._closed < tag:
             # The last rows of a flight that is over may fail after it was forgotten.
             self._scribe.forget_errors()
@@ -195,9 +212,10 @@ class RecorderProcess:
 def without_empty_part(file: LogFile) -> LogFile:
     """Take away parts that a recorder which died has begun and that hold no row: they are no logs.
 
-    That is the part before, or one of which it told nobody.
+    That is the part before, or one of which it told nobody. What else there is stays: the log goes
+    on in the next part that is free.
     """
-    if file.path_of(file.part).exists() and not _taken_away(file.path_of(file.part)):
+    while file.path_of(file.part).exists() and not _taken_away(file.path_of(file.part)):
         file = replace(file, part=file.part + 1)
     if file.part > 1 and _taken_away(file.path_of(file.part - 1)):
         file = replace(file, part=file.part - 1)
@@ -207,14 +225,20 @@ def without_empty_part(file: LogFile) -> LogFile:
 def _taken_away(path: Path) -> bool:
     """Remove a log of ours without rows, whole or cut off; return whether it was one."""
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if path.stat().st_size > _MOST_BYTES or not _is_empty_log(path.read_bytes()):
             return False
-        with contextlib.suppress(LogError):  # not even its head got into the file
-            if scan(memoryview(path.read_bytes())).segments:
-                return False
         path.unlink()
     except OSError:
         return False
+    return True
+
+
+def _is_empty_log(data: bytes) -> bool:
+    """Return whether this is what our writer begins with, and no row: however short, it is ours."""
+    if data[: len(BEGINNING)] != BEGINNING[: len(data)]:
+        return False
+    with contextlib.suppress(LogError):  # not all of its head got into the file
+        return not scan(memoryview(data)).segments
     return True
 
 

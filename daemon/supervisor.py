@@ -23,6 +23,7 @@ from .clock_watch import ClockWatch
 from .fault_log import fault_folder
 from .faults import Fault
 from .heat import HeatFile, state_folder
+from .journal import moment
 from .metrics import serve_metrics
 from .notify import Notify
 from .pilot import Pilot
@@ -233,14 +234,9 @@ class Supervisor:
 
     def journal_fields(self) -> dict[str, str]:
         """Return what an entry of the journal says of this moment; empty where there is nothing."""
-        board, job = self.board, self.pilot.job
-        fault = board.fault
-        return {
-            "LEVID_RIG": self.rig.name,
-            "LEVID_STATE": board.state.name,
-            "LEVID_FAULT": fault.name if fault is not Fault.NONE else "",
-            "LEVID_SESSION": job.plan.name if job is not None else "",
-        }
+        job = self.pilot.job
+        session = job.plan.name if job is not None else ""
+        return {**moment(self.rig.name, self.board), "LEVID_SESSION": session}
 
     def _tick(self) -> None:
         """One look at everything; nothing in here waits."""

@@ -31,6 +31,11 @@ ZSTD_LEVEL = -3
 _SCHEMA = 1
 _CHANNEL = 1
 
+BEGINNING = mcap.MAGIC + mcap.record(
+    Op.HEADER, mcap.string("ros2"), mcap.string(f"levid {__version__}")
+)
+"""What a log begins with that this levid has written."""
+
 
 class LogWriter:
     """Writes one log file; what was written is on its way to disk a chunk (0.9 s) later.
@@ -165,9 +170,7 @@ class LogWriter:
         self.close()
 
     def _put_head(self, facts: Mapping[str, str], attachments: Mapping[str, bytes]) -> None:
-        library = f"levid {__version__}"
-        self._put(mcap.MAGIC)
-        self._put(mcap.record(Op.HEADER, mcap.string("ros2"), mcap.string(library)))
+        self._put(BEGINNING)
         self._put(self._schema + self._channel)
         for name, data in attachments.items():
             media = _media_type(name)

@@ -12,7 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from levid.daemon.journal import Journal, entry
+from levid.daemon.board import Board, Word
+from levid.daemon.faults import Fault
+from levid.daemon.journal import Journal, entry, moment
+from levid.daemon.states import State
 
 
 def fields_of(data: bytes) -> dict[str, str]:
@@ -65,6 +68,21 @@ def test_a_fault_is_an_error_with_its_name(journal: tuple[socket.socket, Journal
     found = [fields_of(listening.recv(4096)) for _ in range(3)]
     assert [entry["PRIORITY"] for entry in found] == ["6", "4", "3"]
     assert found[2]["LEVID_FAULT"] == "GAP"
+
+
+def test_every_process_says_which_rig_and_in_what_state(
+    journal: tuple[socket.socket, Journal],
+) -> None:
+    listening, speaking = journal
+    board = Board(memoryview(bytearray(Board.SIZE)))
+    speaking.fields = lambda: moment("here", board)
+    speaking.say("warning: realtime.priority 80")
+    board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LINK
+    speaking.say("no flight recording")
+    calm, faulty = (fields_of(listening.recv(4096)) for _ in range(2))
+    assert (calm["LEVID_RIG"], calm["LEVID_STATE"], calm["PRIORITY"]) == ("here", "OFF", "4")
+    assert "LEVID_FAULT" not in calm
+    assert (faulty["LEVID_FAULT"], faulty["LEVID_STATE"]) == ("LINK", "FAULT")
 
 
 def test_without_its_socket_the_line_goes_to_stderr(

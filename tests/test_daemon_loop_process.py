@@ -45,7 +45,10 @@ def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_tes
 
     monkeypatch.setattr(loop_process, "open_devices", open_devices)
     monkeypatch.setattr(loop_process.time, "sleep", wait)
-    opened = loop_process._opened(load_rig(RIG_FILE), Path(), board, lambda _: None)
+    said: list[str] = []
+    rig = load_rig(RIG_FILE)
+    opened = loop_process._opened(rig, Path(), board, lambda _: None, said.append)
+    assert said == ["no flight recording of LINK: it came as devices were opened"]
     assert opened is devices
     assert signal.alarm(0) == 0  # what bounded it is taken back
     # The supervisor answers a clear once the loop is neither OFF nor in its self-test.

@@ -19,6 +19,7 @@ from levid.daemon.recorder_process import RecorderProcess, without_empty_part
 from levid.daemon.ring import HUNG_S, Ring
 from levid.daemon.scribe import BLOCK, Event, LogFile, Scribe
 from levid.daemon.shared import Shared
+from levid.log.mcap_format import MAGIC, Op, record, string
 from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype
 from levid.log.writer import LogWriter
@@ -50,6 +51,25 @@ def test_part_with_rows_stays(tmp_path: Path) -> None:
     assert without_empty_part(LogFile(path, METADATA, {})).part == 2
     assert without_empty_part(LogFile(path, METADATA, {}, part=2)).part == 2
     assert path.exists()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"notes of an operator",
+        # Another's log that has no rows, or was cut off.
+        MAGIC + record(Op.HEADER, string(""), string("libmcap 1.0")),
+        MAGIC + record(Op.HEADER, string(""), string("libmcap 1.0"))[:12],
+    ],
+)
+def test_what_somebody_else_has_put_there_stays(tmp_path: Path, data: bytes) -> None:
+    file = LogFile(tmp_path / "01-z.mcap", METADATA, {}, part=2)
+    log(file.path, 10)
+    for part in (2, 3):
+        file.path_of(part).write_bytes(data)
+    assert without_empty_part(file).part == 4
+    for part in (2, 3):
+        assert file.path_of(part).read_bytes() == data
 
 
 def test_part_before_without_rows_goes(tmp_path: Path) -> None:
@@ -166,6 +186,29 @@ def test_fault_as_the_recorder_began_to_hang_is_recorded_as_far_as_rows_are_ther
         assert bool(told["why"]) == (lacking_s > 0.0)
     finally:
         recording.close()
+
+
+def test_fault_that_is_asked_for_as_the_scribe_waits_for_a_log_comes_after_its_work(
+    recording: Recording,
+) -> None:
+    """It has the scribe work: in the middle of its work rows would be written in another order."""
+    recorder, ring = recording.recorder, recording.shared.ring
+    ring.rows["cycle"][:6] = range(6)
+    ring.tags[:6] = [1, 1, 1, 2, 2, 2]
+    ring.head = 6
+    recording.define(1)
+    file = {"path": str(recording.folder / "2.mcap"), "metadata": METADATA, "part": 1}
+    messages = ({"fault": "LOOP"}, {"log": 2, **file, "again": False})
+    recording.ours.sendall(b"".join(json.dumps(m).encode() + b"\n" for m in messages))
+    while len(recorder._scribe.work().rows):
+        pass
+    assert not (recording.folder / "faults").exists()
+    recorder._hear(0.0)
+    (path,) = (recording.folder / "faults").iterdir()
+    assert read_log(path).rows["cycle"].tolist() == list(range(6))
+    for tag, cycles in ((1, [0, 1, 2]), (2, [3, 4, 5])):
+        assert read_log(recording.folder / f"{tag}.mcap").rows["cycle"].tolist() == cycles
+    assert recorder._scribe.dropped == 0
 
 
 def test_late_failure_of_a_flight_that_is_over_stops_no_other(recording: Recording) -> None:

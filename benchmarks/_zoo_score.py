@@ -75,6 +75,10 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
     "loaded-rod": ({"a_b"}, {"z"}),
     # A phase of its motor: the current of a_b, with a wave along x_b.
     "shared-return": ({"x_b"}, {"a_b"}),
+    # A spring that goes along with the beam: torque x_b (z + x_b theta), force x_b theta.
+    "steel-plate": ({"x_b"}, {"theta", "z"}),
+    # What the beam gave back since it last started: mostly its speed squared, from the last peak.
+    "pumped-bus": ({"v_b", "a_b"}, {"v_b", "a_b", "x_b", "time"}),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 

@@ -23,6 +23,7 @@ import _table
 import numpy as np
 from _code_version import ROOT, code_version
 from _fuzz_can import can_lengths, can_mutated, can_random, frames_unpacked, local_bus
+from _fuzz_cycles import readings_taken, setpoints_taken
 from _fuzz_drives import drives_heard, nodes_told
 from _fuzz_port import transactions
 from _fuzz_sdo import sdo_answers
@@ -47,6 +48,8 @@ RUNS: dict[str, tuple[Fuzz, str]] = {
     "can_resealed": (partial(can_mutated, resealed=True), "mutated CAN frames, right checksum"),
     "kernel": (frames_unpacked, "noise where the kernel lays out a frame"),
     "local_bus": (local_bus, "messages on a local bus"),
+    "readings": (readings_taken, "CAN frames of readings, cycle after cycle, among noise"),
+    "setpoints": (setpoints_taken, "the same of setpoints, at emulated electronics"),
     "serial": (serial_blocks, "random and mutated serial blocks"),
     "serial_crc12": (serial_crc12, "random serial frames, 12 bits of the checksum"),
     "serial_resealed": (serial_resealed, "mutated serial frames, right checksum"),

@@ -11,6 +11,7 @@ import pytest
 from from_benchmarks import module, script
 
 from levid.drivers.serial.port import TransactionPort
+from levid.wire.can_frames import ValueFrames
 from levid.wire.cia402 import ENABLE_OPERATION
 from levid.wire.rejected import Rejected
 from levid.wire.serial_frames import SerialFrames
@@ -77,8 +78,12 @@ def test_no_frame_ends_the_emulated_drives(fuzz) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", ["can_lengths", "frames_unpacked", "local_bus", "transactions", "drives_followed"]
-)
+    "kind",
+    [
+        "can_lengths", "frames_unpacked", "local_bus", "transactions", "drives_followed",
+        "readings_taken", "setpoints_taken",
+    ],
+)  # fmt: skip
 def test_noise_is_judged_as_it_should_be(fuzz, kind: str) -> None:
     found = getattr(fuzz, kind)(N // 4, np.random.default_rng(8))
     assert found.wrong == 0
@@ -113,6 +118,20 @@ def test_readings_of_another_cycle_would_be_noticed(fuzz, monkeypatch) -> None:
 
     monkeypatch.setattr(TransactionPort, "_take", take_all)
     assert fuzz.transactions(N // 20, np.random.default_rng(11)).wrong > 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "broken", "instead"),
+    [
+        ("readings_taken", "begin", lambda _: None),  # frames of two cycles make a reading
+        ("setpoints_taken", "tag", staticmethod(lambda _: 0)),  # frames of two sets make one
+    ],
+)
+def test_frames_that_do_not_belong_together_would_be_noticed(
+    fuzz, monkeypatch, kind: str, broken: str, instead
+) -> None:
+    monkeypatch.setattr(ValueFrames, broken, instead)
+    assert getattr(fuzz, kind)(N // 20, np.random.default_rng(13)).wrong > 0
 
 
 def test_drive_that_is_told_to_go_on_beside_a_fault_would_be_noticed(fuzz, monkeypatch) -> None:

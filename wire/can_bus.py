@@ -104,7 +104,9 @@ def open_bus(config: CanBus) -> FrameBus:
 class _MessageBus:
     """Any interface, by its Messages."""
 
-    def __init__(self, bus: Any, message: Any, timeout_s: float | None, open_to_all: bool) -> None:
+    def __init__(
+        self, bus: Any, message: Any, timeout_s: float | None, open_to_all: bool = False
+    ) -> None:
         self._bus, self._message, self._timeout_s = bus, message, timeout_s
         self._open_to_all = open_to_all
 

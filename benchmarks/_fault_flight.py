@@ -16,7 +16,7 @@ from _fault_rig import GIVE_UP_S, Rig
 
 from levid.daemon.client import DaemonError
 
-_LIFT = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.2}
+_LIFT = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.2, "check_coils": False}
 _LANDING_S = 4.0
 _AT_M, _MOVING_M_S = 0.01, 0.001
 _RECORD_S = 120.0

@@ -100,10 +100,18 @@ def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
 @_RIG
 @_JSON
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a log of the flight.")
-@click.option("--check-coils", is_flag=True, help="Push each coil, once up, and see what it moves.")
+@click.option(
+    "--check-coils/--no-check-coils",
+    default=None,
+    help="Push each coil, once up, and see what it moves; until the coils are known unless given.",
+)
 @_GONE
 def levitate(
-    rig_path: Path | None, as_json: bool, out: Path | None, check_coils: bool, if_gone: str | None
+    rig_path: Path | None,
+    as_json: bool,
+    out: Path | None,
+    check_coils: bool | None,
+    if_gone: str | None,
 ) -> int:
     """Lift off and hold the working point until `levid land`.
 
@@ -112,11 +120,15 @@ def levitate(
       levid levitate
       levid levitate --check-coils --out out/by-hand
     """
+    from ..daemon.result import in_doubt
+
     more: dict[str, Any] = {"out": str(out.resolve())} if out else {}
     more |= _if_gone(if_gone)
-    if check_coils:
-        more["levitate"] = {"check_coils": {}}
+    if check_coils is not None:
+        more["levitate"] = {"check_coils": {} if check_coils else False}
     answer = _ask("levitate", rig_path, **more)
+    if doubt := in_doubt(answer["unjudged_coils"]):
+        say(doubt)
     _tell(answer, as_json, "landed before it was up" if answer["stopped"] else "levitating")
     return 1 if answer["stopped"] else 0
 

@@ -68,6 +68,7 @@ def command(
       levid excite config/sessions/beam.yaml --out /var/lib/levid/today
     """
     from ..config.session import load_session
+    from ..daemon.result import in_doubt
 
     config = load_session(session)
     refuse_used_folder(out)
@@ -83,6 +84,8 @@ def command(
         f"flew {result.cycles} cycles, {len(result.records)} records{late}{lost}, "
         f"logs in {result.logs[0].parent if result.logs else out}"
     )
+    if doubt := in_doubt(result.unjudged_coils):
+        say(doubt)
     return _after_landing(config, result, out)
 
 

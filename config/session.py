@@ -94,12 +94,13 @@ class Levitate(Strict):
     """Take the weight off the stops in `unload_s`, rise in `ramp_s`, settle for `settle_s`.
 
     With `check_coils` each coil is pushed before the platform settles; one that does not move as
-    the others do is the fault COIL_CHECK.
+    the others do is the fault COIL_CHECK. Where nothing is said of it a daemon does so until it
+    knows the coils: at the first lift-off after its start and after a fault.
     """
 
     unload_s: Duration = 0.5
     ramp_s: Duration = 1.5
-    check_coils: CoilCheck | None = None
+    check_coils: CoilCheck | Literal[False] | None = None
     settle_s: Pause = 4.0
 
 

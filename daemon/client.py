@@ -135,4 +135,5 @@ class Client:
             int(answer["late"]),
             int(answer["lost"]),
             bool(answer["stopped"]),
+            tuple(answer["unjudged_coils"]),
         )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..config.rig import Geometry
 from ..config.session import CoilCheck
+from ..log.signals import Stale
 from ..model.geometry import shape_matrix
 
 Array = NDArray[np.float64]
@@ -20,6 +21,9 @@ _DELAY = 2
 _OFF = 0.2
 """Share of what a coil should have moved by which it may be off. Noise and what the template leaves
 out, stiffness and control, make 0.04; a dead coil is off by 1, two that changed places by 0.6."""
+LONGER = 1.12
+"""How much longer than planned a push may take, cycles being late, to be judged: a late cycle or
+two. Stiffness and control, which the template leaves out, grow with the square of its length."""
 _MOST_TRIPLES = 500
 """The check is judged between two looks at the loop, in some 50 ms: nine coils make 84."""
 _FLAT = 1e4
@@ -60,11 +64,19 @@ class Pushes:
         return found
 
 
-def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> str:
-    """Return which coils do not move the platform as the others do, in words; empty if all do.
+@dataclass(frozen=True)
+class Verdict:
+    """What a check of coils has found: `wrong` in words, and which coils it could not judge."""
 
-    `rows` are the cycle records of the check, and may begin before it. A coil in whose turn a cycle
-    was late is not judged.
+    wrong: str = ""
+    unjudged: tuple[int, ...] = ()
+
+
+def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Verdict:
+    """Return which coils do not move the platform as the others do.
+
+    `rows` are the cycle records of the check, and may begin before it. Where cycles were late, a
+    push lasted as much longer, and is judged as it was; by more than `LONGER` it is not judged.
 
     The platform is a mass: a push moves the pose by G s, s the coil's row of the shape matrix,
     along the push's double integral. G is what fits the coils that agree with each other, so that
@@ -72,12 +84,13 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> st
     """
     begun = np.flatnonzero(rows["coil_excitation_n"].any(axis=1))
     if not len(begun) or len(rows) - begun[0] < pushes.coils * pushes.turn - pushes.pause:
-        return "the pushes of the check are not in the readings"
+        return Verdict(unjudged=tuple(range(pushes.coils)))
     rows = rows[begun[0] :]
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     S_sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
     moved = np.array([_moved(rows, coil, pushes) for coil in range(pushes.coils)])
     judged = np.isfinite(moved).all(axis=1)
+    judged[1:] &= judged[:-1]  # what a push that was held for long set going shakes the next one
 
     def off(among: NDArray[np.int64]) -> Array:
         """Return by which share each coil is off what these coils say."""
@@ -92,26 +105,34 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> st
     chosen = islice(combinations(sound, 3), 0, None, every)
     triples = [np.array(t) for t in chosen if np.linalg.cond(S[list(t)]) < _FLAT]
     if not triples:
-        return ""
+        return Verdict(unjudged=tuple(range(pushes.coils)))
     best = min(triples, key=lambda triple: float(np.median(off(triple)[sound])))
     found = off(np.flatnonzero(judged & (off(best) <= _OFF)))
     wrong = np.flatnonzero(judged & (found > _OFF))
-    return ", ".join(
+    words = (
         f"coil {coil} moved the sensors otherwise than it should, by {100 * found[coil]:.0f} %"
         for coil in wrong
     )
+    return Verdict(", ".join(words), tuple(np.flatnonzero(~judged).tolist()))
 
 
 def _moved(rows: NDArray[np.void], coil: int, pushes: Pushes) -> Array:
     """Return by how much the push of a coil moved the pose (3,), as a multiple of the template."""
     turn = rows[coil * pushes.turn : (coil + 1) * pushes.turn]
-    if len(turn) < 4 * pushes.push or turn["skipped"].any():
-        return np.full(3, np.nan)
     n = min(4 * pushes.push + _DELAY, len(turn))
-    velocity = np.cumsum(pushes.shape)
-    moved = np.concatenate([np.zeros(_DELAY), np.cumsum(velocity)])[:n]
-    k = np.linspace(-1.0, 1.0, n)
+    period = turn["cycle"][:n].astype(np.int64) - int(turn["cycle"][0])
+    if n < 4 * pushes.push or period[-1] > LONGER * (n - 1):
+        return np.full(3, np.nan)
+    # What a cycle computes acts from the next one on, until the one after that, late or not.
+    force = np.repeat(pushes.shape[: n - _DELAY], np.diff(period[1:]))
+    velocity = np.cumsum(np.concatenate([np.zeros(period[1]), force]))
+    moved = np.concatenate([[0.0], np.cumsum(velocity)])[period]
+    k = 2.0 * period / period[-1] - 1.0
     # What the platform does anyway, ringing out from lift-off, is a parabola over so short a time.
     templates = np.stack([moved, np.ones(n), k, k**2], axis=1)
     pose = np.stack([turn[name][:n] for name in ("psi_rad", "theta_rad", "z_m")], axis=1)
-    return np.asarray(np.linalg.lstsq(templates, pose.astype(float), rcond=None)[0][0])
+    fresh = ~(turn["stale"][:n] & Stale.SENSORS).astype(bool)
+    if fresh.sum() <= templates.shape[1]:
+        return np.full(3, np.nan)
+    fitted = np.linalg.lstsq(templates[fresh], pose[fresh].astype(float), rcond=None)
+    return np.asarray(fitted[0][0])

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from ..config.rig import RigConfig
 from .board import Board, Word
-from .coil_check import coil_check
+from .coil_check import Verdict, coil_check
 from .faults import Fault, FlightFault
 from .plan import Plan, PlannedStep
 from .program import Feeder, Logged
 from .recorder_link import RecorderLink
-from .result import FlightResult, RecordingError
+from .result import FlightResult, RecordingError, in_doubt
 from .ring import NO_LOG
 from .scribe import LogFile
 from .segment import Segment
@@ -63,6 +63,7 @@ class Job:
     over_s: float | None = None
     end: int = 0
     flown: tuple[int, int] = (0, 0)
+    verdict: Verdict = field(default_factory=Verdict)
     error: Exception | None = None
 
     def step_of(self, tag: int) -> str:
@@ -90,11 +91,22 @@ class Pilot:
         self._flight_log = NO_LOG
         self.job: Job | None = None
         self.clients_gone = 0
+        self._known_since: tuple[int, int] | None = None
 
     @property
     def airborne(self) -> bool:
         """Whether the coils carry the platform."""
         return self._board.state in IN_FLIGHT
+
+    @property
+    def coils_are_known(self) -> bool:
+        """Whether each coil was seen to move what it should, since the start and any fault."""
+        return self._known_since == self._last_repair
+
+    @property
+    def _last_repair(self) -> tuple[int, int]:
+        """After a fault somebody may have had his hands on the cables."""
+        return self._board[Word.CLEAR], self._board[Word.LOOPS]
 
     def begin(self, job: Job) -> None:
         """Fly `job` from now on; raises RefusedError."""
@@ -230,12 +242,16 @@ class Pilot:
         begin = max(first + last + 1 - cycles - feeder.base - _MISSING_ROWS, 0)
         found = self._ring.copy(begin, _MISSING_ROWS + among + cycles)
         rows = found.rows if found.first == begin else found.rows[:0]  # else it begins too late
-        wrong = coil_check(rows, pushes, self._rig.geometry)
-        if wrong:
-            board.stop(Fault.COIL_CHECK, wrong)
+        job.verdict = verdict = coil_check(rows, pushes, self._rig.geometry)
+        if verdict.wrong:
+            board.stop(Fault.COIL_CHECK, verdict.wrong)
             # The fault comes in the next cycle, in which this plan may be over already.
             at_s = board[Word.CYCLE] / self._rig.rate_hz
-            job.error = FlightFault(Fault.COIL_CHECK, at_s, self.step_of(job), wrong)
+            job.error = FlightFault(Fault.COIL_CHECK, at_s, self.step_of(job), verdict.wrong)
+        elif verdict.unjudged:
+            self._say(in_doubt(verdict.unjudged))
+        else:
+            self._known_since = self._last_repair
 
     def _written(self, job: Job) -> bool:
         return self._ring.durable >= job.end and self._board[Word.WRITING] not in job.tags
@@ -256,6 +272,7 @@ class Pilot:
             late=result.late,
             lost=result.lost,
             stopped=result.stopped,
+            unjudged_coils=list(result.unjudged_coils),
         )
 
     def _result(self, job: Job) -> FlightResult:
@@ -272,6 +289,7 @@ class Pilot:
             *job.flown,
             self._shared.lost - job.misses[1],
             board[Word.PLAN_CUT] >= job.number,
+            job.verdict.unjudged,
         )
 
 

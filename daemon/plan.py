@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ..config.base import ConfigError
 from ..config.rig import RigConfig
-from ..config.session import Land, Levitate, Move, RecordStep, SessionConfig, Step
+from ..config.session import CoilCheck, Land, Levitate, Move, RecordStep, SessionConfig, Step
 from ..model.geometry import decoupling_matrix
 from . import trajectory
-from .coil_check import Pushes
+from .coil_check import LONGER, Pushes
 from .excitation import fade, signal
 from .orthogonal import orthogonal_cycles, orthogonal_multisines
 from .ring import ring_rows
@@ -63,16 +63,18 @@ def plan_session(
     beam_m: float = 0.0,
     rotor_rad: float = 0.0,
     source: str | None = None,
+    check: CoilCheck | None = None,
 ) -> Plan:
     """Lay out `session` on `rig`, from a manipulator at rest at `beam_m` and `rotor_rad`.
 
-    `source` names the session in errors, its file if there is one.
+    `source` names the session in errors, its file if there is one. `check` is done where a lift-off
+    says nothing of its own about it.
 
     Raises:
         ConfigError: a position or speed outside the rig's limits, a coil that the rig has not, a
             level that would saturate the coils; the message names session, step and key.
     """
-    return _Planner(session, rig, beam_m, rotor_rad, source).plan()
+    return _Planner(session, rig, beam_m, rotor_rad, source, check).plan()
 
 
 def plan_steps(
@@ -81,8 +83,9 @@ def plan_steps(
     rig: RigConfig,
     beam_m: float,
     rotor_rad: float,
+    check: CoilCheck | None = None,
 ) -> Plan:
-    """Lay out single steps, flown by hand, from a manipulator at rest; raises as plan_session."""
+    """Lay out single steps, flown by hand, from a manipulator at rest; see plan_session."""
     session = SessionConfig.model_construct(
         levid="session",
         name=name,
@@ -92,7 +95,7 @@ def plan_steps(
         steps=tuple(steps),
         then=(),
     )
-    return _Planner(session, rig, beam_m, rotor_rad, name).plan()
+    return _Planner(session, rig, beam_m, rotor_rad, name, check).plan()
 
 
 class _Planner:
@@ -103,8 +106,9 @@ class _Planner:
         beam_m: float,
         rotor_rad: float,
         source: str | None,
+        check: CoilCheck | None,
     ) -> None:
-        self.session, self.rig = session, rig
+        self.session, self.rig, self.check = session, rig, check
         self.source = source or f"session {session.name}"
         self.rate_hz = session.rate_hz or rig.rate_hz
         self.beam_m, self.rotor_rad = beam_m, rotor_rad
@@ -139,9 +143,10 @@ class _Planner:
         unload, ramp = self.n(step.unload_s), self.n(step.ramp_s)
         beam, rotor = self.still()
         checks: list[Segment] = []
-        if step.check_coils is not None:
-            pushes = Pushes.of(step.check_coils, self.coils, self.rate_hz)
-            self.check_length(pushes, f"{where}.check_coils")
+        check = self.check if step.check_coils is None else step.check_coils or None
+        if check is not None:
+            pushes = Pushes.of(check, self.coils, self.rate_hz)
+            self.check_length(check, pushes, f"{where}.check_coils")
             pushed = pushes.excitation()
             self.check_levels(self.no_v, pushed, beam, f"{where}.check_coils")
             flying = self.flying(State.LEVITATING, len(pushed), beam, rotor)
@@ -289,8 +294,16 @@ class _Planner:
         assert step.duration_s is not None
         return self.n(step.duration_s)
 
-    def check_length(self, pushes: Pushes, where: str) -> None:
-        """Raise ConfigError where the first push is written over before the last is judged."""
+    def check_length(self, check: CoilCheck, pushes: Pushes, where: str) -> None:
+        """Raise ConfigError for pushes that would be longer than they should, or not be judged.
+
+        What was judged last has to be there still, and the first one is written over first.
+        """
+        if pushes.push > LONGER * check.push_s * self.rate_hz:
+            raise ConfigError(
+                f"{where}.push_s: expected a push of at least one period, "
+                f"{1 / self.rate_hz:.3g} s, found {check.push_s:g} s"
+            )
         longest_s = ring_rows(self.rig.recording, self.rate_hz) / self.rate_hz - _JUDGED_S
         found_s = pushes.coils * pushes.turn / self.rate_hz
         if found_s > longest_s:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..config.base import ConfigError, parse, parse_text
 from ..config.rig import RigConfig
-from ..config.session import Land, Levitate, Move, SessionConfig, Step
+from ..config.session import CoilCheck, Land, Levitate, Move, SessionConfig, Step
 from .board import Word
 from .faults import Fault
 from .pilot import Job, RefusedError, in_fault
@@ -225,7 +225,8 @@ class Requests:
                 f"found {session.rate_hz:g} Hz"
             )
         self._require_length(session.name, _least_cycles(session, self._rig.rate_hz))
-        plan = plan_session(session, self._rig, *self._supervisor.manipulator)
+        check = self._due_check(session.steps[0].levitate)
+        plan = plan_session(session, self._rig, *self._supervisor.manipulator, check=check)
         folder = _folder(out)
         texts = attachments(self._supervisor.rig_text, text.encode())
         files = {
@@ -241,7 +242,7 @@ class Requests:
         self._require_rest("levitate")
         levitate = parse(request.get("levitate") or {}, Levitate, "levitate")
         land = parse(request.get("land") or {}, Land, "land")
-        plan = self._by_hand(Step(levitate=levitate))
+        plan = self._by_hand(Step(levitate=levitate), self._due_check(levitate))
         files: dict[int, LogFile] = {}
         out = request.get("out")
         if out is not None:
@@ -265,8 +266,25 @@ class Requests:
         job.holds, job.begins_at_rest = True, False
         return job
 
-    def _by_hand(self, step: Step) -> Plan:
-        return plan_steps([step], step.kind, self._rig, *self._supervisor.manipulator)
+    def _by_hand(self, step: Step, check: CoilCheck | None = None) -> Plan:
+        return plan_steps([step], step.kind, self._rig, *self._supervisor.manipulator, check)
+
+    def _due_check(self, levitate: Levitate | None) -> CoilCheck | None:
+        """Return how a lift-off that does not say so itself is to check the coils, None if not.
+
+        Nobody asked for it: a rig on which it cannot be done flies without, and is told so.
+        """
+        if levitate is None or levitate.check_coils is not None:
+            return None
+        if self._supervisor.pilot.coils_are_known:
+            return None
+        check = CoilCheck()
+        try:
+            self._by_hand(Step(levitate=levitate), check)
+        except ConfigError as error:
+            self._supervisor.tell(f"the coils are not checked after lift-off: {error}")
+            return None
+        return check
 
     def _job(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -22,7 +23,8 @@ class RecordingError(Exception):
 class FlightResult:
     """What a session left behind: its logs in order, its records, and the loop's misses.
 
-    `stopped`: it was asked to land before its end.
+    `stopped`: it was asked to land before its end. `unjudged_coils`: those that were pushed after
+    lift-off and of which nobody knows what they moved, the loop having been too late.
     """
 
     logs: tuple[Path, ...]
@@ -31,6 +33,13 @@ class FlightResult:
     late: int
     lost: int
     stopped: bool = False
+    unjudged_coils: tuple[int, ...] = ()
+
+
+def in_doubt(unjudged_coils: Iterable[int]) -> str:
+    """Return in words which coils the check after lift-off could not judge; empty for none."""
+    coils = ", ".join(map(str, unjudged_coils))
+    return f"the check after lift-off could not judge all coils: not {coils}" if coils else ""
 
 
 def log_metadata(plan: Plan, step: PlannedStep) -> dict[str, str]:

@@ -80,7 +80,7 @@ class Supervisor:
             socket_path,
             self._requests.handlers,
             Access(rig.service),
-            lambda words: self.post(lambda: self._say(words)),
+            self.tell,
         )
         self._mail: deque[Callable[[], None]] = deque()
         self._clearings = Clearings(self.board)
@@ -90,7 +90,7 @@ class Supervisor:
         self._reader = RigReader(
             rig_file,
             lambda new, access: self.post(lambda: self._take_over(new, access)),
-            lambda why: self.post(lambda: self._say(f"RIG.yaml is not taken over: {why}")),
+            lambda why: self.tell(f"RIG.yaml is not taken over: {why}"),
         )
         self._awake = Awake()
         self._loop_beat, self._loop_beat_s, self._busy_s = -1, 0.0, 0.0
@@ -99,9 +99,7 @@ class Supervisor:
         self._clock = ClockWatch()
         self._burdens = Burdens(say)
         self._notify = Notify()
-        self._heat = HeatFile(
-            rig, state_folder(), self._shared.heat, lambda words: self.post(lambda: say(words))
-        )
+        self._heat = HeatFile(rig, state_folder(), self._shared.heat, self.tell)
 
     @property
     def stopping(self) -> bool:
@@ -119,6 +117,10 @@ class Supervisor:
     def post(self, action: Callable[[], None]) -> None:
         """Have something done in the supervisor's thread, soon; from any thread."""
         self._mail.append(action)
+
+    def tell(self, words: str) -> None:
+        """Have something said, soon; from any thread."""
+        self.post(lambda: self._say(words))
 
     def stop(self) -> None:
         """Land if in flight, then return from `run`; may be called from a signal handler."""

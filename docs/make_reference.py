@@ -167,7 +167,9 @@ def _type(field: dict[str, Any]) -> str:
         choices = [_type(choice) for choice in field["anyOf"] if choice.get("type") != "null"]
         return " or ".join(dict.fromkeys(choices))
     if "const" in field or "enum" in field:
-        return " or ".join(f"`{value}`" for value in field.get("enum", [field.get("const")]))
+        values = field.get("enum", [field.get("const")])
+        # YAML's words for what is true or not are small.
+        return " or ".join(f"`{str(v).lower() if isinstance(v, bool) else v}`" for v in values)
     if "$ref" in field or any(_values_of(field)):
         return "mapping" if "$ref" in field else "mappings by name"
     if "pattern" in field:

@@ -8,7 +8,7 @@ import yaml
 
 from levid.config.base import ConfigError, parse_text
 from levid.config.rig import load_rig
-from levid.config.session import SessionConfig
+from levid.config.session import CoilCheck, SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.faults import Fault, FlightFault
 from levid.daemon.plan import plan_session
@@ -98,7 +98,7 @@ def test_check_that_outlasts_the_rows_kept_is_refused(tmp_path: Path) -> None:
         (2.0, 10.0, 10_000.0, r"13\.0 s, found 18\.3 s"),
         (0.32, 0.1, 10_000.0, r"3\.1 s, found 3\.2 s"),
         # Of a slow loop 4096 rows are kept.
-        (5.0, 0.1, 100.0, r"29\.0 s, found 45\.4 s"),
+        (5.0, 0.1, 115.0, r"23\.6 s, found 45\.3 s"),
     ):
         recording = rig.recording.model_copy(update={"before_fault_s": before_fault_s})
         slow = rig.model_copy(update={"recording": recording})
@@ -107,6 +107,27 @@ def test_check_that_outlasts_the_rows_kept_is_refused(tmp_path: Path) -> None:
         config = parse_text(text, SessionConfig, "x")
         with pytest.raises(ConfigError, match=rf"steps\[0\].levitate.check_coils: .* {seconds}"):
             plan_session(config, slow)
+
+
+def test_loop_too_slow_for_its_pushes_is_told_so() -> None:
+    rig = load_rig(RIG_FILE)
+    for rate_hz, push_s in ((100.0, 0.008), (50.0, 0.015)):
+        steps = f"[{{levitate: {{check_coils: {{push_s: {push_s}}}}}}}, {{land: {{}}}}]"
+        text = f"{{levid: session, name: x, rate_hz: {rate_hz}, steps: {steps}}}"
+        config = parse_text(text, SessionConfig, "x")
+        with pytest.raises(ConfigError, match=r"check_coils.push_s: expected .* at least one per"):
+            plan_session(config, rig)
+
+
+def test_what_is_not_asked_for_is_done_where_the_caller_wants_it_and_nowhere_else() -> None:
+    rig, found = load_rig(RIG_FILE), []
+    for given in ("", "check_coils: false", "check_coils: {push_n: 2}"):
+        text = f"{{levid: session, name: x, steps: [{{levitate: {{{given}}}}}, {{land: {{}}}}]}}"
+        config = parse_text(text, SessionConfig, "x")
+        for check in (None, CoilCheck()):
+            segments = plan_session(config, rig, check=check).steps[0].segments()
+            found.append([s.checks.force_n for s in segments if s.checks is not None])
+    assert found == [[], [1.0], [], [], [2.0], [2.0]]
 
 
 def test_long_check_is_judged_by_all_of_its_rows(tmp_path: Path) -> None:

@@ -189,6 +189,91 @@ def test_check_of_coils_is_judged_whatever_follows(
         assert told[-1]["ok"]
 
 
+@pytest.mark.parametrize("late", [1, 3])
+def test_late_cycle_in_the_push_of_a_reversed_coil_hides_nothing(late: int) -> None:
+    told: list[Any] = []
+    flight = ScriptedLoop(with_coil_3_reversed)
+    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job = checked(flight, told)
+    clock, pushed = flight.loop._clock, first_push(job)
+
+    def script(n: int) -> None:
+        # In the push of coil 0, which is sound, and of coil 3.
+        clock.skipped = late if n in (pushed + 3, pushed + 3 * TURN + 12) else 0
+        if n == 300:
+            pilot.begin(job)
+        if not n % 10:
+            pilot.tick()
+
+    flight.run(script, pushed + 9 * TURN + 100)
+    assert flight.board.fault is Fault.COIL_CHECK
+    assert flight.board.detail.startswith("coil 3 moved the sensors otherwise")
+    assert flight.board.detail.count("moved the sensors") == 1
+    assert not pilot.coils_are_known
+
+
+def test_coil_whose_push_was_held_for_long_is_told_of_and_stays_unknown() -> None:
+    told: list[Any] = []
+    said: list[str] = []
+    flight = ScriptedLoop()
+    pilot = Pilot(flight.rig, flight.shared, Recorder(), said.append)  # type: ignore[arg-type]
+    job, again = checked(flight, told), checked(flight, told)
+    clock, pushed = flight.loop._clock, first_push(job)
+    over = pushed + 9 * TURN + 200
+
+    def script(n: int) -> None:
+        # Coil 5 is shaken by what the push of coil 4 has set going.
+        clock.skipped = 12 if n == pushed + 4 * TURN + 12 else 0
+        if n == 300:
+            pilot.begin(job)
+        if n == over:
+            assert told[-1]["unjudged_coils"] == [4, 5]
+            assert not pilot.coils_are_known
+            flight.board.land()
+        if n == over + 1000:
+            pilot.begin(again)
+        if not n % 10:
+            pilot.tick()
+
+    flight.run(script, over + 1000 + pushed + 9 * TURN)
+    assert flight.board.fault is Fault.NONE
+    assert said == ["the check after lift-off could not judge all coils: not 4, 5"]
+    assert told[-1]["unjudged_coils"] == []
+    assert pilot.coils_are_known
+    flight.board.clear()  # somebody may have changed cables
+    assert not pilot.coils_are_known
+
+
+TURN = 82
+"""Cycles of one coil's turn at 1 kHz: four times 8 ms, and 50 ms."""
+
+
+def checked(flight: ScriptedLoop, told: list[Any]) -> Job:
+    """Return a lift-off with a check of coils."""
+    lift = {"unload_s": 0.2, "ramp_s": 0.5, "settle_s": 0.1, "check_coils": {}}
+    job = job_of(flight, told, Step(levitate=lift))
+    job.holds = True
+    return job
+
+
+def first_push(job: Job) -> int:
+    """Return the cycle of the first push of a job that begins in cycle 300."""
+    return 300 + job.plan.cycles - 100 - 9 * TURN
+
+
+def with_coil_3_reversed(devices: Devices) -> Devices:
+    write = devices.amplifiers.write
+
+    def reversed_(coil_n: np.ndarray) -> None:
+        # It carries the others' mean: what it is pushed by itself goes the other way.
+        force_n = coil_n.copy()
+        force_n[3] = 2.0 * np.delete(coil_n, 3).mean() - coil_n[3]
+        write(force_n)
+
+    devices.amplifiers.write = reversed_  # type: ignore[method-assign]
+    return devices
+
+
 def without_coil_3(devices: Devices) -> Devices:
     write = devices.amplifiers.write
 

@@ -26,6 +26,16 @@ class Histogram:
         return cls(Counter(dict(zip(values.tolist(), counts.tolist(), strict=True))))
 
     @classmethod
+    def counted(cls, times_us: ArrayLike, counts: ArrayLike) -> Histogram:
+        """Return the histogram of times in us that came so often each."""
+        bins = np.floor(np.asarray(times_us, dtype=np.float64) * _BINS_A_US + 1e-6).astype(np.int64)
+        found: Counter[int] = Counter()
+        for bin_, count in zip(bins.tolist(), np.asarray(counts).tolist(), strict=True):
+            if count:
+                found[bin_] += count
+        return cls(found)
+
+    @classmethod
     def together(cls, histograms: Iterable[Histogram]) -> Histogram:
         """Return the counts of all."""
         return cls(sum((one.counts for one in histograms), Counter()))

@@ -44,6 +44,7 @@ class Flown:
         self._shared.close()  # the mapping stays
         self._ring, self.board = self._shared.ring, self._shared.board
         self._next = self._ring.head
+        self._woken_before = self._shared.wake_ups.counts[:-1].copy()
         self._cycles: list[Cycles] = []
         self.lags: list[Lag] = []
 
@@ -56,6 +57,11 @@ class Flown:
     def cycles(self) -> Cycles:
         """The cycles whose rows belong into a log."""
         return np.concatenate([np.empty(0, np.int64), *self._cycles])
+
+    @property
+    def woken(self) -> Cycles:
+        """How often the loop woke up so late, by the bins of levid.daemon.wake_up."""
+        return self._shared.wake_ups.counts[:-1] - self._woken_before
 
     def look(self) -> None:
         """Take note of the rows that are new, and of how many wait for the recorder."""

@@ -22,10 +22,12 @@ from _rows import Flown, Found, Lag, found_in
 
 from levid.config.shipped import shipped
 from levid.daemon.client import Client
+from levid.daemon.wake_up import edges_us
 from levid.log.reader import read_log
 
 PRIORITY = 80
 REST_S = 2.0
+_TIMES = ("lateness", "execution", "woken")
 _LONGEST_US = 20_000
 _SYNC_S = 60.0
 _LEAST_LOGGED = 0.5
@@ -36,9 +38,10 @@ _LEAST_LOGGED = 0.5
 class Turn:
     """What came of one contender: cycles, those that were late, times in us.
 
-    `late` of cyclictest: woken up a period late or more; of the loop: ended so late. `found`,
-    `recorder_s` and `lags` are the loop's: its logs, the recorder's processor time in `seconds`,
-    and the rows that waited for it.
+    `late` of cyclictest: woken up a period late or more; of the loop: ended so late. `lateness` of
+    cyclictest is how late it woke up; of the loop how late it began, after its spin, and `woken`
+    how late it woke up before that. `found`, `recorder_s` and `lags` are the loop's: its logs, the
+    recorder's processor time in `seconds`, and the rows that waited for it.
     """
 
     cycles: int = 0
@@ -50,6 +53,7 @@ class Turn:
     found: Found = field(default_factory=Found)
     lags: list[Lag] = field(default_factory=list)
     ring_s: float = 0.0
+    woken: Histogram = field(default_factory=Histogram)
 
     @classmethod
     def together(cls, turns: Iterable[Turn]) -> Turn:
@@ -63,12 +67,13 @@ class Turn:
             sum(one.seconds for one in turns),
             sum(one.recorder_s for one in turns),
             sum((one.found for one in turns), Found()),
+            woken=Histogram.together(one.woken for one in turns),
         )
 
     @property
     def plain(self) -> dict[str, Any]:
         """This as JSON has it."""
-        times = {"lateness": self.lateness.plain, "execution": self.execution.plain}
+        times = {name: getattr(self, name).plain for name in _TIMES}
         return {**vars(self), **times, "found": asdict(self.found)}
 
     @classmethod
@@ -77,8 +82,7 @@ class Turn:
         return cls(
             **{
                 **plain,
-                "lateness": Histogram.from_plain(plain["lateness"]),
-                "execution": Histogram.from_plain(plain["execution"]),
+                **{name: Histogram.from_plain(plain[name]) for name in _TIMES},
                 "found": Found(**plain["found"]),
                 "lags": [Lag(*lag) for lag in plain["lags"]],
             }
@@ -94,6 +98,7 @@ class Flight:
     rate_hz: int
     seconds: float
     recorder_s: float
+    woken: Histogram
 
 
 def rest() -> None:
@@ -162,11 +167,13 @@ def _flown(
             require_no_fault(daemon.ask("status"))
     used_s = processor_s(recorder) - used_s
     took_s = time.monotonic() - began_s
+    # cyclictest counts whole microseconds, rounded down.
+    woken = Histogram.counted(np.floor(edges_us()), flown.woken)
     status = daemon.land()
     flown.wait_until_written()
     if status["recorder_restarts"]:
         raise RuntimeError(f"the recorder was started anew, {status['recorder_restarts']} times")
-    return Flight(logs, flown, rate_hz, took_s, used_s)
+    return Flight(logs, flown, rate_hz, took_s, used_s, woken)
 
 
 def read(flight: Flight) -> Turn:
@@ -199,6 +206,7 @@ def read(flight: Flight) -> Turn:
         found_in(flight.flown.cycles, logged, cut),
         flight.flown.lags,
         flight.flown.capacity / flight.rate_hz,
+        flight.woken,
     )
 
 

@@ -18,6 +18,9 @@ class Clock(Protocol):
     """Log time of cycle 0."""
     skipped: int
     """Whole periods that the last `wait` had to skip because the loop was late."""
+    overslept_ns: int
+    """How long after the moment that it had asked for the last `wait` woke up, before it spun;
+    negative where it did not sleep."""
     real: bool
 
     def start(self) -> None:
@@ -35,6 +38,7 @@ class VirtualClock:
     def __init__(self) -> None:
         self.epoch_ns = VIRTUAL_EPOCH_NS
         self.skipped = 0
+        self.overslept_ns = -1
 
     def start(self) -> None:
         """Nothing to start."""
@@ -61,6 +65,7 @@ class RealClock:
         self._start_ns = self._cycle = 0
         self.epoch_ns = 0
         self.skipped = 0
+        self.overslept_ns = -1
 
     def start(self) -> None:
         """Begin cycle 0 at the next whole moment; deadlines follow from here."""
@@ -71,11 +76,14 @@ class RealClock:
         """Sleep until the next deadline; return the lateness in s and set `skipped`."""
         # From the first cycle on: a period may be no whole number of ns, and days have many.
         deadline = self._start_ns + round((self._cycle + 1) * self._period_ns)
+        wake = deadline - self._spin_ns
         now = time.monotonic_ns()
-        ahead = deadline - now - self._spin_ns
-        if ahead > 0:
-            time.sleep(ahead * 1e-9)
+        if now < wake:
+            time.sleep((wake - now) * 1e-9)
             now = time.monotonic_ns()
+            self.overslept_ns = now - wake
+        else:
+            self.overslept_ns = -1
         while now < deadline:
             now = time.monotonic_ns()
         late = now - deadline

@@ -22,6 +22,7 @@ from .control import heat_of, memory_shape
 from .program import Program
 from .ring import Ring, ring_rows
 from .timing import Timing
+from .wake_up import WakeUps
 
 _AHEAD_S = 4.0
 """How far the program is streamed ahead of the loop."""
@@ -47,6 +48,7 @@ class Shared:
             Program.size(coils, program_rows),
             Timing.SIZE,
             8 * int(np.prod(control)),
+            WakeUps.SIZE,
         )
         ends = np.cumsum([-(-size // _PAGE) * _PAGE for size in sizes]).tolist()
         name = _name_of(self.dtype, ends)
@@ -70,6 +72,7 @@ class Shared:
         self.control = words.reshape(control)
         """What a controller remembers: a loop that follows a dead one finds the coils as hot."""
         self.heat = heat_of(self.control, coils)
+        self.wake_ups = WakeUps(memory[ends[4] : ends[5]])
 
     @property
     def lost(self) -> int:

@@ -231,7 +231,10 @@ class Supervisor:
                 "recorder": self._recorder.pid,
             },
             **pose,
-            "timing": self._shared.timing.figures(),
+            "timing": {
+                **self._shared.timing.figures(),
+                "wake_up_us": self._shared.wake_ups.figures(),
+            },
         }
 
     def journal_fields(self) -> dict[str, str]:

@@ -23,6 +23,7 @@ from .lateness import Lateness
 from .shared import Shared
 from .states import State
 from .timing import account, memory_of
+from .wake_up import count_wake_up
 
 _COUNT_EVERY = 63
 """Cycles between two looks at slow counters, less one; a mask."""
@@ -50,6 +51,8 @@ class TimedLoop:
         self._controller, self._devices, self._clock = controller, devices, clock
         self._ring, self._words, self._recover = shared.ring, shared.board.words, recover
         self._counts, self._before = shared.timing.counts, memory_of(1e9 / rig.rate_hz)
+        self._wake_ups = shared.wake_ups.counts
+        count_wake_up(self._wake_ups, -1)  # compiles it
         self._lateness = Lateness(rig.limits, rig.rate_hz)
         # A loop that follows a dead one counts on.
         self._lateness.late, self._stale_before = shared.board[Word.LATE], shared.board[Word.STALE]
@@ -82,7 +85,9 @@ class TimedLoop:
         )  # fmt: skip
         tags, words, clock, period_s = ring.tags, self._words, self._clock, self._period_s
         wait, now, late, course = clock.wait, time.perf_counter_ns, self._lateness, self.course
-        counts, before, head, look = self._counts, self._before, ring.head, course.look
+        counts, wake_ups, before, head, look = (
+            self._counts, self._wake_ups, self._before, ring.head, course.look,
+        )  # fmt: skip
         while not course.ended:
             late_s = wait()
             begin, skipped = now(), clock.skipped
@@ -126,6 +131,7 @@ class TimedLoop:
                     chosen - begin + computed - read + ended - written, written - computed,
                     skipped, before,
                 )  # fmt: skip
+                count_wake_up(wake_ups, clock.overslept_ns)
             if fault:
                 course.fail(Fault(fault), control.detail(Fault(fault)))
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 _PARTS = 4
 """Bins of one power of two: a quantile is right to a quarter, and mostly to an eighth."""
 _BINS = 40 * _PARTS
-_SHARES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
+SHARES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 
 
 class Time(IntEnum):
@@ -70,12 +70,12 @@ def memory_of(period_ns: float) -> NDArray[np.float64]:
 def _quantiles(counts: NDArray[np.int64], largest_ns: int) -> Mapping[str, float]:
     total = int(counts.sum())
     if not total:
-        return dict.fromkeys([*_SHARES, "max"], 0.0)
+        return dict.fromkeys([*SHARES, "max"], 0.0)
     reached = np.cumsum(counts)
     found = {
         # The upper edge of the bin, and never more than the largest.
         name: min(float(_edge_ns(int(np.searchsorted(reached, share * total)))), largest_ns) * 1e-3
-        for name, share in _SHARES.items()
+        for name, share in SHARES.items()
     }
     return {**found, "max": largest_ns * 1e-3}
 

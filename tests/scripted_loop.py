@@ -35,7 +35,7 @@ class ScriptedClock(Clock):
 
     def __init__(self, script: Callable[[int], None]) -> None:
         self.n, self.script, self.skipped = 0, script, 0
-        self.epoch_ns, self.late_s = 0, 0.0
+        self.epoch_ns, self.late_s, self.overslept_ns = 0, 0.0, -1
 
     def start(self) -> None:
         return

@@ -112,7 +112,7 @@ def test_session_that_is_far_too_long_is_refused_before_it_is_planned(
     monkeypatch: pytest.MonkeyPatch, length: dict[str, Any]
 ) -> None:
     """A thousand records of 50 minutes each would be planned for hours."""
-    monkeypatch.setattr("levid.daemon.requests.plan_session", lambda *_: 1 / 0)
+    monkeypatch.setattr("levid.daemon.requests.plan_session", lambda *_, **__: 1 / 0)
     rig = load_rig(shipped("rigs/loopback.yaml"))
     supervisor: Any = SimpleNamespace(board=Board(), rig=rig)
     multisine = {"signal": "multisine", "period_s": 2.0, "band_hz": [1, 40]}

@@ -309,10 +309,10 @@ def test_nothing_lifts_off_that_was_called_off_while_it_was_planned(
 ) -> None:
     planning, go_on = threading.Event(), threading.Event()
 
-    def plan(*arguments: Any) -> Any:
+    def plan(*arguments: Any, **more: Any) -> Any:
         planning.set()
         assert go_on.wait(60.0)
-        return plan_session(*arguments)
+        return plan_session(*arguments, **more)
 
     monkeypatch.setattr("levid.daemon.requests.plan_session", plan)
     with socket.socket(socket.AF_UNIX) as client:
@@ -352,7 +352,7 @@ def test_what_cannot_be_flown_is_not_planned(
     ready: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ready.ask("levitate", levitate={"unload_s": 0.1, "ramp_s": 0.2, "settle_s": 0.1})
-    monkeypatch.setattr("levid.daemon.requests.plan_session", lambda *_: 1 / 0)
+    monkeypatch.setattr("levid.daemon.requests.plan_session", lambda *_, **__: 1 / 0)
     said = refused(ready, "excite", session=SESSION, out=str(tmp_path / "out"))
     assert "expected the state IDLE, found LEVITATING" in said
     ready.ask("land")

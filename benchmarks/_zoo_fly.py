@@ -23,7 +23,7 @@ from _zoo_cases import wherever
 from threadpoolctl import threadpool_limits
 
 from levid.config.base import ConfigError, parse, read_mapping
-from levid.config.rig import load_rig
+from levid.config.rig import RigConfig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.faults import FlightFault
@@ -41,6 +41,9 @@ MODEL = shipped("models/rig.yaml")
 SESSION = shipped("sessions/trace-short.yaml")
 HIGHEST_GAP_M = 0.85e-3
 """Beyond, a corner would touch its stop at 0.9 mm or leave what the sensors read."""
+_FREE_OF = ("total_n", "coil_rms_n", "gap_m_s", "tilt_rad")
+"""Limits that plants are flown without: a reading that was stuck and jumps is faster than any
+platform, and what becomes of a plant is not to hang on where a lab would end its flight."""
 PARTS = (1.0, 0.8, 0.64, 0.51, 0.36, 0.25)
 """Of the size that was asked for, as much as can be flown."""
 
@@ -119,7 +122,7 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
     session = {**read_mapping(SESSION), "then": [], "seed": seed}
     try:
         flown = fly_virtually(
-            load_rig(RIG).model_copy(update={"sim": str(sim)}),
+            parse(rig_plain(), RigConfig, str(RIG)).model_copy(update={"sim": str(sim)}),
             RIG,
             parse(session, SessionConfig, str(SESSION)),
             yaml.safe_dump(session).encode(),
@@ -132,6 +135,12 @@ def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
     if highest > HIGHEST_GAP_M:
         raise TooLargeError(f"a corner moves {1e3 * highest:.2f} mm")
     return list(flown.records), highest
+
+
+def rig_plain() -> dict[str, Any]:
+    """Return the rig that plants are flown on."""
+    plain = read_mapping(RIG)
+    return {**plain, "limits": {k: v for k, v in plain["limits"].items() if k not in _FREE_OF}}
 
 
 def code_version(roots: Sequence[str] = _TRACING) -> str:

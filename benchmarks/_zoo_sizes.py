@@ -20,7 +20,15 @@ from typing import Any
 
 import yaml
 from _zoo_cases import ZooCase
-from _zoo_fly import MODEL, RIG, SESSION, SIM, TooLargeError, canonical, fly_and_refit
+from _zoo_fly import (
+    MODEL,
+    SESSION,
+    SIM,
+    TooLargeError,
+    canonical,
+    fly_and_refit,
+    rig_plain,
+)  # fmt: skip
 from _zoo_pool import run_apart
 
 from levid.config.base import read_mapping
@@ -164,7 +172,7 @@ def _fingerprint(case: ZooCase | None) -> str:
     if case is not None:
         use = case.use.rpartition("/")[2]  # wherever the benchmarks lie
         what = [use, dict(case.values), dict(case.size), case.absorbed, case.sized]
-    text = canonical([what, *map(read_mapping, (SESSION, SIM, MODEL, RIG))])
+    text = canonical([what, *map(read_mapping, (SESSION, SIM, MODEL)), rig_plain()])
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

@@ -21,9 +21,9 @@ _DELAY = 2
 _OFF = 0.2
 """Share of what a coil should have moved by which it may be off. Noise and what the template leaves
 out, stiffness and control, make 0.04; a dead coil is off by 1, two that changed places by 0.6."""
-LONGER = 1.12
-"""How much longer than planned a push may take, cycles being late, to be judged: a late cycle or
-two. Stiffness and control, which the template leaves out, grow with the square of its length."""
+LONGER = 1.1
+"""How much longer than planned a push may take, cycles being late, to be judged: 3 ms. Stiffness
+and control, which the template leaves out, grow with the square of its length."""
 _MOST_TRIPLES = 500
 """The check is judged between two looks at the loop, in some 50 ms: nine coils make 84."""
 _FLAT = 1e4
@@ -76,7 +76,8 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Ve
     """Return which coils do not move the platform as the others do.
 
     `rows` are the cycle records of the check, and may begin before it. Where cycles were late, a
-    push lasted as much longer, and is judged as it was; by more than `LONGER` it is not judged.
+    push lasted as much longer, and is judged as it was; by more than `LONGER` it is not judged, nor
+    is what it shakes.
 
     The platform is a mass: a push moves the pose by G s, s the coil's row of the shape matrix,
     along the push's double integral. G is what fits the coils that agree with each other, so that
@@ -90,7 +91,13 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Ve
     S_sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
     moved = np.array([_moved(rows, coil, pushes) for coil in range(pushes.coils)])
     judged = np.isfinite(moved).all(axis=1)
-    judged[1:] &= judged[:-1]  # what a push that was held for long set going shakes the next one
+    # What a push that was held for long has set going shakes the next one; one that was held for
+    # as long again as it should last, or a force of control, all that come after it.
+    judged[1:] &= judged[:-1]
+    cycle = rows["cycle"][: pushes.coils * pushes.turn : pushes.turn].astype(np.int64)
+    held = np.flatnonzero(np.diff(cycle) - pushes.turn > pushes.push)
+    if len(held):
+        judged[held[0] + 1 :] = False
 
     def off(among: NDArray[np.int64]) -> Array:
         """Return by which share each coil is off what these coils say."""

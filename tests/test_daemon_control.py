@@ -107,15 +107,11 @@ def test_nothing_but_engaging_brings_control_in(lands: bool) -> None:
 
 
 def test_coil_force_and_its_rate_are_clipped_and_counted() -> None:
-    bench = Bench()
-    v = np.array([[0.0, 0.0, 1000.0]])
-    rows = bench.run(flying(3, v=v), np.zeros((3, 9)))
+    rig, v = limited(total_n=None), np.array([[0.0, 0.0, 1000.0]])
+    rows = Bench(rig).run(flying(3, v=v), np.zeros((3, 9)))
     assert np.all(rows["coil_n"] == 20.0)  # limits.coil_n, within a step of 40 N
     assert np.all(rows["saturated"] == 9)
-    slow = RIG.model_copy(
-        update={"limits": RIG.limits.model_copy(update={"coil_rate_n_s": 1000.0})}
-    )
-    rows = Bench(slow).run(flying(3, v=v), np.zeros((3, 9)))
+    rows = Bench(limited(total_n=None, coil_rate_n_s=1000.0)).run(flying(3, v=v), np.zeros((3, 9)))
     np.testing.assert_allclose(rows["coil_n"][:, 0], [1.0, 2.0, 3.0], rtol=1e-6)
 
 
@@ -168,7 +164,7 @@ def test_latched_fault_stands_in_every_row_until_cleared() -> None:
     assert bench.run(idle, np.zeros((1, 9)))["fault"][0] == Fault.NONE
 
 
-def limited(**limits: float) -> RigConfig:
+def limited(**limits: float | None) -> RigConfig:
     return RIG.model_copy(update={"limits": RIG.limits.model_copy(update=limits)})
 
 

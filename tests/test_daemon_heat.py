@@ -70,7 +70,8 @@ def test_after_a_boot_the_time_of_day_counts_and_never_backwards(
 
 
 def test_without_a_limit_there_is_no_file(tmp_path: Path) -> None:
-    kept(tmp_path, np.full(9, 50.0), RIG)
+    free = RIG.model_copy(update={"limits": RIG.limits.model_copy(update={"coil_rms_n": None})})
+    kept(tmp_path, np.full(9, 50.0), free)
     assert not list(tmp_path.iterdir())
 
 

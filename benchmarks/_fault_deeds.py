@@ -27,50 +27,61 @@ _PIDFD_OPEN, _PIDFD_GETFD = 434, 438
 _FLOODING = 8
 _BATCH = 50
 
-Undo = Callable[[], None] | None
+
+@dataclass(frozen=True)
+class Done:
+    """What was done: `undo` takes it back once force is gone, where anything has to.
+
+    since: periods with force, since the start, when the loop could first act on it; None where that
+    is when it was done.
+    """
+
+    undo: Callable[[], None] | None = None
+    since: int | None = None
 
 
-def _kill_loop(_: Rig, status: Status) -> Undo:
+def _kill_loop(_: Rig, status: Status) -> Done:
     os.kill(status["pids"]["loop"], signal.SIGKILL)
-    return None
+    return Done()
 
 
-def _stop_loop(_: Rig, status: Status) -> Undo:
+def _stop_loop(_: Rig, status: Status) -> Done:
     os.kill(status["pids"]["loop"], signal.SIGSTOP)
-    return None
+    return Done()
 
 
-def _hold_loop_up(_: Rig, status: Status) -> Undo:
+def _hold_loop_up(rig: Rig, status: Status) -> Done:
     pid, longest_s = status["pids"]["loop"], (EXPIRE_CYCLES - 1) / RATE_HZ
     os.kill(pid, signal.SIGSTOP)
     began_s = time.monotonic()
     time.sleep(0.5 * (STALL_S + 1.0 / RATE_HZ + longest_s))
+    since = rig.forced_periods()
     os.kill(pid, signal.SIGCONT)
     held_s = time.monotonic() - began_s
     if held_s > longest_s:
         raise NotInjectedError(f"the loop was held up for {held_s:.3f} s: setpoints expire first")
-    return None
+    return Done(since=since)
 
 
-def _kill_supervisor(rig: Rig, _: Status) -> Undo:
+def _kill_supervisor(rig: Rig, _: Status) -> Done:
     assert rig.daemon is not None
     rig.daemon.kill()
     rig.daemon.wait()
-    return None
+    return Done()
 
 
-def _stop_supervisor(rig: Rig, _: Status) -> Undo:
+def _stop_supervisor(rig: Rig, _: Status) -> Done:
     assert rig.daemon is not None
     rig.daemon.send_signal(signal.SIGSTOP)
-    return partial(rig.daemon.send_signal, signal.SIGCONT)
+    return Done(partial(rig.daemon.send_signal, signal.SIGCONT))
 
 
-def _stop(rig: Rig, _: Status) -> Undo:
+def _stop(rig: Rig, _: Status) -> Done:
     rig.ask("stop")
-    return None
+    return Done()
 
 
-def _lose_bus(rig: Rig, status: Status) -> Undo:
+def _lose_bus(rig: Rig, status: Status) -> Done:
     """Take the bus away at the host's end: the port hangs up, or its socket is shut."""
     try:
         if rig.bus == "serial":
@@ -81,7 +92,7 @@ def _lose_bus(rig: Rig, status: Status) -> Undo:
                     end.shutdown(socket.SHUT_RDWR)
     except PermissionError as error:  # of a root that may not all
         raise NotInjectedError(str(error)) from None
-    return None
+    return Done()
 
 
 def _hang_up(path: Path) -> None:
@@ -92,11 +103,11 @@ def _hang_up(path: Path) -> None:
         os.close(port)
 
 
-def _nothing(_: Rig, __: Status) -> Undo:
-    return None  # the session is what is wrong
+def _nothing(_: Rig, __: Status) -> Done:
+    return Done()  # the session is what is wrong
 
 
-DEEDS: dict[str, Callable[[Rig, Status], Undo]] = {
+DEEDS: dict[str, Callable[[Rig, Status], Done]] = {
     "loop held up": _hold_loop_up,
     "loop killed": _kill_loop,
     "loop stopped": _stop_loop,
@@ -106,7 +117,7 @@ DEEDS: dict[str, Callable[[Rig, Status], Undo]] = {
     "host's end lost": _lose_bus,
     "heat": _nothing,
 }
-"""End the flight; return what takes it back once force is gone, None where nothing does."""
+"""End the flight."""
 
 
 def _sockets_of(pid: int) -> Iterator[socket.socket]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from _fault_deeds import DEEDS, HARMLESS, Seen, cannot
+from _fault_deeds import DEEDS, HARMLESS, Done, Seen, cannot
 from _fault_flight import Flight, NotInjectedError, come_to_rest, lift_off
 from _fault_list import FLYING, HOLDING, LAST, Case, Kind, kinds
 from _fault_logs import Expected, LogLook, look_at_logs, recording_of
@@ -29,13 +29,13 @@ class Trial:
     """What came of a fault.
 
     skipped: why it is left out on this machine. flew: whether it lifted off. injected: whether the
-    fault came about; `why_not` says why not. cycles: periods with force from it on, None where
-    force did not end. came_back: periods with force after that. found: what the daemon calls it,
-    and recorded: the flight recording as well. told: None where the daemon has no word for it.
-    clears: how often `clear` was asked for, and clear_s how long it took; rested: whether that was
-    enough. answers, asked_s: of a flood. stalled_us: what processes waited for memory.
-    closed: whether the recorder was done with the flight's logs in time, and look: at them.
-    failed: what kept the trial from its end. wrong: in words.
+    fault came about; `why_not` says why not. cycles: periods with force from it on, or from where
+    the loop could act on it; None where force did not end. came_back: periods with force after
+    that. found: what the daemon calls it, and recorded: the flight recording as well. told: None
+    where the daemon has no word for it. clears: how often `clear` was asked for, and clear_s how
+    long it took; rested: whether that was enough. answers, asked_s: of a flood. stalled_us: what
+    processes waited for memory. closed: whether the recorder was done with the flight's logs in
+    time, and look: at them. failed: what kept the trial from its end. wrong: in words.
     """
 
     bus: str
@@ -130,19 +130,20 @@ def keep_what_is_wrong(rig: Rig, trial: Trial, folder: Path) -> None:
 
 def _must_stop(rig: Rig, case: Case, trial: Trial, flight: Flight) -> int:
     """Bring it about and watch the force; return the periods with one up to its end."""
-    recorded, since = rig.recordings(), flight.status["cycle"]
+    recorded, cycle = rig.recordings(), flight.status["cycle"]
     before = rig.say(case.line or "status")
     if not any(before.get("acting_n", ())):
         raise NotInjectedError("no force acts")
     if before.get("did") != (case.line or "status"):
         raise NotInjectedError(f"the electronics say: {before.get('error')}")
-    undo = DEEDS[case.kind](rig, flight.status) if not case.line else None
+    done = DEEDS[case.kind](rig, flight.status) if not case.line else Done()
+    since = before["forced_periods"] if done.since is None else done.since
     try:
         began_s = time.monotonic()
         while rig.forces() and time.monotonic() - began_s < GIVE_UP_S:
             time.sleep(0.005)
         ended = rig.forced_periods()
-        cycles = ended - before["forced_periods"]
+        cycles = max(ended - since, 0)
         if case.line and cycles < 1:
             raise NotInjectedError("force had ended before it came")
         trial.injected = True
@@ -150,14 +151,14 @@ def _must_stop(rig: Rig, case: Case, trial: Trial, flight: Flight) -> int:
             trial.wrong.append(f"force after {GIVE_UP_S:g} s")
         else:
             trial.cycles, most = cycles, trial.kind.most_cycles
-            if most is not None and cycles > most:
+            if cycles > most:
                 trial.wrong.append(f"takes {cycles} cycles")
         time.sleep(_WATCHED_S)
     finally:
-        if undo is not None:
-            undo()
-    _look_at_names(rig, trial, recorded, since)
-    _look_at_logs(rig, trial, flight, since)
+        if done.undo is not None:
+            done.undo()
+    _look_at_names(rig, trial, recorded, cycle)
+    _look_at_logs(rig, trial, flight, cycle)
     return ended
 
 

@@ -2,12 +2,14 @@
 
 From one list zero force and the right name must follow, from the other nothing but a word of it;
 after either the daemon has to be usable, and every log has to open. Zero force is due within 3
-cycles where the loop can end it itself; where it is dead, or the device hears nothing of it, within
-the device's own timeout. --quick: 40 faults; else 1,000, in about an hour. What did not come about
-is tried again. Trials are kept as they come, so that a run that was stopped carries on; one that
-fails counts as failed in all that was asked of it. The clock is not stepped here, for the machine
-has others on it: that is in tests/rig_vm, on a machine of its own. Faults that nothing outside the
-daemon can provoke, such as a control law that computes no number, have tests of their own.
+cycles where the loop can end it itself, from where it runs again if it was held up, and from the
+last moment at which a limit is exceeded if that takes its time; where it is dead, or the device
+hears nothing of it, within the device's own timeout. --quick: 40 faults; else 1,000, in about an
+hour. What did not come about is tried again. Trials are kept as they come, so that a run that was
+stopped carries on; one that fails counts as failed in all that was asked of it. The clock is not
+stepped here, for the machine has others on it: that is in tests/rig_vm, on a machine of its own.
+Faults that nothing outside the daemon can provoke, such as a control law that computes no number,
+have tests of their own.
 """
 
 from __future__ import annotations

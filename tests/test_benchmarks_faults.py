@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from from_benchmarks import module, script
 
@@ -34,15 +35,71 @@ def test_the_device_s_own_timeout_counts_only_where_the_loop_cannot_end_it() -> 
         trial("drop", cycles=None),
         trial("loop killed", cycles=timeout),
         trial("bus-off", cycles=timeout + 2),
-        trial("push", cycles=100),
     ]
     found = by_key(trials)
     assert (found["within_3"], found["within_3_trip"], found["within_3_drop"]) == (1 / 4, 1, 0)
     assert (found["within_all"], found["within_promise"]) == (1 / 6, 2 / 6)
     assert "within_3_loop_killed" not in found
     assert (found["shows_late"], found["slowest_stop"], found["stopped"]) == (
-        1, timeout + 2, 6 / 7,
+        0, timeout + 2, 5 / 6,
     )  # fmt: skip
+
+
+def test_what_shows_after_a_while_is_bounded_from_there() -> None:
+    lists = module("_fault_list")
+    late = {name: k.shows for name, k in lists.kinds("serial").items() if k.shows}
+    assert set(late) == {"frozen", "push", "tilt", "heat"}
+    for name, shows in late.items():
+        most = shows + lists.SOON
+        found = by_key([trial(name, cycles=most), trial(name, cycles=most + 1)])
+        assert found["within_3"] == found["within_promise"] == 1 / 2
+        assert found["shows_late"] == 2
+
+
+def test_bounds_are_those_of_the_rig_that_is_flown(tmp_path: Path) -> None:
+    lists, rigs = module("_fault_list"), module("_fault_rig")
+    limits = rigs.rig_of("serial", tmp_path)["limits"]
+    cycle_s = 1.0 / rigs.RATE_HZ
+    # 40 N on 7 kg and rods of 2600 N/m; 0.55 N m on 195 N m/rad and 0.058 kg m2.
+    fallen_m = 40.0 / 2600.0 * (1.0 - np.cos((2600.0 / 7.0) ** 0.5 * lists._PUSH_SHOWS * cycle_s))
+    assert fallen_m > limits["gap_m"]
+    swing_rad = 0.55 / 195.0 * (1.0 - np.cos((195.0 / 0.058) ** 0.5 * np.arange(10) * cycle_s))
+    assert swing_rad[: lists._TILT_SHOWS + 1].max() > limits["tilt_rad"]
+    carried = 7.8**2 + 7.0**2
+    passes_s = limits["coil_time_constant_s"] * np.log(
+        carried / (carried - limits["coil_rms_n"] ** 2)
+    )
+    assert passes_s + 0.1 <= lists._HEAT_SHOWS * cycle_s < passes_s + 0.15
+
+
+def test_a_loop_that_was_held_up_has_its_three_cycles_from_where_it_runs_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    deeds = module("_fault_deeds")
+    sent: list[object] = []
+    monkeypatch.setattr(deeds.os, "kill", lambda _, number: sent.append(number))
+    monkeypatch.setattr(deeds.time, "sleep", lambda _: sent.append("held"))
+
+    class Held:
+        def forced_periods(self) -> int:
+            sent.append("looked")
+            return 107
+
+    done = deeds._hold_loop_up(Held(), {"pids": {"loop": 1}})
+    assert done == deeds.Done(since=107)
+    assert sent == [deeds.signal.SIGSTOP, "held", "looked", deeds.signal.SIGCONT]
+    assert module("_fault_list").kinds("serial")["loop held up"].most_cycles == 3
+
+
+def test_names_of_both_lists_count_together() -> None:
+    found = by_key([
+        trial("trip", cycles=1, named=True),
+        trial("drop", cycles=1),
+        trial("recorder killed", told=True),
+        trial("disk full", told=False),
+        trial("socket flooded"),  # without a word for it
+    ])  # fmt: skip
+    assert (found["named"], found["told"], found["right_name"]) == (1 / 2, 1 / 2, 2 / 5)
 
 
 def test_only_what_the_loop_cannot_end_is_left_to_the_device() -> None:
@@ -50,7 +107,7 @@ def test_only_what_the_loop_cannot_end_is_left_to_the_device() -> None:
     for bus in lists.BUSES:
         own = {name for name, kind in lists.kinds(bus).items() if kind.own_timeout}
         unheard = {"bus-off", "disconnect", "drop-setpoints", "host's end lost"}
-        assert own == unheard | {"loop killed", "loop stopped", "loop held up"}
+        assert own == unheard | {"loop killed", "loop stopped"}
 
 
 def test_trial_that_failed_counts_against_what_was_asked() -> None:

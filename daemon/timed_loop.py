@@ -116,8 +116,7 @@ class TimedLoop:
             if course.located:
                 drives.write(beam_ref, rotor_ref)
             written = now()
-            tags[slot] = course.tag
-            lateness[slot] = late_s
+            tags[slot], lateness[slot] = course.tag, late_s
             skips[slot] = min(skipped, 255)
             if sensors.stale or drives.stale or amplifiers.stale:
                 stales[slot] = devices.stale_roles

@@ -16,6 +16,7 @@ from levid.daemon.flight import Flight
 from levid.daemon.landing import Landing
 from levid.daemon.parent_watch import ParentWatch
 from levid.daemon.timing import memory_of
+from levid.daemon.wake_up import WakeUps, count_wake_up
 from levid.drivers.sensing import SensorWatch
 from levid.wire.can_frames import load_frames
 
@@ -41,6 +42,7 @@ with Flight(rig.model_copy(update=roles), HERE, rig.rate_hz, VirtualClock()) as 
 # What the loop in real time has of its own.
 Landing(Controller(rig, 1 / rig.rate_hz), rig.limits, 1 / rig.rate_hz)
 memory_of(1e9 / rig.rate_hz)
+count_wake_up(WakeUps(memoryview(bytearray(WakeUps.SIZE))).counts, 1)
 ParentWatch(os.getpid(), Board(memoryview(bytearray(Board.SIZE))).words, 1.0, 0).close()
 values = np.zeros(9)
 for fd in (False, True):

@@ -52,7 +52,7 @@ Frame = tuple[int, bytes]
 
 _HOMING_S = 0.02
 _POLL_S = 0.005
-_COUNTS_16 = 32767
+_COUNTS_16, _COUNTS_32 = 32767, 1 << 31
 _RATED_BEAM, _RATED_ROTOR = 1000, 10
 """Rated force of X1 and X2 in mN and torque of PHI in mN m, so that an actual one has a range of
 32 N and 0.3 N m."""
@@ -385,7 +385,8 @@ class Drive:
 
     @property
     def _counts(self) -> int:
-        return round((self._true - self._origin) / self._unit)
+        counts = round((self._true - self._origin) / self._unit)
+        return (counts + _COUNTS_32) % (2 * _COUNTS_32) - _COUNTS_32  # as an encoder's counter does
 
     def _read(self, *, index: int, subindex: int, od: object) -> int | None:  # noqa: ARG002
         found = {

@@ -122,3 +122,17 @@ def test_rounding_of_a_slow_move_is_no_acceleration(bench: Bench) -> None:
         beam = np.array([0.4 * POSITION_M * k, 0.0, 0.0])
         bench.lead(beam, np.array([0.4 * POSITION_RAD * k, 0.0, 0.0]))
     assert bench.core.drive_state is DriveState.OPERATING
+
+
+def test_encoders_that_lied_until_drives_were_switched_on_are_no_following_error(
+    bench: Bench,
+) -> None:
+    bench.devices.drives.release()
+    bench.cycle += 1
+    bench.stand(cycles=4)  # quick stops alone
+    until(lambda: bench.core.drive_state is not DriveState.OPERATING)
+    with bench.core.lock:
+        bench.core.axes[:2, 0] += 0.09
+    bench.devices.recover()
+    bench.stand()
+    assert bench.core.drive_state is DriveState.OPERATING

@@ -179,8 +179,8 @@ class DriveNodes:
             self._differences[0].at_rest(float(beam))
             self._differences[1].at_rest(float(rotor))
             self._planned_at = self._core.cycle
-            for drive in self.drives:
-                drive.stand()
+            for drive, at in zip(self.drives, (beam, beam, rotor), strict=True):
+                drive.stand(float(at))
         elif not operating and self._was_operating:
             self._core.disable_drives(max(drive.error for drive in self.drives))
         self._was_operating = operating
@@ -282,9 +282,9 @@ class Drive:
         """Target position in SI units, from the plant's zero."""
         return self._target * self._unit + self._origin
 
-    def stand(self) -> None:
-        """Begin to follow targets, from where it stands."""
-        self._led_to, self._led_by, self._skipped = self._true, math.nan, 0.0
+    def stand(self, at: float) -> None:
+        """Begin to follow targets, from where the plant is held: encoders may have run away."""
+        self._led_to, self._led_by, self._skipped = at, math.nan, 0.0
 
     def follows(self, syncs: float, sync_s: float, late_s: float, regular: bool) -> bool:
         """Return whether its limits allow for the target, so many SYNCs after the last one.

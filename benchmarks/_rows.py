@@ -60,7 +60,7 @@ class Flown:
 
     @property
     def woken(self) -> Cycles:
-        """How often the loop woke up so late, by the bins of levid.daemon.wake_up."""
+        """How often the loop woke up so late, by the bins of levid.daemon.timing.WakeUps."""
         return self._shared.wake_ups.counts[:-1] - self._woken_before
 
     def look(self) -> None:

@@ -22,7 +22,7 @@ from _rows import Flown, Found, Lag, found_in
 
 from levid.config.shipped import shipped
 from levid.daemon.client import Client
-from levid.daemon.wake_up import edges_us
+from levid.daemon.timing import WakeUps
 from levid.log.reader import read_log
 
 PRIORITY = 80
@@ -168,7 +168,7 @@ def _flown(
     used_s = processor_s(recorder) - used_s
     took_s = time.monotonic() - began_s
     # cyclictest counts whole microseconds, rounded down.
-    woken = Histogram.counted(np.floor(edges_us()), flown.woken)
+    woken = Histogram.counted(np.floor(WakeUps.edges_us()), flown.woken)
     status = daemon.land()
     flown.wait_until_written()
     if status["recorder_restarts"]:

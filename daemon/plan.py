@@ -24,7 +24,7 @@ from .states import State
 Array = NDArray[np.float64]
 
 _IDLE_S = 0.3
-_JUDGED_S = 12.0
+_JUDGED_S = 2.0
 """How long a check of coils may wait to be judged; its rows are kept for as long."""
 MOST_CYCLES = 30_000_000
 """Of a record, and of a session that a daemon flies: 50 min at 10 kHz, arrays of several GB."""

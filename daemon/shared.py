@@ -21,8 +21,7 @@ from .board import Board, Word
 from .control import heat_of, memory_shape
 from .program import Program
 from .ring import Ring, ring_rows
-from .timing import Timing
-from .wake_up import WakeUps
+from .timing import Timing, WakeUps
 
 _AHEAD_S = 4.0
 """How far the program is streamed ahead of the loop."""

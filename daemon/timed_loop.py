@@ -22,8 +22,7 @@ from .faults import Fault
 from .lateness import Lateness
 from .shared import Shared
 from .states import State
-from .timing import account, memory_of
-from .wake_up import count_wake_up
+from .timing import account, count_wake_up, memory_of
 
 _COUNT_EVERY = 63
 """Cycles between two looks at slow counters, less one; a mask."""

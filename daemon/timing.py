@@ -11,10 +11,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_PARTS = 4
-"""Bins of one power of two: a quantile is right to a quarter, and mostly to an eighth."""
-_BINS = 40 * _PARTS
-SHARES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
+_POWERS = 40
+_PARTS, _FINE = 4, 32
+"""Bins of one power of two: a quantile is right to a quarter, and mostly to an eighth. Wake-ups are
+held against cyclictest's, in bins of three hundredths at most."""
+_BINS, _FINE_BINS = _POWERS * _PARTS, _POWERS * _FINE
+_SHARES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 
 
 class Time(IntEnum):
@@ -50,7 +52,8 @@ class Timing:
         counts = self.counts.copy()
         facts = counts[-1]
         found: dict[str, Any] = {
-            f"{time.name.lower()}_us": _quantiles(counts[time], int(facts[time])) for time in Time
+            f"{time.name.lower()}_us": _quantiles(counts[time], int(facts[time]), _PARTS)
+            for time in Time
         }
         found["late_by"] = {cause.name.lower(): int(facts[len(Time) + cause]) for cause in LateBy}
         return found
@@ -67,22 +70,59 @@ def memory_of(period_ns: float) -> NDArray[np.float64]:
     return before
 
 
-def _quantiles(counts: NDArray[np.int64], largest_ns: int) -> Mapping[str, float]:
+class WakeUps:
+    """How late the kernel wakes the loop up, before it spins, which lateness hides.
+
+    Counts (bins + 1,): how often it was so late; the last one is the maximum in ns.
+    """
+
+    SIZE = 8 * (_FINE_BINS + 1)
+
+    def __init__(self, memory: memoryview) -> None:
+        self.counts: NDArray[np.int64] = np.frombuffer(memory, np.int64, _FINE_BINS + 1)
+
+    def figures(self) -> Mapping[str, float]:
+        """Return p50, p99, p99.9 and max in us; 0 where nothing was counted."""
+        counts = self.counts.copy()
+        return _quantiles(counts[:-1], int(counts[-1]), _FINE)
+
+    @staticmethod
+    def edges_us() -> NDArray[np.float64]:
+        """Return the lower edge of each bin in us (bins,)."""
+        return np.array([_edge_ns(bin_ - 1, _FINE) for bin_ in range(_FINE_BINS)]) * 1e-3
+
+
+def _quantiles(counts: NDArray[np.int64], largest_ns: int, parts: int) -> Mapping[str, float]:
     total = int(counts.sum())
     if not total:
-        return dict.fromkeys([*SHARES, "max"], 0.0)
+        return dict.fromkeys([*_SHARES, "max"], 0.0)
     reached = np.cumsum(counts)
-    found = {
-        # The upper edge of the bin, and never more than the largest.
-        name: min(float(_edge_ns(int(np.searchsorted(reached, share * total)))), largest_ns) * 1e-3
-        for name, share in SHARES.items()
-    }
+
+    def quantile_ns(share: float) -> float:
+        """Return the upper edge of the bin, and never more than the largest."""
+        return min(_edge_ns(int(np.searchsorted(reached, share * total)), parts), largest_ns)
+
+    found = {name: quantile_ns(share) * 1e-3 for name, share in _SHARES.items()}
     return {**found, "max": largest_ns * 1e-3}
 
 
-def _edge_ns(bin_: int) -> float:
-    power, part = divmod(bin_, _PARTS)
-    return 2.0**power * (0.5 + 0.5 * (part + 1) / _PARTS)
+def _edge_ns(bin_: int, parts: int) -> float:
+    power, part = divmod(bin_, parts)
+    return float(2.0**power * (0.5 + 0.5 * (part + 1) / parts))
+
+
+@njit(cache=True)
+def _bin(ns, parts):  # type: ignore[no-untyped-def]
+    mantissa, power = math.frexp(max(ns, 1.0))
+    return min(power * parts + int((mantissa - 0.5) * 2 * parts), _POWERS * parts - 1)
+
+
+@njit(cache=True)
+def count_wake_up(counts, ns) -> None:  # type: ignore[no-untyped-def]
+    """Count how late one wake-up was; negative where the loop did not sleep, which counts not."""
+    if ns >= 0:
+        counts[_bin(float(ns), _FINE)] += 1
+        counts[-1] = max(counts[-1], ns)
 
 
 @njit(cache=True)
@@ -98,9 +138,7 @@ def account(counts, late, drivers, control, writing, skipped, before) -> None:  
     times = float(late), float(drivers), float(control), float(writing)
     execution = times[1] + times[2] + times[3]
     for i, ns in enumerate((*times, execution)):
-        mantissa, power = math.frexp(max(ns, 1.0))
-        bin_ = min(power * _PARTS + int((mantissa - 0.5) * 2 * _PARTS), _BINS - 1)
-        counts[i, bin_] += 1
+        counts[i, _bin(ns, _PARTS)] += 1
         facts[i] = max(facts[i], int(ns))
     if skipped > 0:
         if before[0] + before[1] < before[2]:

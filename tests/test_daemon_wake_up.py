@@ -8,7 +8,7 @@ from scripted_loop import ScriptedLoop
 
 from levid.daemon import clock as clock_module
 from levid.daemon.clock import RealClock
-from levid.daemon.wake_up import WakeUps, count_wake_up, edges_us
+from levid.daemon.timing import WakeUps, count_wake_up
 
 
 def counted(times_ns: np.ndarray) -> WakeUps:
@@ -31,7 +31,7 @@ def test_quantiles_are_numpy_s_to_the_width_of_a_bin() -> None:
 def test_each_time_is_in_the_bin_of_its_edges() -> None:
     for ns in (1, 2, 3, 999, 14_000, 1_000_000_007):
         (at,) = np.flatnonzero(counted(np.array([ns])).counts[:-1])
-        assert edges_us()[at] <= ns * 1e-3 < edges_us()[at + 1]
+        assert WakeUps.edges_us()[at] <= ns * 1e-3 < WakeUps.edges_us()[at + 1]
     assert counted(np.array([1 << 60])).figures()["max"] == pytest.approx((1 << 60) * 1e-3)
 
 

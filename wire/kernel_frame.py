@@ -68,7 +68,8 @@ def unpacked(raw: bytes, stamp_s: float) -> Frame:
 def kernel_stamp_s(ancillary: Sequence[tuple[int, int, bytes]]) -> float:
     """Return when a frame came, by the kernel's stamp beside it; 0.0 where there is none."""
     for level, kind, data in ancillary:  # other processes may send other things on a local bus
-        if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS):
+        wanted = (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS)
+        if wanted and len(data) == _TIMESPEC.size:
             seconds, nanoseconds = _TIMESPEC.unpack(data)
             return float(seconds + 1e-9 * nanoseconds)
     return 0.0

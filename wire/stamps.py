@@ -9,7 +9,7 @@ import struct
 from collections.abc import Sequence
 from time import perf_counter, time
 
-from .kernel_frame import SO_TIMESTAMPNS
+from .kernel_frame import SO_TIMESTAMPNS, STAMP_BYTES, kernel_stamp_s
 
 _WINDOW_S = 1.0
 """Clocks that differ by 20 ppm are 0.04 ms apart after twice that."""
@@ -22,7 +22,6 @@ _RX_HARDWARE, _RX_SOFTWARE, _SOFTWARE, _RAW_HARDWARE = 1 << 2, 1 << 3, 1 << 4, 1
 _WANTED = _RX_HARDWARE | _RAW_HARDWARE | _RX_SOFTWARE | _SOFTWARE
 """SOF_TIMESTAMPING_* of linux/net_tstamp.h. CAN drivers stamp whatever comes: nobody has to switch
 that on in the interface, as in one of Ethernet."""
-_TIMESPEC = struct.Struct("@ll")
 _THREE = struct.Struct("@llllll")
 """struct scm_timestamping: the kernel's stamp, nothing, and that of hardware."""
 
@@ -61,7 +60,7 @@ class HardwareClock:
 class KernelStamps:
     """Asks a socket for stamps, of hardware too where its controller has them, and reads them."""
 
-    room = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_THREE.size)
+    room = STAMP_BYTES + socket.CMSG_SPACE(_THREE.size)
     """For stamps of both kinds beside a frame, in recvmsg: who was asked before goes on."""
 
     def __init__(self, end: socket.socket) -> None:
@@ -78,17 +77,12 @@ class KernelStamps:
         Hardware's stamp is of the frame itself; the kernel's, with which hardware's clock is
         followed, of the moment when it got to it: later by what interrupts and USB take.
         """
-        kernel_s = hardware_s = 0.0
+        kernel_s, hardware_s = kernel_stamp_s(ancillary), 0.0
         for level, kind, data in ancillary:
-            if level != socket.SOL_SOCKET:
-                continue
-            if kind == SO_TIMESTAMPING and len(data) == _THREE.size:
+            if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPING) and len(data) == _THREE.size:
                 s, ns, _, _, hardware, hardware_ns = _THREE.unpack(data)
                 kernel_s = (s + 1e-9 * ns) or kernel_s
                 hardware_s = hardware + 1e-9 * hardware_ns
-            elif kind == SO_TIMESTAMPNS and not kernel_s and len(data) == _TIMESPEC.size:
-                s, ns = _TIMESPEC.unpack(data)
-                kernel_s = s + 1e-9 * ns
         if hardware_s <= 0.0:
             return kernel_s
         now_s = time()

@@ -15,8 +15,7 @@ from levid.daemon.control import Controller
 from levid.daemon.flight import Flight
 from levid.daemon.landing import Landing
 from levid.daemon.parent_watch import ParentWatch
-from levid.daemon.timing import memory_of
-from levid.daemon.wake_up import WakeUps, count_wake_up
+from levid.daemon.timing import WakeUps, count_wake_up, memory_of
 from levid.drivers.sensing import SensorWatch
 from levid.wire.can_frames import load_frames
 

@@ -28,6 +28,7 @@ _FEWEST = 50
 _POSE = ("psi_rad", "theta_rad", "z_m")
 _HEIGHTS = ("gap_m", *_POSE)
 _READBACK = ("coil_readback_n",)
+_EXCITATION = ("v_psi_n_m", "v_theta_n_m", "v_z_n", "coil_excitation_n")
 _MANIPULATOR = (
     *("beam_m", "beam_m_s", "beam_force_n"),
     *("rotor_rad", "rotor_rad_s", "rotor_torque_n_m"),
@@ -183,17 +184,23 @@ def _misfit(log: Log, periods: _Periods) -> Array:
 
 
 def _longest_part(log: Log, periods: _Periods, force: Array) -> tuple[int, int]:
-    """Return first and end of the longest stretch in which every gap can be filled in."""
+    """Return first and end of the longest stretch in which every gap can be filled in.
+
+    Longest by its rows that excite something, where any do: seconds of rest before them tell of no
+    response, however many they are.
+    """
     missing = periods.no_heights
+    # A row that excites outweighs all that do not.
+    weight = 1 + len(missing) * _excited(log)[periods.held]
     possible = bridged(missing, max(round(LONGEST_S * log.rate_hz), 1))
-    first, end = _longest_between(missing & ~possible)
+    first, end = _longest_between(missing & ~possible, weight)
     gap = _matrix(log.rows, "gap_m")[periods.held]
     while gap.shape[1] and end - first >= _FEWEST:
         strained = filled(gap[first:end], missing[first:end], force[first:end]).strained
         if not strained.any():
             break
         possible[first:end] &= ~strained
-        first, end = _longest_between(missing & ~possible)
+        first, end = _longest_between(missing & ~possible, weight)
     n = len(missing)
     if end - first < LEAST_LEFT * n:
         raise _too_much(log, f"{end - first} of {n} rows between one stall and the next")
@@ -203,10 +210,17 @@ def _longest_part(log: Log, periods: _Periods, force: Array) -> tuple[int, int]:
     return first, end
 
 
-def _longest_between(cut: Mask) -> tuple[int, int]:
+def _longest_between(cut: Mask, weight: NDArray[np.int64]) -> tuple[int, int]:
     edges = np.concatenate([[-1], np.flatnonzero(cut), [len(cut)]])
-    at = int(np.argmax(np.diff(edges)))
+    before = np.concatenate([[0], np.cumsum(weight)])
+    at = int(np.argmax(before[edges[1:]] - before[edges[:-1] + 1]))
     return int(edges[at]) + 1, int(edges[at + 1])
+
+
+def _excited(log: Log) -> NDArray[np.int64]:
+    """Return 1 for each row (N,) whose wrench or coils are excited, else 0."""
+    v = np.concatenate([_matrix(log.rows, name) for name in _EXCITATION], axis=1)
+    return np.asarray(np.any(v, axis=1), np.int64)
 
 
 def _acting(log: Log, periods: _Periods) -> tuple[NDArray[np.int64], list[str]]:

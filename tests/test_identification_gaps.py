@@ -165,6 +165,18 @@ def test_record_is_cut_where_readings_are_missing_for_long() -> None:
     assert remarks[0].startswith("cut to its 680 rows from 320 on, of 1000")
 
 
+def test_record_is_cut_to_what_excites_and_not_to_rest() -> None:
+    log = skipping(flown(1000), list(range(600, 620)))
+    log.rows["v_z_n"][:595] = 0.0  # the other columns of the wrench are zero as well
+    rows, remarks = without_gaps(log)
+    np.testing.assert_array_equal(rows.rows["cycle"], 7000 + np.arange(620, 1000))
+    assert remarks[0].startswith("cut to its 380 rows from 620 on, of 1000")
+    log.rows["v_z_n"] = 0.0
+    log.rows["coil_excitation_n"][:300, 4] = 1.0
+    rows, _ = without_gaps(log)
+    np.testing.assert_array_equal(rows.rows["cycle"], 7000 + np.arange(600))
+
+
 def test_record_is_cut_at_a_gap_whose_sides_do_not_fit_together() -> None:
     """Whatever happened there, a force that nobody knows of pushed the platform."""
     log = flown(1000)

@@ -16,14 +16,14 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
 import _real_time
 import numpy as np
 from _bus_cycles import MOST_STALE
-from _bus_rigs import LABELS, RATE_HZ, TIMED, cycle_of, electronics_on, opened, rig_on, rig_text
+from _bus_rigs import LABELS, RATE_HZ, cycle_of, electronics_on, opened, rig_on, rig_text
 from _kept import Parts
 from _shares import MOST_RATIO, Round, ratio_figures
 from _stretch import Stretch, beside, processors, timed
@@ -41,19 +41,19 @@ _AGAINST = (
 """Whom a loop is compared with, what that adds to a key, and what it is called."""
 
 
-def lateness_figures(seconds: float, rounds: int, kept: Parts) -> list[Figure]:
-    """Return the shares of late cycles of each backend and of the empty loop in turns with it.
+def lateness_figures(seconds: float, rounds: Mapping[str, int], kept: Parts) -> list[Figure]:
+    """Return the shares of late cycles of each backend, in so many rounds with empty loops.
 
     Also the 95 % intervals of their ratios, and the share of cycles with a stale reading.
     """
     figures: list[Figure] = []
-    for name in TIMED:
+    for name, count in rounds.items():
         found = [
             kept.part(
                 f"lateness {name} {number}",
                 lambda name=name, number=number: until_whole(name, seconds, number),
             )
-            for number in range(rounds)
+            for number in range(count)
         ]
         turns = [{w: Stretch(*counts) for w, counts in turn.items()} for turn, _ in found if turn]
         broken = sum(broken for _, broken in found)

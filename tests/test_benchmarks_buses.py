@@ -179,13 +179,12 @@ def test_stretch_that_breaks_off_is_counted_and_begun_anew(tmp_path: Path, monke
         return end
 
     monkeypatch.setattr(lateness, "one_round", one_round)
-    monkeypatch.setattr(lateness, "TIMED", ("serial",))
     kept = module("_kept").Parts(tmp_path / "run.jsonl")
-    found = by_key(lateness.lateness_figures(1.0, 3, kept))
+    found = by_key(lateness.lateness_figures(1.0, {"serial": 3}, kept))
     assert (found["serial_broken_off"], found["serial_cycles"]) == (4, 18)
     ends = iter([LinkError("gone")] * 3)
     kept = module("_kept").Parts(tmp_path / "other.jsonl")
-    figures = lateness.lateness_figures(1.0, 1, kept)
+    figures = lateness.lateness_figures(1.0, {"serial": 1}, kept)
     assert by_key(figures)["serial_broken_off"] == 3
     # What lasted for no round is not punctual.
     assert [str(f.met) for f in figures if f.met] == ["missed"] * 4

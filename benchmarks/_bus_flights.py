@@ -145,14 +145,15 @@ def flown(name: str, folder: Path, text: str) -> tuple[tuple[Path, ...], list[st
                 _require_whole(path)
         except (DaemonError, LogError, OSError, subprocess.SubprocessError) as error:
             ended_by.append(_name_of(str(error)))
+            why = str(error)
         except SystemExit as error:
             if not isinstance(error.code, str):  # somebody ends this benchmark
                 raise
             ended_by.append("NOT_IDLE")
-            print(f"{name}: {error}", file=sys.stderr)
+            why = error.code
         else:
             return done.records, ended_by
-        print(f"{name}, flight {attempt + 1} of {_ATTEMPTS}: {ended_by[-1]}", file=sys.stderr)
+        print(f"{name}, flight {attempt + 1} of {_ATTEMPTS}: {why}", file=sys.stderr)
     return (), ended_by
 
 

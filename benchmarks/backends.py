@@ -27,9 +27,9 @@ from levid.config.shipped import shipped
 
 KEPT = Path(__file__).resolve().parent.parent / "build" / "backends"
 ROUNDS = {"canfd": 16, "canfd_udp": 4, "serial": 16}
-"""Of a minute each. Where one cycle in 8000 is late, as on a virtual machine of 2 processors, so many
-tell in nine of ten runs that a loop is late at most 1.5 times as often as an empty one, if it is no
-more so; ten told in seven. By udp_multicast twenty times as many are late."""
+"""Of a minute each. Where one cycle in 8000 is late, as on a virtual machine of 2 processors, so
+many tell in nine of ten runs that a loop is late at most 1.5 times as often as an empty one, if it
+is no more so; ten told in seven. By udp_multicast twenty times as many are late."""
 
 
 def measure(quick: bool) -> list[Figure]:

@@ -139,10 +139,21 @@ class Controller:
         self.beam_ref[:] = beam[min(k, len(beam) - 1)]
         self.rotor_ref[:] = rotor[min(k, len(rotor) - 1)]
 
-    def step(self, rows: NDArray[np.void], slot: int, cycle: int, time_s: float, k: int) -> int:
-        """Compute cycle `k` of the segment and write row `slot`; return the fault, 0 for none."""
+    def step(
+        self,
+        rows: NDArray[np.void],
+        slot: int,
+        cycle: int,
+        time_s: float,
+        k: int,
+        read_s: float = 0.0,
+    ) -> int:
+        """Compute cycle `k` of the segment and write row `slot`; return the fault, 0 for none.
+
+        `read_s` is how long after the cycle's own time all readings were there.
+        """
         return control_cycle(  # type: ignore[no-any-return]
-            rows, slot, cycle, time_s, k,
+            rows, slot, cycle, time_s, k, read_s,
             self._inputs, self._outputs, self._law, self._memory, *self._arrays,
         )  # fmt: skip
 
@@ -159,7 +170,7 @@ def heat_of(memory: Array, coils: int) -> Array:
 
 @njit(cache=True)
 def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - the cycle, in its order
-    rows, slot, cycle, time_s, k, inputs, outputs, law, memory,
+    rows, slot, cycle, time_s, k, read_s, inputs, outputs, law, memory,
     v_all, coil_excitation_all, blend_all, beam_all, rotor_all,
 ):  # fmt: skip
     """Compute one cycle; see Controller.step, and Controller for what the packed arrays hold.
@@ -199,7 +210,8 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         # On the way up and down the stops are beyond the limit; ten times as far nothing is real.
         if abs(gap[j]) > gap_limit * (1.0 if airborne else 10.0) and in_control:
             fault = _GAP
-    periods = cycle - before[n_sensors]
+    # Where a cycle stood still for periods before it read, they have moved for as many more.
+    periods = cycle - before[n_sensors] + max(read_s / Ts - 1.0, 0.0)
     fresh = False
     for j in range(n_sensors):
         moved = abs(gap[j] - before[j])

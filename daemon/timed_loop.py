@@ -107,7 +107,10 @@ class TimedLoop:
             amplifiers.read(readback)
             read = now()
             slot = head % capacity
-            fault = step(rows, slot, cycle, cycle * period_s, k)
+            fault = step(
+                rows, slot, cycle, cycle * period_s, k,
+                late_s - skipped * period_s + (read - begin) * 1e-9,
+            )  # fmt: skip
             if not uncounted and late.too_much(skipped) and not fault and control.engaged:
                 fault = self._too_late(slot)
             computed = now()

@@ -35,13 +35,14 @@ class Bench:
         self.rows = np.zeros(5000, cycle_dtype(9, 9))
         self.cycle = 0
 
-    def run(self, segment: Segment, gaps: np.ndarray) -> np.ndarray:
-        """Fly the segment on these gap readings (n, 9); return its rows."""
+    def run(self, segment: Segment, gaps: np.ndarray, read_s: float = 0.0) -> np.ndarray:
+        """Fly the segment on these gap readings (n, 9), there so late; return its rows."""
         first = self.cycle
         self.control.begin(segment)
         for k, gap in enumerate(gaps):
             self.control.gap_m[:] = gap
-            fault = self.control.step(self.rows, self.cycle, self.cycle, self.cycle * PERIOD, k)
+            time_s = self.cycle * PERIOD
+            fault = self.control.step(self.rows, self.cycle, self.cycle, time_s, k, read_s)
             self.cycle += 1
             if fault:
                 break
@@ -189,15 +190,24 @@ def test_tilt_beyond_its_limit_is_a_fault_in_flight_alone(axis: int) -> None:
         assert Bench(rig).run(flying(1, airborne=False), gap)["fault"][0] == Fault.NONE
 
 
-@pytest.mark.parametrize(("skipped", "fault"), [(0, Fault.VELOCITY), (1, Fault.NONE)])
-def test_speed_is_judged_by_the_time_that_passed(skipped: int, fault: Fault) -> None:
+@pytest.mark.parametrize(
+    ("skipped", "read_s", "fault"),
+    [
+        (0, 0.0, Fault.VELOCITY),
+        (0, 0.9 * PERIOD, Fault.VELOCITY),
+        (1, 0.0, Fault.NONE),
+        # It stood still behind its begin, before or after the reading was taken: nobody knows.
+        (0, 1.5 * PERIOD, Fault.NONE),
+    ],
+)
+def test_speed_is_judged_by_the_time_that_passed(skipped: int, read_s: float, fault: Fault) -> None:
     bench = Bench(limited(gap_m_s=0.15))
     level = np.zeros((1, 9))
     bench.run(flying(1), level)
     bench.cycle += skipped
     moved = level.copy()
     moved[0, 7] = 0.2e-3  # 0.2 m/s over one period, 0.1 m/s over two
-    rows = bench.run(flying(1, engages=False), moved)
+    rows = bench.run(flying(1, engages=False), moved, read_s)
     assert rows["fault"][0] == fault
 
 

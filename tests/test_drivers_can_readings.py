@@ -131,16 +131,23 @@ def test_readings_are_not_waited_for_on_a_bus_that_is_busy(whole: bool) -> None:
     assert host.fresh is whole
 
 
-def test_bus_that_is_lost_is_shut_down_after_the_cycle() -> None:
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.ENETDOWN, "Network is down"), "Network is down"),
+        (can.CanTimeoutError(), "CanTimeoutError"),
+    ],
+)
+def test_bus_that_is_lost_is_shut_down_after_the_cycle(error: Exception, words: str) -> None:
     """Some interfaces wait for a thread; other buses still wait for zero force."""
     done: list[str] = []
 
     def send(*_: object) -> None:
-        raise OSError(errno.ENETDOWN, "Network is down")
+        raise error
 
     link = CanLink("main", CONFIG)
     link._bus = SimpleNamespace(send=send, shutdown=lambda: done.append("shut down"))  # type: ignore[assignment]
-    with pytest.raises(LinkError, match="sending failed"):
+    with pytest.raises(LinkError, match=f"sending failed: .*{words}"):
         link.send(1, b"")
     with pytest.raises(LinkError, match="gone"):
         link.send(1, b"")

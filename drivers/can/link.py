@@ -42,7 +42,7 @@ class CanLink:
         try:
             self._bus = open_bus(self._config)
         except Exception as error:  # noqa: BLE001 - interfaces raise whatever they meet
-            raise LinkError(f"{self.what}: cannot be opened: {error}") from None
+            raise LinkError(f"{self.what}: cannot be opened: {_words(error)}") from None
 
     def close(self) -> None:
         """Let go of the bus; safe to call twice."""
@@ -77,7 +77,7 @@ class CanLink:
         try:
             self._bus.send(can_id, data)
         except Exception as error:  # noqa: BLE001 - as above
-            self._lost(f"sending failed: {error}")
+            self._lost(f"sending failed: {_words(error)}")
 
     def receive(self, deadline_s: float) -> bool:
         """Hand on the next frame, waiting until `deadline_s` (perf_counter) at most.
@@ -92,7 +92,7 @@ class CanLink:
         except BusOffError:
             self._lost("the controller is bus-off")
         except Exception as error:  # noqa: BLE001 - as above
-            self._lost(f"receiving failed: {error}")
+            self._lost(f"receiving failed: {_words(error)}")
         if frame is None:
             return False
         can_id, data, stamp_s = frame
@@ -119,3 +119,8 @@ class CanLink:
         # their zero force yet.
         self._set_aside()
         raise LinkError(f"{self.what}: lost: {why}") from None
+
+
+def _words(error: Exception) -> str:
+    """Return what an error says; of python-can's for a time that is over there is its name only."""
+    return str(error) or type(error).__name__

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import struct
 import time
@@ -88,6 +89,16 @@ def test_sets_of_setpoints_are_numbered() -> None:
         amplifiers.write(np.zeros(9))
     numbers = [frames.setpoint.tag(data) for data in sent]
     assert numbers == [k % 16 for k in range(1, 18) for _ in range(3)]
+
+
+@pytest.mark.parametrize("lossy", [True, False])
+def test_frame_that_does_not_leave_is_lost_on_a_network_and_the_link_on_a_line(lossy: bool) -> None:
+    def send(*_: object) -> None:
+        raise can.CanTimeoutError
+
+    bus = _MessageBus(SimpleNamespace(send=send), can.Message, 0.005, lossy)
+    with contextlib.nullcontext() if lossy else pytest.raises(TimeoutError):
+        bus.send(1, b"\0")
 
 
 def other_frame(kind: str, stamp_s: float) -> Frame | None:

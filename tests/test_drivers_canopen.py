@@ -96,6 +96,16 @@ def test_differences_are_exact_for_a_cubic_and_a_quadratic() -> None:
     assert acceleration == pytest.approx(-6.0, rel=1e-6)
 
 
+def test_position_that_makes_up_for_a_period_has_the_speed_of_the_last_one() -> None:
+    """One target that came late, at 0.25 m/s: third order says 1 m/s, and the flight is over."""
+    T, v = 0.004, 0.25
+    differences = Differences(T, 5.0 * 10.0 * T**2)
+    steps = [differences.push(k * v * T)[0] for k in range(4)]
+    assert steps[-1] == pytest.approx(v)
+    after = [differences.push(p * v * T)[0] / v for p in (3, 5, 6, 7, 8)]
+    assert after == pytest.approx([0.0, 2.0, 1.0, 1.0, 1.0])
+
+
 def test_limits_that_differ_are_refused_and_named(rig: RigConfig) -> None:
     slower = rig.limits.model_copy(update={"beam_velocity_m_s": 0.4, "coil_n": 19.0})
     with (

@@ -112,17 +112,20 @@ class _MessageBus:
 
     def send(self, can_id: int, data: bytes) -> None:
         fd = len(data) > 8
-        self._bus.send(
-            self._message(
-                arbitration_id=can_id & ~ERROR,
-                is_extended_id=False,
-                is_error_frame=bool(can_id & ERROR),
-                data=data,
-                is_fd=fd,
-                bitrate_switch=fd,
-            ),
-            self._timeout_s,
+        message = self._message(
+            arbitration_id=can_id & ~ERROR,
+            is_extended_id=False,
+            is_error_frame=bool(can_id & ERROR),
+            data=data,
+            is_fd=fd,
+            bitrate_switch=fd,
         )
+        try:
+            self._bus.send(message, self._timeout_s)
+        except TimeoutError:
+            # A network may lose any frame and says nothing: this one is known, and no less lost.
+            if not self._open_to_all:
+                raise
 
     def receive(self, wait_s: float) -> Frame | None:
         try:

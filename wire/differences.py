@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 
 class Differences:
     """Backward differences of third (velocity) and second order (acceleration).
 
     A drive in cyclic synchronous position mode gets positions alone, and a position encoder tells
     nothing else: with one difference of two samples, velocity would be that of half a period ago.
+
+    `most_bend` is the largest second difference of a motion that is sampled evenly. Beyond it third
+    order makes four times the speed of a position that stood still for one period and made up for
+    it in the next, as where a target came late: there velocity is that of the last period.
     """
 
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
+    def __init__(self, period_s: float, most_bend: float = math.inf) -> None:
+        self._period_s, self._most_bend = period_s, most_bend
         self._last = (0.0, 0.0, 0.0)
         self._velocity = 0.0
 
@@ -24,6 +30,9 @@ class Differences:
         a, b, c = self._last
         self._last = p, a, b
         T = self._period_s
+        if max(abs(p - 2.0 * a + b), abs(a - 2.0 * b + c)) > self._most_bend:
+            self._velocity = (p - a) / T
+            return self._velocity, 0.0
         self._velocity = (11.0 * p - 18.0 * a + 9.0 * b - 2.0 * c) / (6.0 * T)
         return self._velocity, (2.0 * p - 5.0 * a + 4.0 * b - c) / (T * T)
 

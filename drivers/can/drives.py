@@ -44,6 +44,10 @@ _MISSED_HEARTBEATS = 3.0
 _HOMING_S = 10.0
 _POLL_S = 0.005
 _MOST = 2**31 - 1
+_TIMES_ACCELERATION, _ROUNDED_COUNTS = 5.0, 4
+"""Of second differences of positions: targets that are carried forward overshoot what the limit
+allows where the acceleration changes its sign, and rounded ones are off by four halves of a count.
+"""
 
 
 class CanDrives(ManipulatorDrives):
@@ -74,10 +78,11 @@ class CanDrives(ManipulatorDrives):
         eds = folder / options.eds if options.eds else None
         numbers = options.nodes.model_dump()
         self._nodes = [DriveNode(name, number, eds, link) for name, number in numbers.items()]
+        beam, rotor = rig.limits.beam_acceleration_m_s2, rig.limits.rotor_acceleration_rad_s2
         units = (POSITION_M, POSITION_M, POSITION_RAD)
         self._axes = [
-            _Axis(node, unit, options.every, self._sync_s)
-            for node, unit in zip(self._nodes, units, strict=True)
+            _Axis(node, unit, options.every, self._sync_s, most)
+            for node, unit, most in zip(self._nodes, units, (beam, beam, rotor), strict=True)
         ]
         self._counted = False
         self._by_id = {TPDO1_ID + axis.node.node_id: axis for axis in self._axes}
@@ -352,9 +357,12 @@ _NMT_STATES = frozenset(Node)
 class _Axis:
     """What one drive said last, in SI units."""
 
-    def __init__(self, node: DriveNode, unit: float, every: int, sync_s: float) -> None:
+    def __init__(
+        self, node: DriveNode, unit: float, every: int, sync_s: float, acceleration: float
+    ) -> None:
         self.node, self.unit, self._every = node, unit, every
-        self._differences = Differences(sync_s)
+        bend = _TIMES_ACCELERATION * acceleration * sync_s**2 + _ROUNDED_COUNTS * unit
+        self._differences = Differences(sync_s, bend)
         self.came, self.data = False, b""
         self.begin(0)
 

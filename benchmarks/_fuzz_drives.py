@@ -29,6 +29,7 @@ EMERGENCY, TPDO, RPDO, SDO, HEARTBEAT = 0x080, 0x180, 0x200, 0x600, 0x700
 ENABLED, ENABLED_MASK = 0x27, 0x6F
 BEAM_M, ROTOR_RAD, _MOST_COUNTS = 1e-9, 1e-7, 2**31
 _BEAM_COUNTS, _SKEW_COUNTS = 10**8, 10**5  # within what the rig allows
+_SLOW_BEAM, _SLOW_ROTOR = 10_000, 1_500  # what the rig's acceleration allows, mostly
 CanFrame = tuple[int, bytes]
 
 
@@ -62,7 +63,7 @@ def drives_heard(n: int, rng: np.random.Generator) -> Outcome:
     beam, rotor = np.zeros(3), np.zeros(3)
     tried = accepted = wrong = 0
     while tried < n:
-        speech, places = said(rng), positions(rng)
+        speech, places = said(rng), positions(rng, slow=rng.random() < 0.3)
         tried += len(speech) + len(places)
         wire.coming = [Frame(can_id, data, 0.0) for can_id, data in speech + places]
         wire.sent.clear()
@@ -81,7 +82,7 @@ def drives_heard(n: int, rng: np.random.Generator) -> Outcome:
         accepted += whole
         wrong += bool(drives.stale) == whole
         counts = [found[node][1] for node in NODES] if whole else [0, 0, 0]
-        wrong += not _motion_is(beam, rotor, counts, 1.0 / rig.rate_hz)
+        wrong += not _motion_is(beam, rotor, counts, 1.0 / rig.rate_hz, most_bends(rig))
         disabled = whole and any(found[i][0] & ENABLED_MASK != ENABLED for i in NODES)
         skew_m = abs(counts[0] * BEAM_M - counts[1] * BEAM_M)
         wrong += fault != (disabled or skew_m > options.skew_m or _complained(speech))
@@ -123,6 +124,26 @@ def rig_of_drives() -> tuple[RigConfig, CanDriveOptions]:
     return rig, found[1].model_copy(update={"every": 1})
 
 
+def most_bends(rig: RigConfig) -> tuple[float, float, float]:
+    """Return by how much a position of X1, X2 and the rotor may bend in a cycle, in m and rad.
+
+    Five times what its acceleration allows, and what four counts of rounding make of it: beyond
+    that it stood still and made up for it.
+    """
+    beam, rotor = rig.limits.beam_acceleration_m_s2, rig.limits.rotor_acceleration_rad_s2
+    per = 5.0 / rig.rate_hz**2
+    x = per * beam + 4.0 * BEAM_M
+    return x, x, per * rotor + 4.0 * ROTOR_RAD
+
+
+def speed_of(p: float, last: tuple[float, float, float], period_s: float, most: float) -> float:
+    """Return the speed at `p` after the `last` three, newest first: by the last period if bent."""
+    a, b, c = last
+    if abs((p - a) - (a - b)) > most or abs((a - b) - (b - c)) > most:
+        return (p - a) / period_s
+    return (11.0 * p - 18.0 * a + 9.0 * b - 2.0 * c) / (6.0 * period_s)
+
+
 def said(rng: np.random.Generator, quiet: float = 0.5) -> list[CanFrame]:
     """Return emergencies and heartbeats, none in this share of the cycles."""
     frames = []
@@ -155,21 +176,30 @@ def _complained(said: list[CanFrame]) -> bool:
 
 
 def positions(
-    rng: np.random.Generator, near: float = 0.7, calm: float = 0.5, skew: int = _SKEW_COUNTS
+    rng: np.random.Generator,
+    near: float = 0.7,
+    calm: float = 0.5,
+    skew: int = _SKEW_COUNTS,
+    *,
+    slow: bool = False,
 ) -> list[CanFrame]:
     """Return the PDOs of a cycle, in this share of them such as drives in operation send.
 
     All of them come, once and unchanged, in the share `calm`; else one is lost, repeated or cut.
-    `skew`: how far X1 and X2 are from where the gantry is, in counts.
+    `skew`: how far X1 and X2 are from where the gantry is, in counts. `slow`: all stay about zero,
+    so near that cycle after cycle they may be a motion.
     """
     as_is, near = rng.random() < calm, rng.random() < near
-    most = _BEAM_COUNTS if near else _MOST_COUNTS
+    most = (_SLOW_BEAM if slow else _BEAM_COUNTS) if near else _MOST_COUNTS
+    skew = min(skew, _SLOW_BEAM) if slow else skew
     x = int(rng.integers(-most, most))
     frames = []
     for node in rng.permutation(NODES):
         counts = int(rng.integers(-_MOST_COUNTS, _MOST_COUNTS))
         if near and node != NODES[2]:
             counts = x + int(rng.integers(-skew, skew))
+        elif near and slow:
+            counts = int(rng.integers(-_SLOW_ROTOR, _SLOW_ROTOR))
         status = int(rng.integers(1 << 16))
         if near:
             status = status & ~ENABLED_MASK | ENABLED
@@ -197,12 +227,19 @@ def came(positions: list[CanFrame]) -> dict[int, tuple[int, int]]:
     return came
 
 
-def _motion_is(beam: np.ndarray, rotor: np.ndarray, counts: list[int], Ts_s: float) -> bool:
+def _motion_is(
+    beam: np.ndarray,
+    rotor: np.ndarray,
+    counts: list[int],
+    Ts_s: float,
+    bends: tuple[float, float, float],
+) -> bool:
     """Return whether these are the positions, and speeds of drives that were at rest at 0."""
-    x1, x2, phi = counts
-    x_m, phi_rad = 0.5 * (x1 + x2) * BEAM_M, phi * ROTOR_RAD
-    speed = 11.0 / (6.0 * Ts_s)
-    told, expected = [*beam[:2], *rotor[:2]], [x_m, x_m * speed, phi_rad, phi_rad * speed]
+    at = [c * unit for c, unit in zip(counts, (BEAM_M, BEAM_M, ROTOR_RAD), strict=True)]
+    rest = 0.0, 0.0, 0.0
+    v1, v2, omega = (speed_of(p, rest, Ts_s, most) for p, most in zip(at, bends, strict=True))
+    told = [*beam[:2], *rotor[:2]]
+    expected = [0.5 * (at[0] + at[1]), 0.5 * (v1 + v2), at[2], omega]
     # A micron of 2 m is 1e-6: of what differences of doubles lose, far less than 1e-9 is left.
     same = np.allclose(told, expected, rtol=1e-9, atol=1e-12)
     in_range = abs(beam[0]) <= _MOST_COUNTS * BEAM_M and abs(rotor[0]) <= _MOST_COUNTS * ROTOR_RAD

@@ -24,9 +24,11 @@ from _fuzz_drives import (
     CanFrame,
     Wire,
     came,
+    most_bends,
     positions,
     rig_of_drives,
     said,
+    speed_of,
 )
 from _mutations import Outcome
 
@@ -47,6 +49,7 @@ class _Told:
     """What a host must know after all that came since it recovered; counts and times in SI."""
 
     period_s: float
+    bends: tuple[float, float, float]
     error: dict[int, bool] = field(default_factory=dict)
     operational: set[int] = field(default_factory=set)
     left: bool = False
@@ -72,10 +75,10 @@ class _Told:
         regular, self.cycle = cycle - self.cycle == 1, cycle
         self.status_ok = all(whole[i][0] & ENABLED_MASK == ENABLED for i in NODES)
         for i, (node, unit) in enumerate(zip(NODES, (BEAM_M, BEAM_M, ROTOR_RAD), strict=True)):
-            p, (a, b, c) = whole[node][1] * unit, self.before[i]
+            p, last = whole[node][1] * unit, self.before[i]
             if regular:
-                self.speed[i] = (11.0 * p - 18.0 * a + 9.0 * b - 2.0 * c) / (6.0 * self.period_s)
-                self.before[i] = p, a, b
+                self.speed[i] = speed_of(p, last, self.period_s, self.bends[i])
+                self.before[i] = p, last[0], last[1]
             else:  # how far it went meanwhile nobody knows: it goes on at the speed it had
                 step = self.speed[i] * self.period_s
                 self.before[i] = p, p - step, p - 2.0 * step
@@ -104,14 +107,15 @@ def drives_followed(n: int, rng: np.random.Generator) -> Outcome:
     drives = CanDrives(link, rig, options, Path(), 1 << 30, lambda: math.inf)
     beam, rotor = np.zeros(3), np.zeros(3)
     period_s = 1.0 / rig.rate_hz
+    bends = most_bends(rig)
     tried = accepted = wrong = cycle = 0
     while tried < n:
-        told = _Told(period_s)
+        told, slow = _Told(period_s, bends), rng.random() < 0.5
         _recover(drives)
         for _ in range(_STEPS):
             cycle += int(rng.integers(1, 4)) if rng.random() < 0.1 else 1
             speech = said(rng, _QUIET)
-            places = positions(rng, _NEAR, _CALM, _SKEW_COUNTS)
+            places = positions(rng, _NEAR, _CALM, _SKEW_COUNTS, slow=slow)
             tried += len(speech) + len(places)
             wire.coming = [Frame(can_id, data, 0.0) for can_id, data in speech + places]
             raised = False

@@ -211,6 +211,7 @@ def _longest_part(log: Log, periods: _Periods, force: Array) -> tuple[int, int]:
 
 
 def _longest_between(cut: Mask, weight: NDArray[np.int64]) -> tuple[int, int]:
+    """Return begin and end of the rows between two `cut` ones (N,) that weigh most (N,)."""
     edges = np.concatenate([[-1], np.flatnonzero(cut), [len(cut)]])
     before = np.concatenate([[0], np.cumsum(weight)])
     at = int(np.argmax(before[edges[1:]] - before[edges[:-1] + 1]))

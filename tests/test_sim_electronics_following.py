@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from levid.config.rig import RigConfig
 from levid.drivers.base import Context, Devices, DriveError
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.rig import Electronics
-from levid.wire.cia402 import POSITION_M, POSITION_RAD
+from levid.wire.cia402 import POSITION_M, POSITION_RAD, RPDO1_ID
 from levid.wire.device import DriveState
 
 RATE_HZ = 100.0
@@ -31,7 +32,10 @@ class Bench:
         self.cycle = -1
         self.beam, self.rotor = np.zeros(3), np.zeros(3)
 
-    def lead(self, beam: np.ndarray, rotor: np.ndarray, skip: int = 0) -> None:
+    def lead(
+        self, beam: np.ndarray, rotor: np.ndarray, skip: int = 0, lost: tuple[int, ...] = ()
+    ) -> None:
+        """Exchange a cycle after so many that are skipped; targets to the nodes `lost` get lost."""
         self.cycle += 1 + skip
         gap, coil = np.zeros(9), np.zeros(9)
         for sync in self.devices.syncs:
@@ -39,7 +43,10 @@ class Bench:
         self.devices.sensors.read(gap)
         self.devices.amplifiers.read(coil)
         self.devices.drives.read(self.beam, self.rotor)
+        link = self.devices.drives._link
+        send, link.send = link.send, lambda at, data: at - RPDO1_ID in lost or send(at, data)
         self.devices.drives.write(beam, rotor)
+        link.send = send
         until(lambda: self.core.cycle == self.cycle)
 
     def stand(self, beam_m: float = 0.0, cycles: int = 8) -> None:
@@ -47,15 +54,29 @@ class Bench:
             self.lead(np.array([beam_m, 0.0, 0.0]), np.zeros(3))
 
 
-@pytest.fixture(params=[1, 4])
-def bench(request, rig_on, quiet_sim: Path) -> Iterator[Bench]:
-    rig = with_drives(rig_on("can", RATE_HZ, quiet_sim), every=request.param)
+@contextmanager
+def benched(rig: RigConfig) -> Iterator[Bench]:
     with Electronics(rig, Path()) as electronics:
         devices = open_devices(Context(rig, T_S, Path()))
         bench = Bench(rig, devices, electronics)
         bench.stand()
         yield bench
         devices.close()
+
+
+@pytest.fixture(params=[1, 4])
+def bench(request, rig_on, quiet_sim: Path) -> Iterator[Bench]:
+    with benched(with_drives(rig_on("can", RATE_HZ, quiet_sim), every=request.param)) as bench:
+        yield bench
+
+
+@pytest.fixture(params=[1, 4])
+def weak_bench(request, rig_on, quiet_sim: Path) -> Iterator[Bench]:
+    """As slow to speed up in a period of these, as the shipped rigs are in one of theirs."""
+    rig = with_drives(rig_on("can", RATE_HZ, quiet_sim), every=request.param)
+    weak = {"beam_acceleration_m_s2": 1.0}
+    with benched(rig.model_copy(update={"limits": rig.limits.model_copy(update=weak)})) as bench:
+        yield bench
 
 
 def swing(size: float, speed: float, acceleration: float, k: int) -> np.ndarray:
@@ -87,6 +108,20 @@ def test_what_the_limits_allow_is_followed(bench: Bench, skip: int) -> None:
     assert bench.core.drive_state is DriveState.OPERATING
     # With fewer SYNCs than cycles, or some that are skipped, it goes on for a period at its speed.
     assert 0.07 < farthest < 0.1
+
+
+def test_host_is_told_no_speed_that_a_lost_target_did_not_make(weak_bench: Bench) -> None:
+    """The beam stands still for a period and makes up for it in the next: that is twice as fast."""
+    bench, speed, size = weak_bench, 0.25, 0.11
+    acceleration = bench.rig.limits.beam_acceleration_m_s2
+    every, told = bench.rig.on_bus("drives")[1].every, []
+    for k in range(60):
+        # All that a SYNC takes along of two cycles at full speed: it is once in `every`.
+        lost = (1, 2) if 32 <= k < 32 + every else ()
+        bench.lead(swing(size, speed, acceleration, k), np.zeros(3), lost=lost)
+        told.append(bench.beam[1])
+    assert bench.core.drive_state is DriveState.OPERATING
+    assert 1.5 * speed < max(told) < 2.2 * speed  # it was lost, and 2, with what rounding makes
 
 
 @pytest.mark.parametrize("what", ["beam", "rotor"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
@@ -137,6 +138,15 @@ def test_frames_that_do_not_belong_together_would_be_noticed(
 def test_drive_that_is_told_to_go_on_beside_a_fault_would_be_noticed(fuzz, monkeypatch) -> None:
     monkeypatch.setattr("levid.drivers.can.drives.QUICK_STOP", ENABLE_OPERATION)
     assert fuzz.drives_followed(N // 20, np.random.default_rng(12)).wrong > 0
+
+
+@pytest.mark.parametrize("most", [0.0, math.inf])
+@pytest.mark.parametrize("kind", ["drives_heard", "drives_followed"])
+def test_speed_by_other_differences_would_be_noticed(
+    fuzz, monkeypatch, kind: str, most: float
+) -> None:
+    monkeypatch.setattr("levid.drivers.can.drives.most_bend", lambda *_: most)
+    assert getattr(fuzz, kind)(N // 20, np.random.default_rng(14)).wrong > 0
 
 
 def test_every_run_is_kept_and_has_its_figures(fuzz, tmp_path: Path, monkeypatch) -> None:

@@ -38,9 +38,9 @@ _SENDS_BY = {"slcan", "udp_multicast"}
 the frame to have left."""
 _STAMPED_HERE = {"levid_local", "slcan", "socketcan", "udp_multicast", "virtual"}
 _SEND_S = 0.005
-_OPEN_TO_ALL = {"udp_multicast"}
-"""Interfaces on which anybody in the network may send what is no frame, for which the library has
-the same error as for an interface that is gone."""
+_NETWORKS = {"udp_multicast"}
+"""Interfaces on which any frame may be lost, and anybody may send what is none, for which the
+library has the same error as for an interface that is gone."""
 
 
 class Ages:
@@ -97,7 +97,7 @@ def open_bus(config: CanBus) -> FrameBus:
     if config.interface == "socketcan" and isinstance(getattr(bus, "socket", None), socket.socket):
         return _KernelBus(bus, bus.socket)
     timeout_s = _SEND_S if config.interface in _SENDS_BY else None
-    messages = _MessageBus(bus, can.Message, timeout_s, config.interface in _OPEN_TO_ALL)
+    messages = _MessageBus(bus, can.Message, timeout_s, config.interface in _NETWORKS)
     return messages if adapter_of(config.interface).punctual else ReadAhead(messages)
 
 
@@ -105,10 +105,10 @@ class _MessageBus:
     """Any interface, by its Messages."""
 
     def __init__(
-        self, bus: Any, message: Any, timeout_s: float | None, open_to_all: bool = False
+        self, bus: Any, message: Any, timeout_s: float | None, network: bool = False
     ) -> None:
         self._bus, self._message, self._timeout_s = bus, message, timeout_s
-        self._open_to_all = open_to_all
+        self._network = network
 
     def send(self, can_id: int, data: bytes) -> None:
         fd = len(data) > 8
@@ -124,7 +124,7 @@ class _MessageBus:
             self._bus.send(message, self._timeout_s)
         except TimeoutError:
             # A network may lose any frame and says nothing: this one is known, and no less lost.
-            if not self._open_to_all:
+            if not self._network:
                 raise
 
     def receive(self, wait_s: float) -> Frame | None:
@@ -132,7 +132,7 @@ class _MessageBus:
             message = self._bus.recv(wait_s)
         except Exception as error:
             cause = error.__cause__  # of what could not be unpacked: something in it
-            if self._open_to_all and cause is not None and not isinstance(cause, OSError):
+            if self._network and cause is not None and not isinstance(cause, OSError):
                 return OTHER
             raise
         if message is None:

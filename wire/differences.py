@@ -4,6 +4,20 @@ from __future__ import annotations
 
 import math
 
+_TIMES_ACCELERATION = 5.0
+"""Targets that are carried forward overshoot where the acceleration changes its sign: by as much as
+it can do in a period, four times in a second difference."""
+ROUNDED_COUNTS = 4
+"""By how much the second difference of rounded positions is off: four halves, on either side."""
+
+
+def most_bend(acceleration: float, period_s: float, count: float) -> float:
+    """Return the largest second difference of positions within a limit of acceleration.
+
+    In the unit of a `count`, m or rad; `acceleration` in that per s^2.
+    """
+    return _TIMES_ACCELERATION * acceleration * period_s**2 + ROUNDED_COUNTS * count
+
 
 class Differences:
     """Backward differences of third (velocity) and second order (acceleration).
@@ -11,13 +25,13 @@ class Differences:
     A drive in cyclic synchronous position mode gets positions alone, and a position encoder tells
     nothing else: with one difference of two samples, velocity would be that of half a period ago.
 
-    `most_bend` is the largest second difference of a motion that is sampled evenly. Beyond it third
+    `bend` is the largest second difference of a motion that is sampled evenly. Beyond it third
     order makes four times the speed of a position that stood still for one period and made up for
     it in the next, as where a target came late: there velocity is that of the last period.
     """
 
-    def __init__(self, period_s: float, most_bend: float = math.inf) -> None:
-        self._period_s, self._most_bend = period_s, most_bend
+    def __init__(self, period_s: float, bend: float = math.inf) -> None:
+        self._period_s, self._bend = period_s, bend
         self._last = (0.0, 0.0, 0.0)
         self._velocity = 0.0
 
@@ -30,7 +44,7 @@ class Differences:
         a, b, c = self._last
         self._last = p, a, b
         T = self._period_s
-        if max(abs(p - 2.0 * a + b), abs(a - 2.0 * b + c)) > self._most_bend:
+        if max(abs(p - 2.0 * a + b), abs(a - 2.0 * b + c)) > self._bend:
             self._velocity = (p - a) / T
             return self._velocity, 0.0
         self._velocity = (11.0 * p - 18.0 * a + 9.0 * b - 2.0 * c) / (6.0 * T)

@@ -31,7 +31,7 @@ from ...wire.cia402 import (
     state_of,
     sync_counter,
 )
-from ...wire.differences import Differences
+from ...wire.differences import Differences, most_bend
 from ...wire.rejected import Rejected
 from ..base import Array, DriveError, DriverError, FirstError, LinkError, ManipulatorDrives
 from ..sensing import check_skew
@@ -44,10 +44,6 @@ _MISSED_HEARTBEATS = 3.0
 _HOMING_S = 10.0
 _POLL_S = 0.005
 _MOST = 2**31 - 1
-_TIMES_ACCELERATION, _ROUNDED_COUNTS = 5.0, 4
-"""Of second differences of positions: targets that are carried forward overshoot what the limit
-allows where the acceleration changes its sign, and rounded ones are off by four halves of a count.
-"""
 
 
 class CanDrives(ManipulatorDrives):
@@ -361,8 +357,7 @@ class _Axis:
         self, node: DriveNode, unit: float, every: int, sync_s: float, acceleration: float
     ) -> None:
         self.node, self.unit, self._every = node, unit, every
-        bend = _TIMES_ACCELERATION * acceleration * sync_s**2 + _ROUNDED_COUNTS * unit
-        self._differences = Differences(sync_s, bend)
+        self._differences = Differences(sync_s, most_bend(acceleration, sync_s, unit))
         self.came, self.data = False, b""
         self.begin(0)
 

@@ -43,7 +43,7 @@ from ...wire.cia402 import (
     rotor_limits,
 )
 from ...wire.device import CYCLES
-from ...wire.differences import Differences
+from ...wire.differences import ROUNDED_COUNTS, Differences, most_bend
 from .core import Core
 from .faults import Injector, Outgoing
 
@@ -59,10 +59,8 @@ _RATED_BEAM, _RATED_ROTOR = 1000, 10
 _X1_AT, _X2_AT, _PHI_AT_RAD = 0.3, -0.2, 0.7
 """Where counts are zero until a drive is homed, of X1 and X2 in shares of the beam's range: an
 encoder of increments counts from wherever it was switched on."""
-_TIMES_SPEED, _TIMES_ACCELERATION, _ROUNDED_COUNTS = 1.1, 5.0, 4
-"""How much more than the limits is no following error. Targets that are carried forward overshoot
-where the acceleration changes its sign: by as much as it can do in a period, four times in a second
-difference. That of rounded ones is off by four halves of a count."""
+_TIMES_SPEED = 1.1
+"""How much more than the limit of speed is no following error."""
 
 
 class DriveNodes:
@@ -296,12 +294,11 @@ class Drive:
         by = self.target - self._led_to
         skipped, self._skipped = self._skipped, syncs - 1.0
         regular = regular and not skipped
-        rounded = _ROUNDED_COUNTS * self._unit
         changed = by - self._led_by if regular else math.nan
         self._led_to, self._led_by = self.target, by if regular else math.nan
         reach = _TIMES_SPEED * self._speed * (skipped + syncs + 1.0) * sync_s
-        most = _TIMES_ACCELERATION * self._acceleration * sync_s**2 + 2.0 * self._speed * late_s
-        return not (abs(by) > reach + rounded or abs(changed) > most + rounded)
+        most = most_bend(self._acceleration, sync_s, self._unit) + 2.0 * self._speed * late_s
+        return not (abs(by) > reach + ROUNDED_COUNTS * self._unit or abs(changed) > most)
 
     def boot(self) -> None:
         """Announce itself."""

@@ -219,6 +219,8 @@ def _burdens(answer: Mapping[str, Any]) -> Iterator[str]:
         yield f"control socket flooded for {answer['flooded_s']:g} s"
     if answer["memory_stalled_s"]:
         yield f"processes waited for memory for {answer['memory_stalled_s']:g} s"
+    if answer["stolen_s"]:
+        yield f"the host of this virtual machine kept its processors for {answer['stolen_s']:g} s"
 
 
 def _doing(answer: Mapping[str, Any]) -> str:

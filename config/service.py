@@ -19,7 +19,7 @@ class Realtime(Strict):
     lock_memory: bool = True
     cpus: tuple[Cpu, ...] = ()
     timer_slack_ns: Annotated[int, Field(ge=0, le=1_000_000)] = 1
-    cpu_latency_us: Annotated[int, Field(ge=0, le=1_000_000)] | None = 0
+    cpu_latency_us: Annotated[int, Field(ge=0, le=1_000_000)] | Literal["auto"] | None = "auto"
 
 
 class Service(Strict):

@@ -1,4 +1,4 @@
-"""What weighs on the daemon: a flooded socket, a machine short of memory, a recorder too slow.
+"""What weighs on the daemon: a flooded socket, memory or processors that lack, a slow recorder.
 
 None of it disturbs the loop. Whoever looks for the cause of late cycles, or for rows that a log
 does not have, is to find it in the journal.
@@ -6,6 +6,7 @@ does not have, is to find it in the journal.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -19,21 +20,29 @@ _FLOOD_HZ = 500.0
 the socket answers."""
 _SHORT = 0.1
 """Share of the time in which some process waited for memory."""
+_TAKEN = 0.01
+"""Share of the time for which a host kept a virtual machine's processors, of all together, from
+running: at 1 kHz as many cycles in a hundred may be late by that alone."""
+_STAT, _STEAL = Path("/proc/stat"), 8
 
 
 class Burdens:
     """Looks every two seconds, says what it finds, and adds it up; nothing in here waits."""
 
-    def __init__(self, say: Callable[[str], None], pressure: Path | None = None) -> None:
-        self._say = say
+    def __init__(
+        self, say: Callable[[str], None], pressure: Path | None = None, stat: Path = _STAT
+    ) -> None:
+        self._say, self._stat = say, stat
         self._given, self._pressure = pressure, pressure or _pressure_file()
         self._looked_s: float | None = None
-        self._asked, self._waited_s, self._lost = 0, 0.0, 0
+        self._asked, self._waited_s, self._gone_s, self._lost = 0, 0.0, 0.0, 0
         self._said_s: dict[str, float] = {}
         self.flooded_s = 0.0
         """For how long there were too many requests, since the start."""
         self.memory_stalled_s = 0.0
         """For how long some process waited for memory, in looks that found the machine short."""
+        self.stolen_s = 0.0
+        """For how long a host kept this machine's processors, in looks that found it too long."""
 
     def look(self, now_s: float, asked: int, lost: int) -> None:
         """Look, if it is time.
@@ -42,6 +51,7 @@ class Burdens:
         """
         if self._looked_s is None:
             self._looked_s, self._asked, self._waited_s = now_s, asked, self._waited()
+            self._gone_s = _steal_s(self._stat)
             return
         passed_s = now_s - self._looked_s
         if passed_s < _LOOK_S:
@@ -60,7 +70,16 @@ class Burdens:
                 now_s,
                 f"memory is short: processes waited for it for {stalled_s:.1f} of {passed_s:.1f} s",
             )
-
+        before_s, self._gone_s = self._gone_s, _steal_s(self._stat)
+        gone_s = self._gone_s - before_s
+        if gone_s > _TAKEN * passed_s:
+            self.stolen_s += gone_s
+            self._tell(
+                "stolen",
+                now_s,
+                f"the host of this virtual machine kept its processors for {gone_s:.2f} of "
+                f"{passed_s:.1f} s: no cycle is on time in that",
+            )
         # What is lost in a quiet minute is told after it: no row is left out.
         if lost > self._lost and self._tell("lost", now_s, self._losses(lost)):
             self._lost = lost
@@ -119,6 +138,15 @@ def _some_s(path: Path) -> float | None:
     except OSError:
         return None
     return 1e-6 * int(found[1]) if found else None
+
+
+def _steal_s(path: Path) -> float:
+    """Return for how long a host kept processors that had work, since the start; 0 if unknown."""
+    try:
+        words = path.read_text().split("\n", 1)[0].split()
+        return float(words[_STEAL]) / os.sysconf("SC_CLK_TCK")
+    except (OSError, IndexError, ValueError):
+        return 0.0
 
 
 _TOTAL = re.compile(r"^some .*\btotal=(\d+)", re.M)

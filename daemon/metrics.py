@@ -28,6 +28,7 @@ _COUNTERS = {
     "clients_gone": ("levid_clients_gone", "clients that hung up during what they had asked for"),
     "flooded_s": ("levid_flooded_seconds", "time with too many requests at the control socket"),
     "memory_stalled_s": ("levid_memory_stalled_seconds", "waits for memory, where it was short"),
+    "stolen_s": ("levid_stolen_seconds", "time for which a host kept the processors"),
 }
 
 

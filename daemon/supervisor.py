@@ -225,6 +225,7 @@ class Supervisor:
             "clients_gone": pilot.clients_gone,
             "flooded_s": round(self._burdens.flooded_s, 1),
             "memory_stalled_s": round(self._burdens.memory_stalled_s, 1),
+            "stolen_s": round(self._burdens.stolen_s, 2),
             "pids": {
                 "supervisor": os.getpid(),
                 "loop": self._loop.pid,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,10 @@ class World:
     """Time goes on, requests come, processes wait for memory."""
 
     def __init__(self, folder: Path) -> None:
-        self.file, self.said = folder / "memory", []
+        self.file, self.stat, self.said = folder / "memory", folder / "stat", []
         self.now_s, self.asked, self.waited_s, self.lost = 100.0, 7, 3.0, 0
-        self.burdens = Burdens(self.said.append, self.file)
+        self.stolen = 1234
+        self.burdens = Burdens(self.said.append, self.file, self.stat)
         self.passes(0.0)
 
     def passes(
@@ -34,6 +36,10 @@ class World:
         self.file.write_text(
             f"some avg10=0.00 avg60=0.00 avg300=0.00 total={round(1e6 * self.waited_s)}\n"
             "full avg10=0.00 avg60=0.00 avg300=0.00 total=99000000\n"
+        )
+        self.stat.write_text(
+            f"cpu  362075 4328 87458 1998067 1368 0 2912 {self.stolen} 0 0\n"
+            f"cpu0 151444 3544 46235 1032590 217 0 2372 {self.stolen} 0 0\n"
         )
         self.burdens.look(self.now_s, self.asked, self.lost)
 
@@ -68,6 +74,20 @@ def test_memory_that_is_short_is_told(world: World) -> None:
     assert world.burdens.memory_stalled_s == pytest.approx(1.0)
 
 
+def test_time_that_a_host_took_is_told(world: World) -> None:
+    tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
+    world.stolen += 1
+    world.passes(2.0)
+    assert not world.said, "a hundredth of a second in two is what any host takes now and then"
+    world.stolen += 12
+    world.passes(2.0)
+    assert world.said == [
+        f"the host of this virtual machine kept its processors for {12 * tick_s:.2f} of 2.0 s: "
+        "no cycle is on time in that"
+    ]
+    assert world.burdens.stolen_s == pytest.approx(12 * tick_s)
+
+
 def test_rows_that_are_lost_are_told_all_of_them_once_a_minute(world: World) -> None:
     world.passes(2.0, lost=300)
     words = "that the recorder did not take in time or could not write"
@@ -98,7 +118,7 @@ def test_process_that_is_moved_is_followed(tmp_path: Path, monkeypatch: pytest.M
 
     wait(groups[0], 50.0)
     wait(groups[1], 900.0)
-    found = Burdens(said.append)
+    found = Burdens(said.append, stat=tmp_path / "none")
     found.look(0.0, 0, 0)
     at = groups[1]
     found.look(2.0, 0, 0)
@@ -109,7 +129,7 @@ def test_process_that_is_moved_is_followed(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_kernel_that_does_not_say_is_no_error(tmp_path: Path) -> None:
-    found = Burdens(pytest.fail, tmp_path / "none")
+    found = Burdens(pytest.fail, tmp_path / "none", tmp_path / "none")
     for now_s in (0.0, 2.0, 4.0):
         found.look(now_s, 0, 0)
     assert found.memory_stalled_s == 0.0
@@ -144,7 +164,8 @@ def test_status_says_in_words_what_weighed_on_the_daemon(
         **{"rig": "here", "rate_hz": 1000.0, "state": "IDLE", "fault": "NONE", "session": None},
         **{"cycle": 5, "late": 0, "stale": 2, "lost": 0, "recording": "", "fault_log": ""},
         "timing": {"lateness_us": us, "execution_us": us},
-        **dict.fromkeys(("clients_gone", "recorder_restarts", "flooded_s", "memory_stalled_s"), 0),
+        **dict.fromkeys(("clients_gone", "recorder_restarts", "flooded_s"), 0),
+        **dict.fromkeys(("memory_stalled_s", "stolen_s"), 0),
     }
     if heavy:
         answer |= {
@@ -152,6 +173,7 @@ def test_status_says_in_words_what_weighed_on_the_daemon(
             "recorder_restarts": 1,
             "flooded_s": 4.0,
             "memory_stalled_s": 0.5,
+            "stolen_s": 0.25,
         }
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
@@ -169,4 +191,5 @@ def test_status_says_in_words_what_weighed_on_the_daemon(
         "recorders started anew: 1",
         "control socket flooded for 4 s",
         "processes waited for memory for 0.5 s",
+        "the host of this virtual machine kept its processors for 0.25 s",
     ]

@@ -27,7 +27,7 @@ def test_status_is_served_in_prometheus_s_words() -> None:
         account(timing.counts, 3e3, 2e3, 1e3, 500.0, skipped, before)
     status = {
         **{"cycle": 12, "stale": 1, "lost": 0, "recorder_restarts": 2, "recording": ""},
-        **{"clients_gone": 3, "flooded_s": 4.0, "memory_stalled_s": 0.5},
+        **{"clients_gone": 3, "flooded_s": 4.0, "memory_stalled_s": 0.5, "stolen_s": 0.25},
         **{"state": "LEVITATING", "fault": "NONE", "timing": timing.figures()},
     }
     port = free_port()
@@ -49,6 +49,7 @@ def test_status_is_served_in_prometheus_s_words() -> None:
     assert found["levid_clients_gone_total",] == 3
     assert found["levid_flooded_seconds_total",] == 4
     assert found["levid_memory_stalled_seconds_total",] == 0.5
+    assert found["levid_stolen_seconds_total",] == 0.25
     assert found["levid_state", "LEVITATING"] == 1
     assert found["levid_state", "IDLE"] == 0
     assert found["levid_fault", "NONE"] == 1

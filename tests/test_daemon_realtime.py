@@ -5,8 +5,11 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from levid.config.service import Realtime
-from levid.daemon.realtime import be_punctual, no_collections
+from levid.daemon import realtime
+from levid.daemon.realtime import be_punctual, cpu_latency_us, no_collections
 
 NOTHING = Realtime(priority=0, lock_memory=False, cpu_latency_us=None)
 
@@ -35,7 +38,7 @@ if os.geteuid() == 0:
     os.setgroups([])
     os.setgid(54321)
     os.setuid(54321)
-print(*be_punctual(Realtime()), sep="\\n")
+print(*be_punctual(Realtime(cpu_latency_us=0)), sep="\\n")
 """
     told = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
@@ -45,6 +48,35 @@ print(*be_punctual(Realtime()), sep="\\n")
         "realtime.cpu_latency_us",
         "realtime.priority",
     ]
+
+
+@pytest.mark.parametrize(
+    ("flags", "asked", "latency_us"),
+    [
+        ("fpu hypervisor lahf_lm", "auto", None),
+        ("fpu lahf_lm", "auto", 0),
+        ("fpu hypervisor lahf_lm", 0, 0),
+        ("fpu lahf_lm", 50, 50),
+        ("fpu lahf_lm", None, None),
+    ],
+)
+def test_processors_of_a_virtual_machine_may_sleep_unless_told_otherwise(
+    tmp_path, monkeypatch, flags: str, asked, latency_us: int | None
+) -> None:
+    (tmp_path / "cpuinfo").write_text(f"processor\t: 0\nflags\t\t: {flags}\nbugs\t\t: none\n")
+    monkeypatch.setattr(realtime, "_CPUINFO", tmp_path / "cpuinfo")
+    monkeypatch.setattr(realtime, "_DEVICE_TREE", tmp_path / "none")
+    assert cpu_latency_us(Realtime(cpu_latency_us=asked)) == latency_us
+
+
+def test_machine_that_tells_nothing_of_itself_is_taken_for_a_real_one(
+    tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(realtime, "_CPUINFO", tmp_path / "none")
+    monkeypatch.setattr(realtime, "_DEVICE_TREE", tmp_path / "none")
+    assert cpu_latency_us(Realtime()) == 0
+    monkeypatch.setattr(realtime, "_DEVICE_TREE", tmp_path)
+    assert cpu_latency_us(Realtime()) is None
 
 
 def test_collector_is_back_afterwards() -> None:

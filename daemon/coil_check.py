@@ -26,6 +26,8 @@ LONGER = 1.1
 and control, which the template leaves out, grow with the square of its length."""
 _MOST_TRIPLES = 500
 """The check is judged between two looks at the loop, in some 50 ms: nine coils make 84."""
+_UNHEARD = Stale.AMPLIFIERS | Stale.SETPOINTS
+"""In such a row nobody knows whether the amplifiers have taken over what they were told before."""
 _FLAT = 1e4
 """Condition of three coils in a line: they say nothing of one tilt."""
 
@@ -77,7 +79,7 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Ve
 
     `rows` are the cycle records of the check, and may begin before it. Where cycles were late, a
     push lasted as much longer, and is judged as it was; by more than `LONGER` it is not judged, nor
-    is what it shakes.
+    is what it shakes. Nor are they where the amplifiers said nothing while the force changed.
 
     The platform is a mass: a push moves the pose by G s, s the coil's row of the shape matrix,
     along the push's double integral. G is what fits the coils that agree with each other, so that
@@ -95,7 +97,9 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Ve
     # as long again as it should last, or a force of control, all that come after it.
     judged[1:] &= judged[:-1]
     cycle = rows["cycle"][: pushes.coils * pushes.turn : pushes.turn].astype(np.int64)
-    held = np.flatnonzero(np.diff(cycle) - pushes.turn > pushes.push)
+    unheard_of = [_unheard_of(rows, coil, pushes) for coil in range(pushes.coils)]
+    longer = np.maximum(np.append(np.diff(cycle), pushes.turn) - pushes.turn, unheard_of)
+    held = np.flatnonzero(longer > pushes.push)
     if len(held):
         judged[held[0] + 1 :] = False
 
@@ -128,7 +132,7 @@ def _moved(rows: NDArray[np.void], coil: int, pushes: Pushes) -> Array:
     turn = rows[coil * pushes.turn : (coil + 1) * pushes.turn]
     n = min(4 * pushes.push + _DELAY, len(turn))
     period = turn["cycle"][:n].astype(np.int64) - int(turn["cycle"][0])
-    if n < 4 * pushes.push or period[-1] > LONGER * (n - 1):
+    if n < 4 * pushes.push or period[-1] > LONGER * (n - 1) or _unheard_of(rows, coil, pushes):
         return np.full(3, np.nan)
     # What a cycle computes acts from the next one on, until the one after that, late or not.
     force = np.repeat(pushes.shape[: n - _DELAY], np.diff(period[1:]))
@@ -143,3 +147,16 @@ def _moved(rows: NDArray[np.void], coil: int, pushes: Pushes) -> Array:
         return np.full(3, np.nan)
     fitted = np.linalg.lstsq(templates[fresh], pose[fresh].astype(float), rcond=None)
     return np.asarray(fitted[0][0])
+
+
+def _unheard_of(rows: NDArray[np.void], coil: int, pushes: Pushes) -> int:
+    """Return for how many rows at most the amplifiers said nothing from a change of the push on."""
+    begin = coil * pushes.turn
+    unheard = (rows["stale"][begin : begin + pushes.turn] & _UNHEARD).astype(bool)
+    longest = 0
+    for change in np.array([0, 1, 3, 4]) * pushes.push:
+        # A force acts from the next row on: from that or from its own they may be silent.
+        for first in (change, change + 1):
+            heard = np.flatnonzero(~unheard[first:])
+            longest = max(longest, int(heard[0]) if len(heard) else len(unheard) - first)
+    return longest

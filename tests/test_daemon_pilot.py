@@ -18,6 +18,7 @@ from levid.daemon.pilot import Job, Pilot
 from levid.daemon.plan import plan_steps
 from levid.daemon.scribe import LogFile
 from levid.drivers.base import Devices
+from levid.log.signals import Stale
 
 
 class Recorder:
@@ -246,6 +247,48 @@ def test_coil_whose_push_was_held_for_long_is_told_of_and_stays_unknown(
     assert pilot.coils_are_known
     flight.board.clear()  # somebody may have changed cables
     assert not pilot.coils_are_known
+
+
+@pytest.mark.parametrize(
+    ("silent", "shaken"), [(5, [4, 5]), (12, [4, 5, 6, 7, 8])], ids=["short", "long"]
+)
+def test_coil_is_not_judged_while_its_amplifiers_say_nothing(
+    silent: int, shaken: list[int]
+) -> None:
+    """Electronics that stand still hold a push for longer, and no period is skipped."""
+    told: list[Any] = []
+    amplifiers: list[Any] = []
+    still = False
+
+    def standing_still(devices: Devices) -> Devices:
+        write, (drive,) = devices.amplifiers.write, [devices.amplifiers]
+
+        def held(coil_n: np.ndarray) -> None:
+            drive.stale = int(Stale.AMPLIFIERS) if still else 0
+            if not still:
+                write(coil_n)
+
+        drive.write = held  # type: ignore[method-assign]
+        amplifiers.append(drive)
+        return devices
+
+    flight = ScriptedLoop(standing_still)
+    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job = checked(flight, told)
+    pushed = first_push(job)
+
+    def script(n: int) -> None:
+        nonlocal still
+        # The push changes its sign, and is held.
+        still = pushed + 4 * TURN + 8 <= n < pushed + 4 * TURN + 8 + silent
+        if n == 300:
+            pilot.begin(job)
+        if not n % 10:
+            pilot.tick()
+
+    flight.run(script, pushed + 9 * TURN + 150)
+    assert flight.board.fault is Fault.NONE, flight.board.detail
+    assert told[-1]["unjudged_coils"] == shaken
 
 
 TURN = 82

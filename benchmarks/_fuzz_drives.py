@@ -139,9 +139,15 @@ def most_bends(rig: RigConfig) -> tuple[float, float, float]:
 def speed_of(p: float, last: tuple[float, float, float], period_s: float, most: float) -> float:
     """Return the speed at `p` after the `last` three, newest first: by the last period if bent."""
     a, b, c = last
-    if abs((p - a) - (a - b)) > most or abs((a - b) - (b - c)) > most:
+    if bend_of(p, last) > most:
         return (p - a) / period_s
     return (11.0 * p - 18.0 * a + 9.0 * b - 2.0 * c) / (6.0 * period_s)
+
+
+def bend_of(p: float, last: tuple[float, float, float]) -> float:
+    """Return the larger of the last two second differences."""
+    a, b, c = last
+    return max(abs((p - a) - (a - b)), abs((a - b) - (b - c)))
 
 
 def said(rng: np.random.Generator, quiet: float = 0.5) -> list[CanFrame]:

@@ -2,13 +2,13 @@
 
 A loop is the devices' part of a cycle, readings in and zero force out, without control and
 recording; those of the whole daemon are in _bus_flights. It runs for a minute without a pause, with
-all that the daemon's loop asks of the kernel, while another empty one with a higher priority runs
-on the same processor; then an empty one runs alone, in the next round the other way round. A host
-takes its processors from a machine that uses them, and more often than from one that sleeps: what
-the one beside it is late by is not of the loop's making, and of a machine of one's own both ratios
-say the same. Two things are called late: a cycle that begins a period after its time or more, and
-one that has not ended by then. Electronics have the other processors, as on a rig, and a priority
-of their own; what carries udp's frames has none, nor can it be given.
+all that the daemon's loop asks of a machine of its own, while another empty one with a higher
+priority runs on the same processor; then an empty one runs alone, in the next round the other way
+round. A host takes its processors from a machine that uses them, and more often than from one that
+sleeps: what the one beside it is late by is not of the loop's making, and of a machine of one's own
+both ratios say the same. Two things are called late: a cycle that begins a period after its time or
+more, and one that has not ended by then. Electronics have the other processors, as on a rig, and a
+priority of their own; what carries udp's frames has none, nor can it be given.
 """
 
 from __future__ import annotations

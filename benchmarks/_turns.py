@@ -20,10 +20,8 @@ from _histogram import Histogram
 from _real_time import Rights
 from _rows import Flown, Found, Lag, found_in
 
-from levid.config.service import Realtime
 from levid.config.shipped import shipped
 from levid.daemon.client import Client
-from levid.daemon.realtime import cpu_latency_us
 from levid.daemon.timing import WakeUps
 from levid.log.reader import read_log
 
@@ -116,8 +114,6 @@ def wake_up(cyclictest: str, rate_hz: int, seconds: float) -> Turn:
         *(cyclictest, "--quiet", "--mlockall", "--threads=1", f"--priority={PRIORITY}"),
         *(f"--interval={period_us}", f"--loops={int(seconds * rate_hz)}"),
         f"--histogram={_LONGEST_US}",
-        # It keeps processors from sleeping if not told so; here only where the loop does, too.
-        *(["--laptop"] if cpu_latency_us(Realtime()) is None else []),
     ]
     with started(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         said, problem = process.communicate(timeout=3 * seconds + 10)
@@ -231,7 +227,8 @@ def rig_file(folder: Path, rate_hz: int) -> Path:
         "rate_hz": rate_hz,
         "sim": str(shipped("sims/nominal.yaml")),
         "socket": str(folder / "levid.sock"),
-        "realtime": {"priority": PRIORITY},
+        # As cyclictest asks for by itself.
+        "realtime": {"priority": PRIORITY, "cpu_latency_us": 0},
         "recording": {"faults": str(folder / "faults")},
     }
     plain["limits"] |= {"late_cycles": 10_000, "late_in_window": 1_000_000, "stall_s": 30}

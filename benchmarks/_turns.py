@@ -7,7 +7,8 @@ import re
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ from levid.log.reader import read_log
 
 PRIORITY = 80
 REST_S = 2.0
+LIFT_AND_LAND_S = 3.3
+"""What a flight takes beyond what it was asked for: all of it is logged."""
 _TIMES = ("lateness", "execution", "woken")
 _LONGEST_US = 20_000
 _SYNC_S = 60.0
@@ -108,18 +111,35 @@ def rest() -> None:
 
 
 def wake_up(cyclictest: str, rate_hz: int, seconds: float) -> Turn:
-    """Run cyclictest; its histogram has a bin a microsecond."""
+    """Run cyclictest."""
+    with waking_up(cyclictest, rate_hz, seconds) as turn:
+        return turn()
+
+
+@contextmanager
+def waking_up(
+    cyclictest: str, rate_hz: int, seconds: float, cpu: int | None = None
+) -> Iterator[Callable[[], Turn]]:
+    """Run cyclictest, on this processor or on any; yields what waits for its turn's end.
+
+    Its histogram has a bin a microsecond.
+    """
     period_us = 1_000_000 // rate_hz
     command = [
         *(cyclictest, "--quiet", "--mlockall", "--threads=1", f"--priority={PRIORITY}"),
         *(f"--interval={period_us}", f"--loops={int(seconds * rate_hz)}"),
         f"--histogram={_LONGEST_US}",
+        *(() if cpu is None else (f"--affinity={cpu}",)),
     ]
     with started(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        said, problem = process.communicate(timeout=3 * seconds + 10)
-        if process.returncode:
-            raise RuntimeError(f"cyclictest: {problem.decode().strip() or process.returncode}")
-    return of_cyclictest(said.decode(), period_us, seconds)
+
+        def turn() -> Turn:
+            said, problem = process.communicate(timeout=3 * seconds + 10)
+            if process.returncode:
+                raise RuntimeError(f"cyclictest: {problem.decode().strip() or process.returncode}")
+            return of_cyclictest(said.decode(), period_us, seconds)
+
+        yield turn
 
 
 def of_cyclictest(said: str, period_us: int, seconds: float) -> Turn:
@@ -136,16 +156,22 @@ def fly(
     folder: Path,
     ready: Callable[[], None] = rest,
     tell: Callable[[Lag], None] = lambda _: None,
+    cpu: int | None = None,
 ) -> Flight:
     """Levitate for so long on a daemon of its own, everything recorded into `folder`.
 
-    `ready` is called before lift-off, `tell` every second. Raises DaemonError, RuntimeError,
-    OSError where it does not come to its end: a fault, a recorder that was started anew.
+    `ready` is called before lift-off, `tell` every second. The loop runs on this processor or on
+    any; the daemon's others run on any, which they would not if the rig said so.
+
+    Raises DaemonError, RuntimeError, OSError where it does not come to its end: a fault, a recorder
+    that was started anew.
     """
     with tempfile.TemporaryDirectory() as name:
         rig, socket = rig_file(Path(name), rate_hz), Path(name) / "levid.sock"
         with running(rig, socket) as daemon:
             require_rights(Rights.of(daemon.pids["loop"]))
+            if cpu is not None:
+                stay_on(daemon.pids["loop"], cpu)
             ready()
             return _flown(daemon, rate_hz, seconds, folder / "log", tell)
 
@@ -208,6 +234,12 @@ def read(flight: Flight) -> Turn:
         flight.flown.capacity / flight.rate_hz,
         flight.woken,
     )
+
+
+def stay_on(pid: int, cpu: int) -> None:
+    """Keep all threads of a process on one processor."""
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        os.sched_setaffinity(int(thread.name), {cpu})
 
 
 def require_rights(rights: Rights) -> None:

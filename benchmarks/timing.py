@@ -11,11 +11,15 @@ as it is; to time.sleep a duration is told, which Python adds to a clock that it
 lies between the two looks at the clock, and the interpreter's way back, count as the loop's.
 
 1khz, 10khz: ten minutes of each contender in rounds of 30 s, their order swapped in every round,
-and up to twice that where late cycles are in too few rounds to tell. busy: ten minutes of one
-unbroken flight at 10 kHz beside a disk that is written to all the time, cyclictest beside the same
-before and after it. The full run takes an hour and a quarter, at most two hours; --quick two
-minutes. Rounds are kept in build/timing as they come: a run that was stopped carries on with them.
-One that failed (a fault in flight, a recorder that was started anew) is counted, and not repeated.
+and up to twice that where late cycles are in too few rounds to tell. together: as many rounds at
+10 kHz in which both run at once, each on a processor of its own, swapped in every round, the
+daemon's other processes on either: what a machine does to both, say a host that takes it away, is
+in both shares then, where in turns it makes them differ by ten times from one turn to the next.
+busy: ten minutes of one unbroken flight at 10 kHz beside a disk that is written to all the time,
+cyclictest beside the same before and after it. The full run takes an hour and a half, at most two
+and a half; --quick two minutes. Rounds are kept in build/timing as they come: a run that was
+stopped carries on with them. One that failed (a fault in flight, a recorder that was started anew)
+is counted, and not repeated.
 """
 
 from __future__ import annotations
@@ -26,9 +30,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import _table
@@ -37,10 +41,10 @@ from _code_version import code_version
 from _kept import KEPT, Kept, host_digest
 from _real_time import hurry, relax
 from _rows import Lag
-from _shares import MOST_RATIO, Round, again, ratio_figures
-from _table import Figure, Met, Target
-from _trend import trend
-from _turns import PRIORITY, Turn, fly, read, rest, wake_up
+from _shares import again
+from _table import Figure
+from _timing_figures import busy_figures, pairs, rate_figures
+from _turns import LIFT_AND_LAND_S, PRIORITY, Turn, fly, read, rest, wake_up, waking_up
 
 from levid.config.shipped import shipped
 from levid.daemon.client import DaemonError
@@ -48,17 +52,10 @@ from levid.log.errors import LogError
 
 LOGS = KEPT / "timing"
 """Where logs are written: on a disk, which the folder for temporary files may not be."""
-RATES_HZ = {"1khz": 1000, "10khz": 10_000}
+RATES_HZ = {"1khz": 1000, "10khz": 10_000, "together": 10_000}
 SECTIONS = (*RATES_HZ, "busy")
-MOST_MEDIAN = 1.2
-MOST_P99_US, MOST_P999_US = 25.0, 100.0
-QUIET_P999_US = 70.0
-"""What cyclictest's own p99.9 has to stay below for the loop's to be asked about, at 10 kHz."""
-MOST_RECORDER = 0.15
-MOST_LAG_S_MIN = 0.1
-"""At that ten minutes take a second of the ring's fifteen: whoever keeps up does not fall back."""
-_LEAST_TREND_S = 300.0
-_NONE = Target(most=0)
+_TOGETHER = 2
+"""Processors that it takes to run both at once."""
 _IN_A_ROW = 3
 _FAILURES = (
     DaemonError, LogError, NotBusyError, OSError, RuntimeError, ValueError,
@@ -92,7 +89,9 @@ def measure(quick: bool, alone: bool = False, only: Sequence[str] = ()) -> Itera
         print(f"of a run begun {since}, not measured again: {counts}", file=sys.stderr)
     _clean(LOGS)
     for section in only or SECTIONS:
-        if section in RATES_HZ:
+        if section == "together" and (why := _not_together(plan)):
+            print(f"together: {why}", file=sys.stderr)
+        elif section in RATES_HZ:
             try:
                 rounds(plan, kept, section)
             except BaseException:
@@ -119,7 +118,10 @@ def rounds(plan: Plan, kept: Kept, section: str) -> None:
         print(f"{section}: round {done + 1}", end="\r", file=sys.stderr)
         line: dict[str, Any] = {"section": section, "round": done}
         try:
-            line |= one_round(rate_hz, plan.seconds, done, plan.cyclictest)
+            if section == "together" and plan.cyclictest is not None:
+                line |= both_at_once(rate_hz, plan.seconds, done, plan.cyclictest)
+            else:
+                line |= one_round(rate_hz, plan.seconds, done, plan.cyclictest)
             in_a_row = 0
         except _FAILURES as error:
             in_a_row += 1
@@ -148,6 +150,28 @@ def one_round(
         for turn in (loop, peer) if number % 2 else (peer, loop):
             turn()
         found["loop"] = read(found["loop"])  # logs are read when nobody is timed
+    return {who: turn.plain for who, turn in found.items()}
+
+
+def both_at_once(
+    rate_hz: int, seconds: float, number: int, cyclictest: str
+) -> dict[str, dict[str, Any]]:
+    """Return what came of both, each on a processor of its own; the next round swaps these."""
+    ours, theirs = sorted(os.sched_getaffinity(0))[:_TOGETHER][:: -1 if number % 2 else 1]
+    LOGS.mkdir(parents=True, exist_ok=True)
+    with (
+        tempfile.TemporaryDirectory(prefix=_prefix(), dir=LOGS) as folder,
+        ExitStack() as stack,
+    ):
+        peers: list[Callable[[], Turn]] = []
+
+        def ready() -> None:
+            rest()
+            longer_s = seconds + LIFT_AND_LAND_S
+            peers.append(stack.enter_context(waking_up(cyclictest, rate_hz, longer_s, cpu=theirs)))
+
+        flight = fly(rate_hz, seconds, Path(folder), ready, cpu=ours)
+        found = {"cyclictest": peers[0](), "loop": read(flight)}
     return {who: turn.plain for who, turn in found.items()}
 
 
@@ -182,135 +206,12 @@ def busy(plan: Plan, kept: Kept) -> None:
     kept.add(line)
 
 
-def slowest(written: Sequence[tuple[float, float]], looks: int) -> float | None:
-    """Return the least MiB/s over so many looks at the time in s and the MiB that were down."""
-    pairs = zip(written, written[looks:], strict=False)
-    return min(((b - a) / (to_s - at_s) for (at_s, a), (to_s, b) in pairs), default=None)
-
-
-def pairs(lines: Sequence[dict[str, Any]]) -> list[Round]:
-    """Return the late cycles of the rounds in which both had their turn."""
-    return [
-        Round(*(line[who][key] for who in ("loop", "cyclictest") for key in ("late", "cycles")))
-        for line in lines
-        if "loop" in line and "cyclictest" in line
-    ]
-
-
-def rate_figures(name: str, lines: Sequence[dict[str, Any]]) -> list[Figure]:
-    """Return what the loop was like at one rate, beside cyclictest if that was run."""
-    levid = Turn.together(Turn.from_plain(line["loop"]) for line in lines if "loop" in line)
-    peer = Turn.together(
-        Turn.from_plain(line["cyclictest"]) for line in lines if "cyclictest" in line
-    )
-    failed = sum("failed" in line for line in lines)
-    figures = [Figure(f"rounds_{name}", len(lines), "", f"{name}: rounds")]
-    figures.append(Figure(f"failed_rounds_{name}", failed, "", "that failed", None, _NONE))
-    for key, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999)):
-        ours, theirs = levid.lateness.quantile(share), peer.lateness.quantile(share)
-        versus = f"cyclictest_{key}_us_{name}"
-        figures += [
-            Figure(versus, theirs, "us", f"cyclictest at {name}: wake-up, {key}"),
-            Figure(
-                f"lateness_{key}_us_{name}", ours, "us",
-                f"loop at {name}: lateness after its spin, {key}", versus,
-                tail_target(name, key, peer),
-            ),
-        ]  # fmt: skip
-    ours, theirs = levid.woken.quantile(0.5), peer.lateness.quantile(0.5)
-    medians = ours / theirs if ours is not None and theirs else None
-    late = f"cyclictest_late_share_{name}"
-    figures += [
-        Figure(
-            f"wake_up_p50_us_{name}", ours, "us", f"loop at {name}: wake-up, before its spin, p50",
-            f"cyclictest_p50_us_{name}",
-        ),
-        Figure(
-            f"median_ratio_{name}", medians, "", "wake-up over cyclictest's: medians", None,
-            Target(most=MOST_MEDIAN),
-        ),
-        Figure(late, _share(peer), "", f"cyclictest at {name}: woken up a period late"),
-        Figure(f"late_share_{name}", _share(levid), "", f"loop at {name}: ended late", late),
-    ]  # fmt: skip
-    low, high, who = f"late_ratio_low_{name}", f"late_ratio_{name}", f"loop at {name}, cyclictest"
-    if turns := pairs(lines):
-        figures += ratio_figures(turns, low, high, who)
-    else:
-        label = f"{who}: ratio of the shares, 95 % bounds"
-        target = Target(most=MOST_RATIO, met=Met.NOT_ASKED)
-        figures += [Figure(low, None, "", label), Figure(high, None, "", label, None, target)]
-    return [*figures, *recorder_figures(name, levid)]
-
-
-def tail_target(name: str, key: str, peer: Turn) -> Target | None:
-    """Return what a tail at 10 kHz should be, asked where cyclictest's own is short enough."""
-    most = {"p99": MOST_P99_US, "p999": MOST_P999_US}.get(key)
-    if name != "10khz" or most is None:
-        return None
-    theirs = peer.lateness.quantile(0.999)
-    quiet = theirs is not None and theirs < QUIET_P999_US
-    return Target(most=most, met=None if quiet else Met.NOT_ASKED)
-
-
-def recorder_figures(name: str, levid: Turn) -> list[Figure]:
-    """Return what a cycle took, and how the recorder kept up with it."""
-    used = levid.recorder_s / levid.seconds if levid.seconds else None
-    wrong = levid.found.wrong - levid.found.missing
-    p50, p99 = (levid.execution.quantile(share) for share in (0.5, 0.99))
-    asked = None if levid.cycles else Met.NOT_ASKED
-    none = Target(most=0, met=asked)
-    return [
-        Figure(f"execution_p50_us_{name}", p50, "us", f"loop at {name}: a cycle takes, p50"),
-        Figure(f"execution_p99_us_{name}", p99, "us", "p99"),
-        Figure(f"lost_rows_{name}", levid.found.missing, "", "flown rows in no log", None, none),
-        Figure(f"wrong_rows_{name}", wrong, "", "twice, strange, cut logs", None, none),
-        Figure(
-            f"recorder_cpu_{name}", used, "", "recorder: share of a processor", None,
-            Target(most=MOST_RECORDER),
-        ),
-    ]  # fmt: skip
-
-
-def busy_figures(lines: Sequence[dict[str, Any]]) -> list[Figure]:
-    """Return how the recorder fared in one flight at 10 kHz beside a busy disk."""
-    (line,) = (line for line in lines if "lag_rows" not in line)
-    levid = Turn.from_plain(line["loop"]) if "loop" in line else Turn()
-    peer = Turn.from_plain(line["cyclictest"]) if "cyclictest" in line else Turn()
-    written = line.get("written", [])
-    rows = [lag.rows for lag in levid.lags]
-    grows = trend([lag.at_s for lag in levid.lags], rows)
-    long = levid.seconds >= _LEAST_TREND_S
-    keeps_up = Target(most=MOST_LAG_S_MIN, met=None if long else Met.NOT_ASKED)
-    second = 10_000.0
-    late = "cyclictest_late_share_busy"
-    failed = int("failed" in line)
-    return [
-        Figure("failed_busy", failed, "", "busy disk: flights that failed", None, _NONE),
-        Figure("flight_s_busy", levid.seconds, "s", "one flight at 10 kHz, the disk busy"),
-        Figure(
-            "written_mib_s_busy", slowest(written, max(len(written) - 1, 1)), "MiB/s",
-            "written and synced beside it",
-        ),
-        Figure("slowest_mib_s_busy", slowest(written, 10), "MiB/s", "in its slowest ten seconds"),
-        *recorder_figures("busy", levid),
-        Figure("ring_s_busy", levid.ring_s, "s", "what the ring holds"),
-        Figure("lag_s_busy", max(rows) / second if rows else None, "s", "recorder: largest lag"),
-        Figure("lag_median_s_busy", median(rows) / second if rows else None, "s", "median lag"),
-        Figure(
-            "lag_trend_busy", 60 * grows.slope / second if grows else None, "s/min",
-            "the lag grows by", None, keeps_up,
-        ),
-        Figure(
-            "lag_trend_error_busy", 60 * grows.error / second if grows else None, "s/min",
-            "standard error of that",
-        ),
-        Figure(late, _share(peer), "", "cyclictest before and after it: a period late"),
-        Figure("late_share_busy", _share(levid), "", "loop: ended late", late),
-    ]  # fmt: skip
-
-
-def _share(turn: Turn) -> float | None:
-    return turn.late / turn.cycles if turn.cycles else None
+def _not_together(plan: Plan) -> str:
+    if plan.cyclictest is None:
+        return "not without cyclictest"
+    if (found := len(os.sched_getaffinity(0))) < _TOGETHER:
+        return f"expected {_TOGETHER} processors, found {found}"
+    return ""
 
 
 def _peer(plan: Plan, writer: Writer) -> Turn:

@@ -28,6 +28,7 @@ def command(rig: Path) -> int:
     from ..config.base import ConfigError
     from ..config.rig import load_rig
     from ..daemon.journal import Journal
+    from ..daemon.realtime import leave_to_loop
     from ..daemon.sockets import own_socket
     from ..daemon.supervisor import Supervisor
 
@@ -36,6 +37,7 @@ def command(rig: Path) -> int:
     try:
         config = load_rig(rig)
         path = own_socket(config)
+        leave_to_loop(config.realtime.cpus)
         supervisor = Supervisor(config, rig, path, say)
     except ConfigError as error:
         journal.close()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+
+from levid.config.mistakes import mistakes
 
 M = TypeVar("M", bound="Strict")
 
@@ -63,7 +64,7 @@ def parse(data: object, model: type[M], where: str) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise ConfigError("\n".join(_explain(error, model, where))) from None
+        raise ConfigError("\n".join(mistakes(error, data, model, where))) from None
 
 
 def parse_text(text: str | bytes, model: type[M], where: str) -> M:
@@ -172,33 +173,6 @@ def _expanded(node: yaml.Node, known: dict[int, int]) -> int:
     return total
 
 
-def _explain(error: ValidationError, model: type[BaseModel], where: str) -> list[str]:
-    lines = []
-    items = error.errors(include_url=False)
-    # A file of another kind would be one error a key: that it is another kind says it all.
-    of_kind = [item for item in items if item["loc"] == ("levid",)]
-    for item in of_kind or items:
-        key = _dotted(item["loc"])
-        if item["type"] == "extra_forbidden":
-            known = _keys_at(model, item["loc"][:-1])
-            lines.append(f"{where}: {key}: unknown key{_suggest(str(item['loc'][-1]), known)}")
-        elif item["type"] == "missing":
-            lines.append(f"{where}: {key}: required key is missing")
-        elif item["type"] == "value_error":
-            lines.append(f"{where}: {key}: {item['ctx']['error']}")
-        else:
-            expected = item["msg"].removeprefix("Input should be ")
-            lines.append(f"{where}: {key}: expected {expected}, found {_short(item['input'])}")
-    return lines
-
-
-def _dotted(loc: tuple[int | str, ...]) -> str:
-    text = ""
-    for part in loc:
-        text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
-    return text or "file"
-
-
 def _kinds(annotation: Any) -> list[Any]:
     """Return the types that an annotation is made of."""
     parts = getattr(annotation, "__args__", ())
@@ -212,45 +186,3 @@ def _truths(value: object) -> list[bool]:
     if isinstance(value, (list, tuple)):
         return [truth for part in value for truth in _truths(part)]
     return [value] if isinstance(value, bool) else []
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _suggest(key: str, known: list[str]) -> str:
-    if not known:
-        return ""
-    # The same quantity in another unit (r_mm for r_m) is the likeliest slip: compare without units.
-    stem = key.rsplit("_", 1)[0]
-    same_quantity = [k for k in known if k.rsplit("_", 1)[0] == stem]
-    if same_quantity:
-        return f"; expected '{same_quantity[0]}' (the ending of a key is its unit)"
-    close = difflib.get_close_matches(key, known, n=1)
-    if close:
-        return f"; expected '{close[0]}'"
-    return f"; expected one of {', '.join(sorted(known))}"
-
-
-def _keys_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Return the keys known at `loc`, following model fields; empty where that cannot be told."""
-    current: Any = model
-    for part in loc:
-        if isinstance(part, int):
-            continue
-        field = getattr(current, "model_fields", {}).get(part)
-        if field is None:
-            continue
-        current = _model_in(field.annotation) or current
-    return [f.alias or name for name, f in getattr(current, "model_fields", {}).items()]
-
-
-def _model_in(annotation: Any) -> Any:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for argument in getattr(annotation, "__args__", ()):
-        found = _model_in(argument)
-        if found is not None:
-            return found
-    return None

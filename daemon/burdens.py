@@ -21,8 +21,8 @@ the socket answers."""
 _SHORT = 0.1
 """Share of the time in which some process waited for memory."""
 _TAKEN = 0.01
-"""Share of the time for which a host kept a virtual machine's processors, of all together, from
-running: at 1 kHz as many cycles in a hundred may be late by that alone."""
+"""Share of the time for which a host kept a virtual machine's processors, on average, from running:
+at 1 kHz as many cycles in a hundred may be late by that alone."""
 _STAT, _STEAL = Path("/proc/stat"), 8
 
 
@@ -35,14 +35,16 @@ class Burdens:
         self._say, self._stat = say, stat
         self._given, self._pressure = pressure, pressure or _pressure_file()
         self._looked_s: float | None = None
-        self._asked, self._waited_s, self._gone_s, self._lost = 0, 0.0, 0.0, 0
+        self._asked, self._waited_s, self._lost = 0, 0.0, 0
+        self._gone_s: float | None = None
         self._said_s: dict[str, float] = {}
         self.flooded_s = 0.0
         """For how long there were too many requests, since the start."""
         self.memory_stalled_s = 0.0
         """For how long some process waited for memory, in looks that found the machine short."""
         self.stolen_s = 0.0
-        """For how long a host kept this machine's processors, in looks that found it too long."""
+        """For how long a host kept each of this machine's processors, on average, in looks that
+        found it too long."""
 
     def look(self, now_s: float, asked: int, lost: int) -> None:
         """Look, if it is time.
@@ -51,7 +53,7 @@ class Burdens:
         """
         if self._looked_s is None:
             self._looked_s, self._asked, self._waited_s = now_s, asked, self._waited()
-            self._gone_s = _steal_s(self._stat)
+            self._stolen()
             return
         passed_s = now_s - self._looked_s
         if passed_s < _LOOK_S:
@@ -70,14 +72,13 @@ class Burdens:
                 now_s,
                 f"memory is short: processes waited for it for {stalled_s:.1f} of {passed_s:.1f} s",
             )
-        before_s, self._gone_s = self._gone_s, _steal_s(self._stat)
-        gone_s = self._gone_s - before_s
+        gone_s = self._stolen()
         if gone_s > _TAKEN * passed_s:
             self.stolen_s += gone_s
             self._tell(
                 "stolen",
                 now_s,
-                f"the host of this virtual machine kept its processors for {gone_s:.2f} of "
+                f"the host of this virtual machine kept each of its processors for {gone_s:.2f} of "
                 f"{passed_s:.1f} s: no cycle is on time in that",
             )
         # What is lost in a quiet minute is told after it: no row is left out.
@@ -115,6 +116,17 @@ class Burdens:
         waited_s = None if self._pressure is None else _some_s(self._pressure)
         return self._waited_s if waited_s is None else waited_s
 
+    def _stolen(self) -> float:
+        """Return what a host took since the last look that told."""
+        before_s, now_s = self._gone_s, _steal_s(self._stat)
+        if now_s is None:
+            return 0.0
+        if before_s is None:
+            self._gone_s = now_s
+            return 0.0
+        self._gone_s = max(before_s, now_s)  # the kernel's sum may step back
+        return self._gone_s - before_s
+
 
 def _pressure_file(process: Path = Path("/proc/self"), root: Path = Path("/")) -> Path | None:
     """Return where the kernel says what waits for memory: of this service, else of the machine.
@@ -140,13 +152,17 @@ def _some_s(path: Path) -> float | None:
     return 1e-6 * int(found[1]) if found else None
 
 
-def _steal_s(path: Path) -> float:
-    """Return for how long a host kept processors that had work, since the start; 0 if unknown."""
+def _steal_s(path: Path) -> float | None:
+    """Return for how long a host kept a processor that had work, since the start; None if unknown.
+
+    The first line sums all processors, of which each has one of those behind it.
+    """
     try:
-        words = path.read_text().split("\n", 1)[0].split()
-        return float(words[_STEAL]) / os.sysconf("SC_CLK_TCK")
+        of_all, *lines = path.read_text().splitlines()
+        each = sum(line.startswith("cpu") for line in lines)
+        return float(of_all.split()[_STEAL]) / os.sysconf("SC_CLK_TCK") / max(each, 1)
     except (OSError, IndexError, ValueError):
-        return 0.0
+        return None
 
 
 _TOTAL = re.compile(r"^some .*\btotal=(\d+)", re.M)

@@ -21,7 +21,7 @@ from .failures import fault_of
 from .faults import Fault
 from .journal import Journal, moment
 from .parent_watch import ParentWatch
-from .realtime import be_punctual, call_me, die_with, no_collections
+from .realtime import be_punctual, call_me, die_with, no_collections, share_with_others
 from .shared import Shared
 from .states import State
 from .timed_loop import TimedLoop
@@ -45,6 +45,7 @@ def main(fd: str, parent: str, folder: str) -> None:
     signal.signal(signal.SIGTERM, _end)
     die_with(int(parent), signal.SIGTERM)
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
+    share_with_others(rig.realtime.cpus)
     shared = Shared(rig, int(fd))
     board = shared.board
     board[Word.BUSY] = 1

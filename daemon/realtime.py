@@ -8,7 +8,7 @@ import gc
 import os
 import signal
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +20,7 @@ _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _DMA_LATENCY = Path("/dev/cpu_dma_latency")
 _CPUINFO = Path("/proc/cpuinfo")
-_DEVICE_TREE = Path("/proc/device-tree/hypervisor")
+_DEVICE_TREE, _OF_HOSTS = Path("/proc/device-tree"), ("hypervisor", "fw-cfg@*")
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
@@ -74,6 +74,30 @@ def be_punctual(wanted: Realtime) -> list[str]:
     return warnings
 
 
+def leave_to_loop(cpus: Collection[int]) -> None:
+    """Keep this process, and those that it starts, off the loop's processors if there are others.
+
+    What a recorder does within the kernel is not interrupted for whoever has priority: not by a
+    kernel that preempts nothing, and not everywhere by others.
+    """
+    others = os.sched_getaffinity(0).difference(cpus)
+    if cpus and others:
+        _bind(others)
+
+
+def share_with_others(cpus: Collection[int]) -> None:
+    """Undo that in the loop's process: its helpers run where the others do, and where it does."""
+    if cpus:
+        _bind(os.sched_getaffinity(0).union(cpus))
+
+
+def _bind(cpus: Collection[int]) -> None:
+    """Let all threads of this process run on these alone; those of them that there are count."""
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended, or none of them is there
+            os.sched_setaffinity(int(thread.name), cpus)
+
+
 def cpu_latency_us(wanted: Realtime) -> int | None:
     """Return how soon, in us, processors that sleep must be awake; None where it is left alone.
 
@@ -87,10 +111,10 @@ def cpu_latency_us(wanted: Realtime) -> int | None:
 
 
 def virtual_machine() -> bool:
-    """Return whether the kernel knows of a hypervisor below it."""
-    if _DEVICE_TREE.exists():
-        return True
+    """Return whether the kernel knows of a hypervisor below it; ARM's tells where it has a tree."""
     try:
+        if any(True for name in _OF_HOSTS for _ in _DEVICE_TREE.glob(name)):
+            return True
         told = _CPUINFO.read_text()
     except OSError:
         return False

@@ -313,9 +313,11 @@ def timing(tmp_path: Path, monkeypatch) -> ModuleType:
     def timing_histogram(us: float) -> object:
         return module("_histogram").Histogram.of(np.full(9, us))
 
-    def fly(*given: object) -> None:
-        order.append("loop")
-        if len(given) > 3:
+    def fly(*given: object, cpu: int | None = None) -> None:
+        order.append("loop" if cpu is None else f"loop on {cpu}")
+        if cpu is not None:
+            given[3]()  # ready
+        if len(given) > 4:
             for i in range(3):
                 writer.mib += 64
                 given[4](turns.Lag(float(i), 100))
@@ -324,9 +326,14 @@ def timing(tmp_path: Path, monkeypatch) -> ModuleType:
         order.append("cyclictest")
         return turn(20.0, 1)
 
+    def waking_up(*_: object, cpu: int) -> object:
+        order.append(f"cyclictest on {cpu}")
+        return nullcontext(lambda: turn(20.0, 1))
+
     monkeypatch.setattr(timing, "fly", fly)
     monkeypatch.setattr(timing, "read", lambda _: turn(1.0, 1))
     monkeypatch.setattr(timing, "wake_up", wake_up)
+    monkeypatch.setattr(timing, "waking_up", waking_up)
     return timing
 
 
@@ -359,6 +366,22 @@ def test_timing_has_contenders_swap_their_turns_and_asks_of_a_quiet_machine(timi
     assert by_key(figures)["wake_up_p50_us_10khz"] == 18.0
     assert by_key(figures)["lateness_p50_us_10khz"] == 1.0
     assert by_key(figures)["rounds_10khz"] == 12
+
+
+def test_both_at_once_swap_their_processors(timing, monkeypatch) -> None:
+    monkeypatch.setattr(timing.os, "sched_getaffinity", lambda _: {5, 3, 9})
+    figures = list(timing.measure(False, only=["together"]))
+    turns = [{"loop on 3", "cyclictest on 5"}, {"loop on 5", "cyclictest on 3"}] * 6
+    assert [set(timing.order[k : k + 2]) for k in range(0, 24, 2)] == turns
+    assert len(timing.order) == 24
+    assert by_key(figures)["late_ratio_together"] > 1.0
+    assert met(figures)["failed_rounds_together"] == "met"
+
+
+def test_both_at_once_takes_two_processors(timing, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(timing.os, "sched_getaffinity", lambda _: {3})
+    assert not list(timing.measure(False, only=["together"]))
+    assert "expected 2 processors, found 1" in capsys.readouterr().err
 
 
 def test_a_round_that_fails_is_counted_and_none_is_repeated(timing, monkeypatch) -> None:
@@ -412,7 +435,7 @@ def test_a_flight_beside_a_busy_disk_stands_whatever_comes_after_it(timing, monk
 
 
 def test_the_slowest_seconds_of_a_disk_are_found() -> None:
-    slowest = script("timing").slowest
+    slowest = module("_timing_figures").slowest
     written = [(0.0, 0), (1.0, 10), (3.0, 20), (4.0, 20), (5.0, 22), (6.0, 40)]
     assert slowest(written, 2) == 1.0
     assert slowest(written, 5) == pytest.approx(40 / 6)

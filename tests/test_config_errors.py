@@ -114,6 +114,58 @@ def test_numbers_like_1e_4_are_numbers(tmp_path: Path) -> None:
     assert load_yaml(path, ModelConfig).parameters["lag"].value == 3e-4
 
 
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        ("often", "a valid integer or 'auto', found 'often'"),
+        (0.5, "a valid integer or 'auto', found 0.5"),
+        (-5, "greater than or equal to 0 or 'auto', found -5"),
+        ([0, 1], "a valid integer or 'auto', found [0, 1]"),
+    ],
+)
+def test_a_key_that_takes_this_or_that_is_one_line(
+    tmp_path: Path, found: object, expected: str
+) -> None:
+    said = error_of(tmp_path, rig_text(realtime={"cpu_latency_us": found}))
+    assert said == f"{tmp_path / 'rig.yaml'}: realtime.cpu_latency_us: expected {expected}"
+
+
+def test_keys_that_are_no_text_are_a_line_each(tmp_path: Path) -> None:
+    said = error_of(tmp_path, rig_text(realtime={0.5: 1, 1.5: 2}))
+    assert [line.partition(": realtime.")[2] for line in said.splitlines()] == [
+        "0.5: expected a key that is text, found 0.5",
+        "1.5: expected a key that is text, found 1.5",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        ("{push_n: 0}", ["check_coils.push_n: expected greater than 0, found 0"]),
+        ("{p_s: 1}", ["check_coils.p_s: unknown key; expected 'push_s'"]),
+        (
+            "{push_n: 0, pause_s: -1}",
+            [
+                "check_coils.push_n: expected greater than 0, found 0",
+                "check_coils.pause_s: expected greater than 0, found -1",
+            ],
+        ),
+    ],
+)
+def test_a_mapping_in_place_of_a_word_is_told_by_its_keys(
+    tmp_path: Path, found: str, expected: list[str]
+) -> None:
+    session = yaml.safe_load(shipped("sessions/beam.yaml").read_text())
+    (levitate,) = (step for step in session["steps"] if "levitate" in step)
+    levitate["levitate"] = {"check_coils": yaml.safe_load(found)}
+    path = tmp_path / "session.yaml"
+    path.write_text(yaml.safe_dump(session))
+    at = f"{path}: steps[{session['steps'].index(levitate)}].levitate"
+    with pytest.raises(ConfigError) as caught:
+        load_session(path)
+    assert str(caught.value).splitlines() == [f"{at}.{line}" for line in expected]
+
+
 def test_session_names_step_and_key(tmp_path: Path) -> None:
     text = shipped("sessions/beam.yaml").read_text().replace("name: beam-sweep", "excite: [psi]")
     path = tmp_path / "session.yaml"

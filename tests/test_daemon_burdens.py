@@ -38,8 +38,10 @@ class World:
             "full avg10=0.00 avg60=0.00 avg300=0.00 total=99000000\n"
         )
         self.stat.write_text(
-            f"cpu  362075 4328 87458 1998067 1368 0 2912 {self.stolen} 0 0\n"
+            f"cpu  362075 4328 87458 1998067 1368 0 2912 {2 * self.stolen} 0 0\n"
             f"cpu0 151444 3544 46235 1032590 217 0 2372 {self.stolen} 0 0\n"
+            f"cpu1 210631 784 41223 965477 1151 0 540 {self.stolen} 0 0\n"
+            "intr 1 0 0\n"
         )
         self.burdens.look(self.now_s, self.asked, self.lost)
 
@@ -82,10 +84,31 @@ def test_time_that_a_host_took_is_told(world: World) -> None:
     world.stolen += 12
     world.passes(2.0)
     assert world.said == [
-        f"the host of this virtual machine kept its processors for {12 * tick_s:.2f} of 2.0 s: "
-        "no cycle is on time in that"
+        "the host of this virtual machine kept each of its processors for "
+        f"{12 * tick_s:.2f} of 2.0 s: no cycle is on time in that"
     ]
     assert world.burdens.stolen_s == pytest.approx(12 * tick_s)
+
+
+def test_sum_that_cannot_be_read_or_steps_back_is_no_theft(world: World) -> None:
+    world.stat.write_text("")
+    world.burdens.look(world.now_s + 2.0, world.asked, world.lost)
+    world.now_s += 2.0
+    world.passes(2.0)
+    world.stolen -= 50
+    world.passes(2.0)
+    world.stolen += 50
+    world.passes(2.0)
+    assert (world.said, world.burdens.stolen_s) == ([], 0.0)
+
+
+def test_sum_that_is_first_read_later_is_no_theft(tmp_path: Path) -> None:
+    said: list[str] = []
+    burdens, stat = Burdens(said.append, stat=tmp_path / "stat"), tmp_path / "stat"
+    burdens.look(0.0, 0, 0)
+    stat.write_text("cpu  1 1 1 1 1 1 1 123400 0 0\ncpu0 1 1 1 1 1 1 1 123400 0 0\n")
+    burdens.look(2.0, 0, 0)
+    assert (said, burdens.stolen_s) == ([], 0.0)
 
 
 def test_rows_that_are_lost_are_told_all_of_them_once_a_minute(world: World) -> None:

@@ -12,15 +12,16 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from daemon_process import GIVE_UP_S, Daemon, calm, daemon, refused
+from daemon_process import CALM, GIVE_UP_S, Daemon, calm, daemon, refused
 
-from levid.config.rig import load_rig
+from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.daemon.board import Word
 from levid.daemon.client import Client, DaemonError
@@ -362,7 +363,12 @@ def test_what_cannot_be_flown_is_not_planned(
 @pytest.fixture
 def alone(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Daemon]]:
     """`levid run` in a process of its own, which may be killed."""
-    rig = calm(load_rig(RIG_FILE), tmp_path, service={"supervisor_s": 2.0})
+    with run_of(calm(load_rig(RIG_FILE), tmp_path, service={"supervisor_s": 2.0}), tmp_path) as it:
+        yield it
+
+
+@contextmanager
+def run_of(rig: RigConfig, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Daemon]]:
     file = tmp_path / "rig.yaml"
     plain = rig.model_dump(mode="json")
     plain |= {"sim": str(shipped("sims/nominal.yaml")), "socket": str(tmp_path / "levid.sock")}
@@ -380,6 +386,12 @@ def alone(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Daemon]]:
 
 def run(file: Path) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-m", "levid.cli.main", "run", str(file)])
+
+
+def affinities(pid: int) -> list[set[int]]:
+    """Return the processors of each thread of a process, the first one's first."""
+    threads = sorted(int(path.name) for path in Path(f"/proc/{pid}/task").iterdir())
+    return [os.sched_getaffinity(thread) for thread in threads]
 
 
 def until_idle(process: subprocess.Popen[bytes], running: Daemon) -> None:
@@ -495,6 +507,21 @@ def nth_recording(folder: Path, n: int) -> Log:
             continue
         if log.complete:
             return log
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two processors")
+def test_loop_has_its_processors_and_the_others_the_rest(tmp_path: Path) -> None:
+    *others, own = sorted(os.sched_getaffinity(0))
+    realtime = {**CALM["realtime"], "cpus": (own,)}
+    with run_of(calm(load_rig(RIG_FILE), tmp_path, realtime=realtime), tmp_path) as (_, running):
+        pids = running.ask("status")["pids"]
+        found = {name: affinities(pid) for name, pid in pids.items()}
+    loop, *helpers = found.pop("loop")
+    assert loop == {own}
+    assert helpers
+    assert all(one == {own, *others} for one in helpers)
+    assert set(found) == {"supervisor", "recorder"}
+    assert all(one == set(others) for threads in found.values() for one in threads)
 
 
 def test_sigterm_in_flight_lands(alone: tuple[subprocess.Popen[bytes], Daemon]) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from levid.config.service import Realtime
 from levid.daemon import realtime
-from levid.daemon.realtime import be_punctual, cpu_latency_us, no_collections
+from levid.daemon.realtime import be_punctual, cpu_latency_us, leave_to_loop, no_collections
 
 NOTHING = Realtime(priority=0, lock_memory=False, cpu_latency_us=None)
 
@@ -24,6 +24,22 @@ def test_processor_that_is_not_there_is_a_warning() -> None:
     assert warning.startswith("realtime.cpus [4000]: ")
     assert warning.endswith("the loop moves between processors")
     assert os.sched_getaffinity(0) == before
+
+
+def test_others_keep_off_the_loops_processors_if_there_are_any() -> None:
+    before = os.sched_getaffinity(0)
+    try:
+        leave_to_loop(())
+        assert os.sched_getaffinity(0) == before
+        leave_to_loop((4000,))
+        assert os.sched_getaffinity(0) == before
+        leave_to_loop(before)
+        assert os.sched_getaffinity(0) == before
+        if len(before) > 1:
+            leave_to_loop((max(before),))
+            assert os.sched_getaffinity(0) == before - {max(before)}
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def test_process_without_rights_is_warned_of_each_part_it_lacks() -> None:
@@ -75,7 +91,8 @@ def test_machine_that_tells_nothing_of_itself_is_taken_for_a_real_one(
     monkeypatch.setattr(realtime, "_CPUINFO", tmp_path / "none")
     monkeypatch.setattr(realtime, "_DEVICE_TREE", tmp_path / "none")
     assert cpu_latency_us(Realtime()) == 0
-    monkeypatch.setattr(realtime, "_DEVICE_TREE", tmp_path)
+    (tmp_path / "tree" / "fw-cfg@9020000").mkdir(parents=True)
+    monkeypatch.setattr(realtime, "_DEVICE_TREE", tmp_path / "tree")
     assert cpu_latency_us(Realtime()) is None
 
 

@@ -81,6 +81,12 @@ def test_systemd_finds_nothing_wrong(kind: str, tmp_path: Path) -> None:
     assert "levid.service:" in judged.stdout
 
 
+def test_the_unit_leaves_what_the_daemon_reads_of_the_machine() -> None:
+    unit = service_files(rig("loopback"), RIG_FILE, PROGRAM)[UNIT]
+    # /proc/stat and /proc/cpuinfo: what a host takes of its processors, and whether there is one.
+    assert not [line for line in unit.splitlines() if line.startswith("ProcSubset=")]
+
+
 def test_the_interface_gets_the_rigs_bitrates_and_comes_back() -> None:
     files = service_files(on_can(), RIG_FILE, PROGRAM)
     network = files[f"{NETWORK}can0.network"].splitlines()

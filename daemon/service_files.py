@@ -7,6 +7,7 @@ import re
 import shutil
 import stat
 from collections.abc import Iterator, Mapping
+from math import ceil
 from pathlib import Path, PurePosixPath
 
 from ..config.base import ConfigError
@@ -31,9 +32,14 @@ TimeoutStartSec=20
 _USB = ("ttyUSB", "ttyACM")
 _KERNELS = ("tty", "hvc", "rfcomm")
 """How the kernel's own names of ports begin."""
+_SILENT_S, _BEYOND_S = 1.0, 4
+"""Of the rig, at which the unit's watchdog is as it is; and how much later than that it bites, so
+that loop or supervisor have been found to be silent, and zero force is, before."""
+_LANDING_S = 60
 _QUEUE = 64
 _CAN_FD_MTU = 72
 _INTERNET = ("udp_multicast", "socketcand")
+_OF_PROCESSES = ("levid_local", "virtual")
 _HEAD = "# Written by levid install-service; changes by hand keep it from being written anew: "
 _HIDDEN = ("/tmp", "/var/tmp", "/root", "/run/user")
 _HOMES = ("/home", "/root", "/run/user")
@@ -69,8 +75,8 @@ def hindrances(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[str]:
         elif (shut := _shut(path)) is not None:
             yield f"{path}: user levid may not enter {shut} (chmod o+x {shut}), or move it"
     for name, bus in rig.can.items():
-        if bus.interface != "socketcan":
-            yield f"can.{name}: {bus.interface} is nothing that networkd knows: it is left to you"
+        if bus.interface != "socketcan" and _tty(bus) is None:
+            yield f"can.{name}: {bus.interface} is nothing that networkd knows: {_left(bus)}"
     for port in _ports(rig):
         leads_to = Path(port).resolve()
         if _is_link(port) and leads_to.exists() and not leads_to.name.startswith(_USB):
@@ -165,7 +171,19 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
         units += [f"modprobe@{driver}.service" for driver in ("usbserial", "cdc_acm")]
     units += [_device_unit(device) for device in classes if device.startswith("/dev/")]
     lines = ["[Unit]", *(line for unit in units for line in (f"Wants={unit}", f"After={unit}"))]
+    lines += [f'RequiresMountsFor="{_literal(path)}"' for path in (rig_file, program)]
     lines += ["", "[Service]", "ExecStart=", f"ExecStart={_word(program)} run {_word(rig_file)}"]
+    silent_s = max(rig.service.loop_s, rig.service.supervisor_s)
+    if silent_s > _SILENT_S:
+        lines += [
+            "# The rig lets a process be silent for longer:",
+            f"WatchdogSec={_watchdog(silent_s)}",
+        ]
+    if rig.service.supervisor_gone == "land":
+        lines += [
+            "# Who lands without a supervisor needs its time:",
+            f"TimeoutAbortSec={_LANDING_S}",
+        ]
     if any(path.is_relative_to(home) for path in (rig_file, program) for home in _HOMES):
         lines += ["# levid or its rig lies in a home:", "ProtectHome=read-only"]
     if _ports(rig):
@@ -233,9 +251,28 @@ def _kernel_buses(rig: RigConfig) -> list[CanBus]:
     return list(found.values())
 
 
+def _tty(bus: CanBus) -> str | None:
+    """Return the port of an adapter that is on one, as slcan's are; None for others."""
+    port = str(bus.channel).partition("@")[0]
+    return port if port.startswith("/dev/") else None
+
+
+def _left(bus: CanBus) -> str:
+    """Return what there is to do for an adapter that is neither an interface nor on a port."""
+    if bus.interface in (*_INTERNET, *_OF_PROCESSES):
+        return "it is left to you"
+    return (
+        "an adapter on USB needs DeviceAllow=char-usb_device rw and "
+        "RestrictAddressFamilies=AF_NETLINK (systemctl edit levid), and a rule of udev that gives "
+        "it to group levid"
+    )
+
+
 def _ports(rig: RigConfig) -> list[PurePosixPath]:
-    """Return the serial ports that are devices of this machine."""
-    return [PurePosixPath(b.port) for b in rig.serial.values() if b.port.startswith("/dev/")]
+    """Return the ports of serial buses and CAN adapters that are devices of this machine."""
+    named = [bus.port for bus in rig.serial.values()]
+    named += [port for bus in rig.can.values() if (port := _tty(bus)) is not None]
+    return [PurePosixPath(port) for port in named if port.startswith("/dev/")]
 
 
 def _port_names(rig: RigConfig) -> list[str]:
@@ -267,9 +304,18 @@ def _speaks_ip(rig: RigConfig) -> bool:
     return urls or any(bus.interface in _INTERNET for bus in rig.can.values())
 
 
+def _watchdog(silent_s: float) -> int:
+    return ceil(silent_s) + _BEYOND_S
+
+
+def _literal(path: Path) -> str:
+    """Return a path as it stands between quotes in a unit."""
+    return str(path).replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
+
+
 def _word(path: Path) -> str:
     """Return a path as one word of a command line in a unit."""
-    text = str(path).replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    text = _literal(path).replace("$", "$$")
     return f'"{text}"' if re.search(r"[\s\\\"';]", text) else text
 
 

@@ -123,6 +123,42 @@ def test_the_service_may_use_its_serial_port(port: str, rule: str, device: str) 
     assert f"DeviceAllow={device} rw" in files[DROP_IN]
 
 
+def on_slcan(channel: str) -> RigConfig:
+    found = on_can()
+    buses = {
+        n: b.model_copy(update={"interface": "slcan", "channel": channel})
+        for n, b in found.can.items()
+    }
+    return found.model_copy(update={"can": buses})
+
+
+def test_the_service_may_use_a_can_adapter_on_a_port() -> None:
+    found = on_slcan("/dev/ttyACM0@3000000")
+    files = service_files(found, RIG_FILE, PROGRAM)
+    assert 'KERNEL=="ttyACM[0-9]*"' in files[UDEV]
+    assert "DeviceAllow=char-ttyACM rw" in files[DROP_IN]
+    assert not [line for line in hindrances(found, RIG_FILE, PROGRAM) if line.startswith("can.")]
+
+
+def test_what_a_can_adapter_on_usb_needs_is_told() -> None:
+    found = on_slcan("0")
+    buses = {n: b.model_copy(update={"interface": "gs_usb"}) for n, b in found.can.items()}
+    found = found.model_copy(update={"can": buses})
+    said = [line for line in hindrances(found, RIG_FILE, PROGRAM) if line.startswith("can.")]
+    assert len(said) == len(buses)
+    assert all("DeviceAllow=char-usb_device rw" in line for line in said)
+
+
+def test_the_watchdog_waits_for_what_the_rig_allows() -> None:
+    found = rig("loopback")
+    assert "Watchdog" not in service_files(found, RIG_FILE, PROGRAM)[DROP_IN]
+    service = found.service.model_copy(update={"loop_s": 9.5, "supervisor_gone": "land"})
+    found = found.model_copy(update={"service": service})
+    unit = service_files(found, RIG_FILE, PROGRAM)[DROP_IN]
+    assert "\nWatchdogSec=14\n" in unit
+    assert "\nTimeoutAbortSec=60\n" in unit
+
+
 def test_a_rig_without_ports_gets_the_right_to_none() -> None:
     files = service_files(rig("loopback"), RIG_FILE, PROGRAM)
     assert "tty" not in files[UDEV]
@@ -133,6 +169,7 @@ def test_a_rig_without_ports_gets_the_right_to_none() -> None:
 def test_the_unit_runs_this_program_on_this_rig() -> None:
     files = service_files(rig("loopback"), Path("/srv/my rig/100%.yaml"), PROGRAM)
     assert 'ExecStart=/opt/levid/bin/levid run "/srv/my rig/100%%.yaml"' in files[DROP_IN]
+    assert 'RequiresMountsFor="/srv/my rig/100%%.yaml"\n' in files[DROP_IN]
     assert files[UNIT].endswith(shipped("levid.service").read_text())
 
 

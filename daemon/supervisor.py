@@ -32,6 +32,7 @@ from .reload import RigReader
 from .requests import Requests
 from .server import Reply, Server, ServerError
 from .shared import Shared
+from .silence import Silence
 from .states import IN_FLIGHT, State
 
 _TICK_S = 0.01
@@ -97,7 +98,7 @@ class Supervisor:
         self._stop_s: float | None = None
         self._told = Fault.NONE
         self._clock = ClockWatch()
-        self._burdens = Burdens(say)
+        self._burdens, self._silence = Burdens(say), Silence(say)
         self._notify = Notify()
         self._heat = HeatFile(rig, state_folder(), self._shared.heat, self.tell)
 
@@ -261,6 +262,9 @@ class Supervisor:
         if step_s := self._clock.look():
             self._say(f"the clock was set by {step_s:+.1f} s; times in logs go on as before")
         self._burdens.look(time.monotonic(), self._server.asked, self._shared.lost)
+        board = self.board
+        resting = board.state not in IN_FLIGHT
+        self._silence.look(time.monotonic(), board[Word.CYCLE], board[Word.STALE], resting)
         if self._reload:
             self._reload = False
             self._reader.ask()

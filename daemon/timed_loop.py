@@ -151,6 +151,9 @@ class TimedLoop:
         harmless = not control.engaged and course.state is not State.SELF_TEST
         # Every time: what was sent before may have been lost, on a bus that loses frames.
         self._zero()
+        # The cycle publishes them by the rows that it wrote, and this one writes none.
+        self._words[_STALE] = self._stale_before + self._devices.stale
+        self._words[_LATE] = self._lateness.late
         if course.fault:
             control.move(0)
         elif fault is not Fault.STALE or not harmless:  # else they are counted, and harm nobody

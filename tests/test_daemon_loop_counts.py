@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from scripted_loop import LIFT, ScriptedLoop
 
 from levid.daemon.board import Word
 from levid.daemon.faults import Fault
 from levid.daemon.states import State
-from levid.drivers.base import Backend
+from levid.drivers.base import Backend, Devices, StaleError
 
 
 def test_homing_is_no_cycle() -> None:
@@ -190,3 +192,43 @@ def test_devices_are_told_how_late_a_cycle_begins_without_those_that_were_skippe
     told = [late_s for _, late_s in heard[before:]]
     assert told[49] == pytest.approx(0.4e-3)
     assert told[48] == told[50] == 2e-5
+
+
+def test_readings_that_stay_away_at_rest_are_counted_where_others_see_it() -> None:
+    """Cycles that raise write no row: counters that are published by rows stood still."""
+    silent = SimpleNamespace(now=False, stale=0)
+
+    class Counting:
+        def __init__(self, backend: Backend) -> None:
+            self._backend = backend
+
+        @property
+        def stale(self) -> int:
+            return silent.stale
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self._backend, name)
+
+    def failing(devices: Devices) -> Devices:
+        read = devices.sensors.read
+
+        def reading(gap_m: np.ndarray) -> None:
+            if silent.now:
+                silent.stale += 1
+                raise StaleError("no reading")
+            read(gap_m)
+
+        devices.sensors.read = reading  # type: ignore[method-assign]
+        return replace(devices, backends=(Counting(devices.backends[0]),))
+
+    flight = ScriptedLoop(failing)
+    clock, board, seen = flight.loop._clock, flight.board, []
+
+    def script(n: int) -> None:
+        clock.skipped = 2 if n == 399 else 0
+        silent.now = n >= 400
+        if n == 900:
+            seen.extend((board.state, board.fault, board[Word.STALE], board[Word.LATE]))
+
+    flight.run(script, 900)
+    assert seen == [State.IDLE, Fault.NONE, 500, 1]

@@ -285,3 +285,20 @@ def test_users_that_are_long_in_coming_hold_nobody_up(
     tick_until(lambda: sum("are taken over" in line for line in said) == 2)
     assert supervisor.rig.service.client_gone == "land"
     assert len(looking) == 2
+
+
+def test_readings_that_stay_away_are_told_in_the_journal(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, said, board = 1000.0, [], supervisor.board
+    monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(supervisor._silence, "_say", said.append)
+    monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
+    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+    board[Word.STATE] = State.IDLE
+    for _ in range(3):
+        supervisor._tick()
+        now_s += 2.0
+        board[Word.CYCLE] += 2000
+        board[Word.STALE] += 2000
+    assert any("readings have been missing for 4 s" in line for line in said)

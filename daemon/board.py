@@ -29,6 +29,7 @@ class Word(IntEnum):
     LAND_RAMP = auto()  # cycles of sinking, should the plan at hand be landed before its end
     LAND_RELEASE = auto()  # cycles of letting go
     LAND_LOG = auto()  # tag of the log that takes such a landing
+    HEAT_MONOTONIC_NS = auto()  # when the coils' heat was taken over, before cycle 0
     # From the loop.
     CYCLE = auto()
     STATE = auto()

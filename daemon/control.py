@@ -30,7 +30,7 @@ _MOST_CARRIED = 10.0
 
 # Rows of the memory (ROWS, 4). Every array handed to a compiled function costs some 50 ns a call,
 # and the cycle may not allocate: what it remembers and its scratch share one block. Behind these
-# rows lie, row after row, the coils' heat (C,) in N^2, the gaps before (S,) and their cycle.
+# rows lie, row after row, the coils' heat (C,) in N^2, its cycle, the gaps before (S,), theirs.
 _POSE, _INTEGRAL, _REST, _GOAL, _LAST, _MODE, _REF, _FF, _TAU, _LOST, _ROWS = range(11)
 
 
@@ -74,7 +74,8 @@ class Controller:
         self._law = np.concatenate([np.asarray(part, float) for part in law])
         self._memory = np.zeros(memory_shape(coils, sensors)) if memory is None else memory
         self._memory[:_ROWS] = 0.0
-        self._heat, self._before = np.split(self._memory[_ROWS:].ravel(), [coils])
+        self._heat, _, self._before = np.split(self._memory[_ROWS:].ravel(), [coils, coils + 1])
+        self._coil_time_constant_s = limits.coil_time_constant_s
         self._before[:] = np.nan
         self._engaged = False
         self._arrays: tuple[Any, ...] = ()
@@ -133,6 +134,10 @@ class Controller:
         self._engaged = False
         self._memory[_MODE, 1] = 0.0
 
+    def cool(self, seconds: float) -> None:
+        """Have the coils been at zero force for so long, in which no cycle was counted."""
+        self._heat *= math.exp(-max(seconds, 0.0) / self._coil_time_constant_s)
+
     def move(self, k: int) -> None:
         """Set the manipulator's setpoints of cycle `k`, and nothing else, as `step` would."""
         *_, beam, rotor = self._arrays
@@ -160,12 +165,17 @@ class Controller:
 
 def memory_shape(coils: int, sensors: int) -> tuple[int, int]:
     """Return the shape of a controller's memory."""
-    return _ROWS + (coils + sensors + 4) // 4, 4
+    return _ROWS + (coils + sensors + 5) // 4, 4
 
 
 def heat_of(memory: Array, coils: int) -> Array:
     """Return a view (C,) of how hot the coils are in a controller's memory, in N^2."""
     return memory[_ROWS:].ravel()[:coils]
+
+
+def heated_of(memory: Array, coils: int) -> Array:
+    """Return a view (1,) of the cycle that this heat is of."""
+    return memory[_ROWS:].ravel()[coils : coils + 1]
 
 
 @njit(cache=True)
@@ -198,7 +208,7 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     ref, ff, tau, lost = memory[_REF], memory[_FF], memory[_TAU], memory[_LOST]
     memory[_REF:_ROWS] = 0.0
     more = memory[_ROWS:].reshape(-1)
-    heat, before = more[:n_coils], more[n_coils : n_coils + n_sensors + 1]
+    heat, before = more[:n_coils], more[n_coils + 1 : n_coils + n_sensors + 2]
     state, in_control, airborne = memory[_MODE, 0], memory[_MODE, 1] > 0, memory[_MODE, 2] > 0
 
     v = v_all[min(k, len(v_all) - 1)]
@@ -225,12 +235,19 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         fault = _VELOCITY
     if in_control and abs(beam[0]) > beam_limit:
         fault = _BEAM
+    # In periods without a step, skipped or without readings, coils had what they were last told.
+    missed = cycle - more[n_coils] - 1.0
+    more[n_coils] = cycle
+    if missed > 0.0:
+        kept = math.exp(-cooling * missed)
+        for j in range(n_coils):
+            heat[j] = coil[j] * coil[j] + kept * (heat[j] - coil[j] * coil[j])
     for j in range(n_coils):
-        if np.isfinite(readback[j]):
-            # A readback that is stuck tells nothing: what the coil was told counts as well.
-            # Squared, what no coil can carry would stay in there for ever.
-            carried = min(max(abs(readback[j]), abs(coil[j])), _MOST_CARRIED * coil_limit)
-            heat[j] += cooling * (carried * carried - heat[j])
+        # A readback that is stuck tells nothing: what the coil was told counts as well.
+        # Squared, what no coil can carry would stay in there for ever.
+        said = abs(readback[j]) if np.isfinite(readback[j]) else 0.0
+        carried = min(max(said, abs(coil[j])), _MOST_CARRIED * coil_limit)
+        heat[j] += cooling * (carried * carried - heat[j])
         if heat[j] > heat_limit and in_control:
             fault = _HEAT
     for j in range(inputs.size):

@@ -26,9 +26,11 @@ _BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 class HeatFile:
-    """Keeps `heat` (C,), in N^2, of a rig that limits it; of any other does nothing.
+    """Keeps `heat` (C,), in N^2, of cycle `heated` (1,); of a rig that does not limit it, nothing.
 
-    Writing has a thread of its own: a disk that hangs is not to hold up who watches over the loop.
+    A file whose heat is not known stands for the most that the rig allows; without any coils are
+    cold. Writing has a thread of its own: a disk that hangs is not to hold up who watches over the
+    loop.
     """
 
     def __init__(
@@ -36,12 +38,15 @@ class HeatFile:
         rig: RigConfig,
         folder: Path,
         heat: NDArray[np.float64],
+        heated: NDArray[np.float64],
         say: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._path = folder / f"heat-{urllib.parse.quote(rig.name, safe='')}.json"
-        self._limits, self._heat, self._say = rig.limits, heat, say
+        self._limits, self._heat, self._heated, self._say = rig.limits, heat, heated, say
         self._limit_n2 = (rig.limits.coil_rms_n or math.inf) ** 2
         self._told = False
+        self._kept: tuple[float, dict[str, Any], NDArray[np.float64]] | None = None
+        """What the file says: its cycle, when, and the heat."""
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="levid-heat", daemon=True)
 
@@ -50,12 +55,14 @@ class HeatFile:
         if math.isinf(self._limit_n2):
             return
         try:
-            self._heat[:] = self._left()
-        except FileNotFoundError:
-            pass
+            with contextlib.suppress(FileNotFoundError):
+                self._heat[:] = self._left()
+            self._kept = math.nan, _now(), self._heat.copy()
         except (OSError, ValueError, TypeError, KeyError) as error:
+            self._heat[:] = self._limit_n2
             self._say(
-                f"{self._path}: not a file of coils' heat, they are taken to be cold: {error}"
+                f"{self._path}: not a file of coils' heat, they are taken to be as hot as they "
+                f"may be, and cool down from now on: {error}"
             )
         self._thread.start()
 
@@ -72,10 +79,15 @@ class HeatFile:
         most_n2 = (2.0 * self._limits.coil_n) ** 2
         if heat.shape != self._heat.shape or not np.all((heat >= 0.0) & (heat <= most_n2)):
             raise ValueError(f"expected {self._heat.size} numbers from 0 to {most_n2:g}")
-        now = _now()
-        # Since the last boot by the clock that nobody sets, else by the time of day.
-        clock = "uptime_s" if found["boot"] == now["boot"] else "time_s"
-        passed_s = max(float(now[clock]) - float(found[clock]), 0.0)
+        return self._cooled(heat, found, _now())
+
+    def _cooled(
+        self, heat: NDArray[np.float64], then: dict[str, Any], now: dict[str, Any]
+    ) -> NDArray[np.float64]:
+        # Since the last boot by the clock that nobody sets, else by the time of day. A boot without
+        # a number may be any.
+        clock = "uptime_s" if now["boot"] and then["boot"] == now["boot"] else "time_s"
+        passed_s = max(float(now[clock]) - float(then[clock]), 0.0)
         return np.asarray(heat * math.exp(-passed_s / self._limits.coil_time_constant_s))
 
     def _run(self) -> None:
@@ -84,26 +96,47 @@ class HeatFile:
             over = self._over.wait(EVERY_S)
             hot = bool(self._heat.max(initial=0.0) > _COLD * self._limit_n2)
             if hot or kept:
-                self._write()
-            kept = hot
+                kept = not self._write() or hot
             if over:
                 return
 
-    def _write(self) -> None:
-        text = json.dumps({**_now(), "heat_n2": self._heat.tolist()})
+    def _write(self) -> bool:
+        """Return whether the file says how hot the coils are."""
+        cycle, now, heat = float(self._heated[0]), _now(), self._heat.copy()
+        if self._kept is not None and self._kept[0] == cycle:
+            return True  # no cycle counted what they cooled down since: the file's time does
         new = self._path.with_suffix(".new")
         try:
             new.parent.mkdir(parents=True, exist_ok=True)
-            new.write_text(text)
+            with new.open("w") as file:
+                file.write(json.dumps({**now, "heat_n2": heat.tolist()}))
+                file.flush()
+                os.fsync(file.fileno())
             new.replace(self._path)
         except OSError as error:
             with contextlib.suppress(OSError):
                 new.unlink(missing_ok=True)
+            follows = ""
+            if self._colder_than(heat, now):
+                try:
+                    self._path.write_bytes(b"")  # takes no room, and says that nobody knows
+                    self._kept = None
+                except OSError:
+                    follows = "; the next daemon takes them for colder than they are"
             if not self._told:
-                self._say(f"the coils' heat is not kept: {error}")
+                self._say(f"the coils' heat is not kept: {error}{follows}")
             self._told = True
-        else:
-            self._told = False
+            return False
+        self._told = False
+        self._kept = cycle, now, heat
+        return True
+
+    def _colder_than(self, heat: NDArray[np.float64], now: dict[str, Any]) -> bool:
+        """Return whether the file that is there would have coils taken for colder than `heat`."""
+        if self._kept is None:
+            return True
+        _, then, before = self._kept
+        return bool(np.any(heat > self._cooled(before, then, now) + _COLD * self._limit_n2))
 
 
 def state_folder() -> Path:

@@ -127,6 +127,8 @@ def _fly(
         if not board[Word.EPOCH_NS]:
             board[Word.EPOCH_MONOTONIC_NS] = time.monotonic_ns()
             board[Word.EPOCH_NS] = clock.epoch_ns
+            since_ns = board[Word.EPOCH_MONOTONIC_NS] - board[Word.HEAT_MONOTONIC_NS]
+            controller.cool(1e-9 * since_ns)  # while devices were opened there were no cycles
         loop.cycle = _cycle_now(board, rig.rate_hz)
         board[Word.BUSY] = 0
         try:

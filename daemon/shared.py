@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..config.rig import RigConfig
 from ..log.signals import cycle_dtype
 from .board import Board, Word
-from .control import heat_of, memory_shape
+from .control import heat_of, heated_of, memory_shape
 from .program import Program
 from .ring import Ring, ring_rows
 from .timing import Timing, WakeUps
@@ -70,7 +70,7 @@ class Shared:
         )
         self.control = words.reshape(control)
         """What a controller remembers: a loop that follows a dead one finds the coils as hot."""
-        self.heat = heat_of(self.control, coils)
+        self.heat, self.heated = heat_of(self.control, coils), heated_of(self.control, coils)
         self.wake_ups = WakeUps(memory[ends[4] : ends[5]])
 
     @property

@@ -100,7 +100,8 @@ class Supervisor:
         self._clock = ClockWatch()
         self._burdens, self._silence = Burdens(say), Silence(say)
         self._notify = Notify()
-        self._heat = HeatFile(rig, state_folder(), self._shared.heat, self.tell)
+        shared = self._shared
+        self._heat = HeatFile(rig, state_folder(), shared.heat, shared.heated, self.tell)
 
     @property
     def stopping(self) -> bool:
@@ -147,6 +148,7 @@ class Supervisor:
             self._reader.start()
             self._recorder.watch()
             self._heat.start()
+            self.board[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns()
             self._start_loop()
             waiting = True
             while not self._stopping:

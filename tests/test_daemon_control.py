@@ -254,3 +254,39 @@ def test_readback_that_no_coil_can_carry_is_forgotten_as_any_other() -> None:
     assert bench.run(flying(1), np.zeros((1, 9)))["fault"][0] == Fault.NONE  # 40/e
     bench.control.readback_n[3] = 10.0
     assert bench.run(flying(1000), np.zeros((1000, 9)))["fault"][-1] == Fault.HEAT
+
+
+def test_coils_cool_down_in_cycles_that_were_not_computed() -> None:
+    """Readings that fail, and devices that are opened, left them as hot as they were, for hours."""
+    rig = limited(coil_rms_n=8.0, coil_time_constant_s=10.0)
+    bench = Bench(rig)
+    bench.control.readback_n[:] = 7.0
+    bench.run(flying(5000), np.zeros((5000, 9)))
+    hot = bench.control._heat.copy()
+    bench.control.halt()
+    bench.control.readback_n[:] = 0.0
+    bench.control.begin(idle_segment(1, 9, np.zeros(3), np.zeros(3)))
+    bench.control.step(bench.rows, 0, bench.cycle + 9_999, 0.0, 0)
+    np.testing.assert_allclose(bench.control._heat, hot * np.exp(-1.0), rtol=1e-3)
+    bench.control.cool(20.0)
+    np.testing.assert_allclose(bench.control._heat, hot * np.exp(-3.0), rtol=1e-3)
+
+
+def test_coils_carry_on_in_periods_that_are_skipped() -> None:
+    bench = Bench(limited(coil_rms_n=40.0, coil_time_constant_s=1.0))
+    bench.run(flying(100), np.zeros((100, 9)))
+    told = bench.control.coil_n.copy()
+    assert told.min() > 5.0
+    bench.control.step(bench.rows, 0, bench.cycle + 30_000, 0.0, 0)
+    np.testing.assert_allclose(bench.control._heat, told**2, rtol=1e-3)
+
+
+def test_coil_that_says_nothing_cools_down_as_it_was_told() -> None:
+    bench = Bench(limited(coil_rms_n=8.0, coil_time_constant_s=1.0))
+    bench.run(flying(500), np.zeros((500, 9)))
+    hot = bench.control._heat.copy()
+    bench.control.halt()
+    bench.control.readback_n[:] = np.nan
+    for cycle in range(500, 1500):
+        bench.control.step(bench.rows, cycle, cycle, cycle * PERIOD, 0)
+    np.testing.assert_allclose(bench.control._heat, hot * np.exp(-1.0), rtol=1e-2)

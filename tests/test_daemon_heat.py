@@ -32,15 +32,15 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
 
 
 def kept(folder: Path, heat: np.ndarray, rig: RigConfig = LIMITED) -> None:
-    file = HeatFile(rig, folder, np.zeros(9))
+    file = HeatFile(rig, folder, np.zeros(9), np.zeros(1))
     file.start()
-    file._heat[:] = heat  # a daemon flies meanwhile
+    file._heat[:], file._heated[:] = heat, 1.0  # a daemon flies meanwhile
     file.close(10.0)
 
 
 def taken_over(folder: Path, said: list[str] | None = None) -> np.ndarray:
     heat = np.zeros(9)
-    file = HeatFile(LIMITED, folder, heat, [].append if said is None else said.append)
+    file = HeatFile(LIMITED, folder, heat, np.zeros(1), [].append if said is None else said.append)
     file.start()
     found = heat.copy()
     file.close(10.0)
@@ -87,7 +87,7 @@ def test_a_file_that_is_none_is_told_and_made_anew(
     (path,) = tmp_path.iterdir()
     path.write_text(text)
     said: list[str] = []
-    assert not taken_over(tmp_path, said).any()
+    assert (taken_over(tmp_path, said) == 64.0).all()  # the most that they may be
     assert "not a file of coils' heat" in said[0]
     assert json.loads(path.read_text())["boot"] == machine.boot
 
@@ -95,11 +95,59 @@ def test_a_file_that_is_none_is_told_and_made_anew(
 def test_a_folder_that_takes_nothing_is_told_once(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     said: list[str] = []
-    file = HeatFile(LIMITED, tmp_path / "file" / "below", np.full(9, 50.0), said.append)
+    file = HeatFile(
+        LIMITED, tmp_path / "file" / "below", np.full(9, 50.0), np.zeros(1), said.append
+    )
     file.start()
     file._write()
     file.close(10.0)
     assert len([line for line in said if "is not kept" in line]) == 1
+
+
+def test_a_boot_without_a_number_is_not_the_same_one(tmp_path: Path, machine: Machine) -> None:
+    """Uptime after a reboot is less than before it: nothing would have cooled down."""
+    machine.boot = ""
+    kept(tmp_path, np.full(9, 50.0))
+    machine.uptime_s, machine.time_s = 1.0, machine.time_s + 60.0
+    np.testing.assert_allclose(taken_over(tmp_path), 50.0 * math.exp(-1.0))
+
+
+def test_file_is_of_the_time_of_its_heat_where_no_cycle_counts_it(
+    tmp_path: Path, machine: Machine
+) -> None:
+    """A link that was gone over the weekend had coils found on Monday as hot as on Friday."""
+    file = HeatFile(LIMITED, tmp_path, np.zeros(9), np.zeros(1))
+    file._heat[:], file._heated[:] = 60.0, 1000.0
+    file._write()
+    machine.uptime_s += 120.0
+    file._write()
+    file.start()
+    file.close(10.0)
+    np.testing.assert_allclose(taken_over(tmp_path), 60.0 * math.exp(-2.0))
+
+
+def test_after_a_write_that_failed_coils_are_not_taken_for_colder_than_they_are(
+    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    file = HeatFile(LIMITED, tmp_path, np.full(9, 5.0), np.zeros(1))
+    assert file._write()
+    (path,) = tmp_path.iterdir()
+    with monkeypatch.context() as patched:
+        patched.setattr(heat_module.os, "fsync", full)
+        file._heated[:] = 1.0
+        assert not file._write()
+        assert path.stat().st_size > 0, "it says what is so"
+        file._heat[:] = 60.0
+        assert not file._write()
+    assert [path] == list(tmp_path.iterdir())
+    said: list[str] = []
+    assert (taken_over(tmp_path, said) == 64.0).all()
+    assert "as hot as they may be" in said[0]
+    assert file._write()  # as soon as there is room
+    np.testing.assert_allclose(taken_over(tmp_path), 60.0)
 
 
 def test_a_service_keeps_it_in_its_own_folder(monkeypatch: pytest.MonkeyPatch) -> None:

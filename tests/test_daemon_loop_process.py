@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -137,6 +138,36 @@ def test_loop_that_is_ended_while_a_driver_blocks_closes_its_devices(
         assert said == lines
         if code > 0:
             assert board.state is State.OFF
+    finally:
+        process.kill()
+        process.wait()
+        shared.close()
+
+
+def test_coils_cool_down_while_devices_are_opened_for_the_first_time(tmp_path: Path) -> None:
+    """There are no cycles yet to count that by, and it may have failed for hours."""
+    rig = calm(load_rig(RIG_FILE), tmp_path)
+    shared = Shared(rig)
+    board, give_up_s = shared.board, time.monotonic() + GIVE_UP_S
+    shared.heat[:] = 50.0
+    board[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns() - 60_000_000_000
+    process = subprocess.Popen(
+        [sys.executable, "-c", LOOP, "", str(shared.fd), str(os.getpid()), str(RIG_FILE.parent)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        pass_fds=(shared.fd,),
+    )
+    try:
+        assert process.stdin is not None
+        with process.stdin as pipe:
+            pipe.write(rig.model_dump_json().encode())
+        while board.state is not State.IDLE:
+            assert time.monotonic() < give_up_s
+            time.sleep(0.01)
+        process.kill()
+        process.wait()
+        most = 50.0 * math.exp(-60.0 / rig.limits.coil_time_constant_s)
+        assert 0.2 * most < shared.heat.min() <= shared.heat.max() < 1.01 * most
     finally:
         process.kill()
         process.wait()

@@ -290,3 +290,38 @@ def test_heat_of_the_coils_outlasts_the_loop() -> None:
     again = type(flight.controller)(flight.rig, 1e-3, flight.shared.control)
     assert again._heat == pytest.approx(hot)
     assert not again.pose.any()
+
+
+def test_coils_cool_down_while_readings_fail() -> None:
+    """A link that was gone for hours left them as hot: the next lift-off ended as fault HEAT."""
+    gone = SimpleNamespace(now=False)
+
+    def failing(devices: Devices) -> Devices:
+        read = devices.sensors.read
+
+        def reading(gap_m: np.ndarray) -> None:
+            if gone.now:
+                raise LinkError("unplugged")
+            read(gap_m)
+
+        devices.sensors.read = reading  # type: ignore[method-assign]
+        return devices
+
+    flight = ScriptedLoop(failing)
+    clock, heat = flight.loop._clock, []
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": {**LIFT, "settle_s": 2.0}})
+        gone.now = 1500 <= n < 3000
+        clock.skipped = 58_500 if n == 2000 else 0  # a minute in all
+        if n in {1505, 3000}:
+            heat.append(flight.shared.heat.copy())
+        if n == 3000:
+            flight.board.clear()
+
+    flight.run(script, 3005)
+    time_constant_s = flight.rig.limits.coil_time_constant_s
+    assert heat[1] == pytest.approx(heat[0])
+    expected = heat[0] * np.exp(-60.0 / time_constant_s)
+    assert flight.shared.heat == pytest.approx(expected, rel=0.02)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..config.service import Recording
+from ..log.errors import LogError
 from ..log.writer import LogWriter
 from .faults import Fault
 from .heat import state_folder
@@ -21,6 +25,10 @@ _AFTER_S = 0.5
 _PATIENCE_S = 2.0
 _MOST_DUE = 8
 """Faults that wait for their recording at a time; others are in those of these."""
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+NO_ROWS = "there were no rows before it"
+"""Why a fault has no recording where nothing failed: the loop had not begun."""
 
 
 class FaultLog:
@@ -28,7 +36,8 @@ class FaultLog:
 
     `told(fault, path, why)` is called when one was written, or could not be: then path is empty.
     With a path, `why` says what it lacks, if anything. The newest `keep_faults` of the folder are
-    kept.
+    kept. On a full disk one of more than that goes first; what then fails to be written whole is
+    removed.
     """
 
     def __init__(
@@ -91,32 +100,57 @@ class FaultLog:
         found = self._ring.copy(first, end - first)
         rows = found.rows[: max(end - found.first, 0)]  # later ones stand for those that are gone
         if not len(rows):  # whoever asked for it waits to hear of it
-            self._told(
-                fault, "", "there were no rows before it" if not first else "its rows are gone"
-            )
+            self._told(fault, "", NO_ROWS if not first else "its rows are gone")
             return
         # Of before the first row there is nothing to tell: this is about rows that there were.
         lacking_s = (found.first - first) / self._rate_hz
-        times = self.epoch_ns + np.rint(rows["cycle"] * (1e9 / self._rate_hz)).astype(np.uint64)
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            path = self._free_path(int(times[-1]), fault)
-            with LogWriter(
-                path,
-                self._ring.dtype,
-                rate_hz=self._rate_hz,
-                metadata={
-                    **{"kind": "fault", "name": fault.name, "step": "0", "session": ""},
-                    **({"lacks_s": f"{lacking_s:.3f}"} if lacking_s else {}),
-                },
-                attachments=self._attachments,
-            ) as log:
-                log.write(rows, times)
-            self._prune(path)
+            try:
+                path, why = self._write(fault, rows, lacking_s)
+            except Exception as error:
+                if not _is_full(error) or not self._prune(max(self._keep - 1, 1)):
+                    raise
+                path, why = self._write(fault, rows, lacking_s)
         except Exception as error:  # noqa: BLE001 - told; a full disk must not end the recorder
             self._told(fault, "", str(error))
-        else:
-            self._told(fault, str(path), self._lacks(lacking_s) if lacking_s else "")
+            return
+        self._written.append(path)
+        self._prune(self._keep)
+        lacks = self._lacks(lacking_s) if lacking_s else ""
+        self._told(fault, str(path), "; ".join(filter(None, (lacks, why))))
+
+    def _write(self, fault: Fault, rows: NDArray[np.void], lacking_s: float) -> tuple[Path, str]:
+        """Write one and return it, and what is wrong with it. Raises LogError, OSError."""
+        times = self.epoch_ns + np.rint(rows["cycle"] * (1e9 / self._rate_hz)).astype(np.uint64)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self._free_path(int(times[-1]), fault)
+        log = LogWriter(
+            path,
+            self._ring.dtype,
+            rate_hz=self._rate_hz,
+            metadata={
+                **{"kind": "fault", "name": fault.name, "step": "0", "session": ""},
+                **({"lacks_s": f"{lacking_s:.3f}"} if lacking_s else {}),
+            },
+            attachments=self._attachments,
+        )
+        why, written = "", False
+        try:
+            log.write(rows, times)
+            try:
+                log.close()
+            except LogError as error:
+                if log.buffered:
+                    raise
+                why = str(error)  # all rows are in it: it opens, it lacks its summary only
+            written = True
+        finally:
+            # The fault is in the last chunk: without it the file tells nothing of the fault, counts
+            # as one that is kept, and takes room that the next one could have.
+            if not written:
+                with suppress(OSError):
+                    path.unlink()
+        return path, why
 
     def _lacks(self, seconds: float) -> str:
         promised_s = self._before / self._rate_hz
@@ -135,15 +169,28 @@ class FaultLog:
             path = self._folder / f"fault-{at}Z-{fault.name}.{number}.mcap"
         return path
 
-    def _prune(self, written: Path) -> None:
+    def _prune(self, keep: int) -> int:
+        """Remove all but the newest `keep`; return how many went."""
         # The time of day stands first in the names: their order is that of the faults, but where
         # the clock is behind. What this process wrote is newer than all else, whatever it says.
-        self._written.append(written)
         found = set(self._folder.glob("fault-*.mcap"))
         self._written = [path for path in self._written if path in found]
         before = sorted(found - set(self._written))
-        for path in [*before, *self._written][: max(len(found) - self._keep, 0)]:
-            path.unlink(missing_ok=True)
+        gone = 0
+        for path in [*before, *self._written][: max(len(found) - keep, 0)]:
+            with suppress(OSError):  # the new one is written all the same
+                path.unlink(missing_ok=True)
+                gone += 1
+        return gone
+
+
+def _is_full(error: BaseException | None) -> bool:
+    """Return whether the disk had no room; a LogError has the system's error behind it."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            return True
+        error = error.__context__
+    return False
 
 
 def fault_folder(rig: RigConfig, folder: Path) -> Path:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import os
+from collections.abc import Callable
+from errno import EIO, ENOSPC
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,6 +93,92 @@ def test_a_clock_that_is_behind_costs_no_flight_recording(tmp_path: Path) -> Non
     for _ in range(4):
         log.write(Fault.LINK)
     assert [path.exists() for _, path, _ in told] == [False] * 2 + [True] * 5
+
+
+def full_disk(monkeypatch: pytest.MonkeyPatch, room: Callable[[], int], code: int = ENOSPC) -> None:
+    """Have files of LogWriter refuse what goes beyond `room()` bytes of one."""
+    opened = Path.open
+
+    class Full(io.FileIO):
+        def write(self, data: Any) -> int:
+            if self.tell() + len(data) > room():
+                raise OSError(code, os.strerror(code))
+            return super().write(data)
+
+    def begin(path: Path, mode: str = "r", *args: Any, **kwargs: Any) -> Any:
+        return Full(path, mode) if mode == "xb" else opened(path, mode, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", begin)
+
+
+def kept_faults(
+    tmp_path: Path, keep: int, there: int
+) -> tuple[FaultLog, list[tuple[Fault, str, str]]]:
+    """Return a log of faults in a folder that has some already, and what it tells."""
+    ring, told = Ring(DTYPE, 4000), []
+    for k in range(there):
+        (tmp_path / f"fault-19600101T00000{k}.000Z-GAP.mcap").touch()
+    ring.rows["cycle"][:2000] = np.arange(2000)
+    ring.head = 2000
+    config = Recording(keep_faults=keep)
+    return FaultLog(ring, 1e3, tmp_path, config, {}, lambda *of: told.append(of)), told
+
+
+def test_a_full_disk_keeps_flight_recordings_and_has_no_broken_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, told = kept_faults(tmp_path, 5, 5)
+    full_disk(monkeypatch, lambda: 10_000)
+    for _ in range(3):
+        log.write(Fault.LINK)
+    assert [path for _, path, _ in told] == [""] * 3
+    assert "No space left" in told[0][2]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert [name[20] for name in names] == list("1234")  # one went for the new one
+
+
+@pytest.mark.parametrize(("keep", "there"), [(5, 4), (1, 1)])
+def test_a_full_disk_costs_no_recording_that_is_not_to_go_or_is_the_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keep: int, there: int
+) -> None:
+    log, told = kept_faults(tmp_path, keep, there)
+    full_disk(monkeypatch, lambda: 10_000)
+    log.write(Fault.LINK)
+    assert told[0][1] == ""
+    assert len(list(tmp_path.iterdir())) == there
+
+
+def test_the_oldest_recording_makes_room_for_the_newest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, told = kept_faults(tmp_path, 3, 3)
+    full_disk(monkeypatch, lambda: 10_000 if len(list(tmp_path.glob("*GAP*"))) == 3 else 10**9)
+    log.write(Fault.LINK)
+    assert not told[0][2]
+    assert len(read_log(Path(told[0][1])).rows) == 2000
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_disk_that_fails_otherwise_costs_no_flight_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, told = kept_faults(tmp_path, 3, 3)
+    full_disk(monkeypatch, lambda: 10_000, EIO)
+    log.write(Fault.LINK)
+    assert "Input/output error" in told[0][2]
+    assert sorted(path.name[20] for path in tmp_path.iterdir()) == list("012")
+
+
+def test_a_flight_recording_that_lacks_its_summary_only_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, told = kept_faults(tmp_path, 3, 0)
+    log.write(Fault.LINK)
+    size = Path(told[0][1]).stat().st_size
+    full_disk(monkeypatch, lambda: size - 100)
+    log.write(Fault.LINK)
+    assert "No space left" in told[1][2]
+    assert len(read_log(Path(told[1][1])).rows) == 2000
 
 
 def test_every_fault_gets_its_recording_however_fast_they_come(tmp_path: Path) -> None:

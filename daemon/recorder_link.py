@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import os
 import socket
 import time
@@ -15,13 +16,17 @@ from typing import Any
 from .awake import Awake
 from .board import Board, Word
 from .children import Child, module_of
+from .fault_log import NO_ROWS
 from .faults import Fault
 from .lines import Closed, Lines, TooLong
 from .ring import HUNG_S
 from .scribe import Event, LogFile
 
 _MOST_BYTES = 16 << 20
-_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 60.0
+"""From one start to the next: a recorder that had lived for a while is started anew at once."""
+_LIVED_S = 10.0
+_SAID_AGAIN_S = 60.0
 
 Say = Callable[[str], None]
 
@@ -43,10 +48,13 @@ class RecorderLink:
         self._tags = 0
         self.files: dict[int, list[Path]] = {}
         self.failed: dict[int, str] = {}
-        self.last_fault_log = ""
+        self.last_fault_log = ""  # the last one that was written: later ones may have failed
+        self._log_failed = self._fault_failed = ""
+        self._opened: Path | None = None  # the log begun since a flight recording failed
         self._untold = ""  # the fault that a flight recording was asked for, until there is one
         self.restarts = -1
-        self._pause_s, self._again_s = _FIRST_PAUSE_S, 0.0
+        self._pause_s, self._again_s, self._started_s = _FIRST_PAUSE_S, 0.0, 0.0
+        self._said: dict[str, tuple[float, int]] = {}  # when, and how often it was held back since
         self._awake, self._beat, self._beat_s = Awake(), 0, 0.0
         self._hangs = False  # and was killed, but the kernel does not let go of it
 
@@ -64,7 +72,7 @@ class RecorderLink:
             return (
                 "the recorder hangs, and so does its disk perhaps: it is started anew once it ends"
             )
-        return next(reversed(self.failed.values()), "")
+        return self._log_failed or self._fault_failed
 
     def define(self, file: LogFile) -> int:
         """Return the tag of rows that are to go into this log."""
@@ -75,7 +83,11 @@ class RecorderLink:
         return self._tags
 
     def forget(self) -> None:
-        """Begin anew: earlier logs are closed, and so are their errors."""
+        """Begin anew: earlier logs are closed, and so are their errors.
+
+        That a flight recording failed stands until one, or a log, is written.
+        """
+        self._log_failed = ""
         self._logs.clear()
         self.files.clear()
         self.failed.clear()
@@ -99,10 +111,11 @@ class RecorderLink:
         beat = self._board[Word.RECORDER_BEAT]
         if beat != self._beat:
             self._beat, self._beat_s = beat, now_s
-            self._pause_s = _FIRST_PAUSE_S
             self._hangs = False
+            if now_s - self._started_s >= _LIVED_S:  # one beat is no life: it may die of each start
+                self._pause_s, self._again_s = _FIRST_PAUSE_S, now_s
         elif now_s - self._beat_s > HUNG_S:
-            self._say(f"the recorder hangs for {HUNG_S:g} s: it is killed")
+            self._say_seldom(now_s, "hung", f"the recorder hangs for {HUNG_S:g} s: it is killed")
             self._child.kill(0.0)  # its end is noticed as any is; nothing waits for a disk here
             self._beat_s, self._hangs = now_s, True
 
@@ -119,9 +132,9 @@ class RecorderLink:
         self._child.kill()
 
     def _start(self, now_s: float) -> None:
-        if self.restarts >= 0:
-            self._say(f"the recorder is gone ({self._child.end}): it is started anew")
+        gone = f"the recorder is gone ({self._child.end}): it is started anew"
         self.restarts += 1
+        self._started_s = now_s
         self._again_s = now_s + self._pause_s
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
         if self._lines is not None:
@@ -136,8 +149,10 @@ class RecorderLink:
                     (self._shared_fd, theirs.fileno()),
                 )
         except OSError as error:
-            self._say(f"the recorder cannot be started: {error}")
+            self._say_seldom(now_s, "gone", f"the recorder cannot be started: {error}")
             return
+        if self.restarts:
+            self._say_seldom(now_s, "gone", gone)
         self._beat_s = now_s + HUNG_S  # it takes its time to begin
         self._hangs = False
         self._head = None
@@ -147,6 +162,15 @@ class RecorderLink:
             self._define(tag, replace(file, part=part), again=True)
         if self._untold:
             self._send({"fault": self._untold})
+
+    def _say_seldom(self, now_s: float, about: str, what: str) -> None:
+        """Say it once a minute at most, and then how often it was not said."""
+        said_s, unsaid = self._said.get(about, (-math.inf, 0))
+        if now_s - said_s < _SAID_AGAIN_S:
+            self._said[about] = said_s, unsaid + 1
+            return
+        self._said[about] = now_s, 0
+        self._say(f"{what} ({unsaid} more since this was said last)" if unsaid else what)
 
     def _define(self, tag: int, file: LogFile, again: bool) -> None:
         # The logs of a session have their attachments in common: they are sent once.
@@ -181,8 +205,12 @@ class RecorderLink:
     def _take(self, message: Mapping[str, Any]) -> None:
         if message["event"] == "fault":
             self._untold = "" if message["fault"] == self._untold else self._untold
-            self.last_fault_log = message["path"]
             path, why = message["path"], message["why"]
+            if path:
+                self.last_fault_log, self._log_failed, self._fault_failed = path, "", ""
+            elif why != NO_ROWS:  # then nothing failed: there was nothing to record
+                self._fault_failed = f"flight recording of {message['fault']}: {why}"
+                self._opened = None
             what = "; ".join(filter(None, (path, why))) if path else f"could not be written: {why}"
             self._say(f"flight recording of {message['fault']}: {what}")
             return
@@ -191,6 +219,11 @@ class RecorderLink:
             files = self.files.get(tag, [])
             if path not in files:  # one that held no row was begun anew
                 files.append(path)
+            self._opened = path
+        elif message["event"] == Event.CLOSED:
+            # One that was begun before may need but its end, for which there is room sooner.
+            if path == self._opened and tag not in self.failed:
+                self._fault_failed = ""
         elif message["event"] == Event.FAILED and tag in self.files:
-            self.failed.setdefault(tag, str(message["why"]))
+            self._log_failed = self.failed.setdefault(tag, str(message["why"]))
             self._say(f"recording stopped, the flight goes on: {message['why']}")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable
-from errno import EIO, ENOSPC
+from errno import EIO, ENOMEM, ENOSPC
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,10 +17,11 @@ from levid.config.rig import load_rig
 from levid.config.service import Recording
 from levid.config.shipped import shipped
 from levid.daemon.board import Word
-from levid.daemon.fault_log import FaultLog
+from levid.daemon.fault_log import NO_ROWS, FaultLog
 from levid.daemon.faults import Fault
 from levid.daemon.recorder_link import RecorderLink
 from levid.daemon.ring import Ring
+from levid.daemon.scribe import Event, LogFile
 from levid.daemon.shared import Shared
 from levid.daemon.syncer import Syncer
 from levid.log.reader import read_log
@@ -252,6 +253,116 @@ def test_recorder_that_waits_for_a_disk_in_the_kernel_records_nothing(
     board[Word.RECORDER_BEAT] += 1  # its disk answers
     link.watch()
     assert not link.problem
+
+
+def linked(tmp_path: Path, said: list[str], board: Any = None) -> RecorderLink:
+    """Return a link whose recorder runs as far as anybody can see."""
+    link = RecorderLink(b"{}", -1, board or {Word.RECORDER_BEAT: 0}, tmp_path, said.append)
+    link._child = cast("Any", SimpleNamespace(running=True, end="exit code 1"))
+    return link
+
+
+def fault_of(path: str, why: str = "") -> dict[str, str]:
+    return {"event": "fault", "fault": "GAP", "path": path, "why": why}
+
+
+def test_a_flight_recording_that_failed_shows_until_something_is_written(tmp_path: Path) -> None:
+    link = linked(tmp_path, [])
+    link._take(fault_of("/a.mcap"))
+    link._take(fault_of("", NO_ROWS))
+    assert not link.problem  # nothing failed
+    before = link.define(LogFile(tmp_path / "0.mcap", {}, {}))
+    of_log = {"log": before, "path": str(tmp_path / "0.mcap"), "why": ""}
+    link._take({"event": Event.OPENED, **of_log})
+    link._take(fault_of("", "No space left on device"))
+    assert link.problem == "flight recording of GAP: No space left on device"
+    assert link.last_fault_log == "/a.mcap"
+    link._take({"event": Event.CLOSED, **of_log})  # for its end there was room
+    link.forget()
+    assert "No space left" in link.problem
+    of_log = {"log": link.define(LogFile(tmp_path / "1.mcap", {}, {})), "path": "1", "why": ""}
+    link._take({"event": Event.OPENED, **of_log})
+    assert link.problem
+    link._take({"event": Event.CLOSED, **of_log})
+    assert not link.problem
+    link._take(fault_of("", "No space left on device"))
+    link._take(fault_of("/b.mcap"))
+    assert (link.problem, link.last_fault_log) == ("", "/b.mcap")
+
+
+def test_a_log_that_failed_shows_until_a_flight_recording_is_written(tmp_path: Path) -> None:
+    link = linked(tmp_path, [])
+    tag = link.define(LogFile(tmp_path / "1.mcap", {}, {}))
+    link._take({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
+    assert link.problem == "No space left"
+    link._take(fault_of("/a.mcap"))
+    assert not link.problem
+    assert link.failed == {tag: "No space left"}  # whoever asked for the log hears of it
+    link._take({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
+    link.forget()
+    assert not link.problem
+
+
+@pytest.mark.parametrize("beats", [False, True])
+def test_a_recorder_that_dies_of_each_start_is_tried_ever_more_seldom(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, beats: bool
+) -> None:
+    said: list[str] = []
+    starts: list[float] = []
+    now_s, board = 1000.0, {Word.RECORDER_BEAT: 0}
+    link = linked(tmp_path, said, board)
+    monkeypatch.setattr("levid.daemon.recorder_link.time.monotonic", lambda: now_s)
+
+    def start(*_: object) -> None:
+        starts.append(now_s)
+        link._child.running = True
+
+    link._child.start, link._child.running = start, False
+
+    def live(seconds: float, lives_s: float) -> None:
+        nonlocal now_s
+        for _ in range(round(seconds / 0.05)):
+            now_s += 0.05
+            board[Word.RECORDER_BEAT] += beats or lives_s > 1.0
+            link.watch()
+            link._child.running = now_s - starts[-1] < lives_s
+
+    live(0.05, 20.0)
+    live(20.0, 20.0)
+    live(0.1, 0.1)
+    assert [s - 1000.0 for s in starts] == pytest.approx([0.05, 20.1], abs=0.06)  # at once
+    live(3600.0, 0.1)
+    assert 60 < len(starts) < 75
+    assert starts[-1] - starts[-2] == pytest.approx(60.0, abs=0.2)
+    assert 55 < len(said) <= 62
+    assert "the recorder is gone (exit code 1)" in said[-1]
+    assert "more since" in said[1]
+    live(75.0, 15.0)  # whatever was wrong is mended, and it dies of something else
+    assert 58.0 < starts[-3] - starts[-4] < 62.0
+    assert starts[-1] - starts[-2] == pytest.approx(15.0, abs=0.2)
+    live(15.0, 1000.0)
+    link._child.running = False
+    count = len(starts)
+    live(0.1, 1000.0)
+    assert len(starts) == count + 1
+
+
+def test_a_recorder_that_the_kernel_does_not_start_is_told_of_once_a_minute(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    now_s = 1000.0
+    link = linked(tmp_path, said)
+    monkeypatch.setattr("levid.daemon.recorder_link.time.monotonic", lambda: now_s)
+
+    def start(*_: object) -> None:
+        raise OSError(ENOMEM, os.strerror(ENOMEM))
+
+    link._child.start, link._child.running = start, False
+    for _ in range(20 * 50):
+        now_s += 0.05
+        link.watch()
+    assert said == ["the recorder cannot be started: [Errno 12] Cannot allocate memory"]
 
 
 def test_rows_that_a_hung_recorder_has_lost_count_at_once() -> None:

@@ -68,7 +68,7 @@ class SensorWatch:
     def reset(self) -> None:
         """Begin anew after a fault."""
         self._told = False
-        self._repeats[:] = 0
+        self._missed[:] = True  # a channel that was mended has moved the plane: see `_judge`
 
 
 @njit(cache=True)

@@ -156,6 +156,34 @@ def test_nothing_is_compiled_in_the_first_cycle(monkeypatch: pytest.MonkeyPatch,
     assert called == before
 
 
+def test_channel_that_is_mended_leaves_no_suspicion_of_others() -> None:
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    mended, ended = np.full(9, 1e-7), np.full(9, 1e-7)
+    ended[1] = 1e-3
+    watch.judge(np.zeros(9))
+    with pytest.raises(SensorError, match="sensor 1: at the end of its range"):
+        watch.judge(ended.copy())
+    watch.reset()
+    for _ in range(5):  # it reads what it should; by chance the others repeat themselves
+        watch.judge(mended.copy())
+
+
+def test_channel_that_is_still_frozen_is_found_again() -> None:
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    draw = np.random.default_rng(1).normal
+    gaps = 1e-5 * np.arange(60.0)[:, None] + draw(0, 1e-7, (60, 9))
+    gaps[:, 4] = 0.0
+
+    def read(first: int) -> None:
+        for gap in gaps[first : first + 20]:
+            watch.judge(gap.copy())
+
+    for cleared in (0, 20, 40):
+        with pytest.raises(SensorError, match="sensor 4: frozen"):
+            read(cleared)
+        watch.reset()
+
+
 def test_sensor_that_is_back_does_not_make_others_look_frozen() -> None:
     """The platform has dropped meanwhile: where the missing one is now moves the plane of all."""
     watch = SensorWatch("sensors", RIG.geometry, 1e-3)

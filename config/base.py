@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
-from levid.config.mistakes import mistakes
+from .mistakes import mistakes
 
 M = TypeVar("M", bound="Strict")
 

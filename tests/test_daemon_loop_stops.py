@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +22,23 @@ from levid.daemon.parent_watch import ParentWatch, is_stopped
 from levid.daemon.states import State
 from levid.daemon.supervisor import Supervisor
 from levid.drivers.base import Backend, Devices, FirstError, LinkError, StaleError
+
+
+def failing_while(when: SimpleNamespace, error: Exception) -> Callable[[Devices], Devices]:
+    """Return what makes readings raise this error for as long as `when.now` says so."""
+
+    def failing(devices: Devices) -> Devices:
+        read = devices.sensors.read
+
+        def reading(gap_m: np.ndarray) -> None:
+            if when.now:
+                raise error
+            read(gap_m)
+
+        devices.sensors.read = reading  # type: ignore[method-assign]
+        return devices
+
+    return failing
 
 
 def test_clear_does_not_take_back_a_stop_that_nobody_has_looked_at() -> None:
@@ -197,19 +215,7 @@ def test_who_asks_to_land_before_the_first_row_stays_on_the_ground() -> None:
 
 def test_stop_in_the_cycle_that_readings_fail_in_is_written() -> None:
     stale = SimpleNamespace(now=False)
-
-    def failing(devices: Devices) -> Devices:
-        read = devices.sensors.read
-
-        def reading(gap_m: np.ndarray) -> None:
-            if stale.now:
-                raise StaleError("no clean reading")
-            read(gap_m)
-
-        devices.sensors.read = reading  # type: ignore[method-assign]
-        return devices
-
-    flight = ScriptedLoop(failing)
+    flight = ScriptedLoop(failing_while(stale, StaleError("no clean reading")))
 
     def script(n: int) -> None:
         if n == 300:
@@ -295,19 +301,7 @@ def test_heat_of_the_coils_outlasts_the_loop() -> None:
 def test_coils_cool_down_while_readings_fail() -> None:
     """A link that was gone for hours left them as hot: the next lift-off ended as fault HEAT."""
     gone = SimpleNamespace(now=False)
-
-    def failing(devices: Devices) -> Devices:
-        read = devices.sensors.read
-
-        def reading(gap_m: np.ndarray) -> None:
-            if gone.now:
-                raise LinkError("unplugged")
-            read(gap_m)
-
-        devices.sensors.read = reading  # type: ignore[method-assign]
-        return devices
-
-    flight = ScriptedLoop(failing)
+    flight = ScriptedLoop(failing_while(gone, LinkError("unplugged")))
     clock, heat = flight.loop._clock, []
 
     def script(n: int) -> None:

@@ -111,10 +111,9 @@ def starts(_: Any) -> None:
     assert os.sched_getscheduler(status["pids"]["loop"]) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
     loop = Path(f"/proc/{status['pids']['loop']}")
     assert "VmLck:\t       0 kB" not in (loop / "status").read_text()
-    # It sees what a host takes, and that there is one: processors of a virtual machine may sleep.
-    assert (loop / "root/proc/stat").exists()
-    held = {str(file.readlink()) for file in (loop / "fd").iterdir()}
-    assert "/dev/cpu_dma_latency" not in held, held
+    # What a host takes of its processors, and whether there is one, is there for it to read.
+    for name in ("stat", "cpuinfo"):
+        assert (loop / "root/proc" / name).exists(), name
 
 
 def flies(_: Any) -> None:

@@ -67,12 +67,14 @@ def _trace(folder: Path) -> None:
 
     begin = time.perf_counter()
     flown = _fly("sessions/trace-demo.yaml", folder, shipped("sims/undeclared.yaml"))
-    found, page = trace_logs(flown.logs, None, folder / "found")
+    traced = trace_logs(flown.logs, None, folder / "found")
     click.echo("trace of a plant that does what its model does not know:")
-    for line in trace_words(found):
+    for line in trace_words(traced.found):
         click.echo(line)
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
-    click.echo(f"report: {page}")
+    if traced.undrawn is not None:
+        raise traced.undrawn
+    click.echo(f"report: {traced.page}")
 
 
 def _fly(name: str, out: Path, sim: Path | None = None) -> FlightResult:

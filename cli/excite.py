@@ -169,7 +169,7 @@ def _on_daemon(
 
 def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> int:
     """Hand the logs over or draw the flight; return the exit code."""
-    from ..daemon.handover import hand_over
+    from ..daemon.handover import HandoverError, hand_over
     from ..report.session import session_report
 
     excited = any(step.record is not None and step.record.excite for step in config.steps)
@@ -181,9 +181,16 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> in
         say(f"no report: {out} may not be written to; use what there is: {following}")
         return 0
     if config.then and result.records:
+        failed = []
         for verb in config.then:
-            say(f"report: {hand_over(verb, result.logs, out / _REPORTS[verb])}")
-        return 0
+            try:
+                say(f"report: {hand_over(verb, result.logs, out / _REPORTS[verb])}")
+            except HandoverError as error:  # which need not stop the others
+                say(f"error: {error}")
+                again = f"{verb} {logs_in(out)} --out {quoted(out / _REPORTS[verb])}"
+                say(f"to repeat it: levid {again}")
+                failed.append(verb)
+        return 1 if failed else 0
     with progress("drawing the flight") as report:
         report("", 0.5)
         page = session_report(result.logs, out / "report")

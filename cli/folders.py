@@ -11,10 +11,15 @@ _FEW = 3
 _TICK_S = 0.05
 
 
-def writable_folder(out: Path) -> None:
-    """See before a long work that its folder can be made and written to; raises ConfigError."""
+def writable_folder(out: Path, files: Iterable[str] = (), folders: Iterable[str] = ()) -> None:
+    """See before a long work that its folder, and these in it, can be made and written to.
+
+    Raises ConfigError.
+    """
     from ..config.base import ConfigError
 
+    if out.is_symlink() and not out.exists():
+        raise ConfigError(f"--out {out}: expected a folder, found a link to nothing")
     there = out.absolute()
     while not there.exists():
         there = there.parent
@@ -25,6 +30,13 @@ def writable_folder(out: Path) -> None:
         raise ConfigError(
             f"--out {out}: expected a folder, found that {there} may not be written to"
         )
+    for name in files:
+        if (out / name).is_dir():
+            raise ConfigError(f"--out {out}: expected to write {name}, found a folder of that name")
+    for name in folders:
+        inner = out / name
+        if inner.exists() and not (inner.is_dir() and os.access(inner, os.W_OK | os.X_OK)):
+            raise ConfigError(f"--out {out}: expected {name} to be a folder that may be written to")
 
 
 def older_results(out: Path, names: Iterable[str], began_s: float) -> list[Path]:
@@ -45,5 +57,11 @@ def quoted(*paths: Path) -> str:
 
 
 def same_logs(logs: Sequence[Path]) -> str:
-    """Return these logs as a shell takes them: by name where they are few."""
-    return quoted(*logs) if len(logs) <= _FEW else logs_in(logs[0].parent)
+    """Return these logs as a shell takes them: by name, or by folder where they are all of one."""
+    if len(logs) <= _FEW:
+        return quoted(*logs)
+    words = []
+    for folder in dict.fromkeys(log.parent for log in logs):
+        own = [log for log in logs if log.parent == folder]
+        words.append(logs_in(folder) if set(own) == set(folder.glob("*.mcap")) else quoted(*own))
+    return " ".join(words)

@@ -96,9 +96,10 @@ def identify_logs(
     from ..identification.study import study
     from ..report.flown import read_session
     from ..report.identification import identification_report
+    from ..report.replacing import replace_text
 
     # Whatever can be wrong without reading a log is found before the work begins.
-    writable_folder(out)
+    writable_folder(out, ("model.yaml", "index.html"), ("figures",))
     declared = None if model is None else load_model(model)
     simulator = None if truth is None else load_yaml(truth, SimConfig)
     flown = False
@@ -115,7 +116,7 @@ def identify_logs(
         # First of all what took so long: a page that cannot be drawn loses nothing.
         out.mkdir(parents=True, exist_ok=True)
         if found.grey is not None:
-            (out / "model.yaml").write_text(to_yaml(found.grey.fitted), encoding="utf-8")
+            replace_text(out / "model.yaml", to_yaml(found.grey.fitted))
         report("report", 0.85)
         # Plant time is continuous within one session: the page shows the one of the first log.
         session = [path for path in logs if path.parent == logs[0].parent]

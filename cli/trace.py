@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,17 +65,32 @@ def command(
         raise click.UsageError("expected --workers or --dask, found both")
     from ..identification.trace.result import outcome, summary
 
-    found, page = trace_logs(logs, model, out, workers, dask)
+    traced = trace_logs(logs, model, out, workers, dask)
+    found, page = traced.found, traced.page
     if as_json:
-        written = {"model": str(out / "model.yaml"), "report": str(page)}
+        report = None if page is None else str(page)
+        written = {"model": str(out / "model.yaml"), "report": report}
         click.echo(json.dumps({**summary(found), **written, "notes": list(found.notes)}))
-        return 0
-    for line in words(found):
-        click.echo(line)
-    click.echo(f"model: {out / 'model.yaml'}")
-    click.echo(f"next: {_next(outcome(found), logs, out)}")
-    click.echo(f"report: {page}")
+    else:
+        for line in words(found):
+            click.echo(line)
+        click.echo(f"model: {out / 'model.yaml'}")
+        click.echo(f"next: {_next(outcome(found), logs, out)}")
+        if page is not None:
+            click.echo(f"report: {page}")
+    if traced.undrawn is not None:
+        say("no report could be made of it:")
+        raise traced.undrawn
     return 0
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What was found, and the page on it; without one, the error that there is none for."""
+
+    found: Trace
+    page: Path | None
+    undrawn: Exception | None = None
 
 
 def trace_logs(
@@ -83,34 +99,38 @@ def trace_logs(
     out: Path,
     workers: int | None = None,
     dask: str | None = None,
-) -> tuple[Trace, Path]:
-    """Trace logs, write report and model.yaml; return what was found and the page's path."""
+) -> Traced:
+    """Trace logs, write model.yaml and the report; what was found outlives a page that fails."""
     from ..identification.greybox.result import to_yaml
     from ..identification.trace.result import model_after
     from ..identification.trace.study import trace
     from ..identification.trace.views import views
     from ..model.effects.table import all_effects
+    from ..report.replacing import replace_text
     from ..report.trace import trace_report
 
-    writable_folder(out)
+    writable_folder(out, ("model.yaml", "index.html"), ("figures",))
     config = _model(model, logs)
     with progress("tracing") as report, _workers(config, workers, dask) as spread:
         found = trace(
             logs, config, all_effects, spread, lambda what, share: report(what, 0.9 * share)
         )
         # First of all what took so long: a page that cannot be drawn loses nothing.
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "model.yaml").write_text(to_yaml(model_after(found)), encoding="utf-8")
-        report("looking at what is left", 0.92)
-        seen = views(found, spread)
-        report("report", 0.97)
-        page = trace_report(found, seen, out)
-    return found, page
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            replace_text(out / "model.yaml", to_yaml(model_after(found)))
+            report("looking at what is left", 0.92)
+            seen = views(found, spread)
+            report("report", 0.97)
+            page = trace_report(found, seen, out)
+        except Exception as error:  # noqa: BLE001 - raised when it is told what was found
+            return Traced(found, None, error)
+    return Traced(found, page)
 
 
 def words(found: Trace) -> list[str]:
-    """Return what was found, a line a thing."""
-    from ..identification.trace.result import PERHAPS_A_PART, outcome
+    """Return what was found, a line a thing; intervals are of 95 %."""
+    from ..identification.trace.result import NO_STILL, PERHAPS_A_PART, outcome
 
     result = outcome(found)
     lines = [
@@ -131,24 +151,29 @@ def words(found: Trace) -> list[str]:
     for force in result.shaken:
         s = force.shaking
         lines += [
-            f"  {force.name}: {s.rms:.5g} +- {s.se:.2g} {force.unit} RMS",
+            f"  {force.name}: {s.rms:.5g} +- {_half(s.se):.2g} {force.unit} RMS (95 %)",
             "    in still records as in excited ones: noise, which no model foretells",
         ]
     lines += [f"{f.effect.name}, declared: {_values(f)}" for f in result.declared]
     lines += [f"given up: {name}, others explain what it did" for name in result.gone]
+    lines += [f"given up: {name}, it followed what is random" for name in result.followed]
     lines += [
         f"record {name}: the simulation with effects found no end; its error is not to be trusted"
         for name in result.unsettled
     ]
+    if not result.noise_measured:
+        lines.append(f"note: {NO_STILL}")
     # Steps of a session that are no records are nobody's loss; what was refused is.
     lines += [f"note: {note}" for note in found.notes if "only records are identified" not in note]
     return lines
 
 
 def _effect(found: FoundEffect) -> list[str]:
+    from ..identification.trace.result import telling
+
     effect, why = found.effect, found.evidence
     # Coefficients of a free form say nothing to people.
-    values = "" if found.unknown else f": {_values(found)}"
+    values = "" if found.unknown else f": {_values(found)} (95 %)"
     lines = [f"  {effect.name}{values}", f"    {effect.equation}"]
     if why is None:
         return lines
@@ -162,27 +187,36 @@ def _effect(found: FoundEffect) -> list[str]:
             "    these data do not tell it apart from: "
             + ", ".join(other.name for other in why.alternatives)
         )
-        if effect.told_apart_by:
-            lines.append(f"    what would: {effect.told_apart_by}")
+        if telling(found):
+            lines.append(f"    what would: {telling(found)}")
     return lines
 
 
 def _values(found: FoundEffect) -> str:
-    """Return the effect's parameters; shares of zero say nothing."""
+    """Return the effect's parameters with 95 % intervals; shares of zero say nothing."""
     return ", ".join(
         f"{name} = {p.value:.5g}"
-        + ("" if p.se is None else f" +- {p.se:.2g}")
+        + ("" if p.se is None else f" +- {_half(p.se):.2g}")
         + ("" if p.unit in ("", "1") else f" {p.unit}")
         for name, p in found.parameters().items()
         if p.value != 0.0 or p.se
     )
 
 
+def _half(se: float) -> float:
+    from ..identification.model_response import SURE_95
+
+    return SURE_95 * se
+
+
 def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
     """Return the command that is worth running next."""
+    from ..identification.trace.result import telling
+
     rivals = [f for f in result.effects if f.evidence is not None and f.evidence.alternatives]
     if rivals:
-        return f"fly what tells {rivals[0].effect.name} from its alternatives: see the report"
+        name, how = rivals[0].effect.name, telling(rivals[0]) or "another excitation"
+        return f"fly what tells {name} from its alternatives: {how}"
     if result.shaken and not result.effects:
         return "find what shakes the platform: the model is as good as that lets it be"
     if result.significant:
@@ -190,6 +224,8 @@ def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
     if result.effects:
         model, where = out / "model.yaml", out / "identification"
         return f"levid identify {same_logs(logs)} --model {quoted(model)} --out {quoted(where)}"
+    if result.overrated:
+        return "fly or import records that are sampled faster: their noise cannot be read"
     return "nothing: the model is as good as these records can tell"
 
 
@@ -215,7 +251,7 @@ def _workers(
     from ..identification.trace.workers import cluster_workers, local_workers
 
     if dask is None:
-        return local_workers(config, processes)
+        return local_workers(config, processes, say)
     try:
         import distributed  # noqa: F401
     except ImportError:
@@ -223,4 +259,4 @@ def _workers(
             "--dask needs the package distributed: pip install 'levid[cluster]'"
         ) from None
     say(f"working on {dask}")
-    return cluster_workers(config, dask)
+    return cluster_workers(config, dask, say)

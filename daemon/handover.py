@@ -8,6 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+_STDERR = 2
+
 
 class HandoverError(Exception):
     """Identification did not succeed; the logs are untouched."""
@@ -16,7 +18,7 @@ class HandoverError(Exception):
 def hand_over(verb: str, records: Sequence[Path], out: Path) -> Path:
     """Run `levid VERB` on `records` at low priority, wait, and return the report's path.
 
-    VERB is an entry of a session's `then`. Its messages go to this process's stderr. Raises
+    VERB is an entry of a session's `then`. What it says goes to this process's stderr. Raises
     HandoverError when it fails.
     """
     nice = shutil.which("nice")
@@ -28,7 +30,7 @@ def hand_over(verb: str, records: Sequence[Path], out: Path) -> Path:
             *("--out", str(out)),
         ],
         stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
+        stdout=_STDERR,
         check=False,
     )
     if done.returncode != 0:

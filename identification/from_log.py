@@ -136,19 +136,27 @@ def rig_of(log: Log) -> RigConfig:
 
 def remarks_of(log: Log) -> list[str]:
     """Return in words what happened in a log of the rig that a linear model does not know of."""
-    rows, names = log.rows, log.rows.dtype.names or ()
     found = []
     if np.any(columns(log, REFERENCE)):
         found.append("references are not zero; only their constant part does no harm")
-    at_limit = int(np.count_nonzero(rows["saturated"])) if "saturated" in names else 0
+    at_limit = cycles_at_limit(log)
     if at_limit:
         found.append(f"{at_limit} cycles with coils at a limit")
-    if "coil_excitation_n" in names and np.any(rows["coil_excitation_n"]):
+    names = log.rows.dtype.names or ()
+    if "coil_excitation_n" in names and np.any(log.rows["coil_excitation_n"]):
         found.append("coils were excited one by one besides, which counts as noise here")
-    return [*found, *_cut_off(log)]
+    return [*found, *cut_off(log)]
 
 
-def _cut_off(log: Log) -> list[str]:
+def cycles_at_limit(log: Log) -> int:
+    """Return in how many cycles a coil was at a limit."""
+    if "saturated" not in (log.rows.dtype.names or ()):
+        return 0
+    return int(np.count_nonzero(log.rows["saturated"]))
+
+
+def cut_off(log: Log) -> list[str]:
+    """Return in words that a log has no end; nothing if it has one."""
     if log.complete:
         return []
     return [f"the log is not complete ({log.problem}); what is left of it is used"]
@@ -176,7 +184,7 @@ def imported_record(log: Log) -> Record:
         input_units=tuple(c.unit for c in inputs),
         output_names=tuple(c.name for c in outputs),
         output_units=tuple(c.unit for c in outputs),
-        remarks=tuple(_cut_off(log)),
+        remarks=tuple(cut_off(log)),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from .greybox.experiment import Experiment
 from .greybox.result import GreyBox, identify_grey_box
 from .identify import identify
 from .multisine import BestLinearApproximation, at_every_position, by_position_and_level
+from .once import Once
 from .options import Options
 from .periodic import IncompleteError, NotPeriodicError, PeriodicRecord, periodic_record
 from .results import ClosedLoopPoint, IdentificationResult
@@ -114,18 +114,16 @@ def _read(
 ) -> tuple[_Sorted, ModelConfig | None]:
     """Return what the logs hold, each used once however often it is given, and the model."""
     found, model = _Sorted([], [], [], []), None
-    seen: dict[object, Path] = {}
+    once = Once()
     for number, path in enumerate(logs):
         tell(path.name, number / len(logs))
-        if path.resolve() in seen:
-            found.reasons.append(f"{path}: given twice, used once")
-            continue
-        log = read_log(path)
-        model = model if seen else model_of(log)
-        seen[path.resolve()] = path
-        same = seen.setdefault(_identity(log), path)
-        if same != path:
-            found.reasons.append(f"{path}: the same record as {same}, used once")
+        twice = once.again(path)
+        if twice is None:
+            log = read_log(path)
+            model = model_of(log) if number == 0 else model
+            twice = once.copied(path, log)
+        if twice is not None:
+            found.reasons.append(twice)
             continue
         _sort(log, model, found)
     return found, model
@@ -172,12 +170,6 @@ def _distrusted(result: IdentificationResult) -> list[str]:
     return found
 
 
-def _identity(log: Log) -> object:
-    """Return what two copies of one log share: record, session and rows, cycle and all."""
-    rows = hashlib.sha256(np.ascontiguousarray(log.rows).view(np.uint8).data).digest()
-    return log.metadata.get("name"), log.metadata.get("session"), rows
-
-
 def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:
     """Give a log to every method that can use it; what none can use is left out with a reason."""
     reason: NotARecordError | None = None
@@ -188,7 +180,14 @@ def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:
         reason = error
     if model is not None:
         try:
-            found.experiments.append(experiment_of(log, model))
+            experiment = experiment_of(log, model)
+            found.experiments.append(experiment)
+            still = np.flatnonzero(np.ptp(experiment.y, axis=0) == 0.0)
+            found.reasons += [
+                f"{log.path.name}: {model.dof[i].name} shows one value in every row: it says "
+                "nothing of the noise, and whether it is connected should be looked at"
+                for i in still.tolist()
+            ]
             return
         except NotARecordError as error:
             reason = error

@@ -13,6 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from .. import __version__
+from .replacing import replace_text
 from .style import COLOURS
 from .svg import Picture
 
@@ -91,16 +92,21 @@ def write_report(out_dir: Path, title: str, sections: Sequence[Section]) -> Path
     _refuse_twins("section", [section.anchor for section in sections])
     figures = out_dir / "figures"
     figures.mkdir(parents=True, exist_ok=True)
+    text = render(title, sections)
     for picture in pictures:
-        _write(figures / f"{picture.name}.svg", picture.svg)
+        replace_text(figures / f"{picture.name}.svg", picture.svg)
     page = out_dir / "index.html"
-    _write(page, render(title, sections))
+    replace_text(page, text)
+    _remove_surplus(figures, [picture.name for picture in pictures])
     return page
 
 
-def _write(path: Path, text: str) -> None:
-    # Names of files need not be text in any encoding.
-    path.write_bytes(text.encode("utf-8", errors="backslashreplace"))
+def _remove_surplus(figures: Path, names: Sequence[str]) -> None:
+    """Remove figures of an older report that had more of a series: effect-3 where there are two."""
+    for series in {m[1] for name in names if (m := re.fullmatch(r"(.+-)\d+", name))}:
+        for old in figures.glob(f"{series}*.svg"):
+            if re.fullmatch(r"\d+", old.stem.removeprefix(series)) and old.stem not in names:
+                old.unlink()
 
 
 def render(title: str, sections: Sequence[Section]) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 from ..config.model import EffectParameter
 from ..identification.trace.result import (
+    NO_STILL,
     NOISE_MOST,
     PERHAPS_A_PART,
     SQUARE_MOST,
@@ -14,6 +16,7 @@ from ..identification.trace.result import (
     Outcome,
     RandomForce,
     outcome,
+    telling,
 )
 from ..identification.trace.study import Trace
 from ..identification.trace.views import Views
@@ -57,7 +60,9 @@ def _title(result: Outcome) -> str:
         return f"{len(result.effects)} effects found"
     if result.effects or result.shaken:
         return listed([f.effect.name for f in result.effects] + [s.name for s in result.shaken])
-    return "nothing found" if not result.significant else "something unexplained"
+    if result.significant:
+        return "something unexplained"
+    return "nothing can be told" if result.overrated else "nothing found"
 
 
 def _words(result: Outcome, views: Views) -> list[Text]:
@@ -71,6 +76,12 @@ def _words(result: Outcome, views: Views) -> list[Text]:
         texts.append(
             Text(f"Given up, since others explain what it did: {listed(list(result.gone))}.")
         )
+    if result.followed:
+        texts.append(
+            Text(f"Given up, since they followed what is random: {listed(list(result.followed))}.")
+        )
+    if not result.noise_measured:
+        texts.append(Text(NO_STILL))
     if result.doubtful:
         texts.append(
             Text(
@@ -103,6 +114,13 @@ def _headline(result: Outcome) -> str:
             f"The model misses these records by {after} {measure}, where noise alone would leave "
             f"{floor}. More than noise is left, and no effect of the table explains it beyond "
             "chance: what it depends on is drawn below."
+        )
+    if result.overrated:
+        return (
+            f"Nothing can be told. The model misses these records by {after} {measure}, but one "
+            f"step ahead the errors have {result.mean_square:.2g} of the variance that was taken "
+            "for the sensors' noise: it is read at the readings' highest frequencies, and there is "
+            "more than noise there. Sample faster, or excite less up there."
         )
     return (
         f"Nothing found. The model misses these records by {after} {measure}; noise alone leaves "
@@ -161,8 +179,10 @@ def _shown(found: FoundEffect) -> list[tuple[str, EffectParameter]]:
 
 
 def _rest(result: Outcome) -> str:
-    if not result.significant:
+    if not result.significant and result.noise_measured and not result.overrated:
         return "What is left is noise: no other effect of the table explains anything of it."
+    if not result.significant:
+        return f"{result.rest[0].upper()}{result.rest[1:]}."
     worst = max(result.dof, key=lambda d: d.after / d.floor)
     if result.after <= NOISE_MOST * result.floor:
         return (
@@ -189,7 +209,9 @@ def _numbers(result: Outcome) -> tuple[Number, ...]:
             "times the noise: error" + (" with effects" if result.effects else ""),
             "good" if ratio <= NOISE_MOST else "bad",
         ),
-        Number(str(len(result.effects)), "effects found that were not declared"),
+        Number(
+            str(len(result.effects) + len(result.shaken)), "effects found that were not declared"
+        ),
         Number(
             f"{result.mean_square:.3f}",
             "mean square of held-out one-step errors, 1 for noise",
@@ -205,12 +227,12 @@ def _numbers(result: Outcome) -> tuple[Number, ...]:
 
 
 def _steps(result: Outcome, out_dir: Path) -> Sequence[tuple[str, str]]:
-    model = out_dir / "model.yaml"
+    model = shlex.quote(str(out_dir / "model.yaml"))
     steps = []
     for f in result.effects:
         if f.evidence is not None and f.evidence.alternatives:
             names = listed([e.name for e in f.evidence.alternatives])
-            how = f.effect.told_apart_by or "another excitation"
+            how = telling(f) or "another excitation"
             steps.append((f"Tell {f.effect.name} from {names}: {how}.", ""))
     if result.significant:
         steps.append(

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.model import EffectParameter
 from ..identification.trace.dependence import dependence
-from ..identification.trace.result import FoundEffect, Outcome
+from ..identification.trace.result import FoundEffect, Outcome, RandomForce, telling
 from ..identification.trace.views import Aspect, RecordView, Views
 from .page import Part, Section, Table, Text
 from .session import listed
@@ -36,11 +37,43 @@ _MOST_SHAPES = 3
 
 
 def effect_sections(result: Outcome, views: Views) -> list[Section]:
-    """Return a section for each effect in the model, those found first."""
-    return [
-        Section(f"{number}. {found.effect.name}", tuple(_parts(found, views, number)))
-        for number, found in enumerate((*result.effects, *result.declared), start=1)
+    """Return a section for each effect: those found, random forces, those declared before."""
+    sections: list[Section] = []
+    for found in result.effects:
+        number = len(sections) + 1
+        sections.append(
+            Section(f"{number}. {found.effect.name}", tuple(_parts(found, views, number)))
+        )
+    for force in result.shaken:
+        sections.append(Section(f"{len(sections) + 1}. {force.name}", _random_parts(force)))
+    for found in result.declared:
+        number = len(sections) + 1
+        sections.append(
+            Section(f"{number}. {found.effect.name}", tuple(_parts(found, views, number)))
+        )
+    return sections
+
+
+def _random_parts(force: RandomForce) -> tuple[Part, ...]:
+    s = force.shaking
+    rms = EffectParameter(value=s.rms, se=s.se, unit=force.unit)
+    half = plain(100 * CONFIDENCE * s.se / s.rms, 2)
+    rows = [("rms", with_interval(rms), f"{half} %")]
+    rows += [
+        (name, f"{at:.3g} Hz", "—") for name, at in zip(("low", "high"), s.band_hz, strict=True)
     ]
+    return (
+        Text(f"{force.equation}.", "lead"),
+        Text(
+            "No model foretells it, and model.yaml has none of it. In held-out records its power "
+            f"is {s.statistic:.0f} standard deviations beyond that of noise."
+        ),
+        Table(
+            "Parameters with 95 % intervals",
+            ("parameter", "value", "half the interval"),
+            tuple(rows),
+        ),
+    )
 
 
 def sizes(found: FoundEffect, views: Views) -> tuple[str, str, float, float] | None:
@@ -151,10 +184,10 @@ def _neighbours(found: FoundEffect) -> list[str]:
     texts = []
     if why is not None and why.alternatives:
         names = listed([e.name for e in why.alternatives])
-        how = f" What would: {effect.told_apart_by}." if effect.told_apart_by else ""
+        how = f" What would: {telling(found)}." if telling(found) else ""
         texts.append(f"These records do not tell it from {names}: they fit no worse.{how}")
     elif why is not None:
-        texts.append("No other effect of the table fits these records as well.")
+        texts.append("No other effect that was fitted fits these records as well.")
     if effect.absorbed_by:
         texts.append(f"What it cannot be told from in principle: {effect.absorbed_by}.")
     return texts

@@ -16,6 +16,7 @@ from ..identification.trace.study import Trace
 from ..identification.trace.views import Views
 from .curves import symbol
 from .page import Part, Section, Table, Text
+from .session import listed
 from .style import engineering
 from .svg import Picture, to_svg
 from .trace_figures import (
@@ -44,7 +45,8 @@ def error_section(found: Trace, result: Outcome, views: Views) -> Section:
     )
     labels = [e.name for e in found.after]
     dof = [d.name for d in result.dof]
-    freq_hz, densities = _pooled_spectra(found, views)
+    freq_hz, densities, short = _pooled_spectra(found, views)
+    but = f", but for {listed(short)}, too short or of another rate for these lines"
     parts: list[Part] = [
         Text(
             "Held-out records, simulated freely from the excitation and the beam's motion alone; "
@@ -73,7 +75,8 @@ def error_section(found: Trace, result: Outcome, views: Views) -> Section:
                 )
             ),
             "Spectra of the free-running error without and with effects, and of the noise.",
-            "Where in frequency the error sits: spectra over all held-out records.",
+            "Where in frequency the error sits: spectra over all held-out records"
+            f"{but if short else ''}.",
         ),
     ]
     if result.unsettled:
@@ -121,33 +124,39 @@ def _record_table(found: Trace, result: Outcome, names: Sequence[str]) -> Table:
         cells = [b.name]
         for i, unit in enumerate(found.places.dof_units):
             before, after = (amount(float(np.sqrt(e.pose_squares[i])), unit) for e in (b, a))
-            floor = float(np.sqrt(a.pose_floor[i]))
-            cells += [
-                f"{before} → {after}" if result.effects else after,
-                times_text(float(np.sqrt(a.pose_squares[i])) / floor),
-            ]
+            sizes = [float(np.sqrt(e.pose_squares[i])) for e in (b, a)]
+            times = [times_text(size / float(np.sqrt(a.pose_floor[i]))) for size in sizes]
+            cells += (
+                [f"{before} → {after}", change_text(*sizes), " → ".join(times)]
+                if result.effects
+                else [after, times[1]]
+            )
         rows.append(tuple(cells))
-    what = ": without → with" if result.effects else ""
-    head = ("record", *(h for n in names for h in (f"{n}{what}", "/ noise")))
-    return Table("RMS error of each held-out record", head, tuple(rows))
+    each = ("change", "/ noise") if result.effects else ("/ noise",)
+    head = ("record", *(h for n in names for h in (n, *each)))
+    what = ", without → with effects" if result.effects else ""
+    return Table(f"RMS error of each held-out record{what}", head, tuple(rows))
 
 
-def _pooled_spectra(found: Trace, views: Views) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Return frequencies (F,) and densities (F, n) before, after and of noise, over all records."""
+def _pooled_spectra(
+    found: Trace, views: Views
+) -> tuple[Array, tuple[Array, Array, Array], list[str]]:
+    """Return frequencies (F,), densities (F, n) before, after and of noise, and who is left out."""
     floors = {v.name: v.floor for v in views.records}
     freq_hz = max((e.freq_hz for e in found.after), key=len)
     n = found.after[0].psd.shape[1]
     sums = [np.zeros((len(freq_hz), n)) for _ in range(3)]
-    weight = 0.0
+    weight, short = 0.0, []
     for b, a in zip(found.before, found.after, strict=True):
         floor = floors.get(a.name)
-        if floor is None or len(a.freq_hz) != len(freq_hz):
-            continue  # too short for these frequencies
+        if floor is None or not np.array_equal(a.freq_hz, freq_hz):
+            short.append(a.name)
+            continue
         for number, psd in enumerate((b.psd, a.psd, floor)):
-            sums[number] += a.rows * psd
-        weight += a.rows
-    before, after, floor = (total / max(weight, 1.0) for total in sums)
-    return freq_hz, (before, after, floor)
+            sums[number] += a.seconds * psd
+        weight += a.seconds
+    before, after, floor = (total / max(weight, 1e-300) for total in sums)
+    return freq_hz, (before, after, floor), short
 
 
 def search_section(found: Trace) -> Section:
@@ -264,7 +273,8 @@ def records_section(found: Trace) -> Section:
             + (
                 "and of the force, both from still records."
                 if noise.measured
-                else "as the fit has it, undeclared effects and all: no record is still."
+                else "of the force as the fit has it, undeclared effects and all: no record is "
+                "still."
             )
         ),
         Table(
@@ -276,7 +286,10 @@ def records_section(found: Trace) -> Section:
     ]
     notes = [n for n in found.notes if "only records are identified" not in n]
     if notes:
-        parts.append(Table("Left out", ("what", "why"), tuple(_split(n) for n in notes), 2))
+        head = ("log or record", "what happened")
+        parts.append(
+            Table("Left out, or made good", head, tuple(_split(n) for n in notes), len(head))
+        )
     return Section("Records", tuple(parts))
 
 

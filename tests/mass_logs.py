@@ -18,10 +18,13 @@ columns:
 """
 
 
-def imported(folder: Path, name: str, table: np.ndarray) -> Path:
-    """Return the log of a record `name`, whose force in N and position in m are `table` (N, 2)."""
+def imported(folder: Path, name: str, table: np.ndarray, columns: str = SIGNALS) -> Path:
+    """Return the log of a record `name`, whose force in N and position in m are `table` (N, 2).
+
+    `columns` tells of others, as a signals.yaml.
+    """
     data, signals, log = folder / f"{name}.csv", folder / "signals.yaml", folder / f"{name}.mcap"
     np.savetxt(data, table, delimiter=",", fmt="%.17g")
-    signals.write_text(SIGNALS)
+    signals.write_text(columns)
     import_file(data, signals, log)
     return log

@@ -34,7 +34,32 @@ def test_commands_take_any_name() -> None:
     assert logs_in(odd).endswith("/*.mcap")  # which the shell has to see
     few = [odd / "a.mcap", odd / "b.mcap"]
     assert shlex.split(same_logs(few)) == list(map(str, few))
-    assert same_logs([odd / f"{k}.mcap" for k in range(9)]) == logs_in(odd)
+
+
+def test_many_logs_are_named_by_folder_only_where_they_are_all_of_it(tmp_path: Path) -> None:
+    paths = []
+    for day in ("monday", "tuesday"):
+        (tmp_path / day).mkdir()
+        paths += [tmp_path / day / f"{k}.mcap" for k in range(3)]
+    for path in paths:
+        path.write_bytes(b"")
+    monday, tuesday = (logs_in(tmp_path / day) for day in ("monday", "tuesday"))
+    assert same_logs(paths) == f"{monday} {tuesday}"
+    assert same_logs(paths[:5]) == f"{monday} {quoted(*paths[3:5])}"
+
+
+def test_what_stands_where_results_go_is_found_before_the_work(tmp_path: Path) -> None:
+    for name in ("model.yaml", "figures/x"):
+        (tmp_path / "a" / name).mkdir(parents=True)
+    writable_folder(tmp_path / "a", ("index.html",), ("figures",))
+    with pytest.raises(ConfigError, match=r"to write model.yaml, found a folder of that name"):
+        writable_folder(tmp_path / "a", ("model.yaml",))
+    (tmp_path / "figures").write_text("")
+    with pytest.raises(ConfigError, match="expected figures to be a folder"):
+        writable_folder(tmp_path, (), ("figures",))
+    (tmp_path / "link").symlink_to(tmp_path / "gone")
+    with pytest.raises(ConfigError, match="found a link to nothing"):
+        writable_folder(tmp_path / "link")
 
 
 def test_results_of_an_earlier_run_are_named(tmp_path: Path) -> None:

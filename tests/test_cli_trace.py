@@ -88,8 +88,14 @@ def test_json_is_the_contract(flown: Path, tmp_path: Path, levid: Command) -> No
     assert {"alternatives", "absorbed_by", "told_apart_by"} <= set(evidence)
 
     validation = result["validation"]
-    assert set(validation) == {"metric", "before", "after", "noise_floor", "per_dof"}
+    assert set(validation) == {
+        *("metric", "before", "after", "noise_floor", "noise_measured", "per_dof", "per_record")
+    }
     assert set(validation["per_dof"]) == {"psi", "theta", "z"}
+    assert validation["noise_measured"]
+    second = next(r for r in validation["per_record"] if r["record"] == "second")
+    assert set(second["per_dof"]) == {"psi", "theta", "z"}
+    assert second["per_dof"]["z"]["before"] > 2 * second["per_dof"]["z"]["after"]
     # The plant is the declared one but for the effect, so what is left is noise: of 10 s of a
     # record whose slowest mode rings for 0.7 s the RMS scatters by about 5 %.
     assert validation["after"] < 1.2 * validation["noise_floor"]
@@ -102,12 +108,28 @@ def test_json_is_the_contract(flown: Path, tmp_path: Path, levid: Command) -> No
     assert effect["parameters"]["k3"]["se"] == found.parameters["k3"].se
 
 
+def test_what_was_found_outlives_a_page_that_fails(
+    flown: Path, tmp_path: Path, levid: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> Path:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("levid.report.trace.trace_report", full)
+    code, out, err = levid("trace", *logs(flown), "--out", tmp_path, "--workers", 1)
+    assert code == 1
+    assert "found: Cubic stiffness at z" in out
+    assert f"model: {tmp_path / 'model.yaml'}" in out
+    assert "report:" not in out
+    assert "no report could be made of it:\nerror: [Errno 28] No space left" in err
+    assert load_model(tmp_path / "model.yaml").effects
+
+
 def test_a_cluster_gives_the_same_to_the_last_digit(
     flown: Path, tmp_path: Path, levid: Command
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="levid[cluster] is not installed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"
+        n_workers=2, threads_per_worker=2, host="127.0.0.1", dashboard_address=":0"
     ) as cluster:
         code, _, err = levid(
             "trace", *logs(flown), "--out", tmp_path, "--dask", cluster.scheduler_address

@@ -302,7 +302,8 @@ def test_blocks_of_time_sum_to_the_whole(rows: int) -> None:
     total = pose + float(np.sum(thinned(beyond, near.every) ** 2))
     # Rounding, of unknowns that are hard to tell apart.
     assert found.gram[:, -1, -1].sum() == pytest.approx(total, rel=1e-7)
-    assert found.count.sum() == rows // near.every * 9
+    # Before the first command has come through there are no errors of the pose.
+    assert found.count.sum() == rows // near.every * 9 - 3 * near.at.blind / near.every
     assert len(found.gram) == max(round(rows * TS / 4.0), 1)
     for gram in found.gram:  # each is a Gram matrix by itself
         np.testing.assert_allclose(gram, gram.T, atol=1e-12 * np.abs(gram).max())
@@ -494,3 +495,24 @@ def test_what_a_free_form_may_have_held_before_is_no_part_of_its_columns() -> No
     both = np.hstack([basis, held.reshape(300, 2)])
     expected = before - both @ np.linalg.lstsq(both, before, rcond=None)[0]
     np.testing.assert_allclose(columns[:, 1:4], expected[:, 1:4], atol=1e-12)
+
+
+def test_the_column_of_a_lag_of_nothing_is_its_rate_from_there() -> None:
+    made = record("fixed")
+    (name,) = point().model.lag.names
+    here = point(**{name: 0.0})
+    at = motion(here.model, made.experiment, "zoh")
+    kalman = kalman_filter(at, NOISE)
+    bank = FilterBank.build(here.model, made, at, kalman, "zoh", 1)
+    signals, _ = filtered(here, made, at)
+    index = here.parameters.names.index(name)
+    assert here.parameters.low[index] == 0.0
+    column = parameter_columns(here, bank, signals)[:, :, index]
+
+    def errors(lag_s: float) -> np.ndarray:
+        moved = motion(point(**{name: lag_s}).model, made.experiment, "zoh")
+        return kalman.whiten(innovations(moved, kalman.gain, made.experiment.y, np.zeros(6)))
+
+    scale = here.parameters.scale[index]
+    expected = (errors(1e-5 * scale) - errors(0.0)) / 1e-5
+    np.testing.assert_allclose(column[100:], expected[100:], atol=1e-2 * np.abs(expected).max())

@@ -258,3 +258,13 @@ def test_copies_of_one_record_are_told_apart_by_their_place(rig: ModuleType) -> 
     train, held = split(same)
     assert [next(i for i, r in enumerate(same) if r is t) for t in train] == [0, 2, 3]
     assert held[0] is same[1]
+
+
+def test_force_noise_far_from_the_first_guess_is_found_all_the_same(rig: ModuleType) -> None:
+    # Some amplifiers are a million times quieter than what excites: more than one look reaches.
+    records = [still(rig, 1)]
+    near, far = (
+        disturbance(MODEL, records, Noise(times * force_noise(rig), 1e-13 * np.eye(3)))
+        for times in (FALLBACK, 1e6)
+    )
+    np.testing.assert_allclose(far.noise.force_psd, near.noise.force_psd, rtol=1e-3)

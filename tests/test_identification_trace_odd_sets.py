@@ -14,8 +14,9 @@ from rig_effects import rig_places
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.data import IdentificationError
+from levid.identification.trace.noise import require_noise
 from levid.identification.trace.reading import read_records, require_live
-from levid.identification.trace.record import TraceRecord, trace_record
+from levid.identification.trace.record import TraceRecord, split, trace_record
 from levid.identification.trace.session_time import overlap, require_timeless, timeless
 from levid.identification.trace.study import Trace, trace
 from levid.identification.trace.workers import Alone
@@ -140,3 +141,93 @@ def test_what_depends_on_the_time_of_a_session_is_told_from_what_does_not() -> N
     placed = [Placed(payload, payload.grid[0], (0.1,))]
     with pytest.raises(IdentificationError, match=r"'Payload at .*' depends on it, found a and b"):
         require_timeless(placed, places, covered, "a and b")
+
+
+def test_a_log_given_twice_or_copied_is_used_once(tmp_path: Path) -> None:
+    first, second = logs(tmp_path, [waves(i, 4.0, NOISE_M) for i in range(2)])
+    copy, link = tmp_path / "copy.mcap", tmp_path / "link.mcap"
+    copy.write_bytes(first.read_bytes())
+    link.symlink_to(second)
+    records, notes = read_records([first, copy, second, link], CONFIG)
+    assert list(records) == [first, second]
+    assert notes == (
+        f"{copy}: the same record as {first}, used once",
+        f"{link}: given twice, used once",
+    )
+
+
+def test_a_record_of_a_moment_is_left_out_and_named(tmp_path: Path) -> None:
+    paths = logs(tmp_path, [waves(0, 4.0, NOISE_M), waves(1, 0.5, NOISE_M)])
+    records, notes = read_records(paths, CONFIG)
+    assert list(records) == paths[:1]
+    assert notes == ("made-1.mcap: left out, since it is 0.5 s long: expected 1 s",)
+
+
+def test_a_log_without_its_end_is_told(tmp_path: Path) -> None:
+    (path,) = logs(tmp_path, [waves(0, 8.0, NOISE_M)])
+    path.write_bytes(path.read_bytes()[:-2000])
+    _, (note,) = read_records([path], CONFIG)
+    assert note.startswith("made-0: the log is not complete (")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fitted_s", "held_s"),
+    [
+        ((16.0, 16.0), [16.0], [16.0]),
+        # Of 2 s nothing could be judged: the end of the long one is held out as well.
+        ((20.0, 2.0), [12.0], [8.0, 2.0]),
+        ((2.0, 20.0), [2.0], [20.0]),
+        ((20.0,), [12.0], [8.0]),
+        ((2.0,), [2.0], []),
+    ],
+)
+def test_what_is_held_out_is_a_share_of_the_time(
+    tmp_path: Path, seconds: tuple[float, ...], fitted_s: list[float], held_s: list[float]
+) -> None:
+    paths = logs(tmp_path, [waves(i, s, NOISE_M) for i, s in enumerate(seconds)])
+    records, _ = read_records(paths, CONFIG)
+    parts = split(list(records.values()))
+    told = [[round(r.rows * r.experiment.Ts_s, 6) for r in part] for part in parts]
+    assert told == [fitted_s, held_s]
+
+
+TWO = """
+levid: model
+name: two masses
+dof: [{name: x_m, unit: m}, {name: phi_rad, unit: UNIT}]
+inputs: [{name: f_n, unit: N}, {name: g_n, unit: N}]
+input: band_limited
+parameters:
+  m: {value: 2.0, unit: kg, min: 0.1, max: 20}
+M: [[m, 0.0], [0.0, 2.0]]
+D: [[12.0, 0.0], [0.0, 12.0]]
+K: [[800.0, 0.0], [0.0, 800.0]]
+"""
+
+
+TWO_SIGNALS = """
+levid: signals
+rate_hz: 250
+input_hold: band_limited
+columns:
+  - {column: 0, name: f_n, unit: N, role: input}
+  - {column: 1, name: g_n, unit: N, role: input}
+  - {column: 2, name: x_m, unit: m, role: output}
+  - {column: 3, name: phi_rad, unit: UNIT, role: output}
+"""
+
+
+@pytest.mark.parametrize(("unit", "louder", "fine"), [("m", 1, 1), ("m", 20, 0), ("rad", 1, 0)])
+def test_outputs_that_one_noise_cannot_stand_for_are_told(
+    tmp_path: Path, unit: str, louder: float, fine: bool
+) -> None:
+    one, other = waves(0, 4.0, NOISE_M), waves(1, 4.0, louder * NOISE_M)
+    rows = np.stack([one[:, 0], other[:, 0], one[:, 1], other[:, 1]], axis=1)
+    path = imported(tmp_path, "two", rows, TWO_SIGNALS.replace("UNIT", unit))
+    config = parse_text(TWO.replace("UNIT", unit), ModelConfig, "two")
+    record = trace_record(read_log(path), config)
+    if fine:
+        require_noise([record])
+        return
+    with pytest.raises(IdentificationError, match=r"in one unit, of about the same noise.*x_m"):
+        require_noise([record])

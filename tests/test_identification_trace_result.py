@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from rig_effects import rig_places
 
-from levid.identification.trace.result import FoundEffect, Outcome
+from levid.identification.trace.result import Evidence, FoundEffect, Outcome, telling
 from levid.model.effects.base import Placed
 from levid.model.effects.extent import Extent
 from levid.model.effects.freeform import freeform_effects
 from levid.model.effects.table import all_effects
 
+EXTENT = Extent((1e-4,) * 3, (1e-2,) * 3, 1e-4, 12.0, 0.2)
 CUBIC = next(e for e in all_effects(rig_places()) if e.identity == "rod_stiffness.cubic@z")
 
 
 def result(before: float, after: float, *, named: bool = True) -> Outcome:
     effects = (FoundEffect(Placed(CUBIC, (), (1.0,)), None),) if named else ()
     return Outcome(effects, (), before, after, 1.0, (), after**2, 1.0, (), (), ())
+
+
+def nothing(mean_square: float = 1.0, *, measured: bool = True) -> Outcome:
+    return Outcome((), (), 1.0, 1.0, 1.0, (), mean_square, 1.0, (), (), (), noise_measured=measured)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +47,7 @@ def test_names_that_explain_little_of_much_are_in_doubt(
 
 
 def test_a_name_beside_a_free_form_at_its_place_may_be_a_part_of_it() -> None:
-    forms = freeform_effects(rig_places(), Extent((1e-4,) * 3, (1e-2,) * 3, 1e-4, 12.0, 0.2))
+    forms = freeform_effects(rig_places(), EXTENT)
     at_z, at_psi = (next(e for e in forms if e.where == (dof,)) for dof in ("z", "psi"))
     cubic = FoundEffect(Placed(CUBIC, (), (1.0,)), None)
     for form, told in ((at_z, (at_z.name,)), (at_psi, ())):
@@ -56,3 +62,30 @@ def test_who_names_nothing_is_in_no_doubt() -> None:
     assert not result(20.0, 19.0, named=False).doubtful
     assert math.isnan(result(0.9, 1.0).explained)
     assert not result(0.9, 1.0).doubtful
+
+
+def test_errors_far_below_the_noise_tell_that_it_was_none() -> None:
+    told = nothing(0.3)
+    assert told.overrated
+    assert not told.significant
+    assert told.verdict.startswith("nothing can be told: one step ahead the errors have 0.3 of")
+    assert not nothing(0.9).overrated
+    assert nothing(0.9).verdict == "nothing found: the model explains the records down to the noise"
+
+
+def test_noise_that_no_still_record_told_is_not_called_noise() -> None:
+    assert "what the fit takes for noise" in nothing(measured=False).verdict
+    assert result(20.0, 1.0).rest == "what is left is noise"
+    assert replace(result(20.0, 1.0), noise_measured=False).rest == "what is left passes for noise"
+
+
+def test_what_would_tell_two_apart_is_said_of_both() -> None:
+    rival = next(e for e in all_effects(rig_places()) if e.identity == "air_damping.quadratic@z")
+    evidence = Evidence(9.0, True, 100.0, 0.5, 1, (rival,))
+    found = FoundEffect(Placed(CUBIC, (), (1.0,)), evidence)
+    assert telling(found) == f"{CUBIC.told_apart_by}; or {rival.told_apart_by}"
+    assert telling(replace(found, evidence=None)) == CUBIC.told_apart_by
+
+
+def test_every_free_form_says_what_would_tell_it() -> None:
+    assert all(e.told_apart_by for e in freeform_effects(rig_places(), EXTENT))

@@ -252,14 +252,12 @@ def test_records_of_one_name_in_two_folders_stay_two(tmp_path: Path) -> None:
 def test_sessions_of_equal_names_are_seen_whole(
     tmp_path: Path, logs: dict[str, list[Path]]
 ) -> None:
-    twice = []
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        for path in logs["none"][:2]:
-            copy = tmp_path / folder / path.name
-            copy.write_bytes(path.read_bytes())
-            twice.append(copy)
-    found = traced(twice)
+    (tmp_path / "again").mkdir()
+    again = [
+        imported(tmp_path / "again", path.stem, flown(10 + i, RMS_N[i]))
+        for i, path in enumerate(logs["none"][:2])
+    ]
+    found = traced([*logs["none"][:2], *again])
     assert len({*found.fitted, *found.held}) == 4
     seen = views(found, Alone(CONFIG))
     assert {record.name for record in seen.records} == {*found.fitted, *found.held}

@@ -84,3 +84,12 @@ def test_without_still_records_nothing_is_told() -> None:
     assert shaking(moving, kept) == ()
     assert shaking(fitted, []) == ()
     assert shaking([], []) == ()
+
+
+def test_of_several_rates_that_of_the_still_records_is_asked() -> None:
+    fitted, kept = records(1)
+    # Ten times as fast: as many lines would be another step, and more of them the same.
+    fast = np.arange(5001) * 0.25
+    faster = ForceSpectrum(fast, np.full((5001, 3), 1e-9), np.full((5001, 3), 1e-9), 10.0, False)
+    wider = replace(kept[0], freq_hz=2 * FREQ_HZ)
+    assert shaking([*fitted, faster], [*kept, faster, wider]) == shaking(fitted, kept) != ()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rig_effects import rig_places
@@ -14,6 +16,7 @@ from levid.identification.trace.result import model_effect
 from levid.model.declared import ModelError
 from levid.model.effects.base import Placed, Places
 from levid.model.effects.declared import placed_effects
+from levid.model.effects.extent import Extent
 from levid.model.effects.table import all_effects
 from levid.model.effects.vibration import tone
 
@@ -42,8 +45,11 @@ def test_every_effect_of_the_table_goes_to_a_file_and_back(places: Places) -> No
         for effect in listed
     ]
     read = in_file([model_effect(p) for p in placed])
-    back = placed_effects(read.effects, places)
-    assert [p.effect.identity for p in back] == [p.effect.identity for p in placed]
+    # Of records that show little of it: slow, and with sensors that never stand still.
+    little = replace(Extent.typical(places), fastest_hz=20.0, standing=())
+    for extent in (None, little):
+        back = placed_effects(read.effects, places, extent)
+        assert [p.effect.identity for p in back] == [p.effect.identity for p in placed]
     # YAML writes the shortest text that reads as the same number.
     assert [(p.shape, p.amplitudes) for p in back] == [(p.shape, p.amplitudes) for p in placed]
     assert [dict(p.standard_errors) for p in back] == [p.standard_errors for p in placed]

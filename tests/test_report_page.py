@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from levid.report.page import Figures, Number, Section, Steps, Table, Text, render, write_report
+from levid.report.replacing import replace_text
 from levid.report.style import COLOURS, PAGE, drawing, new_figure
 from levid.report.svg import Picture, to_svg
 
@@ -186,3 +188,34 @@ def test_text_and_lines_stand_out_from_the_page(variant):
     assert contrast("muted") > 4.5
     for role in ("blue", "vermillion", "green", "truth"):
         assert contrast(role) > 3
+
+
+def test_an_older_report_leaves_no_figure_of_a_series_that_has_grown_shorter(
+    tmp_path: Path,
+) -> None:
+    def report(count: int) -> set[str]:
+        pictures = [picture(f"effect-{k}") for k in range(1, count + 1)]
+        write_report(tmp_path, "title", [Section("Found", tuple(pictures))])
+        return {path.name for path in (tmp_path / "figures").iterdir()}
+
+    own = tmp_path / "figures" / "effect-of-mine.svg"
+    report(3)
+    own.write_text("")
+    assert report(1) == {"effect-1.svg", own.name}
+
+
+def test_a_file_that_cannot_be_replaced_stays_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "model.yaml"
+    replace_text(path, "old")
+
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space"):
+        replace_text(path, "new")
+    monkeypatch.undo()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]

@@ -13,7 +13,7 @@ from levid.config.shipped import shipped
 from levid.identification.greybox.result import to_yaml
 from levid.model.effects.base import Signals
 from levid.model.effects.declared import placed_effects
-from levid.sim.effects.contract import BeamState, EffectError
+from levid.sim.effects.contract import BeamState
 from levid.sim.effects.declared import FromModel
 
 
@@ -124,7 +124,8 @@ def test_a_spring_that_is_held_for_a_millisecond_feeds_no_motion(tmp_path: Path)
     assert work < 0.05 * late_by_half
 
 
-def test_a_model_without_effects_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "model.yaml").write_text(shipped("models/rig.yaml").read_text())
-    with pytest.raises(EffectError, match="expected a model with effects, found none"):
-        FromModel(model=str(tmp_path / "model.yaml"))
+def test_a_model_without_effects_plays_nothing(tmp_path: Path) -> None:
+    nothing = played(tmp_path)
+    q, qd, forces = np.full(3, 1e-4), np.full(3, 1e-2), np.linspace(-1.0, 1.0, 9)
+    assert np.all(nothing.coil_force(0.0, q, forces) == forces)
+    assert np.all(nothing.wrench(DT_S, q, qd, at_rest()) == 0.0)

@@ -304,7 +304,10 @@ def first_noise(experiments: Sequence[Experiment]) -> Noise:
     It is correlated as the first record says: records of one fit are of one rig.
     """
     # A third difference of white noise has 20 times its variance; smooth motion has next to none.
-    rough = np.min([np.var(np.diff(e.y, 3, axis=0), axis=0) / 20.0 for e in experiments], axis=0)
+    rough = np.array([np.var(np.diff(e.y, 3, axis=0), axis=0) / 20.0 for e in experiments])
+    # One that stands at one value says nothing of noise.
+    rough = np.min(np.where(rough > 0.0, rough, np.inf), axis=0)
+    rough = np.where(np.isfinite(rough), rough, 0.0)
     push = np.max([np.var(e.u, axis=0) * e.Ts_s for e in experiments], axis=0)
     n = len(rough)
     psd = _FIRST_FORCE_SHARE**2 * (push if len(push) == n else np.full(n, push.mean()))

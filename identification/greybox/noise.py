@@ -73,10 +73,10 @@ class Filter:
             return np.asarray(errors @ whitener[0].T)
         return np.asarray(whitener @ flat).reshape(errors.shape)
 
-    @property
-    def log_determinant(self) -> float:
-        """Mean over the record of the logarithm of the innovation covariance's determinant."""
-        return float(np.mean(np.linalg.slogdet(self.covariance)[1]))
+    def log_determinant(self, first: int = 0) -> float:
+        """Return the mean from row `first` on of ln of the innovation covariance's determinant."""
+        rows = self.covariance if len(self.covariance) == 1 else self.covariance[first:]
+        return float(np.mean(np.linalg.slogdet(rows)[1]))
 
 
 def kalman_filter(model: Motion, noise: Noise) -> Filter:

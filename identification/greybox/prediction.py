@@ -47,7 +47,8 @@ class Prediction:
     @property
     def cost(self) -> float:
         """Minus twice the log-likelihood, but for a constant."""
-        return self.squares + len(self.errors) * self.filter.log_determinant
+        blind = self.motion.blind  # rows without errors say nothing of their size either
+        return self.squares + (len(self.errors) - blind) * self.filter.log_determinant(blind)
 
 
 def predict(

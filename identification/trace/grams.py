@@ -52,11 +52,13 @@ class Channel:
     """Errors (N', i, c) of some of the columns, by number; the last column is the error itself.
 
     Where what is left has to stand for a noise that nobody knows (`own_noise`), it is all expected.
+    In the first `blind` of its rows, which need not be a whole number, there are no errors.
     """
 
     errors: Array
     columns: list[int]
     own_noise: bool = False
+    blind: float = 0.0
 
 
 def grams(
@@ -111,7 +113,8 @@ def block_edges(rows: int, row_s: float) -> NDArray[np.int64]:
 
 def _expected(channel: Channel, edges: NDArray[np.int64]) -> Array:
     if not channel.own_noise:
-        return np.asarray(np.diff(edges) * float(channel.errors.shape[1]))
+        seen = np.maximum(edges - channel.blind, 0.0)
+        return np.asarray(np.diff(seen) * float(channel.errors.shape[1]))
     squares = np.sum(channel.errors[:, :, -1] ** 2, axis=1)
     return np.add.reduceat(squares, edges[:-1])
 

@@ -103,7 +103,7 @@ def _with_candidates(
     seen = [j for j, column in enumerate(shown) if column is not None]
     beyond = np.stack([column for column in shown if column is not None], axis=2)
     channels = [
-        Channel(pose, list(range(pose.shape[2]))),
+        Channel(pose, list(range(pose.shape[2])), blind=here.at.blind / here.every),
         Channel(beyond, seen),
     ]
     shown_in_drive = [j for j, column in enumerate(shown_drive) if column is not None]
@@ -199,19 +199,23 @@ def parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Arra
     """Return what the model's parameters do, each in units of its scale."""
     columns = []
     for name, scale in zip(point.parameters.names, point.parameters.scale, strict=True):
-        low, high = (
-            point.model.with_values({name: point.model.values[name] + sign * _NUDGE * scale})
-            for sign in (-1, 1)
-        )
+        value, nudge = point.model.values[name], _NUDGE * scale
+        below, above = value - nudge, value + nudge
+        timing = name in point.model.lag.names | point.model.delay.names
+        if timing:  # what would come early does not: at a bound there is one side
+            index = point.parameters.names.index(name)
+            below = max(below, float(point.parameters.low[index]))
+            above = min(above, float(point.parameters.high[index]))
+        low, high = (point.model.with_values({name: at}) for at in (below, above))
         forcing = np.zeros((s.rows, 2 * s.q.shape[1]))
-        if name in point.model.lag.names | point.model.delay.names:
+        if timing:
             forcing += _timing_forcing(bank, low, high)
         force, dB = _force_of(bank.record, low, high, s)
         if np.any(force):
             forcing += bank.force_forcing(force)
         if np.any(dB):
             forcing += bank.held_forcing(bank.record.experiment.u, by=dB)
-        columns.append(forcing / (2 * _NUDGE))
+        columns.append(forcing * (scale / (above - below)))
     return bank.errors(np.stack(columns)) if columns else _no_columns(bank)
 
 

@@ -23,13 +23,15 @@ _SEGMENT_S = 4.0
 class RecordError:
     """Measured minus freely simulated, of one record from where it counts (5 s on).
 
-    rows: how many count. squares: mean square over rows and sensors, in variances of the sensor
-    noise; floor: what noise alone leaves of that. pose_squares, pose_floor (n,): mean squares of
-    the pose's error, SI. freq_hz (F,), psd (F, n): one-sided spectrum of the pose's error.
+    rows: how many count, in how many seconds. squares: mean square over rows and sensors, in
+    variances of the sensor noise; floor: what noise alone leaves of that. pose_squares, pose_floor
+    (n,): mean squares of the pose's error, SI. freq_hz (F,), psd (F, n): one-sided spectrum of the
+    pose's error.
     """
 
     name: str
     rows: int
+    seconds: float
     squares: float
     floor: float
     pose_squares: Array
@@ -61,6 +63,7 @@ def _record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
     return RecordError(
         record.name,
         len(error),
+        len(error) * e.Ts_s,
         float(np.mean(error**2)) / sd**2,
         float(np.mean(shown)) / sd**2 + 1.0,
         np.mean(pose**2, axis=0),
@@ -72,9 +75,8 @@ def _record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
 
 
 def pooled(errors: Sequence[RecordError]) -> tuple[float, float]:
-    """Return RMS error and floor over all records' rows and sensors, in noise deviations."""
-    rows = np.array([e.rows for e in errors], float)
-    weights = rows / rows.sum()
+    """Return RMS error and floor over all records' time and sensors, in noise deviations."""
+    weights = shares(errors)
     return (
         float(np.sqrt(weights @ np.array([e.squares for e in errors]))),
         float(np.sqrt(weights @ np.array([e.floor for e in errors]))),
@@ -82,9 +84,14 @@ def pooled(errors: Sequence[RecordError]) -> tuple[float, float]:
 
 
 def pooled_pose(errors: Sequence[RecordError]) -> tuple[Array, Array]:
-    """Return RMS error and floor of each DOF (n,) over all records' rows, SI."""
-    rows = np.array([e.rows for e in errors], float)
-    weights = rows / rows.sum()
+    """Return RMS error and floor of each DOF (n,) over all records' time, SI."""
+    weights = shares(errors)
     squares = np.array([e.pose_squares for e in errors])
     floors = np.array([e.pose_floor for e in errors])
     return np.sqrt(weights @ squares), np.sqrt(weights @ floors)
+
+
+def shares(errors: Sequence[RecordError]) -> Array:
+    """Return each record's share of the time that counts (R,)."""
+    seconds = np.array([e.seconds for e in errors])
+    return np.asarray(seconds / seconds.sum())

@@ -32,8 +32,11 @@ _LEAST_NOISE = 1e-7
 _LONGEST_S = 60.0
 _BAND_HZ = (0.4, 80.0)
 _SEGMENT_S = 5.0
-_WIDEST = 1e3
-"""Force noise is looked for within this factor of what the fit took it to be."""
+_WIDEST, _MOST_REACHES = 1e3, 4
+"""Force noise is looked for within this factor of what the fit took it to be, and where it is not
+in between within this factor of that end again."""
+_ALIKE = 3.0
+"""Factor that the noise of two outputs may be apart by, where all errors are measured by one."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,24 @@ def require_noise(records: Sequence[TraceRecord]) -> None:
             f"found {sd:.2g} {unit} on readings that move by {spread:.2g} {unit} rms: give "
             "simulated readings the noise that a sensor has"
         )
+    _require_one_scale(records)
+
+
+def _require_one_scale(records: Sequence[TraceRecord]) -> None:
+    """Raise IdentificationError for imported outputs that one noise cannot stand for."""
+    places = records[0].places
+    if places.sensors > len(places.dof):
+        return  # sensors of a kind
+    noise = sensor_noise(records)
+    if len(set(places.dof_units)) > 1 or noise.max() > _ALIKE * noise.min():
+        found = ", ".join(
+            f"{sd:.2g} {unit} on {name}"
+            for sd, unit, name in zip(noise, places.dof_units, places.dof, strict=True)
+        )
+        raise IdentificationError(
+            "expected outputs in one unit, of about the same noise, since all errors are measured "
+            f"by that, found {found}: multiply angles by an arm, or trace the outputs one by one"
+        )
 
 
 def sensor_noise(records: Sequence[TraceRecord]) -> Array:
@@ -108,10 +129,14 @@ def _force_level(model: DeclaredModel, experiment: Experiment, noise: Noise) -> 
         expected = low * (np.exp(log_level) * force + sensor)
         return float(np.mean(np.abs(np.log(seen[band] / expected))))
 
-    reach = np.log(_WIDEST)
-    coarse = np.linspace(-reach, reach, 57)
-    start = coarse[np.argmin([misfit(level) for level in coarse])]
-    step = coarse[1] - coarse[0]
+    reach, middle = np.log(_WIDEST), 0.0
+    for _ in range(_MOST_REACHES):
+        coarse = middle + np.linspace(-reach, reach, 57)
+        best = int(np.argmin([misfit(level) for level in coarse]))
+        start, step = float(coarse[best]), float(coarse[1] - coarse[0])
+        if 0 < best < len(coarse) - 1:
+            break
+        middle = start
     found = minimize_scalar(misfit, bounds=(start - step, start + step), method="bounded")
     return float(np.exp(found.x))
 

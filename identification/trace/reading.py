@@ -13,33 +13,48 @@ import numpy as np
 from ...config.model import ModelConfig
 from ...log.reader import read_log
 from ..data import IdentificationError, NotARecordError
-from .record import TraceRecord, trace_record
+from ..once import Once
+from .record import SHORTEST_S, TraceRecord, trace_record
 
 
 def read_records(
     logs: Sequence[Path], config: ModelConfig
 ) -> tuple[dict[Path, TraceRecord], tuple[str, ...]]:
-    """Return the records among the logs by path, their names told apart, and why others are none.
+    """Return the records among the logs by path, their names told apart, and notes.
 
-    A record in which a sensor is frozen is none: the loop held the platform by a reading that says
-    nothing, and there is no error to be made of it.
+    A log is used once, however often it is given. A record in which a sensor is frozen is none: the
+    loop held the platform by a reading that says nothing, and there is no error to be made of it.
+    Notes say which logs are none, and why, and what happened in records.
 
     Raises IdentificationError: there are none, or what trace_record raises.
     """
     records: dict[Path, TraceRecord] = {}
-    notes = []
+    notes, once = [], Once()
     for path in logs:
+        twice = once.again(path)
+        if twice is not None:
+            notes.append(twice)
+            continue
+        log = read_log(path)
         try:
-            record = trace_record(read_log(path), config)
+            record = trace_record(log, config)
+            _require_long(record, path)
             require_live(record, path)
-            records[path] = record
         except NotARecordError as reason:
             notes.append(str(reason))
+            continue
+        copied = once.copied(path, log)
+        if copied is not None:
+            notes.append(copied)
+            continue
+        records[path] = record
     if not records:
         raise IdentificationError(
             f"expected records among the {len(logs)} logs, found none: {'; '.join(notes)}"
         )
-    return _told_apart(records), tuple(notes)
+    records = _told_apart(records)
+    notes += [f"{r.name}: {told}" for r in records.values() for told in r.remarks]
+    return records, tuple(notes)
 
 
 def _told_apart(records: dict[Path, TraceRecord]) -> dict[Path, TraceRecord]:
@@ -55,6 +70,14 @@ def _told_apart(records: dict[Path, TraceRecord]) -> dict[Path, TraceRecord]:
             name = f"{name} ({path.absolute().relative_to(common)})"
         named[path] = replace(record, experiment=replace(record.experiment, name=name))
     return named
+
+
+def _require_long(record: TraceRecord, path: Path) -> None:
+    seconds = record.rows * record.experiment.Ts_s
+    if seconds < SHORTEST_S:
+        raise NotARecordError(
+            f"{path.name}: left out, since it is {seconds:.2g} s long: expected {SHORTEST_S:g} s"
+        )
 
 
 def require_live(record: TraceRecord, path: Path) -> None:

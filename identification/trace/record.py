@@ -14,6 +14,7 @@ from ...config.rig import RigConfig
 from ...log.reader import Log
 from ...model.effects.base import Places
 from ...model.geometry import shape_matrix
+from ..from_log import cut_off, cycles_at_limit
 from ..gaps import without_gaps
 from ..greybox.experiment import Experiment, experiment_from_log
 from ..greybox.noise import Filter
@@ -22,8 +23,11 @@ from .standing import standing
 Array = NDArray[np.float64]
 
 _SILENT = 1e-9
-_SHORTEST_S = 1.0
+SHORTEST_S = 1.0
+"""Of a record, or of a part that is held out."""
 _FITTED = 0.6
+_LEAST_HELD = 0.2
+"""Of a kind's time: where less of it is held out, its longest record is cut too."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class TraceRecord:
     velocity, acceleration (zeros where there are none); drive_n (N,) force of the beam's drives;
     time_s (N,) runs on through a session. `kind` says what moves in it: records of one kind are
     exchangeable. standing (N, S): where readings stand still while the platform moves; None
-    where none does.
+    where none does. `remarks` say in words what happened in it.
     """
 
     experiment: Experiment
@@ -48,6 +52,7 @@ class TraceRecord:
     drive_n: Array | None
     kind: str
     standing: NDArray[np.bool_] | None = None
+    remarks: tuple[str, ...] = ()
     filters: dict[bytes, Filter] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -68,8 +73,20 @@ class TraceRecord:
         """Number of rows, N."""
         return len(self.time_s)
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that its arrays take, but for the filters."""
+        e = self.experiment
+        arrays = [self.time_s, self.gap, self.coil, self.coil_excitation, self.beam, self.rotor]
+        arrays += [e.u, e.y, *e.schedule.values()]
+        if e.loop is not None:
+            arrays += [e.loop.v, e.loop.reference, e.loop.feedforward]
+        return sum(a.nbytes for a in arrays)
+
     def cut(self, start: int, stop: int) -> TraceRecord:
         """Return rows start .. stop."""
+        if (start, stop) == (0, self.rows):
+            return self
         rows = slice(start, stop)
         return replace(
             self,
@@ -88,9 +105,16 @@ class TraceRecord:
 def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
     """Return the record of a log; raises as experiment_from_log does."""
     experiment = experiment_from_log(log, model)
-    log, _ = without_gaps(log)
+    happened = tuple(cut_off(log))
+    log, gaps = without_gaps(log)
     if "signals.yaml" in log.attachments:
-        return _imported(experiment, model)
+        return replace(_imported(experiment, model), remarks=happened)
+    at_limit = cycles_at_limit(log)
+    if at_limit:
+        happened += (
+            f"{at_limit} of {len(log.rows)} cycles with coils at a limit, which the free "
+            "simulation does not know: its error there counts as the model's",
+        )
     geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
     coils = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
@@ -124,6 +148,7 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
         log.field("beam_force_n").astype(float),
         "",
         standing(gap, sensors),
+        (*happened, *gaps),
     )
     return replace(record, kind=_kind(record))
 
@@ -131,27 +156,39 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
 def split(records: Sequence[TraceRecord]) -> tuple[list[TraceRecord], list[TraceRecord]]:
     """Return the records to fit to and those held out: of every kind about a third.
 
-    Of a kind with several records, the second, fifth, ... are held out; the only one of its kind is
-    cut, and its end held out.
+    Of a kind with several records, the second, fifth, ... are held out. The only one of its kind is
+    cut, and its end held out; so is the longest where the others held out are short beside it.
     """
     by_kind: dict[str, list[TraceRecord]] = {}
     for record in records:
         by_kind.setdefault(record.kind, []).append(record)
+    out: set[int] = set()
+    cut: set[int] = set()
+    for group in by_kind.values():
+        whole = [r for i, r in enumerate(group) if i % 3 == 1]
+        out.update(id(r) for r in whole)
+        if _seconds(whole) < _LEAST_HELD * _seconds(group):
+            cut.add(id(max((r for r in group if id(r) not in out), key=_length)))
     train: list[TraceRecord] = []
     held: list[TraceRecord] = []
     for record in records:
-        group = by_kind[record.kind]
-        if len(group) > 1:
-            out = next(i for i, r in enumerate(group) if r is record) % 3 == 1
-            (held if out else train).append(record)
-            continue
         at = round(_FITTED * record.rows)
-        if (record.rows - at) * record.experiment.Ts_s < _SHORTEST_S:
+        if id(record) in out:
+            held.append(record)
+        elif id(record) in cut and (record.rows - at) * record.experiment.Ts_s >= SHORTEST_S:
+            train.append(record.cut(0, at))
+            held.append(record.cut(at, record.rows))
+        else:
             train.append(record)
-            continue
-        train.append(record.cut(0, at))
-        held.append(record.cut(at, record.rows))
     return train, held
+
+
+def _length(record: TraceRecord) -> float:
+    return record.rows * record.experiment.Ts_s
+
+
+def _seconds(records: Sequence[TraceRecord]) -> float:
+    return sum(_length(r) for r in records)
 
 
 def _imported(experiment: Experiment, model: ModelConfig) -> TraceRecord:

@@ -14,7 +14,7 @@ from ...config.model import EffectParameter, ModelConfig, ModelEffect
 from ...model.effects.base import Effect, Placed, Places
 from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
-from .metric import RecordError, pooled, pooled_pose
+from .metric import RecordError, pooled, pooled_pose, shares
 from .screening import Round, Tried
 from .shaking import Shaking
 from .study import Trace
@@ -29,6 +29,12 @@ METRIC = (
 NOISE_MOST = 1.15
 """Error over its floor up to which nothing is left: the floor itself is known to some percent."""
 SQUARE_MOST = 1.05
+_FAR_BELOW = 0.5
+"""Mean square of one-step errors, 1 for noise, below which something else was taken for noise."""
+NO_STILL = (
+    "No record is still: the noise is what the fit leaves, undeclared effects and all. What is "
+    "left may be more than noise, and free forms and random vibrations were not looked for."
+)
 _IN_DOUBT, _EXPLAINED = 2.0, 2.0 / 3.0
 """Names are doubted where the error stays above this multiple of its floor, and they explain less
 than this share of the squares that there were to explain."""
@@ -66,6 +72,8 @@ class RandomForce:
     shaking: Shaking
     dof: str
     unit: str
+
+    equation = "force = noise of this rms, nine tenths of its power between low and high"
 
     @property
     def name(self) -> str:
@@ -117,7 +125,8 @@ class Outcome:
     out, in variances of the noise; `beyond` the free-running error that a rigid platform cannot
     show, likewise, None where every sensor has a DOF of its own. `nearest` are the candidates of
     the last round that explain most, none of them beyond chance. gone: effects that were taken, or
-    declared, and given up since others explain the same.
+    declared, and given up since others explain the same; followed: since they followed what is
+    random. noise_measured: still records told the noise, and not the fit.
     """
 
     effects: tuple[FoundEffect, ...]
@@ -132,6 +141,13 @@ class Outcome:
     gone: tuple[str, ...]
     unsettled: tuple[str, ...]
     shaken: tuple[RandomForce, ...] = ()
+    followed: tuple[str, ...] = ()
+    noise_measured: bool = True
+
+    @property
+    def overrated(self) -> bool:
+        """Whether the errors are far below what was taken for the sensors' noise."""
+        return self.mean_square < _FAR_BELOW
 
     @property
     def significant(self) -> bool:
@@ -178,14 +194,34 @@ class Outcome:
             parts = [f"{'perhaps' if self.doubtful else 'found'}: {names}"] if names else []
             if forms:
                 parts.append(f"unexplained by any known effect, and described freely: {forms}")
-            rest = "more than noise is left" if self.significant else "what is left is noise"
-            return "; ".join([*parts, rest])
+            return "; ".join([*parts, self.rest])
         if self.significant:
             return (
                 "nothing found: more than noise is left, and no known effect explains it beyond "
                 "chance"
             )
+        if self.overrated:
+            return f"nothing can be told: {self._too_loud}"
+        if not self.noise_measured:
+            return "nothing found beyond what the fit takes for noise, since no record is still"
         return "nothing found: the model explains the records down to the noise"
+
+    @property
+    def rest(self) -> str:
+        """What is left, in a clause."""
+        if self.significant:
+            return "more than noise is left"
+        if self.overrated:
+            return f"of what is left nothing can be told: {self._too_loud}"
+        return "what is left is noise" if self.noise_measured else "what is left passes for noise"
+
+    @property
+    def _too_loud(self) -> str:
+        return (
+            f"one step ahead the errors have {self.mean_square:.2g} of the variance that was read "
+            "at the readings' highest frequencies and taken for the sensors' noise; sample faster, "
+            "or excite less up there"
+        )
 
 
 def outcome(trace: Trace) -> Outcome:
@@ -198,7 +234,7 @@ def outcome(trace: Trace) -> Outcome:
     taken = {
         r.taken.effect.identity: r.taken.effect.name for r in trace.found.rounds if r.taken
     } | started
-    held = trace.found.held
+    held, idle = trace.found.held, trace.found.idle
     last = trace.found.rounds[-1]
     return Outcome(
         tuple(FoundEffect(p, evidence.get(k)) for k, p in placed.items() if k not in started),
@@ -210,12 +246,14 @@ def outcome(trace: Trace) -> Outcome:
         held.squares / max(float(held.count.sum()), 1.0),
         _beyond(trace),
         last.ranking[:_MOST_RIVALS] if last.taken is None else (),
-        tuple(name for identity, name in taken.items() if identity not in placed),
+        tuple(n for key, n in taken.items() if key not in placed and key not in idle),
         tuple(e.name for e in trace.after if not e.settled),
         tuple(
             RandomForce(s, trace.places.dof[s.dof], trace.places.force_unit(s.dof))
             for s in trace.shaken
         ),
+        tuple(n for key, n in taken.items() if key not in placed and key in idle),
+        trace.found.point.disturbance.measured,
     )
 
 
@@ -224,7 +262,8 @@ def summary(trace: Trace) -> dict[str, Any]:
 
     effects: each a name, class, where, parameters with value, standard error and unit, evidence;
     those that the model declared already are not among them. validation: metric, before, after,
-    noise_floor, per_dof. unexplained: what is left. None stands for what is not a number.
+    noise_floor, noise_measured, per_dof, per_record. unexplained: what is left. None stands for
+    what is not a number.
     """
     found = outcome(trace)
     plain: dict[str, Any] = _plain(
@@ -238,6 +277,7 @@ def summary(trace: Trace) -> dict[str, Any]:
                 "before": found.before,
                 "after": found.after,
                 "noise_floor": found.floor,
+                "noise_measured": found.noise_measured,
                 "per_dof": {
                     d.name: {
                         "unit": d.unit,
@@ -247,6 +287,7 @@ def summary(trace: Trace) -> dict[str, Any]:
                     }
                     for d in found.dof
                 },
+                "per_record": _per_record(trace),
             },
             "unexplained": {
                 "found": found.verdict,
@@ -263,11 +304,39 @@ def summary(trace: Trace) -> dict[str, Any]:
                     for t in found.nearest
                 ],
                 "given_up": list(found.gone),
+                "followed_noise": list(found.followed),
                 "unsettled_records": list(found.unsettled),
             },
         }
     )
     return plain
+
+
+def telling(found: FoundEffect) -> str:
+    """Return which excitation would tell an effect from its alternatives; '' where nobody knows."""
+    if found.evidence is None:
+        return found.effect.told_apart_by
+    both = (found.effect, *found.evidence.alternatives)
+    return "; or ".join(dict.fromkeys(e.told_apart_by for e in both if e.told_apart_by))
+
+
+def _per_record(trace: Trace) -> list[dict[str, Any]]:
+    """Return the errors of each record that was held out, by DOF, SI units."""
+    return [
+        {
+            "record": a.name,
+            "seconds": a.seconds,
+            "per_dof": {
+                name: {
+                    "before": float(np.sqrt(b.pose_squares[i])),
+                    "after": float(np.sqrt(a.pose_squares[i])),
+                    "noise_floor": float(np.sqrt(a.pose_floor[i])),
+                }
+                for i, name in enumerate(trace.places.dof)
+            },
+        }
+        for b, a in zip(trace.before, trace.after, strict=True)
+    ]
 
 
 def model_after(trace: Trace) -> ModelConfig:
@@ -341,7 +410,7 @@ def _band(errors: Sequence[RecordError], dof: int) -> tuple[float, float]:
     freq_hz = max((e.freq_hz for e in errors), key=len)
     power = np.zeros(len(freq_hz))
     for e in errors:
-        power += np.interp(freq_hz, e.freq_hz, e.psd[:, dof]) * e.rows
+        power += np.interp(freq_hz, e.freq_hz, e.psd[:, dof], right=0.0) * e.seconds
     share = np.cumsum(power) / max(float(power.sum()), 1e-300)
     low, high = (float(np.interp(at, share, freq_hz)) for at in _BAND)
     return low, high
@@ -358,11 +427,10 @@ def _beyond(trace: Trace) -> float | None:
     if sensors <= n or mixed:
         return None
     sd = trace.found.point.disturbance.sensor_sd
-    rows = np.array([e.rows for e in trace.after], float)
     squares = np.array(
         [sensors * e.squares - float(own @ e.pose_squares) / sd**2 for e in trace.after]
     )
-    return float((rows / rows.sum()) @ squares) / float(sensors - n)
+    return float(shares(trace.after) @ squares) / float(sensors - n)
 
 
 def _effect(found: FoundEffect, places: Places, part_of: Sequence[str]) -> dict[str, Any]:
@@ -380,7 +448,7 @@ def _effect(found: FoundEffect, places: Places, part_of: Sequence[str]) -> dict[
             "alternatives": [_named(e) for e in why.alternatives],
             "perhaps_part_of": list(part_of),
         }
-    evidence |= {"absorbed_by": effect.absorbed_by, "told_apart_by": effect.told_apart_by}
+    evidence |= {"absorbed_by": effect.absorbed_by, "told_apart_by": telling(found)}
     parameters = {
         name: {"value": p.value, "se": p.se, "unit": p.unit}
         for name, p in found.parameters().items()
@@ -402,7 +470,7 @@ def _random(force: RandomForce) -> dict[str, Any]:
             "high": {"value": high, "se": None, "unit": "Hz"},
         },
         "evidence": {
-            "equation": "force = noise of this rms, nine tenths of its power between low and high",
+            "equation": force.equation,
             "statistic_sd": s.statistic,
             "asked": "held_out",
             "absorbed_by": "noise of the force",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...model.effects.base import Effect, Placed
 from .grams import Linearised
 from .refine import Candidate, Fitted, gather
-from .regression import Evidence, chance, chance_between, expected, gains, solve
+from .regression import FOLDS, Evidence, chance, chance_between, expected, gains, solve
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -21,8 +21,10 @@ BEYOND_CHANCE = 6.0
 """Standard deviations by which held-out records must agree: one in 10^9 for a candidate."""
 _PROMISING = 2.0
 """The same for an effect whose shape is a first guess: it is asked again once that is fitted."""
-_SILENT = 3.0
-"""Held-out records to which an effect does less than this, in the same measure, cannot be asked."""
+_SILENT, _CONTRADICTS = 3.0, 3.0
+"""Held-out records to which an effect does less than this, in the same measure, cannot be asked.
+Those to which it does little more can hardly agree by BEYOND_CHANCE, but by so much less than is
+expected of them they contradict."""
 ALONE = 20.0
 """By how much blocks that did not fit it must then agree: they are of records that chose it."""
 _PROMISING_ALONE = 6.0
@@ -233,6 +235,16 @@ def _agrees(train: Evidence, held: Evidence, own: int, coefficients: Array) -> t
     """
     columns = list(range(len(coefficients)))
     question = columns[:own], columns[own:], coefficients * held.size[:-1]
-    if expected(held, *question) < _SILENT:
+    shown = expected(held, *question)
+    if shown < _SILENT:
         return chance_between(train, columns[:own], columns[own:]), False
-    return chance(held, *question), True
+    agrees = chance(held, *question)
+    few = held.blocks < FOLDS
+    if not few and (agrees > BEYOND_CHANCE or shown > BEYOND_CHANCE + _CONTRADICTS):
+        return agrees, True
+    between = chance_between(train, columns[:own], columns[own:])
+    if few:
+        return min(agrees, between), True
+    if between > ALONE and agrees > shown - _CONTRADICTS:
+        return between, False
+    return agrees, True

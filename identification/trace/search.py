@@ -63,7 +63,7 @@ class Found:
     """The working point at the end, how it was reached, and what both sets of records leave.
 
     errors: standard errors of [the model's parameters over scale, amplitudes and shapes]; nan of
-    what is held.
+    what is held. idle: by identity, names that had followed what is random, and were dropped.
     """
 
     point: WorkingPoint
@@ -71,6 +71,7 @@ class Found:
     errors: Array
     train: Evidence
     held: Evidence
+    idle: frozenset[str] = frozenset()
 
 
 def search(
@@ -115,7 +116,8 @@ def without_followers(found: Found, records: Records) -> Found:
     if len(placed) == len(found.point.placed):
         return found
     fewer = replace(found.point, placed=placed)
-    return _settled(fewer, records.held_error(fewer), found.rounds, records)
+    settled = _settled(fewer, records.held_error(fewer), found.rounds, records)
+    return replace(settled, idle=idle)
 
 
 def _settled(

@@ -10,6 +10,7 @@ pose.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -82,16 +83,26 @@ def force_spectrum(point: WorkingPoint, record: TraceRecord) -> ForceSpectrum:
 def shaking(fitted: Sequence[ForceSpectrum], kept: Sequence[ForceSpectrum]) -> tuple[Shaking, ...]:
     """Return what shakes each DOF in `fitted` records, still and excited, and in the `kept` too.
 
-    Without still records among the fitted ones nothing can be told.
+    Without still records among the fitted ones nothing can be told. Of records of several rates
+    those of the rate are asked that most of the still ones have.
     """
-    longest = max((len(s.freq_hz) for s in (*fitted, *kept)), default=0)
-    fitted, kept = ([s for s in part if len(s.freq_hz) == longest] for part in (fitted, kept))
+    grids = Counter((len(s.freq_hz), _step_hz(s)) for s in fitted if s.still)
+    if not grids:
+        return ()
+    grid = max(grids, key=lambda g: (grids[g], g))
+    fitted, kept = (
+        [s for s in part if (len(s.freq_hz), _step_hz(s)) == grid] for part in (fitted, kept)
+    )
     still = [s for s in fitted if s.still]
     moving = [s for s in fitted if not s.still]
     if not still or not kept:
         return ()
     found = [_of_dof(i, still, moving, kept) for i in range(still[0].psd.shape[1])]
     return tuple(s for s in found if s is not None)
+
+
+def _step_hz(spectrum: ForceSpectrum) -> float:
+    return float(f"{spectrum.freq_hz[1] - spectrum.freq_hz[0]:.6g}")
 
 
 def _of_dof(

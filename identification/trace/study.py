@@ -261,8 +261,8 @@ class _Loaded:
 def _require_enough(train: Sequence[TraceRecord]) -> None:
     """Raise IdentificationError for too few blocks of time to judge an effect by."""
     blocks = sum(blocks_in(r) for r in train)
-    if blocks < FOLDS:
-        found = sum(r.rows * r.experiment.Ts_s for r in train)
+    found = sum(r.rows * r.experiment.Ts_s for r in train)
+    if blocks < FOLDS or found < (FOLDS - 0.5) * BLOCK_S:
         raise IdentificationError(
             f"expected at least {FOLDS * BLOCK_S:.0f} s of records to fit to ({FOLDS} blocks of "
             f"{BLOCK_S:.0f} s, by which effects are judged) beside those held out, found "

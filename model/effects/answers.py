@@ -57,6 +57,7 @@ def _answer(places: Places, to: int, dof: int) -> Effect:
             Quantity("damping", "1", 1e-3, 0.7, log=True),
         ),
         tuple((f, _DAMPING) for f in _FREQUENCIES_HZ),
+        told_apart_by=f"{motion} excited alone, up to its frequency",
     )
 
 

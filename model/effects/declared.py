@@ -54,8 +54,13 @@ def placed_effects(
     """
     if not declared:
         return ()
-    # A file may name a resonance that these records are too slow for.
-    covered = replace(extent or Extent.typical(places), fastest_hz=math.inf)
+    # A file may name a resonance that these records are too slow for, and a sensor that does not
+    # stand still in them.
+    covered = replace(
+        extent or Extent.typical(places),
+        fastest_hz=math.inf,
+        standing=tuple(range(places.sensors)),
+    )
     table = {e.identity: e for e in all_effects(places, covered)}
     for entry in declared:
         found = _TONE.fullmatch(entry.effect)

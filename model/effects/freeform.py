@@ -277,7 +277,11 @@ def _effect(places: Places, where: str, form: Form) -> Effect:
         title = f"{what} that depends on {_told(form.factor)} times a function of {by}"
     names = form.amplitudes(constant=where.startswith("sensor:"))
     amplitudes = tuple(Quantity(name, unit) for name in names)
-    return Effect(form.key, title, "unknown", (where,), form.words, amplitudes, build)
+    on = [_told(word) for word in (form.factor, form.by) if word]
+    return Effect(
+        form.key, title, "unknown", (where,), form.words, amplitudes, build,
+        told_apart_by=f"records in which {' and '.join(on)} change while all else stands still",
+    )  # fmt: skip
 
 
 def _forces(signals: Signals, _shape: Sequence[float], *, form: Form, dof: int) -> list[Term]:

@@ -62,6 +62,7 @@ def _hysteresis(places: Places, coil: int, scale: float) -> Effect:
         tuple(Quantity(f"c{k}", places.coil_unit) for k in range(1, len(_WIDTHS) + 1)),
         partial(_forces, coil=coil, scale=scale),
         remains=partial(_remains, coil=coil, scale=scale),
+        told_apart_by="this coil excited alone, in large slow loops with small ones inside",
     )
 
 

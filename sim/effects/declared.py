@@ -18,7 +18,7 @@ from ...model.effects.base import Placed, Places, Signals, Term, total
 from ...model.effects.declared import placed_effects
 from ...model.geometry import shape_matrix
 from ..kernels import Array
-from .contract import BeamState, EffectError, EffectPlant
+from .contract import BeamState, EffectPlant
 
 _HISTORY_S = 4.0
 _EVERY_S = 1e-3
@@ -40,8 +40,6 @@ class FromModel:
 
     def __init__(self, model: str) -> None:
         self._config = load_model(model)
-        if not self._config.effects:
-            raise EffectError(f"{model}: expected a model with effects, found none")
 
     def reset(self, plant: EffectPlant) -> None:
         """Lay the effects out on the plant's coils and sensors."""

@@ -1,0 +1,38 @@
+"""Who is asked whether an effect is there: records held out, or blocks of time of the others."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from levid.identification.trace import screening
+
+
+@pytest.mark.parametrize(
+    ("blocks", "shown", "agrees", "between", "told"),
+    [
+        (20, 2.0, 1.0, 25.0, (25.0, False)),  # it does nothing in them
+        (20, 4.5, 4.5, 100.0, (100.0, False)),  # too little for them to agree by six
+        (20, 4.5, 1.0, 100.0, (1.0, True)),  # less than they should: they contradict
+        (20, 4.5, 4.5, 15.0, (4.5, True)),  # the others are in doubt
+        (20, 4.5, 6.5, 100.0, (6.5, True)),
+        (20, 30.0, 4.0, 100.0, (4.0, True)),
+        (4, 30.0, 30.0, 12.0, (12.0, True)),  # what four blocks scatter by nobody knows
+        (4, 30.0, 8.0, 50.0, (8.0, True)),
+    ],
+)
+def test_who_can_be_asked_is(
+    monkeypatch: pytest.MonkeyPatch,
+    blocks: int,
+    shown: float,
+    agrees: float,
+    between: float,
+    told: tuple[float, bool],
+) -> None:
+    monkeypatch.setattr(screening, "expected", lambda *_: shown)
+    monkeypatch.setattr(screening, "chance", lambda *_: agrees)
+    monkeypatch.setattr(screening, "chance_between", lambda *_: between)
+    held = SimpleNamespace(size=np.ones(3), blocks=blocks)
+    assert screening._agrees(SimpleNamespace(), held, 1, np.ones(2)) == told

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ..config.rig import RigConfig
     from ..config.session import SessionConfig
     from ..config.sim import SimConfig
+    from ..model.effects.base import Places
 
 
 @click.command("check")
@@ -133,13 +134,28 @@ def _model(config: ModelConfig, path: Path) -> str:
     from ..config.base import ConfigError
     from ..identification.declared import declared_model
     from ..model.declared import ModelError
+    from ..model.effects.declared import placed_effects
 
     try:
         model = declared_model(config)
         model.at()
+        placed_effects(config.effects, _places(config))
     except ModelError as error:
         raise ConfigError(f"{path}: {error}") from None
-    return f"model, {len(model.dof)} DOF, {len(model.values)} parameters"
+    count = len(config.effects)
+    effects = f", {count} effect{'s' * (count != 1)}" if count else ""
+    return f"model, {len(model.dof)} DOF, {len(model.values)} parameters{effects}"
+
+
+def _places(config: ModelConfig) -> Places:
+    """Return where effects of a model may sit: on the rig if the model is one of it."""
+    from ..config.rig import load_rig
+    from ..config.shipped import shipped
+    from ..identification.trace.record import imported_places, rig_places
+
+    if {q.name for q in config.dof} == {"psi", "theta", "z"}:
+        return rig_places(load_rig(shipped("rigs/loopback.yaml")).geometry, config)
+    return imported_places(config)
 
 
 def _sim(config: SimConfig, path: Path) -> str:

@@ -68,15 +68,16 @@ def command(
     traced = trace_logs(logs, model, out, workers, dask)
     found, page = traced.found, traced.page
     if as_json:
-        report = None if page is None else str(page)
-        written = {"model": str(out / "model.yaml"), "report": report}
+        paths = {"model": traced.model, "report": page}
+        written = {name: None if path is None else str(path) for name, path in paths.items()}
         click.echo(json.dumps({**summary(found), **written, "notes": list(found.notes)}))
     else:
         for line in words(found):
             click.echo(line)
-        click.echo(f"model: {out / 'model.yaml'}")
-        click.echo(f"next: {_next(outcome(found), logs, out)}")
+        if traced.model is not None:
+            click.echo(f"model: {traced.model}")
         if page is not None:
+            click.echo(f"next: {_next(outcome(found), logs, out)}")
             click.echo(f"report: {page}")
     if traced.undrawn is not None:
         say("no report could be made of it:")
@@ -86,10 +87,11 @@ def command(
 
 @dataclass(frozen=True)
 class Traced:
-    """What was found, and the page on it; without one, the error that there is none for."""
+    """What was found, model.yaml and the page on it; where one is missing, the error behind it."""
 
     found: Trace
-    page: Path | None
+    model: Path | None = None
+    page: Path | None = None
     undrawn: Exception | None = None
 
 
@@ -116,16 +118,18 @@ def trace_logs(
             logs, config, all_effects, spread, lambda what, share: report(what, 0.9 * share)
         )
         # First of all what took so long: a page that cannot be drawn loses nothing.
+        written = None
         try:
             out.mkdir(parents=True, exist_ok=True)
             replace_text(out / "model.yaml", to_yaml(model_after(found)))
+            written = out / "model.yaml"
             report("looking at what is left", 0.92)
             seen = views(found, spread)
             report("report", 0.97)
             page = trace_report(found, seen, out)
         except Exception as error:  # noqa: BLE001 - raised when it is told what was found
-            return Traced(found, None, error)
-    return Traced(found, page)
+            return Traced(found, written, None, error)
+    return Traced(found, written, page)
 
 
 def words(found: Trace) -> list[str]:

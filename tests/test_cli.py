@@ -201,3 +201,17 @@ def test_out_that_is_a_file_is_refused(levid, session: Path) -> None:
     outcome = levid("excite", session, "--virtual", "--out", session)
     assert outcome.code == 1
     assert "expected a folder, found a file" in outcome.err
+
+
+def test_check_looks_at_the_effects_of_a_model(tmp_path: Path, levid) -> None:
+    path, model = tmp_path / "model.yaml", shipped("models/rig.yaml").read_text()
+    cubic = (
+        "{effect: rod_stiffness.cubic, where: [WHERE], "
+        "parameters: {k3: {value: 3.0e8, unit: N/m^3}}}"
+    )
+    path.write_text(f"{model}\neffects:\n- {cubic.replace('WHERE', 'z')}\n")
+    assert "parameters, 1 effect" in levid("check", path).out
+    path.write_text(f"{model}\neffects:\n- {cubic.replace('WHERE', 'x')}\n")
+    outcome = levid("check", path)
+    assert outcome.code == 1
+    assert "model.yaml: effects[0]: where: expected one of psi, theta, z" in outcome.err

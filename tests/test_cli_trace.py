@@ -120,6 +120,7 @@ def test_what_was_found_outlives_a_page_that_fails(
     assert "found: Cubic stiffness at z" in out
     assert f"model: {tmp_path / 'model.yaml'}" in out
     assert "report:" not in out
+    assert "next:" not in out
     assert "no report could be made of it:\nerror: [Errno 28] No space left" in err
     assert load_model(tmp_path / "model.yaml").effects
 

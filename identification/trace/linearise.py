@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,8 +197,20 @@ def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
 
 
 def parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Array:
-    """Return what the model's parameters do, each in units of its scale."""
-    columns = []
+    """Return what the model's parameters do, each in units of its scale.
+
+    Of long records some parameters at a time are put through the filter.
+    """
+    forcings = _parameter_forcings(point, bank, s)
+    most = max(_MOST_NUMBERS // (s.rows * 2 * s.q.shape[1]), 1)
+    columns = [_no_columns(bank)]
+    while some := list(islice(forcings, most)):
+        columns.append(bank.errors(np.stack(some)))
+    return np.concatenate(columns, axis=2)
+
+
+def _parameter_forcings(point: WorkingPoint, bank: FilterBank, s: Signals) -> Iterator[Array]:
+    """Yield what each parameter adds to the state in each period (N, 2n)."""
     for name, scale in zip(point.parameters.names, point.parameters.scale, strict=True):
         value, nudge = point.model.values[name], _NUDGE * scale
         below, above = value - nudge, value + nudge
@@ -215,8 +228,7 @@ def parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Arra
             forcing += bank.force_forcing(force)
         if np.any(dB):
             forcing += bank.held_forcing(bank.record.experiment.u, by=dB)
-        columns.append(forcing * (scale / (above - below)))
-    return bank.errors(np.stack(columns)) if columns else _no_columns(bank)
+        yield forcing * (scale / (above - below))
 
 
 def redundancy_basis(sensor_shape: Array) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...config.base import parse_text
 from ...config.model import ModelConfig
-from ...config.rig import RigConfig
+from ...config.rig import Geometry, RigConfig
 from ...log.reader import Log
 from ...model.effects.base import Places
 from ...model.geometry import shape_matrix
@@ -116,20 +116,7 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
             "simulation does not know: its error there counts as the model's",
         )
     geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
-    coils = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
-    sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
-    places = Places(
-        tuple(q.name for q in model.dof),
-        tuple(q.unit for q in model.dof),
-        coils,
-        sensors,
-        "N",
-        tuple(q.unit for q in model.inputs),
-        "m",
-        np.stack([geometry.coil_x_m, geometry.coil_y_m], axis=1),
-        np.stack([geometry.sensors_x_m, geometry.sensors_y_m], axis=1),
-        beam=True,
-    )
+    places = rig_places(geometry, model)
     beam, rotor = (
         _motion(log, axis, experiment.Ts_s) for axis in (("beam", "m"), ("rotor", "rad"))
     )
@@ -147,10 +134,42 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
         rotor,
         log.field("beam_force_n").astype(float),
         "",
-        standing(gap, sensors),
+        standing(gap, places.sensor_shape),
         (*happened, *gaps),
     )
     return replace(record, kind=_kind(record))
+
+
+def rig_places(geometry: Geometry, model: ModelConfig) -> Places:
+    """Return where a rig's coils and sensors act on the DOF of its model."""
+    return Places(
+        tuple(q.name for q in model.dof),
+        tuple(q.unit for q in model.dof),
+        shape_matrix(geometry.coil_x_m, geometry.coil_y_m),
+        shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m),
+        "N",
+        tuple(q.unit for q in model.inputs),
+        "m",
+        np.stack([geometry.coil_x_m, geometry.coil_y_m], axis=1),
+        np.stack([geometry.sensors_x_m, geometry.sensors_y_m], axis=1),
+        beam=True,
+    )
+
+
+def imported_places(model: ModelConfig) -> Places:
+    """Return what is known of the places of others' data: an actuator an input, a sensor a DOF."""
+    return Places(
+        tuple(q.name for q in model.dof),
+        tuple(q.unit for q in model.dof),
+        np.eye(len(model.inputs)),
+        np.eye(len(model.dof)),
+        model.inputs[0].unit,
+        tuple(q.unit for q in model.inputs),
+        model.dof[0].unit,
+        np.zeros((0, 2)),
+        np.zeros((0, 2)),
+        beam=False,
+    )
 
 
 def split(records: Sequence[TraceRecord]) -> tuple[list[TraceRecord], list[TraceRecord]]:
@@ -192,19 +211,8 @@ def _seconds(records: Sequence[TraceRecord]) -> float:
 
 
 def _imported(experiment: Experiment, model: ModelConfig) -> TraceRecord:
-    n, p = experiment.y.shape[1], experiment.u.shape[1]
-    places = Places(
-        tuple(q.name for q in model.dof),
-        tuple(q.unit for q in model.dof),
-        np.eye(p),
-        np.eye(n),
-        model.inputs[0].unit,
-        tuple(q.unit for q in model.inputs),
-        model.dof[0].unit,
-        np.zeros((0, 2)),
-        np.zeros((0, 2)),
-        beam=False,
-    )
+    p = experiment.u.shape[1]
+    places = imported_places(model)
     N = len(experiment.y)
     nothing = np.zeros((N, 3))
     return TraceRecord(

@@ -184,7 +184,7 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> in
         failed = []
         for verb in config.then:
             try:
-                say(f"report: {hand_over(verb, result.logs, out / _REPORTS[verb])}")
+                hand_over(verb, result.logs, out / _REPORTS[verb])  # which says where its report is
             except HandoverError as error:  # which need not stop the others
                 say(f"error: {error}")
                 again = f"{verb} {logs_in(out)} --out {quoted(out / _REPORTS[verb])}"

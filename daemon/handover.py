@@ -15,8 +15,8 @@ class HandoverError(Exception):
     """Identification did not succeed; the logs are untouched."""
 
 
-def hand_over(verb: str, records: Sequence[Path], out: Path) -> Path:
-    """Run `levid VERB` on `records` at low priority, wait, and return the report's path.
+def hand_over(verb: str, records: Sequence[Path], out: Path) -> None:
+    """Run `levid VERB` on `records` at low priority, its report in `out`, and wait for it.
 
     VERB is an entry of a session's `then`. What it says goes to this process's stderr. Raises
     HandoverError when it fails.
@@ -38,4 +38,3 @@ def hand_over(verb: str, records: Sequence[Path], out: Path) -> Path:
             f"levid {verb} of {len(records)} records failed (exit code {done.returncode}); "
             f"the logs are in {records[0].parent}"
         )
-    return out / "index.html"

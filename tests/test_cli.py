@@ -8,6 +8,7 @@ import pytest
 
 from levid.cli.check import _periods
 from levid.config.shipped import shipped
+from levid.daemon.handover import HandoverError
 from levid.log.reader import read_log
 
 SESSION = """
@@ -215,3 +216,25 @@ def test_check_looks_at_the_effects_of_a_model(tmp_path: Path, levid) -> None:
     outcome = levid("check", path)
     assert outcome.code == 1
     assert "model.yaml: effects[0]: where: expected one of psi, theta, z" in outcome.err
+
+
+def test_what_follows_a_session_is_done_though_another_part_of_it_failed(
+    levid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    called = []
+
+    def hand_over(verb: str, records: list[Path], out: Path) -> None:
+        called.append((verb, out.name))
+        if verb == "identify":
+            raise HandoverError("levid identify of 1 records failed")
+
+    monkeypatch.setattr("levid.daemon.handover.hand_over", hand_over)
+    path, out = tmp_path / "session.yaml", tmp_path / "out"
+    path.write_text(f"{SESSION}\nthen: [identify, trace]\n")
+    outcome = levid("excite", path, "--virtual", "--out", out)
+    assert outcome.code == 1
+    assert called == [("identify", "identification"), ("trace", "trace")]
+    assert "error: levid identify of 1 records failed" in outcome.err
+    assert (
+        f"to repeat it: levid identify {out}/*.mcap --out {out / 'identification'}" in outcome.err
+    )

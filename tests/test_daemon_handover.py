@@ -30,8 +30,7 @@ def called(monkeypatch):
 @pytest.mark.parametrize("verb", ["identify", "trace"])
 def test_verb_gets_all_logs_and_the_folder(called, verb: str) -> None:
     commands, _ = called
-    page = hand_over(verb, LOGS, Path("flown/report"))
-    assert page == Path("flown/report/index.html")
+    hand_over(verb, LOGS, Path("flown/report"))
     (command,) = commands
     at = command.index(verb)
     assert command[at - 2 : at] == ["-m", "levid.cli.main"]

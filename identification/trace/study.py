@@ -42,7 +42,8 @@ Progress = Callable[[str, float], None]
 
 _FIRST_ROWS = 8000
 _FIRST_RECORDS = 8
-_LOUDER = (1e6, 1e4, 1e2)
+_LOUDER = (1e9, 1e7, 1e5)
+"""Times the force noise that there is: loud enough to begin from a model far off, and then less."""
 _UNEXPLAINED = 1.1
 """Error over the floor from which on it is asked whether something shakes the platform."""
 

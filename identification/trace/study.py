@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -319,5 +320,6 @@ def _parts(records: Sequence[TraceRecord]) -> list[TraceRecord]:
     parts = []
     for record in chosen[:_FIRST_RECORDS]:
         first = max((record.rows - _FIRST_ROWS) // 2, 0)
-        parts.append(record.cut(first, min(first + _FIRST_ROWS, record.rows)))
+        # A view would keep the whole record.
+        parts.append(deepcopy(record.cut(first, min(first + _FIRST_ROWS, record.rows))))
     return parts

@@ -119,11 +119,14 @@ class Spread:
         # The longest first: nobody waits for a long one that began last.
         order = sorted(range(len(sources)), key=lambda i: sources[i].start - sources[i].stop)
         futures: dict[int, Future[_Answered[Answer]]] = {}
+        answers: list[Answer] = []
         try:
             for i in order:
                 futures[i] = self.executor.submit(_answered, task, sources[i], self._text)
-            answers = [self._awaited(futures[i]) for i in range(len(sources))]
-        # What a task raises is among the answers.
+            for i in range(len(sources)):
+                answers.append(self._awaited(futures[i]).value())
+        except _TaskError as failed:
+            raise failed.error from None
         except Exception as error:  # noqa: BLE001 - each executor has its own ways of ending
             self._lost = True
             for future in futures.values():
@@ -131,7 +134,7 @@ class Spread:
             told = f"{type(error).__name__}: {error}".rstrip(": ")
             self._say(f"lost {self._who} ({told}); going on in this process")
             return self._alone.map(task, sources)
-        return [answer.value() for answer in answers]
+        return answers
 
     def _awaited(self, future: Future[_Answered[Answer]]) -> _Answered[Answer]:
         since_s = time.monotonic()
@@ -226,9 +229,18 @@ class _Answered(Generic[Answer]):
     error: Exception | None = None
 
     def value(self) -> Answer:
+        """Return the answer; raises _TaskError for what the task raised."""
         if self.error is not None:
-            raise self.error
+            raise _TaskError(self.error)
         return self.answers[0]
+
+
+class _TaskError(Exception):
+    """What a task raised, told from what happens to those who work on it."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(str(error))
+        self.error = error
 
 
 def _answered(task: Task[Answer], source: Source, model_json: str) -> _Answered[Answer]:

@@ -19,6 +19,7 @@ from .control import Controller
 from .faults import Fault
 from .landing import Landing, Motion
 from .lateness import Lateness
+from .parent_watch import STOPPED
 from .program import Announced
 from .ring import NO_LOG
 from .segment import Segment
@@ -161,7 +162,7 @@ class Course:
             if self._silent > self._most_silent:
                 self._abandoned("it gave no sign of life")
         if words[_STOPPED]:
-            self._abandoned("it is stopped")
+            self._abandoned("it is stopped" if words[_STOPPED] == STOPPED else "it is dead")
         if os.getppid() != self._parent and not self._orphan:
             self._orphan = True
             self._abandoned("it is dead")

@@ -1,10 +1,11 @@
-"""Whether the supervisor has been stopped (SIGSTOP, Ctrl-Z), soon after it was.
+"""Whether the supervisor has been stopped (SIGSTOP, Ctrl-Z) or killed, soon after it was.
 
 Its heartbeat is that of an ordinary process, for which a busy machine needs patience; that it is
-stopped the kernel knows at once. It tells parents only, which the supervisor has none of here, and
-so it is asked, in /proc: by a thread beside the timed loop, which itself touches no file. Compiled,
-it never holds the interpreter; it is below the loop in priority and above all that is ordinary, and
-it is there as long as the loop, whatever becomes of the recorder.
+stopped, or has to die, the kernel knows at once, while its children are told only when the last of
+its threads has given its memory back. It tells parents only, which the supervisor has none of here,
+and so it is asked, in /proc: by a thread beside the timed loop, which itself touches no file.
+Compiled, it never holds the interpreter; it is below the loop in priority and above all that is
+ordinary, and it is there as long as the loop, whatever becomes of the recorder.
 """
 
 from __future__ import annotations
@@ -25,10 +26,16 @@ from .states import IN_FLIGHT, State
 _AT_REST_S, _OFTEN_S = 2e-3, 2e-4
 """How often it looks where nothing flies, and in flight at least and at most; in between once a
 period. A look costs 13 us."""
-_MOST_BYTES = 64
-"""The state stands behind a number and a name of 15 bytes."""
+_MOST_BYTES = 512
+"""Numbers of up to 20 digits."""
 _JOIN_S = 1.0
 _NAME_ENDS, _STATE_STOPPED = ord(")"), ord("T")
+_FLAGS, _PENDING = 6, 28
+"""Fields of /proc/PID/stat, counted from the state: flags of the kernel, signals that wait."""
+_EXITING, _KILLED = 0x4, 1 << (signal.SIGKILL - 1)
+_SPACE, _ZERO = ord(" "), ord("0")
+ALIVE, STOPPED, DYING = 0, 1, 2
+"""What Word.SUPERVISOR_STOPPED says."""
 _pread: Any = types.ExternalFunction(
     "pread", types.intp(types.int32, types.uintp, types.uintp, types.int64)
 )
@@ -85,22 +92,37 @@ class ParentWatch:
 
 
 @njit(cache=True)
-def is_stopped(stat) -> bool:  # type: ignore[no-untyped-def]
-    """Return whether a process is stopped by a signal, by how /proc/PID/stat begins (proc(5)).
+def condition(stat) -> int:  # type: ignore[no-untyped-def]
+    """Return ALIVE, STOPPED or DYING, by how /proc/PID/stat begins (proc(5)).
 
-    Its state follows its name, which stands in brackets and may hold brackets itself. Who is
-    traced ("t") goes on in a moment, or is missed as one that hangs.
+    The state follows the name, which stands in brackets and may hold brackets itself. Who is traced
+    ("t") goes on in a moment, or is missed as one that hangs. Who is to die has SIGKILL waiting for
+    it, until it runs, and the flag of one that exits from then on.
     """
-    for at in range(len(stat) - 3, -1, -1):
-        if stat[at] == _NAME_ENDS:
-            return bool(stat[at + 2] == _STATE_STOPPED)
-    return False
+    at = len(stat) - 3
+    while at >= 0 and stat[at] != _NAME_ENDS:
+        at -= 1
+    if at < 0:
+        return ALIVE
+    if stat[at + 2] == _STATE_STOPPED:
+        return STOPPED
+    field, number = 0, 0
+    for k in range(at + 2, len(stat)):
+        if stat[k] != _SPACE:
+            number = 10 * number + (stat[k] - _ZERO)
+            continue
+        if (field == _FLAGS and number & _EXITING) or (field == _PENDING and number & _KILLED):
+            return DYING
+        if field == _PENDING:
+            break
+        field, number = field + 1, 0
+    return ALIVE
 
 
 # What is compiled is kept until this file changes: what others define comes as an argument.
 @njit(cache=True, nogil=True)
 def watch(descriptor, state, stopped, sleeps, ended) -> None:  # type: ignore[no-untyped-def]
-    """Write into `stopped` whether the process is, until it is gone or `ended` is set.
+    """Write into `stopped` the condition of a process, until it is gone or `ended` is set.
 
     In between it sleeps as long as `sleeps` (states, 2), s and ns, says of the `state` at hand.
     """
@@ -109,6 +131,6 @@ def watch(descriptor, state, stopped, sleeps, ended) -> None:  # type: ignore[no
         found = _pread(descriptor, stat.ctypes.data, _MOST_BYTES, 0)
         if found <= 0:  # it is dead, which the loop sees for itself
             break
-        stopped[0] = is_stopped(stat[:found])
+        stopped[0] = condition(stat[:found])
         _nanosleep(sleeps[state[0]].ctypes.data, 0)
     stopped[0] = 0

@@ -109,7 +109,7 @@ class _Lag:
     def fit(cls, command: Array, readback: Array, known: Mask, absent: Mask) -> _Lag | None:
         """Return what the readback follows by, None where it follows by nothing."""
         n = len(command) - _AGE
-        if n < _FEWEST or not command.shape[1]:
+        if n < _FEWEST or not command.shape[1] or readback.shape != command.shape:
             return None
         clear = ~absent
         usable = known[_AGE:] & known[1 : 1 + n] & clear[:n] & clear[1 : 1 + n]

@@ -143,7 +143,10 @@ def _mean_beam(group: list[Record]) -> float | None:
 def _check_consistent(point: OperatingPoint) -> None:
     first = point.records[0]
     for record in point.records[1:]:
-        for field in ("Ts_s", "input_names", "output_names", "delay_cycles"):
+        for field in (
+            *("Ts_s", "input_names", "input_units", "output_names", "output_units"),
+            "delay_cycles",
+        ):
             ours, theirs = getattr(first, field), getattr(record, field)
             if ours != theirs:
                 raise IdentificationError(

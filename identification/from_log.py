@@ -254,7 +254,7 @@ def _require(log: Log, names: Sequence[str]) -> None:
             )
     require_finite(log, names)
     if len(log.rows) < _SHORTEST_ROWS:
-        raise IdentificationError(
+        raise NotARecordError(
             f"{log.path}: expected at least {_SHORTEST_ROWS} rows, found {len(log.rows)}"
         )
     time_ns, half = log.log_time_ns.astype(np.int64), len(log.rows) // 2

@@ -109,6 +109,7 @@ class _Periods:
     no_heights: Mask
     no_forces: Mask
     no_drives: Mask
+    not_sent: Mask
     untimed: Mask
     begun_late: Mask
 
@@ -136,6 +137,7 @@ class _Periods:
             absent | untimed | no_gap,
             absent | ((stale & Stale.AMPLIFIERS) > 0),
             absent | ((stale & Stale.DRIVES) > 0),
+            (stale & Stale.SETPOINTS) > 0,
             untimed,
             # Its answers came after a stall, not before it: so did its question.
             untimed & no_gap & ~absent,
@@ -143,7 +145,8 @@ class _Periods:
 
     @property
     def imperfect(self) -> bool:
-        return bool((self.no_heights | self.no_forces | self.no_drives).any())
+        lacks = self.no_heights | self.no_forces | self.no_drives | self.not_sent
+        return bool(lacks.any())
 
     def remarks(self, first: int, end: int) -> list[str]:
         """Return in words what rows first .. end of all periods lack."""

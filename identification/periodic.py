@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -59,7 +58,8 @@ def periodic_record(log: Log) -> PeriodicRecord:
     """Return the periods of a record that played orthogonal multisines.
 
     Their length and number come from session.yaml at the head of the log. Of every experiment the
-    first period is left out. A log that was cut off gives its complete realisations.
+    first period is left out. A log that was cut off gives its complete realisations, and one with
+    skipped periods those in which none was skipped but in what is left out: the plan waits then.
 
     Raises:
         NotARecordError: the log holds no record (see from_log).
@@ -70,42 +70,52 @@ def periodic_record(log: Log) -> PeriodicRecord:
     """
     record = from_log(log)
     step, period_s = _orthogonal_step(log, record.name)
+    if "part" in log.metadata:
+        raise IncompleteError(
+            f"{log.path.name}: part {log.metadata['part']} of record '{record.name}', of which "
+            "nobody knows where its periods begin: only the first part is used"
+        )
     plan = step.orthogonal
     assert plan is not None
-    N, p = round(period_s / record.Ts_s), len(step.excite)
+    N, p, P = round(period_s / record.Ts_s), len(step.excite), plan.periods
     if p < record.v.shape[1]:
         raise NotPeriodicError(
             f"{log.path.name}: record '{record.name}' excites {', '.join(step.excite)} alone: "
             f"orthogonal multisines need all of {', '.join(record.input_names)}"
         )
-    per_realisation = p * plan.periods * N
-    # Where stalls cut a record, what is left begins somewhere: at a realisation only by chance.
-    lost = _rows_lost(log)
-    settled = round(step.settle_s / record.Ts_s)
-    first = max(math.ceil((lost - settled) / per_realisation), 0)
-    begin = settled + first * per_realisation - lost
-    whole = min((len(record.y) - begin) // per_realisation, plan.realisations - first)
-    if whole < 1:
+    per_realisation = p * P * N
+    settled, rows = round(step.settle_s / record.Ts_s), len(record.y)
+    at = _flown_in(log, rows)
+    begins = settled + per_realisation * np.arange(plan.realisations)
+    within = N * (P * np.arange(p)[:, None] + np.arange(TRANSIENT_PERIODS, P))
+    kept = [
+        at[begin + within]
+        for begin in begins[begins + per_realisation <= len(at)]
+        if at[begin] >= 0 and _whole(at, begin + within, N, rows)
+    ]
+    if not kept:
+        flown = np.count_nonzero((at[settled:] >= 0) & (at[settled:] < rows))
         raise IncompleteError(
             f"{log.path.name}: expected at least one complete realisation of "
-            f"{per_realisation * record.Ts_s:g} s, found "
-            f"{max(len(record.y) - begin, 0) * record.Ts_s:g} s"
+            f"{per_realisation * record.Ts_s:g} s, found {flown * record.Ts_s:g} s"
+            + (f", in which {_skipped(at)} periods were skipped" if _skipped(at) else "")
         )
+    chosen = np.concatenate(kept)[:, :, None] + np.arange(N)
 
     def periods(x: Array) -> Array:
-        cut = x[begin : begin + whole * per_realisation]
-        return cut.reshape(whole * p, plan.periods, N, x.shape[1])[:, TRANSIENT_PERIODS:]
+        return np.asarray(x[chosen])
 
     remarks = list(record.remarks)
-    if whole < plan.realisations:
-        remarks.append(f"{whole} of {plan.realisations} realisations are complete")
+    if len(kept) < plan.realisations:
+        told = ", none of its periods skipped" if _skipped(at) else ""
+        remarks.append(f"{len(kept)} of {plan.realisations} realisations are complete{told}")
     periodic = PeriodicRecord(
         name=record.name,
         Ts_s=record.Ts_s,
         v=periods(record.v),
         y=periods(record.y),
         u=None if record.u is None else periods(record.u),
-        realisations=whole,
+        realisations=len(kept),
         input_names=record.input_names,
         input_units=record.input_units,
         output_names=record.output_names,
@@ -129,11 +139,26 @@ def periodic_records(logs: Sequence[Log]) -> tuple[tuple[PeriodicRecord, ...], t
     return tuple(records), tuple(skipped)
 
 
-def _rows_lost(log: Log) -> int:
-    """Return how many rows are cut off at the begin of a record that stalls have cut."""
+def _flown_in(log: Log, rows: int) -> NDArray[np.int64]:
+    """Return in which row of the record each row of the plan was flown (K,).
+
+    The plan waits while periods are skipped: a row of it is a row of the log, at its cycle. Where
+    stalls have cut the record it is before row 0 or behind the last.
+    """
     if "cycle" not in (log.rows.dtype.names or ()):
-        return 0
-    return int(without_gaps(log)[0].rows["cycle"][0]) - int(log.rows["cycle"][0])
+        return np.arange(rows)
+    first = int(without_gaps(log)[0].rows["cycle"][0])
+    return np.asarray(log.rows["cycle"].astype(np.int64) - first)
+
+
+def _whole(at: NDArray[np.int64], begins: NDArray[np.int64], N: int, rows: int) -> bool:
+    """Return whether N rows of the plan from each of `begins` on were flown without a skip."""
+    first, last = at[begins], at[begins + N - 1]
+    return bool(np.all(last - first == N - 1) and np.all(last < rows))
+
+
+def _skipped(at: NDArray[np.int64]) -> int:
+    return int(np.sum(np.diff(at) - 1))
 
 
 def _orthogonal_step(log: Log, name: str) -> tuple[RecordStep, float]:
@@ -164,11 +189,7 @@ def _check_repeats(periodic: PeriodicRecord, log: Log) -> None:
     # Each input by its own size: torques and forces have no common one.
     difference = np.sqrt(np.mean((v - v[:, :1]) ** 2, axis=(0, 1, 2)))
     share = difference / np.sqrt(np.mean(v**2, axis=(0, 1, 2)))
-    # Commands held over a skipped period differ from those that the period was to play.
-    held = 0.0
-    if "cycle" in (log.rows.dtype.names or ()):
-        held = 1.0 - len(log.rows) / float(np.ptp(log.rows["cycle"].astype(np.int64)) + 1)
-    if not np.all(share < REPEATS_WITHIN + np.sqrt(2.0 * held)):
+    if not np.all(share < REPEATS_WITHIN):
         raise IdentificationError(
             f"{log.path}: expected v to repeat every {v.shape[2] * periodic.Ts_s:g} s, found "
             f"periods that differ by {np.nanmax(share):.1%} of their rms"

@@ -49,6 +49,7 @@ class _Sorted:
     periodic: list[PeriodicRecord]
     experiments: list[Experiment]
     reasons: list[str]
+    errors: list[IdentificationError]
 
 
 def study(
@@ -69,6 +70,8 @@ def study(
     if model is not None:
         options = replace(options, lag_s=declared_model(model).at().lag_s)
     if not (found.records or found.periodic or found.experiments):
+        if found.errors:
+            raise found.errors[0]
         raise IdentificationError(
             f"expected at least one record to identify, found none: {'; '.join(found.reasons)}"
         )
@@ -113,7 +116,7 @@ def _read(
     logs: Sequence[Path], model_of: Callable[[Log], ModelConfig | None], tell: Progress
 ) -> tuple[_Sorted, ModelConfig | None]:
     """Return what the logs hold, each used once however often it is given, and the model."""
-    found, model = _Sorted([], [], [], []), None
+    found, model = _Sorted([], [], [], [], []), None
     once = Once()
     for number, path in enumerate(logs):
         tell(path.name, number / len(logs))
@@ -125,7 +128,11 @@ def _read(
         if twice is not None:
             found.reasons.append(twice)
             continue
-        _sort(log, model, found)
+        try:
+            _sort(log, model, found)
+        except IdentificationError as error:
+            found.reasons.append(str(error))
+            found.errors.append(error)
     return found, model
 
 

@@ -18,7 +18,7 @@ from scripted_loop import LIFT, ScriptedLoop
 
 from levid.daemon.board import Board, Word
 from levid.daemon.faults import Fault
-from levid.daemon.parent_watch import ParentWatch, is_stopped
+from levid.daemon.parent_watch import ALIVE, DYING, STOPPED, ParentWatch, condition
 from levid.daemon.states import State
 from levid.daemon.supervisor import Supervisor
 from levid.drivers.base import Backend, Devices, FirstError, LinkError, StaleError
@@ -80,15 +80,32 @@ def test_stopped_supervisor_is_zero_force_in_the_cycle_that_is_told() -> None:
 
 
 def test_process_is_stopped_whatever_its_name() -> None:
-    def stopped(stat: bytes) -> bool:
-        return bool(is_stopped(np.frombuffer(stat, np.uint8)))
+    def told(stat: bytes) -> int:
+        return int(condition(np.frombuffer(stat, np.uint8)))
 
-    assert stopped(b"7 (levid) T 1 7 7")
-    assert stopped(b"7 (a) S (b) T 1 7 7")
+    assert told(b"7 (levid) T 1 7 7") == STOPPED
+    assert told(b"7 (a) S (b) T 1 7 7") == STOPPED
     for state in (b"S", b"R", b"D", b"t"):
-        assert not stopped(b"7 (T) T) " + state + b" 1 7 7")
-    assert not stopped(b"")
-    assert not stopped(Path("/proc/self/stat").read_bytes())
+        assert told(b"7 (T) T) " + state + b" 1 7 7") == ALIVE
+    assert told(b"") == ALIVE
+    assert told(Path("/proc/self/stat").read_bytes()) == ALIVE
+
+
+def test_process_that_has_to_die_is_told_from_one_that_goes_on() -> None:
+    def told(flags: int, pending: int) -> int:
+        stat = f"7 (levid) S 1 7 7 0 -1 {flags} {'9 ' * 21}{pending} 0 0 0 0"
+        return int(condition(np.frombuffer(stat.encode(), np.uint8)))
+
+    assert told(0x400140, 0) == ALIVE
+    assert told(0x400144, 0) == DYING  # PF_EXITING of the kernel
+    assert told(0x400140, 1 << 8) == DYING  # SIGKILL, 9, waits
+    assert told(0x400140, 1 << 14) == ALIVE  # SIGTERM does, which is another matter
+    # In a process that is dead and was not asked yet how it ended the flag still stands.
+    with subprocess.Popen(["sleep", "600"]) as process:
+        process.kill()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        stat = Path(f"/proc/{process.pid}/stat").read_bytes()
+    assert condition(np.frombuffer(stat, np.uint8)) == DYING
 
 
 @pytest.mark.parametrize("state", [State.IDLE, State.EXCITING])
@@ -109,13 +126,15 @@ def test_process_that_is_stopped_is_told_on_the_board_until_it_goes_on_or_is_dea
         try:
             for _ in range(2):
                 process.send_signal(signal.SIGSTOP)
-                wait_for(1)
+                wait_for(STOPPED)
                 process.send_signal(signal.SIGCONT)
-                wait_for(0)
+                wait_for(ALIVE)
             process.send_signal(signal.SIGSTOP)
-            wait_for(1)
+            wait_for(STOPPED)
             process.kill()
-            wait_for(0)
+            wait_for(DYING)  # until somebody asks how it ended
+            process.wait()
+            wait_for(ALIVE)
         finally:
             process.kill()
             watch.close()

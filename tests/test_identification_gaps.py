@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cycle_log import cycle_log
+from numpy.lib.recfunctions import drop_fields
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
@@ -91,6 +92,24 @@ def test_command_that_was_lost_on_the_way_did_not_act() -> None:
     np.testing.assert_array_equal(rows["coil_n"][:699], flown(1000).rows["coil_n"][acting[:699]])
     remarks = without_gaps(skipping(flown(1000, acting), [700]))[1]
     assert "3 commands acted late, as the amplifiers' readback tells" in remarks
+
+
+def test_setpoints_that_did_not_arrive_are_looked_for_though_nothing_else_lacks() -> None:
+    acting = np.arange(1000)
+    acting[[300, 500, 501]] = 299, 499, 499
+    log = flown(1000, acting)
+    log.rows["stale"][[300, 500, 501]] = Stale.SETPOINTS
+    found, remarks = without_gaps(log)
+    np.testing.assert_array_equal(found.rows["coil_n"], flown(1000).rows["coil_n"][acting])
+    assert remarks == ("3 commands acted late, as the amplifiers' readback tells",)
+
+
+def test_without_a_readback_nobody_knows_which_command_acted() -> None:
+    log = flown(1000)
+    rows = drop_fields(log.rows, "coil_readback_n", usemask=False)
+    found, remarks = without_gaps(skipping(replace(log, rows=rows), [700]))
+    assert remarks[0] == "1 of 1000 periods were skipped (0.10%)"
+    assert found.rows["coil_n"][700] == pytest.approx(log.rows["coil_n"][699])
 
 
 def test_readback_that_follows_no_command_decides_nothing() -> None:

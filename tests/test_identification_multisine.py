@@ -30,6 +30,7 @@ from levid.identification.periodic import (
     IncompleteError,
     NotPeriodicError,
     PeriodicRecord,
+    _whole,
     periodic_record,
     periodic_records,
 )
@@ -519,16 +520,35 @@ def test_a_position_without_an_approximation_does_not_end_a_study() -> None:
     assert str(error).startswith("beam at +100.0 mm: expected every input to be excited")
 
 
-def test_a_record_that_a_stall_cuts_gives_its_whole_realisations(nominal: list[Log]) -> None:
-    log = nominal[2]
-    # The plant went on under the commands of the rows that are gone, not under those held instead:
-    # nothing fills such gaps in, so the record is cut there, in the midst of a realisation.
-    record = periodic_record(replace(log, rows=np.delete(log.rows, [20_000, 20_001, 50_000])))
-    assert any(text.startswith("cut to its") for text in record.remarks)
-    complete = periodic_record(log)
-    assert 0 < record.realisations < complete.realisations
+@pytest.mark.parametrize("skipped", [1, 40])
+def test_periods_that_were_skipped_cost_their_realisation_alone(
+    nominal: list[Log], skipped: int
+) -> None:
+    log, complete = nominal[2], periodic_record(nominal[2])
+    rows = log.rows.copy()
+    # The plan waits while periods are skipped: the row behind them is the next one of the plan.
+    rows["cycle"][20_000:] += skipped
+    record = periodic_record(replace(log, rows=rows))
+    assert (record.realisations, complete.realisations) == (1, 2)
+    assert "1 of 2 realisations are complete, none of its periods skipped" in record.remarks
     np.testing.assert_array_equal(record.v, complete.v[-len(record.v) :])
     np.testing.assert_array_equal(record.y, complete.y[-len(record.y) :])
+
+
+def test_a_skip_between_periods_that_count_costs_nothing() -> None:
+    N, rows = 100, 1000
+    at = np.arange(rows)
+    at[350:] += 1  # in the midst of the fourth hundred
+    begins = np.array([100, 200, 400])
+    assert _whole(at, begins, N, rows + 1)
+    assert not _whole(at, np.array([300]), N, rows + 1)
+    assert not _whole(at, np.array([900]), N, rows - 5)  # cut off before its end
+
+
+def test_later_parts_of_a_record_are_left_out(nominal: list[Log]) -> None:
+    log = nominal[2]
+    with pytest.raises(IncompleteError, match=r"part 2 of record .* only the first part is used"):
+        periodic_record(replace(log, metadata={**log.metadata, "part": "2"}))
 
 
 def test_a_period_that_is_not_the_sessions_is_refused(nominal: list[Log]) -> None:

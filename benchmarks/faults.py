@@ -8,6 +8,7 @@ hears nothing of it, within the device's own timeout. --quick: 40 faults; else 1
 hour. What did not come about is tried again. Trials are kept as they come, so that a run that was
 stopped carries on; one that fails counts as failed in all that was asked of it. The clock is not
 stepped here, for the machine has others on it: that is in tests/rig_vm, on a machine of its own.
+--only flies those faults of the list that are of these kinds; they are kept apart from a whole run.
 Faults that nothing outside the daemon can provoke, such as a control law that computes no number,
 have tests of their own.
 """
@@ -21,7 +22,7 @@ import signal
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TextIO
@@ -29,7 +30,7 @@ from typing import TextIO
 import _table
 from _code_version import ROOT, code_version
 from _fault_figures import figures, tell
-from _fault_list import BUSES, LAST, case_of
+from _fault_list import BUSES, LAST, case_of, kinds
 from _fault_rig import SETTINGS, Rig
 from _fault_trial import Trial, attempt, keep_what_is_wrong
 from _table import Figure
@@ -53,29 +54,48 @@ class Kept:
         """Attempts that a run was stopped in."""
         return len(self.begun) - len(self.trials)
 
-    def missing(self, each: int) -> list[int]:
-        """Return the numbers that are still to be tried; the last one only has to fly."""
+    def missing(self, wanted: Sequence[int]) -> list[int]:
+        """Return which of the numbers are still to be tried; who only has to fly is the last."""
         tries = Counter(t.number for t in self.trials)
         over = {t.number for t in self.trials if t.injected or t.skipped}
         over |= {t.number for t in self.trials if t.fault == LAST and t.flew}
-        return [n for n in range(each + 1) if n not in over and tries[n] < _ATTEMPTS]
+        return [n for n in wanted if n not in over and tries[n] < _ATTEMPTS]
 
 
-def measure(quick: bool) -> list[Figure]:
-    """Fly all trials that no run before this one has flown."""
+def main() -> None:
+    options = _table.parser(__doc__ or "")
+    known = sorted({kind for bus in BUSES for kind in kinds(bus)})
+    options.add_argument(
+        "--only", nargs="+", default=[], choices=known, metavar="KIND", help=f"of {known}"
+    )
+    arguments = options.parse_args()
+    _table.show("Faults", arguments, lambda: measure(arguments.quick, arguments.only))
+
+
+def measure(quick: bool, only: Sequence[str] = ()) -> list[Figure]:
+    """Fly all trials that no run before this one has flown; of some kinds `only` if given."""
     each = 20 if quick else 500
-    files = {bus: KEPT / f"{bus}-{each}-{version()}.jsonl" for bus in BUSES}
+    apart = "".join(f"-{kind.replace(' ', '-')}" for kind in sorted(only))
+    files = {bus: KEPT / f"{bus}-{each}{apart}-{version()}.jsonl" for bus in BUSES}
+    wanted = {
+        bus: [n for n in range(each) if not only or case_of(bus, n).kind in only]
+        + ([] if only else [each])
+        for bus in BUSES
+    }
+    if not any(wanted.values()):
+        sys.exit(f"expected a fault that is among the first {each} on a bus, found {list(only)}")
     all_kept = {bus: kept(file) for bus, file in files.items()}
-    if not any(found.missing(each) for found in all_kept.values()):  # whole, not to be carried on
+    if not any(found.missing(wanted[bus]) for bus, found in all_kept.items()):
+        # It is whole, and not to be carried on.
         for bus, file in files.items():
             put_aside(file)
             all_kept[bus] = Kept()
     for bus, found in all_kept.items():
         in_vain = 0
-        while found.missing(each):  # the rig is made anew where a trial failed
+        while found.missing(wanted[bus]):  # the rig is made anew where a trial failed
             before = len(found.trials)
             try:
-                run(bus, found, each, files[bus])
+                run(bus, found, wanted[bus], each, files[bus])
             except (RuntimeError, OSError) as error:
                 in_vain += 1
                 print(f"{bus}: {error}", file=sys.stderr)
@@ -85,7 +105,8 @@ def measure(quick: bool) -> list[Figure]:
                 in_vain = 0
     trials = [trial for found in all_kept.values() for trial in found.trials]
     tell(trials)
-    return figures(trials, each * len(BUSES), sum(found.interrupted for found in all_kept.values()))
+    asked = sum(len(numbers) for numbers in wanted.values()) - (0 if only else len(BUSES))
+    return figures(trials, asked, sum(found.interrupted for found in all_kept.values()))
 
 
 def kept(file: Path) -> Kept:
@@ -108,14 +129,16 @@ def kept(file: Path) -> Kept:
 
 def put_aside(file: Path) -> None:
     """Keep the file of a whole run beside the new one, and those of others before it."""
+    if not file.exists():
+        return
     number = 1
     while (to := file.with_suffix(f".before-{number}.jsonl")).exists():
         number += 1
     file.replace(to)
 
 
-def run(bus: str, found: Kept, each: int, file: Path) -> None:
-    """Fly what is missing on one rig until a trial fails; append to `found` and to `file`.
+def run(bus: str, found: Kept, wanted: Sequence[int], each: int, file: Path) -> None:
+    """Fly what is missing of the numbers on one rig until a trial fails; append to found and file.
 
     Raises:
         RuntimeError, OSError: there is no rig, or none that lifts off.
@@ -127,7 +150,7 @@ def run(bus: str, found: Kept, each: int, file: Path) -> None:
         contextlib.closing(Rig(bus, Path(name))) as rig,
     ):
         grounded = 0
-        while missing := found.missing(each):
+        while missing := found.missing(wanted):
             trial = _try(rig, missing[0], each, found, out)
             grounded = 0 if trial.flew else grounded + (not trial.skipped)
             if grounded == _NONE_FLEW:
@@ -176,4 +199,4 @@ def _end(*_: object) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, _end)
-    _table.run("Faults", measure)
+    main()

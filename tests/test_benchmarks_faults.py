@@ -229,6 +229,28 @@ def test_run_goes_on_behind_what_fails_and_where_it_stopped(
         assert len(list(tmp_path.glob(f"*.before-{number}.jsonl"))) == 2
 
 
+def test_faults_of_some_kinds_are_flown_apart_from_all(
+    faults: ModuleType, tmp_path: Path, monkeypatch
+) -> None:
+    tried: list[str] = []
+
+    def attempt(_: Rig, case, one) -> None:
+        tried.append(case.kind)
+        one.flew, one.injected = True, True
+
+    monkeypatch.setattr(faults, "KEPT", tmp_path)
+    monkeypatch.setattr(faults, "Rig", Rig)
+    monkeypatch.setattr(faults, "attempt", attempt)
+    for times in (1, 2):  # the second time anew
+        found = {figure.key: figure.value for figure in faults.measure(False, ["nan-axis"])}
+        assert set(tried) == {"nan-axis"}  # which serial alone has
+        assert len(tried) == times * found["asked"] == times * found["faults"] > 10
+    (first,) = tmp_path.glob("*.before-1.jsonl")
+    assert first.name.startswith("serial-500-nan-axis-")
+    with pytest.raises(SystemExit, match="among the first 20"):
+        faults.measure(True, ["no such thing"])
+
+
 def test_rig_that_never_lifts_off_is_given_up(
     faults: ModuleType, tmp_path: Path, monkeypatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""Logs of a mass on a spring that tests have made, imported as anybody's data are."""
+"""A mass on a spring: its model, and logs that tests have made, imported as anybody's data are."""
 
 from __future__ import annotations
 
@@ -6,7 +6,26 @@ from pathlib import Path
 
 import numpy as np
 
+from levid.config.base import parse_text
+from levid.config.model import ModelConfig
 from levid.log.importer import import_file
+
+MASS = parse_text(
+    """
+levid: model
+name: mass
+dof: [{name: x_m, unit: m}]
+inputs: [{name: f_n, unit: N}]
+input: band_limited
+parameters:
+  m: {value: 2.0, unit: kg, min: 0.1, max: 20}
+M: [[m]]
+D: [[12.0]]
+K: [[800.0]]
+""",
+    ModelConfig,
+    "mass",
+)
 
 SIGNALS = """
 levid: signals

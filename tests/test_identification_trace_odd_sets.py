@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mass_logs import MASS as CONFIG
 from mass_logs import imported
 from rig_effects import rig_places
 
@@ -26,22 +27,6 @@ from levid.model.effects.extent import Extent
 from levid.model.effects.freeform import freeform_effects
 from levid.model.effects.table import all_effects
 
-CONFIG = parse_text(
-    """
-levid: model
-name: mass
-dof: [{name: x_m, unit: m}]
-inputs: [{name: f_n, unit: N}]
-input: band_limited
-parameters:
-  m: {value: 2.0, unit: kg, min: 0.1, max: 20}
-M: [[m]]
-D: [[12.0]]
-K: [[800.0]]
-""",
-    ModelConfig,
-    "mass",
-)
 NOISE_M = 2e-7
 
 

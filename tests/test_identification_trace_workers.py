@@ -15,11 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mass_logs import MASS as CONFIG
 from mass_logs import imported
 from threadpoolctl import threadpool_info
 
-from levid.config.base import parse_text
-from levid.config.model import ModelConfig
 from levid.identification.data import IdentificationError
 from levid.identification.trace import workers
 from levid.identification.trace.record import TraceRecord
@@ -29,23 +28,6 @@ from levid.identification.trace.workers import (
     Spread,
     cluster_workers,
     local_workers,
-)
-
-CONFIG = parse_text(
-    """
-levid: model
-name: mass
-dof: [{name: x_m, unit: m}]
-inputs: [{name: f_n, unit: N}]
-input: band_limited
-parameters:
-  m: {value: 2.0, unit: kg, min: 0.1, max: 20}
-M: [[m]]
-D: [[12.0]]
-K: [[800.0]]
-""",
-    ModelConfig,
-    "mass",
 )
 
 GIVE_UP_S = 60.0

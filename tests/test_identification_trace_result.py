@@ -89,3 +89,17 @@ def test_what_would_tell_two_apart_is_said_of_both() -> None:
 
 def test_every_free_form_says_what_would_tell_it() -> None:
     assert all(e.told_apart_by for e in freeform_effects(rig_places(), EXTENT))
+
+
+def test_there_is_a_verdict_on_every_effect_beside_every_free_form() -> None:
+    """Bending modes have no one place."""
+    places = rig_places()
+    free = tuple(
+        FoundEffect(Placed(form, (), (0.0,) * len(form.amplitudes)), None)
+        for form in freeform_effects(places, EXTENT)
+    )
+    for effect in all_effects(places):
+        named = FoundEffect(Placed(effect, (), (1.0,) * len(effect.amplitudes)), None)
+        found = Outcome((named, *free), (), 20.0, 2.0, 1.0, (), 4.0, 1.0, (), (), ())
+        assert effect.name in found.verdict
+        assert effect.where or not found.perhaps_part_of(named)

@@ -177,8 +177,8 @@ class Outcome:
         """
         if found.unknown:
             return ()
-        at = found.effect.where[0]
-        return tuple(f.effect.name for f in self.effects if f.unknown and at == f.effect.where[0])
+        at = found.effect.where[:1]  # a bending mode has none: it moves all that reads and pushes
+        return tuple(f.effect.name for f in self.effects if f.unknown and at == f.effect.where[:1])
 
     @property
     def verdict(self) -> str:

@@ -110,6 +110,16 @@ def fly_and_refit(effects: Entries, seed: int) -> tuple[float, float]:
     return (error * sd_m if math.isfinite(error) else math.inf), floor * sd_m
 
 
+def flies_empty(seed: int) -> bool:
+    """Return whether a plant that holds nothing flies what this seed draws, off its stops."""
+    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+        try:
+            fly([], seed, Path(folder))
+        except TooLargeError:
+            return False
+    return True
+
+
 def fly(effects: Entries, seed: int, folder: Path) -> tuple[list[Path], float]:
     """Fly into `folder`; return the records' logs, and how far a corner moved, m.
 

@@ -26,7 +26,7 @@ class Result:
 
     `entries` are the effects that were flown: `less` of each where the plant's own could not be.
     `wall_s` is None where nobody looked at the clock, `floor_m` (rms of a plant that holds nothing)
-    where that was not flown.
+    where that was not flown. `seed` is the one it was flown with, None where nobody noted it.
     """
 
     plant: Plant
@@ -36,6 +36,7 @@ class Result:
     less: bool = False
     wall_s: float | None = None
     floor_m: float | None = None
+    seed: int | None = None
 
     @property
     def flown(self) -> bool:
@@ -88,6 +89,7 @@ class Kept:
             "effects": list(result.entries),
             "less": result.less,
             "wall_s": result.wall_s,
+            "seed": result.seed,
             "failed": result.failed,
             "found": result.found,
         }
@@ -156,7 +158,8 @@ def _result(
     if less is None:  # nobody noted it: its values tell, wherever its file lies
         asked = plant.entries(sizes) if all(c.name in sizes for c in plant.cases) else entries
         less = [_values(entry) for entry in entries] != [_values(entry) for entry in asked]
-    return Result(plant, row["found"], row["failed"], entries, less, row.get("wall_s"), floor_m)
+    wall_s, seed = row.get("wall_s"), row.get("seed")
+    return Result(plant, row["found"], row["failed"], entries, less, wall_s, floor_m, seed)
 
 
 def _values(entry: Mapping[str, Any]) -> dict[str, Any]:

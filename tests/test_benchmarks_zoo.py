@@ -538,12 +538,18 @@ def test_plant_that_meets_its_stops_is_flown_with_less_and_kept_as_it_was_flown(
             yield SimpleNamespace(item=item, answer=run(item), failed="", seconds=3.0)
 
     monkeypatch.setattr(zoo, "fly_and_trace", fly_and_trace)
+    monkeypatch.setattr(zoo, "flies_empty", lambda seed: seed in allowed)
     monkeypatch.setattr(zoo, "run_apart", in_this_process)
+    allowed = {1}
     zoo._fly_all([asked], cube, results.Kept(tmp_path), 1e-7, None)
     assert flown == pytest.approx([1.0, 0.8, 0.64])
     (result,) = results.Kept(tmp_path).of([asked], cube)
     assert result.entries[0]["k3_n_m3"] == pytest.approx(0.64 * full["k3_n_m3"])
     assert (result.less, result.wall_s, result.seconds) == (True, 3.0, 3.0)
+    assert result.seed == 1
+    allowed = {1001}
+    zoo._fly_all([asked], cube, results.Kept(tmp_path / "drawn"), 1e-7, None)
+    assert results.Kept(tmp_path / "drawn").of([asked], cube)[0].seed == 1001
     lines = (tmp_path / "results.jsonl").read_text()
     (tmp_path / "results.jsonl").write_text(lines.replace('"less": true, ', ""))
     assert results.Kept(tmp_path).of([asked], cube)[0].less  # its values tell

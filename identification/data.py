@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SAME_BEAM_M = 1e-3
-"""Records whose mean beam positions differ by less belong to one operating point."""
+"""Records whose mean beam positions are within so much belong to one operating point."""
 
 
 class IdentificationError(Exception):
@@ -108,10 +109,39 @@ def operating_points(records: Sequence[Record]) -> tuple[OperatingPoint, ...]:
     """
     if not records:
         raise IdentificationError("expected at least one record to identify, found none")
-    points = tuple(OperatingPoint(_mean_beam(group), tuple(group)) for group in _clusters(records))
+    points = tuple(
+        OperatingPoint(_mean_beam(group), tuple(group)) for group in by_position(records)
+    )
     for point in points:
         _check_consistent(point)
     return points
+
+
+class Placed(Protocol):
+    """A record of any sort: `beam_m` is None where there is no beam."""
+
+    @property
+    def beam_m(self) -> float | None: ...  # noqa: D102
+
+
+Some = TypeVar("Some", bound=Placed)
+
+
+def by_position(records: Iterable[Some]) -> list[list[Some]]:
+    """Return records in groups of one beam position, ascending; those of none come first.
+
+    A group spans 1 mm from its first record on, however many lie a little further each.
+    """
+    groups: list[list[Some]] = []
+    first: float | None = None
+    for record in sorted(records, key=lambda r: -np.inf if r.beam_m is None else r.beam_m):
+        here = record.beam_m
+        near = here is None or (first is not None and here - first <= SAME_BEAM_M)
+        if not groups or not near:
+            groups.append([])
+            first = here
+        groups[-1].append(record)
+    return groups
 
 
 def describe_position(beam_m: float | None) -> str:
@@ -119,25 +149,9 @@ def describe_position(beam_m: float | None) -> str:
     return "no beam position" if beam_m is None else f"beam at {1e3 * beam_m:+.1f} mm"
 
 
-def _clusters(records: Iterable[Record]) -> list[list[Record]]:
-    without = [r for r in records if r.beam_m is None]
-    ordered = sorted((r for r in records if r.beam_m is not None), key=_beam)
-    groups: list[list[Record]] = [without] if without else []
-    previous = -np.inf
-    for record in ordered:
-        if _beam(record) - previous > SAME_BEAM_M:
-            groups.append([])
-        groups[-1].append(record)
-        previous = _beam(record)
-    return groups
-
-
-def _beam(record: Record) -> float:
-    return 0.0 if record.beam_m is None else record.beam_m
-
-
 def _mean_beam(group: list[Record]) -> float | None:
-    return None if group[0].beam_m is None else float(np.mean([_beam(r) for r in group]))
+    beams = [r.beam_m for r in group if r.beam_m is not None]
+    return float(np.mean(beams)) if beams else None
 
 
 def _check_consistent(point: OperatingPoint) -> None:

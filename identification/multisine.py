@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from .data import SAME_BEAM_M, IdentificationError, describe_position
+from .data import SAME_BEAM_M, IdentificationError, by_position, describe_position
 from .distortion import (
     DetectionLines,
     ExcessTest,
@@ -217,13 +217,7 @@ def at_every_position(records: Sequence[PeriodicRecord]) -> tuple[BestLinearAppr
 
 def by_position_and_level(records: Sequence[PeriodicRecord]) -> list[list[PeriodicRecord]]:
     """Return the records in groups of which each has one best linear approximation."""
-    groups: list[list[PeriodicRecord]] = []
-    for record in sorted(records, key=lambda r: r.beam_m or 0.0):
-        if groups and (record.beam_m or 0.0) - (groups[-1][-1].beam_m or 0.0) <= SAME_BEAM_M:
-            groups[-1].append(record)
-        else:
-            groups.append([record])
-    return [level for position in groups for level in _by_level(position)]
+    return [level for position in by_position(records) for level in _by_level(position)]
 
 
 def response_estimate(bla: BestLinearApproximation) -> ResponseEstimate:

@@ -14,6 +14,7 @@ from levid.identification.data import (
     NotARecordError,
     PiController,
     Record,
+    by_position,
     operating_points,
 )
 from levid.identification.from_log import from_log, records_from_logs
@@ -248,6 +249,16 @@ def test_records_are_grouped_by_beam_position_within_a_millimetre():
     assert [len(p.records) for p in points] == [3, 3, 3]
     beams = [p.beam_m for p in points if p.beam_m is not None]
     np.testing.assert_allclose(beams, [-0.0999, 0.0001, 0.1001], atol=1e-9)
+
+
+def test_positions_that_creep_make_no_group_wider_than_a_millimetre():
+    creeping = [_record(b, 0) for b in np.linspace(0.0, 2.7e-3, 7)]
+    beams = [p.beam_m for p in operating_points(creeping)]
+    np.testing.assert_allclose(np.array(beams, float), [0.45e-3, 1.8e-3, 2.7e-3], atol=1e-9)
+    nowhere = [replace(r, beam_m=None) for r in creeping[:2]]
+    groups = by_position([creeping[0], *nowhere, creeping[6]])
+    assert [len(group) for group in groups] == [2, 1, 1]
+    assert groups[0] == nowhere
 
 
 def test_an_input_that_no_record_excites_is_named_with_its_position():

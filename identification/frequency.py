@@ -14,8 +14,8 @@ from .data import IdentificationError, PiController, Record
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-OVERLAP_FACTOR = 1.0 + 2.0 * (1.0 / 6.0) ** 2
-"""K Hann segments that overlap by half average like K / this many independent ones (Welch 1967)."""
+OVERLAP = 1.0 / 6.0
+"""Correlation of what noise gives to two Hann segments that overlap by half (Welch 1967)."""
 LEAST_FREEDOM = 0.5
 """Degrees of freedom that a record has at least; with fewer its circle is wider than any figure."""
 
@@ -63,7 +63,8 @@ def frequency_response(
 
     H = (sum Y V^H) (sum V V^H)^-1 over Hann segments of `segment_s` that overlap by half, at the
     bins (multiples of 1 / segment_s) nearest to freq_hz. The covariance follows from what H V
-    leaves of Y in each record: noise, and the leakage of transients.
+    leaves of Y in each record: noise, and the leakage of transients. Neighbouring segments share
+    some of their noise: of inputs that repeat, whose segments are all alike, that is felt sixfold.
 
     Raises IdentificationError for records shorter than two segments, no more segments than inputs,
     and inputs that cannot be told apart.
@@ -84,7 +85,9 @@ def frequency_response(
             f"expected more segments of {segment_s:g} s than the {p} inputs, found {segments}"
         )
     Y = [_segments(y, length, index) for y in outputs]
+    turn = np.exp(-2j * np.pi * index * (length // 2) / length)
     power = [np.einsum("kfi,kfj->fij", x, x.conj()) for x in V]
+    shared = [OVERLAP * np.einsum("f,kfi,kfj->fij", turn, x[1:], x[:-1].conj()) for x in V]
     total = np.sum(power, axis=0)
     across = sum(np.einsum("kfi,kfj->fij", y, x.conj()) for y, x in zip(Y, V, strict=True))
     scale = np.sqrt(np.einsum("fii->fi", total).real)
@@ -100,17 +103,19 @@ def frequency_response(
     m = H.shape[1]
     covariance = np.zeros((len(index), m, p, m, p), complex)
     left, all_of_it, variance, scatter = np.zeros((4, len(index), m, p))
-    for x, y, phi in zip(V, Y, power, strict=True):
+    for x, y, phi, both in zip(V, Y, power, shared, strict=True):
         error = y - np.einsum("fij,kfj->kfi", H, x)
         excited = np.einsum("fii->i", phi).real > 0
+        # White noise in V's place of the error: sum over k, l of x(k) E[e(k)* e(l)] x(l)^H.
+        effective = phi + both + both.conj().transpose(0, 2, 1)
         # Of its segments the fit has used up as many as it has followed this record alone.
-        followed = np.einsum("fij,fji->f", inverse, phi).real
+        followed = np.einsum("fij,fji->f", inverse, effective).real
         squares = np.einsum("kfi,kfj->fij", error, error.conj())
         noise = squares / np.maximum(len(x) - followed, LEAST_FREEDOM)[:, None, None]
-        weight = OVERLAP_FACTOR * (inverse @ phi @ inverse)
+        weight = inverse @ effective @ inverse
         covariance += np.einsum("fik,flj->fijkl", noise, weight)
         part = np.einsum("fii,fjj->fij", noise, weight).real
-        freedom = np.maximum(len(x) / OVERLAP_FACTOR - followed, LEAST_FREEDOM)
+        freedom = np.maximum(len(x) / (1.0 + 2.0 * OVERLAP**2) - followed, LEAST_FREEDOM)
         variance += part
         scatter += part**2 / freedom[:, None, None]
         left[:, :, excited] += (np.abs(error) ** 2).sum(axis=0)[:, :, None]

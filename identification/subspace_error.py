@@ -67,10 +67,12 @@ def covariance_of_equations(
     by_products = (cho_solve(cho_factor(scaled), flat.T).T / size).reshape(ABCD.size, -1)
     products = np.concatenate([_products_by_block(z, theta, p) for z in signals])
     errors = products.reshape(len(products), -1) @ by_products.T
-    # So many parameters make the innovation look smaller than it is.
+    # So many parameters make the innovation look smaller than it is, and that of a block that is
+    # left out, which the jackknife would scatter by, as much larger (HC3; MacKinnon and White,
+    # Journal of Econometrics 29 (1985) 305). Of short records the first alone is too little.
     rows = sum(len(z) - len(gram) // width + 1 for z in signals)
-    unbiased = 1.0 / (1.0 - len(size) / rows)
-    return np.asarray(unbiased * errors.T @ errors).reshape(*ABCD.shape, *ABCD.shape)
+    left_out = 1.0 / (1.0 - len(size) / rows) ** 2
+    return np.asarray(left_out * errors.T @ errors).reshape(*ABCD.shape, *ABCD.shape)
 
 
 def _products_by_block(z: Array, theta: Array, p: int) -> Array:

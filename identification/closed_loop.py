@@ -17,7 +17,15 @@ from .loop import without_delay
 from .markov import ESTIMATORS, MarkovEstimate, estimate_markov, markov_response, most_taps
 from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
 from .plant import Plant, closed_loop, plant_from_loop
-from .plausibility import HARMS, STATES_A_DOF, doubts, has_decayed, predicted_errors, settling_time
+from .plausibility import (
+    HARMS,
+    STATES_A_DOF,
+    doubts,
+    has_decayed,
+    order_doubts,
+    predicted_errors,
+    settling_time,
+)
 from .results import ClosedLoopPoint
 
 Array = NDArray[np.float64]
@@ -29,6 +37,8 @@ SETTLED_S = 4.0
 LONGEST_SETTLING_S = 60.0
 LEAST_RESPONSES = 3
 """Training rows of the shortest record over the longest impulse response."""
+LEAST_SEGMENTS = 4
+"""Settled rows of the shortest record over the longest segment of spectra."""
 LENGTHEN = 1.5
 
 
@@ -71,7 +81,7 @@ def identify_closed_loop(
     settled_s = settling_time(full_loop, SETTLED_S, LONGEST_SETTLING_S)
     starts = [settled_row(r, settled_s) for r in point.records]
     settled = [r.rows(row, len(r.y)) for r, row in zip(point.records, starts, strict=True)]
-    segment_s = options.segment_s or _at_most(LOOP_SEGMENT_S, settled, 4)
+    segment_s = options.segment_s or _at_most(LOOP_SEGMENT_S, settled, LEAST_SEGMENTS)
 
     grid = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.25 / Ts_s), POINTS)
     S = frequency.sensitivity(settled, grid, segment_s)
@@ -109,8 +119,18 @@ def identify_closed_loop(
             *_settling_remarks(settled_s, starts, Ts_s),
             *_feedback_remarks([point.records[0].output_names[i] for i in free]),
         ),
-        doubts=doubts(plant, full_loop, holdout, predicted_errors(point.records, holdout, first)),
+        doubts=(
+            *(order_doubts(order) if options.order is None else ()),
+            *doubts(plant, full_loop, holdout, predicted_errors(point.records, holdout, first)),
+        ),
     )
+
+
+def wanted_rows(options: Options, Ts_s: float) -> int:
+    """Return the rows of a record that shortens neither the impulse response nor the segments."""
+    impulse_s = LEAST_RESPONSES * (options.impulse_s or LOOP_IMPULSE_S) / (1.0 - options.holdout)
+    segments_s = LEAST_SEGMENTS * (options.segment_s or LOOP_SEGMENT_S)
+    return round(max(impulse_s, segments_s) / Ts_s)
 
 
 def _lengths(options: Options, training: Sequence[Record]) -> list[int]:

@@ -13,7 +13,7 @@ from .hold_out import hold_out, settled_row
 from .model_response import modes, response_with_errors
 from .options import Options
 from .plant import closed_loop
-from .plausibility import STATES_A_DOF, doubts, predicted_errors, settling_time
+from .plausibility import STATES_A_DOF, doubts, order_doubts, predicted_errors, settling_time
 from .results import ClosedLoopPoint, SubspacePoint
 from .subspace import plant_by_subspace
 
@@ -60,5 +60,8 @@ def _identify(point: ClosedLoopPoint, records: Sequence[Record], options: Option
         response=response_with_errors(found.plant, found.covariance, point.freq_hz),
         modes=modes(found.plant.core, found.covariance),
         holdout=held,
-        doubts=doubts(found.plant, loop, held, expected),
+        doubts=(
+            *(order_doubts(found.order) if options.order is None else ()),
+            *doubts(found.plant, loop, held, expected),
+        ),
     )

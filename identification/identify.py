@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
-from .closed_loop import identify_closed_loop
+from .closed_loop import identify_closed_loop, wanted_rows
 from .closed_loop_subspace import with_subspace
 from .coverage import PoorExcitationError, check_inputs
 from .data import (
@@ -16,6 +17,7 @@ from .data import (
     describe_position,
     operating_points,
 )
+from .long_enough import left_out_remarks, long_enough
 from .open_loop import identify_open_loop
 from .options import Options
 from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, Signals
@@ -81,8 +83,10 @@ def identify(
 def _in_its_loop(
     point: OperatingPoint, options: Options, progress: Callable[[float], None]
 ) -> ClosedLoopPoint:
-    found = identify_closed_loop(point, options, progress)
-    return with_subspace(found, point.records, options)
+    records, too_short = long_enough(point.records, wanted_rows(options, point.records[0].Ts_s))
+    found = identify_closed_loop(replace(point, records=records), options, progress)
+    told = replace(found, remarks=(*left_out_remarks(too_short), *found.remarks))
+    return with_subspace(told, records, options)
 
 
 def _check_same_signals(first: Record, other: Record) -> None:

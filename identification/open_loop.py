@@ -13,6 +13,7 @@ from .data import IdentificationError, OperatingPoint, Record
 from .fit import nrmse_fit_percent
 from .frequency import ResponseEstimate, frequency_response
 from .ho_kalman import Scaling, decompose_coloured, realise
+from .long_enough import left_out_remarks, long_enough
 from .markov import MarkovEstimate, estimate_markov, most_taps
 from .options import Options
 from .predictor import choose_past, innovation_model, state_sequence
@@ -25,8 +26,6 @@ HIGHEST_ORDER = 20
 PAST = (4, 6, 8, 10, 15, 20, 30, 40)
 ROWS_A_TAP = 4
 MOST_TAPS = 200
-SHORT_SHARE = 0.1
-"""Share of all rows that records may hold which are left out for being short."""
 VALIDATION_SHARE = 0.25
 BLOCKS = 8
 """The standard error of a validation error is that of this many blocks in time."""
@@ -58,7 +57,8 @@ def identify_open_loop(
     models of every order from the first three quarters of them are judged on the last. What
     `options.holdout` keeps back only measures the fit. Raises IdentificationError.
     """
-    records, too_short = _long_enough(point.records)
+    # An impulse response is at most half as long as the shortest record.
+    records, too_short = long_enough(point.records, 2 * MOST_TAPS + 1)
     stops = [len(r.y) - options.holdout_rows(len(r.y)) for r in records]
     centred = [_centred(r, stop) for r, stop in zip(records, stops, strict=True)]
     training = [r.rows(0, stop) for r, stop in zip(centred, stops, strict=True)]
@@ -106,31 +106,9 @@ def identify_open_loop(
         ),
         remarks=(
             *(f"{r.name}: {text}" for r in records for text in r.remarks),
-            *(
-                f"'{r.name}' is left out: its {len(r.y)} rows would shorten the impulse response "
-                "of all"
-                for r in too_short
-            ),
+            *left_out_remarks(too_short),
         ),
     )
-
-
-def _long_enough(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
-    """Return the records to use, and those so short that they cost more than they tell.
-
-    An impulse response is at most half as long as the shortest record. Of records that are no
-    longer than that allows, those are left out that hold a tenth of all rows together at most, as
-    long as the others excite all that they do.
-    """
-    kept = sorted(records, key=lambda r: len(r.y), reverse=True)
-    spare = SHORT_SHARE * sum(len(r.y) for r in records)
-    excited = np.any([r.excited for r in records], axis=0)
-    while len(kept[-1].y) <= min(spare, 2 * MOST_TAPS):
-        if np.any(excited & ~np.any([r.excited for r in kept[:-1]], axis=0)):
-            break
-        spare -= len(kept.pop().y)
-    names = {id(r) for r in kept}
-    return [r for r in records if id(r) in names], [r for r in records if id(r) not in names]
 
 
 def _centred(record: Record, stop: int) -> Record:
@@ -265,6 +243,12 @@ def _spectra(records: Sequence[Record], options: Options) -> ResponseEstimate:
     Ts_s = records[0].Ts_s
     segment_s = options.segment_s or _segment(records) * Ts_s
     usable = [r for r in records if len(r.y) * Ts_s >= 2 * segment_s]
+    if not usable:
+        longest_s = max(len(r.y) for r in records) * Ts_s
+        raise IdentificationError(
+            f"expected a record with two segments of {segment_s:g} s before what is kept back, "
+            f"found {longest_s:g} s at most"
+        )
     grid = np.geomspace(1.0 / segment_s, 0.5 / Ts_s, BINS)
     return frequency_response([r.v for r in usable], [r.y for r in usable], Ts_s, grid, segment_s)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
 from .data import Record
+from .ho_kalman import OrderChoice
 from .markov import MarkovEstimate, convolve
 from .plant import Plant
 from .results import HoldOut
@@ -29,6 +30,8 @@ CUT_OFF = 1e-3
 STATES_A_DOF = 2
 MATTERS = 0.05
 """Share of an output's motion that may be missed without a doubt."""
+LEAST_GAP = 1.5
+"""Least ratio of singular values that tells an order; the largest of noise alone is 1.02 to 1.1."""
 WORSE = 2.0
 """Rms error of a true model over that of its Markov parameters, whose noise alone is larger."""
 
@@ -111,6 +114,16 @@ def doubts(
                 f"{error[worst] / expected[worst]:.1f} times the error of the impulse response"
             )
     return tuple(found)
+
+
+def order_doubts(choice: OrderChoice) -> tuple[str, ...]:
+    """Return in words that no gap of the singular values tells the order; empty where one does."""
+    if choice.gap >= LEAST_GAP:
+        return ()
+    return (
+        f"the singular values leave no gap: s({choice.order}) / s({choice.order + 1}) is the "
+        f"largest with {choice.gap:.2g}, so that {choice.order} states are a guess",
+    )
 
 
 def _of_axes(size: Array) -> Array:

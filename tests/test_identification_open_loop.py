@@ -194,6 +194,11 @@ def test_a_short_record_that_alone_excites_an_input_counts_in_the_spectra():
     assert point.from_spectra.freq_hz[0] == pytest.approx(1 / 3.6)
 
 
+def test_segments_that_fit_into_no_record_are_an_error():
+    with pytest.raises(IdentificationError, match=r"two segments of 40 s .*, found 30 s at most"):
+        identify(_records(1, rows=2000), Options(segment_s=40.0))
+
+
 def test_a_record_too_short_for_a_predictor_is_an_error():
     (record,) = _records(4, rows=40)
     with pytest.raises(IdentificationError):

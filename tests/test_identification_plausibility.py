@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from levid.identification.data import Record
+from levid.identification.ho_kalman import Scaling, decompose, order_from_gap
 from levid.identification.identify import identify
 from levid.identification.markov import MarkovEstimate
 from levid.identification.options import Options
-from levid.identification.plausibility import has_decayed, settling_time
+from levid.identification.plausibility import has_decayed, order_doubts, settling_time
 from levid.identification.results import ClosedLoopPoint
 from levid.identification.summary import summary
 from levid.model.second_order import StateSpace
@@ -97,3 +98,26 @@ def test_settling_time_is_that_of_the_slowest_motion_that_shows():
     assert settling_time(model, 20.0, 60.0) == 20.0
     unstable = StateSpace(np.diag([1.1, fast]), np.eye(2), np.eye(2), np.zeros((2, 2)), Ts_s)
     assert settling_time(unstable, 1.0, 60.0) == 60.0
+
+
+def test_an_order_that_no_gap_tells_is_a_guess():
+    clear = order_from_gap(np.array([5.0, 4.0, 3.0, 0.1, 0.09]), 2)
+    assert clear.order == 3
+    assert order_doubts(clear) == ()
+    (doubt,) = order_doubts(order_from_gap(np.array([5.0, 4.0, 3.0, 2.2, 2.0]), 2))
+    assert doubt.startswith("the singular values leave no gap: s(3) / s(4) is the largest with 1.4")
+    # No signal at all: whatever the length, the largest of all ratios is far from a gap.
+    for length in (60, 200, 1000):
+        noise = np.random.default_rng(length).normal(size=(length, 3, 3))
+        scaling = Scaling(np.ones(3), np.ones(3))
+        assert order_doubts(order_from_gap(decompose(noise, 1e-3, scaling).singular_values))
+
+
+def test_a_loop_whose_order_no_gap_tells_is_not_to_be_trusted(rig, ringing):
+    """Sensor noise alone: excitation that is written down was never played."""
+    rng = np.random.default_rng(0)
+    asleep = [
+        Record(**{**r.__dict__, "y": 1e-6 * rng.normal(size=r.y.shape), "u": r.v}) for r in ringing
+    ]
+    point = _point(asleep, Options(lag_s=rig.LAG_S, impulse_s=1.0))
+    assert any("leave no gap" in text for text in point.doubts)

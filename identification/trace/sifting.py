@@ -36,8 +36,7 @@ def sifted(point: WorkingPoint, found: Round, train: Evidence, records: Fitted) 
     best_tried = found.survivors[0]
     if not any(tried.shape for tried in found.survivors):
         # What has no shape to move is where a fit would leave it already.
-        near = max(_ALIKE * best_tried.gain, _NEAR)
-        alike = tuple(t for t in found.survivors[1:] if best_tried.gain - t.gain < near)
+        alike = tuple(t for t in found.survivors[1:] if not told_apart(t, best_tried))
         return replace(found, taken=best_tried, alternatives=alike)
     if len(found.survivors) == 1 and not found.elsewhere:
         return replace(found, taken=best_tried)
@@ -72,7 +71,17 @@ def sifted(point: WorkingPoint, found: Round, train: Evidence, records: Fitted) 
     winner = min((fitted[0], *again), key=_squares)
     near = max(_ALIKE * (before - winner.squares), _NEAR)
     alike = tuple(one.tried for one in fitted[1:] if one.squares - winner.squares < near)
+    alike = tuple(tried for tried in alike if not told_apart(tried, winner.tried))
     return replace(found, taken=winner.tried, alternatives=alike)
+
+
+def told_apart(tried: Tried, best: Tried) -> bool:
+    """Return whether all records together say that one with no shape to move is not the best.
+
+    It gains there what a fit would. The records that tell most of the survivors need not be those
+    that differ: two coils at one corner each turn the platform alike, until each pushes by itself.
+    """
+    return not tried.shape and best.gain - tried.gain >= max(_ALIKE * best.gain, _NEAR)
 
 
 @dataclass(frozen=True)

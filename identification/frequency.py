@@ -106,7 +106,7 @@ def frequency_response(
     for x, y, phi, both in zip(V, Y, power, shared, strict=True):
         error = y - np.einsum("fij,kfj->kfi", H, x)
         excited = np.einsum("fii->i", phi).real > 0
-        # White noise in V's place of the error: sum over k, l of x(k) E[e(k)* e(l)] x(l)^H.
+        # Sum over segments k and l of x(k) x(l)^H times how their noise is correlated.
         effective = phi + both + both.conj().transpose(0, 2, 1)
         # Of its segments the fit has used up as many as it has followed this record alone.
         followed = np.einsum("fij,fji->f", inverse, effective).real

@@ -117,14 +117,14 @@ def operating_points(records: Sequence[Record]) -> tuple[OperatingPoint, ...]:
     return points
 
 
-class Placed(Protocol):
+class AtBeam(Protocol):
     """A record of any sort: `beam_m` is None where there is no beam."""
 
     @property
     def beam_m(self) -> float | None: ...  # noqa: D102
 
 
-Some = TypeVar("Some", bound=Placed)
+Some = TypeVar("Some", bound=AtBeam)
 
 
 def by_position(records: Iterable[Some]) -> list[list[Some]]:

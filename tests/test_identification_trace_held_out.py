@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rig_effects import rig_places
 
-from levid.identification.trace import search
+from levid.identification.trace import growing
 from levid.identification.trace.held_out import helps
 from levid.identification.trace.screening import HeldError, Round, Tried
 from levid.model.effects.table import all_effects
@@ -72,7 +72,7 @@ def test_all_are_screened_where_others_show_what_held_out_records_do_not(
     def train(_: object, some: list[Any]) -> None:
         seen.append("all" if len(some) == 2 else "drives")
 
-    monkeypatch.setattr(search, "gather", lambda *_: evidence)
+    monkeypatch.setattr(growing, "gather", lambda *_: evidence)
 
     def screened(_: object, some: list[Any], *rest: Any) -> Round:
         least = rest[-1]
@@ -84,8 +84,8 @@ def test_all_are_screened_where_others_show_what_held_out_records_do_not(
         survivors = [t for t in survivors if least.taken_by(t)]
         return Round(excess, 5e5, (), tuple(survivors), (), None, ())
 
-    monkeypatch.setattr(search, "screened", screened)
-    answered, _ = search._screened(
+    monkeypatch.setattr(growing, "screened", screened)
+    answered, _ = growing._screened(
         SimpleNamespace(),  # type: ignore[arg-type]
         candidates,
         HeldError(FLOOR, FLOOR),

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from rig_effects import rig_places
 
-from levid.identification.trace import giving_up, search
+from levid.identification.trace import giving_up, growing
 from levid.identification.trace.screening import HeldError, Round, Tried
 from levid.model.effects.base import Placed
 from levid.model.effects.table import all_effects
@@ -101,22 +101,27 @@ def test_search_goes_on_without_who_led_on_if_held_out_records_gain_by_that(
     asked = [round_of(None), round_of(None)]
     asked[0] = replace(asked[0], survivors=(tried(SECOND, 9e4),))
     rounds = iter(asked)
-    monkeypatch.setattr(search, "_screened", lambda *_: (next(rounds), train))
+    monkeypatch.setattr(growing, "_screened", lambda *_: (next(rounds), train))
     monkeypatch.setattr(
-        search, "sifted", lambda _, found, *__: replace(found, taken=found.survivors[0])
+        growing, "sifted", lambda _, found, *__: replace(found, taken=found.survivors[0])
     )
-    monkeypatch.setattr(search, "refine", lambda point, *_, **__: (point, 1e3))
-    monkeypatch.setattr(search, "asked_again", lambda _, taken, *__: taken)
-    monkeypatch.setattr(search, "without_guide", lambda *_: alone)
-    monkeypatch.setattr(search, "without_idle", lambda point, _: point)
-    monkeypatch.setattr(search, "_believing", lambda point, *_: point)
+    monkeypatch.setattr(growing, "refine", lambda point, *_, **__: (point, 1e3))
+    monkeypatch.setattr(growing, "asked_again", lambda _, taken, *__: taken)
+    monkeypatch.setattr(growing, "without_guide", lambda *_: alone)
+    monkeypatch.setattr(growing, "without_idle", lambda point, _: point)
+    monkeypatch.setattr(growing, "_believing", lambda point, *_: point)
     errors = {id(alone): after}
     records = SimpleNamespace(
         believed=lambda point: point,
         held_error=lambda point: HeldError(errors.get(id(point), 5.0), 1.0),
     )
-    point, error, told = search._grown(
-        begun, [NAMED[SECOND]], 3, 0.0, HeldError(10.0, 1.0), records, lambda *_: None
+    point, error, told = growing.grown(
+        growing.Grown(begun, HeldError(10.0, 1.0), ()),
+        [NAMED[SECOND]],
+        3,
+        0.0,
+        records,
+        lambda *_: None,
     )
     assert [p.effect.identity for p in point.placed] == kept
     assert error.squares == min(after, 5.0)
@@ -144,30 +149,35 @@ def test_who_was_refused_is_asked_once_more_when_another_is_there(
         )
         return replace(taken, chance=-20.0 if refused else 100.0)
 
-    monkeypatch.setattr(search, "_screened", screened)
+    monkeypatch.setattr(growing, "_screened", screened)
     monkeypatch.setattr(
-        search, "sifted", lambda _, found, *__: replace(found, taken=found.survivors[0])
+        growing, "sifted", lambda _, found, *__: replace(found, taken=found.survivors[0])
     )
     monkeypatch.setattr(
-        search,
+        growing,
         "with_tried",
         lambda point, taken: replace(
             point, placed=(*point.placed, Placed(taken.effect, (), taken.amplitudes))
         ),
     )
-    monkeypatch.setattr(search, "refine", lambda point, *_, **__: (point, 1e3))
-    monkeypatch.setattr(search, "asked_again", answer)
-    monkeypatch.setattr(search, "without_stand_in", lambda point, left, *_: (point, left, None))
-    monkeypatch.setattr(search, "without_guide", lambda *_: None)
-    monkeypatch.setattr(search, "without_idle", lambda point, _: point)
-    monkeypatch.setattr(search, "_believing", lambda point, *_: point)
+    monkeypatch.setattr(growing, "refine", lambda point, *_, **__: (point, 1e3))
+    monkeypatch.setattr(growing, "asked_again", answer)
+    monkeypatch.setattr(growing, "without_stand_in", lambda point, left, *_: (point, left, None))
+    monkeypatch.setattr(growing, "without_guide", lambda *_: None)
+    monkeypatch.setattr(growing, "without_idle", lambda point, _: point)
+    monkeypatch.setattr(growing, "_believing", lambda point, *_: point)
     records = SimpleNamespace(
         believed=lambda point: point,
         held_error=lambda point: HeldError(5.0 / (1 + len(point.placed)), 1.0),
     )
     effects = [NAMED[name] for name in (FIRST, SECOND, THIRD)]
-    point, _, told = search._grown(
-        placed(), effects, 6, 0.0, HeldError(10.0, 1.0), records, lambda *_: None
+    point, _, told = growing.grown(
+        growing.Grown(placed(), HeldError(10.0, 1.0), ()),
+        effects,
+        6,
+        0.0,
+        records,
+        lambda *_: None,
     )
     names = [p.effect.identity for p in point.placed]
     assert names == ([SECOND, FIRST] if convinced else [SECOND])

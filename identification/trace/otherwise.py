@@ -1,0 +1,93 @@
+"""Another way to what was found: of two that looked alike, the other was taken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...model.declared import ModelError
+from ...model.effects.base import Effect
+from ..data import IdentificationError
+from .growing import Grown, Progress, agree, grown, share
+from .refine import NEARLY, refine
+from .screening import Records, Round, Tried, asked_again
+from .sifting import with_tried
+from .working_point import WorkingPoint
+
+_NARROWLY = 0.8
+"""Of what was taken gained, as much as a rival has to gain to be tried in its place."""
+_HALF = 0.5
+"""Of what is left, as much as may stay of it where another way is right."""
+_MOST_WAYS = 3
+"""Each costs as much as the search from there on."""
+
+
+def otherwise(
+    found: Grown, effects: Sequence[Effect], most: int, records: Records, progress: Progress
+) -> Grown:
+    """Return what explains more if one that was taken had been another; the same if none does.
+
+    Effects are taken one by one, and what looks most like two of them together bars the way to
+    both: of drag that grows with the square of the speed and dry friction it is a linear damper.
+    Or what is right has a longer way to its best shape than it was given beside the others.
+    So where much is left, those that were beaten narrowly are put in the place of what was taken,
+    last ones first, and the search goes on from there, to at most `most` effects more. A way counts
+    if it leaves half of what is left, and of those the one that leaves least.
+    """
+    ways = [
+        (number, rival)
+        for number, one in reversed(list(enumerate(found.rounds)))
+        if one.taken is not None
+        for rival in _rivals(one, found.point)
+    ]
+    best, least = found, _HALF * (found.error.squares - found.error.floor)
+    for number, rival in ways[:_MOST_WAYS]:
+        progress(f"trying {rival.effect.name} instead", share(len(found.rounds)))
+        begun = _instead(found, number, rival, records)
+        if begun is None:
+            continue
+        way = grown(begun, effects, most, 0.0, records, progress)
+        left = way.error.squares - way.error.floor
+        if left < least:
+            best, least = way, left
+        if not best.much_left:
+            break
+    return best
+
+
+def _instead(found: Grown, number: int, rival: Tried, records: Records) -> Grown | None:
+    """Return the same with a rival in the place of what a round took.
+
+    None where that runs away, or held-out records do not agree with the rival as it then fits.
+    """
+    earlier = found.rounds[number]
+    assert earlier.taken is not None
+    given_up = earlier.taken.effect.identity
+    others = tuple(p for p in found.point.placed if p.effect.identity != given_up)
+    without = replace(found.point, placed=others)
+    try:
+        point, _ = refine(with_tried(without, rival), records, within=NEARLY)
+        rival = asked_again(without, rival, point.placed[-1], records)
+        error = records.held_error(point)
+    except (ModelError, IdentificationError, np.linalg.LinAlgError):
+        return None
+    if not np.isfinite(error.squares) or not agree(rival):
+        return None
+    taken = replace(earlier, taken=rival, alternatives=())
+    rounds = [taken if r is earlier else r for r in found.rounds if r.taken is not None]
+    return Grown(point, error, tuple(rounds))
+
+
+def _rivals(found: Round, point: WorkingPoint) -> list[Tried]:
+    """Return those that were nearly as good as what was taken, if that is still there."""
+    taken = found.taken
+    there = {p.effect.identity for p in point.placed}
+    if taken is None or taken.effect.identity not in there:
+        return []
+    return [
+        t
+        for t in found.survivors
+        if t.effect.identity not in there and t.gain > _NARROWLY * taken.gain and agree(t)
+    ]

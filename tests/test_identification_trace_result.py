@@ -58,6 +58,23 @@ def test_a_name_beside_a_free_form_at_its_place_may_be_a_part_of_it() -> None:
         assert ("perhaps a part of" in found.verdict) == bool(told)
 
 
+def test_what_all_coils_do_alike_may_be_a_part_of_a_force_on_any_dof() -> None:
+    """As of steel that draws the beam: the coils were blamed, and the rest described freely."""
+    forms = {e.where: e for e in freeform_effects(rig_places(), EXTENT)}
+    effects = [e for e in all_effects(rig_places()) if e.key == "force_constant.linear"]
+    of_all, of_one = (
+        next(e for e in effects if len(e.where) == count and "coil:3" in e.where)
+        for count in (9, 1)
+    )
+    for where, told in ((("theta",), (True, False)), (("sensor:3",), (False, False))):
+        form = forms[where]
+        free = FoundEffect(Placed(form, (), (0.0,) * len(form.amplitudes)), None)
+        for effect, doubted in zip((of_all, of_one), told, strict=True):
+            named = FoundEffect(Placed(effect, (), (1.0,)), None)
+            found = Outcome((named, free), (), 20.0, 2.0, 1.0, (), 4.0, 1.0, (), (), ())
+            assert found.perhaps_part_of(named) == ((form.name,) if doubted else ())
+
+
 def test_who_names_nothing_is_in_no_doubt() -> None:
     assert not result(20.0, 19.0, named=False).doubtful
     assert math.isnan(result(0.9, 1.0).explained)

@@ -6,8 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rig_effects import rig_places
 
 from levid.identification.trace import screening
+from levid.model.effects.table import all_effects
+
+NAMED = {e.identity: e for e in all_effects(rig_places())}
 
 
 @pytest.mark.parametrize(
@@ -36,3 +40,24 @@ def test_who_can_be_asked_is(
     monkeypatch.setattr(screening, "chance_between", lambda *_: between)
     held = SimpleNamespace(size=np.ones(3), blocks=blocks)
     assert screening._agrees(SimpleNamespace(), held, 1, np.ones(2)) == told
+
+
+@pytest.mark.parametrize(
+    ("identity", "share", "chance", "fitted"),
+    [
+        # At two thirds too wide it acts in records held out, in which the right one does nothing.
+        ("dead_zone@coil:7", 0.6, -0.9, True),
+        ("dead_zone@coil:7", 0.4, -0.9, False),
+        ("dead_zone@coil:7", 0.4, 2.5, True),
+        # No fit makes another of what has no shape.
+        ("coil_gain@coil:7", 0.6, -0.9, False),
+        ("coil_gain@coil:7", 0.6, 6.5, True),
+    ],
+)
+def test_who_explains_most_of_it_is_fitted_if_it_has_a_shape_to_move(
+    identity: str, share: float, chance: float, fitted: bool
+) -> None:
+    effect = NAMED[identity]
+    least = screening.Least(1e6, 0.0, little=False, unshown=False)
+    tried = screening.Tried(effect, effect.grid[0], share * 1e6, np.ones(3), (1.0,), chance)
+    assert least.taken_by(tried) is fitted

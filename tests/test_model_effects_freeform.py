@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import chebyshev
 from rig_effects import rig_places
+from scipy.signal import lsim
 
 from levid.model.effects.base import Signals
 from levid.model.effects.extent import Extent
@@ -144,6 +145,53 @@ def test_a_reading_may_be_false_in_one_place_and_right_everywhere_else():
     left = bump - columns @ np.linalg.lstsq(columns, bump, rcond=None)[0]
     assert np.abs(left).max() < 0.02  # cubic pieces of 22 mm
     assert len(columns.T) == len(effect.amplitudes) == 12
+
+
+@pytest.mark.parametrize(
+    ("by", "signals"), [("v_b", ("v_b",)), ("a_b_v_b", ("a_b", "v_b")), ("phi_speed", ("phi'",))]
+)
+def test_what_lingers_is_what_a_leaking_store_holds(by: str, signals: tuple[str, ...]):
+    """As of a capacitor that braking charges, or of what friction heats."""
+    s, tau_s = moving(), 0.4
+    (effect,) = (e for e in effects() if e.where == ("sensor:2",) and f".lingering.{by}[" in e.key)
+    assert depends_on(effect) == signals
+    u = {"v_b": s.v_b_m_s, "a_b_v_b": s.a_b_m_s2 * s.v_b_m_s, "phi_speed": s.phi_rad_s}[by]
+    scale = float(effect.key.partition("[")[2].rstrip("]"))
+    for term, side in zip(effect.build(s, (tau_s,)), (u, -u), strict=True):
+        fed = np.maximum(side, 0.0) / scale
+        _, held, _ = lsim(([1.0], [tau_s, 1.0]), fed - fed[0], s.Ts_s * np.arange(len(fed)))
+        np.testing.assert_allclose(acts(term)[:, 2], fed[0] + held, atol=1e-9)
+
+
+def test_what_a_command_leaves_behind_is_of_its_mean_and_of_readings_alone():
+    s = moving()
+    s = replace(s, coil=6.0 + s.coil)
+    found = [
+        e for e in freeform_effects(s.places, Extent.measured([s])) if ".lingering.coil" in e.key
+    ]
+    assert len(found) == 81
+    assert {e.where[0].partition(":")[0] for e in found} == {"sensor"}
+    warm = next(e for e in found if e.where == ("sensor:4",) and ".coil_7[" in e.key)
+    assert depends_on(warm) == ("coil:7",)
+    again = freeform_effect(s.places, warm.key, warm.where)
+    assert again is not None
+    above, below = (acts(t)[:, 4] for t in again.build(s, (1e-6,)))
+    middle, scale = (float(n) for n in warm.key.partition("[")[2].rstrip("]").split("+-"))
+    acting = s.acting(s.coil)[:, 7]
+    np.testing.assert_allclose(middle + scale * (above - below), acting, atol=1e-3)
+    assert freeform_effect(s.places, warm.key, ("theta",)) is None
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "v_b[0]", "v_b[-1]", "v_b[inf]", "v_b[1e999]", "v_b[1..2]", "v_b", "x_b[0.1]",
+        "v_b[0.1+-0.4]", "coil_3[2]", "coil_9[6+-2]", "coil_3[nan+-2]", "coil_3[1e999+-2]",
+    ],
+)  # fmt: skip
+def test_what_lingers_has_a_signal_and_a_scale(key: str):
+    assert freeform_effect(rig_places(), f"unknown.lingering.{key}", ("sensor:1",)) is None
+    assert freeform_effect(rig_places(), "unknown.lingering.v_b[0.4]", ("coil:1",)) is None
 
 
 def test_a_reading_may_be_bent_over_a_small_part_of_a_tilt():

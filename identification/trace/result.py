@@ -38,6 +38,8 @@ NO_STILL = (
 _IN_DOUBT, _EXPLAINED = 2.0, 2.0 / 3.0
 """Names are doubted where the error stays above this multiple of its floor, and they explain less
 than this share of the squares that there were to explain."""
+_MANY = 2
+"""Coils that push alike, if there are more, push as a force on the DOF does."""
 PERHAPS_A_PART = "perhaps a part of what is described freely there"
 _NEXT_TO_NOTHING = 0.01
 _TOLD = 0.5
@@ -177,8 +179,11 @@ class Outcome:
         """
         if found.unknown:
             return ()
-        at = found.effect.where[:1]  # a bending mode has none: it moves all that reads and pushes
-        return tuple(f.effect.name for f in self.effects if f.unknown and at == f.effect.where[:1])
+        return tuple(
+            f.effect.name
+            for f in self.effects
+            if f.unknown and _acts_at(found.effect.where, f.effect.where[0])
+        )
 
     @property
     def verdict(self) -> str:
@@ -222,6 +227,13 @@ class Outcome:
             "at the readings' highest frequencies and taken for the sensors' noise; sample faster, "
             "or excite less up there"
         )
+
+
+def _acts_at(where: Sequence[str], place: str) -> bool:
+    """Return whether what is at `where` acts at a place: many coils alike push at every DOF."""
+    if len(where) > _MANY and where[0].startswith("coil:"):
+        return ":" not in place or place in where
+    return place in where
 
 
 def outcome(trace: Trace) -> Outcome:

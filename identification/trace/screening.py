@@ -30,6 +30,9 @@ ALONE = 20.0
 _PROMISING_ALONE = 6.0
 """The same for an effect whose shape is a first guess. A dead zone at two thirds of its width took
 two thirds of the errors and agreed by 8, and at its width by some thousand."""
+_MOST_OF_IT = 0.5
+"""Who explains this share of what there is at a first guess is fitted whatever held-out records
+say: where the right shape does nothing in them a wrong one does, and they contradict that."""
 _WORTH = 0.004
 """An effect is worth naming if it takes this share of what noise does not explain."""
 _DESCRIBES = 0.1
@@ -126,6 +129,8 @@ class Least:
             return False
         at_first, at_last = (_PROMISING, BEYOND_CHANCE) if tried.held else (_PROMISING_ALONE, ALONE)
         surely = at_first if tried.shape else at_last
+        if tried.shape and tried.gain > _MOST_OF_IT * self.excess:
+            surely = -np.inf
         beside = _IN_PASSING if self.little or is_internal(tried.effect) else _BESIDE
         worth = max(_WORTH * self.excess, beside * self.explained, LEAST)
         return tried.chance > surely and tried.gain > worth

@@ -1,9 +1,9 @@
 """A residual that no known effect explains, as a smooth function of what it depends on.
 
 Each is a force on one DOF or of one coil, or a false reading of one sensor: a function of one
-signal, one signal times a function of another, or what answers a motion later. They name nothing.
-They say where something acts, on what it depends and how it looks, and leave a model that is better
-after than before.
+signal, one signal times a function of another, what answers a motion later or what a signal leaves
+behind. They name nothing. They say where something acts, on what it depends and how it looks, and
+leave a model that is better after than before.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from .base import (
 )
 from .extent import Extent
 from .hysteresis import hystereses, hysteresis, hysteretic_command
+from .lingering import left_behind_by, lingering, lingerings
 
 Array = NDArray[np.float64]
 
@@ -175,14 +176,19 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
         others = [by for by in commands if by != own] + (["x_b"] if places.beam else [])
         forms += [_form(places, extent, by, own) for by in others]
         found += [_effect(places, f"coil:{c}", form) for form in forms]
-    return resolved([*found, *hystereses(places, extent), *answers(places)], extent.fastest_hz)
+    found += [*hystereses(places, extent), *lingerings(places, extent), *answers(places)]
+    return resolved(found, extent.fastest_hz)
 
 
 def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the free form that a model file names by key and place; None if it is none."""
     form = Form.of(key)
     if form is None:
-        return answer(places, key, where) or hysteresis(places, key, where)
+        return (
+            answer(places, key, where)
+            or hysteresis(places, key, where)
+            or lingering(places, key, where)
+        )
     known = _signals(places)
     sensors, coils = (
         [f"{what}:{k}" for k in range(count)]
@@ -204,7 +210,7 @@ def depends_on(effect: Effect) -> tuple[str, ...]:
     form = Form.of(effect.key)
     if form is None:
         motion = answered(effect) or hysteretic_command(effect)
-        return () if motion is None else (motion,)
+        return tuple(map(_spoken, left_behind_by(effect))) if motion is None else (motion,)
     return tuple(_spoken(word) for word in (form.factor, form.by) if word)
 
 

@@ -220,6 +220,8 @@ def _told(r: Round) -> str:
     said = f"the mean square of the errors is {1 + left:.3f}, 1 being noise."
     if r.taken is not None:
         said += f" {r.taken.effect.name} was taken"
+        if r.instead_of is not None:
+            said += f" in the place of {r.instead_of.name}, from which the search had come less far"
         if r.alternatives:
             said += ", though " + ", ".join(t.effect.name for t in r.alternatives) + " fit no worse"
         return said + "."

@@ -96,6 +96,7 @@ def test_a_rival_takes_the_place_of_what_was_taken_if_it_leaves_less_than_half(
     # The rounds tell it as if it had been taken then.
     assert [r.taken and r.taken.effect.identity for r in way.rounds] == [GAIN, DRAG]
     assert not way.rounds[1].alternatives
+    assert way.rounds[1].instead_of is NAMED[DAMPING]
     same = otherwise.otherwise(so_far, (), 4, leaves(air_damping_quadratic=0.6 * LEFT), told)
     assert same is so_far
 
@@ -149,6 +150,23 @@ def test_three_ways_are_tried_and_one_that_fits_nowhere_is_none(
     def runs_away(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError
 
-    monkeypatch.setattr(otherwise, "refine", runs_away)
-    assert otherwise.otherwise(so_far, (), 4, leaves(), told) is so_far
+    # What fails on the way takes nothing of what was found.
+    for fails in ("grown", "refine"):
+        monkeypatch.setattr(otherwise, fails, runs_away)
+        assert otherwise.otherwise(so_far, (), 4, leaves(), told) is so_far
     assert not begun
+
+
+def test_progress_goes_back_on_no_way(
+    begun: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def grown(so_far: Grown, _: object, most: int, *rest: Any) -> Grown:
+        rest[-1]("screening", 0.15)
+        return so_far
+
+    monkeypatch.setattr(otherwise, "grown", grown)
+    seen: list[float] = []
+    so_far = found(round_of(tried(GAIN, 5e5), tried(DRAG, 4.9e5)))
+    otherwise.otherwise(so_far, (), 4, leaves(), lambda _, done: seen.append(done))
+    assert len(seen) == 2
+    assert seen == sorted(seen)

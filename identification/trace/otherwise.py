@@ -44,11 +44,15 @@ def otherwise(
     ]
     best, least = found, _HALF * (found.error.squares - found.error.floor)
     for number, rival in ways[:_MOST_WAYS]:
-        progress(f"trying {rival.effect.name} instead", share(len(found.rounds)))
-        begun = _instead(found, number, rival, records)
-        if begun is None:
-            continue
-        way = grown(begun, effects, most, 0.0, records, progress)
+        at = share(len(found.rounds))
+        progress(f"trying {rival.effect.name} instead", at)
+        try:
+            begun = _instead(found, number, rival, records)
+            if begun is None:
+                continue
+            way = grown(begun, effects, most, 0.0, records, _staying(progress, at))
+        except (ModelError, IdentificationError, np.linalg.LinAlgError):
+            continue  # it leads nowhere, and what was found stays
         left = way.error.squares - way.error.floor
         if left < least:
             best, least = way, left
@@ -61,21 +65,19 @@ def _instead(found: Grown, number: int, rival: Tried, records: Records) -> Grown
     """Return the same with a rival in the place of what a round took.
 
     None where that runs away, or held-out records do not agree with the rival as it then fits.
+    Raises ModelError, IdentificationError, LinAlgError: it does not fit at all.
     """
     earlier = found.rounds[number]
     assert earlier.taken is not None
     given_up = earlier.taken.effect.identity
     others = tuple(p for p in found.point.placed if p.effect.identity != given_up)
     without = replace(found.point, placed=others)
-    try:
-        point, _ = refine(with_tried(without, rival), records, within=NEARLY)
-        rival = asked_again(without, rival, point.placed[-1], records)
-        error = records.held_error(point)
-    except (ModelError, IdentificationError, np.linalg.LinAlgError):
-        return None
+    point, _ = refine(with_tried(without, rival), records, within=NEARLY)
+    rival = asked_again(without, rival, point.placed[-1], records)
+    error = records.held_error(point)
     if not np.isfinite(error.squares) or not agree(rival):
         return None
-    taken = replace(earlier, taken=rival, alternatives=())
+    taken = replace(earlier, taken=rival, alternatives=(), instead_of=earlier.taken.effect)
     rounds = [taken if r is earlier else r for r in found.rounds if r.taken is not None]
     return Grown(point, error, tuple(rounds))
 
@@ -91,3 +93,8 @@ def _rivals(found: Round, point: WorkingPoint) -> list[Tried]:
         for t in found.survivors
         if t.effect.identity not in there and t.gain > _NARROWLY * taken.gain and agree(t)
     ]
+
+
+def _staying(progress: Progress, at: float) -> Progress:
+    """Return the same in words, and no less far than it was: a way begins where others ended."""
+    return lambda step, done: progress(step, max(done, at))

@@ -95,7 +95,8 @@ class Tried:
 class Round:
     """One round of the search: what was left over before, the best candidates, what was taken.
 
-    `elsewhere`: the survivors at other shapes of their grids.
+    `elsewhere`: the survivors at other shapes of their grids. instead_of: what had been taken, and
+    led less far.
     """
 
     excess: float
@@ -105,6 +106,7 @@ class Round:
     elsewhere: tuple[Tried, ...]
     taken: Tried | None
     alternatives: tuple[Tried, ...]
+    instead_of: Effect | None = None
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,10 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
     "steel-plate": ({"x_b"}, {"theta", "z"}),
     # What the beam gave back since it last started: mostly its speed squared, from the last peak.
     "pumped-bus": ({"v_b", "a_b"}, {"v_b", "a_b", "x_b", "time"}),
+    # A wave along x_b that is felt with the speed squared; a little with a_b, which bends the way.
+    "wavy-rail": ({"x_b"}, {"v_b", "a_b"}),
+    # What its coil carried, which is mostly what the beam's place makes it carry: either tells.
+    "warm-post": ({"coil:8", "x_b"},),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 

@@ -21,6 +21,7 @@ PLACES = {"psi", "theta", "z", "beam", "rotor"} | {
 
 ZOO, UNLISTED = module("_zoo_cases"), module("_unlisted_effects")
 UNLISTED_2, UNLISTED_4 = module("_unlisted_effects_2"), module("_unlisted_effects_4")
+UNLISTED_7 = module("_unlisted_effects_7")
 EVERY = ZOO.CASES + ZOO.UNLISTED
 
 
@@ -206,3 +207,46 @@ def test_loaded_rod_is_a_string_in_tension_and_a_falling_column_in_compression(w
         z, v = z + DT * v + 0.5 * DT * DT * acceleration, v + DT * acceleration
     goes = np.cos(omega * t) if way > 0 else np.cosh(omega * t)
     np.testing.assert_allclose(height, 2e-4 + 1e-4 * goes, rtol=1e-4)
+
+
+def test_wavy_rail_pushes_with_what_lifts_the_beam() -> None:
+    """Along a way of varying speed the force is the mass times the wave's second difference."""
+    rail = UNLISTED_7.WavyRail(height_m=4e-6, period_m=0.02, phase_rad=0.7, m_b_kg=1.4)
+    dt = 1e-4
+    t = np.arange(5000) * dt
+    x, v, a = 0.08 * np.sin(4 * t), 0.32 * np.cos(4 * t), -1.28 * np.sin(4 * t)
+    height = 4e-6 * np.cos(2 * np.pi * x / 0.02 + 0.7)
+    wanted = -1.4 * np.diff(height, 2) / dt**2
+    at = zip(x[1:-1], v[1:-1], a[1:-1], strict=True)
+    tau = [rail.wrench(0, np.ones(3), np.ones(3), BeamState(*xva, 1, 5, 9)) for xva in at]
+    np.testing.assert_allclose(np.array(tau)[:, 2], wanted, atol=1e-3 * np.abs(wanted).max())
+    np.testing.assert_allclose(np.array(tau)[:, 1], x[1:-1] * np.array(tau)[:, 2])
+    assert not np.array(tau)[:, 0].any()
+    still = rail.wrench(0, np.ones(3), np.ones(3), BeamState(0.03, 0, 0, 1, 5, 9))
+    np.testing.assert_array_equal(still, np.zeros(3))
+    with pytest.raises(ValueError, match="period_m: expected a number above 0, found 0"):
+        UNLISTED_7.WavyRail(height_m=4e-6, period_m=0.0, phase_rad=0.0, m_b_kg=1.4)
+
+
+def test_warm_post_grows_with_the_square_of_what_its_coil_carries() -> None:
+    """From cold to rest it is a warm-up, and once warm the gap is right; a load shows later."""
+    post = UNLISTED_7.WarmPost(sensor=2, coil=6, growth_m=8e-6, rest_n=7.5, time_constant_s=0.1)
+    post.reset(SimpleNamespace(dt_s=DT))
+
+    def seen(force: float, seconds: float) -> float:
+        for _ in range(round(seconds / DT)):
+            forces = np.full(9, 3.0)
+            forces[6] = force
+            np.testing.assert_array_equal(post.coil_force(0, np.zeros(3), forces.copy()), forces)
+        gap = post.gap(0, np.zeros(9))
+        assert not np.delete(gap, 2).any()
+        return float(gap[2])
+
+    assert seen(7.5, 0.0) == pytest.approx(8e-6)
+    assert seen(7.5, 0.1) == pytest.approx(8e-6 * np.exp(-1))
+    assert seen(-7.5, 2.0) == pytest.approx(0.0, abs=1e-13)
+    assert seen(9.0, 0.05) == pytest.approx(-8e-6 * 0.44 * (1 - np.exp(-0.5)))
+    for name in ("rest_n", "time_constant_s"):
+        values = {"rest_n": 7.5, "time_constant_s": 44.0, name: -1.0}
+        with pytest.raises(ValueError, match=f"{name}: expected a number above 0, found -1.0"):
+            UNLISTED_7.WarmPost(sensor=2, coil=6, growth_m=8e-6, **values)

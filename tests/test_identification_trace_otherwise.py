@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from rig_effects import rig_places
+from search_points import Point
 
 from levid.identification.trace import otherwise
 from levid.identification.trace.growing import Grown
@@ -21,17 +22,6 @@ DAMPING, DRAG, COULOMB, GAIN = (
     "air_damping.linear@z", "air_damping.quadratic@z", "friction.coulomb@z", "coil_gain@coil:1"
 )  # fmt: skip
 LEFT = 10.0
-
-
-@dataclass(frozen=True)
-class Measured:
-    measured: bool = True
-
-
-@dataclass(frozen=True)
-class Point:
-    placed: tuple[Placed, ...]
-    disturbance: Measured = Measured()
 
 
 def tried(identity: str, gain: float, chance: float = 100.0, held: bool = True) -> Tried:

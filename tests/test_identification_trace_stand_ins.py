@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from rig_effects import rig_places
+from search_points import Measured, Point
 
 from levid.identification.trace import giving_up, growing
 from levid.identification.trace.screening import HeldError, Round, Tried
@@ -18,23 +19,13 @@ FIRST, SECOND, THIRD = "coil_gain@coil:1", "coil_gain@coil:2", "coil_gain@coil:3
 EXCESS = 1e6
 
 
-@dataclass(frozen=True)
-class Measured:
-    measured: bool = False
-
-
-@dataclass(frozen=True)
-class Point:
-    placed: tuple[Placed, ...]
-    disturbance: Measured = Measured()
-
-
 def tried(identity: str, gain: float) -> Tried:
     return Tried(NAMED[identity], (), gain, None, (1.0,), 100.0)  # type: ignore[arg-type]
 
 
 def placed(*identities: str) -> Point:
-    return Point(tuple(Placed(NAMED[i], (), (1.0,)) for i in identities))
+    each = tuple(Placed(NAMED[i], (), (1.0,)) for i in identities)
+    return Point(each, Measured(measured=False))
 
 
 def round_of(taken: Tried | None, *alternatives: Tried) -> Round:

@@ -22,7 +22,7 @@ from .faults import Fault
 from .journal import Journal, moment
 from .parent_watch import ParentWatch
 from .realtime import be_punctual, call_me, die_with, no_collections, share_with_others
-from .shared import Shared
+from .shared import Shared, doubts_of_order
 from .states import State
 from .timed_loop import TimedLoop
 from .warm_up import locate, warm_up
@@ -118,7 +118,7 @@ def _fly(
     loop = TimedLoop(rig, controller, devices, clock, shared, recover, parent)
     # Before this thread is bound to processors and its rights: what it begins would inherit them.
     watch = ParentWatch(parent, board.words, 1.0 / rig.rate_hz, rig.realtime.priority)
-    for warning in be_punctual(rig.realtime):
+    for warning in (*doubts_of_order(), *be_punctual(rig.realtime)):
         journal.say(f"warning: {warning}")
     journal.close()
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it sees for itself that its parent is gone

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import mmap
 import os
+import platform
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,6 +28,8 @@ _AHEAD_S = 4.0
 """How far the program is streamed ahead of the loop."""
 _LEAST_ROWS = 4096
 _PAGE = 4096
+_ORDERED = ("x86_64", "i686")
+"""Machines that show a process what another one wrote in the order in which it was written."""
 
 
 class Shared:
@@ -85,6 +88,21 @@ class Shared:
     def close(self) -> None:
         """Let go of the descriptor; the mapping goes with the process."""
         os.close(self.fd)
+
+
+def doubts_of_order() -> list[str]:
+    """Return a warning where a counter may be seen before what it announces; none on x86.
+
+    A row, a word's detail, a segment are each written before the counter that tells of them, and
+    nothing but the processor keeps them in this order.
+    """
+    machine = platform.machine()
+    if machine in _ORDERED:
+        return []
+    return [
+        f"levid was tried on {_ORDERED[0]} alone, this machine is {machine}: where processors show "
+        "writes out of order, a row may reach the log, or a segment the loop, before it is whole"
+    ]
 
 
 def _name_of(dtype: np.dtype[np.void], ends: Sequence[int]) -> str:

@@ -98,6 +98,16 @@ def test_process_of_another_levid_touches_nothing(monkeypatch: pytest.MonkeyPatc
         Shared(rig, shared.fd)
 
 
+@pytest.mark.parametrize(("machine", "doubts"), [("x86_64", 0), ("aarch64", 1)])
+def test_machine_that_may_show_writes_out_of_order_is_warned_of(
+    machine: str, doubts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    found = shared_module.doubts_of_order()
+    assert len(found) == doubts
+    assert all(machine in warning for warning in found)
+
+
 @pytest.mark.parametrize(
     ("slow", "lines", "code"),
     [

@@ -26,7 +26,7 @@ def alike(monkeypatch):
     """Return what is kept beside the best, if fits of the records that tell most end alike."""
 
     def fitted(point, *_):
-        return SimpleNamespace(placed=(point.tried,)), 50.0
+        return SimpleNamespace(placed=(point.tried,), tried=point.tried), 50.0
 
     def named(_, candidate: Tried):
         return SimpleNamespace(tried=candidate)
@@ -39,7 +39,7 @@ def alike(monkeypatch):
 
     def kept(*survivors: Tried) -> list[str]:
         found = Round(1000.0, 100.0, survivors, survivors, (), None, ())
-        out = sifting.sifted(SimpleNamespace(placed=()), found, train, records)
+        out, _ = sifting.sifted(SimpleNamespace(placed=()), found, train, records)
         assert out.taken is not None
         assert out.taken.effect is survivors[0].effect
         return [t.effect.identity for t in out.alternatives]
@@ -61,3 +61,29 @@ def test_without_shapes_all_records_decide(alike):
     assert alike(tried(COIL_6, 950.0), tried(COIL_0, 900.0)) == []
     assert alike(tried(COIL_6, 950.0), tried(COIL_0, 945.0)) == [COIL_0]
     assert alike(tried(COIL_6, 90.0), tried(COIL_0, 79.0)) == [COIL_0]  # three deviations
+
+
+def test_who_has_far_to_go_from_a_guess_goes_on_from_where_it_came_to(monkeypatch):
+    """A yielding spring fell by two fifths first, and in the end below a plain one."""
+    plain, yielding = "flexible_mode.loose_mass@psi", "friction.bearing@beam+psi"
+    leaves = {plain: [100.0], yielding: [900.0, 400.0, 50.0]}
+    came_to = {plain: [0], yielding: [0]}
+
+    def fitted(point, *_):
+        left, steps = leaves[point.tried.effect.identity], came_to[point.tried.effect.identity]
+        assert point.at == steps[-1]  # with the model as it was fitted beside it
+        steps.append(min(point.at + 1, len(left)))
+        after = SimpleNamespace(tried=point.tried, placed=(point.tried,), at=steps[-1])
+        return after, left[steps[-1] - 1]
+
+    monkeypatch.setattr(sifting, "refine", fitted)
+    monkeypatch.setattr(sifting, "with_tried", lambda _, t: SimpleNamespace(tried=t, at=0))
+    monkeypatch.setattr(sifting, "gather", lambda *_: SimpleNamespace(squares=1500.0))
+    survivors = tried(plain, 900.0, 15.0, 0.1), tried(yielding, 500.0, 15.0, 0.2, 0.02, 0.1)
+    found = Round(1000.0, 100.0, survivors, survivors, (), None, ())
+    train = SimpleNamespace(record=np.array([0, 1]))
+    records = SimpleNamespace(train=lambda *_, **__: [])
+    out, point = sifting.sifted(SimpleNamespace(placed=()), found, train, records)
+    assert out.taken is not None
+    assert out.taken.effect.identity == yielding
+    assert point.at == 3

@@ -27,7 +27,7 @@ from .screening import (
     is_internal,
     screened,
 )
-from .sifting import sifted, with_tried
+from .sifting import sifted
 from .working_point import WorkingPoint
 
 Progress = Callable[[str, float], None]
@@ -87,11 +87,11 @@ def grown(
             rounds.append(found)
             break
         progress(f"fitting {', '.join(t.effect.name for t in found.survivors)}", share(len(rounds)))
-        found = sifted(point, found, train, records)
+        found, begun_at = sifted(point, found, train, records)
         taken = found.taken
         assert taken is not None
         progress(f"adding {taken.effect.name}", share(len(rounds)))
-        better, squares = refine(with_tried(point, taken), records, within=NEARLY)
+        better, squares = refine(begun_at, records, within=NEARLY)
         taken = asked_again(point, taken, better.placed[-1], records)
         better, squares, stood_in = without_stand_in(better, squares, taken, rounds, records)
         if stood_in is None and guides < _MOST_GUIDES:

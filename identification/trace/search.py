@@ -93,9 +93,9 @@ def without_followers(found: Found, records: Records) -> Found:
     return replace(settled, idle=idle)
 
 
-def _settled(grown_so: Grown, records: Records) -> Found:
+def _settled(reached: Grown, records: Records) -> Found:
     """Return the point fitted to the end, with what it leaves."""
-    point, error, rounds = grown_so
+    point, error, rounds = reached
     # What was fitted last was so while it was not known whether more would come.
     fitted, _ = refine(point, records, within=FULLY)
     if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:

@@ -21,14 +21,16 @@ _PRICE = 4.0
 """Squared errors that a parameter must save to be worth it."""
 _TELLING = 0.8
 _SIFTING_STEPS, _MOST_HEATS = 4, 4
-"""Steps of a fit, after which it goes on if it is behind and another such fall makes it the best: a
-yielding spring has more numbers to find than a mass on a plain one."""
+"""Steps of a fit, after which it goes on if it is behind: once, and then as long as another such
+fall makes it the best. A yielding spring has more numbers to find than a mass on a plain one."""
 _UNFINISHED = 0.1
 """Share of what tells two fits apart that either may still lack."""
 
 
-def sifted(point: WorkingPoint, found: Round, train: Evidence, records: Fitted) -> Round:
-    """Return the round with its survivors fitted, and the best of them taken.
+def sifted(
+    point: WorkingPoint, found: Round, train: Evidence, records: Fitted
+) -> tuple[Round, WorkingPoint]:
+    """Return the round with its survivors fitted and the best of them taken, and it with the model.
 
     A candidate that fits at a shape of the grid may fit better in between, so the fits decide. They
     use the records that tell most of the survivors.
@@ -37,30 +39,32 @@ def sifted(point: WorkingPoint, found: Round, train: Evidence, records: Fitted) 
     if not any(tried.shape for tried in found.survivors):
         # What has no shape to move is where a fit would leave it already.
         alike = tuple(t for t in found.survivors[1:] if not told_apart(t, best_tried))
-        return replace(found, taken=best_tried, alternatives=alike)
+        return replace(found, taken=best_tried, alternatives=alike), with_tried(point, best_tried)
     if len(found.survivors) == 1 and not found.elsewhere:
-        return replace(found, taken=best_tried)
+        return replace(found, taken=best_tried), with_tried(point, best_tried)
     only = _telling(found.survivors, train)
     before = gather(point, records.train(point, only=only)).squares
     unfinished = _UNFINISHED * max(_ALIKE * best_tried.gain, _NEAR)
 
     def begin(tried: Tried) -> _Fit:
         told = np.isin(train.record, only)
-        return _Fit(tried, before - float(tried.blocks[told].sum()))
+        return _Fit(with_tried(point, tried), tried, before - float(tried.blocks[told].sum()))
 
     def fit(so_far: _Fit) -> _Fit:
-        at, squares = refine(
-            with_tried(point, so_far.tried), records, only, _SIFTING_STEPS, ROUGHLY, unfinished
-        )
+        at, squares = refine(so_far.point, records, only, _SIFTING_STEPS, ROUGHLY, unfinished)
         last = at.placed[-1]
         squares += _PRICE * (len(last.amplitudes) + len(last.shape))
         tried = replace(so_far.tried, shape=last.shape, amplitudes=last.amplitudes)
-        return _Fit(tried, squares, so_far.squares - squares)
+        return _Fit(at, tried, squares, so_far.squares - squares)
 
     fitted = [fit(begin(tried)) for tried in found.survivors]
-    for _ in range(_MOST_HEATS - 1):
+    for heat in range(1, _MOST_HEATS):
         best = min(one.squares for one in fitted)
-        behind = [best < one.squares < best + one.fell for one in fitted]
+        # How far the first falls says little: it begins at a guess.
+        behind = [
+            best < one.squares < best + (one.fell if heat > 1 or not one.tried.shape else np.inf)
+            for one in fitted
+        ]
         if not any(behind):
             break
         fitted = [fit(one) if on else one for one, on in zip(fitted, behind, strict=True)]
@@ -72,7 +76,7 @@ def sifted(point: WorkingPoint, found: Round, train: Evidence, records: Fitted) 
     near = max(_ALIKE * (before - winner.squares), _NEAR)
     alike = tuple(one.tried for one in fitted[1:] if one.squares - winner.squares < near)
     alike = tuple(tried for tried in alike if not told_apart(tried, winner.tried))
-    return replace(found, taken=winner.tried, alternatives=alike)
+    return replace(found, taken=winner.tried, alternatives=alike), winner.point
 
 
 def told_apart(tried: Tried, best: Tried) -> bool:
@@ -86,8 +90,9 @@ def told_apart(tried: Tried, best: Tried) -> bool:
 
 @dataclass(frozen=True)
 class _Fit:
-    """A candidate as far as it was fitted, its squared errors, and by how much they fell last."""
+    """A candidate as far as it was fitted with the model, its squared errors, their last fall."""
 
+    point: WorkingPoint
     tried: Tried
     squares: float
     fell: float = 0.0

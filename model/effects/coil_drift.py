@@ -91,10 +91,10 @@ def _with_heat(signals: Signals, shape: Sequence[float], *, coils: tuple[int, ..
 
 def _weakened(signals: Signals, coil: int, tau_s: float, before_s: float) -> Array:
     F = signals.coil[:, coil]
-    return -heat(F * F, tau_s, signals.Ts_s, _carried(signals, coil, tau_s, before_s)) * F
+    return -heat(F * F, tau_s, signals.Ts_s, carried(signals, coil, tau_s, before_s)) * F
 
 
-def _carried(signals: Signals, coil: int, tau_s: float, before_s: float) -> float:
+def carried(signals: Signals, coil: int, tau_s: float, before_s: float) -> float:
     """Return a coil's heat (its unit squared) where a record begins, of the session before it."""
     begin_s, loads = float(signals.time_s[0]), signals.places.loads
     if loads is None:  # its share of the weight since the session began

@@ -14,10 +14,10 @@ from functools import partial
 
 import numpy as np
 
-from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .extent import Extent
 
-_PERIOD_M = (20e-3, 100e-3)
+PERIOD_M = (20e-3, 100e-3)
 _THETA, _Z = 1, 2
 _APART = 1.3
 """Cycles over the whole travel between two periods of the grid: less could not be told apart."""
@@ -27,8 +27,6 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return a field's force on every DOF; nothing where there is no beam."""
     if not places.beam:
         return []
-    low, high = 1 / _PERIOD_M[1], 1 / _PERIOD_M[0]
-    steps = round((high - low) * max(extent.beam_m, 0.05) / _APART)
     return [
         Effect(
             "external_field",
@@ -36,11 +34,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             "external_field",
             (dof,),
             "force = a cos(2 pi x_b / period) + b sin(2 pi x_b / period)"
-            + (", x_b times that at theta" if i == _Z else ""),
+            + (", x_b times that at theta" if at_the_beam(i) else ""),
             (Quantity("a", places.force_unit(i)), Quantity("b", places.force_unit(i))),
             partial(_periodic, dof=i),
-            (Quantity("period", "m", 0.25 * _PERIOD_M[0], 2 * _PERIOD_M[1], log=True),),
-            tuple((float(1 / k),) for k in np.linspace(low, high, 1 + steps)),
+            (Quantity("period", "m", 0.25 * PERIOD_M[0], 2 * PERIOD_M[1], log=True),),
+            tuple((period,) for period in periods_m(extent)),
             absorbed_by="over much less than a period: the beam's weight",
             told_apart_by="slow sweeps of the beam over its whole length",
         )
@@ -48,10 +46,27 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     ]
 
 
-def _periodic(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    angle = 2 * np.pi / shape[0] * signals.x_b_m
+def periods_m(extent: Extent) -> tuple[float, ...]:
+    """Return the periods at which a wave along the beam's way is looked for first."""
+    low, high = 1 / PERIOD_M[1], 1 / PERIOD_M[0]
+    steps = round((high - low) * max(extent.beam_m, 0.05) / _APART)
+    return tuple(float(1 / k) for k in np.linspace(low, high, 1 + steps))
+
+
+def at_the_beam(dof: int) -> bool:
+    """Return whether a force on this DOF is one where the beam is, which turns theta too."""
+    return dof == _Z
+
+
+def waves_along(
+    signals: Signals, period_m: float, dof: int, driven: Array | None = None
+) -> list[Term]:
+    """Return the terms of a cosine and a sine along x_b, times what they are `driven` by (N,)."""
+    angle = 2 * np.pi / period_m * signals.x_b_m
     waves = np.cos(angle), np.sin(angle)
-    if dof != _Z:
+    if driven is not None:
+        waves = driven * waves[0], driven * waves[1]
+    if not at_the_beam(dof):
         return [on_dof(signals, dof, wave) for wave in waves]
     terms = []
     for wave in waves:
@@ -59,3 +74,7 @@ def _periodic(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Ter
         force[:, _THETA], force[:, _Z] = signals.x_b_m * wave, wave
         terms.append(Term(force=force))
     return terms
+
+
+def _periodic(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    return waves_along(signals, shape[0], dof)

@@ -33,6 +33,8 @@ from .base import (
 from .extent import Extent
 from .hysteresis import hystereses, hysteresis, hysteretic_command
 from .lingering import left_behind_by, lingering, lingerings
+from .warmings import warmed_by, warming, warmings
+from .waves import felt_by, wave, waves
 
 Array = NDArray[np.float64]
 
@@ -142,7 +144,7 @@ class Form:
     def _shapes(self, s: Array, degree: int) -> Array:
         """Return functions (N, columns) of the signal over its scale, none of them constant."""
         if self.by == _TURN:
-            return np.column_stack([wave(k * s) for k in (1, 2) for wave in (np.sin, np.cos)])
+            return np.column_stack([turn(k * s) for k in (1, 2) for turn in (np.sin, np.cos)])
         s = np.clip(s, -1.0, 1.0)
         if not self.curve:
             return np.asarray(chebyshev.chebvander(s, degree)[:, 1:], float)
@@ -177,6 +179,7 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
         forms += [_form(places, extent, by, own) for by in others]
         found += [_effect(places, f"coil:{c}", form) for form in forms]
     found += [*hystereses(places, extent), *lingerings(places, extent), *answers(places)]
+    found += [*waves(places, extent), *warmings(places)]
     return resolved(found, extent.fastest_hz)
 
 
@@ -188,6 +191,8 @@ def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | 
             answer(places, key, where)
             or hysteresis(places, key, where)
             or lingering(places, key, where)
+            or wave(places, key, where)
+            or warming(places, key, where)
         )
     known = _signals(places)
     sensors, coils = (
@@ -210,7 +215,8 @@ def depends_on(effect: Effect) -> tuple[str, ...]:
     form = Form.of(effect.key)
     if form is None:
         motion = answered(effect) or hysteretic_command(effect)
-        return tuple(map(_spoken, left_behind_by(effect))) if motion is None else (motion,)
+        others = left_behind_by(effect) or felt_by(effect) or warmed_by(effect)
+        return tuple(map(_spoken, others)) if motion is None else (motion,)
     return tuple(_spoken(word) for word in (form.factor, form.by) if word)
 
 

@@ -125,9 +125,8 @@ def _readings(
 
 
 def _factor(signals: Signals, factor: str) -> Array:
-    return {
-        _PLACE: lambda: np.ones(signals.rows),
-        "v_b": lambda: signals.v_b_m_s,
-        "a_b": lambda: signals.a_b_m_s2,
-        _SQUARED: lambda: signals.v_b_m_s**2,
-    }[factor]()
+    if factor == _PLACE:
+        return np.ones(signals.rows)
+    if factor == _SQUARED:
+        return np.asarray(signals.v_b_m_s**2)
+    return signals.v_b_m_s if factor == "v_b" else signals.a_b_m_s2

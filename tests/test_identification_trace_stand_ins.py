@@ -32,6 +32,13 @@ def round_of(taken: Tried | None, *alternatives: Tried) -> Round:
     return Round(EXCESS, 1e5, (), (), (), taken, alternatives)
 
 
+def with_the_first(point: Point, found: Round, *_: object) -> tuple[Round, Point]:
+    """Return the round with its first survivor taken, and the point with that."""
+    taken = found.survivors[0]
+    added = Placed(taken.effect, (), taken.amplitudes)
+    return replace(found, taken=taken), replace(point, placed=(*point.placed, added))
+
+
 @pytest.mark.parametrize(("back", "stands_in"), [(0.0, True), (1e3, True), (5e3, False)])
 def test_stand_in_is_one_if_little_comes_back_without_it(
     back: float, stands_in: bool, monkeypatch: pytest.MonkeyPatch
@@ -93,9 +100,7 @@ def test_search_goes_on_without_who_led_on_if_held_out_records_gain_by_that(
     asked[0] = replace(asked[0], survivors=(tried(SECOND, 9e4),))
     rounds = iter(asked)
     monkeypatch.setattr(growing, "_screened", lambda *_: (next(rounds), train))
-    monkeypatch.setattr(
-        growing, "sifted", lambda _, found, *__: replace(found, taken=found.survivors[0])
-    )
+    monkeypatch.setattr(growing, "sifted", with_the_first)
     monkeypatch.setattr(growing, "refine", lambda point, *_, **__: (point, 1e3))
     monkeypatch.setattr(growing, "asked_again", lambda _, taken, *__: taken)
     monkeypatch.setattr(growing, "without_guide", lambda *_: alone)
@@ -141,16 +146,7 @@ def test_who_was_refused_is_asked_once_more_when_another_is_there(
         return replace(taken, chance=-20.0 if refused else 100.0)
 
     monkeypatch.setattr(growing, "_screened", screened)
-    monkeypatch.setattr(
-        growing, "sifted", lambda _, found, *__: replace(found, taken=found.survivors[0])
-    )
-    monkeypatch.setattr(
-        growing,
-        "with_tried",
-        lambda point, taken: replace(
-            point, placed=(*point.placed, Placed(taken.effect, (), taken.amplitudes))
-        ),
-    )
+    monkeypatch.setattr(growing, "sifted", with_the_first)
     monkeypatch.setattr(growing, "refine", lambda point, *_, **__: (point, 1e3))
     monkeypatch.setattr(growing, "asked_again", answer)
     monkeypatch.setattr(growing, "without_stand_in", lambda point, left, *_: (point, left, None))

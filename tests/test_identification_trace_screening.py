@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -61,3 +62,25 @@ def test_who_explains_most_of_it_is_fitted_if_it_has_a_shape_to_move(
     least = screening.Least(1e6, 0.0, little=False, unshown=False)
     tried = screening.Tried(effect, effect.grid[0], share * 1e6, np.ones(3), (1.0,), chance)
     assert least.taken_by(tried) is fitted
+
+
+@pytest.mark.parametrize(
+    ("identity", "taken"),
+    [
+        ("rod_stiffness.cubic@psi", False),
+        # Another law of friction may be the right one, and is asked about that elsewhere.
+        ("friction.dahl@psi", True),
+        ("rod_stiffness.cubic@z", True),
+        ("coil_gain@coil:7", True),
+        ("flexible_mode.saddle@", True),  # of no one place
+    ],
+)
+def test_what_another_law_of_friction_leaves_is_no_effect_at_its_place(
+    identity: str, taken: bool
+) -> None:
+    """As eight springs that slip leave it of twenty: a five-hundredth of all that there was."""
+    effect = NAMED[identity]
+    least = screening.Least(2e5, 1e8, little=False, unshown=False, rubbed={"psi": 1e8})
+    tried = screening.Tried(effect, effect.grid[0], 2e5, np.ones(3), (1.0,), 90.0)
+    assert least.taken_by(tried) is taken
+    assert least.taken_by(replace(tried, gain=3e5))

@@ -111,9 +111,9 @@ def without_idle(point: WorkingPoint, records: Fitted) -> WorkingPoint:
     return point
 
 
-def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | None:
-    """Return the point, refined, without the effect that does least; None where all do enough."""
-    train = steadied(gather(point, records.train(point)))
+def brought(point: WorkingPoint, train: Evidence) -> list[float]:
+    """Return by how much squared errors would rise without each effect, the others fitted anew."""
+    train = steadied(train)
     at, base = len(point.parameters.names), list(range(train.gram.shape[1] - 1))
     full = cross_validated(train, base).sum()
     costs = []
@@ -124,6 +124,12 @@ def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | 
         kept = [c for c in base if c not in own]
         costs.append(float(cross_validated(back, kept).sum() - full))
         at += width(p)
+    return costs
+
+
+def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | None:
+    """Return the point, refined, without the effect that does least; None where all do enough."""
+    costs = brought(point, gather(point, records.train(point)))
     least = int(np.argmin(costs))
     if costs[least] >= LEAST:
         return None

@@ -10,13 +10,14 @@ import numpy as np
 
 from ...model.effects.base import Effect
 from .asked import Asked
-from .giving_up import taken_instead, without_guide, without_idle, without_stand_in
+from .giving_up import brought, taken_instead, without_guide, without_idle, without_stand_in
 from .held_out import LOWERS, helps
 from .refine import NEARLY, Candidate, gather, refine
 from .regression import Evidence
 from .screening import (
     ALONE,
     BEYOND_CHANCE,
+    FRICTION,
     LEAST,
     HeldError,
     Least,
@@ -45,6 +46,8 @@ records: 1.03 times the floor. A force that only the drives feel does not show t
 _UNSHOWN = 0.02
 """Share of what noise leaves of the records fitted to that may be beyond it where those held out
 are explained: more is of an effect that these do not show."""
+_CARRIERS = {"beam", "rotor"}
+"""What comes between an effect and the platform is no place of the platform."""
 
 
 class Grown(NamedTuple):
@@ -154,8 +157,21 @@ def _screened(
         progress(f"screening {len(asked)} candidates", share(len(rounds)))
         train = gather(point, records.train(point, asked))
     before = rounds[0].excess - train.excess if rounds else 0.0
-    least = Least(train.excess, before, error.squares < MUCH * error.floor, explained)
+    little = error.squares < MUCH * error.floor
+    least = Least(train.excess, before, little, explained, _rubbed(point, train))
     return screened(point, asked, train, records, least), train
+
+
+def _rubbed(point: WorkingPoint, train: Evidence) -> dict[str, float]:
+    """Return what friction on each DOF takes of the squared errors."""
+    if all(p.effect.effect_class != FRICTION for p in point.placed):
+        return {}
+    taken: dict[str, float] = {}
+    for p, squares in zip(point.placed, brought(point, train), strict=True):
+        if p.effect.effect_class == FRICTION:
+            for where in set(p.effect.where) - _CARRIERS:
+                taken[where] = max(taken.get(where, 0.0), squares)
+    return taken
 
 
 def _believing(point: WorkingPoint, squares: float, evidence: Evidence) -> WorkingPoint:

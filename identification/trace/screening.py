@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -33,6 +33,7 @@ two thirds of the errors and agreed by 8, and at its width by some thousand."""
 _MOST_OF_IT = 0.5
 """Who explains this share of what there is at a first guess is fitted whatever held-out records
 say: where the right shape does nothing in them a wrong one does, and they contradict that."""
+FRICTION = "friction"
 _WORTH = 0.004
 """An effect is worth naming if it takes this share of what noise does not explain."""
 _DESCRIBES = 0.1
@@ -42,6 +43,9 @@ _IN_PASSING, _BESIDE = 1e-4, 1e-5
 """Of what other effects took, one that is named beside them must take this share: the first where
 little is left, or the drives alone feel it. An equation that is right to a hundredth leaves as
 much, wherever it leaves it; one that is right to a third of that the second."""
+_ANOTHER_LAW = 2.5e-3
+"""Of what an equation of friction took, as much stays of another law of it that is alike to a
+twentieth: no name and no form at its place takes less."""
 LEAST = 40.0
 """Squared errors that a candidate must take at least: the best of hundreds takes 15 by chance."""
 _SURVIVES = 0.35
@@ -115,13 +119,15 @@ class Least:
 
     `excess` is what there is, `explained` what others took of it before; `little`: the free
     simulation is near what noise leaves. `unshown`: held-out records have nothing left to explain,
-    so that of effects which they could be asked about only the drives' come into question.
+    so that of effects which they could be asked about only the drives' come into question. rubbed:
+    what friction on each DOF takes.
     """
 
     excess: float
     explained: float
     little: bool
     unshown: bool
+    rubbed: Mapping[str, float] = field(default_factory=dict)
 
     def taken_by(self, tried: Tried) -> bool:
         """Return whether a candidate takes that."""
@@ -135,6 +141,9 @@ class Least:
             surely = -np.inf
         beside = _IN_PASSING if self.little or is_internal(tried.effect) else _BESIDE
         worth = max(_WORTH * self.excess, beside * self.explained, LEAST)
+        if tried.effect.effect_class != FRICTION:
+            rubbed = max((self.rubbed.get(w, 0.0) for w in tried.effect.where), default=0.0)
+            worth = max(worth, _ANOTHER_LAW * rubbed)
         return tried.chance > surely and tried.gain > worth
 
 

@@ -181,3 +181,11 @@ def test_who_took_little_of_what_is_random_has_followed_it() -> None:
         round_of(tried(SECOND, 0.006 * EXCESS)), round_of(tried(THIRD, 0.04 * EXCESS)),
     ]  # fmt: skip
     assert giving_up.followers(rounds) == {SECOND}
+
+
+def test_friction_is_told_by_what_it_takes_at_each_dof(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = placed("rod_stiffness.cubic@psi", "friction.bearing@beam+psi", "friction.dahl@psi")
+    monkeypatch.setattr(growing, "brought", lambda *_: [9e5, 7e5, 3e5])
+    assert growing._rubbed(both, None) == {"psi": 7e5}
+    monkeypatch.setattr(growing, "brought", lambda *_: pytest.fail("asked without need"))
+    assert growing._rubbed(placed(FIRST), None) == {}

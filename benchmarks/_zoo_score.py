@@ -83,6 +83,9 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
     "wavy-rail": ({"x_b"}, {"v_b", "a_b"}),
     # What its coil carried, which is mostly what the beam's place makes it carry: either tells.
     "warm-post": ({"coil:8", "x_b"},),
+    # What made its table rock: the beam's push, and its weight, which goes with it; either tells.
+    "rocking-table": ({"a_b", "x_b"},),
+    "rectified-drive": ({"phi'"},),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 

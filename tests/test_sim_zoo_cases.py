@@ -21,7 +21,7 @@ PLACES = {"psi", "theta", "z", "beam", "rotor"} | {
 
 ZOO, UNLISTED = module("_zoo_cases"), module("_unlisted_effects")
 UNLISTED_2, UNLISTED_4 = module("_unlisted_effects_2"), module("_unlisted_effects_4")
-UNLISTED_7 = module("_unlisted_effects_7")
+UNLISTED_7, UNLISTED_8 = module("_unlisted_effects_7"), module("_unlisted_effects_8")
 EVERY = ZOO.CASES + ZOO.UNLISTED
 
 
@@ -250,3 +250,82 @@ def test_warm_post_grows_with_the_square_of_what_its_coil_carries() -> None:
         values = {"rest_n": 7.5, "time_constant_s": 44.0, name: -1.0}
         with pytest.raises(ValueError, match=f"{name}: expected a number above 0, found -1.0"):
             UNLISTED_7.WarmPost(sensor=2, coil=6, growth_m=8e-6, **values)
+
+
+ROCKING = {"damping": 0.08, "height_m": 0.4, "j_kg_m2": 0.058, "m_b_kg": 1.4, "z_b_m": 0.06}
+
+
+def _rock(x_m, a_m_s2, dt_s=DT):
+    """Return the wrench (N, 3) of a table of 14 kg m^2 at 2 Hz as the beam goes this way."""
+    table = UNLISTED_8.RockingTable(14.0, 2.0, **ROCKING)
+    table.reset(SimpleNamespace(dt_s=dt_s))
+    ways = zip(x_m, a_m_s2, strict=True)
+    beams = (BeamState(x, 0.3, a, 1, 5, 9) for x, a in ways)
+    return np.array([table.wrench(0, np.ones(3), np.ones(3), beam) for beam in beams])
+
+
+def test_rocking_table_leaves_the_platform_behind() -> None:
+    """Swung evenly it answers as 1 / (k - w^2 J_t + i w c); beam and platform keep their places."""
+    omega, k = 2 * np.pi * 0.9, 14 * (4 * np.pi) ** 2
+    t = np.arange(round(12 / DT)) * DT
+    x, a = 0.1 * np.sin(omega * t), -0.1 * omega**2 * np.sin(omega * t)
+    reply = 1 / (k - 14 * omega**2 + 2j * omega * 0.08 * 14 * 4 * np.pi)
+    tilt = np.imag(-1.4 * 0.1 * (0.4 * omega**2 + 9.81) * reply * np.exp(1j * omega * t))
+    # In the room: heights h of the beam and h - z_b of the platform's middle over the axis; to
+    # first order in the tilt, against what the table's own sensors and motors know, about -y.
+    along, up = -0.4 * -(omega**2) * tilt, x * -(omega**2) * tilt
+    push_x, push_z = -1.4 * (along + 9.81 * tilt), -1.4 * up
+    torque = 0.058 * omega**2 * tilt + x * push_z - 0.06 * push_x
+    settled = slice(-round(4 / DT), None)
+    tau = _rock(x, a)[settled]
+    assert not tau[:, 0].any()
+    np.testing.assert_allclose(tau[:, 1], torque[settled], atol=5e-3 * np.abs(torque).max())
+    np.testing.assert_allclose(tau[:, 2], push_z[settled], atol=5e-3 * np.abs(push_z).max())
+
+
+def test_rocking_table_rings_after_a_push_and_rests_with_the_beam() -> None:
+    still = _rock(np.full(20, 0.08), np.zeros(20))
+    weight = 1.4 * 9.81 * 0.08 / (14 * (4 * np.pi) ** 2)  # it leans, and the beam's weight with it
+    np.testing.assert_allclose(still[:, 1], -1.4 * 9.81 * 0.06 * weight)
+    np.testing.assert_allclose(still[:, 2], 0.0, atol=1e-15)
+    # At once as the mass that it is, 11 mN m; half a swing later the other way, and less.
+    pushed = _rock(np.zeros(6000), np.full(6000, 3.0))[:, 1]
+    at_once = -(0.058 + 1.4 * 0.06 * 0.4) * 1.4 * 0.4 * 3 / 14
+    assert pushed[0] == pytest.approx(at_once)
+    assert 0.7 < pushed.max() / -at_once < 1.0
+    for name in ("table_j_kg_m2", "freq_hz"):
+        values = {"table_j_kg_m2": 14.0, "freq_hz": 2.0, **ROCKING, name: 0.0}
+        with pytest.raises(ValueError, match=f"{name}: expected a number above 0, found 0.0"):
+            UNLISTED_8.RockingTable(**values)
+
+
+def test_rectified_drive_shows_the_power_of_three_half_bridges() -> None:
+    """Their sum's variance, from its pulses about a common centre, over a turn of the field."""
+
+    def power(modulation: float) -> float:
+        turn = (np.arange(120) + 0.5) / 120 * 2 * np.pi
+        within = np.abs((np.arange(2000) + 0.5) / 2000 - 0.5)
+        legs = turn[:, None] - np.arange(3) * 2 * np.pi / 3
+        shares = 0.5 + 0.5 * modulation * np.cos(legs)
+        voltage = (within < 0.5 * shares[:, :, None]).sum(axis=1)
+        return float(voltage.var(axis=1).mean())
+
+    drive = UNLISTED_8.RectifiedDrive(sensor=3, offset_m=1e-5, end_speed_rad_s=25.0, motor_s=0.03)
+    drive.reset(None)
+    assert not drive.gap(0, np.zeros(9)).any()
+
+    def seen(rate: float, acceleration: float) -> float:
+        beam = BeamState(0.1, 0.3, 2, 1, rate, acceleration)
+        assert drive.wrench(0, np.ones(3), np.ones(3), beam) == (0.0, 0.0, 0.0)
+        gap = drive.gap(0, np.zeros(9))
+        assert not np.delete(gap, 3).any()
+        return float(gap[3])
+
+    for rate, acceleration, share in ((18, 0, 0.72), (-18, 0, 0.72), (9, 50, 0.42), (9, -50, 0.3)):
+        missing = power(share) / power(0.0) - 1.0
+        assert seen(rate, acceleration) == pytest.approx(1e-5 * missing, rel=5e-3)
+    assert seen(0, 0) == 0.0
+    assert seen(18, 0) == pytest.approx(-5.3e-6, rel=2e-3)
+    assert seen(40, 0) == seen(25, 0)
+    with pytest.raises(ValueError, match="end_speed_rad_s: expected a number above 0, found 0"):
+        UNLISTED_8.RectifiedDrive(sensor=3, offset_m=1e-5, end_speed_rad_s=0.0, motor_s=0.03)

@@ -15,17 +15,17 @@ from levid.model.effects.extent import Extent
 from levid.model.effects.freeform import depends_on, freeform_effect, freeform_effects
 
 
-def swept():
+def swept(hz_s: float = 0.02):
     """A beam that goes to and fro over 0.2 m, faster each time."""
     t = 0.01 * np.arange(2000)
-    angle = 2 * np.pi * (0.2 * t + 0.01 * t**2)
-    rate = 2 * np.pi * (0.2 + 0.02 * t)
+    angle = 2 * np.pi * (0.2 * t + 0.5 * hz_s * t**2)
+    rate = 2 * np.pi * (0.2 + hz_s * t)
     s = moving()
     q = np.zeros((len(t), 3))
     return replace(
         s, time_s=t, q=q, qd=q, qdd=q, x_b_m=0.1 * np.sin(angle),
         v_b_m_s=0.1 * rate * np.cos(angle),
-        a_b_m_s2=0.1 * (2 * np.pi * 0.02 * np.cos(angle) - rate**2 * np.sin(angle)),
+        a_b_m_s2=0.1 * (2 * np.pi * hz_s * np.cos(angle) - rate**2 * np.sin(angle)),
         coil=np.zeros((len(t), 9)),
     )  # fmt: skip
 
@@ -131,6 +131,33 @@ def test_nonsense_is_none(key: str):
 def test_places_that_do_not_come_into_question():
     for key, where in (
         ("wave.place", "theta"), ("wave.v_b[0.4]", "coil:1"), ("warming.coil_1", "theta"),
-        ("warming.coil_1", "sensor:9"),
+        ("warming.coil_1", "sensor:9"), ("answer.x_b*x_b", "sensor:1"), ("answer.x_b", "coil:1"),
     ):  # fmt: skip
         assert freeform_effect(rig_places(), f"unknown.{key}", (where,)) is None
+
+
+@pytest.mark.parametrize("where", ["theta", "sensor:6"])
+def test_what_the_rig_stands_on_answers_the_beam(where: str):
+    """Pushed by a_b and pressed by x_b, with parts of it that a model has: weight and reaction."""
+    s, f_hz, zeta = swept(0.15), 1.9, 0.08
+    w = 2 * np.pi * f_hz
+    push = 0.4 * s.a_b_m_s2 - 9.81 * s.x_b_m
+    _, turned, _ = lsim(([1.0], [1.0, 2 * zeta * w, w * w]), push, s.time_s)
+    turning = push - 2 * zeta * w * np.gradient(turned, s.time_s) - w * w * turned
+    effect = freeform_effect(rig_places(), "unknown.answer.x_b", (where,))
+    assert depends_on(effect) == ("x_b",)
+    at = {"theta": 1, "sensor:6": 6}[where]
+    settled = slice(400, None)  # exp(-zeta w 4 s) is a fiftieth
+
+    def share(frequency_hz: float) -> float:
+        answered = [acts(t)[settled, at] for t in effect.build(s, (frequency_hz, zeta))]
+        known = [x[settled] for x in (s.x_b_m, s.v_b_m_s, s.a_b_m_s2)]
+        return explained([*known, *answered], (turning - turned)[settled])
+
+    if where == "theta":
+        itself = freeform_effect(rig_places(), "unknown.answer.x_b*x_b", (where,))
+        assert depends_on(itself) == ("x_b",)
+        for one, other in zip(*(e.build(s, (f_hz, zeta)) for e in (effect, itself)), strict=True):
+            np.testing.assert_allclose(acts(one)[:, at] * s.x_b_m, acts(other)[:, at])
+    assert share(f_hz) > 0.97  # rows of 10 ms, and what is left of the start
+    assert share(2.5) < 0.9

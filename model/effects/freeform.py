@@ -245,6 +245,8 @@ def _products(places: Places) -> list[tuple[str, str]]:
     speeds = [f"{name}_rate" for name in places.dof]
     pairs = [(a, b) for k, a in enumerate(places.dof) for b in places.dof[k + 1 :]]
     pairs += [(speed, name) for speed in speeds for name in places.dof]
+    # What warms or wears is stiff, and damps, in another way by the end.
+    pairs += [(factor, _TIME) for factor in (*places.dof, *speeds)]
     if places.beam:
         pairs += [(factor, "x_b") for factor in (*places.dof, *speeds, "v_b", "a_b", "phi_speed")]
         # What pulls along something makes it stiffer, what presses softer: the beam's reaction too.
@@ -257,6 +259,7 @@ def _products(places: Places) -> list[tuple[str, str]]:
 def _products_read(places: Places) -> list[tuple[str, str]]:
     """Return those pairs of which a reading may be: how it stands, and what passes it how fast."""
     pairs = [(a, b) for k, a in enumerate(places.dof) for b in places.dof[k + 1 :]]
+    pairs += [(name, _TIME) for name in places.dof]
     if places.beam:
         pairs += [(factor, "x_b") for factor in (*places.dof, "v_b", "a_b", "phi_speed")]
     return pairs

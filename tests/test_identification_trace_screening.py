@@ -10,6 +10,8 @@ import pytest
 from rig_effects import rig_places
 
 from levid.identification.trace import screening
+from levid.model.effects.extent import Extent
+from levid.model.effects.freeform import freeform_effects
 from levid.model.effects.table import all_effects
 
 NAMED = {e.identity: e for e in all_effects(rig_places())}
@@ -84,3 +86,31 @@ def test_what_another_law_of_friction_leaves_is_no_effect_at_its_place(
     tried = screening.Tried(effect, effect.grid[0], 2e5, np.ones(3), (1.0,), 90.0)
     assert least.taken_by(tried) is taken
     assert least.taken_by(replace(tried, gain=3e5))
+
+
+def test_of_two_forms_the_one_that_depends_on_less_is_told() -> None:
+    forms = {e.identity: e for e in freeform_effects(rig_places(), Extent.typical(rig_places()))}
+    alone, product = (
+        next(e for name, e in forms.items() if name.startswith(key) and name.endswith("@theta"))
+        for key in ("unknown.v_b[", "unknown.v_b[0.4]*theta[")
+    )
+    assert screening._told(alone, 95.0) > screening._told(product, 100.0)
+    assert screening._told(alone, 85.0) < screening._told(product, 100.0)
+    named = NAMED["rod_stiffness.cubic@psi"]
+    assert screening._told(named, 7.0) == 7.0
+
+
+@pytest.mark.parametrize(
+    ("share", "first_guess", "taken"),
+    [(0.2, False, True), (0.05, False, False), (0.05, True, True), (0.02, True, False)],
+)
+def test_a_first_guess_of_a_resonance_may_take_less(
+    share: float, first_guess: bool, taken: bool
+) -> None:
+    """At 3 Hz and broad, one of 2 Hz that rings takes a twentieth; where it is, all of it."""
+    forms = freeform_effects(rig_places(), Extent.typical(rig_places()))
+    kind = "unknown.answer.x_b" if first_guess else "unknown.psi["
+    effect = next(e for e in forms if e.key.startswith(kind) and e.where == ("theta",))
+    least = screening.Least(1e6, 0.0, little=False, unshown=False)
+    tried = screening.Tried(effect, effect.grid[0], share * 1e6, np.ones(3), (1.0,), 9.0)
+    assert least.taken_by(tried) is taken

@@ -10,13 +10,16 @@ import numpy as np
 
 from ...model.effects.base import Effect
 from .asked import Asked
+from .beyond import asked_first, worth_columns
 from .giving_up import brought, taken_instead, without_guide, without_idle, without_stand_in
 from .held_out import LOWERS, helps
 from .refine import NEARLY, Candidate, gather, refine
 from .regression import Evidence
 from .screening import (
     ALONE,
+    AT_FIRST,
     BEYOND_CHANCE,
+    DESCRIBES,
     FRICTION,
     LEAST,
     HeldError,
@@ -109,7 +112,8 @@ def grown(
         better = records.believed(without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
         gone = min((train.squares - squares) / max(train.excess, LEAST), 1.0)
-        helped = helps(taken, error, after, gone, explained)
+        enough_of_it = taken.effect.effect_class != "unknown" or gone > DESCRIBES
+        helped = enough_of_it and helps(taken, error, after, gone, explained)
         stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
         if agree(taken) and stays and squares < train.squares and helped:
             point, error = better, after
@@ -150,6 +154,12 @@ def _screened(
     """
     internal = [c for c in candidates if is_internal(c[0])]
     asked = internal if explained else candidates
+    first, rest = asked_first(point, asked)
+    if first:
+        progress(f"looking at {len(first)} candidates beyond the pose", share(len(rounds)))
+        little_of_it = AT_FIRST * DESCRIBES * gather(point, records.train(point)).excess
+        shown = records.shown(point, first)
+        asked = [*rest, *worth_columns(first, shown, records.sensor_shape, little_of_it)]
     progress(f"screening {len(asked)} candidates", share(len(rounds)))
     train = gather(point, records.train(point, asked))
     if explained and train.excess > _UNSHOWN * float(train.count.sum()):

@@ -88,14 +88,14 @@ def _with_candidates(
 
     def watched() -> Iterator[Term]:
         for term in terms():
-            shown.append(None if term.gap is None else -_beyond(here, term.gap))
+            shown.append(None if term.gap is None else -beyond_pose(here, term.gap))
             shown_drive.append(None if term.drive is None else -thinned(term.drive, here.every))
             yield term
 
     pose = np.empty((*own.shape[:2], own.shape[2] + count + 1))
     pose[:, :, : own.shape[2]], pose[:, :, -1] = own, here.errors
     bank.columns(watched(), count, pose[:, :, own.shape[2] : -1])
-    shown.append(_beyond(here, _readings(here)))
+    shown.append(beyond_pose(here, readings(here)))
     drive_n = drive_errors(here)
     shown_drive.append(None if drive_n is None else thinned(drive_n, here.every))
     flat = pose.reshape(-1, pose.shape[2])
@@ -237,6 +237,18 @@ def redundancy_basis(sensor_shape: Array) -> Array:
     return np.asarray(left[:, sensor_shape.shape[1] :])
 
 
+def readings(here: Along) -> Array:
+    """Return the readings (N, S) freed of what is known to be false in them."""
+    gap, added = here.record.gap, here.added.gap
+    return gap if added is None else gap - added
+
+
+def beyond_pose(here: Along, values: Array) -> Array:
+    """Return what of readings (N, S) no rigid platform shows (N', S - n), in units of noise."""
+    basis = redundancy_basis(here.record.places.sensor_shape)
+    return thinned(values @ (basis / here.sd), here.every)
+
+
 def _no_columns(bank: FilterBank) -> Array:
     n = bank.motion.K.shape[1]
     return np.zeros((bank.record.rows // bank.every, n, 0))
@@ -280,15 +292,3 @@ def _force_of(
     if e.moving:
         force += upper.force - lower.force
     return force, upper.B - lower.B
-
-
-def _readings(here: Along) -> Array:
-    """Return the readings (N, S) freed of what is known to be false in them."""
-    gap, added = here.record.gap, here.added.gap
-    return gap if added is None else gap - added
-
-
-def _beyond(here: Along, readings: Array) -> Array:
-    """Return what of readings (N, S) a rigid platform cannot show (N', S - n), in noise units."""
-    basis = redundancy_basis(here.record.places.sensor_shape)
-    return thinned(readings @ (basis / here.sd), here.every)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.effects.base import Effect, Placed
+from ...model.effects.freeform import depends_on
 from .grams import Linearised
 from .refine import Candidate, Fitted, gather
 from .regression import FOLDS, Evidence, chance, chance_between, expected, gains, solve
@@ -36,9 +37,11 @@ say: where the right shape does nothing in them a wrong one does, and they contr
 FRICTION = "friction"
 _WORTH = 0.004
 """An effect is worth naming if it takes this share of what noise does not explain."""
-_DESCRIBES = 0.1
+DESCRIBES = 0.1
 """A free form is worth having if it takes this: it names nothing. What is random lets one follow a
 little of it, and so does what an equation of a hysteresis leaves of another one, some 5 %."""
+AT_FIRST = 0.3
+"""Of that, as much is enough for a first guess of its shape: it is asked again when fitted."""
 _IN_PASSING, _BESIDE = 1e-4, 1e-5
 """Of what other effects took, one that is named beside them must take this share: the first where
 little is left, or the drives alone feel it. An equation that is right to a hundredth leaves as
@@ -68,8 +71,15 @@ class HeldError:
 class Records(Fitted, Protocol):
     """Records to fit to, and records that choose nothing and are asked only whether they agree."""
 
+    @property
+    def sensor_shape(self) -> Array:
+        """What each single sensor shows of the pose (S, n)."""
+
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
         """Return the records held out."""
+
+    def shown(self, point: WorkingPoint, candidates: Sequence[Candidate]) -> list[Linearised]:
+        """Return those fitted to, with what candidates for readings do beyond the rigid pose."""
 
     def held_error(self, point: WorkingPoint) -> HeldError:
         """Return how well they are simulated freely."""
@@ -133,7 +143,8 @@ class Least:
         """Return whether a candidate takes that."""
         if self.unshown and tried.held and not is_internal(tried.effect):
             return False
-        if tried.effect.effect_class == "unknown" and tried.gain < _DESCRIBES * self.excess:
+        describes = DESCRIBES * (AT_FIRST if tried.shape else 1.0)
+        if tried.effect.effect_class == "unknown" and tried.gain < describes * self.excess:
             return False
         at_first, at_last = (_PROMISING, BEYOND_CHANCE) if tried.held else (_PROMISING_ALONE, ALONE)
         surely = at_first if tried.shape else at_last
@@ -162,7 +173,7 @@ def screened(
     own = len(point.parameters.names) + sum(width(p) for p in point.placed)
     gained = gains(train)
     total = [gain if np.isfinite(gain) else -np.inf for gain in (float(g.sum()) for g in gained)]
-    in_order = sorted(range(len(candidates)), key=lambda i: -total[i])
+    in_order = sorted(range(len(candidates)), key=lambda i: -_told(candidates[i][0], total[i]))
 
     def fitted(i: int) -> Array | None:
         if not np.isfinite(total[i]):
@@ -237,6 +248,16 @@ def asked_again(point: WorkingPoint, taken: Tried, fitted: Placed, records: Reco
 def is_internal(effect: Effect) -> bool:
     """Return whether only the drives feel it: a force between the beam and the platform."""
     return effect.where == ("beam",)
+
+
+def _told(effect: Effect, gain: float) -> float:
+    """Return what a candidate gains; of a free form that depends on two signals, a tenth less.
+
+    A product has room for what one of its factors does alone, and for chance. What it explains more
+    than that has to be worth describing by itself.
+    """
+    products = effect.effect_class == "unknown" and len(depends_on(effect)) > 1
+    return gain * (1.0 - DESCRIBES) if products else gain
 
 
 def width(placed: Placed) -> int:

@@ -21,6 +21,7 @@ from ..data import IdentificationError
 from ..declared import declared_model
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.parameters import free_parameters
+from .beyond import shown_beyond
 from .grams import BLOCK_S, Linearised
 from .hints import extent
 from .linearise import blocks_in, linearise
@@ -224,6 +225,10 @@ class _Logged:
     kept: tuple[Source, ...]
     parts: tuple[TraceRecord, ...]
 
+    @property
+    def sensor_shape(self) -> Array:
+        return self.parts[0].places.sensor_shape
+
     def believed(self, point: WorkingPoint) -> WorkingPoint:
         return with_likely_noise(point, self.parts)
 
@@ -239,6 +244,10 @@ class _Logged:
     ) -> list[Linearised]:
         chosen = self.fitted if only is None else [self.fitted[i] for i in only]
         return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), chosen)
+
+    def shown(self, point: WorkingPoint, candidates: Sequence[Candidate]) -> list[Linearised]:
+        asked = tuple(candidates)
+        return self.workers.map(partial(shown_beyond, point, candidates=asked), self.fitted)
 
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
         return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), self.kept)

@@ -26,6 +26,7 @@ UNLISTED_FILES: Mapping[str, Path] = {
     "unlisted_6": Path(__file__).with_name("_unlisted_effects_6.py"),
     "unlisted_7": Path(__file__).with_name("_unlisted_effects_7.py"),
     "unlisted_8": Path(__file__).with_name("_unlisted_effects_8.py"),
+    "unlisted_9": Path(__file__).with_name("_unlisted_effects_9.py"),
 }
 """Where unlisted effects are, by what `use` calls the place."""
 

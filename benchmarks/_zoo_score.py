@@ -86,6 +86,10 @@ SIGNALS: Mapping[str, tuple[set[str], ...]] = {
     # What made its table rock: the beam's push, and its weight, which goes with it; either tells.
     "rocking-table": ({"a_b", "x_b"},),
     "rectified-drive": ({"phi'"},),
+    # A table that rings after the beam's starts and stops, and leans with where it stands.
+    "soft-feet": ({"a_b", "v_b", "x_b"},),
+    # The beam's magnets over a coil, times what it carries, which is nearly always the same.
+    "passed-coil": ({"x_b"}, {"coil:5"}),
 }
 """What the unlisted effects depend on, as the report of a trace calls its signals.
 

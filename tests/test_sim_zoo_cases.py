@@ -22,6 +22,7 @@ PLACES = {"psi", "theta", "z", "beam", "rotor"} | {
 ZOO, UNLISTED = module("_zoo_cases"), module("_unlisted_effects")
 UNLISTED_2, UNLISTED_4 = module("_unlisted_effects_2"), module("_unlisted_effects_4")
 UNLISTED_7, UNLISTED_8 = module("_unlisted_effects_7"), module("_unlisted_effects_8")
+UNLISTED_9 = module("_unlisted_effects_9")
 EVERY = ZOO.CASES + ZOO.UNLISTED
 
 
@@ -329,3 +330,69 @@ def test_rectified_drive_shows_the_power_of_three_half_bridges() -> None:
     assert seen(40, 0) == seen(25, 0)
     with pytest.raises(ValueError, match="end_speed_rad_s: expected a number above 0, found 0"):
         UNLISTED_8.RectifiedDrive(sensor=3, offset_m=1e-5, end_speed_rad_s=0.0, motor_s=0.03)
+
+
+SOFT_FEET = {
+    "inertia_kg_m2": 50.0,
+    "freq_hz": 4.0,
+    "damping": 0.05,
+    "height_m": 0.7,
+    "off_m": 0.2,
+    "m_b_kg": 1.5,
+    "mass_kg": 6.0,
+    "j_kg_m2": 0.1,
+}
+
+
+def test_table_on_soft_feet_rings_after_the_beam_pushed_off() -> None:
+    """A sudden push is answered by (u / I) e^(-zeta w t) (cos - zeta w / w_d sin) of w_d t."""
+    table = UNLISTED_9.RockingTable(**SOFT_FEET)
+    dt, t = 1e-5, np.arange(40000) * 1e-5
+    w, zeta = 2 * np.pi * 4.0, 0.05
+    w_d = w * np.sqrt(1 - zeta**2)
+    rings = np.exp(-zeta * w * t) * (np.cos(w_d * t) - zeta * w / w_d * np.sin(w_d * t))
+
+    def felt(x_m: float, a_m_s2: float) -> np.ndarray:
+        """Tell the wrench with the beam at x from t = 0 on, which stood at 0.05 m before."""
+        table.reset(SimpleNamespace(dt_s=dt))
+        before = table.wrench(0, np.ones(3), np.ones(3), BeamState(0.05, 0, 0, 1, 5, 9))
+        np.testing.assert_allclose(before, np.zeros(3), atol=1e-15)
+        beam = BeamState(x_m, 0.3, a_m_s2, 1, 5, 9)
+        return np.array([table.wrench(0, np.ones(3), np.ones(3), beam) for _ in t])
+
+    for x, a in ((0.05, 3.0), (-0.08, 0.0)):
+        turned = 1.5 / 50.0 * (0.7 * a - 9.81 * (x - 0.05)) * rings
+        tau = felt(x, a)
+        near = 1e-3 * np.abs(turned).max()
+        force_kg_m = 6.0 * 0.2 + 1.5 * (x + 0.2)
+        torque_kg_m2 = 0.1 + 1.5 * x * (x + 0.2)
+        np.testing.assert_allclose(tau[:, 2], -force_kg_m * turned, atol=near * force_kg_m)
+        np.testing.assert_allclose(tau[:, 1], -torque_kg_m2 * turned, atol=near * torque_kg_m2)
+        assert not tau[:, 0].any()
+    for name in ("inertia_kg_m2", "freq_hz"):
+        with pytest.raises(ValueError, match=f"{name}: expected a number above 0, found -1.0"):
+            UNLISTED_9.RockingTable(**{**SOFT_FEET, name: -1.0})
+
+
+def test_passed_coil_pushes_the_magnets_as_one_dipole_another() -> None:
+    """The force is the slope along z of the energy of two upright dipoles."""
+    coil = UNLISTED_9.PassedCoil(coil=5, share=0.02, at_m=0.01, apart_m=0.03)
+    coil.reset(None)
+    forces = np.arange(1.0, 10.0)
+    np.testing.assert_array_equal(coil.coil_force(0, np.zeros(3), forces.copy()), forces)
+
+    def energy(x_m: float, z_m: float) -> float:
+        return (x_m**2 - 2 * z_m**2) / np.hypot(x_m, z_m) ** 5
+
+    def force(x_m: float) -> float:
+        return (energy(x_m, 0.03 - 1e-6) - energy(x_m, 0.03 + 1e-6)) / 2e-6
+
+    for x in (-0.1, -0.02, 0.01, 0.02, 0.035, 0.06):
+        tau = coil.wrench(0, np.ones(3), np.ones(3), BeamState(x, 0.3, 2, 1, 5, 9))
+        np.testing.assert_array_equal(tau, np.zeros(3))
+        pushed = coil.coil_force(0, np.zeros(3), forces.copy())
+        share = 0.02 * force(x - 0.01) / force(0.0)
+        assert pushed[5] / 6.0 - 1.0 == pytest.approx(share, rel=1e-6, abs=1e-9)
+        np.testing.assert_array_equal(np.delete(pushed, 5), np.delete(forces, 5))
+    with pytest.raises(ValueError, match="apart_m: expected a number above 0, found 0"):
+        UNLISTED_9.PassedCoil(coil=5, share=0.02, at_m=0.01, apart_m=0.0)

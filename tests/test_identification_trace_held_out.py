@@ -86,7 +86,7 @@ def test_all_are_screened_where_others_show_what_held_out_records_do_not(
 
     monkeypatch.setattr(growing, "screened", screened)
     answered, _ = growing._screened(
-        SimpleNamespace(),  # type: ignore[arg-type]
+        SimpleNamespace(placed=()),  # type: ignore[arg-type]
         candidates,
         HeldError(FLOOR, FLOOR),
         explained,

@@ -218,3 +218,18 @@ def test_who_loses_a_cluster_goes_on_alone(sources: list[Source]) -> None:
         assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
     (line,) = said
     assert line.startswith("lost --dask tcp://127.0.0.1")
+
+
+def test_a_cluster_that_is_long_gone_takes_nothing_back(sources: list[Source]) -> None:
+    """A client that finds nobody for ten seconds closes by itself: it cannot be told to end."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"
+        ) as doomed,
+        cluster_workers(CONFIG, doomed.scheduler_address, pytest.fail) as spread,
+    ):
+        assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
+        assert isinstance(spread, Spread)
+        spread.executor.submit(time.sleep, 30.0)
+        spread.executor._client.close()

@@ -18,7 +18,7 @@ import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -217,8 +217,10 @@ def cluster_workers(config: ModelConfig, address: str, say: Say = print) -> Iter
         try:
             yield Spread(config, executor, who, say, lambda: bool(client.nthreads()))
         finally:
-            # After an error nobody wants what was submitted; otherwise all of it is there.
-            executor.shutdown(wait=False)
+            # After an error nobody wants what was submitted; otherwise all of it is there. Who has
+            # lost its scheduler for long has closed, and raises: what was found is found.
+            with suppress(Exception):
+                executor.shutdown(wait=False)
 
 
 @dataclass(frozen=True)

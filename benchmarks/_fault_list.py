@@ -11,7 +11,7 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from _fault_rig import EXPIRE_CYCLES
+from _fault_rig import EXPIRE_CYCLES, RATE_HZ, SUPERVISOR_S
 
 from levid.daemon.faults import Fault
 
@@ -120,6 +120,9 @@ _HEAT_SHOWS = 67
 """A coil that was cold, with a time constant of 1 s, on its way from nothing to 7.8 N at rest and
 7 N rms (together 10.5) passes 8.8 after 1.22 s; the excitation fades in for 0.1 s."""
 
+_SILENCE_SHOWS = round(SUPERVISOR_S * RATE_HZ)
+"""One that is stopped and one that is slow look alike until then."""
+
 _EVERYWHERE = {
     **{
         name: Kind(_one(Fault.STALE), _plain(name))
@@ -146,7 +149,7 @@ _EVERYWHERE = {
     "loop killed": Kind(_one(Fault.LOOP), own_timeout=True),
     "loop stopped": Kind(_one(Fault.LOOP), own_timeout=True),
     "supervisor killed": Kind(_one(Fault.SUPERVISOR)),
-    "supervisor stopped": Kind(_one(Fault.SUPERVISOR)),
+    "supervisor stopped": Kind(_one(Fault.SUPERVISOR), shows=_SILENCE_SHOWS),
     "stop": Kind(_one(Fault.STOPPED)),
     "disk full": Kind(),
     "recorder killed": Kind(),

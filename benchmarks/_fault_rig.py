@@ -37,6 +37,8 @@ EXPIRE_CYCLES = 10
 """The device's own timeout: far behind what the loop is given, so that ending in time is its."""
 STALL_S = 0.1
 """For how long the loop may stand still: less than until setpoints expire."""
+SUPERVISOR_S = 1.0
+"""How long the supervisor may give no sign of life."""
 BEFORE_FAULT_S = 10.0
 """How far flight recordings are to look back."""
 GIVE_UP_S = 40.0
@@ -47,9 +49,12 @@ _LOST_S = 0.05
 
 
 class Rig:
-    """Electronics and daemon on one bus, in processes of their own; `close` ends all of them."""
+    """Electronics and daemon on one bus, in processes of their own; `close` ends all of them.
 
-    def __init__(self, bus: str, folder: Path) -> None:
+    `more`: see rig_of.
+    """
+
+    def __init__(self, bus: str, folder: Path, **more: dict[str, Any]) -> None:
         self.bus, self.folder, self.flights = bus, folder, 0
         self.small: Path | None = None
         self.flight = folder
@@ -61,7 +66,7 @@ class Rig:
         self._answers: SimpleQueue[str] = SimpleQueue()
         try:
             self.small = small_disk(folder / "small")
-            self.file.write_text(yaml.safe_dump(rig_of(bus, folder)))
+            self.file.write_text(yaml.safe_dump(rig_of(bus, folder, **more)))
             self._start_electronics()
             self.start()
         except BaseException:
@@ -247,8 +252,8 @@ def small_disk(at: Path) -> Path | None:
     return None
 
 
-def rig_of(bus: str, folder: Path) -> dict[str, Any]:
-    """Return the rig as plain data."""
+def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
+    """Return the rig as plain data, with keys of its sections beside or in place of its own."""
     plain: dict[str, Any] = yaml.safe_load(SETTINGS[0].read_text())
     kind = "serial" if bus == "serial" else "can"
     tilt = {"kp_n_m_rad": 5, "ki_n_m_rad_s": 50}
@@ -274,6 +279,9 @@ def rig_of(bus: str, folder: Path) -> dict[str, Any]:
         "coil_rms_n": 8.8,  # the platform at rest takes 7.8 N of a coil
         "coil_time_constant_s": 1.0,
     }
+    plain["service"] = {"supervisor_gone": "zero", "supervisor_s": SUPERVISOR_S}
+    for section, keys in more.items():
+        plain[section] |= keys
     if kind == "serial":
         plain["serial"] = {
             "main": {"port": str(folder / "port"), "baud": 3_000_000, "stale_cycles": STALE_CYCLES}

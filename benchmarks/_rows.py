@@ -40,7 +40,7 @@ class Flown:
     """The rows of a flight, from the making of this on; `look` at least every few seconds."""
 
     def __init__(self, supervisor: int, rig_file: Path) -> None:
-        self._shared = Shared(load_rig(rig_file), _memory_of(supervisor))
+        self._shared = Shared(load_rig(rig_file), memory_of(supervisor))
         self._shared.close()  # the mapping stays
         self._ring, self.board = self._shared.ring, self._shared.board
         self._next = self._ring.head
@@ -129,7 +129,7 @@ def found_in(flown: Cycles, logged: Cycles, cut: int) -> Found:
     )
 
 
-def _memory_of(supervisor: int) -> int:
+def memory_of(supervisor: int) -> int:
     """Return a descriptor of the memory that the daemon's processes share."""
     for link in Path(f"/proc/{supervisor}/fd").iterdir():
         with contextlib.suppress(FileNotFoundError):  # connections come and go

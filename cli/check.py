@@ -98,6 +98,7 @@ def _periods(rows: NDArray[np.void]) -> int:
 
 def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.base import ConfigError
+    from ..daemon.watchdogs import held_too_long
     from ..drivers.base import Context
     from ..drivers.registry import check_backends
     from ..model.geometry import GeometryError, decoupling_matrix
@@ -112,6 +113,8 @@ def _rig(rig: RigConfig, path: Path) -> str:
     except ConfigError as error:
         named = str(error).startswith(f"{path}: ")
         raise ConfigError(f"{'' if named else f'{path}: '}{error}") from None
+    if warning := held_too_long(rig):
+        click.echo(f"{path}: warning: {warning}", err=True)
     carried = f"; the wire carries {1 / found.cycle_s:.0f} Hz" if found.buses else ""
     return f"rig, {len(rig.geometry.coil_x_m)} coils, {rig.rate_hz:g} Hz{carried}"
 

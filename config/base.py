@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
-from .mistakes import mistakes
+from .mistakes import dotted, mistakes, quoted, shortened
 
 M = TypeVar("M", bound="Strict")
+_Path: TypeAlias = "tuple[_Path, Any] | None"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -18,11 +21,18 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 MOST_BYTES = 1 << 18
-"""Of a file: the longest that are shipped have a fortieth of it, and YAML is slow to read."""
-MOST_NODES = 50_000
-"""Keys and values of a file, an alias counted as often as it is used."""
-MOST_DIGITS = 40
-"""Of an integer; converting takes time that grows with the square of them."""
+"""Largest file in bytes, and most characters of text in it; the largest shipped file has 6 KiB."""
+MOST_NODES = 30_000
+"""Most keys, values, lists and mappings in a file. A file of MOST_BYTES in the style of the shipped
+files has about as many; PyYAML reads them in about 1 s."""
+MOST_DEPTH = 32
+"""Most levels of lists and mappings; shipped files have 6."""
+MOST_DIGITS = 64
+"""Longest number in characters. Longer text is not a number: a conversion takes quadratic time."""
+MOST_KEY = 200
+"""Longest key in characters. Every mistake below a key holds a copy of the key."""
+_MOST_PROBLEM = 300
+"""Longest text of a YAML error in characters; it may quote the file."""
 
 
 class ConfigError(Exception):
@@ -60,11 +70,49 @@ def load_yaml(path: Path | str, model: type[M]) -> M:
 
 
 def parse(data: object, model: type[M], where: str) -> M:
-    """Fit parsed YAML `data` into `model`; `where` names the source in errors (ConfigError)."""
+    """Fit `data` (lists, mappings and scalars) into `model`; `where` names the source in errors.
+
+    Raises:
+        ConfigError: `data` exceeds a limit or does not fit.
+    """
+    check_limits(data, where)
     try:
         return model.model_validate(data)
     except ValidationError as error:
         raise ConfigError("\n".join(mistakes(error, data, model, where))) from None
+
+
+def check_limits(data: object, where: str) -> None:
+    """Check that `data` holds no more than a YAML file may hold, in linear time.
+
+    Raises:
+        ConfigError: too many values, levels or characters, a key or a number that is too long, or
+            text with half a surrogate pair.
+    """
+    nodes = characters = 0
+    todo: list[tuple[object, int, _Path]] = [(data, 0, None)]
+    while todo:
+        value, depth, path = todo.pop()
+        nodes += 1
+        problem = None
+        if isinstance(value, (Mapping, list, tuple, set, frozenset)):
+            depth += 1
+            problem = _excess(nodes + len(todo) + len(value), characters, depth)
+            if not problem and isinstance(value, Mapping):
+                problem = _long_key(value)
+                todo += [(inner, depth, (path, key)) for key, inner in value.items()]
+                todo += [(key, depth, path) for key in value]
+            elif not problem:
+                todo += [(inner, depth, (path, at)) for at, inner in enumerate(value)]
+        elif isinstance(value, (str, bytes)):
+            characters += len(value)
+            problem = _excess(nodes, characters, depth)
+            if not problem and isinstance(value, str) and not _is_unicode(value):
+                problem = f"expected Unicode text, found {quoted(value)}"
+        elif isinstance(value, int) and value.bit_length() > 4 * MOST_DIGITS:
+            problem = f"expected an integer of at most {MOST_DIGITS} digits, found {quoted(value)}"
+        if problem:
+            raise ConfigError(f"{where}: {dotted(_parts(path))}: {problem}")
 
 
 def parse_text(text: str | bytes, model: type[M], where: str) -> M:
@@ -88,89 +136,204 @@ def _mapping(text: str | bytes, where: str) -> dict[str, Any]:
     if len(text) > MOST_BYTES:
         raise ConfigError(f"{where}: expected a file of at most {MOST_BYTES >> 10} KiB, found more")
     try:
-        data = yaml.load(text, Loader=_UniqueKeys)
-    except RecursionError:
-        raise ConfigError(f"{where}: not valid YAML: nested too deeply") from None
+        data = yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
-        raise ConfigError(f"{where}{line}: not valid YAML: {error.problem}") from None
-    except Exception as error:  # noqa: BLE001 - PyYAML's constructors raise whatever they meet
-        raise ConfigError(f"{where}: not valid YAML: {error}".replace("\n", " ")) from None
+        problem = shortened(str(error.problem), _MOST_PROBLEM)
+        if isinstance(error, yaml.composer.ComposerError) and error.context:
+            problem = f"{shortened(error.context, _MOST_PROBLEM)}, {problem}"
+        invalid = "" if isinstance(error, _LimitError) else "not valid YAML: "
+        raise ConfigError(f"{where}{line}: {invalid}{problem}") from None
+    except yaml.reader.ReaderError as error:
+        raise ConfigError(
+            f"{where}: not valid YAML: expected text in UTF-8 without control characters, found "
+            f"#x{error.character:02x} at position {error.position + 1}"
+        ) from None
+    except Exception as error:  # noqa: BLE001 - whatever PyYAML raises, the file is wrong
+        raise ConfigError(
+            f"{where}: not valid YAML: {shortened(str(error), _MOST_PROBLEM)}"
+        ) from None
     if not isinstance(data, dict):
         found = "nothing" if data is None else type(data).__name__
         raise ConfigError(f"{where}: expected a mapping of keys at top level, found {found}")
     return data
 
 
-class _UniqueKeys(yaml.SafeLoader):
-    """SafeLoader that reads 1e-4 as a number and refuses a key that stands twice.
+class _LimitError(yaml.MarkedYAMLError):
+    """YAML that is valid and that a configuration does not accept."""
 
-    It refuses as well what would take time or memory out of all proportion to the file: aliases of
-    aliases, and integers of thousands of digits.
+    def __init__(self, problem: str, mark: Any) -> None:
+        super().__init__(None, None, problem, mark)
+
+
+class _Loader(yaml.SafeLoader):
+    """Read YAML as SafeLoader does, in time proportional to the size of the file.
+
+    1e-4 is a number and 2024-05-01 is text, as in YAML 1.2. Duplicate keys, keys that are lists or
+    mappings, and tags other than those of YAML 1.2's core schema are errors. A scalar longer than
+    MOST_DIGITS is text. Nodes, characters and levels are counted while they are read, those of an
+    alias as often as it is used.
     """
 
-    def get_single_node(self) -> yaml.Node | None:
-        node: yaml.Node | None = super().get_single_node()
-        if node is not None:
-            _expanded(node, {})
+    def __init__(self, stream: str | bytes) -> None:
+        super().__init__(stream)
+        self._nodes = self._characters = self._depth = 0
+        self._deepest = 0  # of what has been read since the node that is being read began
+        self._sizes: dict[str, tuple[int, int, int]] = {}  # by anchor: nodes, characters, levels
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent):
+            alias = super().compose_node(parent, index)
+            if event.anchor not in self._sizes:
+                raise _LimitError("an alias stands within what it names", event.start_mark)
+            self._count(*self._sizes[event.anchor], event.start_mark)
+            return alias
+        nodes, characters, deepest = self._nodes, self._characters, self._deepest
+        self._deepest = self._depth
+        if isinstance(event, yaml.ScalarEvent):
+            self._check_tag(event.tag, _SCALAR_TAGS, event.start_mark)
+            self._count(1, len(event.value), 0, event.start_mark)
+            node = super().compose_node(parent, index)
+        else:
+            self._check_tag(event.tag, _COLLECTION_TAGS[type(event)], event.start_mark)
+            self._count(1, 0, 1, event.start_mark)
+            self._depth += 1
+            node = super().compose_node(parent, index)
+            self._depth -= 1
+        if event.anchor is not None:
+            self._sizes[event.anchor] = (
+                self._nodes - nodes,
+                self._characters - characters,
+                self._deepest - self._depth,
+            )
+        self._deepest = max(deepest, self._deepest)
         return node
 
-    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        if len(node.value) > MOST_DIGITS:
-            raise yaml.constructor.ConstructorError(
-                None,
-                None,
-                f"expected an integer of at most {MOST_DIGITS} digits, found {len(node.value)}",
-                node.start_mark,
-            )
-        return int(super().construct_yaml_int(node))
+    def _count(self, nodes: int, characters: int, levels: int, mark: Any) -> None:
+        self._nodes += nodes
+        self._characters += characters
+        self._deepest = max(self._deepest, self._depth + levels)
+        if problem := _excess(self._nodes, self._characters, self._depth + levels):
+            raise _LimitError(problem, mark)
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+    def _check_tag(self, tag: str | None, known: set[str | None], mark: Any) -> None:
+        if tag not in known:
+            written = str(tag).replace(_TAG, "!!")
+            raise _LimitError(f"expected no tag, found {quoted(written)}", mark)
+
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        # Before keys are merged into the mapping: a key may be given anew there.
+        node: yaml.MappingNode = super().compose_mapping_node(anchor)
         seen: set[str] = set()
-        for key_node, _ in node.value:
-            key = str(getattr(key_node, "value", ""))
-            if key in seen and key != "<<":
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key '{key}' stands twice", key_node.start_mark
-                )
-            seen.add(key)
-        return super().construct_mapping(node, deep=deep)
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                kind = "list" if isinstance(key, yaml.SequenceNode) else "mapping"
+                raise _LimitError(f"expected a key that is text, found a {kind}", key.start_mark)
+            if key.value in seen and key.tag != f"{_TAG}merge":
+                raise _LimitError(f"key {quoted(key.value)} stands twice", key.start_mark)
+            seen.add(key.value)
+        return node
+
+    def fetch_more_tokens(self) -> None:
+        try:
+            super().fetch_more_tokens()
+        except (ValueError, OverflowError):  # of chr() or int()
+            raise _LimitError(
+                "expected the code of a character or a YAML version, found a number out of range",
+                self.get_mark(),
+            ) from None
+
+    def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
+        if kind is yaml.ScalarNode and len(value) > MOST_DIGITS:
+            return str(self.DEFAULT_SCALAR_TAG)
+        return str(super().resolve(kind, value, implicit))  # type: ignore[no-untyped-call]
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        if node.tag == f"{_TAG}merge":  # << in a place other than that of a key
+            node.tag = self.DEFAULT_SCALAR_TAG
+        expected = _CONVERTED.get(node.tag)
+        if not expected:
+            return super().construct_object(node, deep=deep)
+        try:
+            if len(node.value) > MOST_DIGITS:
+                raise ValueError
+            return super().construct_object(node, deep=deep)
+        except (ValueError, LookupError):
+            raise _LimitError(
+                f"expected {expected} of at most {MOST_DIGITS} characters, found "
+                f"{quoted(node.value)}",
+                node.start_mark,
+            ) from None
 
 
-_UniqueKeys.add_constructor("tag:yaml.org,2002:int", _UniqueKeys.construct_yaml_int)
+_TAG = "tag:yaml.org,2002:"
+_SCALAR_TAGS = {None, "!", *(f"{_TAG}{kind}" for kind in ("str", "int", "float", "bool", "null"))}
+_COLLECTION_TAGS = {
+    yaml.SequenceStartEvent: {None, "!", f"{_TAG}seq"},
+    yaml.MappingStartEvent: {None, "!", f"{_TAG}map"},
+}
+_CONVERTED = {
+    f"{_TAG}int": "an integer",
+    f"{_TAG}float": "a number",
+    f"{_TAG}bool": "a word like yes",
+}
+"""Tags that not every text fits, and what is expected instead."""
+_RESOLVED = {f"{_TAG}{kind}" for kind in ("int", "float", "bool", "null", "merge")}
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag in _RESOLVED]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
 # PyYAML follows YAML 1.1, where 1e-4 is text; YAML 1.2 and every engineer read a number.
-_UniqueKeys.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    __import__("re").compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+_Loader.add_implicit_resolver(
+    f"{_TAG}float",
+    re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
     list("-+0123456789."),
 )
 
 
-def _expanded(node: yaml.Node, known: dict[int, int]) -> int:
-    """Return how many nodes a node stands for with all its aliases; too many are an error."""
-    if id(node) in known:
-        if not known[id(node)]:  # still being counted: it stands within itself
-            raise yaml.composer.ComposerError(
-                None, None, "an alias stands within what it names", node.start_mark
-            )
-        return known[id(node)]
-    known[id(node)] = 0
-    total = 1
-    if isinstance(node, yaml.MappingNode):
-        total += sum(_expanded(part, known) for pair in node.value for part in pair)
-    elif isinstance(node, yaml.SequenceNode):
-        total += sum(_expanded(part, known) for part in node.value)
-    if total > MOST_NODES:
-        raise yaml.composer.ComposerError(
-            None,
-            None,
-            f"expected at most {MOST_NODES} keys and values, found more, aliases counted as often "
-            "as they are used",
-            node.start_mark,
+def _excess(nodes: int, characters: int, depth: int) -> str | None:
+    """Return which limit is exceeded, None if none is."""
+    if depth > MOST_DEPTH:
+        return f"expected at most {MOST_DEPTH} levels of lists and mappings, found more"
+    if nodes > MOST_NODES:
+        return (
+            f"expected at most {MOST_NODES} keys and values, found more (an alias counts as often "
+            "as it is used)"
         )
-    known[id(node)] = total
-    return total
+    if characters > MOST_BYTES:
+        return (
+            f"expected at most {MOST_BYTES} characters of text, found more (an alias counts as "
+            "often as it is used)"
+        )
+    return None
+
+
+def _long_key(mapping: Mapping[Any, Any]) -> str | None:
+    """Return what is wrong with the first key that is too long, None if there is none."""
+    for key in mapping:
+        if isinstance(key, (str, bytes)) and len(key) > MOST_KEY:
+            return f"expected keys of at most {MOST_KEY} characters, found {quoted(key)}"
+    return None
+
+
+def _is_unicode(text: str) -> bool:
+    """Return whether UTF-8 can represent the text: an escape can be half a surrogate pair."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _parts(path: _Path) -> list[Any]:
+    """Return the keys and indices of a path, outermost first."""
+    parts = []
+    while path is not None:
+        path, part = path
+        parts.append(part)
+    return parts[::-1]
 
 
 def _kinds(annotation: Any) -> list[Any]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .base import ConfigError, Strict, load_yaml, read_mapping
+from .base import ConfigError, Strict, parse, read_mapping
+from .mistakes import quoted
 from .model import ModelConfig
 from .rig import RigConfig
 from .session import SessionConfig
@@ -21,10 +22,11 @@ KINDS: dict[str, type[Strict]] = {
 def load_any(path: Path | str, more: dict[str, type[Strict]] | None = None) -> Strict:
     """Read a YAML file of any kind in KINDS or `more`; raises ConfigError."""
     kinds = {**KINDS, **(more or {})}
-    kind = read_mapping(path).get("levid")
+    data = read_mapping(path)
+    kind = data.get("levid")
     if not isinstance(kind, str) or kind not in kinds:
-        found = "no such key" if kind is None else f"'{kind}'"
+        found = "no such key" if kind is None else quoted(kind)
         raise ConfigError(
             f"{path}: levid: expected one of {', '.join(sorted(kinds))}, found {found}"
         )
-    return load_yaml(path, kinds[kind])
+    return parse(data, kinds[kind], str(path))

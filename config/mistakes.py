@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -14,34 +15,55 @@ from pydantic_core import ErrorDetails
 _Location = tuple[int | str, ...]
 _WORDS = {
     "String should match pattern ": "text like ",
+    "String should have ": "text of ",
     "Keys should be strings": "a key that is text",
+    "Unable to parse input string as an integer, exceeded maximum size": "fewer digits",
 }
 """What the validator says in place of what it expected, and what that is."""
+MOST_MISTAKES = 20
+"""Most mistakes that are listed for one file; the last line is the number of further ones."""
+_MOST_QUOTED = 60
+"""Longest quotation of a key or a value in characters."""
+_MOST_LINE = 500
+"""Longest description of a mistake in characters, without the name of the file."""
 
 
 def mistakes(error: ValidationError, data: object, model: type[BaseModel], where: str) -> list[str]:
-    """Return a line for each mistake in `data`: where, what was expected, and what came."""
+    """Return a line for each mistake in `data`: where, what was expected, and what came.
+
+    At most MOST_MISTAKES are listed, then how many more there are.
+    """
     items = error.errors(include_url=False)
     # A file of another kind would be one error a key: that it is another kind says it all.
     of_kind = [item for item in items if item["loc"] == ("levid",)]
+    grouped = _by_location(of_kind or items, data)
     lines = []
-    for loc, found in _told_once(of_kind or items, data):
-        item = found[0]
-        key = _dotted(loc)
-        if item["type"] == "extra_forbidden":
-            known = _keys_at(model, loc[:-1])
-            lines.append(f"{where}: {key}: unknown key{_suggest(str(loc[-1]), known)}")
-        elif item["type"] == "missing":
-            lines.append(f"{where}: {key}: required key is missing")
-        elif item["type"] == "value_error":
-            lines.append(f"{where}: {key}: {item['ctx']['error']}")
-        else:
-            expected = " or ".join(_expected(one) for one in found)
-            lines.append(f"{where}: {key}: expected {expected}, found {_short(item['input'])}")
+    for loc, found in grouped[:MOST_MISTAKES]:
+        line = shortened(f"{dotted(loc)}: {_described(loc, found, model)}", _MOST_LINE)
+        lines.append(f"{where}: {line}")
+    if more := len(grouped) - len(lines):
+        lines.append(f"{where}: {more} more {'mistake' if more == 1 else 'mistakes'}, not listed")
     return lines
 
 
-def _told_once(
+def _described(loc: _Location, found: list[ErrorDetails], model: type[BaseModel]) -> str:
+    """Return what was expected at a location and what came."""
+    item = found[0]
+    match item["type"]:
+        case "extra_forbidden":
+            return f"unknown key{_suggest(str(loc[-1]), _keys_at(model, loc[:-1]))}"
+        case "missing":
+            return "required key is missing"
+        case "value_error":
+            return str(item["ctx"]["error"])
+        case "too_long":
+            most = item["ctx"]["max_length"]
+            return f"expected at most {most} entries, found {len(item['input'])}"
+    expected = " or ".join(_expected(one) for one in found[:MOST_MISTAKES])
+    return f"expected {expected}, found {quoted(item['input'])}"
+
+
+def _by_location(
     items: Sequence[ErrorDetails], data: object
 ) -> list[tuple[_Location, list[ErrorDetails]]]:
     """Return what is wrong at each location, in order; more than one where any of them would do.
@@ -50,38 +72,45 @@ def _told_once(
     key and its own name of that alternative. A mapping was meant to be the one that is a mapping.
     """
     alternatives: dict[_Location, list[ErrorDetails]] = defaultdict(list)
+    named: _Named = {}
     for item in items:
         loc = item["loc"]
-        depth = _depth(loc, data)
+        depth = _depth(loc, data, named)
         missing = item["type"] == "missing" and depth == len(loc) - 1
         alternatives[loc if missing else loc[:depth]].append(item)
-    told: list[tuple[_Location, list[ErrorDetails]]] = []
+    grouped: list[tuple[_Location, list[ErrorDetails]]] = []
     for loc, found in alternatives.items():
         at = len(loc)
         if len({item["loc"][at : at + 1] for item in found if len(item["loc"]) > at}) < 2:
-            told += [(item["loc"], [item]) for item in found]
+            grouped += [(item["loc"], [item]) for item in found]
         elif inner := [item for item in found if len(item["loc"]) > at + 1]:
-            told += [(loc + item["loc"][at + 1 :], [item]) for item in inner]
+            grouped += [(loc + item["loc"][at + 1 :], [item]) for item in inner]
         else:
-            told.append((loc, found))
-    return told
+            grouped.append((loc, found))
+    return grouped
 
 
-def _depth(loc: _Location, data: Any) -> int:
-    """Return how many parts of a location lead into `data`."""
+_Named = dict[int, dict[str, Any]]
+"""Values of keys that are not text, by what a location has for such a key; by id of the mapping."""
+
+
+def _depth(loc: _Location, data: Any, named: _Named) -> int:
+    """Return how many parts of a location lead into `data`; fill in `named` where it is needed."""
     for depth, part in enumerate(loc):
-        inner = _inner(data)
-        if part not in inner:
+        if isinstance(data, Mapping):
+            if part in data:
+                data = data[part]
+                continue
+            if id(data) not in named:
+                named[id(data)] = {repr(key): data[key] for key in data if not isinstance(key, str)}
+            if part not in named[id(data)]:
+                return depth
+            data = named[id(data)][str(part)]
+        elif isinstance(data, (list, tuple)) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        else:
             return depth
-        data = inner[part]
     return len(loc)
-
-
-def _inner(data: object) -> Mapping[int | str, Any]:
-    """Return what is in a value, by the parts that a location has for its keys."""
-    if isinstance(data, Mapping):
-        return {key if isinstance(key, (int, str)) else repr(key): data[key] for key in data}
-    return dict(enumerate(data)) if isinstance(data, (list, tuple)) else {}
 
 
 def _expected(item: ErrorDetails) -> str:
@@ -91,16 +120,54 @@ def _expected(item: ErrorDetails) -> str:
     return re.sub(r", (unable to parse|got) .*", "", said)
 
 
-def _dotted(loc: tuple[int | str, ...]) -> str:
+def dotted(loc: Sequence[Any]) -> str:
+    """Return a location as text, such as steps[2].record.name; `file` for the top level."""
     text = ""
     for part in loc:
-        text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
+        if isinstance(part, int):
+            text += f"[{quoted(part)}]"
+        else:
+            text += f"{'.' if text else ''}{shortened(str(part), _MOST_QUOTED)}"
     return text or "file"
 
 
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+def shortened(text: str, most: int) -> str:
+    """Return at most `most` characters of `text`, on one line and without control characters."""
+    cut = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[: most + 1])
+    return cut if len(cut) <= most else f"{cut[: most - 3]}..."
+
+
+def quoted(value: object) -> str:
+    """Return the start of `value` as Python writes it, however large the value is."""
+    text = ""
+    for piece in _pieces(value):
+        text += piece
+        if len(text) > _MOST_QUOTED:
+            break
+    return shortened(text, _MOST_QUOTED)
+
+
+def _pieces(value: object) -> Iterator[str]:
+    """Yield the text of a value piece by piece; a piece is not much longer than a quotation."""
+    if isinstance(value, Mapping):
+        for number, (key, inner) in enumerate(value.items()):
+            yield ", " if number else "{"
+            yield from _pieces(key)
+            yield ": "
+            yield from _pieces(inner)
+        yield "}" if value else "{}"
+    elif isinstance(value, (list, tuple)):
+        for number, inner in enumerate(value):
+            yield ", " if number else "["
+            yield from _pieces(inner)
+        yield "]" if value else "[]"
+    elif isinstance(value, (str, bytes)):
+        yield repr(value[: _MOST_QUOTED + 1])
+    elif isinstance(value, int) and value.bit_length() > 8 * _MOST_QUOTED:
+        # Python refuses to write such a number.
+        yield f"an integer of about {int(value.bit_length() * math.log10(2.0)) + 1} digits"
+    else:
+        yield repr(value)
 
 
 def _suggest(key: str, known: list[str]) -> str:
@@ -111,7 +178,7 @@ def _suggest(key: str, known: list[str]) -> str:
     same_quantity = [k for k in known if k.rsplit("_", 1)[0] == stem]
     if same_quantity:
         return f"; expected '{same_quantity[0]}' (the ending of a key is its unit)"
-    close = difflib.get_close_matches(key, known, n=1)
+    close = difflib.get_close_matches(key[:_MOST_QUOTED], known, n=1)
     if close:
         return f"; expected '{close[0]}'"
     return f"; expected one of {', '.join(sorted(known))}"

@@ -101,8 +101,9 @@ class Limits(Strict):
     rotor_acceleration_rad_s2: Positive = 200.0
     late_cycles: Annotated[int, Field(ge=1, le=10_000)] = 20
     """Cycles that may be late by a period or more; every ten in time take one of them back."""
-    stall_s: Positive = 0.5
-    """For how long the loop may stand still, once, and still go on."""
+    stall_s: Positive | None = None
+    """For how long the loop may stand still, once, and still go on; unless given, until amplifiers
+    expire or a falling platform would leave `gap_m`."""
     late_in_window: Annotated[int, Field(ge=1, le=1_000_000)] = 500
     """Late cycles within `late_window_s`, whether in a row or not."""
     late_window_s: Annotated[float, Field(gt=0, le=3600.0)] = 60.0

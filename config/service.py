@@ -28,7 +28,7 @@ class Service(Strict):
     allow_users: tuple[Id, ...] = ()
     allow_groups: tuple[Id, ...] = ()
     client_gone: Literal["go_on", "land"] = "go_on"
-    supervisor_gone: Literal["zero", "land"] = "zero"
+    supervisor_gone: Literal["zero", "land"] = "land"
     supervisor_s: Annotated[float, Field(ge=0.05, le=60.0)] = 1.0
     metrics_port: Annotated[int, Field(ge=1, le=65_535)] | None = None
     loop_s: Annotated[float, Field(ge=0.05, le=60.0)] = 1.0

@@ -10,7 +10,8 @@ from pydantic import Field, model_validator
 from .base import Finite, NonNegative, Positive, Strict, load_yaml
 from .rig import Rate
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+# A part of a file name, which has at most 255 characters.
+Name = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Duration = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
 Pause = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
 # A drive counts in 1e-7 rad and 32 bits: what is beyond would stop short there, at once.
@@ -216,8 +217,8 @@ class SessionConfig(Strict):
     rate_hz: Rate | None = None
     """Rate of the loop; the rig's unless given."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    excitations: dict[Name, Excitation] = Field(default_factory=dict)
-    steps: Annotated[tuple[Step, ...], Field(min_length=1, max_length=10_000)]
+    excitations: dict[Name, Excitation] = Field(default_factory=dict, max_length=1000)
+    steps: Annotated[tuple[Step, ...], Field(min_length=1, max_length=1000)]
     then: tuple[Literal["identify", "trace"], ...] = ()
 
     @model_validator(mode="after")

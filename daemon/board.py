@@ -51,7 +51,6 @@ class Word(IntEnum):
     LOOPS = auto()  # how often the loop was started
     EPOCH_NS = auto()  # log time of cycle 0
     EPOCH_MONOTONIC_NS = auto()
-    SUPERVISOR_STOPPED = auto()  # 1: the supervisor is stopped by a signal, 2: it is dying
     # From the recorder.
     RECORDER_BEAT = auto()
     DROPPED = auto()  # rows that should be in a log and are not

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import math
+import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 _KILLED_S = 5.0
+_LOOK_S = 0.5
+"""A silence from which on it is asked what a child does: each question is a file."""
 
 
 class Child:
-    """One process at a time that runs a module of levid, fed with a rig on standard input."""
+    """One process at a time that runs a module of levid, fed with a rig on standard input.
 
-    def __init__(self, name: str, module: str, rig_json: bytes) -> None:
+    `environment` is what it has beside that of this process.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        module: str,
+        rig_json: bytes,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self.name, self._module, self._rig_json = name, module, rig_json
+        self._environment = environment or {}
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, arguments: Sequence[object], fds: Sequence[int]) -> None:
@@ -28,6 +43,7 @@ class Child:
             stdin=subprocess.PIPE,
             pass_fds=fds,
             process_group=0,
+            env={**os.environ, **self._environment},
         )
         assert self._process.stdin is not None
         try:
@@ -55,6 +71,15 @@ class Child:
         if code < 0:
             return f"killed by {_name_of(-code)}"
         return f"exit code {code}"
+
+    @property
+    def waited_s(self) -> float:
+        """For how long it was ready to run and got no processor, in s; 0 where nothing says so."""
+        try:
+            told = Path(f"/proc/{self.pid}/schedstat").read_text().split()
+            return 1e-9 * int(told[1])  # its main thread's
+        except (OSError, IndexError, ValueError):
+            return 0.0
 
     def terminate(self) -> None:
         """Ask it to end, as it is able to at the moment."""
@@ -86,6 +111,32 @@ def _name_of(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:  # real-time signals have no names but the first and the last
         return f"signal {number}"
+
+
+class ChildSilence:
+    """How long a child gave no sign of life, not counting the time in which it could not.
+
+    A machine with too much to do keeps it from the processors: that is no reason to end it.
+    """
+
+    def __init__(self, child: Child) -> None:
+        self._child = child
+        self._since_s = self._looked_s = self._waited_s = 0.0
+
+    def begin(self, now_s: float) -> None:
+        """Count from a sign of life on."""
+        self._since_s = now_s
+        self._looked_s = math.inf
+
+    def passed_s(self, now_s: float) -> float:
+        """Return how long it has been silent, in s."""
+        silent_s = now_s - self._since_s
+        if silent_s < _LOOK_S:
+            return silent_s
+        waited_s = self._child.waited_s
+        if self._looked_s > now_s:
+            self._looked_s, self._waited_s = now_s, waited_s
+        return silent_s - min(max(waited_s - self._waited_s, 0.0), now_s - self._looked_s)
 
 
 def module_of(name: str) -> str:

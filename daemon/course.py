@@ -19,7 +19,6 @@ from .control import Controller
 from .faults import Fault
 from .landing import Landing, Motion
 from .lateness import Lateness
-from .parent_watch import STOPPED
 from .program import Announced
 from .ring import NO_LOG
 from .segment import Segment
@@ -40,12 +39,12 @@ _FOREVER = 1 << 62
 # Indexing by an IntEnum costs a call; by a plain integer it does not.
 (
     _BEAT, _LAND, _ZERO, _CLEAR, _END, _CYCLE, _ROWS_HEAD, _ROWS_TAIL, _QUEUE_HEAD, _QUEUE_TAIL,
-    _LATE, _STOPPED,
+    _LATE,
 ) = (
     int(word)
     for word in (
         Word.BEAT, Word.LAND, Word.ZERO, Word.CLEAR, Word.END, Word.CYCLE, Word.ROWS_HEAD,
-        Word.ROWS_TAIL, Word.QUEUE_HEAD, Word.QUEUE_TAIL, Word.LATE, Word.SUPERVISOR_STOPPED,
+        Word.ROWS_TAIL, Word.QUEUE_HEAD, Word.QUEUE_TAIL, Word.LATE,
     )
 )  # fmt: skip
 
@@ -161,8 +160,6 @@ class Course:
             self._silent += min(periods, _MOST_AT_ONCE)
             if self._silent > self._most_silent:
                 self._abandoned("it gave no sign of life")
-        if words[_STOPPED]:
-            self._abandoned("it is stopped" if words[_STOPPED] == STOPPED else "it is dead")
         if os.getppid() != self._parent and not self._orphan:
             self._orphan = True
             self._abandoned("it is dead")

@@ -11,13 +11,17 @@ _PARTS = 10
 
 
 class Lateness:
-    """Counts late cycles against limits.late_cycles, late_in_window and stall_s."""
+    """Counts late cycles against limits.late_cycles and late_in_window, and single stalls.
 
-    def __init__(self, limits: Limits, rate_hz: float) -> None:
-        self._most, self._longest = limits.late_cycles, limits.stall_s * rate_hz
+    `longest_stall`: periods in a row that may be skipped. `why` says which limit was exceeded.
+    """
+
+    def __init__(self, limits: Limits, rate_hz: float, longest_stall: int) -> None:
+        self._most, self._longest, self._rate_hz = limits.late_cycles, longest_stall, rate_hz
         self._most_in_window = limits.late_in_window
         self._part = max(round(limits.late_window_s * rate_hz / _PARTS), 1)
         self.late = 0
+        self.why = ""
         self._score = 0.0
         self._cycles = self._in_window = self._at = 0
         self._in_part = [0] * _PARTS
@@ -35,11 +39,16 @@ class Lateness:
         self._in_window += 1
         self._in_part[self._at] += 1
         self._score = min(self._score + 1.0, self._most + 1.0)
-        return (
-            self._score > self._most
-            or skipped > self._longest
-            or self._in_window > self._most_in_window
-        )
+        if skipped > self._longest:
+            stood_s, most_s = skipped / self._rate_hz, self._longest / self._rate_hz
+            self.why = f"the loop stood still for {stood_s:.3g} s, at most {most_s:.3g} s may pass"
+        elif self._score > self._most:
+            self.why = f"more than {self._most} cycles in a row were late"
+        elif self._in_window > self._most_in_window:
+            self.why = f"{self._in_window} cycles were late within limits.late_window_s"
+        else:
+            return False
+        return True
 
     def forget(self) -> None:
         """Begin anew after a fault."""

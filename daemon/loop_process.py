@@ -20,7 +20,6 @@ from .control import Controller
 from .failures import fault_of
 from .faults import Fault
 from .journal import Journal, moment
-from .parent_watch import ParentWatch
 from .realtime import be_punctual, call_me, die_with, no_collections, share_with_others
 from .shared import Shared, doubts_of_order
 from .states import State
@@ -116,8 +115,6 @@ def _fly(
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
     loop = TimedLoop(rig, controller, devices, clock, shared, recover, parent)
-    # Before this thread is bound to processors and its rights: what it begins would inherit them.
-    watch = ParentWatch(parent, board.words, 1.0 / rig.rate_hz, rig.realtime.priority)
     for warning in (*doubts_of_order(), *be_punctual(rig.realtime)):
         journal.say(f"warning: {warning}")
     journal.close()
@@ -131,10 +128,7 @@ def _fly(
             controller.cool(1e-9 * since_ns)  # while devices were opened there were no cycles
         loop.cycle = _cycle_now(board, rig.rate_hz)
         board[Word.BUSY] = 0
-        try:
-            loop.run()
-        finally:
-            watch.close()
+        loop.run()
 
 
 def _cycle_now(board: Board, rate_hz: float) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from .board import Board, Word
 from .coil_check import Verdict, coil_check
 from .faults import Fault, FlightFault
 from .plan import Plan, PlannedStep
+from .planner import RefusedError
 from .program import Feeder, Logged
 from .recorder_link import RecorderLink
 from .result import FlightResult, RecordingError, in_doubt
@@ -29,14 +30,11 @@ _WRITING_S = 60.0
 """How long the recorder may take to bring the last rows into their files."""
 
 
-class RefusedError(Exception):
-    """A request that cannot be carried out now."""
-
-
 @dataclass
 class Job:
-    """A plan with all its segments computed, and who waits for its end.
+    """A plan with its segments, and who waits for its end.
 
+    `segments` yields those of each step; it is asked for them some seconds before they are flown.
     `files`: the log of each step by its index; a step without one goes on in the log at hand.
     `over` is called when the next job may come. `landing` (ramp, release): cycles of a landing
     before the plan's end, None for that of the flight it is part of. A job that `holds` is over
@@ -45,7 +43,7 @@ class Job:
     """
 
     plan: Plan
-    segments: list[tuple[PlannedStep, list[Segment]]]
+    segments: Iterable[tuple[PlannedStep, list[Segment]]]
     files: dict[int, LogFile]
     reply: Reply
     over: Callable[[], None]
@@ -121,13 +119,9 @@ class Pilot:
         if job.begins_at_rest:
             self._recorder.forget()
             self._flight_log = NO_LOG
-        logged: list[Logged] = []
-        tag = self._flight_log
-        for step, segments in job.segments:
-            if step.index in job.files:
-                tag = self._recorder.define(job.files[step.index])
-                job.tags[tag] = step
-            logged += [Logged(segment, tag) for segment in segments]
+        # The last step's log now: it takes a landing, whenever that comes.
+        before = self._flight_log
+        tag = self._tag_of(job, job.plan.steps[-1], before)
         if job.holds:
             self._flight_log = tag
         self._plans += 1
@@ -137,11 +131,27 @@ class Pilot:
         board[Word.LAND_LOG] = tag  # the last step's: that is the landing, if there is one
         if job.landing is not None:
             board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
-        self._feeder = Feeder(self._program, board, job.number, logged)
+        self._feeder = Feeder(self._program, board, job.number, self._logged(job, before))
         self.job = job
         first = self._ring.head
         self._feeder.feed()
         job.rows = first, self._ring.head + 1 - first
+
+    def _logged(self, job: Job, tag: int) -> Iterator[Logged]:
+        """Yield the segments of a job, each log made known before its first one is announced."""
+        for step, segments in job.segments:
+            tag = self._tag_of(job, step, tag)
+            yield from (Logged(segment, tag) for segment in segments)
+
+    def _tag_of(self, job: Job, step: PlannedStep, before: int) -> int:
+        """Return the tag of a step's log, that of the one `before` where it goes on in that."""
+        if step.index not in job.files:
+            return before
+        known = {of.index: tag for tag, of in job.tags.items()}
+        if step.index not in known:
+            known[step.index] = self._recorder.define(job.files[step.index])
+            job.tags[known[step.index]] = step
+        return known[step.index]
 
     def tick(self) -> None:
         """Stream, tell how far it is, and end the job when it is over."""
@@ -279,7 +289,7 @@ class Pilot:
         board, files = self._board, self._recorder.files
         logs: list[Path] = []
         records: list[Path] = []
-        for tag, step in job.tags.items():
+        for tag, step in sorted(job.tags.items(), key=lambda item: item[1].index):
             logs += files.get(tag, [])
             if step.kind == "record":
                 records += files.get(tag, [])

@@ -128,9 +128,11 @@ class Feeder:
         self, program: Program, board: Board, plan: int, segments: Iterable[Logged]
     ) -> None:
         self._program, self._words, self.plan = program, board.words, plan
-        self._waiting = [logged for logged in segments if logged.segment.cycles]
-        self._at = 0  # of the segments: which one is being streamed
-        self._written = 0  # rows of it
+        # One ahead of what is being streamed: the last segment is announced as the last.
+        self._coming = (logged for logged in segments if logged.segment.cycles)
+        self._at = next(self._coming, None)
+        self._following = next(self._coming, None)
+        self._written = 0  # rows of the segment at hand
         self.check: tuple[Pushes, int, int] | None = None
         """A check of coils that is streamed: its pushes, its cycles, and its last row."""
         # What an earlier plan left unflown is of no use to anyone.
@@ -145,9 +147,9 @@ class Feeder:
     def _stream(self) -> bool:
         """Write one piece; return whether there may be more to do."""
         program, words = self._program, self._words
-        if self._at >= len(self._waiting):
+        logged = self._at
+        if logged is None:
             return False
-        logged = self._waiting[self._at]
         segment, first = logged.segment, words[Word.ROWS_HEAD]
         flown = max(words[Word.ROWS_TAIL], self.base)
         n = min(segment.cycles - self._written, program.capacity - 1 - (first - flown), _PIECE)
@@ -168,12 +170,13 @@ class Feeder:
                     segment.airborne,
                     segment.engages,
                     segment.lands,
-                    self._at == len(self._waiting) - 1,
+                    self._following is None,
                 )
             )
         self._written += n
         if self._written == segment.cycles:
-            self._at, self._written = self._at + 1, 0
+            self._at, self._following = self._following, next(self._coming, None)
+            self._written = 0
         return True
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from .awake import Awake
 from .board import Board, Word
-from .children import Child, module_of
+from .children import Child, ChildSilence, module_of
 from .fault_log import NO_ROWS
 from .faults import Fault
 from .lines import Closed, Lines, TooLong
@@ -27,6 +27,9 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 60.0
 """From one start to the next: a recorder that had lived for a while is started anew at once."""
 _LIVED_S = 10.0
 _SAID_AGAIN_S = 60.0
+_STARTING_S = 60.0
+"""How long a recorder may take to begin, not counting the time for which it got no processor; on an
+idle machine it takes less than one."""
 
 Say = Callable[[str], None]
 
@@ -55,8 +58,10 @@ class RecorderLink:
         self.restarts = -1
         self._pause_s, self._again_s, self._started_s = _FIRST_PAUSE_S, 0.0, 0.0
         self._said: dict[str, tuple[float, int]] = {}  # when, and how often it was held back since
-        self._awake, self._beat, self._beat_s = Awake(), 0, 0.0
+        self._awake, self._beat = Awake(), 0
+        self._silence, self._begun = ChildSilence(self._child), False
         self._hangs = False  # and was killed, but the kernel does not let go of it
+        self._ready_asked = self._ready_answered = 0
 
     @property
     def pid(self) -> int | None:
@@ -95,6 +100,17 @@ class RecorderLink:
         self._untold = ""
         self._send({"forget": self._tags})
 
+    def ask_ready(self) -> None:
+        """Ask the recorder whether it lives and has taken all rows that there are."""
+        self._ready_asked += 1
+        self._send({"ready": self._ready_asked})
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the recorder that runs now has answered that it is."""
+        answered = self._ready_asked == self._ready_answered
+        return answered and self._child.running and not self._hangs
+
     def fault(self, fault: Fault) -> None:
         """Have a flight recording written for a fault that the loop could not log itself."""
         self._untold = fault.name  # whatever becomes of the recorder meanwhile
@@ -110,14 +126,18 @@ class RecorderLink:
             return
         beat = self._board[Word.RECORDER_BEAT]
         if beat != self._beat:
-            self._beat, self._beat_s = beat, now_s
-            self._hangs = False
+            self._beat, self._begun, self._hangs = beat, True, False
+            self._silence.begin(now_s)
             if now_s - self._started_s >= _LIVED_S:  # one beat is no life: it may die of each start
                 self._pause_s, self._again_s = _FIRST_PAUSE_S, now_s
-        elif now_s - self._beat_s > HUNG_S:
-            self._say_seldom(now_s, "hung", f"the recorder hangs for {HUNG_S:g} s: it is killed")
+            return
+        most_s = HUNG_S if self._begun else _STARTING_S
+        if self._silence.passed_s(now_s) > most_s:
+            what = "hangs" if self._begun else "does not begin"
+            self._say_seldom(now_s, "hung", f"the recorder {what} for {most_s:g} s: it is killed")
             self._child.kill(0.0)  # its end is noticed as any is; nothing waits for a disk here
-            self._beat_s, self._hangs = now_s, True
+            self._silence.begin(now_s)
+            self._hangs = True
 
     def end(self, patience_s: float) -> None:
         """Let it write what is left and end."""
@@ -153,8 +173,8 @@ class RecorderLink:
             return
         if self.restarts:
             self._say_seldom(now_s, "gone", gone)
-        self._beat_s = now_s + HUNG_S  # it takes its time to begin
-        self._hangs = False
+        self._silence.begin(now_s)
+        self._begun = self._hangs = False
         self._head = None
         for tag, file in self._logs.items():
             # A part that was begun is never written over.
@@ -162,6 +182,9 @@ class RecorderLink:
             self._define(tag, replace(file, part=part), again=True)
         if self._untold:
             self._send({"fault": self._untold})
+        self._ready_answered = 0
+        if self._ready_asked:
+            self._send({"ready": self._ready_asked})
 
     def _say_seldom(self, now_s: float, about: str, what: str) -> None:
         """Say it once a minute at most, and then how often it was not said."""
@@ -203,6 +226,9 @@ class RecorderLink:
             return
 
     def _take(self, message: Mapping[str, Any]) -> None:
+        if message["event"] == "ready":
+            self._ready_answered = int(message["ready"])
+            return
         if message["event"] == "fault":
             self._untold = "" if message["fault"] == self._untold else self._untold
             path, why = message["path"], message["why"]

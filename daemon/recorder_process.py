@@ -49,6 +49,7 @@ class RecorderProcess:
         self._head: Mapping[str, bytes] = {}
         self._tags: dict[Path, int] = {}  # of the logs at hand
         self._fault_logs: dict[Path, str] = {}  # the last one, and its fault
+        self._ready = 0  # the last question whether it is, 0 where it was answered
         self._ending = False
         self._closed = NO_LOG  # tag of the last log that the supervisor has forgotten
         self._failed = NO_LOG  # tag of the last log that the scribe failed with
@@ -95,6 +96,9 @@ class RecorderProcess:
             words[Word.DROPPED] = self._scribe.dropped
             words[Word.WRITING] = self._scribe.tag
             words[Word.RECORDER_BEAT] += 1
+            if self._ready and self._ring.waiting < BLOCK:
+                self._say({"event": "ready", "ready": self._ready})
+                self._ready = 0
             if len(taken.rows):
                 continue
             if os.getppid() == parent:
@@ -159,6 +163,8 @@ class RecorderProcess:
                 self._asked.append(fault)
             else:
                 self._record(fault)
+        if "ready" in message:
+            self._ready = int(message["ready"])
         if "end" in message:
             self._ending = True
 

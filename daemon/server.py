@@ -23,6 +23,8 @@ from .lines import Closed, Lines, TooLong
 __all__ = ["Handler", "Reply", "Server", "ServerError"]
 
 LONGEST_LINE = 1 << 20
+LONGEST_SHORT = 1024
+"""Bytes of a request that is parsed here; a longer one is handed on as it is."""
 _MOST_CLIENTS = 64
 _MOST_UNREAD = 1 << 18
 _BACK_OFF_S = 0.05
@@ -77,6 +79,7 @@ class _Connection:
 class Server:
     """Answers `{"op": NAME, ...}` with `{"ok": true, ...}` or `{"ok": false, "error": ...}`.
 
+    A line of more than LONGEST_SHORT bytes is handed to `long` unread, and refused without one.
     Handlers run in the server's thread and must return at once: what takes time is answered later
     through the Reply. A client that sends nonsense or nothing, that takes no answer, or vanishes,
     costs its own connection only, and so does whatever goes wrong with one; where too many hold
@@ -89,8 +92,10 @@ class Server:
         handlers: Mapping[str, Handler],
         access: Access,
         say: Callable[[str], None] = lambda _: None,
+        long: Callable[[bytes, Reply], None] | None = None,
     ) -> None:
         self._path, self._handlers, self.access, self._say = path, dict(handlers), access, say
+        self._long = long
         self._door = Door(path)
         self._socket: socket.socket | None = None
         self._look_s, self._missed = 0.0, False
@@ -271,6 +276,10 @@ class Server:
         self._put(connection, refusal(f"expected at most {LONGEST_LINE} bytes a request"))
 
     def _handle(self, line: bytes, reply: Reply, among: frozenset[str] | None = None) -> None:
+        if len(line) > LONGEST_SHORT:
+            if among is None:
+                self._hand_on(line, reply)
+            return
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
@@ -287,6 +296,15 @@ class Server:
         try:
             handler(request, reply)
         except Exception as error:  # noqa: BLE001 - whatever a request does, the daemon flies on
+            reply.refuse(str(error) or type(error).__name__)
+
+    def _hand_on(self, line: bytes, reply: Reply) -> None:
+        if self._long is None:
+            reply.refuse(f"expected at most {LONGEST_SHORT} bytes a request")
+            return
+        try:
+            self._long(line, reply)
+        except Exception as error:  # noqa: BLE001 - as with one that is read here
             reply.refuse(str(error) or type(error).__name__)
 
     def _deliver(self) -> None:

@@ -1,4 +1,4 @@
-"""The daemon: a supervisor that keeps loop and recorder running and does what clients ask."""
+"""The daemon: a supervisor that keeps its processes running and does what clients ask."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ from .journal import moment
 from .metrics import serve_metrics
 from .notify import Notify
 from .pilot import Pilot
+from .planner import RELOADED
+from .planner_link import PlannerLink
 from .recorder_link import RecorderLink
 from .reload import RigReader
 from .requests import Requests
@@ -34,10 +36,9 @@ from .server import Reply, Server, ServerError
 from .shared import Shared
 from .silence import Silence
 from .states import IN_FLIGHT, State
+from .watchdogs import held_too_long
 
 _TICK_S = 0.01
-_RELOADED = ("allow_users", "allow_groups", "client_gone")
-"""Keys of `service` that may change while the daemon runs."""
 _STOP_S = 0.25
 """How long a loop that runs may take to see that it is to stop; it takes one cycle."""
 _STOPPING_S = 2.0
@@ -72,16 +73,18 @@ class Supervisor:
         rig_json = rig.model_dump_json().encode()
         self._folder = folder
         self._loop = Child("loop", module_of("loop_process"), rig_json)
-        self._recorder = RecorderLink(
+        self.recorder = RecorderLink(
             rig_json, self._shared.fd, self.board, fault_folder(rig, folder), say
         )
-        self.pilot = Pilot(rig, self._shared, self._recorder, say)
+        self.planner = PlannerLink(rig_json, len(rig.geometry.coil_x_m), say)
+        self.pilot = Pilot(rig, self._shared, self.recorder, say)
         self._requests = Requests(self)
         self._server = Server(
             socket_path,
             self._requests.handlers,
             Access(rig.service),
             self.tell,
+            self._requests.long,
         )
         self._mail: deque[Callable[[], None]] = deque()
         self._clearings = Clearings(self.board)
@@ -144,9 +147,11 @@ class Supervisor:
         try:
             if self.rig.service.metrics_port is not None:
                 close_metrics = serve_metrics(self.rig.service.metrics_port, self.status)
-            self._requests.start()
+            if warning := held_too_long(self.rig):
+                self._say(f"warning: {warning}")
             self._reader.start()
-            self._recorder.watch()
+            self.recorder.watch()
+            self.planner.watch()
             self._heat.start()
             self.board[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns()
             self._start_loop()
@@ -162,7 +167,8 @@ class Supervisor:
         finally:
             self._notify.stopping()
             self._end_loop_at_once()
-            self._recorder.end(_RECORDER_S)
+            self.planner.end()
+            self.recorder.end(_RECORDER_S)
             self._burdens.end(self._shared.lost)
             self._heat.close(_HEAT_S)
             self._server.close()
@@ -218,13 +224,13 @@ class Supervisor:
             "lost": self._shared.lost,
             "fault": board.fault.name,
             "detail": board.detail,
-            "fault_log": self._recorder.last_fault_log,
+            "fault_log": self.recorder.last_fault_log,
             "session": job.plan.name if job else None,
             "step": pilot.step_of(job) if job else None,
             "share": pilot.share_of(job) if job else None,
             "clock_stepped_s": round(self._clock.stepped_s, 1),
-            "recording": self._recorder.problem,
-            "recorder_restarts": max(self._recorder.restarts, 0),
+            "recording": self.recorder.problem,
+            "recorder_restarts": max(self.recorder.restarts, 0),
             "clients_gone": pilot.clients_gone,
             "flooded_s": round(self._burdens.flooded_s, 1),
             "memory_stalled_s": round(self._burdens.memory_stalled_s, 1),
@@ -232,7 +238,8 @@ class Supervisor:
             "pids": {
                 "supervisor": os.getpid(),
                 "loop": self._loop.pid,
-                "recorder": self._recorder.pid,
+                "recorder": self.recorder.pid,
+                "planner": self.planner.pid,
             },
             **pose,
             "timing": {
@@ -257,7 +264,8 @@ class Supervisor:
             self._say(f"{self._failed}: landing, then ending")
             self._stopping = True
         self._watch_loop()
-        self._recorder.watch()
+        self.recorder.watch()
+        self.planner.watch()
         self.pilot.tick()
         self._clearings.answer()
         self._say_faults()
@@ -336,7 +344,7 @@ class Supervisor:
         board[Word.BUSY] = 0
         board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
         self.pilot.abort(Fault.LOOP, why)
-        self._recorder.fault(Fault.LOOP)
+        self.recorder.fault(Fault.LOOP)
 
     def _say_faults(self) -> None:
         fault = self.board.fault
@@ -348,7 +356,7 @@ class Supervisor:
 
     def _take_over(self, new: RigConfig, access: Access) -> None:
         """Take over what can change while it runs: who may ask, and what a client's end means."""
-        changed = {key: getattr(new.service, key) for key in _RELOADED}
+        changed = {key: getattr(new.service, key) for key in RELOADED}
         service = self.rig.service.model_copy(update=changed)
         others = [
             key
@@ -357,7 +365,7 @@ class Supervisor:
         ]
         self.rig = self.rig.model_copy(update={"service": service})
         self._server.admit(access)
-        taken = ", ".join(f"service.{key}" for key in _RELOADED)
+        taken = ", ".join(f"service.{key}" for key in RELOADED)
         self._say(f"RIG.yaml: {taken} are taken over")
         if others:
             self._say(f"RIG.yaml: changes of {', '.join(others)} need a new start")
@@ -383,7 +391,7 @@ class Supervisor:
         while self.pilot.job is not None and time.monotonic() < give_up_s:
             board[Word.BEAT] += 1
             self._notify.alive()  # there is no loop any more whose advance could say so
-            self._recorder.watch()
+            self.recorder.watch()
             self.pilot.tick()
             time.sleep(_TICK_S)
 

@@ -23,6 +23,7 @@ from .lateness import Lateness
 from .shared import Shared
 from .states import State
 from .timing import account, count_wake_up, memory_of
+from .watchdogs import longest_stall
 
 _COUNT_EVERY = 63
 """Cycles between two looks at slow counters, less one; a mask."""
@@ -52,7 +53,7 @@ class TimedLoop:
         self._counts, self._before = shared.timing.counts, memory_of(1e9 / rig.rate_hz)
         self._wake_ups = shared.wake_ups.counts
         count_wake_up(self._wake_ups, -1)  # compiles it
-        self._lateness = Lateness(rig.limits, rig.rate_hz)
+        self._lateness = Lateness(rig.limits, rig.rate_hz, longest_stall(rig))
         # A loop that follows a dead one counts on.
         self._lateness.late, self._stale_before = shared.board[Word.LATE], shared.board[Word.STALE]
         self.cycle = shared.board[Word.CYCLE]
@@ -96,6 +97,9 @@ class TimedLoop:
             uncounted = course.uncounted and course.count_down()
             if uncounted == AROUND_CLEAR:  # it took as long as homing does
                 begin = now()
+            # Before anything is read: a loop that stood still for too long sends no force any more.
+            if not uncounted and late.too_much(skipped) and control.engaged:
+                course.fail(Fault.LATE, late.why)
             if not head & _COUNT_EVERY:  # rows, not cycles: periods that are skipped may never hit
                 words[_STALE], words[_LATE] = self._stale_before + devices.stale, late.late
             k = course.advance()
@@ -111,8 +115,6 @@ class TimedLoop:
                 rows, slot, cycle, cycle * period_s, k,
                 late_s - skipped * period_s + (read - begin) * 1e-9,
             )  # fmt: skip
-            if not uncounted and late.too_much(skipped) and not fault and control.engaged:
-                fault = self._too_late(slot)
             computed = now()
             amplifiers.write(coil)
             if course.located:
@@ -135,14 +137,6 @@ class TimedLoop:
                 count_wake_up(wake_ups, clock.overslept_ns)
             if fault:
                 course.fail(Fault(fault), control.detail(Fault(fault)))
-
-    def _too_late(self, slot: int) -> int:
-        """End control in the cycle at hand, whose row is there; return the fault."""
-        self._controller.halt()
-        rows = self._ring.rows
-        rows["coil_n"][slot] = 0.0
-        rows["state"][slot], rows["fault"][slot] = State.FAULT, Fault.LATE
-        return int(Fault.LATE)
 
     def _raised(self, error: Exception) -> None:
         """Zero force before anyone is told; then a row of the log that names the fault."""

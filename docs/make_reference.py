@@ -16,11 +16,13 @@ import yaml
 from pydantic import BaseModel
 
 from levid.config.model import ModelConfig
-from levid.config.rig import RigConfig
+from levid.config.rig import RigConfig, load_rig
 from levid.config.session import SessionConfig
+from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
 from levid.daemon.faults import FAULTS
 from levid.daemon.states import TRANSITIONS, State
+from levid.daemon.watchdogs import fall_s, longest_stall, zero_after_s
 from levid.log.signals_file import SignalsFile
 
 DOCS = Path(__file__).parent
@@ -117,11 +119,32 @@ def faults() -> str:
     return _table(("code", "fault", "cause", "what to check", "cleared by"), rows)
 
 
+def watchdogs() -> str:
+    """Return the table of detection times of the shipped rigs."""
+    rows = []
+    for name in ("loopback", "serial", "canfd", "can"):
+        rig = load_rig(shipped(f"rigs/{name}.yaml"))
+        zero_s, stall_s = zero_after_s(rig), longest_stall(rig) / rig.rate_hz
+        rows.append(
+            (
+                f"`{name}`",
+                f"{1e3 / rig.rate_hz:g} ms",
+                f"{1e3 * fall_s(rig):.1f} ms",
+                "—" if zero_s is None else f"{1e3 * zero_s:g} ms",
+                f"{1e3 * stall_s:g} ms",
+                f"{rig.service.supervisor_s:g} s, {rig.service.supervisor_gone}",
+            )
+        )
+    head = ("rig", "period", "fall to `gap_m`", "loop lost: zero after", "longest stall")
+    return _table((*head, "supervisor silent"), rows)
+
+
 TABLES: Mapping[str, Callable[[], str]] = {
     **{kind: (lambda kind=kind: reference(kind)) for kind in SCHEMAS},
     "states": states,
     "transitions": transitions,
     "faults": faults,
+    "watchdogs": watchdogs,
 }
 
 

@@ -56,10 +56,12 @@ class ScriptedLoop:
         self,
         wrap: Callable[[Devices], Devices] = lambda devices: devices,
         before_fault_s: float = 10.0,
+        limits: dict[str, Any] | None = None,
         **service: Any,
     ) -> None:
         plain = load_rig(RIG).model_dump()
         plain["service"] |= service
+        plain["limits"] |= limits or {}
         plain["recording"]["before_fault_s"] = before_fault_s
         plain["rate_hz"] = 1000.0
         self.rig = rig = RigConfig.model_validate(plain)

@@ -48,7 +48,7 @@ def test_the_device_s_own_timeout_counts_only_where_the_loop_cannot_end_it() -> 
 def test_what_shows_after_a_while_is_bounded_from_there() -> None:
     lists = module("_fault_list")
     late = {name: k.shows for name, k in lists.kinds("serial").items() if k.shows}
-    assert set(late) == {"frozen", "push", "tilt", "heat"}
+    assert set(late) == {"frozen", "push", "tilt", "heat", "supervisor stopped"}
     for name, shows in late.items():
         most = shows + lists.SOON
         found = by_key([trial(name, cycles=most), trial(name, cycles=most + 1)])

@@ -166,7 +166,7 @@ def test_rows_are_held_against_what_the_loop_wrote(tmp_path: Path) -> None:
 def test_the_ring_tells_what_belongs_into_logs(monkeypatch) -> None:
     rows, rig_file = module("_rows"), shipped("rigs/loopback.yaml")
     shared = Shared(load_rig(rig_file))
-    monkeypatch.setattr(rows, "_memory_of", lambda _: shared.fd)
+    monkeypatch.setattr(rows, "memory_of", lambda _: shared.fd)
     monkeypatch.setattr(rows.Shared, "close", lambda _: None)
     ring = shared.ring
 

@@ -13,6 +13,7 @@ from levid.config.session import load_session
 from levid.config.shipped import shipped
 from levid.daemon.states import State
 from levid.daemon.virtual import fly_virtually
+from levid.daemon.watchdogs import held_too_long, longest_stall, zero_after_s
 from levid.log.reader import read_log
 from levid.model.geometry import decoupling_matrix
 
@@ -35,7 +36,32 @@ def at_rest_n(rig: RigConfig, beam_m: float) -> np.ndarray:
 
 
 def test_no_limit_is_left_open(rig: RigConfig) -> None:
-    assert [key for key in Limits.model_fields if getattr(rig.limits, key) is None] == []
+    # How long the loop may stand still follows from the others.
+    assert [key for key in Limits.model_fields if getattr(rig.limits, key) is None] == ["stall_s"]
+
+
+def test_a_lost_loop_leaves_no_force_that_moves_the_platform_out_of_its_range(
+    rig: RigConfig,
+) -> None:
+    assert not held_too_long(rig)
+    zero_s = zero_after_s(rig)
+    if zero_s is not None:
+        assert zero_s <= 3.0 / rig.rate_hz + 1e-9
+        # Held or falling, at the acceleration of the larger of weight and force at its limit.
+        weight_n = rig.feedforward.mass_kg * rig.feedforward.gravity_m_s2
+        assert rig.limits.total_n is not None
+        most_n = max(weight_n, rig.limits.total_n - weight_n)
+        moved_m = 0.5 * most_n / rig.feedforward.mass_kg * zero_s**2
+        assert moved_m < rig.limits.gap_m
+        assert longest_stall(rig) * CLEAR / rig.rate_hz <= zero_s
+
+
+def test_amplifiers_that_hold_a_force_for_too_long_are_warned_of() -> None:
+    rig = load_rig(shipped("rigs/serial.yaml"))
+    slow = rig.amplifiers.model_copy(update={"expire_cycles": 20})
+    warning = held_too_long(rig.model_copy(update={"amplifiers": slow}))
+    assert "acts for 21 ms, and in 13 ms the platform may leave gap_m" in warning
+    assert "expected expire_cycles of at most 12" in warning
 
 
 def test_layers_follow_each_other(rig: RigConfig) -> None:

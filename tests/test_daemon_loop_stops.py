@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import gc
 import os
-import signal
-import subprocess
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scripted_loop import LIFT, ScriptedLoop
 
-from levid.daemon.board import Board, Word
+from levid.daemon.board import Word
 from levid.daemon.faults import Fault
-from levid.daemon.parent_watch import ALIVE, DYING, STOPPED, ParentWatch, condition
 from levid.daemon.states import State
 from levid.daemon.supervisor import Supervisor
 from levid.drivers.base import Backend, Devices, FirstError, LinkError, StaleError
@@ -63,86 +58,72 @@ def test_clear_does_not_take_back_a_stop_that_nobody_has_looked_at() -> None:
     assert not flight.board[Word.ZERO]  # and it is cleared: the next flight is not stopped by it
 
 
-def test_stopped_supervisor_is_zero_force_in_the_cycle_that_is_told() -> None:
-    flight = ScriptedLoop(supervisor_s=1.0)
+@pytest.mark.parametrize("gone", ["zero", "land"])
+def test_silent_supervisor_is_a_landing_or_zero_force_as_configured(gone: str) -> None:
+    flight = ScriptedLoop(supervisor_s=0.5, supervisor_gone=gone)
+    board, landing, at_zero = flight.board, [], []
 
     def script(n: int) -> None:
         if n == 300:
             flight.fly({"levitate": {**LIFT, "settle_s": 2.0}})
-        if n == 1500:
-            assert flight.board.state is State.LEVITATING
-            flight.silent = True
-            flight.board[Word.SUPERVISOR_STOPPED] = 1
+        flight.silent = n >= 1500
+        if board.state is State.LANDING:
+            landing.append(n)
+        if n > 1500 and not flight.forces:
+            at_zero.append(n)
 
-    flight.run(script, 1500)
-    assert flight.forces == 0.0
-    assert flight.board.fault is Fault.SUPERVISOR
-
-
-def test_process_is_stopped_whatever_its_name() -> None:
-    def told(stat: bytes) -> int:
-        return int(condition(np.frombuffer(stat, np.uint8)))
-
-    assert told(b"7 (levid) T 1 7 7") == STOPPED
-    assert told(b"7 (a) S (b) T 1 7 7") == STOPPED
-    for state in (b"S", b"R", b"D", b"t"):
-        assert told(b"7 (T) T) " + state + b" 1 7 7") == ALIVE
-    assert told(b"") == ALIVE
-    assert told(Path("/proc/self/stat").read_bytes()) == ALIVE
+    flight.run(script, 3000)
+    assert board.fault is Fault.SUPERVISOR
+    assert "gave no sign of life" in board.detail
+    if gone == "zero":
+        assert not landing
+        assert 1995 <= at_zero[0] <= 2015  # the last beat came ten cycles before, at most
+    else:
+        assert 1995 <= landing[0] <= 2015
+        assert abs(len(landing) - 700) <= 2  # the landing that the flight was given
+        assert at_zero[0] >= landing[-1]
 
 
-def test_process_that_has_to_die_is_told_from_one_that_goes_on() -> None:
-    def told(flags: int, pending: int) -> int:
-        stat = f"7 (levid) S 1 7 7 0 -1 {flags} {'9 ' * 21}{pending} 0 0 0 0"
-        return int(condition(np.frombuffer(stat.encode(), np.uint8)))
+def test_supervisor_stopped_for_less_than_its_time_is_no_fault() -> None:
+    flight = ScriptedLoop(supervisor_s=0.5)
 
-    assert told(0x400140, 0) == ALIVE
-    assert told(0x400144, 0) == DYING  # PF_EXITING of the kernel
-    assert told(0x400140, 1 << 8) == DYING  # SIGKILL, 9, waits
-    assert told(0x400140, 1 << 14) == ALIVE  # SIGTERM does, which is another matter
-    # In a process that is dead and was not asked yet how it ended the flag still stands.
-    with subprocess.Popen(["sleep", "600"]) as process:
-        process.kill()
-        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
-        stat = Path(f"/proc/{process.pid}/stat").read_bytes()
-    assert condition(np.frombuffer(stat, np.uint8)) == DYING
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": {**LIFT, "settle_s": 4.0}})
+        flight.silent = 1500 <= n < 1950
+
+    flight.run(script, 3000)
+    assert flight.board.state is State.LEVITATING
+    assert flight.board.fault is Fault.NONE
 
 
-@pytest.mark.parametrize("state", [State.IDLE, State.EXCITING])
-def test_process_that_is_stopped_is_told_on_the_board_until_it_goes_on_or_is_dead(
-    state: State,
+@pytest.mark.parametrize(("stall_s", "periods"), [(None, 13), (0.3, 300)])
+def test_loop_that_stood_still_for_too_long_sends_no_force(
+    stall_s: float | None, periods: int
 ) -> None:
-    board = Board(memoryview(bytearray(Board.SIZE)))
-    board[Word.STATE] = state
+    """1 kHz on loopback, gap_m 0.85 mm: a free fall takes 13.2 ms, unless the rig says more."""
+    for skipped in (periods, periods + 1):
+        flight, written = ScriptedLoop(limits={"stall_s": stall_s}), []
 
-    def wait_for(stopped: int) -> None:
-        give_up_s = time.monotonic() + 60.0
-        while board[Word.SUPERVISOR_STOPPED] != stopped:
-            assert time.monotonic() < give_up_s
-            time.sleep(0.001)
+        def script(
+            n: int,
+            flight: ScriptedLoop = flight,
+            skipped: int = skipped,
+            written: list[float] = written,
+        ) -> None:
+            if n == 300:
+                flight.fly({"levitate": {**LIFT, "settle_s": 4.0}})
+            flight.loop._clock.skipped = skipped if n == 1500 else 0
+            if n >= 1500:
+                written.append(flight.forces)
 
-    with subprocess.Popen(["sleep", "600"]) as process:
-        watch = ParentWatch(process.pid, board.words, 1e-3, priority=0)
-        try:
-            for _ in range(2):
-                process.send_signal(signal.SIGSTOP)
-                wait_for(STOPPED)
-                process.send_signal(signal.SIGCONT)
-                wait_for(ALIVE)
-            process.send_signal(signal.SIGSTOP)
-            wait_for(STOPPED)
-            process.kill()
-            wait_for(DYING)  # until somebody asks how it ended
-            process.wait()
-            wait_for(ALIVE)
-        finally:
-            process.kill()
-            watch.close()
-    assert not watch._thread.is_alive()
-    ParentWatch(
-        process.pid, board.words, 1e-3, priority=0
-    ).close()  # who is dead is watched by none
-    assert not board[Word.SUPERVISOR_STOPPED]
+        flight.run(script, 1510)
+        late = skipped > periods
+        assert flight.board.fault is (Fault.LATE if late else Fault.NONE)
+        assert ("stood still" in flight.board.detail) is late
+        # The first that is written after it stood still is zero already.
+        assert written[0] > 10.0
+        assert (max(written[1:]) == 0.0) is late
 
 
 @pytest.mark.parametrize("silence", ["in flight, and a stop as it lands", "as it lands"])

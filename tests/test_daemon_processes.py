@@ -26,7 +26,7 @@ from levid.config.shipped import shipped
 from levid.daemon.board import Word
 from levid.daemon.client import Client, DaemonError
 from levid.daemon.faults import Fault
-from levid.daemon.plan import plan_session
+from levid.daemon.planner_link import PlannerLink
 from levid.daemon.states import IN_FLIGHT, State
 from levid.log.errors import LogError
 from levid.log.reader import Log, read_log
@@ -63,12 +63,15 @@ def ready(shared: Daemon) -> Daemon:
 class Flying:
     """A session being flown for a client in another thread; `end` is what the client was told."""
 
-    def __init__(self, running: Daemon, out: Path, session: str = SESSION) -> None:
+    def __init__(
+        self, running: Daemon, out: Path, session: str = SESSION, waits: bool = True
+    ) -> None:
         self.running, self.out, self.end = running, out, ""
         self.answer: dict[str, object] = {}
         self._thread = threading.Thread(target=self._fly, args=(session,))
         self._thread.start()
-        running.until(lambda s: s["step"] == "tilt")
+        if waits:
+            running.until(lambda s: s["step"] == "tilt")
 
     def _fly(self, session: str) -> None:
         with Client(self.running.socket) as client:
@@ -130,6 +133,47 @@ def test_stopped_recorder_delays_nobody(ready: Daemon, tmp_path: Path) -> None:
     finally:
         os.kill(pid, signal.SIGCONT)
     assert flying.land()["lost"] == 0
+
+
+def test_flight_that_is_to_be_logged_waits_on_the_ground_for_the_recorder(
+    ready: Daemon, tmp_path: Path
+) -> None:
+    pid = ready.ask("status")["pids"]["recorder"]
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        flying = Flying(ready, tmp_path / "out", waits=False)
+        turn = ready.supervisor._requests
+        give_up_s = time.monotonic() + GIVE_UP_S
+        while turn._turn is None or turn._turn.now != "recorder":
+            assert time.monotonic() < give_up_s
+            time.sleep(0.01)
+        cycle = ready.ask("status")["cycle"]
+        assert ready.until(lambda s: s["cycle"] > cycle + 100)["state"] == "IDLE"
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    ready.until(lambda s: s["step"] == "tilt")
+    result = flying.land()
+    assert result["lost"] == 0
+    assert read_log(result["logs"][0]).complete
+
+
+def test_flight_is_refused_where_the_recorder_does_not_come(
+    ready: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("levid.daemon.requests._RECORDER_S", 0.3)
+    pid = ready.ask("status")["pids"]["recorder"]
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        step = {"unload_s": 0.1, "ramp_s": 0.2, "settle_s": 0.1}
+        said = refused(ready, "levitate", levitate=step, out=str(tmp_path / "out"))
+        assert "the recorder was not ready within 0.3 s" in said
+        assert "does not lift off without it" in said
+        assert ready.ask("status")["state"] == "IDLE"
+        ready.ask("levitate", levitate=step)  # nothing of this is to be logged
+        ready.ask("land")
+        ready.until(lambda s: s["state"] == "IDLE")
+    finally:
+        os.kill(pid, signal.SIGCONT)
 
 
 def test_fault_while_the_recorder_hangs_is_recorded_as_far_back_as_promised(
@@ -308,14 +352,13 @@ def test_move_leaves_the_landing_as_it_was_asked_for(ready: Daemon) -> None:
 def test_nothing_lifts_off_that_was_called_off_while_it_was_planned(
     ready: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: str
 ) -> None:
-    planning, go_on = threading.Event(), threading.Event()
+    planning, go_on, answer = threading.Event(), threading.Event(), PlannerLink.answer
 
-    def plan(*arguments: Any, **more: Any) -> Any:
+    def answered(link: PlannerLink) -> Any:
         planning.set()
-        assert go_on.wait(60.0)
-        return plan_session(*arguments, **more)
+        return answer(link) if go_on.is_set() else None
 
-    monkeypatch.setattr("levid.daemon.requests.plan_session", plan)
+    monkeypatch.setattr(PlannerLink, "answer", answered)
     with socket.socket(socket.AF_UNIX) as client:
         client.connect(str(ready.socket))
         request = {"op": "excite", "session": SESSION, "out": str(tmp_path / "out")}
@@ -349,13 +392,13 @@ def test_nothing_lifts_off_that_was_called_off_while_it_was_planned(
     ready.until(lambda s: s["state"] == "IDLE")
 
 
-def test_what_cannot_be_flown_is_not_planned(
-    ready: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_session_in_flight_is_refused_before_a_folder_is_made(
+    ready: Daemon, tmp_path: Path
 ) -> None:
     ready.ask("levitate", levitate={"unload_s": 0.1, "ramp_s": 0.2, "settle_s": 0.1})
-    monkeypatch.setattr("levid.daemon.requests.plan_session", lambda *_, **__: 1 / 0)
     said = refused(ready, "excite", session=SESSION, out=str(tmp_path / "out"))
     assert "expected the state IDLE, found LEVITATING" in said
+    assert not (tmp_path / "out").exists()
     ready.ask("land")
     ready.until(lambda s: s["state"] == "IDLE")
 
@@ -412,6 +455,37 @@ def gone(pid: int) -> bool:
     except OSError:
         return True
     return status.rpartition(")")[2].split()[0] == "Z"
+
+
+@pytest.mark.real_time
+def test_no_request_drops_a_platform_that_flies(tmp_path: Path) -> None:
+    """Each once kept the supervisor from its heartbeat for seconds; half a second is a landing."""
+    keys = {f"key_{i}": i for i in range(45_000)}
+    digits = f"levid: session\nname: {'1' * 20_000}e\n"
+    many = "levid: session\n" + "".join(f"key{i}: 1\n" for i in range(20_000))
+    lines = [
+        json.dumps({"op": "move", "move": keys}),
+        json.dumps({"op": "excite", "out": "x", "session": digits}),
+        json.dumps({"op": "excite", "out": "x", "session": many}),
+        json.dumps({"op": "status", "more": "x" * 1_000_000}),
+        "[" * 1_000_000,
+    ]
+    quick = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.1}
+    rig = calm(load_rig(RIG_FILE), tmp_path, service={"supervisor_s": 0.5})
+    with run_of(rig, tmp_path) as (_, running):
+        running.ask("levitate", levitate=quick)
+        for line in lines:
+            with socket.socket(socket.AF_UNIX) as client:
+                client.connect(str(running.socket))
+                client.sendall(line.encode() + b"\n")
+                answers = client.makefile("rb")
+                while "ok" not in (answer := json.loads(answers.readline())):
+                    pass
+            assert not answer["ok"]
+            status = running.ask("status")
+            assert (status["state"], status["fault"]) == ("LEVITATING", "NONE")
+        running.ask("land")
+        running.until(lambda s: s["state"] == "IDLE")
 
 
 def test_dead_supervisor_takes_all_along_and_leaves_whole_logs(
@@ -520,7 +594,7 @@ def test_loop_has_its_processors_and_the_others_the_rest(tmp_path: Path) -> None
     assert loop == {own}
     assert helpers
     assert all(one == {own, *others} for one in helpers)
-    assert set(found) == {"supervisor", "recorder"}
+    assert set(found) == {"supervisor", "recorder", "planner"}
     assert all(one == set(others) for threads in found.values() for one in threads)
 
 

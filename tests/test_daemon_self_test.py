@@ -62,8 +62,8 @@ def test_platform_that_moves_is_not_at_rest() -> None:
     assert "moved by" in self_test(rows, RIG)
 
 
-def lateness(**limits: float) -> Lateness:
-    return Lateness(RIG.limits.model_copy(update=limits), 1000.0)
+def lateness(longest_stall: int = 500, **limits: float) -> Lateness:
+    return Lateness(RIG.limits.model_copy(update=limits), 1000.0, longest_stall)
 
 
 def test_late_cycles_in_a_row_are_too_much_and_those_in_time_take_them_back() -> None:
@@ -94,6 +94,7 @@ def test_a_window_has_no_end_across_which_late_cycles_are_forgotten() -> None:
 
 
 def test_one_long_stall_is_too_much() -> None:
-    late = lateness(stall_s=0.5)
+    late = lateness(longest_stall=500)
     assert not late.too_much(500)
     assert late.too_much(501)
+    assert late.why == "the loop stood still for 0.501 s, at most 0.5 s may pass"

@@ -22,7 +22,7 @@ from levid.config.service import Service
 from levid.daemon.access import Access, Peer, peer_of
 from levid.daemon.client import Client
 from levid.daemon.lines import Lines
-from levid.daemon.server import LONGEST_LINE, Reply, Server, ServerError
+from levid.daemon.server import LONGEST_LINE, LONGEST_SHORT, Reply, Server, ServerError
 
 _GIVE_UP_S = 60.0
 
@@ -73,6 +73,31 @@ def works(bench: Bench) -> bool:
     with bench.connect() as connection:
         (answer,) = bench.ask(connection, b'{"op": "echo", "say": 1}')
         return answer == {"ok": True, "said": 1}
+
+
+def test_long_line_is_handed_on_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What takes long to parse would keep the supervisor from its heartbeat."""
+    parsed, handed = [], []
+    loads = json.loads
+    monkeypatch.setattr(
+        "levid.daemon.server.json.loads", lambda line: (parsed.append(len(line)), loads(line))[1]
+    )
+
+    def long(line: bytes, reply: Reply) -> None:
+        handed.append(len(line))
+        reply.done(handed=len(line))
+
+    handlers: dict[str, Any] = {"echo": lambda request, reply: reply.done(said=request["say"])}
+    server = Server(tmp_path / "test.sock", handlers, Access(Service()), long=long)
+    server.start()
+    try:
+        with Client(tmp_path / "test.sock") as client:
+            for size in (10, LONGEST_SHORT, 4 * LONGEST_SHORT, LONGEST_LINE - 100):
+                client.request("echo", say="x" * size)
+    finally:
+        server.close()
+    assert len(handed) == 3
+    assert min(handed) > LONGEST_SHORT >= max(n for n in parsed if n not in handed)
 
 
 def test_requests_on_one_connection_are_answered_in_order(bench: Bench) -> None:

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 from daemon_process import calm, daemon
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from levid.config.rig import load_rig
 from levid.config.service import Service
@@ -114,13 +116,13 @@ def test_session_that_does_not_fit_is_refused(
         client.excite(session, tmp_path / "logs", lambda *_: None)
 
 
-def test_session_that_would_fill_the_memory_is_refused(
-    socket_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("levid.daemon.requests.MOST_CYCLES", 500)
-    expected = "short: expected at most 2 s in all at 250 Hz, found"
+def test_session_that_would_fill_the_memory_is_refused(socket_file: Path, tmp_path: Path) -> None:
+    long = SESSION.replace("duration_s: 0.5", "duration_s: 86000").replace(
+        "  - land", "  - record: {name: more, duration_s: 86000}\n  - land"
+    )
+    expected = "short: expected at most 120000 s in all at 250 Hz, found 17200"
     with Client(socket_file) as client, pytest.raises(DaemonError, match=expected):
-        client.excite(SESSION, tmp_path / "logs", lambda *_: None)
+        client.excite(long, tmp_path / "logs", lambda *_: None)
 
 
 @pytest.mark.parametrize(
@@ -145,6 +147,52 @@ def test_nonsense_gets_an_answer_and_the_daemon_goes_on(socket_file: Path, line:
         stream.flush()
         assert json.loads(stream.readline())["ok"] is False
     with Client(socket_file) as client:
+        assert client.request("status")["fault"] == "NONE"
+
+
+_PIECES = st.sampled_from(
+    ["[", "{", '"', "1", "- ", "&a ", "*a, ", ": ", "\\n", "!!set ", "\t", "\u00e9"]
+)
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=9), inner),
+    max_leaves=20,
+)
+_REPEATED = st.builds(lambda piece, times: piece * times, _PIECES, st.integers(1, 100_000))
+_REQUESTS = st.one_of(
+    st.builds(
+        lambda op, more: json.dumps({**more, "op": op}),
+        st.sampled_from(["status", "levitate", "move", "excite", "fly", ""]),
+        st.dictionaries(st.text(max_size=9), _VALUES, max_size=5),
+    ),
+    _REPEATED.map(lambda text: json.dumps({"op": "excite", "out": "x", "session": SESSION + text})),
+    _REPEATED.map(lambda text: text.replace("\n", " ")),
+    st.builds(
+        lambda op, value: json.dumps({"op": op, op: value}),
+        st.sampled_from(["move", "levitate"]),
+        _VALUES,
+    ),
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(line=_REQUESTS)
+def test_every_request_is_answered_and_none_ends_the_daemon(socket_file: Path, line: str) -> None:
+    with socket.socket(socket.AF_UNIX) as raw:
+        raw.settimeout(60)
+        raw.connect(str(socket_file))
+        raw.sendall(line.encode(errors="replace") + b"\n")
+        answers = raw.makefile("rb")
+        while "ok" not in (answer := json.loads(answers.readline())):
+            pass
+    assert answer["ok"] or 0 < len(answer["error"]) < 20_000
+    with Client(socket_file) as client:
+        if client.request("status")["state"] not in ("IDLE", "SELF_TEST"):
+            client.request("land")  # some are requests
+            give_up_s = time.monotonic() + 60.0
+            while client.request("status")["state"] != "IDLE":
+                assert time.monotonic() < give_up_s
+                time.sleep(0.02)
         assert client.request("status")["fault"] == "NONE"
 
 

@@ -105,7 +105,7 @@ def test_rows_that_are_lost_are_told_in_the_journal(
     monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
     monkeypatch.setattr(supervisor._burdens, "_say", said.append)
     monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
-    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
     supervisor._tick()
     ring = supervisor._shared.ring
     ring.head = ring.capacity + 41  # 42 rows more than nobody's having looked leaves room for
@@ -184,7 +184,7 @@ def test_watchdog_is_fed_while_the_end_is_being_told(
                 self.job = None
 
     monkeypatch.setattr(supervisor, "pilot", Pilot())
-    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
     monkeypatch.setattr(supervisor._notify, "alive", lambda: done.append("alive"))
     supervisor._land_and_end()  # there is no loop: what is left is to tell how it ended
     assert done == ["alive", "tick"] * 3
@@ -200,7 +200,7 @@ def test_daemon_that_nobody_can_ask_any_more_lands_and_ends_in_an_error(
     monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
     monkeypatch.setattr(supervisor, "_land_and_end", lambda: done.append("landed"))
     for name in ("watch", "end"):
-        monkeypatch.setattr(supervisor._recorder, name, lambda *_: None)
+        monkeypatch.setattr(supervisor.recorder, name, lambda *_: None)
     monkeypatch.setattr(supervisor._shared, "close", lambda: None)  # the fixture does
     monkeypatch.setattr(supervisor._server._selector, "select", lambda *_: 1 / 0)
     with pytest.raises(ServerError, match="nobody answers at the control socket"):
@@ -234,7 +234,7 @@ def test_end_while_devices_are_opened_lets_the_loop_close_them(
 ) -> None:
     loop, board = Opening(), supervisor.board
     monkeypatch.setattr(supervisor, "_loop", loop)
-    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
     board[Word.BUSY] = 1
     supervisor.stop()
     if not hurry:
@@ -262,7 +262,7 @@ def test_users_that_are_long_in_coming_hold_nobody_up(
     monkeypatch.setattr(supervisor._reader, "_rig_file", file)
     monkeypatch.setattr(supervisor, "_say", said.append)
     monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
-    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
 
     def tick_until(condition: Callable[[], bool]) -> None:
         give_up_s = time.monotonic() + 15.0  # reading a RIG.yaml takes milliseconds
@@ -294,7 +294,7 @@ def test_readings_that_stay_away_are_told_in_the_journal(
     monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
     monkeypatch.setattr(supervisor._silence, "_say", said.append)
     monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
-    monkeypatch.setattr(supervisor._recorder, "watch", lambda: None)
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
     board[Word.STATE] = State.IDLE
     for _ in range(3):
         supervisor._tick()

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
 from levid.config.rig import load_rig
-from levid.daemon.board import Board
 from levid.daemon.clock import VirtualClock
 from levid.daemon.control import Controller
 from levid.daemon.flight import Flight
 from levid.daemon.landing import Landing
-from levid.daemon.parent_watch import ParentWatch
 from levid.daemon.timing import WakeUps, count_wake_up, memory_of
 from levid.drivers.sensing import SensorWatch
 from levid.wire.can_frames import load_frames
@@ -24,6 +21,7 @@ for name in (
     "cli.control",
     "cli.excite",
     "daemon.loop_process",
+    "daemon.planner_process",
     "daemon.recorder_process",
     "daemon.supervisor",
     "drivers.can.backend",
@@ -42,7 +40,6 @@ with Flight(rig.model_copy(update=roles), HERE, rig.rate_hz, VirtualClock()) as 
 Landing(Controller(rig, 1 / rig.rate_hz), rig.limits, 1 / rig.rate_hz)
 memory_of(1e9 / rig.rate_hz)
 count_wake_up(WakeUps(memoryview(bytearray(WakeUps.SIZE))).counts, 1)
-ParentWatch(os.getpid(), Board(memoryview(bytearray(Board.SIZE))).words, 1.0, 0).close()
 values = np.zeros(9)
 for fd in (False, True):
     frames = load_frames(None, 9, 9, fd)

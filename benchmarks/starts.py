@@ -1,0 +1,188 @@
+"""Starts of the daemon on a machine with too much to do: does any flight leave no log?
+
+Four processes compute all the time. A daemon is started, and the first moment that it answers it is
+asked to fly a session of two seconds; then it is ended. A flight that the recorder is not there for
+must not lift off; one that lifts off must have every row in its logs. --quick: 5 starts; else 200,
+in some 40 minutes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import _table
+import numpy as np
+import yaml
+from _children import started
+from _table import Figure, Target
+
+from levid.config.shipped import shipped
+from levid.daemon.client import Client, DaemonError
+from levid.log.errors import LogError
+from levid.log.reader import read_log
+
+BUSY = 4
+SESSION = """
+levid: session
+name: start
+excitations: {z: {input: z, rms_n: 0.3}}
+steps:
+  - levitate: {unload_s: 0.2, ramp_s: 0.4, settle_s: 0.1, check_coils: false}
+  - record: {name: z, duration_s: 0.5, fade_s: 0.1, settle_s: 0.1, excite: [z]}
+  - land: {ramp_s: 0.4, release_s: 0.2}
+"""
+_ANSWERS_S = 300.0
+_FAULT = "fault "
+"""How the answer begins to a flight that ended in one."""
+
+
+@dataclass
+class Starts:
+    """What came of all starts.
+
+    without_log: flights that left the ground and of which rows are in no log.
+    """
+
+    asked: int = 0
+    flown: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    without_log: int = 0
+    lost: int = 0
+    restarts: int = 0
+    failed: Counter[str] = field(default_factory=Counter)
+    took_s: list[float] = field(default_factory=list)
+
+
+def measure(quick: bool) -> Iterator[Figure]:
+    found = Starts()
+    try:
+        with tempfile.TemporaryDirectory() as name, _busy(BUSY):
+            for number in range(5 if quick else 200):
+                folder = Path(name) / str(number)
+                folder.mkdir()
+                start(folder, found)
+                print(f"{number + 1} starts, {found.flown} flown", end="\r", file=sys.stderr)
+    finally:
+        yield from _figures(found)
+
+
+def start(folder: Path, found: Starts) -> None:
+    """Start a daemon, ask it to fly at once, and look at what it left."""
+    file, path = _rig(folder), folder / "levid.sock"
+    found.asked += 1
+    begun_s = time.monotonic()
+    command = [sys.executable, "-m", "levid.cli.main", "run", str(file)]
+    flew, refused = False, ""
+    with started(command, stderr=subprocess.DEVNULL) as process:
+        status: dict[str, Any] = {}
+        try:
+            _wait_for(process, path)
+            with Client(path) as client:
+                client.excite(SESSION, folder / "out", lambda *_: None)
+            flew = True
+        except DaemonError as error:
+            refused = str(error)
+            flew = refused.startswith(_FAULT)
+        except Exception as error:  # noqa: BLE001 - the next start goes on
+            found.failed[f"{type(error).__name__}: {error}"] += 1
+        with contextlib.suppress(DaemonError), Client(path) as client:
+            status = client.request("status")
+    found.took_s.append(time.monotonic() - begun_s)
+    found.lost += status.get("lost", 0)
+    found.restarts += status.get("recorder_restarts", 0)
+    found.flown += flew
+    if refused:
+        found.refused[refused[:100]] += 1
+    if flew and (missing := _missing(folder / "out", steps=0 if refused else 3)):
+        found.without_log += 1
+        found.failed[missing] += 1
+
+
+def _wait_for(process: subprocess.Popen[bytes], path: Path) -> None:
+    """Wait until the daemon answers anything at all."""
+    give_up_s = time.monotonic() + _ANSWERS_S
+    while process.poll() is None and time.monotonic() < give_up_s:
+        with contextlib.suppress(DaemonError), Client(path) as client:
+            client.request("status")
+            return
+        time.sleep(0.05)
+    raise RuntimeError(f"no answer within {_ANSWERS_S:g} s")
+
+
+def _missing(out: Path, steps: int) -> str:
+    """Return what is missing of a flight's logs, empty for nothing.
+
+    Its cycles follow one another without a gap, over all logs; of a whole flight each of so many
+    steps has one.
+    """
+    logs = sorted(out.glob("*.mcap"))
+    if not logs or (steps and len(logs) != steps):
+        return f"expected {steps or 'some'} logs, found {len(logs)}"
+    try:
+        rows = [read_log(path).rows for path in logs]
+    except LogError as error:
+        return str(error)
+    cycles = np.concatenate([part["cycle"].astype(np.int64) for part in rows])
+    skipped = np.concatenate([part["skipped"].astype(np.int64) for part in rows])
+    lost = int((np.diff(cycles) - 1 - skipped[1:]).sum())
+    return f"{lost} rows are missing" if lost else ""
+
+
+def _figures(found: Starts) -> Iterator[Figure]:
+    for what, count in (found.refused + found.failed).most_common():
+        print(f"{count} x {what}", file=sys.stderr)
+    none = Target(most=0)
+    refused, failed = sum(found.refused.values()), sum(found.failed.values())
+    yield Figure("busy", BUSY, "", "busy processes beside")
+    yield Figure("starts", found.asked, "", "starts of the daemon")
+    yield Figure("flown", found.flown, "", "flights that left the ground")
+    yield Figure("refused", refused, "", "starts refused, or flights that ended in a fault")
+    yield Figure("without_log", found.without_log, "", "flights without a whole log", target=none)
+    yield Figure("lost", found.lost, "", "rows lost", target=none)
+    yield Figure("restarts", found.restarts, "", "recorders started anew", target=none)
+    yield Figure("failed", failed, "", "starts that did not end", target=none)
+    if found.took_s:
+        yield Figure("took", statistics.median(found.took_s), "s", "start to end, median")
+
+
+@contextlib.contextmanager
+def _busy(count: int) -> Iterator[None]:
+    """Have so many processes compute all the time."""
+    processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def _rig(folder: Path) -> Path:
+    plain: dict[str, Any] = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
+    plain |= {
+        "sim": str(shipped("sims/nominal.yaml")),
+        "socket": str(folder / "levid.sock"),
+        "recording": {"faults": str(folder / "faults")},
+    }
+    file = folder / "rig.yaml"
+    file.write_text(yaml.safe_dump(plain))
+    return file
+
+
+def main() -> None:
+    arguments = _table.parser(__doc__ or "").parse_args()
+    _table.show("Starts", arguments, lambda: measure(arguments.quick))
+
+
+if __name__ == "__main__":
+    main()

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -73,12 +74,12 @@ def test_kernel_tells_how_long_a_process_waited_for_a_processor() -> None:
 
 @pytest.mark.parametrize("begun", [False, True])
 def test_recorder_on_a_starved_machine_is_not_killed(
-    monkeypatch: pytest.MonkeyPatch, begun: bool
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, begun: bool
 ) -> None:
     now_s, killed, said = 0.0, [], []
     shared = Shared(load_rig(shipped("rigs/loopback.yaml")))
     monkeypatch.setattr(link_module.time, "monotonic", lambda: now_s)
-    link = RecorderLink(b"", shared.fd, shared.board, shipped("rigs"), said.append)
+    link = RecorderLink(b"", shared.fd, shared.board, tmp_path, said.append)
     child: Any = SimpleNamespace(
         running=True, waited_s=0.0, kill=killed.append, start=lambda *_: None, end=""
     )

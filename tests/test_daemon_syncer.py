@@ -17,6 +17,7 @@ from levid.config.rig import load_rig
 from levid.config.service import Recording
 from levid.config.shipped import shipped
 from levid.daemon.board import Word
+from levid.daemon.children import ChildSilence
 from levid.daemon.fault_log import NO_ROWS, FaultLog
 from levid.daemon.faults import Fault
 from levid.daemon.recorder_link import RecorderLink
@@ -238,9 +239,13 @@ def test_recorder_that_waits_for_a_disk_in_the_kernel_records_nothing(
     said: list[str] = []
     now_s, board = 1000.0, {Word.RECORDER_BEAT: 0}
     link = RecorderLink(b"{}", -1, board, tmp_path, said.append)  # type: ignore[arg-type]
-    child = SimpleNamespace(running=True, kill=lambda _: None, end="it runs")  # it is in no hurry
+    child: Any = SimpleNamespace(
+        running=True, kill=lambda _: None, end="it runs", waited_s=0.0
+    )  # it is in no hurry
     monkeypatch.setattr(link, "_child", child)
+    monkeypatch.setattr(link, "_silence", ChildSilence(child))
     monkeypatch.setattr("levid.daemon.recorder_link.time.monotonic", lambda: now_s)
+    board[Word.RECORDER_BEAT] += 1  # it has begun
     link.watch()
     now_s += 60.0
     link.watch()  # the machine stood still

@@ -5,7 +5,7 @@ less than a cycle of 20 ms. Force is counted at the electronics, amplifier by am
 moment of the deed on. Amplifiers expire after two cycles without setpoints. Each process is killed
 and stopped (SIGSTOP), the loop also stopped for 0.3 s; half of the trials on a rig that lands
 without its supervisor, half on one that goes to zero force. docs/daemon.md has the table of what is
-promised. --quick: 36 trials; else 216, in half an hour.
+promised. --quick: 36 trials; else 216, in half an hour; --bus flies those of one bus.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,11 +56,11 @@ class Outcomes:
     trials: int = 0
 
 
-def measure(quick: bool) -> Iterator[Figure]:
+def measure(quick: bool, buses: Sequence[str] = BUSES) -> Iterator[Figure]:
     found: dict[str, Outcomes] = defaultdict(Outcomes)
     each = 1 if quick else _EACH
     try:
-        for bus in BUSES:
+        for bus in buses:
             for gone in GONE:
                 trials = [(deed, number) for number in range(each) for deed in DEEDS]
                 while trials:  # the rig is made anew where one cannot go on
@@ -195,8 +195,10 @@ def _figures(found: dict[str, Outcomes]) -> Iterator[Figure]:
 
 
 def main() -> None:
-    arguments = _table.parser(__doc__ or "").parse_args()
-    _table.show("Watchdogs", arguments, lambda: measure(arguments.quick))
+    options = _table.parser(__doc__ or "")
+    options.add_argument("--bus", choices=BUSES, action="append", help="one bus alone")
+    arguments = options.parse_args()
+    _table.show("Watchdogs", arguments, lambda: measure(arguments.quick, arguments.bus or BUSES))
 
 
 if __name__ == "__main__":

@@ -11,6 +11,8 @@ from .base import Finite, NonNegative, Positive, Strict, load_yaml
 from .rig import Rate
 
 # A part of a file name, which has at most 255 characters.
+MOST_STEPS = 1000
+"""Of a session."""
 Name = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Duration = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
 Pause = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
@@ -218,7 +220,7 @@ class SessionConfig(Strict):
     """Rate of the loop; the rig's unless given."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     excitations: dict[Name, Excitation] = Field(default_factory=dict, max_length=1000)
-    steps: Annotated[tuple[Step, ...], Field(min_length=1, max_length=1000)]
+    steps: Annotated[tuple[Step, ...], Field(min_length=1, max_length=MOST_STEPS)]
     then: tuple[Literal["identify", "trace"], ...] = ()
 
     @model_validator(mode="after")

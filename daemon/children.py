@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import math
 import os
 import signal
@@ -11,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 _KILLED_S = 5.0
+_READ_ONLY = fcntl.F_SEAL_WRITE | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SHRINK
 _LOOK_S = 0.5
 """A silence from which on it is asked what a child does: each question is a file."""
 
@@ -37,20 +39,23 @@ class Child:
 
         The kernel ends it with the thread that calls this: call it from the one that stays.
         """
-        self._process = subprocess.Popen(
-            # -P: what lies in the working directory is nobody's module.
-            [sys.executable, "-P", "-m", self._module, *map(str, arguments)],
-            stdin=subprocess.PIPE,
-            pass_fds=fds,
-            process_group=0,
-            env={**os.environ, **self._environment},
-        )
-        assert self._process.stdin is not None
+        # A file and not a pipe: nobody waits until it is read.
+        rig = os.memfd_create("levid-rig", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:
-            with self._process.stdin as pipe:
-                pipe.write(self._rig_json)
-        except BrokenPipeError:
-            return  # it is dead already, which is noticed as any death is
+            with open(rig, "wb", closefd=False) as file:
+                file.write(self._rig_json)
+            fcntl.fcntl(rig, fcntl.F_ADD_SEALS, _READ_ONLY)
+            os.lseek(rig, 0, os.SEEK_SET)
+            self._process = subprocess.Popen(
+                # -P: what lies in the working directory is nobody's module.
+                [sys.executable, "-P", "-m", self._module, *map(str, arguments)],
+                stdin=rig,
+                pass_fds=fds,
+                process_group=0,
+                env={**os.environ, **self._environment},
+            )
+        finally:
+            os.close(rig)
 
     @property
     def pid(self) -> int | None:

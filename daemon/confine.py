@@ -41,7 +41,8 @@ def confine(limits: Confinement, keep_fds: Collection[int]) -> None:
     """Confine this process for good, and close all files but `keep_fds`.
 
     It gets less of the processor than others, is the first to go where memory lacks, starts no
-    process, and, where it was root, is the user nobody. Raises OSError where a limit is refused.
+    process, and, where it was root and may change that, is the user nobody. Raises OSError where a
+    limit is refused.
     """
     _close_all_but(keep_fds)
     with contextlib.suppress(OSError):
@@ -55,9 +56,10 @@ def confine(limits: Confinement, keep_fds: Collection[int]) -> None:
     _limit(resource.RLIMIT_CORE, 0)
     _limit(resource.RLIMIT_RTPRIO, 0)
     if os.geteuid() == 0 and not limits.keeps_user:
-        os.setgroups([])
-        os.setresgid(_NOBODY, _NOBODY, _NOBODY)
-        os.setresuid(_NOBODY, _NOBODY, _NOBODY)
+        with contextlib.suppress(OSError):  # root of a container that has no other users
+            os.setgroups([])
+            os.setresgid(_NOBODY, _NOBODY, _NOBODY)
+            os.setresuid(_NOBODY, _NOBODY, _NOBODY)
     if _LIBC.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0):
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))

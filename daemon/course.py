@@ -314,8 +314,14 @@ class Course:
             self.advance = self._fly_landing
 
     def _end_plan(self) -> None:
-        """The plan at hand is over: its rows end here."""
+        """The plan at hand is over: its rows end here, or half a second after a fault."""
         words = self._words
+        after = self._after_landing
+        landed = self.state is State.LANDING or not self._controller.engaged
+        if after is not None and not self.fault and landed:
+            self._after_landing = None
+            self.fail(*after)  # of this plan, as whoever asked for it is told
+            return
         words[_LATE] = self._lateness.late  # whoever sees the plan's end counts up to it
         words[Word.PLAN_DONE] = max(words[Word.PLAN], words[Word.PLAN_DONE])
         words[Word.PLAN] = 0
@@ -327,9 +333,6 @@ class Course:
         else:
             self._label(NO_LOG)
             self._rest(State.IDLE)
-            after, self._after_landing = self._after_landing, None
-            if after is not None:
-                self.fail(*after)
 
     def _starved(self, why: str) -> None:
         """The plan goes on and its rows are not there."""

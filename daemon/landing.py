@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from math import ceil
+from math import ceil, isfinite
 
 import numpy as np
 from numba import njit
@@ -55,8 +55,9 @@ class Landing:
         for brake, at, deceleration in zip(
             self._brakes, (control.beam_ref, control.rotor_ref), self._decelerations, strict=True
         ):
-            n = max(ceil(abs(at[1]) / (deceleration * self._period_s)), 1)
-            brake[:] = at[0], at[1], -at[1] / (n * self._period_s), n
+            velocity = at[1] if isfinite(at[1]) else 0.0  # whatever it was told: nothing fails here
+            n = max(ceil(abs(velocity) / (deceleration * self._period_s)), 1)
+            brake[:] = at[0], velocity, -velocity / (n * self._period_s), n
         self.set_motion(0)
         return self._motion[0], self._motion[1]
 

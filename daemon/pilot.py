@@ -132,6 +132,8 @@ class Pilot:
         if job.landing is not None:
             board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
         self._feeder = Feeder(self._program, board, job.number, self._logged(job, before))
+        if self._feeder.wrong:
+            raise RefusedError(f"the plan cannot be flown: {self._feeder.wrong}")
         self.job = job
         first = self._ring.head
         self._feeder.feed()
@@ -160,6 +162,9 @@ class Pilot:
             return
         assert self._feeder is not None
         self._feeder.feed()
+        if self._feeder.wrong and job.error is None:
+            job.error = RefusedError(f"the plan cannot be flown on: {self._feeder.wrong}")
+            board.land()
         self.note_fault()
         self._check_coils(job, self._feeder)
         now_s = time.monotonic()

@@ -9,14 +9,16 @@ from __future__ import annotations
 import fcntl
 import mmap
 import os
+import re
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.session import MOST_STEPS
 from .coil_check import Pushes
-from .plan import Plan, PlannedStep
+from .plan import MOST_CYCLES, Plan, PlannedStep
 from .segment import Segment
 from .states import State
 
@@ -55,6 +57,9 @@ _SEGMENTS = np.dtype(
 )
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE
 _ALIGNMENT = 8
+_STATES = (State.IDLE, State.LEVITATING, State.EXCITING, State.MOVING, State.LANDING)
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+_MOST_SEGMENTS, _MOST_SESSION = 8 * MOST_STEPS, 1 << 20
 MOST_WORDS = 1 << 16
 """Bytes of a refusal that are read, and of a path or a note."""
 
@@ -154,7 +159,9 @@ def read_plan(fd: int, coils: int) -> PlannedRequest:
     _require(bool(np.isfinite(header["rate_hz"])) and header["rate_hz"] > 0, "rate_hz")
     steps = _table(memory, header["steps"], _STEPS, "steps")
     segments = _table(memory, header["segments"], _SEGMENTS, "segments")
-    _require(len(steps) > 0 and (not len(segments) or header["coils"] == coils), "coils")
+    _require(0 < len(steps) <= MOST_STEPS and len(segments) <= _MOST_SEGMENTS, "number of steps")
+    _require(header["coils"] == coils, "coils")
+    _require(bool((header["landing"] <= MOST_CYCLES).all()), "landing")
     _check_steps(steps, len(segments))
     _check_segments(segments, coils, size)
     firsts = np.concatenate([[0], np.cumsum(steps["segments"])]).tolist()
@@ -179,7 +186,7 @@ def read_plan(fd: int, coils: int) -> PlannedRequest:
         _blob(memory, header["out"], MOST_WORDS, "out").decode(errors="replace"),
         (ramp, release) if ramp >= 0 and release >= 0 else None,
         _CLIENT_GONE[header["client_gone"]],
-        _blob(memory, header["session"], size, "session"),
+        _blob(memory, header["session"], _MOST_SESSION, "session"),
         _blob(memory, header["note"], MOST_WORDS, "note").decode(errors="replace"),
     )
 
@@ -223,15 +230,21 @@ def _read_array(memory: memoryview, place: np.void, columns: int) -> NDArray[np.
 def _check_steps(steps: NDArray[np.void], segments: int) -> None:
     _require(bool(((steps["kind"] >= 0) & (steps["kind"] < len(_KINDS))).all()), "kind")
     _require(bool((steps["index"] >= 0).all() and (steps["cycles"] >= 0).all()), "cycles")
+    # Files are called by them.
+    _require(all(_NAME.fullmatch(_text(name)) for name in steps["name"].tolist()), "name")
     counts = steps["segments"]
     _require(bool((counts >= 0).all() and (counts <= segments).all()), "segments")
     _require(int(counts.sum()) == segments, "segments")
 
 
 def _check_segments(table: NDArray[np.void], coils: int, size: int) -> None:
-    _require(bool(np.isin(table["state"], list(State)).all()), "state")
-    _require(bool((table["cycles"] >= 0).all()), "cycles")
-    _require(bool((table["push"] >= 0).all() and (table["pause"] >= 0).all()), "push")
+    _require(bool(np.isin(table["state"], _STATES).all()), "state")
+    cycles, push, pause = table["cycles"], table["push"], table["pause"]
+    for counted in (cycles, push, pause):
+        _require(bool(((counted >= 0) & (counted <= MOST_CYCLES)).all()), "cycles")
+    _require(0 < int(cycles.sum()) <= MOST_CYCLES, "cycles")
+    pushes = push > 0
+    _require(bool((cycles == coils * (4 * push + pause))[pushes].all()), "push")
     for name in _ARRAYS:
         at, rows = table[name]["at"], table[name]["n"]
         row = 8 * _columns(name, coils)

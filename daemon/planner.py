@@ -69,6 +69,8 @@ class Planner:
         text, out = request.get("session"), request.get("out")
         if not isinstance(text, str) or not isinstance(out, str):
             raise RefusedError("excite: expected 'session' (YAML text) and 'out' (a folder)")
+        if not out:
+            raise RefusedError("excite: expected a folder in 'out', found no name")
         _require_rest("excite", situation)
         self._check_rig(request.get("rig"))
         session = parse_text(text, SessionConfig, "session")
@@ -90,7 +92,7 @@ class Planner:
         check, note = self._due_check(levitate, situation)
         plan = self._by_hand(Step(levitate=levitate), situation, check)
         out = request.get("out")
-        if out is not None and not isinstance(out, str):
+        if out is not None and (not isinstance(out, str) or not out):
             raise RefusedError(f"levitate: expected 'out' (a folder), found {_short(out)}")
         return self._planned("levitate", plan, request, land, out or "", b"", note)
 
@@ -139,6 +141,7 @@ class Planner:
         landing = None
         if land is not None:
             landing = round(land.ramp_s * rate_hz), round(land.release_s * rate_hz)
+            self._require_length(f"{plan.name}: land", sum(landing))
         gone = str(request.get("client_gone") or "")
         return PlannedRequest(op, plan, out, landing, gone, session, note)
 

@@ -24,6 +24,8 @@ from .planner_process import CPU_S, ENDED, PLANNED, QUESTION, REFUSED, Ended, Qu
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 60.0
 _SAID_AGAIN_S = 60.0
+_ENDS_S = 10.0
+"""How long a planner may take to end what is wanted no more, before it is started anew."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class PlannerLink:
         self._end: socket.socket | None = None
         self._jobs = 0
         self._asked: _Asked | None = None
+        self._dropped: tuple[int, float] | None = None  # a question of before, and since when
         self._pause_s, self._again_s = _FIRST_PAUSE_S, 0.0
         self._said_s = -math.inf
         self._begun = False
@@ -59,10 +62,18 @@ class PlannerLink:
         return self._child.pid
 
     def watch(self) -> None:
-        """Start the planner, or start it anew, where it is not there."""
+        """Start the planner, or start it anew, where it is not there or does not come back."""
         now_s = time.monotonic()
-        if self._child.running or now_s < self._again_s:
+        if self._dropped is not None:
+            job, since_s = self._dropped
+            if self._ended(job) is not None:
+                self._dropped = None
+            elif now_s - since_s > _ENDS_S:
+                self.give_up()
+        # Whoever asked the one that is gone is told first.
+        if self._child.running or self._asked is not None or now_s < self._again_s:
             return
+        self._dropped = None
         if self._begun:
             self._say_seldom(now_s, f"the planner is gone ({self._child.end}): it is started anew")
         self._again_s = now_s + self._pause_s
@@ -101,8 +112,10 @@ class PlannerLink:
         except OSError as error:
             for fd in fds:
                 os.close(fd)
+            self.give_up()
             raise RefusedError(f"the planner does not take requests ({error}): ask again") from None
         os.close(fds[0])
+        self._dropped = None
         self._asked = _Asked(self._jobs, work, fds[1])
 
     def answer(self) -> PlannedRequest | bool | None:
@@ -147,6 +160,7 @@ class PlannerLink:
         if asked is None:
             return
         os.close(asked.result)
+        self._dropped = asked.job, time.monotonic()
         if self._end is not None:
             with contextlib.suppress(OSError):  # it is gone, and its work with it
                 self._end.send(QUESTION.pack(*Question(asked.job, Work.NOTHING)))
@@ -155,7 +169,7 @@ class PlannerLink:
         """End whatever it is working on, and start it anew."""
         self.forget()
         self._child.kill(0.0)
-        self._again_s = 0.0
+        self._again_s, self._dropped = 0.0, None
 
     def end(self) -> None:
         """End it."""

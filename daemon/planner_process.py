@@ -14,6 +14,7 @@ import signal
 import socket
 import struct
 import sys
+import traceback
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
@@ -101,6 +102,8 @@ class PlannerProcess:
             code = 1
             try:
                 code = self._work(question, fds, server)
+            except BaseException:  # noqa: BLE001 - the journal has it, and nothing else runs here
+                traceback.print_exc()
             finally:
                 os._exit(code)
         ended, poll = os.pidfd_open(pid), select.poll()

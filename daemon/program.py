@@ -128,10 +128,11 @@ class Feeder:
         self, program: Program, board: Board, plan: int, segments: Iterable[Logged]
     ) -> None:
         self._program, self._words, self.plan = program, board.words, plan
+        self.wrong = ""
+        """Why nothing more is streamed of a plan that cannot be flown; the loop then lands."""
         # One ahead of what is being streamed: the last segment is announced as the last.
         self._coming = (logged for logged in segments if logged.segment.cycles)
-        self._at = next(self._coming, None)
-        self._following = next(self._coming, None)
+        self._at, self._following = self._next(), self._next()
         self._written = 0  # rows of the segment at hand
         self.check: tuple[Pushes, int, int] | None = None
         """A check of coils that is streamed: its pushes, its cycles, and its last row."""
@@ -155,6 +156,10 @@ class Feeder:
         n = min(segment.cycles - self._written, program.capacity - 1 - (first - flown), _PIECE)
         if n <= 0 or not program.room_in_queue:
             return False
+        if not _is_finite(segment, self._written, n):
+            self.wrong = f"it has a setpoint that is no number, in {segment.state.name}"
+        if self.wrong:
+            return False
         program.write(segment, self._written, n)
         if segment.checks is not None and not self._written:
             self.check = segment.checks, segment.cycles, first + segment.cycles - 1
@@ -175,9 +180,25 @@ class Feeder:
             )
         self._written += n
         if self._written == segment.cycles:
-            self._at, self._following = self._following, next(self._coming, None)
+            self._at, self._following = self._following, self._next()
             self._written = 0
         return True
+
+    def _next(self) -> Logged | None:
+        """Return the next segment, None after the last, or where it cannot be had."""
+        try:
+            return next(self._coming, None)
+        except Exception as error:  # noqa: BLE001 - the plan is wrong, and not the daemon
+            self.wrong = str(error) or type(error).__name__
+            return None
+
+
+def _is_finite(segment: Segment, begin: int, n: int) -> bool:
+    """Return whether rows [begin, begin + n) are numbers; a row beyond an array's is its last."""
+    arrays = (
+        segment.v, segment.coil_excitation, segment.blend, segment.beam, segment.rotor,
+    )  # fmt: skip
+    return all(np.isfinite(array[min(begin, len(array) - 1) : begin + n]).all() for array in arrays)
 
 
 def _copy(to: Array, source: Array, begin: int) -> None:

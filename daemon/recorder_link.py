@@ -174,6 +174,7 @@ class RecorderLink:
         if self.restarts:
             self._say_seldom(now_s, "gone", gone)
         self._silence.begin(now_s)
+        self._beat = self._board[Word.RECORDER_BEAT]  # the last one's
         self._begun = self._hangs = False
         self._head = None
         for tag, file in self._logs.items():

@@ -17,7 +17,7 @@ from .pilot import Job, in_fault
 from .plan_file import PlannedRequest
 from .planner import RefusedError, Situation
 from .planner_process import Work
-from .result import attachments, log_metadata
+from .result import log_metadata
 from .scribe import LogFile
 from .server import LONGEST_SHORT, Handler, Reply
 from .states import State
@@ -242,7 +242,7 @@ class Requests:
 
     def _files(self, planned: PlannedRequest) -> dict[int, LogFile]:
         """Return the log of each step by its index: of a session one each, by hand one in all."""
-        texts = attachments(self._supervisor.rig_text, planned.session)
+        texts = {**self._supervisor.attachments, "session.yaml": planned.session}
         plan, folder = planned.plan, Path(planned.out)
         if planned.op == "excite":
             return {

@@ -32,6 +32,7 @@ from .planner_link import PlannerLink
 from .recorder_link import RecorderLink
 from .reload import RigReader
 from .requests import Requests
+from .result import attachments
 from .server import Reply, Server, ServerError
 from .shared import Shared
 from .silence import Silence
@@ -65,6 +66,8 @@ class Supervisor:
     ) -> None:
         self.rig, self.rig_file = rig, rig_file
         self.rig_text = rig_file.read_bytes()
+        # Once: what the host is called is asked of files, and of a process.
+        self.attachments = attachments(self.rig_text, b"")
         folder = rig_file.parent.resolve()
         check_backends(Context(rig, 1.0 / rig.rate_hz, folder))
         self._say = say

@@ -48,6 +48,7 @@ class TimedLoop:
         parent: int,
     ) -> None:
         self._period_s = 1.0 / rig.rate_hz
+        self._longest_ns = round((longest_stall(rig) + 1) * 1e9 / rig.rate_hz)
         self._controller, self._devices, self._clock = controller, devices, clock
         self._ring, self._words, self._recover = shared.ring, shared.board.words, recover
         self._counts, self._before = shared.timing.counts, memory_of(1e9 / rig.rate_hz)
@@ -71,7 +72,7 @@ class TimedLoop:
         self._zero()
         course.become(State.OFF)
 
-    def _cycles(self) -> None:
+    def _cycles(self) -> None:  # noqa: PLR0915 - one cycle, in its order
         """Fly cycle after cycle, until the end or until something raises."""
         control, ring, devices = self._controller, self._ring, self._devices
         amplifiers, sensors, drives = devices.amplifiers, devices.sensors, devices.drives
@@ -88,6 +89,7 @@ class TimedLoop:
         counts, wake_ups, before, head, look = (
             self._counts, self._wake_ups, self._before, ring.head, course.look,
         )  # fmt: skip
+        longest_ns = self._longest_ns
         while not course.ended:
             late_s = wait()
             begin, skipped = now(), clock.skipped
@@ -116,6 +118,8 @@ class TimedLoop:
                 late_s - skipped * period_s + (read - begin) * 1e-9,
             )  # fmt: skip
             computed = now()
+            if computed - begin > longest_ns and control.engaged:
+                self._held_up(slot, 1e-9 * (computed - begin))
             amplifiers.write(coil)
             if course.located:
                 drives.write(beam_ref, rotor_ref)
@@ -137,6 +141,13 @@ class TimedLoop:
                 count_wake_up(wake_ups, clock.overslept_ns)
             if fault:
                 course.fail(Fault(fault), control.detail(Fault(fault)))
+
+    def _held_up(self, slot: int, seconds: float) -> None:
+        """End control in the cycle at hand: its readings are too old to act on."""
+        self.course.fail(Fault.LATE, f"a cycle took {seconds:.3g} s until it could write")
+        rows = self._ring.rows
+        rows["coil_n"][slot] = 0.0
+        rows["state"][slot], rows["fault"][slot] = State.FAULT, Fault.LATE
 
     def _raised(self, error: Exception) -> None:
         """Zero force before anyone is told; then a row of the log that names the fault."""

@@ -85,6 +85,8 @@ class ScriptedLoop:
             rig, self.controller, devices, ScriptedClock(self._cycle), self.shared,
             lambda: None, self.parent,
         )  # fmt: skip
+        self.longest_ns = self.loop._longest_ns
+        self.loop._longest_ns = 1 << 62  # there is no clock: how long a cycle takes says nothing
 
     def fly(self, *steps: dict[str, Any]) -> None:
         """Announce a plan of these steps, from the manipulator's zero."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
@@ -124,6 +125,59 @@ def test_loop_that_stood_still_for_too_long_sends_no_force(
         # The first that is written after it stood still is zero already.
         assert written[0] > 10.0
         assert (max(written[1:]) == 0.0) is late
+
+
+def test_cycle_that_is_held_up_before_it_writes_sends_no_force(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    held, now = SimpleNamespace(now=False), time.perf_counter_ns
+    ahead = [0]
+
+    def holding(devices: Devices) -> Devices:
+        read = devices.sensors.read
+
+        def reading(gap_m: np.ndarray) -> None:
+            ahead[0] += 200_000_000 * held.now
+            read(gap_m)
+
+        devices.sensors.read = reading  # type: ignore[method-assign]
+        return devices
+
+    # A clock that stands still but for what is held up: machines are busy.
+    began = now()
+    monkeypatch.setattr("levid.daemon.timed_loop.time.perf_counter_ns", lambda: began + ahead[0])
+    flight, written = ScriptedLoop(holding, limits={"stall_s": 0.15}), []
+    flight.loop._longest_ns = flight.longest_ns
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": {**LIFT, "settle_s": 4.0}})
+        if n >= 1500:
+            written.append(flight.forces)
+        held.now = n == 1500
+
+    flight.run(script, 1510)
+    assert flight.board.fault is Fault.LATE
+    assert "a cycle took 0.2 s" in flight.board.detail
+    assert written[0] > 10.0
+    assert max(written[1:]) == 0.0
+    rows = flight.shared.ring.last(20).rows
+    assert not rows["coil_n"][rows["fault"] == Fault.LATE].any()
+    assert (rows["state"][rows["fault"] == Fault.LATE] == State.FAULT).all()
+
+
+def test_who_asked_for_a_flight_is_told_of_a_supervisor_that_was_silent() -> None:
+    flight = ScriptedLoop(supervisor_s=0.5)
+    board = flight.board
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": {**LIFT, "settle_s": 8.0}})
+        flight.silent = n >= 1500
+
+    flight.run(script, 4000)
+    assert board.fault is Fault.SUPERVISOR
+    assert board[Word.FAULT_PLAN] == board[Word.PLAN_DONE] == board[Word.PLAN_CUT] == 1
 
 
 @pytest.mark.parametrize("silence", ["in flight, and a stop as it lands", "as it lands"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +19,7 @@ from levid.daemon.faults import Fault
 from levid.daemon.pilot import Job, Pilot
 from levid.daemon.plan import plan_steps
 from levid.daemon.scribe import LogFile
+from levid.daemon.states import State
 from levid.drivers.base import Devices
 from levid.log.signals import Stale
 
@@ -154,6 +157,39 @@ def test_a_loop_that_dies_does_so_in_a_step_with_a_name() -> None:
     flight.run(script, 650)
     assert "LOOP" in told[-1]
     assert f"'{job.plan.steps[0].name}'" in told[-1]
+
+
+@pytest.mark.parametrize("broken", ["no number", "no segments"])
+def test_plan_that_cannot_be_flown_on_is_landed(broken: str) -> None:
+    flight, told = ScriptedLoop(), []
+    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job = job_of(
+        flight, told, Step(levitate={**LIFT, "settle_s": 9.0}), Step(move={"beam_m": 0.01})
+    )
+    ring, (lift, move) = flight.shared.ring, job.segments
+
+    def segments() -> Iterator[Any]:
+        yield lift
+        if broken == "no segments":
+            raise MemoryError("no memory")
+        moving = [replace(s, beam=np.full_like(s.beam, np.nan)) for s in move[1]]
+        yield move[0], moving
+
+    job.segments = segments()
+
+    def script(n: int) -> None:
+        if n == 300:
+            pilot.begin(job)
+        if not n % 10:
+            pilot.tick()
+        if n > 14_000:
+            ring.durable = ring.head
+
+    flight.run(script, 14_100)
+    assert flight.board.fault is Fault.NONE
+    assert flight.board.state is State.IDLE
+    assert "the plan cannot be flown" in told[-1]
+    assert pilot.job is None
 
 
 @pytest.mark.parametrize("dead", [True, False])

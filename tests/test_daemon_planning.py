@@ -9,8 +9,10 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,6 +26,7 @@ from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon import requests as requests_module
 from levid.daemon.board import Word
+from levid.daemon.client import DaemonError
 from levid.daemon.faults import Fault
 from levid.daemon.plan_file import PlanFileError, memory_file, read_plan, write_plan
 from levid.daemon.planner import Planner, RefusedError, Situation
@@ -75,7 +78,7 @@ class Bench:
         self.pilot = SimpleNamespace(coils_are_known=True, begin=self.begun.append)
         self.planner = self
         self.manipulator = (0.0, 0.0)
-        self.rig, self.rig_text = RIG, b""
+        self.rig, self.attachments = RIG, {}
         self.stopping, self.told = False, []
         self.tell = self.told.append
         self.requests = Requests(self)  # type: ignore[arg-type]
@@ -349,6 +352,60 @@ def test_a_planner_that_dies_is_started_anew(planner: PlannerLink) -> None:
         except RefusedError:
             assert time.monotonic() < give_up_s
             time.sleep(0.05)
+
+
+def test_client_of_a_planner_that_dies_is_refused_at_once(tmp_path: Path) -> None:
+    """The supervisor looks for the planner first, and for what it answers then."""
+    from daemon_process import calm, daemon
+
+    file = shipped("rigs/loopback.yaml")
+    with daemon(calm(RIG, tmp_path), file, tmp_path) as running:
+        link = running.supervisor.planner
+        answers: list[str] = []
+
+        def ask() -> None:
+            try:
+                running.ask("excite", session=SESSION, out=str(tmp_path / "out"))
+            except DaemonError as error:
+                answers.append(str(error))
+
+        pid = running.ask("status")["pids"]["planner"]
+        os.kill(pid, signal.SIGSTOP)
+        client = threading.Thread(target=ask)
+        client.start()
+        give_up_s = time.monotonic() + _GIVE_UP_S
+        while link._asked is None:
+            assert time.monotonic() < give_up_s
+            time.sleep(0.01)
+        os.kill(pid, signal.SIGKILL)
+        client.join(_GIVE_UP_S)
+        assert ["the planner is gone" in answer for answer in answers] == [True]
+        again = running.until(lambda s: s["pids"]["planner"] not in (None, pid))
+        assert again["fault"] == "NONE"
+
+
+def test_planner_that_does_not_come_back_is_started_anew(
+    planner: PlannerLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("levid.daemon.planner_link._ENDS_S", 0.2)
+    pid = planner.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    planner.ask(Work.PLAN, b'{"op": "levitate"}', AT_REST)
+    planner.forget()
+    give_up_s = time.monotonic() + _GIVE_UP_S
+    while planner.pid in (pid, None):
+        assert time.monotonic() < give_up_s
+        planner.watch()
+        time.sleep(0.01)
+    assert answer_of(planner, b'{"op": "levitate"}').op == "levitate"
+
+
+@pytest.mark.parametrize("op", ["excite", "levitate"])
+def test_a_log_needs_the_name_of_a_folder(op: str) -> None:
+    request = {"op": op, "session": SESSION, "out": ""}
+    with pytest.raises(RefusedError, match=r"expected .*folder"):
+        Planner(RIG).plan(json.dumps(request).encode(), AT_REST)
 
 
 SERVER = """

@@ -175,7 +175,7 @@ _REQUESTS = st.one_of(
 )
 
 
-@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 @given(line=_REQUESTS)
 def test_every_request_is_answered_and_none_ends_the_daemon(socket_file: Path, line: str) -> None:
     with socket.socket(socket.AF_UNIX) as raw:

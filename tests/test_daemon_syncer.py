@@ -215,7 +215,7 @@ def test_a_recorder_that_follows_a_dead_one_writes_what_was_asked_of_that(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent: list[dict[str, object]] = []
-    board = SimpleNamespace()
+    board = {Word.RECORDER_BEAT: 0}
     monkeypatch.setattr(RecorderLink, "_send", lambda _, message: sent.append(message))
     link = RecorderLink(b"{}", -1, board, tmp_path, lambda *_: None)  # type: ignore[arg-type]
     monkeypatch.setattr(link._child, "start", lambda *_: None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -39,3 +40,15 @@ def end(process: subprocess.Popen[Any], patience_s: float = _PATIENCE_S) -> None
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait(patience_s)  # in the kernel it may hang for longer: then that is said
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Have so many processes compute all the time."""
+    processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
 from _children import started
 
+from levid.config.shipped import shipped
 from levid.daemon.client import Client, DaemonError
 
 _READY_S = 60.0
@@ -85,3 +87,17 @@ def _idle(process: subprocess.Popen[bytes], rig_file: Path, socket: Path) -> Dae
             said = str(error)
         time.sleep(_AGAIN_S)
     raise DaemonError(f"the daemon did not become idle, the last was: {said}")
+
+
+def loopback_rig(folder: Path, **limits: float) -> Path:
+    """Write the shipped loopback rig, with a socket and recordings in `folder`; return its file."""
+    plain: dict[str, Any] = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
+    plain |= {
+        "sim": str(shipped("sims/nominal.yaml")),
+        "socket": str(folder / "levid.sock"),
+        "recording": {"faults": str(folder / "faults")},
+    }
+    plain["limits"] |= limits
+    file = folder / "rig.yaml"
+    file.write_text(yaml.safe_dump(plain))
+    return file

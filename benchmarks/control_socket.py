@@ -13,18 +13,16 @@ import contextlib
 import json
 import os
 import socket
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import _table
-import yaml
-from _daemon import Daemon, running
+from _children import busy
+from _daemon import Daemon, loopback_rig, running
 from _heartbeat import Heartbeat
 from _table import Figure, Target
 from hypothesis import HealthCheck, Phase, given, settings
@@ -39,6 +37,8 @@ SHARE = 0.1
 _ANSWER_S = 120.0
 _LEAST_S = 2.0
 _BUSY = 2
+STALL_S = 0.2
+"""The host of a virtual machine stalls for some 10 ms: that is no matter of requests."""
 
 _SESSION = shipped("sessions/beam.yaml").read_text()
 KNOWN = {
@@ -150,11 +150,11 @@ def main() -> None:
 def measure(quick: bool) -> Iterator[Figure]:
     count = 40 if quick else 300
     with tempfile.TemporaryDirectory() as name:
-        file, path = _rig(Path(name)), Path(name) / "levid.sock"
+        file, path = loopback_rig(Path(name), stall_s=STALL_S), Path(name) / "levid.sock"
         limit_s = load_rig(file).service.supervisor_s
         yield Figure("limit", limit_s, "s", "heartbeat's limit, service.supervisor_s")
         for load in ("idle", "busy"):
-            with running(file, path) as daemon, _beside(_BUSY if load == "busy" else 0):
+            with running(file, path) as daemon, busy(_BUSY if load == "busy" else 0):
                 heartbeat = Heartbeat(file, daemon.pids["supervisor"])
                 found = Stretches()
                 try:
@@ -244,18 +244,6 @@ def _answered(path: Path, line: str) -> bool:
     return True
 
 
-@contextlib.contextmanager
-def _beside(count: int) -> Iterator[None]:
-    """Have so many processes compute all the time."""
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for process in busy:
-            process.kill()
-            process.wait()
-
-
 def _figures(load: str, found: Stretches, limit_s: float) -> Iterator[Figure]:
     print(f"{load}: worst: {found.worst}", file=sys.stderr)
     shares = [late / max(cycles, 1) for late, cycles in zip(found.late, found.cycles, strict=True)]
@@ -279,19 +267,6 @@ def _figures(load: str, found: Stretches, limit_s: float) -> Iterator[Figure]:
     )
     yield Figure(f"late_{load}", shares[0], "", f"{load}: late cycles, share", f"late_rest_{load}")
     yield Figure(f"late_rest_{load}", shares[1], "", f"{load}: the same, no request")
-
-
-def _rig(folder: Path) -> Path:
-    plain: dict[str, Any] = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
-    plain |= {
-        "sim": str(shipped("sims/nominal.yaml")),
-        "socket": str(folder / "levid.sock"),
-        "recording": {"faults": str(folder / "faults")},
-    }
-    plain["limits"] |= {"stall_s": 0.2}  # the host of a virtual machine stalls for some 10 ms
-    file = folder / "rig.yaml"
-    file.write_text(yaml.safe_dump(plain))
-    return file
 
 
 if __name__ == "__main__":

@@ -24,11 +24,10 @@ from typing import Any
 
 import _table
 import numpy as np
-import yaml
-from _children import end
+from _children import busy, end
+from _daemon import loopback_rig
 from _table import Figure, Target
 
-from levid.config.shipped import shipped
 from levid.daemon.client import Client, DaemonError
 from levid.log.errors import LogError
 from levid.log.reader import read_log
@@ -72,7 +71,7 @@ def measure(quick: bool) -> Iterator[Figure]:
     try:
         with (
             tempfile.TemporaryDirectory() as name,
-            _busy(BUSY),
+            busy(BUSY),
             ThreadPoolExecutor(_AT_A_TIME) as pool,
         ):
             folders = [Path(name) / str(number) for number in range(6 if quick else 200)]
@@ -85,7 +84,7 @@ def measure(quick: bool) -> Iterator[Figure]:
 def start(folder: Path, found: Starts) -> None:
     """Start a daemon, ask it to fly at once, and look at what it left."""
     folder.mkdir()
-    file, path = _rig(folder), folder / "levid.sock"
+    file, path = loopback_rig(folder), folder / "levid.sock"
     begun_s = time.monotonic()
     command = [sys.executable, "-m", "levid.cli.main", "run", str(file)]
     flew, refused, failed = False, "", ""
@@ -170,30 +169,6 @@ def _figures(found: Starts) -> Iterator[Figure]:
     yield Figure("failed", failed, "", "starts that did not end", target=none)
     if found.took_s:
         yield Figure("took", statistics.median(found.took_s), "s", "start to end, median")
-
-
-@contextlib.contextmanager
-def _busy(count: int) -> Iterator[None]:
-    """Have so many processes compute all the time."""
-    processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
-
-
-def _rig(folder: Path) -> Path:
-    plain: dict[str, Any] = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
-    plain |= {
-        "sim": str(shipped("sims/nominal.yaml")),
-        "socket": str(folder / "levid.sock"),
-        "recording": {"faults": str(folder / "faults")},
-    }
-    file = folder / "rig.yaml"
-    file.write_text(yaml.safe_dump(plain))
-    return file
 
 
 def main() -> None:

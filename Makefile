@@ -2,7 +2,7 @@
 # They install into .venv from the lock files, again only when pyproject.toml or a lock has changed.
 
 PYTHON ?= python3
-ROOMS := cli report daemon identification drivers sim log wire model config
+PACKAGES := cli report daemon identification drivers sim log wire model config
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -38,7 +38,7 @@ test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh
 
 bench: $(DEV)
-	@failed=; for file in benchmarks/[a-z]*.py; do \
+	@failed=; for file in $$(grep -l __main__ benchmarks/*/*.py); do \
 	  echo "== $$file"; $(BIN)/python "$$file" --quick || failed="$$failed $$file"; \
 	done; \
 	if [ -n "$$failed" ]; then echo "These did not come to their end:$$failed" >&2; exit 1; fi
@@ -46,7 +46,7 @@ bench: $(DEV)
 lint: $(DEV) build/typecheck/levid
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	MYPYPATH=build/typecheck $(BIN)/mypy $(addprefix -p levid.,$(ROOMS))
+	MYPYPATH=build/typecheck $(BIN)/mypy $(addprefix -p levid.,$(PACKAGES))
 	$(BIN)/lint-imports --no-logo
 
 format: $(DEV)

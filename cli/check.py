@@ -53,7 +53,7 @@ def command(files: tuple[Path, ...], rig_path: Path | None) -> int:
 def _check(path: Path, rig_path: Path | None) -> str:
     if path.suffix == ".mcap":
         return _log(path)
-    from ..config.kinds import load_any
+    from ..config.file_kind import load_any
     from ..config.model import ModelConfig
     from ..config.rig import RigConfig
     from ..config.session import SessionConfig
@@ -98,7 +98,7 @@ def _periods(rows: NDArray[np.void]) -> int:
 
 def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.base import ConfigError
-    from ..daemon.watchdogs import held_too_long
+    from ..daemon.control.detection_times import held_too_long
     from ..drivers.base import Context
     from ..drivers.registry import check_backends
     from ..model.geometry import GeometryError, decoupling_matrix
@@ -122,7 +122,7 @@ def _rig(rig: RigConfig, path: Path) -> str:
 def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
     from ..config.rig import load_rig
     from ..config.shipped import shipped
-    from ..daemon.plan import plan_session
+    from ..daemon.planning.plan import plan_session
 
     rig = load_rig(rig_path or shipped("rigs/loopback.yaml"))
     plan = plan_session(config, rig, source=str(path))
@@ -135,9 +135,9 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
 
 def _model(config: ModelConfig, path: Path) -> str:
     from ..config.base import ConfigError
-    from ..identification.declared import declared_model
-    from ..model.declared import ModelError
-    from ..model.effects.declared import placed_effects
+    from ..identification.greybox.model_file import declared_model
+    from ..model.declared_model import ModelError
+    from ..model.effects.effect_serialization import placed_effects
 
     try:
         model = declared_model(config)
@@ -154,7 +154,7 @@ def _places(config: ModelConfig) -> Places:
     """Return where effects of a model may sit: on the rig if the model is one of it."""
     from ..config.rig import load_rig
     from ..config.shipped import shipped
-    from ..identification.trace.record import imported_places, rig_places
+    from ..identification.trace.records.trace_record import imported_places, rig_places
 
     if {q.name for q in config.dof} == {"psi", "theta", "z"}:
         return rig_places(load_rig(shipped("rigs/loopback.yaml")).geometry, config)

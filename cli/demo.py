@@ -15,7 +15,7 @@ from .trace import trace_logs
 from .trace import words as trace_words
 
 if TYPE_CHECKING:
-    from ..daemon.result import FlightResult
+    from ..daemon.recording.session_logs import FlightResult
 
 
 @click.command("demo")
@@ -37,7 +37,7 @@ def command(out: Path | None) -> int:
       levid demo --out out/mine
     """
     from ..config.shipped import shipped
-    from ..report.session import session_report
+    from ..report.session.session_page import session_report
 
     begin = time.perf_counter()
     folder = out or _next_free()

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .folders import logs_in, quoted
 from .progress import progress, say
+from .result_folders import logs_in, quoted
 
 if TYPE_CHECKING:
     from ..config.session import SessionConfig
-    from ..daemon.result import FlightResult
+    from ..daemon.recording.session_logs import FlightResult
 
 _REPORTS = {"identify": "identification", "trace": "trace"}
 """Folder of the report, by what a session's `then` names."""
@@ -68,7 +68,7 @@ def command(
       levid excite config/sessions/beam.yaml --out /var/lib/levid/today
     """
     from ..config.session import load_session
-    from ..daemon.result import in_doubt
+    from ..daemon.recording.session_logs import in_doubt
 
     config = load_session(session)
     refuse_used_folder(out)
@@ -95,8 +95,8 @@ def fly_here(
     """Fly in this process, in virtual time."""
     from ..config.rig import load_rig
     from ..config.shipped import shipped
-    from ..daemon.faults import FlightFault
-    from ..daemon.virtual import fly_virtually
+    from ..daemon.control.faults import FlightFault
+    from ..daemon.loop.virtual_session import fly_virtually
 
     rig_file = rig_path or shipped("rigs/loopback.yaml")
     rig = load_rig(rig_file)
@@ -151,8 +151,8 @@ def _on_daemon(
     session: Path, rig_path: Path | None, out: Path, if_gone: str | None
 ) -> FlightResult:
     from ..config.rig import load_rig
+    from ..daemon.api.socket_paths import socket_path
     from ..daemon.client import Client, NoDaemonError
-    from ..daemon.sockets import socket_path
 
     rig = load_rig(rig_path) if rig_path is not None else None
     rig_text = _text(rig_path) if rig_path is not None else None
@@ -169,8 +169,8 @@ def _on_daemon(
 
 def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> int:
     """Hand the logs over or draw the flight; return the exit code."""
-    from ..daemon.handover import HandoverError, hand_over
-    from ..report.session import session_report
+    from ..daemon.recording.post_processing import HandoverError, hand_over
+    from ..report.session.session_page import session_report
 
     excited = any(step.record is not None and step.record.excite for step in config.steps)
     following = f"levid identify {logs_in(out)} --out {quoted(out / 'identification')}"

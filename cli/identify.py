@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .folders import older_results, writable_folder
 from .progress import progress, say
+from .result_folders import older_results, writable_folder
 
 if TYPE_CHECKING:
     from ..config.model import ModelConfig
     from ..config.sim import SimConfig
-    from ..identification.results import Signals
+    from ..identification.records.signal_names import SignalNames
     from ..identification.study import Study
     from ..log.reader import Log
-    from ..report.closed_loop import Truth
+    from ..report.identification.closed_loop import Truth
 
 
 _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
@@ -90,13 +90,13 @@ def identify_logs(
     from ..config.model import load_model
     from ..config.shipped import shipped
     from ..config.sim import SimConfig
-    from ..identification.data import IdentificationError
-    from ..identification.greybox.result import to_yaml
+    from ..identification.greybox.identify_greybox import to_yaml
     from ..identification.options import Options
+    from ..identification.records.record import IdentificationError
     from ..identification.study import study
-    from ..report.flown import read_session
-    from ..report.identification import identification_report
-    from ..report.replacing import replace_text
+    from ..report.identification.identification_page import identification_report
+    from ..report.plotting.atomic_write import replace_text
+    from ..report.session.flight_data import read_session
 
     # Whatever can be wrong without reading a log is found before the work begins.
     writable_folder(out, ("model.yaml", "index.html"), ("figures",))
@@ -164,7 +164,7 @@ def _multisine(blas: Sequence[dict[str, Any]]) -> list[str]:
 
     One of so many tests passes its bound by chance; the report asks as much of them.
     """
-    from ..report.multisine import SIGNIFICANT
+    from ..report.identification.multisine import SIGNIFICANT
 
     def least(test: str) -> list[float]:
         found = [[p for p in b["tests"][test]["p_value"] if p is not None] for b in blas]
@@ -235,7 +235,7 @@ def _contradictions(found: Study) -> tuple[str, ...]:
     return () if found.grey is None else found.grey.remarks
 
 
-def _signals(found: Study) -> Signals:
+def _signals(found: Study) -> SignalNames:
     """Return names and units of what was identified."""
     from ..identification.export import fitted_signals
 
@@ -247,7 +247,7 @@ def _signals(found: Study) -> Signals:
     return fitted_signals(found.grey)
 
 
-def _named(signals: Signals) -> dict[str, Any]:
+def _named(signals: SignalNames) -> dict[str, Any]:
     return {
         "Ts_s": signals.Ts_s,
         "inputs": _pairs(signals.input_names, signals.input_units),
@@ -260,7 +260,7 @@ def _pairs(names: Sequence[str], units: Sequence[str]) -> list[dict[str, str]]:
 
 
 def _truth(config: SimConfig | None, found: Study) -> Truth | None:
-    from ..sim.truth import frequency_response
+    from ..sim.true_response import frequency_response
 
     if config is None:
         return None

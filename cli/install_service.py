@@ -32,7 +32,7 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
       sudo levid install-service /etc/levid/rig.yaml
     """
     from ..config.rig import load_rig
-    from ..daemon.service_files import (
+    from ..daemon.service.service_files import (
         NETWORK,
         hindrances,
         left_over,

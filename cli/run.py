@@ -27,10 +27,10 @@ def command(rig: Path) -> int:
     """
     from ..config.base import ConfigError
     from ..config.rig import load_rig
-    from ..daemon.journal import Journal
-    from ..daemon.realtime import leave_to_loop
-    from ..daemon.sockets import own_socket
-    from ..daemon.supervisor import Supervisor
+    from ..daemon.api.socket_paths import own_socket
+    from ..daemon.host.real_time_scheduling import leave_to_loop
+    from ..daemon.service.journal import Journal
+    from ..daemon.supervision.supervisor import Supervisor
 
     journal = Journal()
     say = journal.say

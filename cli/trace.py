@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .folders import quoted, same_logs, writable_folder
 from .progress import progress, say
+from .result_folders import quoted, same_logs, writable_folder
 
 if TYPE_CHECKING:
     from ..config.model import ModelConfig
     from ..identification.trace.result import FoundEffect, Outcome
     from ..identification.trace.study import Trace
-    from ..identification.trace.workers import Workers
+    from ..identification.trace.worker_pool import Workers
 
 
 @click.command("trace")
@@ -103,13 +103,13 @@ def trace_logs(
     dask: str | None = None,
 ) -> Traced:
     """Trace logs, write model.yaml and the report; what was found outlives a page that fails."""
-    from ..identification.greybox.result import to_yaml
+    from ..identification.greybox.identify_greybox import to_yaml
+    from ..identification.trace.figure_data import views
     from ..identification.trace.result import model_after
     from ..identification.trace.study import trace
-    from ..identification.trace.views import views
     from ..model.effects.table import all_effects
-    from ..report.replacing import replace_text
-    from ..report.trace import trace_report
+    from ..report.plotting.atomic_write import replace_text
+    from ..report.trace.trace_page import trace_report
 
     writable_folder(out, ("model.yaml", "index.html"), ("figures",))
     config = _model(model, logs)
@@ -208,7 +208,7 @@ def _values(found: FoundEffect) -> str:
 
 
 def _half(se: float) -> float:
-    from ..identification.model_response import SURE_95
+    from ..identification.subspace.response_uncertainty import SURE_95
 
     return SURE_95 * se
 
@@ -237,7 +237,7 @@ def _model(path: Path | None, logs: Sequence[Path]) -> ModelConfig:
     """Return the model to start from: the one named, or the rig's for logs of the rig."""
     from ..config.model import load_model
     from ..config.shipped import shipped
-    from ..identification.data import IdentificationError
+    from ..identification.records.record import IdentificationError
     from ..log.reader import read_log
 
     if path is not None:
@@ -252,7 +252,7 @@ def _model(path: Path | None, logs: Sequence[Path]) -> ModelConfig:
 def _workers(
     config: ModelConfig, processes: int | None, dask: str | None
 ) -> AbstractContextManager[Workers]:
-    from ..identification.trace.workers import cluster_workers, local_workers
+    from ..identification.trace.worker_pool import cluster_workers, local_workers
 
     if dask is None:
         return local_workers(config, processes, say)

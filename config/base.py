@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
-from .mistakes import dotted, mistakes, quoted, shortened
+from .error_messages import dotted, mistakes, quoted, shortened
 
 M = TypeVar("M", bound="Strict")
 _Path: TypeAlias = "tuple[_Path, Any] | None"

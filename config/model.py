@@ -14,14 +14,14 @@ Entry = Finite | str
 Matrix = tuple[tuple[Entry, ...], ...]
 
 
-class Quantity(Strict):
+class Axis(Strict):
     """A named axis of the model with its unit."""
 
     name: Identifier
     unit: str
 
 
-class Parameter(Strict):
+class ModelParameter(Strict):
     """A parameter in SI units; `fixed` ones are never fitted, `se` is a result of a fit."""
 
     value: Finite
@@ -81,11 +81,11 @@ class ModelConfig(Strict):
     levid: Literal["model"]
     name: str
     about: str = ""
-    dof: Annotated[tuple[Quantity, ...], Field(min_length=1)]
-    inputs: Annotated[tuple[Quantity, ...], Field(min_length=1)]
+    dof: Annotated[tuple[Axis, ...], Field(min_length=1)]
+    inputs: Annotated[tuple[Axis, ...], Field(min_length=1)]
     input: Literal["zoh", "foh", "band_limited"] = "zoh"
     """What the input does between samples."""
-    parameters: dict[Identifier, Parameter] = Field(default_factory=dict)
+    parameters: dict[Identifier, ModelParameter] = Field(default_factory=dict)
     scheduling: dict[Identifier, Scheduling] = Field(default_factory=dict)
     M: Matrix
     D: Matrix

@@ -23,7 +23,7 @@ class SimConfig(Strict):
     seed: Annotated[int, Field(ge=0)]
     plant: Literal["declared", "nonlinear"]
     step_s: Annotated[float, Field(gt=0, le=1e-4)] = 1e-4
-    geometry: Geometry
+    geometry: SimGeometry
     platform: Platform
     beam: Beam
     rotor: Rotor
@@ -34,7 +34,7 @@ class SimConfig(Strict):
     end_stops: EndStops
     drives: Drives
     nonlinear: Nonlinear | None = None
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[SimEffect, ...] = ()
 
     @model_validator(mode="after")
     def _level_and_sizes_agree(self) -> Self:
@@ -63,7 +63,7 @@ class SimConfig(Strict):
         return self
 
 
-class Geometry(Strict):
+class SimGeometry(Strict):
     """Positions of coils and sensors; sensors sit under the coils unless they are given."""
 
     r_m: Positive  # nominal arm of the grid
@@ -230,7 +230,7 @@ class Nonlinear(Strict):
     rotor_drive: DriveLoop
 
 
-class Effect(Strict):
+class SimEffect(Strict):
     """One thing the plant does and the model does not know: a class and its named values."""
 
     model_config = ConfigDict(extra="allow", frozen=True)

@@ -1,1 +1,1 @@
-"""The daemon: clock, loop, control, excitation, session, limits, recorder, server."""
+"""Fly the platform: a timed loop, its recorder, planner and control socket, supervised."""

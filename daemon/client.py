@@ -12,8 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from .result import FlightResult
-from .sockets import require_own_folder, socket_path
+from .api.socket_paths import require_own_folder, socket_path
+from .recording.session_logs import FlightResult
 
 __all__ = ["Client", "DaemonError", "NoDaemonError", "socket_path"]
 

@@ -1,7 +1,7 @@
 """Writes docs/effects-table.md from the table of candidates: `python docs/make_effects_table.py`.
 
 What a family is, where its equations come from and what it looks like is said by the docstring of
-its module. tests/test_docs_effects_table.py fails when the page is not what this would write.
+its module. tests/docs/test_effects_table.py fails when the page is not what this would write.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Writes the tables of docs/*.md from the code: `python docs/make_reference.py`.
 
 Keys, types, bounds and defaults come from the schemas, states and faults from the daemon's tables;
-what a key means, and its unit, is said in reference.yaml. tests/test_docs_reference.py fails when a
+what a key means, and its unit, is said in reference.yaml. tests/docs/test_reference.py fails when a
 page is not what this would write.
 """
 
@@ -20,9 +20,9 @@ from levid.config.rig import RigConfig, load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
-from levid.daemon.faults import FAULTS
-from levid.daemon.states import TRANSITIONS, State
-from levid.daemon.watchdogs import fall_s, longest_stall, zero_after_s
+from levid.daemon.control.detection_times import fall_s, longest_stall, zero_after_s
+from levid.daemon.control.faults import FAULTS
+from levid.daemon.control.states import TRANSITIONS, State
 from levid.log.signals_file import SignalsFile
 
 DOCS = Path(__file__).parent

@@ -8,12 +8,12 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from ..config.base import ConfigError
-from ..wire import device
-from ..wire.budget import Budget, check_budget
+from ..wire import device_protocol
+from ..wire.bus_budget import Budget, check_budget
 from .base import Backend, Context, Devices
 
 ENTRY_POINT_GROUP = "levid.backends"
-ROLES = device.ROLES
+ROLES = device_protocol.ROLES
 
 _OWN = {
     "loopback": ".loopback:LoopbackBackend",

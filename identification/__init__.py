@@ -1,1 +1,1 @@
-"""Identification: log -> records -> Markov parameters and frequency response -> plant."""
+"""Identify a plant from logs: records -> nonparametric, subspace, greybox -> trace."""

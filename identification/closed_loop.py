@@ -8,16 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
-from . import frequency
-from .coverage import PoorExcitationError, check_excitation
-from .data import OperatingPoint, PiController, Record
-from .ho_kalman import Decomposition, OrderChoice, Scaling, decompose, order_from_gap, realise
-from .hold_out import hold_out, settled_row
-from .loop import without_delay
-from .markov import ESTIMATORS, MarkovEstimate, estimate_markov, markov_response, most_taps
+from .nonparametric import frequency_response
+from .nonparametric.markov_parameters import (
+    ESTIMATORS,
+    MarkovEstimate,
+    estimate_markov,
+    markov_response,
+    most_taps,
+)
 from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
-from .plant import Plant, closed_loop, plant_from_loop
-from .plausibility import (
+from .records.persistence_of_excitation import PoorExcitationError, check_excitation
+from .records.record import OperatingPoint, PiController, Record
+from .results import ClosedLoopPoint
+from .subspace.delay_removal import without_delay
+from .subspace.held_out_simulation import hold_out, settled_row
+from .subspace.ho_kalman import (
+    Decomposition,
+    OrderChoice,
+    Scaling,
+    decompose,
+    order_from_gap,
+    realise,
+)
+from .subspace.model_checks import (
     HARMS,
     STATES_A_DOF,
     doubts,
@@ -26,7 +39,7 @@ from .plausibility import (
     predicted_errors,
     settling_time,
 )
-from .results import ClosedLoopPoint
+from .subspace.plant_from_loop import IdentifiedPlant, closed_loop, plant_from_loop
 
 Array = NDArray[np.float64]
 
@@ -84,10 +97,10 @@ def identify_closed_loop(
     segment_s = options.segment_s or _at_most(LOOP_SEGMENT_S, settled, LEAST_SEGMENTS)
 
     grid = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.25 / Ts_s), POINTS)
-    S = frequency.sensitivity(settled, grid, segment_s)
-    joint = frequency.plant_from_joint(settled, grid, segment_s)
+    S = frequency_response.sensitivity(settled, grid, segment_s)
+    joint = frequency_response.plant_from_joint(settled, grid, segment_s)
     free = [i for i in range(len(controller.kp)) if not (controller.kp[i] or controller.ki[i])]
-    G = frequency.frequency_response(
+    G = frequency_response.frequency_response(
         [r.v for r in settled], [r.y for r in settled], Ts_s, grid, segment_s
     )
     progress(0.9)
@@ -107,8 +120,12 @@ def identify_closed_loop(
         plant=plant,
         freq_hz=S.freq_hz,
         from_ho_kalman=plant.response(S.freq_hz),
-        from_markov=frequency.plant_from_loop_response(measured, controller, S.freq_hz, Ts_s),
-        from_sensitivity=joint if free else frequency.plant_from_sensitivity(S, controller),
+        from_markov=frequency_response.plant_from_loop_response(
+            measured, controller, S.freq_hz, Ts_s
+        ),
+        from_sensitivity=joint
+        if free
+        else frequency_response.plant_from_sensitivity(S, controller),
         from_joint=joint,
         sensitivity=S,
         loop_coherence=G.coherence,
@@ -169,7 +186,7 @@ def _realise(
     controller: PiController,
     delay: int,
     lag_pole: float,
-) -> tuple[OrderChoice, StateSpace, Plant]:
+) -> tuple[OrderChoice, StateSpace, IdentifiedPlant]:
     # Fewer states no motion has: without this, slow integrators pass for noise now and then.
     least = STATES_A_DOF * len(controller.ki) + int(np.sum(controller.ki > 0))
     order = order_from_gap(decomposition.singular_values, least)
@@ -177,7 +194,7 @@ def _realise(
         gap = order.gaps[given - 1] if 1 <= given <= len(order.gaps) else np.nan
         order = OrderChoice(given, float(gap), order.gaps)
     loop = realise(decomposition, order.order)
-    return order, loop, Plant(plant_from_loop(loop, controller), delay, lag_pole)
+    return order, loop, IdentifiedPlant(plant_from_loop(loop, controller), delay, lag_pole)
 
 
 def _at_most(wanted_s: float, records: Sequence[Record], share: int) -> float:

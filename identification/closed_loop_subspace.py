@@ -8,14 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from .closed_loop import LONGEST_SETTLING_S, SETTLED_S
-from .data import IdentificationError, Record
-from .hold_out import hold_out, settled_row
-from .model_response import modes, response_with_errors
 from .options import Options
-from .plant import closed_loop
-from .plausibility import STATES_A_DOF, doubts, order_doubts, predicted_errors, settling_time
+from .records.record import IdentificationError, Record
 from .results import ClosedLoopPoint, SubspacePoint
-from .subspace import plant_by_subspace
+from .subspace.held_out_simulation import hold_out, settled_row
+from .subspace.model_checks import (
+    STATES_A_DOF,
+    doubts,
+    order_doubts,
+    predicted_errors,
+    settling_time,
+)
+from .subspace.pbsid import plant_by_subspace
+from .subspace.plant_from_loop import closed_loop
+from .subspace.response_uncertainty import modes, response_with_errors
 
 
 def with_subspace(

@@ -14,11 +14,12 @@ from scipy import signal
 from scipy.io import savemat
 
 from ..model.second_order import StateSpace
-from .frequency import ResponseEstimate
-from .greybox.result import GreyBox
-from .multisine import BestLinearApproximation
-from .plant import Plant
-from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, Signals
+from .greybox.identify_greybox import GreyBox
+from .nonparametric.frequency_response import ResponseEstimate
+from .nonparametric.robust_multisine import BestLinearApproximation
+from .records.signal_names import SignalNames
+from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
+from .subspace.plant_from_loop import IdentifiedPlant
 
 if TYPE_CHECKING:
     import control
@@ -30,7 +31,7 @@ _FIELD_CHARACTERS = 63
 
 
 def control_state_space(
-    model: StateSpace | Plant, signals: Signals | None = None
+    model: StateSpace | IdentifiedPlant, signals: SignalNames | None = None
 ) -> control.StateSpace:
     """Return the model for python-control, with its sampling time, named after `signals` if given.
 
@@ -42,7 +43,7 @@ def control_state_space(
     return module.StateSpace(full.A, full.B, full.C, full.D, full.Ts_s, **_named(signals))
 
 
-def control_frd(estimate: ResponseEstimate, signals: Signals | None = None) -> control.FRD:
+def control_frd(estimate: ResponseEstimate, signals: SignalNames | None = None) -> control.FRD:
     """Return the response for python-control: (m, p, F) at rad/s, named after `signals` if given.
 
     What it cannot hold, coherence and covariance, stays behind. Raises ModuleNotFoundError without
@@ -54,7 +55,7 @@ def control_frd(estimate: ResponseEstimate, signals: Signals | None = None) -> c
     return module.FRD(response, omega_rad_s, estimate.Ts_s, **_named(signals))
 
 
-def scipy_state_space(model: StateSpace | Plant) -> signal.StateSpace:
+def scipy_state_space(model: StateSpace | IdentifiedPlant) -> signal.StateSpace:
     """Return the model for scipy.signal: a `dlti`, or an `lti` where it is continuous.
 
     The delay and the lag of a Plant become states.
@@ -140,10 +141,10 @@ def write_fitted_mat(path: Path, grey: GreyBox) -> None:
     savemat(path, contents, appendmat=False, long_field_names=True)
 
 
-def fitted_signals(grey: GreyBox) -> Signals:
+def fitted_signals(grey: GreyBox) -> SignalNames:
     """Return names and units of a fitted model's inputs and outputs."""
     inputs, dof = grey.declared.inputs, grey.declared.dof
-    return Signals(
+    return SignalNames(
         tuple(q.name for q in inputs),
         tuple(q.unit for q in inputs),
         tuple(q.name for q in dof),
@@ -175,7 +176,7 @@ def _measured(
     }
 
 
-def _signals(signals: Signals) -> dict[str, Any]:
+def _signals(signals: SignalNames) -> dict[str, Any]:
     return {
         "Ts": signals.Ts_s,
         "input_names": _cell(signals.input_names),
@@ -201,8 +202,8 @@ def _alike(grids: Sequence[Array]) -> bool:
     return all(np.array_equal(grid, grids[0]) for grid in grids)
 
 
-def _state_space(model: StateSpace | Plant) -> StateSpace:
-    return model.state_space() if isinstance(model, Plant) else model
+def _state_space(model: StateSpace | IdentifiedPlant) -> StateSpace:
+    return model.state_space() if isinstance(model, IdentifiedPlant) else model
 
 
 def _model(point: ClosedLoopPoint | OpenLoopPoint) -> StateSpace:
@@ -237,7 +238,7 @@ def _python_control() -> ModuleType:
         ) from None
 
 
-def _named(signals: Signals | None) -> dict[str, list[str]]:
+def _named(signals: SignalNames | None) -> dict[str, list[str]]:
     if signals is None:
         return {}
     return {"inputs": list(signals.input_names), "outputs": list(signals.output_names)}

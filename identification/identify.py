@@ -9,18 +9,19 @@ from threadpoolctl import threadpool_limits
 
 from .closed_loop import identify_closed_loop, wanted_rows
 from .closed_loop_subspace import with_subspace
-from .coverage import PoorExcitationError, check_inputs
-from .data import (
+from .open_loop import identify_open_loop
+from .options import Options
+from .records.persistence_of_excitation import PoorExcitationError, check_inputs
+from .records.record import (
     IdentificationError,
     OperatingPoint,
     Record,
     describe_position,
     operating_points,
 )
-from .long_enough import left_out_remarks, long_enough
-from .open_loop import identify_open_loop
-from .options import Options
-from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, Signals
+from .records.record_length import left_out_remarks, long_enough
+from .records.signal_names import SignalNames
+from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
 
 Progress = Callable[[str, float], None]
 """Is told what is being done, and the share (0 to 1) of all work that is done."""
@@ -74,7 +75,7 @@ def identify(
     if not results:
         poor = all(isinstance(error, PoorExcitationError) for error in failed.values())
         raise (PoorExcitationError if poor else IdentificationError)("; ".join(reasons))
-    signals = Signals(
+    signals = SignalNames(
         first.input_names, first.input_units, first.output_names, first.output_units, first.Ts_s
     )
     return IdentificationResult(signals, tuple(results), (*skipped, *reasons))

@@ -9,16 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
-from .data import IdentificationError, OperatingPoint, Record
-from .fit import nrmse_fit_percent
-from .frequency import ResponseEstimate, frequency_response
-from .ho_kalman import Scaling, decompose_coloured, realise
-from .long_enough import left_out_remarks, long_enough
-from .markov import MarkovEstimate, estimate_markov, most_taps
+from .nonparametric.frequency_response import ResponseEstimate, frequency_response
+from .nonparametric.markov_parameters import MarkovEstimate, estimate_markov, most_taps
 from .options import Options
-from .predictor import choose_past, innovation_model, state_sequence
-from .results import HoldOut, OpenLoopPoint
-from .simulate import InnovationModel, fit_input_matrices, initial_state, simulate, spectral_radius
+from .records.record import IdentificationError, OperatingPoint, Record
+from .records.record_length import left_out_remarks, long_enough
+from .results import OpenLoopPoint
+from .subspace.fit_percent import nrmse_fit_percent
+from .subspace.held_out_simulation import HoldOut
+from .subspace.ho_kalman import Scaling, decompose_coloured, realise
+from .subspace.innovation_model import choose_past, innovation_model, state_sequence
+from .subspace.simulation import (
+    InnovationModel,
+    fit_input_matrices,
+    initial_state,
+    simulate,
+    spectral_radius,
+)
 
 Array = NDArray[np.float64]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .data import IdentificationError
-from .markov import ESTIMATORS
+from .nonparametric.markov_parameters import ESTIMATORS
+from .records.record import IdentificationError
 
 LOOP_IMPULSE_S = 8.0  # the integrators' mode decays in 1.15 s: after 6 s it still biases by 0.2 %
 LOOP_SEGMENT_S = 10.0

@@ -9,46 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
-from .data import PiController
-from .frequency import ResponseEstimate
-from .ho_kalman import OrderChoice
-from .markov import MarkovEstimate
-from .model_response import ModelResponse, Modes
-from .plant import Plant
-from .simulate import InnovationModel
+from .nonparametric.frequency_response import ResponseEstimate
+from .nonparametric.markov_parameters import MarkovEstimate
+from .records.record import PiController
+from .records.signal_names import SignalNames
+from .subspace.held_out_simulation import HoldOut
+from .subspace.ho_kalman import OrderChoice
+from .subspace.plant_from_loop import IdentifiedPlant
+from .subspace.response_uncertainty import ModelResponse, Modes
+from .subspace.simulation import InnovationModel
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-
-@dataclass(frozen=True)
-class Signals:
-    """Names and units of inputs and outputs, and their sampling time."""
-
-    input_names: tuple[str, ...]
-    input_units: tuple[str, ...]
-    output_names: tuple[str, ...]
-    output_units: tuple[str, ...]
-    Ts_s: float
-
-
-@dataclass(frozen=True)
-class HoldOut:
-    """Rows that no estimate has seen: measured (N, m), simulated from the input alone, predicted.
-
-    Fits are in percent, one for each output (m,). `predicted` (one step ahead) is None where no
-    predictor was identified. `driven` (m,) says which outputs the record moves by excitation at
-    their own inputs; None where outputs have no inputs of their own.
-    """
-
-    record: str
-    time_s: Array
-    measured: Array
-    simulated: Array
-    simulated_fit_percent: Array
-    predicted: Array | None = None
-    predicted_fit_percent: Array | None = None
-    driven: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -62,7 +34,7 @@ class SubspacePoint:
     none of it is to be trusted.
     """
 
-    plant: Plant
+    plant: IdentifiedPlant
     order: OrderChoice
     singular_values: Array
     covariance: Array
@@ -99,7 +71,7 @@ class ClosedLoopPoint:
     singular_values: Mapping[str, Array]
     order: OrderChoice
     loop: StateSpace
-    plant: Plant
+    plant: IdentifiedPlant
     freq_hz: Array
     from_ho_kalman: Complex
     from_markov: Complex
@@ -118,7 +90,7 @@ class ClosedLoopPoint:
         return not self.doubts
 
     @property
-    def recommended(self) -> Plant | None:
+    def recommended(self) -> IdentifiedPlant | None:
         """The plant to use: by subspace where it can be trusted, else by Ho-Kalman, else None.
 
         From the same records the subspace method errs less, and says by how much.
@@ -159,6 +131,6 @@ class OpenLoopPoint:
 class IdentificationResult:
     """All operating points of a set of logs, and why some logs were left out."""
 
-    signals: Signals
+    signals: SignalNames
     points: tuple[ClosedLoopPoint | OpenLoopPoint, ...]
     skipped: tuple[str, ...] = field(default=())

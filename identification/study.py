@@ -11,18 +11,27 @@ import numpy as np
 from ..config.model import ModelConfig
 from ..log.errors import LogError
 from ..log.reader import Log, read_log
-from .data import IdentificationError, NotARecordError, Record, describe_position
-from .declared import declared_model
-from .from_log import from_log
 from .greybox.experiment import Experiment
-from .greybox.result import GreyBox, identify_grey_box
+from .greybox.identify_greybox import GreyBox, identify_grey_box
+from .greybox.model_file import declared_model
 from .identify import identify
-from .multisine import BestLinearApproximation, at_every_position, by_position_and_level
-from .once import Once
+from .nonparametric.robust_multisine import (
+    BestLinearApproximation,
+    at_every_position,
+    by_position_and_level,
+)
 from .options import Options
-from .periodic import IncompleteError, NotPeriodicError, PeriodicRecord, periodic_record
+from .records.duplicates import Once
+from .records.from_log import from_log
+from .records.periodic_records import (
+    IncompleteError,
+    NotPeriodicError,
+    PeriodicRecord,
+    periodic_record,
+)
+from .records.record import IdentificationError, NotARecordError, Record, describe_position
 from .results import ClosedLoopPoint, IdentificationResult
-from .trace.known import experiment_of
+from .trace.subtract_effects import experiment_of
 
 Progress = Callable[[str, float], None]
 

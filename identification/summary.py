@@ -8,18 +8,13 @@ from typing import Any
 import numpy as np
 
 from ..model.second_order import StateSpace
-from .greybox.result import GreyBox
-from .markov import MarkovEstimate
-from .multisine import BestLinearApproximation
-from .plant import Plant
-from .results import (
-    ClosedLoopPoint,
-    HoldOut,
-    IdentificationResult,
-    OpenLoopPoint,
-    SubspacePoint,
-)
+from .greybox.identify_greybox import GreyBox
+from .nonparametric.markov_parameters import MarkovEstimate
+from .nonparametric.robust_multisine import BestLinearApproximation
+from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, SubspacePoint
 from .study import Study
+from .subspace.held_out_simulation import HoldOut
+from .subspace.plant_from_loop import IdentifiedPlant
 
 _RESPONSES = 30
 """Frequencies at which a response is told, out of those of the result: 11 a decade."""
@@ -105,7 +100,7 @@ def _subspace(found: SubspacePoint) -> dict[str, Any]:
     }
 
 
-def _plant(plant: Plant) -> dict[str, Any]:
+def _plant(plant: IdentifiedPlant) -> dict[str, Any]:
     return {
         **_model(plant.core),
         "delay_steps": plant.delay_steps,

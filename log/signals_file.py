@@ -40,7 +40,7 @@ class Column(Strict):
         return f"column {self.column!r}{index}"
 
 
-class Rows(Strict):
+class RowRange(Strict):
     """The samples to be taken, both included; counted from 0, a header not counted."""
 
     first: Index = 0
@@ -69,7 +69,7 @@ class SignalsFile(Strict):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
     rate_hz: Positive
     format: Format | None = None
-    rows: Rows = Rows()
+    rows: RowRange = RowRange()
     samples: Literal["rows", "columns"] = "rows"
     input_hold: Literal["zoh", "foh", "band_limited"] = "zoh"
     columns: Annotated[tuple[Column, ...], Field(min_length=1)]

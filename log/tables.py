@@ -16,7 +16,7 @@ import scipy.io
 from numpy.typing import NDArray
 
 from .errors import LogError
-from .signals_file import Column, Rows, SignalsFile
+from .signals_file import Column, RowRange, SignalsFile
 
 Columns = list[NDArray[np.float64]]
 
@@ -205,7 +205,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _check_length(path: Path, rows: Rows, count: int) -> None:
+def _check_length(path: Path, rows: RowRange, count: int) -> None:
     if count <= (rows.first if rows.last is None else rows.last):
         wanted = f"{rows.first} on" if rows.last is None else f"{rows.first} to {rows.last}"
         raise LogError(f"{path}: expected rows {wanted}, found {count} rows")

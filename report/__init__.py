@@ -1,1 +1,1 @@
-"""Figures and the report page: plain arrays in, one HTML file that opens from disk out."""
+"""Draw figures and write report pages as single HTML files."""

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from ..config.sim import SimConfig
-from . import kernels as k
-from .arrays import Arrays
+from . import plant_kernels as k
 from .effects import HOOKS, BeamState, EffectError, Effects
-from .kernels import Array
+from .plant_arrays import Arrays
+from .plant_kernels import Array
 
 
 class Plant:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from levid.drivers.base import LinkError
-from levid.drivers.can.link import CanLink
-from levid.drivers.serial.line import SerialLine
+from levid.drivers.can.bus_link import CanLink
+from levid.drivers.serial.serial_line import SerialLine
 
 
 def is_for_one_loop(first: CanLink | SerialLine, second: CanLink | SerialLine) -> None:

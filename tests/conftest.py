@@ -17,22 +17,29 @@ from levid.config.base import parse_text
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 
+_TESTS = Path(__file__).parent
 _WATCH = pytest.StashKey[Watch]()
-_COMPUTE = ("cli", "config", "docs", "identification", "log", "model", "report", "sim", "wire")
-"""Rooms whose tests do nothing but compute, so that several of them may run at the same time."""
-_BUT = (
-    "test_identification_trace_workers",
-    "test_report_session",
-    "test_wire_local_bus",
-    "test_wire_read_ahead",
+_COMPUTE = (
+    "cli",
+    "compatibility",
+    "config",
+    "docs",
+    "identification",
+    "log",
+    "model",
+    "report",
+    "sim",
+    "wire",
 )
+"""Packages whose tests only compute, so that several of them may run at the same time."""
+_BUT = ("test_worker_pool", "test_session_page", "test_local_bus", "test_read_ahead")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that a busy machine could fail."""
     for item in items:
-        name = item.path.stem
-        if name in _BUT or name.split("_")[1] not in _COMPUTE:
+        package = item.path.relative_to(_TESTS).parts[0]
+        if item.path.stem in _BUT or package not in _COMPUTE:
             item.add_marker(pytest.mark.alone)
 
 
@@ -182,7 +189,7 @@ def host_paced(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
     for share in ("_ANSWER_SHARE", "_SENT_BY"):
-        monkeypatch.setattr(f"levid.drivers.on_bus.{share}", 1e4)
+        monkeypatch.setattr(f"levid.drivers.bus_backend.{share}", 1e4)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from typing import Any
 
 from levid.config.rig import RigConfig
 from levid.daemon.client import Client, DaemonError
-from levid.daemon.supervisor import Supervisor
+from levid.daemon.supervision.supervisor import Supervisor
 
 GIVE_UP_S = 60.0
 # 250 Hz, and no rights that others on the machine would feel: what tests assert is what happens,

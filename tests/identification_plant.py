@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from levid.identification.data import PiController, Record
+from levid.identification.records.record import PiController, Record
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from levid.model.effects.base import Places
+from levid.model.effects.base import Places, Signals
 from levid.model.geometry import shape_matrix
 from levid.sim import effects
 from levid.sim.effects import HOOKS, EffectGeometry, EffectPlant
@@ -66,3 +66,18 @@ def shipped_effects() -> set[str]:
                 found[f"{module.name}:{cls.__name__}"] = cls
     bases = {base for cls in found.values() for base in cls.__mro__[1:]}
     return {use for use, cls in found.items() if cls not in bases}
+
+
+def moving() -> Signals:
+    draw = np.random.default_rng(1).standard_normal
+    motion = [1e-3 * draw((200, 3)) for _ in range(3)]
+    return Signals(
+        0.01, np.arange(200) * 0.01, *motion, draw((200, 9)),
+        *(draw(200) for _ in range(6)), 1, rig_places((0.0, 2.0)),
+    )  # fmt: skip
+
+
+def acts(term):
+    """What a term adds: a force, a reading, or what of a coil comes to the model's inputs."""
+    (there,) = (part for part in (term.force, term.gap, term.held) if part is not None)
+    return there

@@ -11,14 +11,14 @@ import numpy as np
 from levid.config.rig import RigConfig, load_rig
 from levid.config.session import Step
 from levid.config.shipped import shipped
-from levid.daemon.board import Word
-from levid.daemon.clock import Clock
-from levid.daemon.control import Controller
-from levid.daemon.plan import plan_steps
-from levid.daemon.program import Feeder, Logged
-from levid.daemon.shared import Shared
-from levid.daemon.timed_loop import TimedLoop
-from levid.daemon.warm_up import warm_up
+from levid.daemon.control.control_cycle import Controller
+from levid.daemon.ipc.control_words import Word
+from levid.daemon.ipc.segment_stream import Feeder, Logged
+from levid.daemon.ipc.shared_memory import Shared
+from levid.daemon.loop.clock import Clock
+from levid.daemon.loop.real_time_loop import TimedLoop
+from levid.daemon.loop.warm_up import warm_up
+from levid.daemon.planning.plan import plan_steps
 from levid.drivers.base import Context, Devices
 from levid.drivers.registry import open_devices
 

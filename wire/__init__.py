@@ -1,1 +1,1 @@
-"""What is on the wire: layouts, checksums and times of frames; pure functions, no I/O."""
+"""Encode and decode frames, with checksums and time on the bus."""

@@ -12,18 +12,18 @@ import numpy as np
 from ...config.base import ConfigError
 from ...config.buses import AmplifierOptions, CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig
-from ...wire import cia402
-from ...wire.adapters import check_bus
-from ...wire.can_frames import CanFrames, load_frames
-from ...wire.cia402 import NMT_ID, NODE_IDS, SYNC_ID
-from ...wire.device import AMPLIFIER_LIMITS, CYCLES, ROLES, SENSOR_LIMITS, require_told
-from ...wire.values import LARGEST
+from ...wire.can import cia402
+from ...wire.can.adapters import check_bus
+from ...wire.can.can_frames import CanFrames, load_frames
+from ...wire.can.cia402 import NMT_ID, NODE_IDS, SYNC_ID
+from ...wire.device_protocol import AMPLIFIER_LIMITS, CYCLES, ROLES, SENSOR_LIMITS, require_told
+from ...wire.int16_scaling import LARGEST
 from ..base import Context, FirstError, LinkError
-from ..on_bus import AnswerTime, BusBackend
-from .devices import CanAmplifiers, CanSensors
-from .drives import CanDrives
-from .link import CanLink
-from .nodes import node_of
+from ..bus_backend import AnswerTime, BusBackend
+from .amplifiers_and_adc import CanAmplifiers, CanSensors
+from .bus_link import CanLink
+from .canopen_drives import CanDrives
+from .canopen_nodes import node_of
 
 
 class CanBackend(BusBackend):

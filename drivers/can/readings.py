@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ...wire.can_frames import ValueFrames
-from ...wire.rejected import Rejected
+from ...wire.can.can_frames import ValueFrames
+from ...wire.frame_rejection import Rejected
 from ..base import Array
-from ..watch import Watch
-from .link import CanLink
+from ..stale_readings import Watch
+from .bus_link import CanLink
 
 
 class Readings:

@@ -11,7 +11,7 @@ from ...config.base import ConfigError
 from ...config.buses import AmplifierOptions, SerialDriveOptions
 from ...config.rig import RigConfig
 from ...log.signals import Stale
-from ...wire.device import (
+from ...wire.device_protocol import (
     AMPLIFIER_LIMITS,
     DRIVE_LIMITS,
     SENSOR_LIMITS,
@@ -21,8 +21,9 @@ from ...wire.device import (
     declared,
     require_told,
 )
-from ...wire.serial_frames import FORCE_N, GAP_M, Contents
-from ...wire.values import LARGEST
+from ...wire.int16_scaling import LARGEST
+from ...wire.serial.serial_frames import FORCE_N, GAP_M, FrameContents
+from ..amplifier_enabling import AmplifierWatch, compare_limits, refusal
 from ..base import (
     Array,
     CoilAmplifiers,
@@ -33,11 +34,10 @@ from ..base import (
     ManipulatorDrives,
     PositionSensors,
 )
-from ..enabling import AmplifierWatch, compare_limits, refusal
-from ..on_bus import AnswerTime, BusBackend
-from ..rounding import CarriedRounding
-from ..sensing import SensorWatch, check_skew
-from .port import TransactionPort
+from ..bus_backend import AnswerTime, BusBackend
+from ..force_quantiser import CarriedRounding
+from ..reading_checks import SensorWatch, check_skew
+from .transaction import TransactionPort
 
 _UNHEARD = int(Stale.SETPOINTS)
 
@@ -71,7 +71,7 @@ class SerialBackend(BusBackend):
         on = {name: {r for r, o in options.items() if o.bus == name} for name in names}
         answers = AnswerTime.of(context)
         self._ports = {
-            name: TransactionPort(name, rig.serial[name], Contents.of(rig, on[name]), answers)
+            name: TransactionPort(name, rig.serial[name], FrameContents.of(rig, on[name]), answers)
             for name in names
         }
         played: dict[str, _Amplifiers | _Sensors | _Drives] = {}

@@ -1,1 +1,1 @@
-"""The declared model fitted to records: prediction, noise, Gauss-Newton, identifiability."""
+"""Fit the declared model to records by maximum likelihood, with its noise floor."""

@@ -13,8 +13,7 @@ from ...config.model import ModelConfig
 from ...log.reader import Log
 from ...log.signals_file import SignalsFile
 from ...model.geometry import decoupling_matrix, shape_matrix
-from ..data import IdentificationError, NotARecordError, PiController
-from ..from_log import (
+from ..records.from_log import (
     EXCITATION,
     FEED_FORWARD,
     POSE,
@@ -26,9 +25,10 @@ from ..from_log import (
     require_finite,
     rig_of,
 )
-from ..gaps import without_gaps
+from ..records.record import IdentificationError, NotARecordError, PiController
+from ..records.resampling import without_gaps
 from .covariance import correlation
-from .inputs import Hold
+from .intersample_input import Hold
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ twentieth of the rate, where jitter is less than a 30th of it."""
 
 
 @dataclass(frozen=True)
-class Loop:
+class ControlLoop:
     """What closed the loop: v (N, p), reference (N, n), feed-forward (N, p), controller."""
 
     v: Array
@@ -76,7 +76,7 @@ class Experiment:
     rates: frozenset[str]
     moving: bool
     delay_cycles: int = 0
-    loop: Loop | None = None
+    loop: ControlLoop | None = None
     remarks: tuple[str, ...] = ()
     hold: Hold | None = None
     correlations: tuple[Array, Array] | None = None
@@ -84,7 +84,7 @@ class Experiment:
     def rows(self, start: int, stop: int) -> Experiment:
         """Return the experiment cut to rows start .. stop."""
         cut = slice(start, stop)
-        loop = self.loop and Loop(
+        loop = self.loop and ControlLoop(
             self.loop.v[cut],
             self.loop.reference[cut],
             self.loop.feedforward[cut],
@@ -161,7 +161,7 @@ def _flown(log: Log) -> Experiment:
     geometry = rig_of(log).geometry
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     T = decoupling_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
-    loop = Loop(
+    loop = ControlLoop(
         columns(log, EXCITATION) + log.field("coil_excitation_n").astype(float) @ S,
         columns(log, REFERENCE),
         columns(log, FEED_FORWARD),

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ...config.model import ModelConfig
-from ...model.declared import DeclaredModel, ModelError
-from ..data import IdentificationError
-from ..declared import declared_model
+from ...model.declared_model import DeclaredModel, ModelError
+from ..records.record import IdentificationError
+from .discretisation import motion
 from .experiment import Experiment
+from .free_parameters import free_parameters
 from .identifiability import Unidentifiable, judge
-from .motion import motion
-from .noise import Filter, Noise
-from .noise_fit import estimate_noise
-from .parameters import free_parameters
-from .prediction import Prediction, errors_of, predict, settled
+from .model_file import declared_model
+from .noise_estimate import estimate_noise
+from .noise_model import Filter, Noise
+from .prediction_errors import Prediction, errors_of, predict, settled
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 from scipy.stats import chi2, norm
 
-from ...model.declared import DeclaredModel
-from ..fit import nrmse_fit_percent
+from ...model.declared_model import DeclaredModel
+from ..subspace.fit_percent import nrmse_fit_percent
 from .experiment import Experiment
-from .floor import floor_psd, noise_floor
-from .inputs import Hold
-from .noise import Noise
-from .prediction import predict
-from .simulate import free_run
+from .free_run import free_run
+from .intersample_input import Hold
+from .noise_floor import floor_psd, noise_floor
+from .noise_model import Noise
+from .prediction_errors import predict
 
 Array = NDArray[np.float64]
 

@@ -1,1 +1,1 @@
-"""From what a model leaves unexplained to the physical effect behind it."""
+"""Find the physical effects that a model lacks."""

@@ -14,9 +14,9 @@ from ...config.model import EffectParameter, ModelConfig, ModelEffect
 from ...model.effects.base import Effect, Placed, Places
 from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
-from .metric import RecordError, pooled, pooled_pose, shares
-from .screening import Round, Tried
-from .shaking import Shaking
+from .residual.error_metric import RecordError, pooled, pooled_pose, shares
+from .residual.random_vibration import Shaking
+from .search.candidate_screening import Round, Tried
 from .study import Trace
 
 Array = NDArray[np.float64]

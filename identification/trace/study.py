@@ -14,30 +14,30 @@ from threadpoolctl import threadpool_limits
 
 from ...config.model import ModelConfig
 from ...model.effects.base import Effect, Places
-from ...model.effects.declared import placed_effects
-from ...model.effects.extent import Extent
+from ...model.effects.driven_range import Extent
+from ...model.effects.effect_serialization import placed_effects
 from ...model.effects.freeform import freeform_effects
-from ..data import IdentificationError
-from ..declared import declared_model
 from ..greybox.fit import first_noise, fit_model
-from ..greybox.parameters import free_parameters
-from .beyond import shown_beyond
-from .grams import BLOCK_S, Linearised
-from .hints import extent
-from .linearise import blocks_in, linearise
-from .loads import loads_of
-from .metric import RecordError, pooled, record_error
-from .noise import disturbance, require_noise
-from .reading import read_records
-from .record import TraceRecord, split
-from .refine import NEARLY, Candidate, refine
-from .regression import FOLDS
-from .screening import HeldError
-from .search import Found, search, without_followers
-from .session_time import overlap, require_timeless, timeless
-from .shaking import Shaking, force_spectrum, shaking
-from .workers import Source, Workers
-from .working_point import WorkingPoint, with_likely_noise
+from ..greybox.free_parameters import free_parameters
+from ..greybox.model_file import declared_model
+from ..records.record import IdentificationError
+from .linearised.gram_matrices import BLOCK_S, Linearised
+from .linearised.linearise import blocks_in, linearise
+from .linearised.working_point import WorkingPoint, with_likely_noise
+from .records.coil_loads import loads_of
+from .records.initial_guesses import extent
+from .records.noise_sources import disturbance, require_noise
+from .records.read_records import read_records
+from .records.session_time import overlap, require_timeless, timeless
+from .records.trace_record import TraceRecord, split
+from .residual.error_metric import RecordError, pooled, record_error
+from .residual.random_vibration import Shaking, force_spectrum, shaking
+from .search.candidate_screening import HeldError
+from .search.free_form_readings import shown_beyond
+from .search.gauss_newton import NEARLY, Candidate, refine
+from .search.regression import FOLDS
+from .search.search import Found, search, without_followers
+from .worker_pool import RecordSource, Workers
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -69,7 +69,7 @@ class Trace:
     after: tuple[RecordError, ...]
     notes: tuple[str, ...]
     shaken: tuple[Shaking, ...] = ()
-    records: tuple[Source, ...] = ()
+    records: tuple[RecordSource, ...] = ()
     """Every record whole, fitted and held out."""
 
 
@@ -115,7 +115,7 @@ class _Begun:
     held: tuple[str, ...]
     overlapping: str
     notes: tuple[str, ...]
-    records: tuple[Source, ...]
+    records: tuple[RecordSource, ...]
 
 
 def _trace(
@@ -187,10 +187,12 @@ def _begin(
         )
     require_noise(train)
     _require_enough(train)
-    whole = {r.name: Source.of(path, 0, r.rows, span, loads, r.name) for path, r in records.items()}
+    whole = {
+        r.name: RecordSource.of(path, 0, r.rows, span, loads, r.name) for path, r in records.items()
+    }
     begin = {r.name: r.time_s[0] for r in records.values()}
 
-    def sources(parts: Sequence[TraceRecord]) -> tuple[Source, ...]:
+    def sources(parts: Sequence[TraceRecord]) -> tuple[RecordSource, ...]:
         found = []
         for part in parts:
             first = round((part.time_s[0] - begin[part.name]) / part.experiment.Ts_s)
@@ -221,8 +223,8 @@ class _Logged:
     """Records that workers read from logs."""
 
     workers: Workers
-    fitted: tuple[Source, ...]
-    kept: tuple[Source, ...]
+    fitted: tuple[RecordSource, ...]
+    kept: tuple[RecordSource, ...]
     parts: tuple[TraceRecord, ...]
 
     @property

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .extent import Extent
+from .driven_range import Extent
 from .recursions import yielding
 
 _ALONG, _ACROSS = 1, 0

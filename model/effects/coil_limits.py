@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
-from .extent import Extent
+from .driven_range import Extent
 from .points import forces
 from .recursions import held_for, lagged_within
 

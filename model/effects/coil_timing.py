@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
-from .extent import Extent
+from .driven_range import Extent
 from .recursions import lagged_mean
 
 _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term
-from .extent import Extent
+from .driven_range import Extent
 from .recursions import dahl
 
 _PITCH_M = (5e-3, 60e-3)

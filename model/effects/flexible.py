@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Placed, Places, Quantity, Signals, Term, on_dof
-from .extent import Extent
+from .driven_range import Extent
 from .points import forces
 from .recursions import lagged_mean, oscillator
 

@@ -18,23 +18,13 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from .answers import answer, answered, answers
-from .base import (
-    Effect,
-    Places,
-    Quantity,
-    Signals,
-    Term,
-    on_coil,
-    on_dof,
-    on_sensor,
-    resolved,
-)
-from .extent import Extent
+from .base import Effect, Places, Quantity, Signals, Term, on_coil, on_dof, on_sensor, resolved
+from .driven_range import Extent
+from .filtered_response import answer, answered, answers
 from .hysteresis import hystereses, hysteresis, hysteretic_command
-from .lingering import left_behind_by, lingering, lingerings
-from .warmings import warmed_by, warming, warmings
-from .waves import felt_by, wave, waves
+from .leaky_integral import left_behind_by, lingering, lingerings
+from .thermal_reading import warmed_by, warming, warmings
+from .travelling_wave import felt_by, wave, waves
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .extent import Extent
+from .driven_range import Extent
 from .recursions import bouc_wen, dahl, lugre, slip
 
 _ELEMENTS = (1.0, 4.0, 16.0)

@@ -13,7 +13,7 @@ from functools import partial
 from math import inf
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
-from .extent import Extent
+from .driven_range import Extent
 from .recursions import slip_range
 
 _KEY = re.compile(r"unknown\.hysteresis\.command\[(?P<scale>[0-9.e+-]+)\]")

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
-from .extent import Extent
+from .driven_range import Extent
 from .recursions import held, jumping, lagged, play
 
 _LAG_S = 2e-3

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .extent import Extent
+from .driven_range import Extent
 from .points import forces, heights
 
 _WIDE = 3.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from . import (
+    base_magnets,
     beam,
     bearing,
     coil_drift,
@@ -11,7 +12,6 @@ from . import (
     coil_timing,
     damping,
     drives,
-    field,
     flexible,
     friction,
     mass,
@@ -22,7 +22,7 @@ from . import (
     vibration,
 )
 from .base import Effect, Places, resolved
-from .extent import Extent
+from .driven_range import Extent
 
 
 def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, ...]:
@@ -41,7 +41,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *beam.effects(places),
         *drives.effects(places, covered),
         *bearing.effects(places, covered),
-        *field.effects(places, covered),
+        *base_magnets.effects(places, covered),
         *rotor.effects(places),
         *coil_gain.effects(places),
         *coil_timing.effects(places, covered),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import BeamState, EffectPlant
 from .places import Dof, OnDof, coil_shapes, positive
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..arrays import GRAVITY_M_S2
-from ..kernels import Array
+from ..plant_arrays import GRAVITY_M_S2
+from ..plant_kernels import Array
 from .contract import BeamState, EffectPlant
 from .places import positive
 

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from ..arrays import GRAVITY_M_S2
-from ..kernels import Array
+from ..plant_arrays import GRAVITY_M_S2
+from ..plant_kernels import Array
 from .contract import BeamState, EffectPlant
 from .friction import Springs
 from .places import positive

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import EffectPlant
 from .places import Channel, chosen, coil_shapes, positive
 

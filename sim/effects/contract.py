@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...config.base import ConfigError
-from ..kernels import Array
+from ..plant_kernels import Array
 
 HOOKS = ("reset", "coil_force", "wrench", "mass", "beam_force", "gap")
 """Names of the methods, in the order in which they are called; see the package's docstring."""

@@ -15,9 +15,9 @@ import numpy as np
 
 from ...config.model import ModelConfig, load_model
 from ...model.effects.base import Placed, Places, Signals, Term, total
-from ...model.effects.declared import placed_effects
+from ...model.effects.effect_serialization import placed_effects
 from ...model.geometry import shape_matrix
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import BeamState, EffectPlant
 
 _HISTORY_S = 4.0

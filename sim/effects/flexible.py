@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import EffectPlant
 from .places import positive
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import BeamState, EffectPlant
 from .places import positive
 

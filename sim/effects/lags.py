@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .coils import OnCoils
 from .contract import EffectPlant
 from .places import Channel, positive

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ...config.sim import Effect, Geometry
-from ..kernels import Array
+from ...config.sim import SimEffect, SimGeometry
+from ..plant_kernels import Array
 from .contract import HOOKS, BeamState, EffectError, EffectGeometry, EffectPlant
 
 
@@ -28,7 +28,7 @@ class Effects:
             or returns another shape or numbers that are not finite. It names the SIM.yaml.
     """
 
-    def __init__(self, effects: Sequence[Effect], source: Path | None) -> None:
+    def __init__(self, effects: Sequence[SimEffect], source: Path | None) -> None:
         self.source = str(source or "SIM.yaml")
         self._loaded = [
             _Loaded(f"{self.source}: effects[{i}] ({effect.use})", effect, source)
@@ -46,7 +46,11 @@ class Effects:
         return bool(self._with[hook])
 
     def reset(
-        self, dt_s: float, rngs: Sequence[np.random.Generator], geometry: Geometry, beam_z_m: float
+        self,
+        dt_s: float,
+        rngs: Sequence[np.random.Generator],
+        geometry: SimGeometry,
+        beam_z_m: float,
     ) -> None:
         """Tell every effect about the plant; `rngs` has one generator for each effect."""
         for effect, rng in zip(self._loaded, rngs, strict=True):
@@ -103,7 +107,7 @@ class Effects:
 class _Loaded:
     """One effect: its instance, its hooks, and how errors name it."""
 
-    def __init__(self, where: str, effect: Effect, source: Path | None) -> None:
+    def __init__(self, where: str, effect: SimEffect, source: Path | None) -> None:
         self.where = where
         cls = _find_class(where, effect.use, source)
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import BeamState
 from .places import Channel, Dof, OnDof
 from .sensors import OnSensors

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import BeamState
 from .places import positive
 

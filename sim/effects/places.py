@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import BeamState, EffectGeometry, EffectPlant
 
 DOF = ("psi", "theta", "z")

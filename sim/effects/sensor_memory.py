@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import EffectPlant
 from .places import Channel, positive
 from .sensors import OnSensors

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..kernels import Array
+from ..plant_kernels import Array
 from .contract import EffectPlant
 from .places import Channel, chosen
 

@@ -14,12 +14,12 @@ import numpy as np
 from ...config.base import ConfigError
 from ...config.buses import CanBus, CanDriveOptions
 from ...config.rig import RigConfig
-from ...wire.adapters import check_bus
-from ...wire.can_bus import Ages, FrameBus, open_bus
-from ...wire.can_frames import Fields, load_frames
-from ...wire.cia402 import SYNC_COUNTER, SYNC_ID, cycle_of_sync
-from ...wire.kernel_frame import BUS_OFF_ID
-from ...wire.rejected import Rejected
+from ...wire.can.adapters import check_bus
+from ...wire.can.can_bus import Ages, FrameBus, open_bus
+from ...wire.can.can_frames import Fields, load_frames
+from ...wire.can.cia402 import SYNC_COUNTER, SYNC_ID, cycle_of_sync
+from ...wire.can.kernel_frame import BUS_OFF_ID
+from ...wire.frame_rejection import Rejected
 from .core import Core
 from .faults import Injector, Outgoing
 

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ...config.sim import SimConfig
-from ...wire.cia402 import ENCODER_LOST
-from ...wire.device import (
+from ...wire.can.cia402 import ENCODER_LOST
+from ...wire.device_protocol import (
     AMPLIFIER_LIMITS,
     CYCLES,
     AmplifierState,
+    DeviceParameter,
     DriveState,
-    Parameter,
     Refusal,
     Request,
     SensorState,
@@ -237,7 +237,7 @@ class Core:
                     self.disable_drives()
                 return
             self._drives_led = True
-            limit_m = self.limits[Parameter.BEAM_LIMIT_UM] * 1e-6 + 1e-6
+            limit_m = self.limits[DeviceParameter.BEAM_LIMIT_UM] * 1e-6 + 1e-6
             self._plan = [motion.copy() for motion in plan]
             for motion in self._plan:
                 motion[0, 0] = min(max(motion[0, 0], -limit_m), limit_m)
@@ -256,7 +256,7 @@ class Core:
                 return self._reset()
             if request == Request.ENABLE_DRIVES:
                 self.enable_drives()
-                return Parameter.DRIVE_ERROR, self.drive_error
+                return DeviceParameter.DRIVE_ERROR, self.drive_error
             return Refusal.NO_SUCH_PARAMETER, request
 
     def enable_drives(self) -> None:
@@ -278,17 +278,17 @@ class Core:
             self.drive_state = DriveState.FAULT if error else DriveState.OFF
 
     def _read(self, index: int) -> tuple[int, int]:
-        if index == Parameter.CHALLENGE:
+        if index == DeviceParameter.CHALLENGE:
             self._challenge = int(self._rng.integers(1, 2**32))
             return index, self._challenge
-        if index == Parameter.TRIPPED_COILS:
+        if index == DeviceParameter.TRIPPED_COILS:
             return index, self._tripped
-        if index == Parameter.FAULTY_SENSORS:
+        if index == DeviceParameter.FAULTY_SENSORS:
             return index, sum(1 << i for i in self.injected.stuck)
-        if index == Parameter.DRIVE_ERROR:
+        if index == DeviceParameter.DRIVE_ERROR:
             return index, self.drive_error
         if index in self.limits:
-            return index, self.limits[Parameter(index)] & 0xFFFFFFFF
+            return index, self.limits[DeviceParameter(index)] & 0xFFFFFFFF
         return Refusal.NO_SUCH_PARAMETER, index
 
     def _enable(self, value: int) -> tuple[int, int]:
@@ -303,13 +303,13 @@ class Core:
             self.amplifier_state = AmplifierState.ENABLED
             self._missed, self._fresh = 0, False
             self._acting_n[:] = 0.0
-        return Parameter.TRIPPED_COILS, 0
+        return DeviceParameter.TRIPPED_COILS, 0
 
     def _reset(self) -> tuple[int, int]:
         self._tripped = sum(1 << i for i in self.injected.tripping)
         if not self._tripped and self.amplifier_state is AmplifierState.TRIPPED:
             self.amplifier_state = AmplifierState.OFF
-        return Parameter.TRIPPED_COILS, self._tripped
+        return DeviceParameter.TRIPPED_COILS, self._tripped
 
     def _period(self) -> None:
         """One period with what acts, which is nothing where too many before brought nothing new."""

@@ -16,7 +16,7 @@ import numpy as np
 from ...config.buses import CanDriveOptions
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
-from ...wire.cia402 import (
+from ...wire.can.cia402 import (
     ACCELERATION,
     ENCODER_LOST,
     EVENT_TIMER,
@@ -42,8 +42,8 @@ from ...wire.cia402 import (
     beam_limits,
     rotor_limits,
 )
-from ...wire.device import CYCLES
-from ...wire.differences import ROUNDED_COUNTS, Differences, most_bend
+from ...wire.device_protocol import CYCLES
+from ...wire.finite_differences import ROUNDED_COUNTS, Differences, most_bend
 from .core import Core
 from .faults import Injector, Outgoing
 

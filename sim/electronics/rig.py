@@ -9,8 +9,8 @@ from ...config.base import ConfigError, load_yaml
 from ...config.buses import AmplifierOptions
 from ...config.rig import RigConfig
 from ...config.sim import SimConfig
-from ...wire.device import ROLES
-from ...wire.serial_frames import Contents
+from ...wire.device_protocol import ROLES
+from ...wire.serial.serial_frames import FrameContents
 from .core import Core
 from .faults import Injector
 from .serial_port import SerialElectronics
@@ -57,7 +57,7 @@ class Electronics:
         self._buses: list[Answering] = []
         for (backend, name), on in roles.items():
             if backend == "serial":
-                contents = Contents.of(rig, on)
+                contents = FrameContents.of(rig, on)
                 self._buses.append(
                     SerialElectronics(name, rig.serial[name], contents, self.core, self.injector)
                 )

@@ -16,9 +16,9 @@ import numpy as np
 
 from ...config.base import ConfigError
 from ...config.buses import SerialBus
-from ...wire.rejected import Rejected
-from ...wire.serial_frames import Contents, Kind, SerialFrames
-from ...wire.stream import FrameStream
+from ...wire.frame_rejection import Rejected
+from ...wire.serial.frame_splitter import FrameStream
+from ...wire.serial.serial_frames import FrameContents, Kind, SerialFrames
 from .core import Core
 from .faults import Injector, Outgoing
 
@@ -33,7 +33,7 @@ class SerialElectronics:
     """
 
     def __init__(
-        self, name: str, bus: SerialBus, contents: Contents, core: Core, injector: Injector
+        self, name: str, bus: SerialBus, contents: FrameContents, core: Core, injector: Injector
     ) -> None:
         self._contents, self._core, self.injector = contents, core, injector
         self._line: _Line = _TcpLine(name, bus.port) if "://" in bus.port else _Pty(name, bus.port)

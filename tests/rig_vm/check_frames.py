@@ -10,7 +10,7 @@ from pathlib import Path
 import cantools
 
 from levid.config.shipped import shipped
-from levid.wire.cia402 import (
+from levid.wire.can.cia402 import (
     EMERGENCY_ID,
     HEARTBEAT_ID,
     NMT_ID,
@@ -26,7 +26,7 @@ from levid.wire.cia402 import (
     Node,
     state_of,
 )
-from levid.wire.crc import FrameCrc
+from levid.wire.can.crc8 import FrameCrc
 
 LINE = re.compile(r"\(\d+\.\d+\) vcan0 ([0-9A-F]{3})(?:#([0-9A-F]*)|##([0-9A-F])([0-9A-F]*))")
 # A socket's queue holds some 270 frames, a cycle is three: who is further behind loses some.

@@ -8,11 +8,11 @@ import time
 
 from levid.config.buses import CanBus
 from levid.drivers.base import LinkError
-from levid.drivers.can.link import CanLink
+from levid.drivers.can.bus_link import CanLink
 from levid.sim.electronics.can_bus import _hands_on_errors
-from levid.wire.can_bus import open_bus
-from levid.wire.kernel_frame import BUS_OFF_ID, ERROR
-from levid.wire.stamps import SO_TIMESTAMPING, KernelStamps
+from levid.wire.can.can_bus import open_bus
+from levid.wire.can.kernel_frame import BUS_OFF_ID, ERROR
+from levid.wire.can.timestamps import SO_TIMESTAMPING, KernelStamps
 
 WAIT_S = 60.0
 config = CanBus(interface="socketcan", channel=sys.argv[1], data_bitrate=5_000_000)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from levid.daemon.faults import Fault
+from levid.daemon.control.faults import Fault
 from levid.log.reader import read_log
 
 # A guest that stalls for 4 to 11 ms now and then skips cycles of 4 ms, and is late in the one

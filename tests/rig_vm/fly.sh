@@ -19,7 +19,7 @@ until grep -q answer "$out/electronics.log"; do sleep 0.2; kill -0 $electronics;
 "$levid" run "$HERE/rig.yaml" 2> "$out/daemon.log" &
 daemon=$!
 until grep -q socket "$out/daemon.log"; do sleep 0.2; kill -0 $daemon; done
-renice -n -10 -p "$(pgrep -f levid.daemon.loop_process)" # the loop has no time, its companions have
+renice -n -10 -p "$(pgrep -f levid.daemon.loop.loop_process)" # the loop has no time, its companions have
 
 python=/srv/levid/bin/python
 "$python" "$HERE/flights.py" "$HERE/session.yaml" "$out" /run/faults "$XDG_RUNTIME_DIR/levid.sock"

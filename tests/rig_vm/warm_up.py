@@ -8,24 +8,24 @@ from pathlib import Path
 import numpy as np
 
 from levid.config.rig import load_rig
-from levid.daemon.clock import VirtualClock
-from levid.daemon.control import Controller
-from levid.daemon.flight import Flight
-from levid.daemon.landing import Landing
-from levid.daemon.timing import WakeUps, count_wake_up, memory_of
-from levid.drivers.sensing import SensorWatch
-from levid.wire.can_frames import load_frames
+from levid.daemon.control.control_cycle import Controller
+from levid.daemon.control.landing import Landing
+from levid.daemon.ipc.timing_histograms import WakeUps, count_wake_up, memory_of
+from levid.daemon.loop.clock import VirtualClock
+from levid.daemon.loop.virtual_flight import Flight
+from levid.drivers.reading_checks import SensorWatch
+from levid.wire.can.can_frames import load_frames
 
 HERE = Path(__file__).parent
 for name in (
-    "cli.control",
+    "cli.daemon_requests",
     "cli.excite",
-    "daemon.loop_process",
-    "daemon.planner_process",
-    "daemon.recorder_process",
-    "daemon.supervisor",
+    "daemon.loop.loop_process",
+    "daemon.planning.planner_process",
+    "daemon.recording.recorder_process",
+    "daemon.supervision.supervisor",
     "drivers.can.backend",
-    "report.session",
+    "report.session.session_page",
     "sim.electronics.drive_nodes",
     "sim.electronics.rig",
 ):

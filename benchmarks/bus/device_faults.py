@@ -1,0 +1,202 @@
+"""Every fault of a bus or a device: cycles until zero force, and what the host calls it.
+
+The host sets the pace, cycle by cycle, so that the count does not depend on the machine. A cycle
+counts if a force acts in it, from the one on in which the fault is switched on. The reaction is
+that of the loop, zero force at once and in every cycle that follows; setpoints expire after 20
+cycles, so that this alone can end the force in time, but where nothing gets through: there after 2.
+Then it goes on for a while, the fault with it: no force may come back. Named is a fault whose error
+is of the kind, and has the words, that _bus_fault_words expects.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from levid.benchmarks.bus.fault_messages import EXPECTED, NO_FAULT_OF_A_DEVICE, UNHEARD, names
+from levid.benchmarks.harness import table
+from levid.benchmarks.harness.table import Figure, Target
+from levid.config.base import parse_text
+from levid.config.rig import RigConfig
+from levid.config.shipped import shipped
+from levid.drivers import bus_backend
+from levid.drivers.base import Context, Devices, DriverError
+from levid.drivers.registry import open_devices
+from levid.sim.electronics import core
+from levid.sim.electronics.core import Core
+from levid.sim.electronics.faults import FAULTS
+from levid.sim.electronics.rig import Electronics
+
+RATE_HZ = 50.0
+MOST_CYCLES = 60
+AFTER_CYCLES = 25
+"""For so long it is watched whether force comes back: longer than setpoints take to expire."""
+EXPIRE_CYCLES, EXPIRE_UNHEARD_CYCLES = 20, 2
+SOON = 3
+_PACE_S = 0.01
+"""What comes behind an answer comes within the cycle, which is longer than that."""
+BUSES = {
+    "can": "can: {main: {interface: virtual, channel: faults, stale_cycles: 2}}",
+    "canfd": "can: {main: {interface: virtual, channel: faults, data_bitrate: 5000000, "
+    "stale_cycles: 2}}",
+    "serial": "serial: {main: {port: FOLDER/port, baud: 3000000, stale_cycles: 2}}",
+}
+
+
+class Played(NamedTuple):
+    """What came of a fault.
+
+    forced: cycles with force, until it first ended. came_back: cycles with force after that.
+    raised: the host's first error.
+    """
+
+    forced: int
+    came_back: int
+    raised: DriverError | None
+
+    @property
+    def words(self) -> str:
+        """What the host said, without where."""
+        if self.raised is None:
+            return "not found"
+        text = str(self.raised)
+        return f"{type(self.raised).__name__}: {text.partition(': ')[2] or text}"
+
+
+def measure(quick: bool) -> list[Figure]:
+    assert {line.split()[0] for line in EXPECTED} == set(FAULTS) - NO_FAULT_OF_A_DEVICE
+    core._SILENT_PERIODS = 1e9  # type: ignore[misc]
+    bus_backend._ANSWER_SHARE = bus_backend._SENT_BY = 1e4  # type: ignore[misc]
+    figures, named, came_back, slowest = [], [], 0, 0
+    for bus in ("canfd", "serial") if quick else BUSES:
+        for line in EXPECTED:
+            try:
+                played = until_zero(bus, line)
+            except TimeoutError as error:
+                print(f"{bus}: {line}: failed: {error}", file=sys.stderr)
+                played = Played(MOST_CYCLES, 0, None)
+            right = names(played.raised, line)
+            if not right:
+                print(f"{bus}: {line}: not named: {played.words}", file=sys.stderr)
+            named.append(right)
+            came_back += played.came_back > 0
+            slowest = max(slowest, played.forced)
+            key = f"{bus}_{line.split()[0].replace('-', '_')}_cycles"
+            figures.append(Figure(key, played.forced, "", f"{bus}: {line}: {played.words}"))
+    return [
+        *figures,
+        Figure("most_cycles", slowest, "", "the slowest of them", target=Target(most=SOON)),
+        Figure(
+            "named", sum(named) / len(named), "", f"share of {len(named)} named rightly",
+            target=Target(least=1),
+        ),
+        Figure(
+            "came_back", came_back, "", "in which force acted again after it had ended",
+            target=Target(most=0),
+        ),
+    ]  # fmt: skip
+
+
+def until_zero(bus: str, line: str) -> Played:
+    """Fly, inject a fault and go on until no force acts, and for a while longer.
+
+    Raises:
+        TimeoutError: the electronics did not come to a cycle.
+    """
+    with tempfile.TemporaryDirectory() as text:
+        expire = EXPIRE_UNHEARD_CYCLES if line in UNHEARD else EXPIRE_CYCLES
+        rig = _rig(bus, Path(text), expire)
+        with Electronics(rig, Path(text)) as electronics:
+            devices = open_devices(Context(rig, 1.0 / RATE_HZ, Path(text)))
+            try:
+                return _play(devices, electronics, line)
+            finally:
+                electronics.injector.clear()
+                devices.close()
+
+
+def _play(devices: Devices, electronics: Electronics, line: str) -> Played:
+    cycle = -1
+    gap, coil, beam, rotor = np.zeros(9), np.zeros(9), np.zeros(3), np.zeros(3)
+
+    def run(force_n: float) -> None:
+        nonlocal cycle
+        cycle += 1
+        for sync in devices.syncs:
+            sync(cycle)
+        devices.sensors.read(gap)
+        devices.drives.read(beam, rotor)
+        devices.amplifiers.read(coil)
+        devices.amplifiers.write(np.full(9, force_n))
+        devices.drives.write(np.zeros(3), np.zeros(3))
+
+    for _ in range(50):
+        run(0.0)
+    for k in range(10):
+        run(7.0 + 0.5 * (k // 5 % 2))
+    _answers_by(devices, 0.05)
+    electronics.injector.command(line)
+    device = electronics.core
+    raised: DriverError | None = None
+    forced = came_back = after = 0
+    for k in range(1, MOST_CYCLES):
+        try:
+            run(0.0 if raised else 7.0 + 0.5 * (k // 5 % 2))
+        except DriverError as error:
+            raised = raised or error
+            with contextlib.suppress(DriverError):  # it is gone: the device's own expiry has to do
+                devices.amplifiers.release(np.zeros(9))
+        time.sleep(_PACE_S)
+        if electronics.injector.hears:
+            _wait_for(device, cycle)
+        else:  # its own clock goes on, in step with the host's
+            device._period()
+        acts = bool(device.acting_n.any())
+        if after:
+            came_back += acts
+            after += 1
+        else:
+            forced += acts
+            after = int(raised is not None and not acts)
+        if after > AFTER_CYCLES:
+            return Played(forced, came_back, raised)
+    return Played(MOST_CYCLES, came_back, raised)
+
+
+def _wait_for(device: Core, cycle: int) -> None:
+    """Wait until the electronics have come to the host's cycle; TimeoutError after 5 s."""
+    give_up_s = time.monotonic() + 5.0
+    while device.cycle != cycle:
+        if time.monotonic() > give_up_s:
+            raise TimeoutError(f"the electronics are at cycle {device.cycle}, the host at {cycle}")
+        time.sleep(0.001)
+
+
+def _answers_by(devices: Devices, seconds: float) -> None:
+    for backend in devices.backends:
+        for waiting in getattr(backend, "_ports", {"": backend}).values():
+            waiting._answers = bus_backend.AnswerTime(seconds)
+
+
+def _rig(bus: str, folder: Path, expire_cycles: int) -> RigConfig:
+    head = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
+    backend = "serial" if bus == "serial" else "can"
+    role = f"{{backend: {backend}, bus: main"
+    text = f"""{head.replace("rate_hz: 1000", f"rate_hz: {RATE_HZ}")}
+{BUSES[bus].replace("FOLDER", str(folder))}
+amplifiers: {role}, expire_cycles: {expire_cycles}}}
+sensors: {role}}}
+drives: {role}}}
+sim: {shipped("sims/nominal.yaml")}
+"""
+    return parse_text(text, RigConfig, bus)
+
+
+if __name__ == "__main__":
+    table.run("Faults of buses and devices: cycles until zero force", measure)

@@ -1,0 +1,274 @@
+"""Hostile requests in flight: how long the supervisor's heartbeat stays away, how late the loop is.
+
+A platform levitates on the loopback rig in real time. Requests that were found to stop a daemon,
+and ones that Hypothesis makes up, are sent one by one; a witness in another process measures the
+longest gap between two heartbeats. Stretches with and without requests take turns, first alone on
+the machine, then beside two processes that compute all the time. --quick: 40 requests each; else
+300, in some 20 minutes. The heartbeat's limit is service.supervisor_s.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from levid.benchmarks.harness import table
+from levid.benchmarks.harness.child_processes import busy
+from levid.benchmarks.harness.heartbeat import Heartbeat
+from levid.benchmarks.harness.running_daemon import Daemon, loopback_rig, running
+from levid.benchmarks.harness.table import Figure, Target
+from levid.config.rig import load_rig
+from levid.config.shipped import shipped
+from levid.daemon.api.control_server import LONGEST_LINE
+
+SHARE = 0.1
+"""Of the heartbeat's limit, that a request may keep the supervisor away."""
+_ANSWER_S = 120.0
+_LEAST_S = 2.0
+_BUSY = 2
+STALL_S = 0.2
+"""The host of a virtual machine stalls for some 10 ms: that is no matter of requests."""
+
+_SESSION = shipped("sessions/beam.yaml").read_text()
+KNOWN = {
+    "70,000 unknown keys": json.dumps(
+        {"op": "move", "move": {f"key_number_{i}": i for i in range(45_000)}}
+    ),
+    "20,000 digits": json.dumps(
+        {"op": "excite", "out": "x", "session": f"levid: session\nname: {'1' * 20_000}e\n"}
+    ),
+    "20,000 keys": json.dumps(
+        {
+            "op": "excite",
+            "out": "x",
+            "session": "levid: session\n" + "".join(f"key{i}: 1\n" for i in range(20_000)),
+        }
+    ),
+    "a million brackets": "[" * 1_000_000,
+    "a long status": json.dumps({"op": "status", "padding": "x" * 1_000_000}),
+    "a session as long as it may be": json.dumps(
+        {"op": "excite", "out": "x", "session": _SESSION + "#" * (1 << 17)}
+    ),
+}
+_PIECES = (
+    "[", "{", '{"a":', "1", "9" * 50, '"', '"\\u0000"', "- ", "&a ", "*a, ", "é", "\\n", "? ", ": ",
+    "1:", "<<: ", "!!python/name:os.system ", "0x", ".e", "\t", " ", "'", "|", "#", ", ",
+)  # fmt: skip
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=30),
+    lambda inner: (
+        st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner, max_size=5)
+    ),
+    max_leaves=30,
+)
+_OPS = st.sampled_from(["status", "watch ", "levitate", "move", "excite", "fly", ""])
+
+
+def _repeated(pieces: tuple[str, int, str]) -> str:
+    first, times, piece = pieces
+    return (first + piece * times)[: LONGEST_LINE - 200]
+
+
+_LONG = st.tuples(st.sampled_from(_PIECES), st.integers(1, 300_000), st.sampled_from(_PIECES)).map(
+    _repeated
+)
+
+
+@st.composite
+def _sessions(draw: st.DrawFn) -> str:
+    """A shipped session with pieces put into it."""
+    text = _SESSION
+    for _ in range(draw(st.integers(1, 3))):
+        at, piece = draw(st.integers(0, len(text))), draw(st.sampled_from(_PIECES))
+        text = text[:at] + piece * draw(st.integers(1, 20_000)) + text[at:]
+    return text
+
+
+def _excite(**more: str) -> str:
+    return json.dumps({"op": "excite", "out": "x", "session": _SESSION, **more})
+
+
+def _move(n: int, key: str) -> str:
+    return json.dumps({"op": "move", "move": {f"{key}{i}": i for i in range(n)}})
+
+
+_KEYS = st.text(max_size=9)
+REQUESTS = st.one_of(
+    st.builds(
+        lambda op, more: json.dumps({**more, "op": op}),
+        _OPS,
+        st.dictionaries(_KEYS, _VALUES, max_size=9),
+    ),
+    (_sessions() | _LONG).map(lambda text: _excite(session=text)),
+    _LONG.map(lambda rig: _excite(rig=rig)),
+    st.builds(
+        lambda op, value: json.dumps({"op": op, op: value}),
+        st.sampled_from(["move", "levitate"]),
+        _VALUES,
+    ),
+    st.builds(_move, st.integers(1, 60_000), st.sampled_from(["k", "beam_m", "x" * 15])),
+    _LONG,
+    st.binary(max_size=3000).map(lambda data: data.replace(b"\n", b" ").decode("latin-1")),
+)
+
+
+@dataclass
+class Stretches:
+    """What came of requests, and of the time between them, under one load."""
+
+    gaps_s: list[float] = field(default_factory=list)
+    rest_gaps_s: list[float] = field(default_factory=list)
+    worst: str = ""
+    own_s: float = 0.0
+    late: list[int] = field(default_factory=lambda: [0, 0])
+    cycles: list[int] = field(default_factory=lambda: [0, 0])
+    unanswered: int = 0
+    dropped: int = 0
+    lifted: int = 0
+
+    @property
+    def asked(self) -> int:
+        return len(self.gaps_s)
+
+
+def main() -> None:
+    arguments = table.parser(__doc__ or "").parse_args()
+    table.show("Control socket", arguments, lambda: measure(arguments.quick))
+
+
+def measure(quick: bool) -> Iterator[Figure]:
+    count = 40 if quick else 300
+    with tempfile.TemporaryDirectory() as name:
+        file, path = loopback_rig(Path(name), stall_s=STALL_S), Path(name) / "levid.sock"
+        limit_s = load_rig(file).service.supervisor_s
+        yield Figure("limit", limit_s, "s", "heartbeat's limit, service.supervisor_s")
+        for load in ("idle", "busy"):
+            with running(file, path) as daemon, busy(_BUSY if load == "busy" else 0):
+                heartbeat = Heartbeat(file, daemon.pids["supervisor"])
+                found = Stretches()
+                try:
+                    ask_all(daemon, heartbeat, found, count)
+                finally:
+                    heartbeat.close()
+                yield from _figures(load, found, limit_s)
+
+
+def ask_all(daemon: Daemon, heartbeat: Heartbeat, found: Stretches, count: int) -> None:
+    """Send the known requests, then so many that Hypothesis makes up."""
+    for name, line in KNOWN.items():
+        _ask(daemon, heartbeat, found, line, name)
+
+    @settings(
+        max_examples=count,
+        deadline=None,
+        database=None,
+        derandomize=True,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(REQUESTS)
+    def made_up(line: str) -> None:
+        _ask(daemon, heartbeat, found, line, line[:60])
+
+    made_up()
+
+
+def _ask(daemon: Daemon, heartbeat: Heartbeat, found: Stretches, line: str, name: str) -> None:
+    _fly(daemon, found)
+    before = daemon.ask("status")
+    heartbeat.take()
+    begun_s = time.monotonic()
+    if not _answered(daemon.socket, line):
+        found.unanswered += 1
+    gap_s, own_s = heartbeat.take()
+    after = daemon.ask("status")
+    if after["fault"] != "NONE":
+        found.dropped += 1
+        print(f"{name}: {after['fault']}: {after['detail']}", file=sys.stderr)
+    if gap_s >= max(found.gaps_s, default=0.0):
+        found.worst = name
+    found.gaps_s.append(gap_s)
+    found.own_s = max(found.own_s, own_s)
+    # As long without a request: machines differ from one minute to the next.
+    heartbeat.take()
+    time.sleep(min(max(time.monotonic() - begun_s, 0.1), _LEAST_S))
+    found.rest_gaps_s.append(heartbeat.take()[0])
+    rest = daemon.ask("status")
+    for k, (first, last) in enumerate(((before, after), (after, rest))):
+        found.late[k] += last["late"] - first["late"]
+        found.cycles[k] += last["cycle"] - first["cycle"]
+
+
+def _fly(daemon: Daemon, found: Stretches) -> None:
+    """Have the platform levitate, whatever the last request came to."""
+    give_up_s = time.monotonic() + _ANSWER_S
+    while (status := daemon.ask("status"))["state"] != "LEVITATING":
+        if time.monotonic() > give_up_s:
+            raise RuntimeError(f"it does not levitate: {status['state']}, {status['detail']}")
+        with contextlib.suppress(Exception):
+            if status["fault"] != "NONE":
+                daemon.ask("clear")
+            elif status["state"] == "IDLE":
+                daemon.ask("levitate", levitate={"settle_s": 0.2, "check_coils": False})
+                found.lifted += 1
+        time.sleep(0.1)
+
+
+def _answered(path: Path, line: str) -> bool:
+    """Send a line; return whether an answer came: it may be what is asked for as well."""
+    with socket.socket(socket.AF_UNIX) as end:
+        end.settimeout(_ANSWER_S)
+        end.connect(str(path))
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            end.sendall(line.replace("\n", " ").encode(errors="replace") + b"\n")
+        data = b""
+        try:
+            while b'"ok"' not in data:
+                piece = end.recv(1 << 16)
+                if not piece:
+                    return False
+                data = data[-8:] + piece
+        except (TimeoutError, OSError):
+            return False
+    return True
+
+
+def _figures(load: str, found: Stretches, limit_s: float) -> Iterator[Figure]:
+    print(f"{load}: worst: {found.worst}", file=sys.stderr)
+    shares = [late / max(cycles, 1) for late, cycles in zip(found.late, found.cycles, strict=True)]
+    gap_s, rest_s = max(found.gaps_s, default=None), max(found.rest_gaps_s, default=None)
+    most = Target(most=SHARE * limit_s)
+    yield Figure(f"asked_{load}", found.asked, "", f"{load}: requests in flight")
+    yield Figure(
+        f"gap_{load}", gap_s, "s", f"{load}: longest without a heartbeat", f"rest_{load}", most
+    )
+    yield Figure(f"rest_{load}", rest_s, "s", f"{load}: the same, no request")
+    yield Figure(f"own_{load}", found.own_s, "s", f"{load}: longest that the witness was away")
+    yield Figure(
+        f"dropped_{load}", found.dropped, "", f"{load}: flights dropped", target=Target(most=0)
+    )
+    yield Figure(
+        f"unanswered_{load}",
+        found.unanswered,
+        "",
+        f"{load}: without an answer",
+        target=Target(most=0),
+    )
+    yield Figure(f"late_{load}", shares[0], "", f"{load}: late cycles, share", f"late_rest_{load}")
+    yield Figure(f"late_rest_{load}", shares[1], "", f"{load}: the same, no request")
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    main()

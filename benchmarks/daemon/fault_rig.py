@@ -1,0 +1,304 @@
+"""A rig for faults: electronics and daemon on one bus, and a disk that is soon full.
+
+It flies at 50 Hz and takes the third cycle without a reading for a fault: two of them, 40 ms,
+outlast the stalls of a desktop kernel (4 to 11 ms, at times 20). Shipped rigs fly faster and bridge
+20: what is promised in cycles is counted in cycles, here of 20 ms. The shipped gains diverge so
+slowly sampled: these are a quarter to a half of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import yaml
+
+from levid.benchmarks.daemon import fault_electronics
+from levid.benchmarks.harness.real_time import ELECTRONICS, hurry
+from levid.config.shipped import shipped
+from levid.daemon.client import Client, DaemonError
+from levid.daemon.host.real_time_scheduling import die_with
+
+RATE_HZ = 50
+STALE_CYCLES = 2
+EXPIRE_CYCLES = 10
+"""The device's own timeout: far behind what the loop is given, so that ending in time is its."""
+STALL_S = 0.1
+"""For how long the loop may stand still: less than until setpoints expire."""
+SUPERVISOR_S = 1.0
+"""How long the supervisor may give no sign of life."""
+BEFORE_FAULT_S = 10.0
+"""How far flight recordings are to look back."""
+GIVE_UP_S = 40.0
+SETTINGS = (shipped("rigs/loopback.yaml"), shipped("sims/nominal.yaml"))
+_SMALL_BYTES = 8 << 20
+_STARTS_S = 60.0
+_LOST_S = 0.05
+
+
+class Rig:
+    """Electronics and daemon on one bus, in processes of their own; `close` ends all of them.
+
+    `more`: see rig_of.
+    """
+
+    def __init__(self, bus: str, folder: Path, **more: dict[str, Any]) -> None:
+        self.bus, self.folder, self.flights = bus, folder, 0
+        self.small: Path | None = None
+        self.flight = folder
+        self.path = folder / "levid.sock"
+        self.file = folder / "rig.yaml"
+        self.pids: dict[str, int] = {}
+        self.daemon: subprocess.Popen[bytes] | None = None
+        self._electronics: subprocess.Popen[str] | None = None
+        self._answers: SimpleQueue[str] = SimpleQueue()
+        try:
+            self.small = small_disk(folder / "small")
+            self.file.write_text(yaml.safe_dump(rig_of(bus, folder, **more)))
+            self._start_electronics()
+            self.start()
+        except BaseException:
+            self.close()
+            raise
+
+    def _start_electronics(self) -> None:
+        log = self.folder / "electronics.log"
+        with log.open("w") as errors:
+            self._electronics = subprocess.Popen(
+                [sys.executable, fault_electronics.__file__, str(self.file)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+            )
+        give_up_s = time.monotonic() + _STARTS_S
+        while fault_electronics.READY not in (said := log.read_text()):
+            if self._electronics.poll() is not None or time.monotonic() > give_up_s:
+                raise RuntimeError(f"the electronics did not start: {said}")
+            time.sleep(0.05)
+        hurry(ELECTRONICS, self._electronics.pid)  # real ones do not wait for a processor
+        threading.Thread(target=self._hear, daemon=True).start()
+
+    def start(self) -> None:
+        """Start the daemon, once the one before is gone."""
+        with (self.folder / "daemon.log").open("ab") as log:
+            self.daemon = subprocess.Popen(
+                [sys.executable, "-m", "levid.cli.main", "run", str(self.file)],
+                stderr=log,
+                # Whatever becomes of the benchmark, nothing is left to fly on.
+                preexec_fn=partial(die_with, os.getpid(), signal.SIGTERM),  # noqa: PLW1509
+            )
+
+    def close(self) -> None:
+        """End every process, the stopped ones too, and take the small disk away."""
+        for process in (self.daemon, self._electronics):
+            if process is None or process.poll() is not None:
+                continue
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+            try:
+                process.wait(GIVE_UP_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        if not gone(self.pids.values(), GIVE_UP_S):
+            for pid in self.pids.values():
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+        if (self.folder / "small").is_mount():  # noted or not: it may have been ended in between
+            subprocess.run(["umount", "--lazy", str(self.folder / "small")], check=False)
+        self.small = None
+
+    def say(self, line: str) -> dict[str, Any]:
+        """Have the electronics do something; return what they did, and their state before it."""
+        assert self._electronics is not None
+        assert self._electronics.stdin is not None
+        try:
+            self._electronics.stdin.write(f"{line}\n")
+            self._electronics.stdin.flush()
+            answer: dict[str, Any] = json.loads(self._answers.get(timeout=GIVE_UP_S))
+        except (Empty, OSError):
+            said = (self.folder / "electronics.log").read_text()
+            raise RuntimeError(f"the electronics do not answer: {said}") from None
+        return answer
+
+    def _hear(self) -> None:
+        assert self._electronics is not None
+        assert self._electronics.stdout is not None
+        for line in self._electronics.stdout:
+            self._answers.put(line)
+
+    def ask(self, op: str, **more: Any) -> dict[str, Any]:
+        """Return the daemon's answer; raises DaemonError."""
+        with Client(self.path) as client:
+            answer = client.request(op, **more)
+        if op == "status":
+            self.pids = {name: pid for name, pid in answer["pids"].items() if pid is not None}
+        return answer
+
+    def until(
+        self, condition: Callable[[dict[str, Any]], bool], seconds: float = GIVE_UP_S
+    ) -> dict[str, Any] | None:
+        """Return the first status that fulfils the condition, None where none does in time."""
+        give_up_s = time.monotonic() + seconds
+        while time.monotonic() < give_up_s:
+            with contextlib.suppress(DaemonError):
+                if condition(status := self.ask("status")):
+                    return status
+            time.sleep(0.02)
+        return None
+
+    def forces(self) -> bool:
+        """Return whether any amplifier drives a force."""
+        return any(self.say("status")["acting_n"])
+
+    def forced_periods(self) -> int:
+        """Return for how many periods any amplifier drove a force, since the start."""
+        return int(self.say("status")["forced_periods"])
+
+    def recordings(self) -> set[Path]:
+        """Return the flight recordings that there are."""
+        return set((self.folder / "faults").glob("*.mcap"))
+
+    def logs(self) -> list[Path]:
+        """Return the logs of the last flight."""
+        return sorted(self.flight.glob("*.mcap"))
+
+    def logs_are_closed(self) -> bool:
+        """Wait until the recorder has no file of the last flight open; return whether it came."""
+        give_up_s = time.monotonic() + GIVE_UP_S
+        while (pid := self.pids.get("recorder")) and str(self.flight) in _open_files(pid):
+            if time.monotonic() > give_up_s:
+                return False
+            with contextlib.suppress(DaemonError):
+                self.ask("status")  # it may be another by now
+            time.sleep(0.02)
+        return True
+
+    def start_anew(self) -> None:
+        """Start the daemon again where it has ended, as systemd would; wait for what it leaves."""
+        assert self.daemon is not None
+        self.daemon.wait(GIVE_UP_S)
+        if not gone(self.pids.values(), GIVE_UP_S):
+            raise RuntimeError(f"the daemon's processes outlive it: {self.pids}")
+        self.start()
+
+    @property
+    def daemon_is_there(self) -> bool:
+        """Whether the daemon's process runs, and means to go on."""
+        assert self.daemon is not None
+        return self.daemon.poll() is None and self.path.exists()
+
+    def port_is_there(self) -> bool:
+        """Wait for the electronics' end to be back; return whether it came."""
+        give_up_s = time.monotonic() + GIVE_UP_S
+        port = self.folder / "port"
+        while self.bus == "serial" and not port.exists():
+            if time.monotonic() > give_up_s:
+                return False
+            time.sleep(_LOST_S)
+        return True
+
+
+def gone(pids: Iterable[int], seconds: float) -> bool:
+    """Wait until none of these processes runs any more; return whether that came in time."""
+    give_up_s = time.monotonic() + seconds
+    left = list(pids)
+    while left := [pid for pid in left if _runs(pid)]:
+        if time.monotonic() > give_up_s:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def _runs(pid: int) -> bool:
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return not stat[stat.rfind(")") + 2 :].startswith(("Z", "X"))  # dead, and nobody has looked
+
+
+def _open_files(pid: int) -> str:
+    """Return the paths of all files that a process has open."""
+    found = []
+    with contextlib.suppress(OSError):
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                found.append(str(link.readlink()))
+    return "\n".join(found)
+
+
+def small_disk(at: Path) -> Path | None:
+    """Return a file system of its own that is soon full, None without the right to mount one."""
+    at.mkdir()
+    size = f"size={_SMALL_BYTES}"
+    command = ["mount", "-t", "tmpfs", "-o", size, "levid-benchmark", str(at)]
+    with contextlib.suppress(OSError):
+        if subprocess.run(command, check=False, capture_output=True).returncode == 0:
+            return at
+    return None
+
+
+def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
+    """Return the rig as plain data, with keys of its sections beside or in place of its own."""
+    plain: dict[str, Any] = yaml.safe_load(SETTINGS[0].read_text())
+    kind = "serial" if bus == "serial" else "can"
+    tilt = {"kp_n_m_rad": 5, "ki_n_m_rad_s": 50}
+    plain |= {
+        "rate_hz": RATE_HZ,
+        "sim": str(SETTINGS[1]),
+        "socket": str(folder / "levid.sock"),
+        "control": {"psi": tilt, "theta": dict(tilt), "z": {"kp_n_m": 300, "ki_n_m_s": 1500}},
+        "amplifiers": {"backend": kind, "bus": "main", "expire_cycles": EXPIRE_CYCLES},
+        "sensors": {"backend": kind, "bus": "main"},
+        "drives": {"backend": kind, "bus": "main", "skew_m": 0.02},
+        "recording": {
+            "faults": str(folder / "faults"),
+            "keep_faults": 10_000,  # all are read
+            "before_fault_s": BEFORE_FAULT_S,
+        },
+    }
+    plain["limits"] |= {
+        "late_cycles": 200,
+        "late_in_window": 10_000,
+        "stall_s": STALL_S,
+        "tilt_rad": 0.004,
+        "coil_rms_n": 8.8,  # the platform at rest takes 7.8 N of a coil
+        "coil_time_constant_s": 1.0,
+    }
+    plain["service"] = {"supervisor_gone": "zero", "supervisor_s": SUPERVISOR_S}
+    for section, keys in more.items():
+        plain[section] |= keys
+    if kind == "serial":
+        plain["serial"] = {
+            "main": {"port": str(folder / "port"), "baud": 3_000_000, "stale_cycles": STALE_CYCLES}
+        }
+        return plain
+    plain["drives"] |= {"heartbeat_s": 1.0, "expire_s": 1.0}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        port = probe.getsockname()[1]
+    plain["can"] = {
+        "main": {
+            "interface": "udp_multicast",
+            "channel": "239.74.163.78",
+            "bitrate": 1_000_000,
+            "data_bitrate": 5_000_000,
+            "options": {"port": port},
+            "stale_cycles": STALE_CYCLES,
+        }
+    }
+    return plain

@@ -1,0 +1,162 @@
+"""How fast the daemon's own loop flies in virtual time, plant and log included.
+
+The peer is the loop a user would write at first: numpy for control and plant, mcap's own writer.
+"""
+
+from __future__ import annotations
+
+import struct
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from mcap.writer import Writer
+
+from levid.benchmarks.harness import table
+from levid.benchmarks.harness.table import Figure
+from levid.config.base import load_yaml, parse_text
+from levid.config.model import load_model
+from levid.config.rig import load_rig
+from levid.config.session import SessionConfig
+from levid.config.shipped import shipped
+from levid.config.sim import SimConfig
+from levid.daemon.control.control_cycle import Controller
+from levid.daemon.loop.clock import VirtualClock
+from levid.daemon.loop.virtual_flight import Flight
+from levid.daemon.planning.plan import plan_session
+from levid.identification.greybox.model_file import declared_model
+from levid.log.signals import cycle_dtype, ros2msg
+from levid.model.geometry import decoupling_matrix
+from levid.model.second_order import discretise
+from levid.sim.plant import Plant
+
+RIG_FILE = shipped("rigs/loopback.yaml")
+SESSION = """
+levid: session
+name: bench
+excitations: {{psi: {{input: psi, rms_n_m: {level}}}}}
+steps:
+  - levitate: {{settle_s: 0.1}}
+  - record: {{name: psi, duration_s: {duration}, settle_s: 0, excite: [psi]}}
+  - land: {{}}
+"""
+
+
+def measure(quick: bool) -> list[Figure]:
+    repeats = 3 if quick else 7
+    cycles = 60_000 if quick else 200_000
+    contenders = {
+        "1khz": lambda: levid_rate(1000.0, cycles // 2),
+        "10khz": lambda: levid_rate(10_000.0, cycles),
+        "10khz_nonlinear": lambda: levid_rate(10_000.0, cycles, "sims/rig.yaml"),
+        "1khz_nonlinear": lambda: levid_rate(1000.0, cycles // 4, "sims/rig.yaml"),
+        "peer_1khz": lambda: peer_rate(1000.0, 10_000 if quick else 20_000),
+        "peer_10khz": lambda: peer_rate(10_000.0, 10_000 if quick else 20_000),
+    }
+    rates: dict[str, list[float]] = {name: [] for name in contenders}
+    for _ in range(repeats):
+        for name, contender in contenders.items():
+            rates[name].append(contender())
+    median = {name: float(np.median(values)) for name, values in rates.items()}
+    parts = cycle_parts(20_000 if quick else 100_000)
+    loop = "virtual time, plant and log included"
+    return [
+        Figure("cycles_per_s_1khz", median["1khz"], "1/s", f"1 kHz, {loop}", "peer_1khz"),
+        Figure("cycles_per_s_10khz", median["10khz"], "1/s", f"10 kHz, {loop}", "peer_10khz"),
+        Figure("nonlinear_1khz", median["1khz_nonlinear"], "1/s", "1 kHz, nonlinear plant"),
+        Figure("nonlinear_10khz", median["10khz_nonlinear"], "1/s", "10 kHz, nonlinear plant"),
+        Figure("peer_1khz", median["peer_1khz"], "1/s", "numpy and mcap's writer, 1 kHz"),
+        Figure("peer_10khz", median["peer_10khz"], "1/s", "numpy and mcap's writer, 10 kHz"),
+        Figure("control_us", parts["control"], "us", "one cycle: control and its row of the log"),
+        Figure("plant_1khz_us", parts["plant_1khz"], "us", "one cycle: plant, 10 internal steps"),
+        Figure("plant_10khz_us", parts["plant_10khz"], "us", "one cycle: plant, 1 internal step"),
+    ]
+
+
+def levid_rate(rate_hz: float, cycles: int, sim: str = "sims/nominal.yaml") -> float:
+    """Return cycles per second from the first cycle to the last byte on disk."""
+    rig = load_rig(RIG_FILE).model_copy(update={"sim": str(shipped(sim))})
+    # The same spectral density at either rate.
+    text = SESSION.format(duration=cycles / rate_hz, level=0.1 * np.sqrt(rate_hz / 1000))
+    session = parse_text(text, SessionConfig, "benchmark")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Flight(rig, RIG_FILE.parent, rate_hz, VirtualClock()) as flight,
+    ):
+        plan = plan_session(session, rig)
+        start = perf_counter()
+        result = flight.fly(plan, Path(folder), {})
+        return result.cycles / (perf_counter() - start)
+
+
+def cycle_parts(n: int) -> dict[str, float]:
+    """Return what the parts of a cycle cost, in us."""
+    rig = load_rig(RIG_FILE)
+    control = Controller(rig, 1e-3)
+    rows = np.zeros(4096, cycle_dtype(9, 9))
+    plan = plan_session(
+        parse_text(SESSION.format(duration=10, level=0.1), SessionConfig, "benchmark"), rig
+    )
+    control.begin(plan.steps[1].segments()[-1])
+    parts = {"control": _us(lambda k: control.step(rows, k & 4095, k, 0.0, k % 10_000), n)}
+    force, still = np.full(9, 7.63), np.zeros(3)
+    for name, period_s in (("plant_1khz", 1e-3), ("plant_10khz", 1e-4)):
+        plant = Plant(load_yaml(shipped("sims/nominal.yaml"), SimConfig), period_s)
+
+        def step(_: int, plant: Plant = plant) -> None:
+            plant.advance(force, still, still)
+            plant.sample()
+
+        parts[name] = _us(step, n // 4)
+    return parts
+
+
+def peer_rate(rate_hz: float, cycles: int) -> float:
+    """Return cycles per second of a plain loop: numpy for every step, mcap's writer for the log."""
+    rig, Ts = load_rig(RIG_FILE), 1 / rate_hz
+    T = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
+    model = declared_model(load_model(shipped("models/rig.yaml"))).at()
+    internal_s = 1e-4
+    steps = round(Ts / internal_s)
+    plant = discretise(model, internal_s)
+    kp, ki = np.array(rig.control.kp), np.array(rig.control.ki)
+    rng = np.random.default_rng(1)
+    x, integral, u = np.zeros(len(plant.A)), np.zeros(3), np.zeros(3)
+    dtype = cycle_dtype(9, 9)
+    pack = struct.Struct(f"<4xQd{(dtype.itemsize - 20) // 4}f4x").pack
+    rest = [0.0] * ((dtype.itemsize - 20) // 4 - 21)
+    with tempfile.TemporaryFile() as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        schema = writer.register_schema("levid/msg/Cycle", "ros2msg", ros2msg(dtype).encode())
+        channel = writer.register_channel("/levid/cycle", "cdr", schema)
+        start = perf_counter()
+        for k in range(cycles):
+            for _ in range(steps):
+                noise = T @ rng.normal(0.0, 1e-3, 9)
+                x = plant.A @ x + plant.B @ (u + noise)
+            gap = T.T @ (plant.C @ x) + rng.normal(0.0, 1e-7, 9)
+            q = T @ gap
+            integral += ki * Ts * -q
+            u = np.clip(-kp * q + integral + rng.normal(0.0, 0.1, 3), -50.0, 50.0)
+            coil = T.T @ u
+            row = pack(k, k * Ts, *gap, *q, *coil, *rest)
+            time_ns = round(k * Ts * 1e9)
+            writer.add_message(channel, time_ns, row, time_ns)
+        writer.finish()
+        return cycles / (perf_counter() - start)
+
+
+def _us(call: object, n: int) -> float:
+    times = []
+    for _ in range(5):
+        start = perf_counter()
+        for k in range(n):
+            call(k)  # type: ignore[operator]
+        times.append((perf_counter() - start) / n * 1e6)
+    return float(np.median(times))
+
+
+if __name__ == "__main__":
+    table.run("The loop in virtual time", measure)

@@ -1,0 +1,124 @@
+"""A measurement in a process of its own: a hang, a crash or too much memory is a result, too."""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing as mp
+import os
+import resource
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+from levid.daemon.host.real_time_scheduling import die_with
+
+_ENDING_S = 30.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a call: its value and cost, or why it failed.
+
+    `seconds` is wall time of the call alone, without starting Python and importing; `peak_bytes`
+    the largest resident size of its process (or of a program that it ran), Python included.
+    """
+
+    value: Any = None
+    seconds: float = 0.0
+    peak_bytes: int = 0
+    failed: str = ""
+
+
+def measure_apart(
+    call: Callable[..., Any],
+    *arguments: object,
+    packages: Sequence[str] = (),
+    timeout_s: float,
+    memory_bytes: int,
+) -> Outcome:
+    """Return the outcome of call(*arguments) in a new process with a limit of time and memory.
+
+    The limit is of address space, which is what the kernel bounds: of each process, what is only
+    reserved included. Programs that the call runs are ended with it. `packages` are imported before
+    the clock starts. Call and arguments must pickle.
+    """
+    context = mp.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(
+        target=_run, args=(theirs, memory_bytes, tuple(packages), call, arguments)
+    )
+    process.start()
+    theirs.close()
+    try:
+        outcome = _heard(ours, process, timeout_s)
+    finally:
+        _end(process)
+    if outcome is not None:
+        return outcome
+    code = process.exitcode or 0
+    how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+    return Outcome(failed=how)
+
+
+def _heard(pipe: Connection, process: BaseProcess, timeout_s: float) -> Outcome | None:
+    """Return what the process tells, None where it is dead; it is not reaped then."""
+    if not pipe.poll(timeout_s):
+        return Outcome(failed=f"not done after {timeout_s:g} s")
+    try:
+        outcome = pipe.recv()
+    except EOFError:
+        wait([process.sentinel], _ENDING_S)
+        return None
+    assert isinstance(outcome, Outcome)
+    return outcome
+
+
+def _end(process: BaseProcess) -> None:
+    """Kill it and what it runs: until it is reaped, its number is nobody else's."""
+    assert process.pid is not None
+    with suppress(ProcessLookupError):  # it has not come as far as a session of its own
+        os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
+    process.join(_ENDING_S)
+
+
+def _run(
+    pipe: Connection,
+    memory_bytes: int,
+    packages: tuple[str, ...],
+    call: Callable[..., Any],
+    arguments: tuple[object, ...],
+) -> None:
+    os.setsid()
+    die_with(os.getppid(), signal.SIGKILL)
+    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    sys.stdout = sys.stderr  # what a peer prints must not end up in the JSON
+    try:
+        for package in packages:
+            importlib.import_module(package)
+        start = time.perf_counter()
+        value = call(*arguments)
+        seconds = time.perf_counter() - start
+    except ModuleNotFoundError as error:
+        outcome = Outcome(failed=f"{error.name} is not installed")
+    except MemoryError:
+        outcome = Outcome(failed=f"more than {memory_bytes / 1e9:.0f} GB of address space")
+    except Exception as error:  # noqa: BLE001 - whatever a peer throws is its entry in the table
+        first = (str(error).splitlines() or [""])[0]
+        outcome = Outcome(failed=f"{type(error).__name__}: {first}"[:120])
+    else:
+        outcome = Outcome(value, seconds, _peak_bytes())
+    pipe.send(outcome)
+    pipe.close()
+
+
+def _peak_bytes() -> int:
+    who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * max(resource.getrusage(w).ru_maxrss for w in who)

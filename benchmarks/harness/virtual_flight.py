@@ -1,0 +1,46 @@
+"""A session on the nominal rig, flown for a benchmark in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import yaml
+
+from levid.config.base import parse, read_mapping
+from levid.config.rig import load_rig
+from levid.config.session import SessionConfig
+from levid.config.shipped import shipped
+from levid.config.sim import SimConfig
+from levid.daemon.loop.virtual_session import fly_virtually
+
+SIM = shipped("sims/nominal.yaml")
+RIG = shipped("rigs/loopback.yaml")
+
+
+def truth() -> SimConfig:
+    """Return the simulated rig that `fly_session` flies."""
+    return parse(read_mapping(SIM), SimConfig, str(SIM))
+
+
+def fly_session(
+    session: Mapping[str, object], out: Path, effects: Sequence[Mapping[str, object]] = ()
+) -> tuple[Path, ...]:
+    """Fly a session, its seed the plant's too; return the records' logs.
+
+    `effects` as in a SIM.yaml. The logs go into `out`, and nothing else does.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    sim_file = out / "sim.yaml"
+    plant = {**read_mapping(SIM), "seed": session["seed"], "effects": [dict(e) for e in effects]}
+    sim_file.write_text(yaml.safe_dump(plant))
+    flown = fly_virtually(
+        load_rig(RIG).model_copy(update={"sim": str(sim_file)}),
+        RIG,
+        parse(dict(session), SessionConfig, f"session '{session['name']}'"),
+        yaml.safe_dump(dict(session)).encode(),
+        out,
+        lambda *_: None,
+    )
+    sim_file.unlink()
+    return tuple(flown.records)

@@ -1,0 +1,1 @@
+"""Answer clients on the control socket and publish metrics."""

@@ -1,0 +1,1 @@
+"""Compute one cycle: control law, limits, states, faults, checks of coils and readings."""

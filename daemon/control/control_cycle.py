@@ -1,0 +1,344 @@
+"""One cycle of control, compiled: pose, PI, feed-forward, excitation, limits, record."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ...config.rig import RigConfig
+from ...model.geometry import decoupling_matrix, shape_matrix
+from .faults import Fault
+from .segment import Segment
+from .states import State
+
+Array = NDArray[np.float64]
+
+_READING, _GAP = int(Fault.READING), int(Fault.GAP)
+_COMPUTATION, _BEAM = int(Fault.COMPUTATION), int(Fault.BEAM)
+_POSE_FAULT, _VELOCITY, _HEAT = int(Fault.POSE), int(Fault.VELOCITY), int(Fault.HEAT)
+_FAULT_STATE = int(State.FAULT)
+BEAM_MARGIN_M = 0.002
+"""The beam may overshoot its setpoint range by this much before that is a fault."""
+# And be measured faster than its setpoints may be, by half and by this.
+_BEAM_MARGIN, _BEAM_MARGIN_M_S = 1.5, 0.05
+# A readback of more than so many times a coil's limit says nothing about how hot the coil gets.
+_MOST_CARRIED = 10.0
+
+# Rows of the memory (ROWS, 4). Every array handed to a compiled function costs some 50 ns a call,
+# and the cycle may not allocate: what it remembers and its scratch share one block. Behind these
+# rows lie, row after row, the coils' heat (C,) in N^2, its cycle, the gaps before (S,), theirs.
+_POSE, _INTEGRAL, _REST, _GOAL, _LAST, _MODE, _REF, _FF, _TAU, _LOST, _ROWS = range(11)
+
+
+class Controller:
+    """Three SISO PI controllers with feed-forward, limits and anti-windup, and their memory.
+
+    `gap_m`, `readback_n`, `beam`, `rotor` are for the drivers to fill, `coil_n`, `beam_ref`,
+    `rotor_ref` for them to send; `step` computes the latter from the former and writes the cycle's
+    row of the log.
+
+    Args:
+        rig: geometry, gains and limits.
+        period_s: the period of a cycle.
+        memory: of `memory_shape`, zero at first: how hot the coils are outlasts a controller in it.
+    """
+
+    def __init__(self, rig: RigConfig, period_s: float, memory: Array | None = None) -> None:
+        geometry, ff, limits = rig.geometry, rig.feedforward, rig.limits
+        coils, sensors = len(geometry.coil_x_m), len(geometry.sensors_x_m)
+        self._inputs = np.zeros(sensors + coils + 6)
+        self.gap_m, self.readback_n, self.beam, self.rotor = np.split(
+            self._inputs, np.cumsum([sensors, coils, 3])
+        )
+        self._outputs = np.zeros(coils + 6)
+        self.coil_n, self.beam_ref, self.rotor_ref = np.split(self._outputs, np.cumsum([coils, 3]))
+        law = (
+            decoupling_matrix(geometry.sensors_x_m, geometry.sensors_y_m).ravel(),
+            decoupling_matrix(geometry.coil_x_m, geometry.coil_y_m).ravel(),
+            shape_matrix(geometry.coil_x_m, geometry.coil_y_m).ravel(),
+            rig.control.kp,
+            [ki * period_s for ki in rig.control.ki],
+            [ff.mass_kg * ff.gravity_m_s2, ff.beam_mass_kg * ff.gravity_m_s2, ff.rods_n_m],
+            [limits.coil_n, limits.coil_rate_n_s * period_s],
+            [limits.gap_m, limits.beam_m + BEAM_MARGIN_M],
+            # What the rig does not limit has no limit.
+            [limits.total_n or math.inf, limits.tilt_rad or math.inf, limits.gap_m_s or math.inf],
+            [_BEAM_MARGIN * limits.beam_velocity_m_s + _BEAM_MARGIN_M_S],
+            [(limits.coil_rms_n or math.inf) ** 2, period_s / limits.coil_time_constant_s],
+            [period_s],
+        )
+        self._law = np.concatenate([np.asarray(part, float) for part in law])
+        self._memory = np.zeros(memory_shape(coils, sensors)) if memory is None else memory
+        self._memory[:_ROWS] = 0.0
+        self._heat, _, self._before = np.split(self._memory[_ROWS:].ravel(), [coils, coils + 1])
+        self._coil_time_constant_s = limits.coil_time_constant_s
+        self._before[:] = np.nan
+        self._engaged = False
+        self._arrays: tuple[Any, ...] = ()
+
+    @property
+    def pose(self) -> Array:
+        """The pose (3,) of the last cycle in rad, rad, m; a view."""
+        return self._memory[_POSE, :3]
+
+    @property
+    def engaged(self) -> bool:
+        """Whether control carries the platform."""
+        return self._engaged
+
+    def begin(self, segment: Segment) -> None:
+        """Prepare for `segment`.
+
+        Engaging control starts from the pose at hand, landing from the reference and the
+        feed-forward at hand: neither makes the force jump. Only a segment that engages brings
+        control in: any other that follows idling, a halt or a fault stays at zero force.
+        """
+        memory = self._memory
+        self._engaged = segment.in_control and (segment.engages or self._engaged)
+        if segment.engages:
+            memory[_REST] = memory[_POSE]
+            memory[_INTEGRAL] = 0.0
+            memory[_GOAL] = 0.0, 0.0, 0.0, 1.0
+        if segment.lands:
+            memory[_GOAL] = memory[_LAST]
+        memory[_MODE, :3] = segment.state, self._engaged, segment.airborne
+        self._arrays = (
+            segment.v, segment.coil_excitation, segment.blend, segment.beam, segment.rotor,
+        )  # fmt: skip
+
+    def latch(self, fault: Fault) -> None:
+        """Log `fault` in every row until it is cleared with Fault.NONE."""
+        self._memory[_MODE, 3] = fault
+
+    def detail(self, fault: Fault) -> str:
+        """Return the reading that led to `fault`, in words; empty where it was none."""
+        gap, heat = np.abs(self.gap_m), self._heat
+        if fault is Fault.GAP:
+            return f"{1e3 * gap.max():.3f} mm at sensor {gap.argmax()}"
+        if fault is Fault.POSE:
+            return f"psi {1e3 * self.pose[0]:.3f} mrad, theta {1e3 * self.pose[1]:.3f} mrad"
+        if fault is Fault.VELOCITY:
+            return f"beam at {self.beam[1]:.3f} m/s, height {1e3 * self.pose[2]:.3f} mm"
+        if fault is Fault.HEAT:
+            return f"{heat.max() ** 0.5:.1f} N in the long run in coil {heat.argmax()}"
+        return ""
+
+    def halt(self) -> None:
+        """Command zero force from now on."""
+        self.coil_n[:] = 0.0
+        self._memory[_INTEGRAL] = 0.0
+        self._engaged = False
+        self._memory[_MODE, 1] = 0.0
+
+    def cool(self, seconds: float) -> None:
+        """Have the coils been at zero force for so long, in which no cycle was counted."""
+        self._heat *= math.exp(-max(seconds, 0.0) / self._coil_time_constant_s)
+
+    def move(self, k: int) -> None:
+        """Set the manipulator's setpoints of cycle `k`, and nothing else, as `step` would."""
+        *_, beam, rotor = self._arrays
+        self.beam_ref[:] = beam[min(k, len(beam) - 1)]
+        self.rotor_ref[:] = rotor[min(k, len(rotor) - 1)]
+
+    def step(
+        self,
+        rows: NDArray[np.void],
+        slot: int,
+        cycle: int,
+        time_s: float,
+        k: int,
+        read_s: float = 0.0,
+    ) -> int:
+        """Compute cycle `k` of the segment and write row `slot`; return the fault, 0 for none.
+
+        `read_s` is how long after the cycle's own time all readings were there.
+        """
+        return control_cycle(  # type: ignore[no-any-return]
+            rows, slot, cycle, time_s, k, read_s,
+            self._inputs, self._outputs, self._law, self._memory, *self._arrays,
+        )  # fmt: skip
+
+
+def memory_shape(coils: int, sensors: int) -> tuple[int, int]:
+    """Return the shape of a controller's memory."""
+    return _ROWS + (coils + sensors + 5) // 4, 4
+
+
+def heat_of(memory: Array, coils: int) -> Array:
+    """Return a view (C,) of how hot the coils are in a controller's memory, in N^2."""
+    return memory[_ROWS:].ravel()[:coils]
+
+
+def heated_of(memory: Array, coils: int) -> Array:
+    """Return a view (1,) of the cycle that this heat is of."""
+    return memory[_ROWS:].ravel()[coils : coils + 1]
+
+
+@njit(cache=True)
+def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - the cycle, in its order
+    rows, slot, cycle, time_s, k, read_s, inputs, outputs, law, memory,
+    v_all, coil_excitation_all, blend_all, beam_all, rotor_all,
+):  # fmt: skip
+    """Compute one cycle; see Controller.step, and Controller for what the packed arrays hold.
+
+    The segment's arrays have one row a cycle, or a single row that holds for all of them.
+    """
+    row = rows[slot]
+    n_coils, n_sensors = outputs.size - 6, row.gap_m.size
+    gap = inputs[:n_sensors]
+    readback = inputs[n_sensors : n_sensors + n_coils]
+    beam, rotor = inputs[-6:-3], inputs[-3:]
+    coil, beam_ref, rotor_ref = outputs[:n_coils], outputs[-6:-3], outputs[-3:]
+
+    end = 3 * n_sensors
+    T_sensors = law[:end].reshape(3, n_sensors)
+    T_coils = law[end : end + 3 * n_coils].reshape(3, n_coils)
+    S_coils = law[end + 3 * n_coils : end + 6 * n_coils].reshape(n_coils, 3)
+    kp, ki_Ts = law[-20:-17], law[-17:-14]
+    weight, beam_weight, rods, coil_limit, coil_step, gap_limit, beam_limit = law[-14:-7]
+    total_limit, tilt_limit, speed_limit, beam_speed_limit, heat_limit, cooling, Ts = law[-7:]
+
+    pose, integral, rest, goal, last = (
+        memory[_POSE], memory[_INTEGRAL], memory[_REST], memory[_GOAL], memory[_LAST],
+    )  # fmt: skip
+    ref, ff, tau, lost = memory[_REF], memory[_FF], memory[_TAU], memory[_LOST]
+    memory[_REF:_ROWS] = 0.0
+    more = memory[_ROWS:].reshape(-1)
+    heat, before = more[:n_coils], more[n_coils + 1 : n_coils + n_sensors + 2]
+    state, in_control, airborne = memory[_MODE, 0], memory[_MODE, 1] > 0, memory[_MODE, 2] > 0
+
+    v = v_all[min(k, len(v_all) - 1)]
+    coil_excitation = coil_excitation_all[min(k, len(coil_excitation_all) - 1)]
+    blend = blend_all[min(k, len(blend_all) - 1)]
+
+    fault = 0
+    for j in range(n_sensors):
+        # On the way up and down the stops are beyond the limit; ten times as far nothing is real.
+        if abs(gap[j]) > gap_limit * (1.0 if airborne else 10.0) and in_control:
+            fault = _GAP
+    # Where a cycle stood still for periods before it read, they have moved for as many more.
+    periods = cycle - before[n_sensors] + max(read_s / Ts - 1.0, 0.0)
+    fresh = False
+    for j in range(n_sensors):
+        moved = abs(gap[j] - before[j])
+        if moved > speed_limit * Ts * periods and airborne and in_control:
+            fault = _VELOCITY
+        fresh = fresh or gap[j] != before[j]
+        before[j] = gap[j]
+    if fresh:  # else they are stale, and what moves next has had all that time
+        before[n_sensors] = cycle
+    if in_control and abs(beam[1]) > beam_speed_limit:
+        fault = _VELOCITY
+    if in_control and abs(beam[0]) > beam_limit:
+        fault = _BEAM
+    # In periods without a step, skipped or without readings, coils had what they were last told.
+    missed = cycle - more[n_coils] - 1.0
+    more[n_coils] = cycle
+    if missed > 0.0:
+        kept = math.exp(-cooling * missed)
+        for j in range(n_coils):
+            heat[j] = coil[j] * coil[j] + kept * (heat[j] - coil[j] * coil[j])
+    for j in range(n_coils):
+        # A readback that is stuck tells nothing: what the coil was told counts as well.
+        # Squared, what no coil can carry would stay in there for ever.
+        said = abs(readback[j]) if np.isfinite(readback[j]) else 0.0
+        carried = min(max(said, abs(coil[j])), _MOST_CARRIED * coil_limit)
+        heat[j] += cooling * (carried * carried - heat[j])
+        if heat[j] > heat_limit and in_control:
+            fault = _HEAT
+    for j in range(inputs.size):
+        if not np.isfinite(inputs[j]):
+            fault = _READING
+
+    for i in range(3):
+        pose[i] = 0.0
+        for j in range(n_sensors):
+            pose[i] += T_sensors[i, j] * gap[j]
+    if (
+        (abs(pose[0]) > tilt_limit or abs(pose[1]) > tilt_limit)
+        and airborne and in_control and fault == 0
+    ):  # fmt: skip
+        fault = _POSE_FAULT
+    active = in_control and fault == 0
+    if active:
+        for i in range(3):
+            ref[i] = rest[i] + blend[0] * (goal[i] - rest[i])
+            last[i] = ref[i]
+        last[3] = blend[1] * goal[3]
+        ff[1] = last[3] * beam_weight * beam[0]
+        ff[2] = last[3] * (weight + rods * ref[2])
+        for i in range(3):
+            error = ref[i] - pose[i]
+            integral[i] += ki_Ts[i] * error
+            tau[i] = blend[2] * (kp[i] * error + integral[i] + ff[i] + v[i])
+
+    saturated = 0
+    for j in range(n_coils):
+        force = 0.0
+        if active:
+            force = blend[2] * coil_excitation[j]
+            for i in range(3):
+                force += T_coils[i, j] * tau[i]
+            if not np.isfinite(force):
+                fault = _COMPUTATION
+            low, high = max(-coil_limit, coil[j] - coil_step), min(coil_limit, coil[j] + coil_step)
+            allowed = min(max(force, low), high)
+            if allowed != force:
+                saturated += 1
+                for i in range(3):
+                    lost[i] += S_coils[j, i] * (force - allowed)
+            force = allowed
+        coil[j] = force
+    total = 0.0
+    for j in range(n_coils):
+        total += abs(coil[j])
+    if total > total_limit:
+        saturated = n_coils
+        for j in range(n_coils):
+            for i in range(3):
+                lost[i] += S_coils[j, i] * coil[j] * (1.0 - total_limit / total)
+            coil[j] *= total_limit / total
+    if fault != 0:
+        coil[:] = 0.0
+        integral[:] = 0.0
+    elif saturated:
+        # Anti-windup: an integrator does not go on in the direction that the coils cannot follow.
+        for i in range(3):
+            increment = ki_Ts[i] * (ref[i] - pose[i])
+            if increment * lost[i] > 0.0:
+                integral[i] -= increment
+
+    for j in range(3):
+        beam_ref[j] = beam_all[min(k, len(beam_all) - 1), j]
+        rotor_ref[j] = rotor_all[min(k, len(rotor_all) - 1), j]
+
+    row.cycle = cycle
+    row.time_s = time_s
+    for j in range(n_sensors):
+        row.gap_m[j] = gap[j]
+    row.psi_rad, row.theta_rad, row.z_m = pose[0], pose[1], pose[2]
+    row.psi_ref_rad, row.theta_ref_rad, row.z_ref_m = ref[0], ref[1], ref[2]
+    played = blend[2] if active else 0.0
+    row.v_psi_n_m, row.v_theta_n_m, row.v_z_n = played * v[0], played * v[1], played * v[2]
+    for j in range(n_coils):
+        row.coil_excitation_n[j] = played * coil_excitation[j]
+        row.coil_n[j] = coil[j]
+        row.coil_readback_n[j] = readback[j]
+    row.ff_psi_n_m, row.ff_theta_n_m, row.ff_z_n = played * ff[0], played * ff[1], played * ff[2]
+    row.tau_psi_n_m, row.tau_theta_n_m, row.tau_z_n = tau[0], tau[1], tau[2]
+    row.beam_m, row.beam_m_s, row.beam_force_n = beam[0], beam[1], beam[2]
+    row.beam_ref_m, row.beam_ref_m_s, row.beam_ref_m_s2 = beam_ref[0], beam_ref[1], beam_ref[2]
+    row.rotor_rad, row.rotor_rad_s, row.rotor_torque_n_m = rotor[0], rotor[1], rotor[2]
+    row.rotor_ref_rad = rotor_ref[0]
+    row.lateness_s = 0.0
+    row.execution_s = 0.0
+    row.state = _FAULT_STATE if fault != 0 else state
+    row.fault = fault if fault != 0 else memory[_MODE, 3]
+    row.saturated = min(saturated, 255)
+    row.skipped = 0
+    row.stale = 0
+    return fault

@@ -1,0 +1,1 @@
+"""Use the operating system: scheduling, child processes, rights, clocks, disk, resource limits."""

@@ -1,0 +1,1 @@
+"""Share memory and messages between the daemon's processes."""

@@ -1,0 +1,1 @@
+"""Run the control cycle at its rate, in real time or in virtual time."""

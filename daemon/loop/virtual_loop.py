@@ -1,0 +1,127 @@
+"""The loop in virtual time: sync, read, control, write, record, as fast as the code runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ...drivers.base import Devices
+from ..control.control_cycle import Controller
+from ..control.exception_faults import fault_of
+from ..control.faults import Fault
+from ..control.segment import Segment
+from ..control.states import State
+from ..ipc.row_ring import NO_LOG, Ring
+
+_BLOCK = 4096
+
+
+class VirtualLoop:
+    """Flies segments on open devices, one row of the ring a cycle, tagged with the log it goes to.
+
+    `cycle` numbers the periods since the start, so that cycle times the period is the time of the
+    plant. The loop in real time is TimedLoop.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        devices: Devices,
+        ring: Ring,
+        period_s: float,
+        make_room: Callable[[int], None],
+    ) -> None:
+        self._controller, self._devices = controller, devices
+        self._ring, self._period_s, self._make_room = ring, period_s, make_room
+        self._state = State.IDLE
+        self.cycle = -1
+        self.tag = NO_LOG
+        self.stop_requested = False
+        self.detail = ""
+
+    def fly(self, segment: Segment) -> Fault:
+        """Fly one segment to its end, a stop request, or a fault, which is returned.
+
+        A landing goes on to its end whatever is requested: it is what a stop leads to.
+        """
+        stoppable = not segment.lands
+        self.detail = ""  # what an earlier fault said is no cause of the next
+        if not self._state.may_become(segment.state):
+            self.detail = f"{segment.state.name} after {self._state.name}"
+            return self._failed(Fault.SEQUENCE)
+        self._state = segment.state
+        self._controller.begin(segment)
+        fault = 0
+        try:
+            for begin in range(0, segment.cycles, _BLOCK):
+                block = min(_BLOCK, segment.cycles - begin)
+                # Virtual time outruns any disk: here, and only here, the loop waits for the
+                # recorder.
+                self._make_room(block)
+                self._label(block)
+                fault = self._block(begin, begin + block, stoppable)
+                if fault or (self.stop_requested and stoppable):
+                    break
+        except Exception as error:  # noqa: BLE001 - whatever it is, the coils go to zero first
+            failed, words = fault_of(error)
+            return self._failed(failed, words)
+        return Fault(fault)
+
+    def zero(self) -> None:
+        """Command zero force, as well as the devices still allow."""
+        self._controller.halt()
+        try:
+            self._devices.amplifiers.release(self._controller.coil_n)
+        except Exception as error:  # noqa: BLE001 - the fault at hand matters more
+            self.detail = self.detail or f"{type(error).__name__}: {error}"
+
+    def _failed(self, fault: Fault, detail: str = "") -> Fault:
+        """Zero force before anyone is told, then a row of the log that names the fault."""
+        self.zero()
+        self.detail = detail or self.detail
+        ring, control = self._ring, self._controller
+        if ring.room:
+            slot = ring.head % ring.capacity
+            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
+            ring.rows["fault"][slot] = fault
+            ring.rows["state"][slot] = State.FAULT
+            ring.rows["stale"][slot] = self._devices.stale_roles
+            ring.tags[slot] = self.tag
+            ring.head += 1
+        return fault
+
+    def _label(self, rows: int) -> None:
+        """Tag the next rows, before they are there."""
+        ring = self._ring
+        first = ring.head % ring.capacity
+        ring.tags[first : first + rows] = self.tag
+        ring.tags[: max(first + rows - ring.capacity, 0)] = self.tag
+
+    def _block(self, begin: int, end: int, stoppable: bool) -> int:
+        control, ring, devices = self._controller, self._ring, self._devices
+        amplifiers, sensors, drives = devices.amplifiers, devices.sensors, devices.drives
+        syncs, step, rows, capacity = devices.syncs, control.step, ring.rows, ring.capacity
+        gap, readback, coil = control.gap_m, control.readback_n, control.coil_n
+        beam, rotor, beam_ref, rotor_ref = (
+            control.beam, control.rotor, control.beam_ref, control.rotor_ref,
+        )  # fmt: skip
+        cycle, head, period_s, stales = self.cycle, ring.head, self._period_s, rows["stale"]
+        fault = 0
+        try:
+            for k in range(begin, end):
+                cycle += 1
+                for sync in syncs:
+                    sync(cycle)
+                sensors.read(gap)
+                drives.read(beam, rotor)
+                amplifiers.read(readback)
+                fault = step(rows, head % capacity, cycle, cycle * period_s, k)
+                if sensors.stale or drives.stale or amplifiers.stale:
+                    stales[head % capacity] = devices.stale_roles
+                amplifiers.write(coil)
+                drives.write(beam_ref, rotor_ref)
+                head += 1
+                if fault or (self.stop_requested and stoppable):
+                    break
+        finally:  # what was flown before a driver failed is in the log all the same
+            self.cycle, ring.head = cycle, head
+        return fault

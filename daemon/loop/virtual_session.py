@@ -1,0 +1,46 @@
+"""A session flown in virtual time: in this process, on the simulator, as fast as it runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ...config.base import ConfigError
+from ...config.rig import RigConfig
+from ...config.session import SessionConfig
+from ...drivers.registry import ROLES
+from ..planning.plan import plan_session
+from ..recording.session_logs import FlightResult, attachments
+from .clock import VirtualClock
+from .virtual_flight import Flight, Progress
+
+
+def fly_virtually(
+    rig: RigConfig,
+    rig_file: Path,
+    session: SessionConfig,
+    session_text: bytes,
+    out: Path,
+    progress: Progress | None = None,
+    source: str | None = None,
+) -> FlightResult:
+    """Fly `session` on `rig` (read from `rig_file`) and log into the folder `out`.
+
+    `source` names the session in errors.
+
+    Raises:
+        ConfigError: a role is not played by loopback, or the session does not fit the rig.
+        FlightFault, RecordingError: see Flight.fly.
+    """
+    for role in ROLES:
+        backend = getattr(rig, role).backend
+        if backend != "loopback":
+            raise ConfigError(
+                f"{rig_file}: {role}.backend: virtual time needs loopback, found {backend}"
+            )
+    rate_hz = session.rate_hz or rig.rate_hz
+    texts = attachments(rig_file.read_bytes(), session_text)
+    with Flight(rig, rig_file.parent, rate_hz, VirtualClock()) as flight:
+        plan = plan_session(session, rig, flight.beam_m, flight.rotor_rad, source)
+        # Only now: a session that does not fit is refused before any file is made.
+        out.mkdir(parents=True, exist_ok=True)
+        return flight.fly(plan, out, texts, progress)

@@ -1,0 +1,1 @@
+"""Turn a session or a command into segments, in a process of their own, before anything flies."""

@@ -1,0 +1,74 @@
+"""Orthogonal random-phase multisines: several inputs play at once and can still be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import hadamard
+
+from ...config.session import Excitation, Orthogonal
+from .excitation import excited_lines, one_period
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_GRID, _PHASES = 1, 2  # streams of random numbers: lines are a session's, phases are a record's
+
+
+def orthogonal_multisines(
+    excitations: Sequence[Excitation],
+    plan: Orthogonal,
+    fade_s: float,
+    rate_hz: float,
+    seed: int,
+    record: int,
+) -> Array:
+    """Return (n, p) samples of p excitations in N m or N, before any fading.
+
+    Realisation by realisation, and in each experiment by experiment, `plan.periods` periods are
+    played; the last one goes on for `fade_s`. The lines are those of the session's `seed`, alike in
+    all its records; phases are drawn for each `record` and realisation.
+
+    Over the p experiments the spectra of one realisation are, at every line, a unitary matrix up
+    to the levels: V[j, e] = A_j W[e, j] exp(i phi_j) exp(i psi_e) with W from
+    `orthogonal_matrix` (Dobrowiecki and Schoukens 2007). With psi as random as phi ("full random
+    orthogonal phases", Pintelon and Schoukens 2012, 3.7) nonlinear distortions of the experiments
+    are uncorrelated and fall on all inputs alike, as noise does.
+
+    Raises ConfigError where the band holds no line.
+    """
+    p = len(excitations)
+    lines = excited_lines(excitations[0], rate_hz, np.random.default_rng([seed, _GRID]))
+    W = orthogonal_matrix(p)
+    blocks: list[Array] = []
+    for realisation in range(plan.realisations):
+        rng = np.random.default_rng([seed, _PHASES, record, realisation])
+        of_input, of_experiment = np.exp(2j * np.pi * rng.random((2, p, len(lines))))
+        for e in range(p):
+            phasors = W[e][:, None] * of_input * of_experiment[e]
+            periods = [
+                one_period(excitation, lines, row, rate_hz)
+                for excitation, row in zip(excitations, phasors, strict=True)
+            ]
+            blocks.append(np.tile(np.stack(periods, axis=1), (plan.periods, 1)))
+    tail = blocks[-1][: round(fade_s * rate_hz)]
+    return np.concatenate([*blocks, tail])
+
+
+def orthogonal_cycles(
+    excitation: Excitation, inputs: int, plan: Orthogonal, fade_s: float, rate_hz: float
+) -> int:
+    """Return the number of samples of `orthogonal_multisines` for so many inputs."""
+    assert excitation.period_s is not None
+    n = round(excitation.period_s * rate_hz)
+    return plan.realisations * inputs * plan.periods * n + round(fade_s * rate_hz)
+
+
+def orthogonal_matrix(p: int) -> Complex:
+    """Return W (p, p), |W| = 1, W W^H = p I: Hadamard's for powers of two, else the DFT's."""
+    if p & (p - 1) == 0:
+        return np.asarray(hadamard(p), dtype=np.complex128)
+    k = np.arange(p)
+    return np.asarray(np.exp(-2j * np.pi * np.outer(k, k) / p))

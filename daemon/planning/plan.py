@@ -1,0 +1,457 @@
+"""From a session to segments: what the loop will fly, computed before it flies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.base import ConfigError
+from ...config.rig import RigConfig
+from ...config.session import CoilCheck, Land, Levitate, Move, RecordStep, SessionConfig, Step
+from ...model.geometry import decoupling_matrix
+from ..control.coil_check import LONGER, Pushes
+from ..control.segment import Segment, idle_segment
+from ..control.states import State
+from ..ipc.row_ring import ring_rows
+from . import point_to_point
+from .excitation import fade, signal
+from .orthogonal_multisine import orthogonal_cycles, orthogonal_multisines
+
+Array = NDArray[np.float64]
+
+_IDLE_S = 0.3
+_JUDGED_S = 2.0
+"""How long a check of coils may wait to be judged; its rows are kept for as long."""
+MOST_CYCLES = 30_000_000
+"""Of a record, and of a session that a daemon flies: 50 min at 10 kHz, arrays of several GB."""
+_FLYING = np.array([[1.0, 1.0, 1.0]])
+_AXIS = {"psi": 0, "theta": 1, "z": 2}
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """One step of a session; `segments()` computes its arrays, tens of MB for a long record."""
+
+    index: int
+    kind: Literal["levitate", "move", "record", "land"]
+    name: str
+    cycles: int
+    segments: Callable[[], list[Segment]]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All steps of a session at one rate."""
+
+    name: str
+    rate_hz: float
+    steps: tuple[PlannedStep, ...]
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of the whole session."""
+        return sum(step.cycles for step in self.steps)
+
+
+def plan_session(
+    session: SessionConfig,
+    rig: RigConfig,
+    beam_m: float = 0.0,
+    rotor_rad: float = 0.0,
+    source: str | None = None,
+    check: CoilCheck | None = None,
+) -> Plan:
+    """Lay out `session` on `rig`, from a manipulator at rest at `beam_m` and `rotor_rad`.
+
+    `source` names the session in errors, its file if there is one. `check` is done where a lift-off
+    says nothing of its own about it.
+
+    Raises:
+        ConfigError: a position or speed outside the rig's limits, a coil that the rig has not, a
+            level that would saturate the coils; the message names session, step and key.
+    """
+    return _Planner(session, rig, beam_m, rotor_rad, source, check).plan()
+
+
+def plan_steps(
+    steps: Sequence[Step],
+    name: str,
+    rig: RigConfig,
+    beam_m: float,
+    rotor_rad: float,
+    check: CoilCheck | None = None,
+) -> Plan:
+    """Lay out single steps, flown by hand, from a manipulator at rest; see plan_session."""
+    session = SessionConfig.model_construct(
+        levid="session",
+        name=name,
+        rate_hz=None,
+        seed=1,
+        excitations={},
+        steps=tuple(steps),
+        then=(),
+    )
+    return _Planner(session, rig, beam_m, rotor_rad, name, check).plan()
+
+
+class _Planner:
+    def __init__(
+        self,
+        session: SessionConfig,
+        rig: RigConfig,
+        beam_m: float,
+        rotor_rad: float,
+        source: str | None,
+        check: CoilCheck | None,
+    ) -> None:
+        self.session, self.rig, self.check = session, rig, check
+        self.source = source or f"session {session.name}"
+        self.rate_hz = session.rate_hz or rig.rate_hz
+        self.beam_m, self.rotor_rad = beam_m, rotor_rad
+        self.coils = len(rig.geometry.coil_x_m)
+        self.T_coils = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
+        self.no_v, self.no_coils = np.zeros((1, 3)), np.zeros((1, self.coils))
+
+    def plan(self) -> Plan:
+        steps: list[PlannedStep] = []
+        for index, step in enumerate(self.session.steps):
+            where = f"{self.source}: steps[{index}].{step.kind}"
+            try:
+                steps.append(self.step(step, index, where))
+            except (ValueError, OverflowError) as error:
+                raise ConfigError(f"{where}: {error}") from None
+        return Plan(self.session.name, self.rate_hz, tuple(steps))
+
+    def step(self, step: Step, index: int, where: str) -> PlannedStep:
+        if step.levitate is not None:
+            planned = self.levitate(step.levitate, where)
+        elif step.move is not None:
+            planned = self.move(step.move, where)
+        elif step.record is not None:
+            planned = self.record(step.record, index, where)
+        else:
+            planned = self.land(step.land or Land())
+        name = step.record.name if step.record else step.kind
+        return PlannedStep(index, step.kind, name, *planned)
+
+    def levitate(self, step: Levitate, where: str) -> tuple[int, Callable[[], list[Segment]]]:
+        idle, settle = self.n(_IDLE_S), self.n(step.settle_s)
+        unload, ramp = self.n(step.unload_s), self.n(step.ramp_s)
+        beam, rotor = self.still()
+        checks: list[Segment] = []
+        check = self.check if step.check_coils is None else step.check_coils or None
+        if check is not None:
+            pushes = Pushes.of(check, self.coils, self.rate_hz)
+            self.check_length(check, pushes, f"{where}.check_coils")
+            pushed = pushes.excitation()
+            self.check_levels(self.no_v, pushed, beam, f"{where}.check_coils")
+            flying = self.flying(State.LEVITATING, len(pushed), beam, rotor)
+            checks = [replace(flying, coil_excitation=pushed, checks=pushes)]
+
+        def segments() -> list[Segment]:
+            up = np.concatenate([np.zeros(unload), _smooth(ramp)])
+            share = np.concatenate([_smooth(unload), np.ones(ramp)])
+            blend = np.stack([up, share, np.ones(unload + ramp)], axis=1)
+            return [
+                idle_segment(idle, self.coils, beam, rotor),
+                self.flying(
+                    State.LEVITATING, unload + ramp, beam, rotor, blend, False, engages=True
+                ),
+                *checks,
+                self.flying(State.LEVITATING, settle, beam, rotor),
+            ]
+
+        pushing = sum(check.cycles for check in checks)
+        return idle + unload + ramp + pushing + settle, segments
+
+    def move(self, step: Move, where: str) -> tuple[int, Callable[[], list[Segment]]]:
+        limits = self.rig.limits
+        beam, rotor = self.still()
+        if step.beam_m is not None:
+            beam = self.beam_move(
+                step.beam_m, step.velocity_m_s, step.acceleration_m_s2, f"{where}.beam_m"
+            )
+        if step.rotor_rad is not None:
+            rotor = point_to_point.move(
+                self.rotor_rad,
+                step.rotor_rad,
+                limits.rotor_velocity_rad_s,
+                limits.rotor_acceleration_rad_s2,
+                1 / self.rate_hz,
+            )
+            self.rotor_rad = step.rotor_rad
+        moving, settle = max(len(beam), len(rotor)), self.n(step.settle_s)
+
+        def segments() -> list[Segment]:
+            return [
+                self.flying(State.MOVING, moving, beam, rotor),
+                self.flying(State.LEVITATING, settle, beam[-1:], rotor[-1:]),
+            ]
+
+        return moving + settle, segments
+
+    def record(
+        self, step: RecordStep, index: int, where: str
+    ) -> tuple[int, Callable[[], list[Segment]]]:
+        n, settle = self.record_cycles(step), self.n(step.settle_s)
+        if n > MOST_CYCLES:
+            key = next(k for k in ("duration_s", "orthogonal", "each_s") if getattr(step, k))
+            raise ConfigError(
+                f"{where}.{key}: expected at most {MOST_CYCLES / self.rate_hz:g} s at "
+                f"{self.rate_hz:g} Hz, found {n / self.rate_hz:g} s; fly several records"
+            )
+        beam_before, rotor_before = self.still()
+        beam, rotor = beam_before, rotor_before
+        if step.beam:
+            beam = self.beam_trajectory(step, n, where)
+        if step.rotor:
+            rotor = self.rotor_trajectory(step, n, where)
+        moves = bool(step.beam or step.rotor)
+        state = State.MOVING if moves and not step.excite else State.EXCITING
+
+        def segments() -> list[Segment]:
+            v, coil_excitation = self.excitation(step, index, n, where)
+            return [
+                self.flying(State.LEVITATING, settle, beam_before, rotor_before),
+                Segment(state, n, v, coil_excitation, _FLYING, beam, rotor),
+            ]
+
+        self.check_levels(*self.excitation(step, index, n, where), beam, where)
+        return settle + n, segments
+
+    def land(self, step: Land) -> tuple[int, Callable[[], list[Segment]]]:
+        ramp, release, idle = self.n(step.ramp_s), self.n(step.release_s), self.n(_IDLE_S)
+        beam, rotor = self.still()
+
+        def segments() -> list[Segment]:
+            down = _smooth(ramp)[::-1]
+            sink = np.stack([down, np.ones(ramp), np.ones(ramp)], axis=1)
+            out = _smooth(release)[::-1]
+            let_go = np.stack([np.zeros(release), np.ones(release), out], axis=1)
+            return [
+                self.flying(State.LANDING, ramp, beam, rotor, sink, False, lands=True),
+                self.flying(State.LANDING, release, beam, rotor, let_go, False, lands=True),
+                idle_segment(idle, self.coils, beam, rotor),
+            ]
+
+        return ramp + release + idle, segments
+
+    def excitation(self, step: RecordStep, index: int, n: int, where: str) -> tuple[Array, Array]:
+        """Return v (n, 3) and coil excitation (n, C); a single row of zeros where nothing plays."""
+        v, coils = self.no_v, self.no_coils
+        signals = self.signals(step, index, n)
+        for position, name in enumerate(step.excite):
+            excitation = self.session.excitations[name]
+            try:
+                samples = step.scale * next(signals)
+            except ConfigError as error:
+                raise ConfigError(f"{self.source}: excitations.{name}.{error}") from None
+            samples *= fade(len(samples), step.fade_s, self.rate_hz)
+            begin = 0 if step.each_s is None else position * self.n(step.each_s)
+            during = slice(begin, begin + len(samples))
+            if excitation.input in _AXIS:
+                v = v if len(v) == n else np.zeros((n, 3))
+                v[during, _AXIS[excitation.input]] += samples
+            else:
+                coil = int(excitation.input.removeprefix("coil:"))
+                if coil >= self.coils:
+                    raise ConfigError(
+                        f"{where}: excitation '{name}': expected coil:0 .. coil:{self.coils - 1}, "
+                        f"found {excitation.input}"
+                    )
+                coils = coils if len(coils) == n else np.zeros((n, self.coils))
+                coils[during, coil] += samples
+        return v, coils
+
+    def signals(self, step: RecordStep, index: int, n: int) -> Iterator[Array]:
+        """Yield the samples of each excitation of a record, (n,) or a turn; raises ConfigError."""
+        played = [self.session.excitations[name] for name in step.excite]
+        seed = self.session.seed
+        if step.orthogonal is not None:
+            yield from orthogonal_multisines(
+                played, step.orthogonal, step.fade_s, self.rate_hz, seed, index
+            ).T
+            return
+        if step.each_s is not None:  # the next one fades in while a turn fades out
+            n = self.n(step.each_s) + self.n(step.fade_s)
+        for position, excitation in enumerate(played):
+            # One stream for each place in the session: adding a record leaves the others alone.
+            rng = np.random.default_rng([seed, index, position])
+            yield signal(excitation, n, self.rate_hz, rng)
+
+    def record_cycles(self, step: RecordStep) -> int:
+        if step.orthogonal is not None:
+            first = self.session.excitations[step.excite[0]]
+            return orthogonal_cycles(
+                first, len(step.excite), step.orthogonal, step.fade_s, self.rate_hz
+            )
+        if step.each_s is not None:
+            return len(step.excite) * self.n(step.each_s) + self.n(step.fade_s)
+        assert step.duration_s is not None
+        return self.n(step.duration_s)
+
+    def check_length(self, check: CoilCheck, pushes: Pushes, where: str) -> None:
+        """Raise ConfigError for pushes that would be longer than they should, or not be judged.
+
+        What was judged last has to be there still, and the first one is written over first.
+        """
+        if pushes.push > LONGER * check.push_s * self.rate_hz:
+            raise ConfigError(
+                f"{where}.push_s: expected a push of at least one period, "
+                f"{1 / self.rate_hz:.3g} s, found {check.push_s:g} s"
+            )
+        longest_s = ring_rows(self.rig.recording, self.rate_hz) / self.rate_hz - _JUDGED_S
+        found_s = pushes.coils * pushes.turn / self.rate_hz
+        if found_s > longest_s:
+            raise ConfigError(
+                f"{where}: expected the pushes of all {pushes.coils} coils within "
+                f"{longest_s:.1f} s, found {found_s:.1f} s; shorten pause_s or push_s, or lengthen "
+                f"recording.before_fault_s of the rig, for which rows are kept"
+            )
+
+    def check_levels(self, v: Array, coil_excitation: Array, beam: Array, where: str) -> None:
+        """Raise ConfigError where weight and excitation together ask more than a coil can give."""
+        ff, limit = self.rig.feedforward, self.rig.limits.coil_n
+        beam_torque = ff.beam_mass_kg * ff.gravity_m_s2 * np.atleast_2d(beam)[:, 0]
+        weight = np.zeros((len(beam_torque), 3))
+        weight[:, 1], weight[:, 2] = beam_torque, ff.mass_kg * ff.gravity_m_s2
+        carried = float(np.max(np.abs(weight @ self.T_coils)))
+        played = _peak_force(v, self.T_coils) + float(np.max(np.abs(coil_excitation)))
+        if not carried + played <= limit:  # nor is what is no number
+            raise ConfigError(
+                f"{where}: the excitation would saturate the coils: expected at most {limit:g} N "
+                f"a coil, found {carried:.1f} N of weight and {played:.1f} N of excitation at its "
+                f"peak; lower rms_n or rms_n_m by a factor of "
+                f"{played / max(limit - carried, 1e-9):.1f} or more"
+            )
+
+    def beam_trajectory(self, step: RecordStep, n: int, where: str) -> Array:
+        """Return the beam's setpoints (n, 3): its waypoints, again and again."""
+        legs = [
+            self.beam_leg(
+                point.to_m,
+                point.velocity_m_s,
+                point.acceleration_m_s2,
+                point.dwell_s,
+                f"{where}.beam[{number}].to_m",
+            )
+            for number, point in enumerate(step.beam)
+        ]
+        try:
+            setpoints = point_to_point.repeated(self.beam_m, legs, n, 1 / self.rate_hz)
+        except ValueError as error:
+            raise ConfigError(f"{where}.beam[0].to_m: {error}") from None
+        self.beam_m = float(setpoints[-1, 0])
+        return setpoints
+
+    def rotor_trajectory(self, step: RecordStep, n: int, where: str) -> Array:
+        """Return the rotor's setpoints (n, 3): its waypoints, again and again."""
+        limits = self.rig.limits
+        legs: list[point_to_point.Leg] = []
+        for number, point in enumerate(step.rotor):
+            velocity, acceleration = limits.rotor_velocity_rad_s, limits.rotor_acceleration_rad_s2
+            at = f"{where}.rotor[{number}]"
+            fast, hard = point.velocity_rad_s, point.acceleration_rad_s2
+            _check_limit(f"{at}.velocity_rad_s", fast, velocity, "rad/s")
+            _check_limit(f"{at}.acceleration_rad_s2", hard, acceleration, "rad/s2")
+            legs.append(
+                point_to_point.Leg(
+                    point.to_rad, fast or velocity, hard or acceleration, point.dwell_s
+                )
+            )
+        try:
+            setpoints = point_to_point.repeated(self.rotor_rad, legs, n, 1 / self.rate_hz)
+        except ValueError as error:
+            raise ConfigError(f"{where}.rotor[0].to_rad: {error}") from None
+        self.rotor_rad = float(setpoints[-1, 0])
+        return setpoints
+
+    def beam_move(
+        self, to_m: float, velocity: float | None, acceleration: float | None, where: str
+    ) -> Array:
+        leg = self.beam_leg(to_m, velocity, acceleration, 0.0, where)
+        setpoints = point_to_point.move(
+            self.beam_m, leg.to, leg.velocity, leg.acceleration, 1 / self.rate_hz
+        )
+        self.beam_m = to_m
+        return setpoints
+
+    def beam_leg(
+        self,
+        to_m: float,
+        velocity: float | None,
+        acceleration: float | None,
+        dwell_s: float,
+        where: str,
+    ) -> point_to_point.Leg:
+        limits = self.rig.limits
+        if abs(to_m) > limits.beam_m:
+            raise ConfigError(f"{where}: expected within +-{limits.beam_m:g} m, found {to_m:g} m")
+        for key, value, limit, unit in (
+            ("velocity_m_s", velocity, limits.beam_velocity_m_s, "m/s"),
+            ("acceleration_m_s2", acceleration, limits.beam_acceleration_m_s2, "m/s2"),
+        ):
+            _check_limit(f"{where}: {key}", value, limit, unit)
+        return point_to_point.Leg(
+            to_m,
+            velocity or limits.beam_velocity_m_s / 2,
+            acceleration or limits.beam_acceleration_m_s2 / 10,
+            dwell_s,
+        )
+
+    def flying(
+        self,
+        state: State,
+        cycles: int,
+        beam: Array,
+        rotor: Array,
+        blend: Array = _FLYING,
+        airborne: bool = True,
+        engages: bool = False,
+        lands: bool = False,
+    ) -> Segment:
+        return Segment(
+            state,
+            cycles,
+            self.no_v,
+            self.no_coils,
+            np.ascontiguousarray(blend),
+            np.atleast_2d(beam),
+            np.atleast_2d(rotor),
+            airborne=airborne,
+            engages=engages,
+            lands=lands,
+        )
+
+    def still(self) -> tuple[Array, Array]:
+        """Return single setpoints (1, 3) that hold beam and rotor where the plan left them."""
+        return np.array([[self.beam_m, 0.0, 0.0]]), np.array([[self.rotor_rad, 0.0, 0.0]])
+
+    def n(self, duration_s: float) -> int:
+        """Return cycles: one at least of what is to take any time, or a lift-off would be none."""
+        return max(round(duration_s * self.rate_hz), 1 if duration_s > 0.0 else 0)
+
+
+def _check_limit(where: str, value: float | None, limit: float, unit: str) -> None:
+    if value is not None and value > limit:
+        raise ConfigError(f"{where}: expected at most {limit:g} {unit}, found {value:g} {unit}")
+
+
+def _smooth(n: int) -> Array:
+    """Return n samples of a smooth step from 0 to 1 (minimum jerk)."""
+    s = np.arange(1, n + 1) / n if n else np.zeros(0)
+    return np.asarray(s**3 * (10.0 + s * (-15.0 + 6.0 * s)))
+
+
+def _peak_force(v: Array, T_coils: Array) -> float:
+    """Return the largest force of a coil under the wrench v (n, 3)."""
+    used = np.flatnonzero(v.any(axis=0))
+    if len(used) == 0:
+        return 0.0
+    if len(used) == 1:  # by far the most frequent: one product instead of one a cycle
+        return float(np.abs(v[:, used[0]]).max() * np.abs(T_coils[used[0]]).max())
+    return float(np.max(np.abs(v @ T_coils)))

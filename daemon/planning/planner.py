@@ -1,0 +1,208 @@
+"""From a client's request to a planned flight: parse, check against the rig, lay out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ...config.base import ConfigError, parse, parse_text
+from ...config.rig import RigConfig
+from ...config.session import CoilCheck, Land, Levitate, Move, SessionConfig, Step
+from ..control.states import State
+from .plan import MOST_CYCLES, Plan, plan_session, plan_steps
+from .plan_file import PlannedRequest
+
+RELOADED = ("allow_users", "allow_groups", "client_gone")
+"""Keys of the rig's `service` that may change while the daemon runs."""
+
+Request = Mapping[str, Any]
+
+
+class RefusedError(Exception):
+    """A request that cannot be carried out now."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What a plan begins from: the loop's state, last setpoints of beam (m) and rotor (rad).
+
+    `coils_known`: whether each coil was seen to move what it should.
+    """
+
+    state: State
+    beam_m: float = 0.0
+    rotor_rad: float = 0.0
+    coils_known: bool = False
+
+
+class Planner:
+    """Plans requests on one rig; touches no file and no device."""
+
+    def __init__(self, rig: RigConfig) -> None:
+        self._rig = rig
+        self._ops = {"excite": self._session, "levitate": self._lift_off, "move": self._move}
+
+    def plan(self, line: bytes, situation: Situation) -> PlannedRequest:
+        """Plan one request, a line of JSON.
+
+        Raises:
+            RefusedError, ConfigError: it cannot be flown; the message says why.
+        """
+        try:
+            request = json.loads(line)
+        except (ValueError, RecursionError):
+            raise RefusedError("expected one JSON object a line") from None
+        op = request.get("op") if isinstance(request, dict) else None
+        if not isinstance(op, str) or op not in self._ops:
+            raise RefusedError(
+                f"op: expected one of {', '.join(self._ops)} in a request this long, "
+                f"found {_short(op)}"
+            )
+        gone = request.get("client_gone")
+        if gone not in (None, "", "go_on", "land"):
+            raise RefusedError(f"client_gone: expected go_on or land, found {_short(gone)}")
+        return self._ops[op](request, situation)
+
+    def _session(self, request: Request, situation: Situation) -> PlannedRequest:
+        text, out = request.get("session"), request.get("out")
+        if not isinstance(text, str) or not isinstance(out, str):
+            raise RefusedError("excite: expected 'session' (YAML text) and 'out' (a folder)")
+        if not out:
+            raise RefusedError("excite: expected a folder in 'out', found no name")
+        _require_rest("excite", situation)
+        self._check_rig(request.get("rig"))
+        session = parse_text(text, SessionConfig, "session")
+        if session.rate_hz not in (None, self._rig.rate_hz):
+            raise ConfigError(
+                f"session {session.name}: rate_hz: expected the daemon's {self._rig.rate_hz:g} Hz, "
+                f"found {session.rate_hz:g} Hz"
+            )
+        self._require_length(session.name, least_cycles(session, self._rig.rate_hz))
+        check, note = self._due_check(session.steps[0].levitate, situation)
+        plan = plan_session(session, self._rig, situation.beam_m, situation.rotor_rad, check=check)
+        land = session.steps[-1].land or Land()
+        return self._planned("excite", plan, request, land, out, text.encode(), note)
+
+    def _lift_off(self, request: Request, situation: Situation) -> PlannedRequest:
+        _require_rest("levitate", situation)
+        levitate = parse(request.get("levitate") or {}, Levitate, "levitate")
+        land = parse(request.get("land") or {}, Land, "land")
+        check, note = self._due_check(levitate, situation)
+        plan = self._by_hand(Step(levitate=levitate), situation, check)
+        out = request.get("out")
+        if out is not None and (not isinstance(out, str) or not out):
+            raise RefusedError(f"levitate: expected 'out' (a folder), found {_short(out)}")
+        return self._planned("levitate", plan, request, land, out or "", b"", note)
+
+    def _move(self, request: Request, situation: Situation) -> PlannedRequest:
+        move = parse(request.get("move") or {}, Move, "move")
+        if situation.state is not State.LEVITATING:
+            raise RefusedError(
+                f"move: expected a platform that levitates (levid levitate), "
+                f"found {situation.state.name}"
+            )
+        plan = self._by_hand(Step(move=move), situation)
+        return self._planned("move", plan, request, None, "", b"", "")
+
+    def _by_hand(self, step: Step, situation: Situation, check: CoilCheck | None = None) -> Plan:
+        beam_m, rotor_rad = situation.beam_m, situation.rotor_rad
+        return plan_steps([step], step.kind, self._rig, beam_m, rotor_rad, check)
+
+    def _due_check(
+        self, levitate: Levitate | None, situation: Situation
+    ) -> tuple[CoilCheck | None, str]:
+        """Return how a lift-off that does not say so itself is to check the coils, None if not.
+
+        Nobody asked for it: a rig on which it cannot be done flies without, and a note says so.
+        """
+        if levitate is None or levitate.check_coils is not None or situation.coils_known:
+            return None, ""
+        check = CoilCheck()
+        try:
+            self._by_hand(Step(levitate=levitate), situation, check)
+        except ConfigError as error:
+            return None, f"the coils are not checked after lift-off: {error}"
+        return check, ""
+
+    def _planned(
+        self,
+        op: str,
+        plan: Plan,
+        request: Request,
+        land: Land | None,
+        out: str,
+        session: bytes,
+        note: str,
+    ) -> PlannedRequest:
+        rate_hz = self._rig.rate_hz
+        self._require_length(plan.name, plan.cycles)
+        landing = None
+        if land is not None:
+            landing = round(land.ramp_s * rate_hz), round(land.release_s * rate_hz)
+            self._require_length(f"{plan.name}: land", sum(landing))
+        gone = str(request.get("client_gone") or "")
+        return PlannedRequest(op, plan, out, landing, gone, session, note)
+
+    def _require_length(self, name: str, cycles: int) -> None:
+        rate_hz = self._rig.rate_hz
+        if cycles > MOST_CYCLES:
+            raise RefusedError(
+                f"{name}: expected at most {MOST_CYCLES / rate_hz:g} s in all at "
+                f"{rate_hz:g} Hz, found {cycles / rate_hz:g} s; fly several sessions"
+            )
+
+    def _check_rig(self, text: object) -> None:
+        """Refuse a session that was written for another rig than this daemon runs."""
+        if text is None:
+            return
+        rig = parse_text(str(text), RigConfig, "rig")
+        if _as_started(rig) != _as_started(self._rig):
+            raise ConfigError(
+                f"rig {rig.name}: expected the rig that this daemon runs, found another"
+            )
+
+
+def least_cycles(session: SessionConfig, rate_hz: float) -> int:
+    """Return what a session's steps say of their lengths, added up; moves come on top.
+
+    To plan a session that is far too long would take hours.
+    """
+
+    def cycles(*parts_s: float | None) -> int:
+        return sum(int((part_s or 0.0) * rate_hz) for part_s in parts_s)
+
+    found = 0
+    for step in session.steps:
+        if step.levitate is not None:
+            found += cycles(step.levitate.unload_s, step.levitate.ramp_s, step.levitate.settle_s)
+        elif step.move is not None:
+            found += cycles(step.move.settle_s)
+        elif step.land is not None:
+            found += cycles(step.land.ramp_s, step.land.release_s)
+        elif step.record is not None:
+            record, inputs = step.record, len(step.record.excite)
+            found += cycles(record.settle_s, record.duration_s) + inputs * cycles(record.each_s)
+            if record.orthogonal is not None:
+                periods = record.orthogonal.realisations * inputs * record.orthogonal.periods
+                found += periods * cycles(session.excitations[record.excite[0]].period_s)
+    return found
+
+
+def _require_rest(op: str, situation: Situation) -> None:
+    """Refuse before the work of planning what cannot be flown."""
+    if situation.state is not State.IDLE:
+        raise RefusedError(f"{op}: expected the state IDLE, found {situation.state.name}")
+
+
+def _as_started(rig: RigConfig) -> RigConfig:
+    """Return a rig without what may change while its daemon runs."""
+    plain = type(rig.service)()
+    fixed = {key: getattr(plain, key) for key in RELOADED}
+    return rig.model_copy(update={"service": rig.service.model_copy(update=fixed)})
+
+
+def _short(value: object) -> str:
+    text = repr(value) if not isinstance(value, (dict, list)) else type(value).__name__
+    return text if len(text) <= 60 else f"{text[:57]}..."

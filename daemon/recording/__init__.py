@@ -1,0 +1,1 @@
+"""Write rows, faults and coil heat to disk, and hand finished logs to identification."""

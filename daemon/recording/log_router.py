@@ -1,0 +1,195 @@
+"""Writes what comes out of the ring: each row into the log that its tag names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...log.writer import LogWriter
+from ..ipc.row_ring import NO_LOG, Ring, RingRows
+
+BLOCK = 8192
+"""Rows that are taken from the ring at a time. While there are fewer a reader pauses:
+each turn costs as much as copying some hundred rows."""
+
+
+@dataclass(frozen=True)
+class LogFile:
+    """A log to write: where it lies and what stands at its head.
+
+    A log that is cut into parts, because it grew too large or too long or because its recorder was
+    started anew, goes on in `name.2.mcap` and so on; `part` is the first one that may be written.
+    """
+
+    path: Path
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+    part: int = 1
+
+    def path_of(self, part: int) -> Path:
+        """Return the file of a part."""
+        return self.path if part == 1 else self.path.with_suffix(f".{part}{self.path.suffix}")
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """What one file may hold before the next part is begun."""
+
+    most_bytes: int
+    most_rows: int
+
+
+class Event(StrEnum):
+    """What a scribe tells: a file was begun, ended whole, or given up."""
+
+    OPENED = "opened"
+    CLOSED = "closed"
+    FAILED = "failed"
+
+
+Tell = Callable[[Event, int, Path, str], None]
+"""Takes the event, the log's tag, its file and, where it failed, why."""
+
+
+class Scribe:
+    """Follows a ring as its only reader; `log_of` gives the log of a tag, None for one unknown.
+
+    A failure of the disk stops recording until `forget_errors`, never the flight: it is kept in
+    `error`, and rows that should have been recorded are counted in `dropped`.
+    """
+
+    def __init__(
+        self,
+        ring: Ring,
+        rate_hz: float,
+        log_of: Callable[[int], LogFile | None],
+        tell: Tell = lambda *_: None,
+        rotation: Rotation | None = None,
+    ) -> None:
+        self._ring, self._rate_hz, self._log_of, self._tell = ring, rate_hz, log_of, tell
+        self._rotation = rotation
+        self._period_ns = 1e9 / rate_hz
+        self.epoch_ns = 0
+        self.error: Exception | None = None
+        self.dropped = 0
+        self._tag = NO_LOG
+        self._part = 0
+        self._rows = 0
+        self._full = False
+        self._file: LogFile | None = None
+        self._writer: LogWriter | None = None
+
+    @property
+    def tag(self) -> int:
+        """Tag of the log at hand."""
+        return self._tag
+
+    @property
+    def writer(self) -> LogWriter | None:
+        """The file that is being written, if there is one."""
+        return self._writer
+
+    def forget_errors(self) -> None:
+        """Begin anew after a failure: the next log is written again."""
+        self.error = None
+
+    def work(self) -> RingRows:
+        """Take a block of rows, write it, and return it; it is empty where there was none."""
+        ring = self._ring
+        taken = ring.take(BLOCK)
+        tags = taken.tags
+        edges = [0, *(np.flatnonzero(np.diff(tags)) + 1).tolist(), len(tags)]
+        for begin, end in pairwise(edges):
+            if begin < end:
+                if tags[begin] != self._tag:
+                    self._switch(int(tags[begin]))
+                    ring.durable = taken.first + begin
+                self._write(taken.rows[begin:end])
+                # At once: what a recorder that follows a dead one writes again stands twice.
+                buffered = self._writer.buffered if self._writer is not None else 0
+                ring.durable = taken.first + end - buffered
+        return taken
+
+    def finish(self) -> None:
+        """End the log at hand: no more rows of it will come."""
+        self._switch(NO_LOG)
+        self._ring.durable = self._ring.tail
+
+    def _write(self, rows: NDArray[np.void]) -> None:
+        if self._full:  # only now: a log that ends with its part leaves no empty one behind
+            self._full = False
+            self._open(self._part + 1)
+        if self._writer is None:
+            self.dropped += len(rows) if self._tag != NO_LOG else 0
+            return
+        writer = self._writer
+        times = self.epoch_ns + np.rint(rows["cycle"] * self._period_ns).astype(np.uint64)
+        self._guard(lambda: writer.write(rows, times), writer.buffered + len(rows))
+        self._rows += len(rows)
+        rotation = self._rotation
+        if (
+            rotation is not None
+            and self._writer is not None
+            and (writer.size >= rotation.most_bytes or self._rows >= rotation.most_rows)
+        ):
+            self._close()
+            self._full = True
+
+    def _switch(self, tag: int) -> None:
+        self._close()
+        self._full = False
+        self._tag = tag
+        self._file = self._log_of(tag) if tag != NO_LOG else None
+        if tag != NO_LOG and self._file is None:  # no failure of the disk: the next log is written
+            self._tell(Event.FAILED, tag, Path(), f"log {tag} is unknown")
+        if self._file is not None:
+            self._open(self._file.part)
+
+    def _open(self, part: int) -> None:
+        file = self._file
+        if file is None or self.error is not None:
+            return
+        path = file.path_of(part)
+
+        def begin() -> None:
+            self._writer = LogWriter(
+                path,
+                self._ring.dtype,
+                rate_hz=self._rate_hz,
+                metadata={**file.metadata, **({"part": str(part)} if part > 1 else {})},
+                attachments=file.attachments,
+            )
+            self._part, self._rows = part, 0
+            self._tell(Event.OPENED, self._tag, path, "")
+
+        self._guard(begin, 0, path)
+
+    def _close(self) -> None:
+        writer = self._writer
+        if writer is None:
+            return
+
+        def end() -> None:
+            writer.close()
+            self._writer = None
+            self._tell(Event.CLOSED, self._tag, writer.path, "")
+
+        self._guard(end, writer.buffered)
+
+    def _guard(self, action: Callable[[], None], rows: int, path: Path | None = None) -> None:
+        """Do it; where it fails, keep the error and give the file up, `rows` not in it."""
+        try:
+            action()
+        except Exception as error:  # noqa: BLE001 - kept in `error`, the flight goes on
+            self.error = self.error or error
+            self.dropped += rows
+            if path is None and self._writer is not None:
+                path = self._writer.path
+            self._writer = None
+            self._tell(Event.FAILED, self._tag, path or Path(), str(error))

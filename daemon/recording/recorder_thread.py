@@ -1,0 +1,80 @@
+"""The recorder of a flight in virtual time: a scribe in a thread, which the loop waits for."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from ..ipc.row_ring import Ring
+from .log_router import BLOCK, LogFile, Scribe
+
+_POLL_S = 0.01
+
+
+class Recorder:
+    """Writes what the loop leaves in `ring`.
+
+    `define` names a log by the tag that its rows carry. A failure of the disk stops recording,
+    never the flight: it is kept in `error`.
+    """
+
+    def __init__(self, ring: Ring, rate_hz: float) -> None:
+        self._ring = ring
+        self._logs: dict[int, LogFile] = {}
+        self._scribe = Scribe(ring, rate_hz, self._logs.get)
+        self._finish = threading.Event()
+        self._finished = threading.Event()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="levid-recorder", daemon=True)
+
+    @property
+    def error(self) -> Exception | None:
+        """What ended the recording."""
+        return self._scribe.error
+
+    def start(self, epoch_ns: int) -> None:
+        """Begin to take rows; `epoch_ns` is the log time of cycle 0."""
+        self._scribe.epoch_ns = epoch_ns
+        self._thread.start()
+
+    def forget_errors(self) -> None:
+        """Begin anew after a failure: the next session records again."""
+        self._scribe.forget_errors()
+
+    def define(self, file: LogFile) -> int:
+        """Return the tag of rows that go into this log."""
+        tag = len(self._logs) + 1
+        self._logs[tag] = file
+        return tag
+
+    def close(self) -> None:
+        """Write what is left, end the file, stop the thread; safe to call twice."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def finish(self) -> None:
+        """Wait until all rows are in their files, and end the file at hand."""
+        self._finished.clear()
+        self._finish.set()
+        while self._thread.is_alive() and not self._finished.wait(_POLL_S):
+            pass
+
+    def wait_for_room(self, rows: int) -> None:
+        """Wait until the ring has room for `rows`; for virtual time, which outruns any disk."""
+        while self._ring.room < rows and self._thread.is_alive():
+            time.sleep(0.0005)
+
+    def _run(self) -> None:
+        while True:
+            ending, finishing = self._stop.is_set(), self._finish.is_set()
+            if len(self._scribe.work().rows) == 0:
+                if finishing or ending:
+                    self._scribe.finish()
+                if finishing:
+                    self._finish.clear()
+                    self._finished.set()
+                if ending:
+                    return
+            if self._ring.waiting < BLOCK and not ending and not finishing:
+                self._stop.wait(_POLL_S)

@@ -1,0 +1,1 @@
+"""Run as a systemd service: its files, its notifications, its journal."""

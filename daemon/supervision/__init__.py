@@ -1,0 +1,1 @@
+"""Start and watch the daemon's processes, and run what clients request."""

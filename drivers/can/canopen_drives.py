@@ -1,0 +1,399 @@
+"""Gantry and rotor on CANopen drives: targets out and positions in by PDO, watched every cycle."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from time import perf_counter, sleep
+
+import numpy as np
+
+from ...config.buses import CanDriveOptions
+from ...config.rig import RigConfig
+from ...wire.can.cia402 import (
+    EMERGENCY_ID,
+    ENABLE_OPERATION,
+    HEARTBEAT_ID,
+    POSITION_M,
+    POSITION_RAD,
+    QUICK_STOP,
+    RPDO,
+    RPDO1_ID,
+    SYNC_ID,
+    TPDO,
+    TPDO1_ID,
+    DriveStates,
+    Node,
+    beam_limits,
+    rotor_limits,
+    state_of,
+    sync_counter,
+)
+from ...wire.finite_differences import Differences, most_bend
+from ...wire.frame_rejection import Rejected
+from ..base import Array, DriveError, DriverError, FirstError, LinkError, ManipulatorDrives
+from ..reading_checks import check_skew
+from ..stale_readings import Watch
+from .bus_link import CanLink
+from .canopen_nodes import Answers, DriveNode
+
+_EMERGENCY = struct.Struct("<HB")
+_MISSED_HEARTBEATS = 3.0
+_HOMING_S = 10.0
+_POLL_S = 0.005
+_MOST = 2**31 - 1
+
+
+class CanDrives(ManipulatorDrives):
+    """Three CiA 402 nodes in cyclic synchronous position mode: X1, X2, PHI."""
+
+    def __init__(
+        self,
+        link: CanLink,
+        rig: RigConfig,
+        options: CanDriveOptions,
+        folder: Path,
+        stale_cycles: int,
+        deadline: Callable[[], float],
+    ) -> None:
+        self.what = f"drives on {link.what}"
+        # Theirs come in every n-th cycle only: so many are as many cycles. One may be lost.
+        tolerated = max(stale_cycles // options.every, min(stale_cycles, 1))
+        self.watch = Watch(self.what, tolerated)
+        self._link, self._options, self._deadline = link, options, deadline
+        self._limits, self._period_s = rig.limits, 1.0 / rig.rate_hz
+        self._sync_s = self._period_s * options.every
+        self._cycle, self._sync_cycle, self._answer_due = 0, -options.every, 0
+        self._sync_number = -1
+        # Position, velocity, acceleration (2, 3) of beam and rotor that the loop wrote last.
+        self._setpoint = np.zeros((2, 3))
+        self._written: int | None = None
+        self._targets_sent = False
+        eds = folder / options.eds if options.eds else None
+        numbers = options.nodes.model_dump()
+        self._nodes = [DriveNode(name, number, eds, link) for name, number in numbers.items()]
+        beam, rotor = rig.limits.beam_acceleration_m_s2, rig.limits.rotor_acceleration_rad_s2
+        units = (POSITION_M, POSITION_M, POSITION_RAD)
+        self._axes = [
+            _Axis(node, unit, options.every, self._sync_s, most)
+            for node, unit, most in zip(self._nodes, units, (beam, beam, rotor), strict=True)
+        ]
+        self._counted = False
+        self._by_id = {TPDO1_ID + axis.node.node_id: axis for axis in self._axes}
+        for axis in self._axes:
+            node_id = axis.node.node_id
+            link.listen(TPDO1_ID + node_id, self._take)
+            link.listen(EMERGENCY_ID + node_id, axis.emergency)
+            link.listen(HEARTBEAT_ID + node_id, axis.heartbeat)
+        self._waiting = 0
+        self._late = False
+        self._judged = True
+        self._told = False
+
+    def sync(self, cycle: int) -> None:
+        """Send SYNC in the cycles that have one; what comes from here on belongs to it.
+
+        Those are the multiples of `every`, or the first after one that was skipped.
+        """
+        self._cycle = cycle
+        number = cycle // self._options.every
+        if number == self._sync_number:
+            return
+        first = FirstError()
+        with first:
+            self._judge()
+        self.watch.begin()
+        self._waiting, self._late = len(self._axes), False
+        for axis in self._axes:
+            axis.came = False
+        # Slower drives have until the next SYNC to answer.
+        self._answer_due = cycle if self._options.every == 1 else self._sync_cycle
+        self._judged, self._sync_cycle, self._sync_number = False, cycle, number
+        self._catch_up()
+        self._targets_sent = False
+        self._send_sync(number)
+        first.raise_it()
+
+    def write(self, beam: Array, rotor: Array) -> None:
+        """Send targets, which the drives reach one SYNC after the next."""
+        self._setpoint[0], self._setpoint[1], self._written = beam, rotor, self._cycle
+        if (self._cycle + 1) // self._options.every != self._sync_number:
+            self._send_targets(self._cycle)
+
+    def read(self, beam: Array, rotor: Array) -> None:
+        """Fill beam (3,) with m, m/s, N and rotor (3,) with rad, rad/s, N m of the last SYNC.
+
+        Raises:
+            StaleError: positions did not come in too many cycles in a row.
+            DriveError: a drive is in fault, silent, or the gantry is askew; once, until recovered.
+        """
+        every_cycle = self._options.every == 1
+        if every_cycle:
+            deadline_s, link = self._deadline(), self._link
+            # On a bus that is busy with other things there is always one more frame.
+            while self._waiting and link.receive(deadline_s) and link.received_s <= deadline_s:
+                pass
+        first = FirstError()
+        # Also where readings are missing: those of a drive that is off the bus always are, and the
+        # others must not stay powered beside it.
+        with first:
+            if not self._told:
+                self._told = True
+                try:
+                    self._check()
+                except DriveError:
+                    if not every_cycle:  # the next targets are some cycles away
+                        with suppress(LinkError):
+                            self.release()
+                    raise
+                self._told = False
+        with first:
+            if every_cycle:
+                self._judge()
+            self._tell(beam, rotor)
+        first.raise_it()
+
+    def recover(self) -> None:
+        """Compare limits, map PDOs, home and enable every drive; raises DriverError.
+
+        Where one of them fails, none of them stays powered.
+        """
+        try:
+            with Answers(self._nodes):
+                self._configure()
+                x1, x2, phi = self._nodes
+                self._home(x1, x2)
+                self._home(phi)
+                for axis in self._axes:
+                    axis.node.follow()
+                    axis.begin(axis.node.position())
+        except DriverError:
+            with suppress(LinkError):
+                self.release()
+            raise
+        self.watch.reset()
+        self._judged, self._told, self._written = True, False, None
+
+    def release(self) -> None:
+        """Let the drives brake and switch off: who goes on purpose is not to be missed.
+
+        At once by SDO, and by PDO with the next SYNC: one out of turn would have its number, and
+        bring positions that belong to no cycle. Until they are recovered `write` sends nothing but
+        quick stops. Raises LinkError.
+        """
+        self._told = True
+        for axis in self._axes:
+            axis.node.stop()
+            counts = round(axis.position / axis.unit)
+            self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(QUICK_STOP, counts))
+
+    def leave(self) -> None:
+        """Release the drives, and send the SYNC that no cycle will bring; raises LinkError."""
+        self.release()
+        self._sync_number += 1
+        self._send_sync(self._sync_number)
+
+    def _tell(self, beam: Array, rotor: Array) -> None:
+        """Fill beam and rotor as of this cycle, from what the drives said last."""
+        x1, x2, phi = self._axes
+        self.stale = self.STALE if x1.cycle < self._answer_due else 0
+        # Slower drives are not waited for: between their readings position goes on at its speed.
+        since_s = (self._cycle - x1.cycle) * self._period_s
+        beam[0] = 0.5 * (x1.position + x2.position + since_s * (x1.velocity + x2.velocity))
+        beam[1] = 0.5 * (x1.velocity + x2.velocity)
+        beam[2] = x1.force + x2.force
+        rotor[0] = phi.position + since_s * phi.velocity
+        rotor[1] = phi.velocity
+        rotor[2] = phi.force
+
+    def _configure(self) -> None:
+        options = self._options
+        heartbeat_ms, expire_ms = (round(1e3 * s) for s in (options.heartbeat_s, options.expire_s))
+        beam, rotor = beam_limits(self._limits), rotor_limits(self._limits)
+        for node, limits in zip(self._nodes, (beam, beam, rotor), strict=True):
+            node.configure(limits, heartbeat_ms, expire_ms, self._sync_s)
+        counted = [node.name for node in self._nodes if node.counts_syncs]
+        if 0 < len(counted) < len(self._nodes):
+            raise DriverError(
+                f"{self.what}: expected SYNC_OVERFLOW (0x1019) to be the same in all of them, "
+                f"found a SYNC that is counted in {', '.join(counted)} alone"
+            )
+        self._counted = bool(counted)
+
+    def _home(self, *together: DriveNode) -> None:
+        """Home drives at the same time: two motors of one gantry would pull against each other."""
+        for node in together:
+            node.enable(self._options.homing_method)
+        for axis in self._axes:
+            axis.error = 0  # that was before the reset
+        for node in together:
+            node.start_homing()
+        give_up_s = perf_counter() + _HOMING_S
+        begin: list[float] | None = None
+        seen: list[bool | None] = []
+        while True:
+            at_m = _places(together)
+            attained, done = zip(*(node.homing() for node in together), strict=True)
+            for axis in self._axes:
+                if axis.node in together:
+                    axis.check_homing()
+            # One of them counts from somewhere else now, or does so any moment.
+            if list(attained) != seen or None in attained:
+                begin, seen = None, list(attained)
+            elif begin is None:
+                begin = at_m
+            else:
+                self._check_skew(*(m - m0 for m, m0 in zip(at_m, begin, strict=True)))
+            if all(done):
+                break
+            if perf_counter() > give_up_s:
+                raise DriveError(
+                    f"{together[done.index(False)].what}: not homed after {_HOMING_S:g} s by "
+                    f"method {self._options.homing_method}"
+                )
+            sleep(_POLL_S)
+
+    def _check_skew(self, x1_m: float, *x2_m: float) -> None:
+        for other_m in x2_m:
+            check_skew(self.what, x1_m, other_m, self._options.skew_m)
+
+    def _catch_up(self) -> None:
+        """Send targets where the cycle that should have was skipped, as of the one before this.
+
+        Without any for as long as that the drives have stopped, and nobody knows how far they are.
+        """
+        last = self._cycle - 1
+        if self._targets_sent or self._written is None:
+            return
+        if 0 < last - self._written < self._options.every:
+            self._send_targets(last)
+
+    def _send_targets(self, cycle: int) -> None:
+        """Send the last setpoint, carried forward as if it had been written in `cycle`."""
+        assert self._written is not None
+        # The setpoint is of the end of the coming period; with fewer SYNCs than cycles the drive
+        # gets there later, and the target lies as much further on.
+        ahead_s = self._sync_s + (cycle - self._written - 1) * self._period_s
+        p, v, a = self._setpoint.T
+        x_m, phi_rad = (p + ahead_s * (v + 0.5 * ahead_s * a)).tolist()
+        # Beside a drive that is in fault the others are not to go on.
+        word = QUICK_STOP if self._told else ENABLE_OPERATION
+        for axis, target in zip(self._axes, (x_m, x_m, phi_rad), strict=True):
+            counts = min(max(round(target / axis.unit), -_MOST), _MOST)
+            self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(word, counts))
+        self._targets_sent = True
+
+    def _send_sync(self, number: int) -> None:
+        self._link.send(SYNC_ID, bytes((sync_counter(number),)) if self._counted else b"")
+
+    def _judge(self) -> None:
+        """Say whether all answered the last SYNC: raises StaleError where too many did not."""
+        if self._judged:
+            return
+        self._judged = True
+        if self._late:
+            self.watch.late()
+        if self._waiting or self._late:
+            self.watch.missing()
+        else:
+            self.watch.fresh()
+
+    def _take(self, can_id: int, data: bytes) -> None:
+        axis = self._by_id[can_id]
+        if len(data) != TPDO.size:
+            self.watch.reject(Rejected.LENGTH)
+        elif axis.came:
+            self.watch.reject(Rejected.REPEATED)
+        else:
+            axis.came, axis.data = True, bytes(data)
+            self._waiting -= 1
+            if self._options.every == 1 and self._link.received_s > self._deadline():
+                self._late = True  # nobody knows when it was sampled
+            if not self._waiting and not self._late:
+                # Together or not at all: at speed, positions of two SYNCs would look like a skew.
+                for each in self._axes:
+                    each.take(self._sync_cycle)
+
+    def _check(self) -> None:
+        now_s = perf_counter()
+        for axis in self._axes:
+            if axis.error:
+                raise DriveError(f"{axis.node.what}: emergency, error code 0x{axis.error:04X}")
+            state = state_of(axis.status)
+            if state is not DriveStates.OPERATION_ENABLED:
+                raise DriveError(
+                    f"{axis.node.what}: expected operation enabled, "
+                    f"found {state.words if state else f'statusword 0x{axis.status:04X}'}"
+                )
+            if axis.left is not None:
+                words = axis.left.words if isinstance(axis.left, Node) else f"{axis.left}"
+                raise DriveError(f"{axis.node.what}: expected to be operational, found {words}")
+            if now_s - axis.heard_s > _MISSED_HEARTBEATS * self._options.heartbeat_s:
+                raise DriveError(f"{axis.node.what}: no heartbeat")
+        x1, x2, _ = self._axes
+        check_skew(self.what, x1.position, x2.position, self._options.skew_m)
+
+
+def _places(together: tuple[DriveNode, ...]) -> list[float]:
+    """Return positions in counts times POSITION_M, the first one's at the moment of the last one's.
+
+    Drives are asked one after the other: at constant speed a mean of two is of the time between.
+    """
+    before, *others = (node.position() for node in together)
+    after = together[0].position() if others else before
+    return [POSITION_M * counts for counts in (0.5 * (before + after), *others)]
+
+
+_NMT_STATE = 0x7F
+_NMT_STATES = frozenset(Node)
+
+
+class _Axis:
+    """What one drive said last, in SI units."""
+
+    def __init__(
+        self, node: DriveNode, unit: float, every: int, sync_s: float, acceleration: float
+    ) -> None:
+        self.node, self.unit, self._every = node, unit, every
+        self._differences = Differences(sync_s, most_bend(acceleration, sync_s, unit))
+        self.came, self.data = False, b""
+        self.begin(0)
+
+    def begin(self, counts: int) -> None:
+        """Begin anew at rest."""
+        self.position, self.velocity, self.force = counts * self.unit, 0.0, 0.0
+        self.status, self.error = DriveStates.OPERATION_ENABLED.value[1], 0
+        self.left: int | None = None
+        self._operational = False
+        self.cycle, self.heard_s = -self._every, perf_counter()
+        self._differences.at_rest(self.position)
+
+    def check_homing(self) -> None:
+        """Raise DriveError where the drive has said meanwhile that it does not go on."""
+        if self.error:
+            raise DriveError(f"{self.node.what}: emergency, error code 0x{self.error:04X}")
+
+    def take(self, cycle: int) -> None:
+        """Take over what came with the SYNC of `cycle`."""
+        regular, self.cycle = cycle - self.cycle == self._every, cycle
+        self.status, counts, per_mille = TPDO.unpack(self.data)
+        self.position = counts * self.unit
+        self.force = per_mille * 1e-3 * self.node.rated
+        differences = self._differences
+        go_on = differences.push if regular else differences.resume
+        self.velocity, _ = go_on(self.position)
+
+    def emergency(self, _: int, data: bytes) -> None:
+        if len(data) == 8:
+            self.error = _EMERGENCY.unpack_from(data)[0]
+
+    def heartbeat(self, _: int, data: bytes) -> None:
+        """Note that it lives; `left` is what it went over to once it was operational."""
+        self.heard_s = perf_counter()
+        state = data[0] & _NMT_STATE if data else -1
+        if state == Node.OPERATIONAL:
+            self._operational = True
+        elif self._operational or state == Node.BOOT_UP:
+            self.left = Node(state) if state in _NMT_STATES else state

@@ -1,0 +1,84 @@
+"""The free parameters of a declared model: scale, bounds, priors, and what they are worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.model import ModelConfig, ModelParameter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FreeParameters:
+    """Parameters to fit, all arrays (F,) in SI units.
+
+    scale: size of a sensible change. low, high: bounds. worth: a standard error beyond which a
+    parameter is better held as declared: half its value where it cannot change sign, else what a
+    uniform spread over its bounds has. prior_mean, prior_sd: infinite sd where nothing is known.
+    """
+
+    names: tuple[str, ...]
+    scale: Array
+    low: Array
+    high: Array
+    worth: Array
+    prior_mean: Array
+    prior_sd: Array
+
+    def only(self, indices: Sequence[int]) -> FreeParameters:
+        """Return some of them, in this order."""
+        pick = list(indices)
+        return FreeParameters(
+            tuple(self.names[i] for i in pick),
+            *(
+                getattr(self, field)[pick]
+                for field in ("scale", "low", "high", "worth", "prior_mean", "prior_sd")
+            ),
+        )
+
+    def prior_rows(self, values: Array) -> Array:
+        """Return rows (., F + 1) that priors add to [Jacobian by value over scale, errors]."""
+        rows = []
+        for i in np.flatnonzero(np.isfinite(self.prior_sd)):
+            row = np.zeros(len(values) + 1)
+            row[i] = self.scale[i] / self.prior_sd[i]
+            row[-1] = (values[i] - self.prior_mean[i]) / self.prior_sd[i]
+            rows.append(row)
+        return np.array(rows).reshape(-1, len(values) + 1)
+
+
+def free_parameters(config: ModelConfig) -> FreeParameters:
+    """Return the parameters of a model file that are not fixed."""
+    chosen = {name: p for name, p in config.parameters.items() if not p.is_fixed}
+    listed = list(chosen.values())
+    return FreeParameters(
+        tuple(chosen),
+        np.array([_scale(p) for p in listed]),
+        np.array([-np.inf if p.min is None else p.min for p in listed]),
+        np.array([np.inf if p.max is None else p.max for p in listed]),
+        np.array([_worth(p) for p in listed]),
+        np.array([p.value for p in listed]),
+        np.array([np.inf if p.prior_sd is None else p.prior_sd for p in listed]),
+    )
+
+
+def _scale(parameter: ModelParameter) -> float:
+    if parameter.value != 0.0:
+        return abs(parameter.value)
+    bounds = [abs(b) for b in (parameter.min, parameter.max) if b]
+    return min(bounds) if bounds else 1.0
+
+
+def _worth(parameter: ModelParameter) -> float:
+    low, high = parameter.min, parameter.max
+    if low is not None and low >= 0.0 and parameter.value > 0.0:
+        return 0.5 * parameter.value
+    if low is not None and high is not None:
+        return (high - low) / math.sqrt(12.0)
+    return 10.0 * _scale(parameter)

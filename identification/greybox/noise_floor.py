@@ -1,0 +1,233 @@
+"""What noise alone leaves of a perfect model's free run: its covariance, and its spectrum.
+
+The error of such a run obeys the model's own equations, in the loop of the record, driven by the
+noise alone. Its covariance follows from row to row exactly; nothing is drawn by chance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.declared_model import DeclaredModel
+from .discretisation import Motion, motion, process_covariance
+from .experiment import Experiment
+from .free_run import first_row, input_step
+from .intersample_input import HeldStep, Hold
+from .noise_model import Noise
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_BLOCKS = 1024
+"""Into so many blocks at least a record is cut: over one of them the covariance hardly changes."""
+_LINES = 8192
+"""Frequencies, 0.15 % apart over five decades, that a spectrum is integrated over."""
+_PLACES = 8
+"""Of a moving schedule the spectrum is the mean of this many places, evenly spread in time."""
+_LARGEST_SPREAD = np.sqrt(0.5)
+"""Relative sd of the rms of a single value: no record tells less."""
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """What noise leaves on the rows of a record that a free run counts, in the outputs' units.
+
+    rms (n,) of the errors a perfect model leaves, expected over all noises. motion (n, n): the part
+    of their covariance that is motion; the rest is the measurement's, independent of the motion of
+    the same row. spread (n,): standard deviation of one such record's rms, relative to `rms`: a
+    perfect model's error is 1 +- spread times the floor.
+    """
+
+    rms: Array
+    motion: Array
+    spread: Array
+
+
+def floor_rms(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Array:
+    """Return Floor.rms (n,) alone."""
+    return _rms(motion_covariance(model, experiment, hold, noise), noise)
+
+
+def motion_covariance(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise
+) -> Array:
+    """Return Floor.motion (n, n) alone: the mean over the rows that a free run counts."""
+    n = experiment.y.shape[1]
+    counted = experiment.rows(first_row(experiment), len(experiment.y))
+    # Blocks of 2^d rows: A^(2^d) by squaring, the covariance only from block to block.
+    doublings = max(int(np.log2(len(counted.y) / _BLOCKS)), 0) if len(counted.y) > _BLOCKS else 0
+    at = _thinned(model, counted, hold, 2**doublings)
+    A, W = _error_system(model, counted, at, noise)
+    for _ in range(doublings):
+        W = W + A @ W @ np.swapaxes(A, 1, 2)
+        A = A @ A
+    blocks = len(counted.y) // 2**doublings
+    P, total = np.zeros_like(W[0]), np.zeros((n, n))
+    for k in range(blocks):
+        row = min(k, len(A) - 1)
+        after = A[row] @ P @ A[row].T + W[row]
+        total += P[:n, :n] if doublings == 0 else 0.5 * (P[:n, :n] + after[:n, :n])
+        P = after
+    return np.asarray(total / max(blocks, 1))
+
+
+def noise_floor(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise
+) -> NoiseFloor:
+    """Return what `noise` leaves of a perfect `model` on the rows that simulate.free_run counts.
+
+    Noise acts as `predict` has it: white generalised forces, and white errors of what is measured,
+    which the controller sees too. At the first row that counts the state is taken as known. Rows
+    along a moving schedule each have their own matrices. The spread follows from the spectrum,
+    var(rms^2) = integral of S(f)^2 df / T for a one-sided S (Bendat and Piersol 2010, 8.2).
+    """
+    covariance = motion_covariance(model, experiment, hold, noise)
+    duration_s = (len(experiment.y) - first_row(experiment)) * experiment.Ts_s
+    freq_hz = np.geomspace(0.5 / duration_s, 0.5 / experiment.Ts_s, _LINES)
+    psd = _spectra(model, experiment, hold, noise, freq_hz)
+    # Along a schedule a record is as many short ones, one after the other.
+    power = np.trapezoid(psd, freq_hz, axis=1).mean(axis=0)
+    square = np.trapezoid(psd**2, freq_hz, axis=1).mean(axis=0) / duration_s
+    spread = np.minimum(0.5 * np.sqrt(square) / power, _LARGEST_SPREAD)
+    return NoiseFloor(_rms(covariance, noise), covariance, spread)
+
+
+def floor_psd(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise, freq_hz: Array
+) -> Array:
+    """Return the one-sided spectrum (F, n) that Welch's method with Hann windows expects.
+
+    freq_hz (F,) from 0 on, evenly spaced: a window smears what is narrower than its own lines.
+    """
+    step_hz = float(freq_hz[1] - freq_hz[0]) if len(freq_hz) > 1 else 1.0
+    offsets = np.array([-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5])
+    # The power of a Hann window at offsets in lines: (sinc(x) / (1 - x^2))^2, 1/4 at x = 1.
+    beside = np.abs(offsets) == 1.0
+    safe = np.where(beside, 0.0, offsets)
+    weights = np.where(beside, 0.25, (np.sinc(safe) / (1 - safe**2)) ** 2)
+    half = np.arange(-3, 2 * len(freq_hz) + 2)
+    fine = np.abs(freq_hz[0] + 0.5 * step_hz * half)
+    fine = np.maximum(fine, 1e-3 * step_hz)  # at 0 Hz a controller that integrates is infinite
+    psd = _spectra(model, experiment, hold, noise, fine).mean(axis=0)
+    smeared = [weights @ psd[2 * k : 2 * k + 7] / weights.sum() for k in range(len(freq_hz))]
+    return np.array(smeared)
+
+
+def powers_of(response: Complex, covariance: Array) -> Array:
+    """Return the powers (F, n) of what responses (F, n, s) make of inputs of covariance (s, s)."""
+    return np.asarray(np.einsum("fia,ab,fib->fi", response, covariance, response.conj()).real)
+
+
+def _rms(covariance: Array, noise: Noise) -> Array:
+    return np.asarray(np.sqrt(np.diag(covariance) + noise.output_variance))
+
+
+def _thinned(model: DeclaredModel, experiment: Experiment, hold: Hold, step: int) -> Motion:
+    """Return the matrices in the middle of every `step` rows; inputs and drift mean nothing."""
+    thin = replace(
+        experiment,
+        u=np.zeros_like(experiment.u[::step]),
+        y=experiment.y[::step],
+        schedule={name: values[::step] for name, values in experiment.schedule.items()},
+    )
+    return motion(model, thin, hold)
+
+
+def _error_system(
+    model: DeclaredModel, experiment: Experiment, at: Motion, noise: Noise
+) -> tuple[Array, Array]:
+    """Return A and W (R, s, s) of e(k+1) = A e(k) + w(k), cov w = W, whose first states are q.
+
+    States: [q, q'], and in a loop the lagged input, the integrators, and the commands of the
+    `whole` + 1 periods before.
+    """
+    Q = process_covariance(at, noise.force_density)
+    Phi, powers = _flow(at)
+    if experiment.loop is None:
+        return Phi, Q
+    controller = experiment.loop.controller
+    step = input_step(model, experiment, at)
+    R, n, p = len(Phi), at.K.shape[1], at.B.shape[2]
+    lag, integral, before = 2 * n, 2 * n + p, 2 * n + 2 * p
+    size = before + (step.whole + 1) * p
+    one = np.eye(p)
+    # u(k) = -(kp + ki Ts) (q + noise) + integral, in states and in noise.
+    answer = -np.diag(controller.kp + controller.ki * experiment.Ts_s)
+    command = np.zeros((p, size))
+    command[:, :n], command[:, integral:before] = answer, one
+    acting = [command] + [np.eye(size)[before + i * p :][:p] for i in range(step.whole + 1)]
+    new, old = acting[step.whole], acting[step.whole + 1]
+    lagged = np.eye(size)[lag:integral]
+
+    A, by_noise = np.zeros((R, size, size)), np.zeros((R, size, n))
+    G_old, G_new, G_lag = (powers @ c for c in (step.from_old, step.from_new, step.from_lag))
+    A[:, : 2 * n, : 2 * n] = Phi
+    A[:, : 2 * n] += G_old @ old + G_new @ new + G_lag @ lagged
+    A[:, lag:integral] = step.end_old * old + step.end_new * new + step.end_lag * lagged
+    A[:, integral:before, :n] = -np.diag(controller.ki * experiment.Ts_s)
+    A[:, integral:before, integral:before] = one
+    A[:, before : before + p] = command
+    A[:, before + p :, before:-p] = np.eye(step.whole * p)
+    by_noise[:, integral:before] = -np.diag(controller.ki * experiment.Ts_s)
+    by_noise[:, before : before + p] = answer
+    if step.whole == 0:
+        by_noise[:, : 2 * n] = G_new @ answer
+        by_noise[:, lag:integral] = step.end_new * answer
+    W = by_noise @ noise.output_covariance @ np.swapaxes(by_noise, 1, 2)
+    W[:, : 2 * n, : 2 * n] += Q
+    return A, W
+
+
+def _spectra(
+    model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise, freq_hz: Array
+) -> Array:
+    """Return the one-sided spectra (R, F, n) of the errors that noise leaves, R places' each."""
+    counted = experiment.rows(first_row(experiment), len(experiment.y))
+    at = _thinned(model, counted, hold, max(len(counted.y) // _PLACES, 1))
+    Q, (Phi, powers) = process_covariance(at, noise.force_density), _flow(at)
+    n = at.K.shape[1]
+    psd = np.empty((len(Phi), len(freq_hz), n))
+    z = np.exp(2j * np.pi * freq_hz * at.Ts_s)[:, None, None]
+    for row in range(len(Phi)):
+        free = np.asarray(np.linalg.inv(z * np.eye(2 * n) - Phi[row])[:, :n])
+        by_force = free
+        sensitivity = np.tile(np.eye(n, dtype=np.complex128), (len(z), 1, 1))
+        if counted.loop is not None:
+            step = input_step(model, counted, at)
+            C = counted.loop.controller.response(freq_hz, at.Ts_s)
+            inputs = _input_effect(powers[row], step, z)
+            sensitivity = np.asarray(np.linalg.inv(np.eye(n) + (free @ inputs) * C[:, None, :]))
+            by_force = np.asarray(sensitivity @ free)
+        motion_psd = powers_of(by_force, Q[row])
+        noise_psd = powers_of(sensitivity, noise.output_covariance)
+        psd[row] = 2 * at.Ts_s * (motion_psd + noise_psd)
+    return psd
+
+
+def _input_effect(powers: Array, step: HeldStep, z: Complex) -> Complex:
+    """Return what a command adds to the state over a period (F, 2n, p), as a function of z."""
+    old, new = z ** -(step.whole + 1.0), z ** -float(step.whole)
+    lagged = (step.end_old * old + step.end_new * new) / (z - step.end_lag)
+    by_old, by_new, by_lag = (powers @ c for c in (step.from_old, step.from_new, step.from_lag))
+    return np.asarray(by_old * old + by_new * new + by_lag * lagged)
+
+
+def _flow(at: Motion) -> tuple[Array, Array]:
+    """Return Phi (R, 2n, 2n) of a period, and A^j B (R, 2n, p, J) for the moments of the input."""
+    R, n, p, order = len(at.K), at.K.shape[1], at.B.shape[2], len(at.scale) - 1
+    A = np.zeros((R, 2 * n, 2 * n))
+    A[:, :n, n:] = np.eye(n)
+    A[:, n:, :n], A[:, n:, n:] = -at.K, -at.D
+    Phi = np.tile(np.eye(2 * n), (R, 1, 1))
+    power, by_input = Phi, np.zeros((R, 2 * n, p))
+    by_input[:, n:] = at.B
+    powers = np.empty((R, 2 * n, p, order))
+    for j in range(order):
+        powers[..., j] = by_input
+        by_input = A @ by_input
+        power = A @ power
+        Phi = Phi + at.scale[j + 1] * power
+    return Phi, powers

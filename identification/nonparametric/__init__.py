@@ -1,0 +1,1 @@
+"""Estimate Markov parameters and frequency responses."""

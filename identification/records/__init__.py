@@ -1,0 +1,1 @@
+"""Read logs into records: aligned, resampled, checked for enough excitation."""

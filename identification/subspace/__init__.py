@@ -1,0 +1,1 @@
+"""Estimate state-space models: Ho-Kalman and predictor-based subspace identification."""

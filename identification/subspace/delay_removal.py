@@ -1,0 +1,69 @@
+"""The identified loop with the known delay and lag taken out of it, so that they take no order.
+
+All steps are exact algebra of power series in z^-1 (Markov parameters), truncated at their length.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, signal
+
+from ..records.record import PiController
+
+Array = NDArray[np.float64]
+
+
+def without_delay(
+    g: Array, leading_zeros: int, lag_pole: float, controller: PiController | None, Ts_s: float
+) -> Array:
+    """Return the Markov parameters the loop would have without its known delay and lag.
+
+    With P = E Q, E(z) = z^-d (1 - a) / (1 - a z^-1) for d = `leading_zeros` and a = `lag_pole`, the
+    measured loop is G = P (I + C P)^-1; returned is Q (I + C Q)^-1 = F (I + (1 - E) C F)^-1 with
+    F = G / E. As 1 - E is zero at z = 1 the integrators drop out of (1 - E) C, and since delay and
+    lag are short, the inverse is close to I: nothing is amplified. Without controller (open loop)
+    it is F.
+
+    g is (L, m, p), the result (L - d, m, p).
+    """
+    forward = g[leading_zeros:]
+    if lag_pole:
+        forward = signal.lfilter([1.0, -lag_pole], [1.0 - lag_pole], forward, axis=0)
+    if controller is None:
+        return np.asarray(forward)
+    length, _, p = forward.shape
+    step = np.ones(length)  # of 1 - E: what E has not passed on yet
+    step[leading_zeros:] -= 1.0 - lag_pole ** np.arange(1, length - leading_zeros + 1)
+    impulse = np.diff(step, prepend=0.0)
+    # (1 - E) C = kp (1 - E) + ki Ts (1 - E) / (1 - z^-1), the latter being the step response.
+    feedback = impulse[:, None] * controller.kp + step[:, None] * controller.ki * Ts_s
+    loop = product(_diagonal(feedback), forward)
+    loop[0] += np.eye(p)
+    return product(forward, inverse(loop))
+
+
+def product(a: Array, b: Array) -> Array:
+    """Return the product of two series (L, m, n) and (L, n, p), truncated to L terms."""
+    size = fft.next_fast_len(2 * len(a), real=True)
+    spectrum = fft.rfft(a, size, axis=0) @ fft.rfft(b, size, axis=0)
+    return np.asarray(fft.irfft(spectrum, size, axis=0)[: len(a)])
+
+
+def inverse(a: Array) -> Array:
+    """Return the series (L, p, p) inverse to a (L, p, p), a(0) regular, by Newton's doubling."""
+    x = np.linalg.inv(a[:1])
+    while len(x) < len(a):
+        n = min(2 * len(x), len(a))
+        padded = np.concatenate([x, np.zeros((n - len(x), *x.shape[1:]))])
+        error = -product(a[:n], padded)
+        error[0] += 2 * np.eye(a.shape[1])
+        x = product(padded, error)
+    return np.asarray(x)
+
+
+def _diagonal(series: Array) -> Array:
+    out = np.zeros((*series.shape, series.shape[1]))
+    index = np.arange(series.shape[1])
+    out[:, index, index] = series
+    return out

@@ -1,0 +1,189 @@
+"""An innovation model from input and output: observer Markov parameters, weighted SVD, Riccati."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are, solve_triangular
+
+from ...model.second_order import StateSpace
+from ..nonparametric.least_squares import BLOCK_ROWS, independent, triangle
+from ..records.record import IdentificationError, Record
+from .simulation import InnovationModel
+
+Array = NDArray[np.float64]
+
+ROUNDING = 1e-7
+"""Rows of this size relative to each column's are put beneath the data.
+
+They stand for noise of 1e-7 of each signal, so that data without any can be solved too (subspace
+adds as much to its Gram matrices).
+"""
+
+
+@dataclass(frozen=True)
+class ObserverMarkov:
+    """y(k) = D v(k) + sum_i [b(i) a(i)] [v(k-i) y(k-i)] + e: Markov parameters of a predictor.
+
+    `blocks` (s, m, p + m) for i = 1..s, D (m, p).
+    """
+
+    blocks: Array
+    D: Array
+
+
+@dataclass(frozen=True)
+class StateSequence:
+    """States estimated from the records, by how much of the future they hold.
+
+    `singular_values` (k,) say how much that is, descending. `triangle` is the R of the QR of
+    [v(k) x(k) | x(k+1) y(k)] over all `rows` rows, for `inputs` inputs: what every model is fitted
+    from.
+    """
+
+    singular_values: Array
+    triangle: Array
+    rows: int
+    inputs: int
+
+
+def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> ObserverMarkov:
+    """Return the observer (OKID; a high-order ARX) whose past has the least Akaike criterion.
+
+    That is log det of the error's covariance plus twice the parameters a row. All lengths are
+    judged on the same rows, as the likelihoods of different rows do not compare, and so follow from
+    one QR; records shorter than the past have none. Raises IdentificationError for fewer than two
+    rows a parameter.
+    """
+    p, m = records[0].v.shape[1], records[0].y.shape[1]
+    possible = [s for s in candidates if 2 * (s * (p + m) + p) < _rows_with(records, s)]
+    if not possible:
+        total = sum(len(r.y) for r in records)
+        raise IdentificationError(f"expected longer records for a predictor, found {total} rows")
+    longest = max(possible)
+    R = _observer_triangle(records, longest)
+    rows = _rows_with(records, longest)
+
+    def akaike(past: int) -> float:
+        columns = p + past * (p + m)
+        error = R[columns:, -m:]
+        size = np.linalg.slogdet(error.T @ error / rows)[1]
+        return float(size + 2.0 * m * columns / rows)
+
+    past = min(possible, key=akaike)
+    if past < longest:
+        R = _observer_triangle(records, past)
+    theta = _solve(R, p + past * (p + m), m)
+    return ObserverMarkov(theta[p:].reshape(past, p + m, m).transpose(0, 2, 1), theta[:p].T)
+
+
+def state_sequence(
+    observer: ObserverMarkov, records: Sequence[Record], count: int
+) -> StateSequence:
+    """Return the states that the past leaves for the future, by the SVD of H Z.
+
+    H is the Hankel matrix of the observer's Markov parameters (zero beyond its length), Z the past
+    inputs and outputs: data-weighted Ho-Kalman (PBSID; Chiuso, Automatica 2007). Weighting by the
+    data keeps what coloured inputs never drove from deciding the states.
+    """
+    past, m, width = observer.blocks.shape
+    inputs = width - m
+    H = np.zeros((past, m, past, width))
+    for row in range(past):
+        H[row, :, : past - row] = observer.blocks[row:].transpose(1, 0, 2)
+    flat = H.reshape(past * m, -1)
+    blocks = [(r, k) for r in records for k in _blocks(past, len(r.y))]
+    Z = (_past(r, past, k) for r, k in blocks)
+    # H Z = H R^T Q^T: the triangle has the singular values and left vectors of the whole.
+    U, s, _ = np.linalg.svd(flat @ triangle(Z).T, full_matrices=False)
+    count = int(min(count, np.sum(s > np.finfo(float).eps * s[0])))
+    states = flat.T @ (U[:, :count] / np.sqrt(s[:count]))
+    steps = [(r, k) for r in records for k in _blocks(past, len(r.y) - 1)]
+
+    def step(record: Record, k: slice) -> Array:
+        x = _past(record, past, slice(k.start, k.stop + 1)) @ states
+        return np.hstack([record.v[k], x[:-1], x[1:], record.y[k]])
+
+    R = _rounded(triangle(step(r, k) for r, k in steps))
+    return StateSequence(s[:count], R, sum(k.stop - k.start for _, k in steps), inputs)
+
+
+def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> InnovationModel:
+    """Fit A, B, C, D to the first `order` states and take K from the residuals' covariance.
+
+    K solves the discrete Riccati equation, so the predictor is stable whatever the data. Raises
+    IdentificationError when that has no solution or the order exceeds the states.
+    """
+    available = len(sequence.singular_values)
+    if not 1 <= order <= available:
+        raise IdentificationError(f"expected an order of 1 to {available}, found {order}")
+    n, p = order, sequence.inputs
+    # Columns v, the first n states | the same states one step on, the outputs.
+    chosen = [*range(p + n), *range(p + available, p + available + n)]
+    chosen += range(p + 2 * available, sequence.triangle.shape[1])
+    R = sequence.triangle[:, chosen]
+    theta = _solve(R[: p + n], p + n, R.shape[1] - p - n)
+    error = R[p + n :, p + n :]
+    covariance = error.T @ error / sequence.rows
+    A, B, C, D = theta[p:, :n].T, theta[:p, :n].T, theta[p:, n:].T, theta[:p, n:].T
+    Q, S, R = covariance[:n, :n], covariance[:n, n:], covariance[n:, n:]
+    # A trace of process noise in every direction keeps the Riccati equation solvable.
+    Q = Q + 1e-12 * np.trace(Q) * np.eye(n)
+    try:
+        P = solve_discrete_are(A.T, C.T, Q, R, s=S)
+    except (np.linalg.LinAlgError, ValueError) as cause:
+        raise IdentificationError(f"no steady-state predictor of order {order}: {cause}") from None
+    e_covariance = C @ P @ C.T + R
+    K = np.asarray(np.linalg.solve(e_covariance, (A @ P @ C.T + S).T).T, dtype=np.float64)
+    return InnovationModel(StateSpace(A, B, C, D, Ts_s), K, e_covariance)
+
+
+def _rows_with(records: Sequence[Record], past: int) -> int:
+    """Return how many rows of all records have so many rows before them."""
+    return sum(max(len(r.y) - past, 0) for r in records)
+
+
+def _blocks(first: int, last: int) -> list[slice]:
+    """Return the rows first..last-1 in parts, for matrices that are never formed as a whole."""
+    return [slice(k, min(k + BLOCK_ROWS, last)) for k in range(first, last, BLOCK_ROWS)]
+
+
+def _past(record: Record, past: int, k: slice) -> Array:
+    """Return rows [v(k-1) y(k-1) ... v(k-past) y(k-past)] for rows k, which have such a past."""
+    z = np.hstack([record.v[k.start - past : k.stop], record.y[k.start - past : k.stop]])
+    return np.hstack([z[past - i : len(z) - i] for i in range(1, past + 1)])
+
+
+def _observer_triangle(records: Sequence[Record], past: int) -> Array:
+    """Return R of the QR of [v(k) z(k-1) ... z(k-past) | y(k)], shorter pasts in front."""
+    blocks = ((r, k) for r in records for k in _blocks(past, len(r.y)))
+    R = triangle(np.hstack([r.v[k], _past(r, past, k), r.y[k]]) for r, k in blocks)
+    p = records[0].v.shape[1]
+    # Outputs without noise follow from others, and rounding stands for it; inputs may not.
+    if not independent(R[:p, :p], 1e-13):
+        raise _not_independent("inputs")
+    return _rounded(R)
+
+
+def _rounded(R: Array) -> Array:
+    return triangle([np.vstack([R, np.diag(ROUNDING * np.linalg.norm(R, axis=0))])])
+
+
+def _solve(R: Array, columns: int, targets: int) -> Array:
+    """Return the least-squares solution (columns, targets) of the last columns of R on the first.
+
+    Raises IdentificationError where those are not independent.
+    """
+    square = R[:columns, :columns]
+    if not independent(square, 1e-13):
+        raise _not_independent("inputs and outputs")
+    return np.asarray(solve_triangular(square, R[:columns, R.shape[1] - targets :]))
+
+
+def _not_independent(what: str) -> IdentificationError:
+    return IdentificationError(
+        f"expected {what} that are independent, found some that follow from others"
+    )

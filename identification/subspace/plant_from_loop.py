@@ -1,0 +1,141 @@
+"""The plant from the identified loop, eq. (14), with the controller cancelled exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.second_order import StateSpace
+from ..records.record import IdentificationError, PiController
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class IdentifiedPlant:
+    """P(z) = z^-d (1 - a) / (1 - a z^-1) Q(z): known delay d and lag a around the identified Q.
+
+    `core` is Q in state space (six states for the rig), `delay_steps` d counts the hold's own step,
+    `lag_pole` a is 0 where no lag is known.
+    """
+
+    core: StateSpace
+    delay_steps: int = 0
+    lag_pole: float = 0.0
+
+    def response(self, freq_hz: Array) -> Complex:
+        """Return the frequency response (F, m, p) of P at freq_hz (F,)."""
+        z = np.exp(2j * np.pi * np.asarray(freq_hz) * self.core.Ts_s)
+        known = z**-self.delay_steps * (1 - self.lag_pole) / (1 - self.lag_pole / z)
+        return np.asarray(known[:, None, None] * self.core.response(freq_hz))
+
+    def state_space(self) -> StateSpace:
+        """Return P with the delay and the lag as states behind those of Q."""
+        model = self.core
+        if self.lag_pole:
+            model = series(_lag(len(model.B[0]), self.lag_pole, model.Ts_s), model)
+        for _ in range(self.delay_steps):
+            model = series(_delay(len(model.B[0]), model.Ts_s), model)
+        return model
+
+
+def plant_from_loop(loop: StateSpace, controller: PiController) -> StateSpace:
+    """Return P = G (I - C G)^-1 (14) without the modes that G and C share.
+
+    Closing the loop again with +C leaves n + 3 states, of which 3 + 3 are integrators of C: three
+    that u cannot reach and three that y does not show, all at z = 1. They are found there, by the
+    Popov-Belevitch-Hautus test, not by looking for poles that happen to be close, and split off.
+    Noise leaves them next to z = 1 only; to force them there first, by giving G the zeros that
+    integral action makes certain, errs up to 25 times more: what the slow modes lack is then asked
+    of the resonances. The result has n - 3 states for three integrators. Nothing is assumed on the
+    plant's stability.
+
+    Raises IdentificationError when G has fewer states than cancel.
+    """
+    integrators = int(np.sum(controller.ki > 0))
+    n = len(loop.A)
+    if n <= integrators:
+        raise IdentificationError(
+            f"expected a loop of more than {integrators} states, which its controller brings, "
+            f"found order {n}"
+        )
+    return _without_integrators(_closed_with(loop, controller), integrators)
+
+
+def closed_loop(plant: StateSpace, controller: PiController) -> StateSpace:
+    """Return G = P (I + C P)^-1 from v to y for u = v - C y, integrators as the last states."""
+    return _closed_with(plant, PiController(-controller.kp, -controller.ki))
+
+
+def series(first: StateSpace, second: StateSpace) -> StateSpace:
+    """Return second * first: the input passes `first`, its output drives `second`."""
+    n = len(first.A)
+    A = np.block([[first.A, np.zeros((n, len(second.A)))], [second.B @ first.C, second.A]])
+    return StateSpace(
+        A,
+        np.vstack([first.B, second.B @ first.D]),
+        np.hstack([second.D @ first.C, second.C]),
+        second.D @ first.D,
+        first.Ts_s,
+    )
+
+
+def _closed_with(model: StateSpace, controller: PiController) -> StateSpace:
+    """Close u + C y onto the input of `model`, whose states come first."""
+    active = np.flatnonzero(controller.ki)
+    m = len(model.C)
+    pick = np.eye(m)[active]  # integrators' inputs
+    direct = np.diag(controller.kp + controller.ki * model.Ts_s)
+    integral = (np.diag(controller.ki * model.Ts_s))[:, active]
+    solve = np.linalg.inv(np.eye(len(direct)) - direct @ model.D)
+    # w = solve (u + direct C x + integral s) enters the model, y = C x + D w, s+ = s + pick y
+    wx, ws, wu = solve @ direct @ model.C, solve @ integral, solve
+    yx, ys, yu = model.C + model.D @ wx, model.D @ ws, model.D @ wu
+    A = np.block(
+        [
+            [model.A + model.B @ wx, model.B @ ws],
+            [pick @ yx, np.eye(len(active)) + pick @ ys],
+        ]
+    )
+    return StateSpace(A, np.vstack([model.B @ wu, pick @ yu]), np.hstack([yx, ys]), yu, model.Ts_s)
+
+
+def _without_integrators(model: StateSpace, count: int) -> StateSpace:
+    """Split off `count` unreachable and `count` invisible modes at z = 1."""
+    if count == 0:
+        return model
+    visible = _without_invisible(model, count)
+    return _transposed(_without_invisible(_transposed(visible), count))
+
+
+def _without_invisible(model: StateSpace, count: int) -> StateSpace:
+    """Divide out the `count` directions x with (A - I) x = 0 and C x = 0 (in least squares)."""
+    n = len(model.A)
+    stack = np.vstack(
+        [(model.A - np.eye(n)) / _size(model.A - np.eye(n)), model.C / _size(model.C)]
+    )
+    keep = np.linalg.svd(stack)[2][: n - count]  # orthonormal rows, invisible directions last
+    return StateSpace(
+        keep @ model.A @ keep.T, keep @ model.B, model.C @ keep.T, model.D, model.Ts_s
+    )
+
+
+def _transposed(model: StateSpace) -> StateSpace:
+    return StateSpace(model.A.T, model.C.T, model.B.T, model.D.T, model.Ts_s)
+
+
+def _size(matrix: Array) -> float:
+    return float(np.linalg.norm(matrix)) or 1.0
+
+
+def _delay(p: int, Ts_s: float) -> StateSpace:
+    return StateSpace(np.zeros((p, p)), np.eye(p), np.eye(p), np.zeros((p, p)), Ts_s)
+
+
+def _lag(p: int, pole: float, Ts_s: float) -> StateSpace:
+    # (1 - a) / (1 - a z^-1) = (1 - a) + a (1 - a) / (z - a)
+    eye = np.eye(p)
+    return StateSpace(pole * eye, eye, pole * (1 - pole) * eye, (1 - pole) * eye, Ts_s)

@@ -1,0 +1,132 @@
+"""What errors of a state-space model's matrices make of its frequency response and of its modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.second_order import StateSpace
+from .plant_from_loop import IdentifiedPlant
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+SURE_95 = 1.96
+"""Standard deviations of a real Gaussian error within which 95 % lie."""
+
+
+@dataclass(frozen=True)
+class ModelResponse:
+    """Frequency response H (F, m, p) of a model at freq_hz (F,), with its uncertainty.
+
+    `covariance` (F, m, p, m, p) is E dH[i,j] dH[k,l]^*; `relation` (F, m, p), E dH[i,j]^2. The
+    errors of a model are few, and so its response errs in some directions of the complex plane
+    more than in others: no circle, of which `covariance` alone would tell.
+    """
+
+    freq_hz: Array
+    H: Complex
+    covariance: Complex
+    relation: Complex
+    Ts_s: float
+
+    @property
+    def standard_deviation(self) -> Array:
+        """Root mean square (F, m, p) of the complex entries' errors."""
+        return np.asarray(np.sqrt(np.abs(np.einsum("fijij->fij", self.covariance))))
+
+    @property
+    def magnitude_deviation(self) -> Array:
+        """Standard deviation (F, m, p) of |H|; 95 % lie within 1.96 of it."""
+        return self._along(1.0)
+
+    @property
+    def phase_deviation_rad(self) -> Array:
+        """Standard deviation (F, m, p) of H's phase; 95 % lie within 1.96 of it."""
+        return np.asarray(self._along(-1.0) / np.abs(self.H))
+
+    def _along(self, sign: float) -> Array:
+        """Return the deviation along H (sign 1), or across it (sign -1)."""
+        power = np.einsum("fijij->fij", self.covariance).real
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turned = np.real(self.relation * (self.H.conj() / np.abs(self.H)) ** 2)
+        return np.asarray(np.sqrt(np.maximum(power + sign * turned, 0.0) / 2))
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Poles (k,) of a model as natural frequency in Hz and damping, with standard errors.
+
+    Slowest first, one of each complex pair. A real pole has damping 1 (unstable: -1) and the
+    frequency |s| / 2 pi. Real poles z <= 0 have no continuous counterpart and are not listed.
+    """
+
+    frequency_hz: Array
+    frequency_se_hz: Array
+    damping: Array
+    damping_se: Array
+
+
+def response_with_errors(
+    plant: IdentifiedPlant, covariance: Array, freq_hz: Array
+) -> ModelResponse:
+    """Return the response of P, and its errors from those of its core's [A B; C D].
+
+    `covariance` is (n + m, n + p, n + m, n + p). dP = z^-d lag(z) [C (zI - A)^-1, I] d[A B; C D]
+    [(zI - A)^-1 B; I].
+    """
+    core = plant.core
+    n, m, p = len(core.A), len(core.C), len(core.B[0])
+    z = np.exp(2j * np.pi * np.asarray(freq_hz) * core.Ts_s)
+    inverse = np.linalg.inv(z[:, None, None] * np.eye(n) - core.A)
+    ones = np.ones((len(z), 1, 1))
+    left = np.concatenate([core.C @ inverse, np.eye(m) * ones], axis=2)  # (F, m, n + m)
+    right = np.concatenate([inverse @ core.B, np.eye(p) * ones], axis=1)  # (F, n + p, p)
+    known = (z**-plant.delay_steps * (1 - plant.lag_pole) / (1 - plant.lag_pole / z))[:, None, None]
+    slope = np.einsum("fia,fbj->fijab", known * left, right)
+    half = slope.reshape(len(z), m * p, -1) @ covariance.reshape((n + m) * (n + p), -1)
+    flat = slope.reshape(len(z), m * p, -1)
+    return ModelResponse(
+        np.asarray(freq_hz, dtype=np.float64),
+        plant.response(freq_hz),
+        (half @ flat.conj().transpose(0, 2, 1)).reshape(-1, m, p, m, p),
+        np.einsum("fax,fax->fa", half, flat).reshape(-1, m, p),
+        core.Ts_s,
+    )
+
+
+def modes(model: StateSpace, covariance: Array) -> Modes:
+    """Return the modes of the model, with errors from those of [A B; C D] to first order.
+
+    A pole's derivative is w^H dA v / (w^H v), of s = ln(pole) / Ts that over pole Ts. Where two
+    poles are one there is none, and the standard errors are nan.
+    """
+    n = len(model.A)
+    poles, v = np.linalg.eig(model.A)
+    poles, v = poles.astype(complex), v.astype(complex)
+    listed = (poles.imag >= 0) & ~((poles.imag == 0) & (poles.real <= 0))
+    poles, v = poles[listed], v[:, listed]
+    s = np.log(poles) / model.Ts_s
+    order = np.argsort(np.abs(s))
+    poles, s, v = poles[order], s[order], v[:, order]
+    cov = covariance[:n, :n, :n, :n].reshape(n * n, n * n)
+    frequency_se, damping_se = np.full((2, len(poles)), np.nan)
+    for k, (pole, right) in enumerate(zip(poles, v.T, strict=True)):
+        # The left eigenvector, as the null vector of (A - pole I)^T.
+        left = np.linalg.svd((model.A - pole * np.eye(n)).T)[2][-1].conj()
+        across = left @ right
+        if abs(across) < _ALIKE:
+            continue
+        ds = (np.outer(left, right) / (across * pole * model.Ts_s)).ravel()
+        size = abs(s[k])
+        along = np.real(np.conj(s[k]) * ds) / size  # d|s|
+        frequency_se[k] = np.sqrt(along @ cov @ along) / (2 * np.pi)
+        damping = -ds.real / size + s[k].real * along / size**2
+        damping_se[k] = np.sqrt(max(damping @ cov @ damping, 0.0))
+    return Modes(np.abs(s) / (2 * np.pi), frequency_se, -s.real / np.abs(s), damping_se)
+
+
+_ALIKE = 1e-10
+"""Left and right eigenvector of a pole that is not one of several alike are less orthogonal."""

@@ -1,0 +1,181 @@
+"""Running identified models: simulation, one-step prediction, and what their states start from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from ...model.second_order import StateSpace
+from ..nonparametric.least_squares import BLOCK_ROWS, triangle
+from ..records.record import Record
+
+Array = NDArray[np.float64]
+
+BLOCK = 64
+"""Samples simulated in one matrix product; the state is carried from block to block."""
+
+
+@dataclass(frozen=True)
+class InnovationModel:
+    """x(k+1) = A x + B u + K e, y = C x + D u + e: a model with its steady-state predictor.
+
+    `model` holds A, B, C, D; K is (n, m), e the one-step prediction error, `e_covariance` (m, m).
+    """
+
+    model: StateSpace
+    K: Array
+    e_covariance: Array
+
+    def predictor(self) -> StateSpace:
+        """Return the model from [u, y] to the one-step prediction of y."""
+        m = self.model
+        none = np.zeros((len(m.C), len(m.C)))
+        return StateSpace(
+            m.A - self.K @ m.C,
+            np.hstack([m.B - self.K @ m.D, self.K]),
+            m.C,
+            np.hstack([m.D, none]),
+            m.Ts_s,
+        )
+
+
+def simulate(model: StateSpace, u: Array, x0: Array | None = None) -> Array:
+    """Return the response (N, m) to u (N, p) from state x0 (n,), zero unless given."""
+    n = len(model.A)
+    m, p = model.D.shape
+    rows = -(-len(u) // BLOCK) * BLOCK
+    padded = np.zeros((rows, p))
+    padded[: len(u)] = u
+    blocks = padded.reshape(-1, BLOCK * p)
+    # Powers of A give what a block's state and inputs do inside and at the end of the block.
+    powers = np.empty((BLOCK + 1, n, n))
+    powers[0] = np.eye(n)
+    for k in range(BLOCK):
+        powers[k + 1] = model.A @ powers[k]
+    observe = (model.C @ powers[:BLOCK]).reshape(BLOCK * m, n)
+    impulse = np.concatenate([model.D[None], model.C @ powers[: BLOCK - 1] @ model.B])
+    within = np.zeros((BLOCK, m, BLOCK, p))
+    for k in range(BLOCK):
+        within[k, :, : k + 1] = impulse[k::-1].transpose(1, 0, 2)
+    reach = (powers[BLOCK - 1 :: -1] @ model.B).transpose(1, 0, 2).reshape(n, BLOCK * p)
+    driven = blocks @ reach.T
+    x = np.empty((len(blocks), n))
+    state = np.zeros(n) if x0 is None else np.asarray(x0, float)
+    for k in range(len(blocks)):
+        x[k] = state
+        state = powers[BLOCK] @ state + driven[k]
+    y = blocks @ within.reshape(BLOCK * m, BLOCK * p).T + x @ observe.T
+    return np.asarray(y.reshape(-1, m)[: len(u)])
+
+
+def free_response(model: StateSpace, rows: int) -> Array:
+    """Return (rows, m, n): the output that each initial state alone causes."""
+    n = len(model.A)
+    powers = np.empty((BLOCK + 1, n, n))
+    powers[0] = np.eye(n)
+    for k in range(BLOCK):
+        powers[k + 1] = model.A @ powers[k]
+    within = (model.C @ powers[:BLOCK]).reshape(-1, n)
+    blocks = -(-rows // BLOCK)
+    out = np.empty((blocks, *within.shape))
+    for k in range(blocks):
+        out[k] = within
+        within = within @ powers[BLOCK]
+    return out.reshape(blocks * BLOCK, len(model.C), n)[:rows]
+
+
+def initial_state(model: StateSpace, u: Array, y: Array) -> Array:
+    """Return the state (n,) whose simulation is nearest to y (N, m) in least squares.
+
+    Outputs count relative to their rms.
+    """
+    n = len(model.A)
+    weight = 1.0 / np.maximum(y.std(axis=0), np.finfo(float).tiny)
+    missing = (y - simulate(model, u)) * weight
+
+    def rows() -> Iterator[Array]:
+        for k, free in _free_responses(model, len(u)):
+            response = (free * weight[:, None]).reshape(-1, n)
+            yield np.hstack([response, missing[k].reshape(-1, 1)])
+
+    R = triangle(rows())
+    return np.asarray(np.linalg.lstsq(R[:, :n], R[:, n], rcond=None)[0])
+
+
+def spectral_radius(A: Array) -> float:
+    """Return the largest modulus of the eigenvalues."""
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def fit_input_matrices(model: StateSpace, records: Sequence[Record]) -> StateSpace:
+    """Return the model with B and D that simulate the records' y from v best, A and C kept.
+
+    Linear least squares on the simulation's error, outputs relative to their rms; the initial state
+    of every record is fitted along. Needs a stable A: the caller sees to that.
+    """
+    n, p = model.B.shape
+    m = len(model.C)
+    weight = 1.0 / np.maximum(_rms(records), np.finfo(float).tiny)
+
+    def rows(record: Record) -> Iterator[Array]:
+        driven = _input_regressors(model, record.v)
+        for (k, free), by_input in zip(_free_responses(model, len(record.v)), driven, strict=True):
+            columns = [(x * weight[:, None]).reshape(-1, x.shape[2]) for x in (free, by_input)]
+            yield np.hstack([*columns, (record.y[k] * weight).reshape(-1, 1)])
+
+    # Below the rows of the initial state, a triangle is that of the rest without it.
+    reduced = [triangle(rows(record))[n:, n:] for record in records]
+    stacked = np.vstack(reduced)
+    scale = np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), np.finfo(float).tiny)
+    found = np.linalg.lstsq(stacked[:, :-1] / scale, stacked[:, -1], rcond=None)[0] / scale
+    B = found[: n * p].reshape(p, n).T
+    D = found[n * p :].reshape(p, m).T
+    return StateSpace(model.A, B, model.C, D, model.Ts_s)
+
+
+def _blocks(rows: int) -> Iterator[slice]:
+    return (slice(k, min(k + BLOCK_ROWS, rows)) for k in range(0, rows, BLOCK_ROWS))
+
+
+def _free_responses(model: StateSpace, rows: int) -> Iterator[tuple[slice, Array]]:
+    """Yield the rows of `free_response` block by block: all at once they may be larger than y."""
+    response = free_response(model, min(rows, BLOCK_ROWS))
+    later = np.linalg.matrix_power(model.A, BLOCK_ROWS)
+    state = np.eye(len(model.A))
+    for k in _blocks(rows):
+        yield k, response[: k.stop - k.start] @ state
+        state = later @ state
+
+
+def _input_regressors(model: StateSpace, u: Array) -> Iterator[Array]:
+    """Yield (N, m, n p + m p), block by block: the output that each entry of B and D alone causes.
+
+    The state of entry B[i, j] obeys x(k + 1) = A x(k) + e_i u_j(k); it is carried from one block to
+    the next.
+    """
+    m, n = model.C.shape
+    states = free_response(replace(model, C=np.eye(n), D=np.zeros((n, 0))), BLOCK_ROWS)
+    later = states[-1] @ model.A
+    outputs = model.C @ states
+    begin = np.zeros((u.shape[1], n, n))
+    for k in _blocks(len(u)):
+        rows = k.stop - k.start
+        columns = []
+        for j, u_j in enumerate(u[k].T):
+            driven = outputs[:rows] @ begin[j]
+            flat = outputs[:rows].reshape(rows, m * n)
+            convolved = signal.fftconvolve(flat, u_j[:, None], axes=0)[: rows - 1]
+            driven[1:] += convolved.reshape(-1, m, n)
+            columns.append(driven)
+            if rows == BLOCK_ROWS:
+                begin[j] = later @ begin[j] + np.tensordot(u_j, states[::-1], 1)
+        columns += [u_j[:, None, None] * np.eye(m) for u_j in u[k].T]
+        yield np.concatenate(columns, axis=2)
+
+
+def _rms(records: Sequence[Record]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.concatenate([r.y for r in records]) ** 2, axis=0)))

@@ -1,0 +1,336 @@
+"""What a report shows of a trace beyond its result: each record, reduced to what figures need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.effects.base import Placed, Signals
+from ..greybox.noise_floor import floor_psd
+from .linearised.gram_matrices import BLOCK_S
+from .linearised.working_point import Along, WorkingPoint
+from .records.noise_sources import Disturbance
+from .records.trace_record import TraceRecord
+from .residual.force_residual import (
+    Missing,
+    denoised,
+    density,
+    missing,
+    noise_density,
+    share,
+    standing_out,
+)
+from .study import Trace
+from .worker_pool import Workers
+
+Array = NDArray[np.float64]
+
+_SAMPLE_HZ = 100.0
+_MOST_SAMPLES = 4000
+_SEEN = 0.05
+"""A part of an effect is shown if it has this share of its largest part, in units of the noise."""
+_MOST_ASPECTS = 3
+
+
+@dataclass(frozen=True)
+class PlottedSignal:
+    """Samples (K,) of something that an effect may depend on."""
+
+    name: str
+    unit: str
+    values: Array
+
+
+@dataclass(frozen=True)
+class Aspect:
+    """One part of an effect in one record, sampled: where it acts, fitted (K,) and measured (K,).
+
+    measured: fitted, and what the model with all effects leaves there; the mean over the record,
+    which a constant force hides, is as fitted. Both went through the same filter, which keeps
+    frequencies at which the effect stands out. block (K,) numbers blocks of
+    time. `signals` are what it may depend on.
+    """
+
+    identity: str
+    place: str
+    unit: str
+    fitted: Array
+    measured: Array
+    block: NDArray[np.int64]
+    signals: tuple[PlottedSignal, ...]
+
+
+@dataclass(frozen=True)
+class RecordView:
+    """One record.
+
+    time_s (B,): middle of blocks; before, after (B,): mean squares of one-step-ahead errors and of
+    what is beyond the rigid platform, in variances of the noise. sensor_before, sensor_after (S,):
+    RMS beyond the rigid platform, each sensor, over what its noise leaves there; NaN where that is
+    nothing. signals (K,) each, with force_before, force_after (K, n): the generalised force that is
+    lacking, where it stands out of the noise; stands_out_before, stands_out_after (n,): its RMS
+    over that of the noise in the same band. freq_hz (F,), floor (F, n): density of the noise in the
+    pose's free-running error.
+    """
+
+    name: str
+    held: bool
+    time_s: Array
+    before: Array
+    after: Array
+    sensor_before: Array
+    sensor_after: Array
+    block: NDArray[np.int64]
+    signals: tuple[PlottedSignal, ...]
+    force_before: Array
+    force_after: Array
+    stands_out_before: Array
+    stands_out_after: Array
+    aspects: tuple[Aspect, ...]
+    floor: Array | None
+
+
+@dataclass(frozen=True)
+class Views:
+    """All records, in the order of time, and units of the generalised forces."""
+
+    records: tuple[RecordView, ...]
+    dof: tuple[str, ...]
+    force_units: tuple[str, ...]
+
+
+def views(found: Trace, workers: Workers) -> Views:
+    """Return what figures show of the records of a trace."""
+    held = {e.name: e.freq_hz for e in found.after}
+    seen = workers.map(partial(_view, found.declared, found.found.point, held), found.records)
+    places = found.places
+    units = tuple(places.force_unit(i) for i in range(len(places.dof)))
+    return Views(tuple(sorted(seen, key=lambda v: float(v.time_s[0]))), places.dof, units)
+
+
+def _view(
+    declared: WorkingPoint,
+    found: WorkingPoint,
+    held: Mapping[str, Array],
+    record: TraceRecord,
+) -> RecordView:
+    before, after = missing(declared, record), missing(found, record)
+    s = after.here.signals
+    every = _thinning(record)
+    block = _blocks(record)[::every]
+    signals = tuple(_thinned(_signals(found, s), every))
+    force_before, out_before = _standing_out(declared, before)
+    force_after, out_after = _standing_out(found, after)
+    time_s, squares_before = _block_squares(declared, before)
+    _, squares_after = _block_squares(found, after)
+    aspects = _aspects(found, after, every, block) if found.placed else ()
+    freq_hz = held.get(record.name)
+    floor = None
+    if freq_hz is not None:
+        noise = found.disturbance.noise
+        floor = floor_psd(found.model, record.experiment, found.hold, noise, freq_hz)
+    return RecordView(
+        record.name, record.name in held, time_s, squares_before, squares_after,
+        _sensor_rms(declared.disturbance, before), _sensor_rms(found.disturbance, after),
+        block, signals, force_before[::every], force_after[::every], out_before, out_after, aspects,
+        floor,
+    )  # fmt: skip
+
+
+def _thinning(record: TraceRecord) -> int:
+    return max(
+        round(1 / (_SAMPLE_HZ * record.experiment.Ts_s)), -(-record.rows // _MOST_SAMPLES), 1
+    )
+
+
+def _blocks(record: TraceRecord) -> NDArray[np.int64]:
+    """Return the number of the block of the session's time that each row lies in."""
+    return np.floor(record.time_s / BLOCK_S).astype(np.int64)
+
+
+def _thinned(signals: Iterator[PlottedSignal], every: int) -> Iterator[PlottedSignal]:
+    for signal in signals:
+        yield PlottedSignal(signal.name, signal.unit, signal.values[::every])
+
+
+def _signals(point: WorkingPoint, s: Signals) -> Iterator[PlottedSignal]:
+    """Yield what a residual may depend on."""
+    places = s.places
+    for order, values in enumerate((s.q, s.qd, s.qdd)):
+        per = ("", "/s", "/s²")[order]
+        for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
+            yield PlottedSignal(dof + "'" * order, f"{unit}{per}", values[:, i])
+    if places.beam:
+        yield PlottedSignal("x_b", "m", s.x_b_m)
+        yield PlottedSignal("v_b", "m/s", s.v_b_m_s)
+        yield PlottedSignal("a_b", "m/s²", s.a_b_m_s2)
+        yield PlottedSignal("phi", "rad", s.phi_rad)
+        yield PlottedSignal("phi'", "rad/s", s.phi_rad_s)
+        yield PlottedSignal("phi''", "rad/s²", s.phi_rad_s2)
+    acting = s.acting(s.coil) @ places.coil_shape
+    for i, name in enumerate(point.model.inputs):
+        yield PlottedSignal(name, places.input_units[i], acting[:, i])
+    yield PlottedSignal("time", "s", s.time_s)
+
+
+def _standing_out(point: WorkingPoint, left: Missing) -> tuple[Array, Array]:
+    """Return the missing force (N, n) where it stands out of the noise, and by how much (n,)."""
+    Ts_s = left.here.at.Ts_s
+    freq_hz, psd = density(left.force, Ts_s)
+    noise = noise_density(point, left.here, freq_hz)
+    gain = standing_out(psd, noise, freq_hz)
+    force = np.column_stack(
+        [denoised(f, g, freq_hz, Ts_s) for f, g in zip(left.force.T, gain.T, strict=True)]
+    )
+    passed = np.sqrt(np.sum(gain**2 * noise, axis=0))
+    out = np.sqrt(np.sum(gain**2 * psd, axis=0)) / np.maximum(passed, 1e-300)
+    return force, np.where(passed > 0, out, 0.0)
+
+
+def _block_squares(point: WorkingPoint, left: Missing) -> tuple[Array, Array]:
+    """Return times and mean squares (B,) over blocks of time, of all that should be noise."""
+    here = left.here
+    rows, n = here.errors.shape[:2]
+    shape = here.record.places.sensor_shape
+    squares = (here.errors.reshape(rows, n) ** 2).sum(axis=1)
+    width = n
+    if len(shape) > n:
+        cut = left.reading[: rows * here.every].reshape(rows, here.every, -1)
+        mean = cut.sum(axis=1) / (np.sqrt(here.every) * point.disturbance.sensor_sd)
+        squares = squares + (mean**2).sum(axis=1)
+        width += len(shape) - n
+    time_s = here.record.time_s[: rows * here.every : here.every]
+    _, number = np.unique(np.floor(time_s / BLOCK_S), return_inverse=True)
+    count = np.bincount(number)
+    return np.bincount(number, time_s) / count, np.bincount(number, squares) / (count * width)
+
+
+def _sensor_rms(disturbance: Disturbance, left: Missing) -> Array:
+    """Return the RMS (S,) beyond the rigid platform over what white noise leaves there."""
+    shape = left.here.record.places.sensor_shape
+    own = 1 - np.einsum("si,is->s", shape, np.linalg.pinv(shape))
+    noise = disturbance.sensor_sd * np.sqrt(np.maximum(own, 0.0))
+    rms = np.sqrt(np.mean(left.reading**2, axis=0))
+    return np.where(own > 1e-9, rms / np.maximum(noise, 1e-300), np.nan)
+
+
+def _aspects(
+    point: WorkingPoint, left: Missing, every: int, block: NDArray[np.int64]
+) -> tuple[Aspect, ...]:
+    found: list[Aspect] = []
+    for placed in point.placed:
+        parts = sorted(_parts(point, left, placed), key=lambda p: -p.size)
+        largest = parts[0].size if parts else 0.0
+        for part in parts[:_MOST_ASPECTS]:
+            if part.size < _SEEN * largest or part.size <= 0.0:
+                continue
+            found.append(_sampled(point, left, placed, part, every, block))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of an effect along a record: fitted and left (N,), its size over the noise."""
+
+    place: str
+    unit: str
+    fitted: Array
+    left: Array
+    size: float
+    signals: tuple[PlottedSignal, ...]
+
+
+def _parts(point: WorkingPoint, left: Missing, placed: Placed) -> Iterator[_Part]:
+    """Yield the parts of an effect: by coil, by DOF, by sensors, and on the drives."""
+    here = left.here
+    own, places, s = share(point, here, placed), here.record.places, here.signals
+    coils, sensors = (
+        [int(w.partition(":")[2]) for w in placed.effect.where if w.startswith(f"{kind}:")]
+        for kind in ("coil", "sensor")
+    )
+    if own.force is not None and len(coils) == 1:
+        # One coil's force shows in all DOFs in the ratio of its arms.
+        arm = places.coil_shape[coils[0]]
+        weight = arm / float(arm @ arm)
+        driven = (
+            PlottedSignal(
+                f"command of coil {coils[0]}", places.coil_unit, s.acting(s.coil)[:, coils[0]]
+            ),
+            PlottedSignal(f"height at coil {coils[0]}", places.sensor_unit, s.q @ arm),
+        )
+        yield _part(
+            f"force of coil {coils[0]}", places.coil_unit, own.force @ weight,
+            left.force @ weight, here, driven,
+        )  # fmt: skip
+    elif own.force is not None:
+        for i, dof in enumerate(places.dof):
+            yield _part(
+                f"force on {dof}", places.force_unit(i), own.force[:, i], left.force[:, i], here, ()
+            )
+    if own.reading is not None:
+        _, _, directions = np.linalg.svd(own.reading, full_matrices=False)
+        direction = directions[0]
+        place, scale = "readings, their common pattern", 1.0
+        signals: tuple[PlottedSignal, ...] = ()
+        if len(sensors) == 1:
+            sensor = sensors[0]
+            direction = np.zeros(places.sensors)
+            direction[sensor] = 1.0
+            seen = 1 - float(places.sensor_shape[sensor] @ places.decoupling[:, sensor])
+            place, scale = f"reading of sensor {sensor}", 1 / max(seen, 1e-9)
+            height = s.gap(sensor)
+            signals = (
+                PlottedSignal(f"height at sensor {sensor}", places.sensor_unit, height),
+                PlottedSignal(
+                    f"speed at sensor {sensor}",
+                    f"{places.sensor_unit}/s",
+                    s.qd @ places.sensor_shape[sensor],
+                ),
+            )
+        yield _part(
+            place, places.sensor_unit, scale * (own.reading @ direction),
+            scale * (left.reading @ direction), here, signals,
+        )  # fmt: skip
+    if own.drive is not None and left.drive is not None:
+        yield _part("force of the beam's drives", "N", own.drive, left.drive, here, ())
+
+
+def _part(
+    place: str,
+    unit: str,
+    fitted: Array,
+    left: Array,
+    here: Along,
+    signals: tuple[PlottedSignal, ...],
+) -> _Part:
+    Ts_s, mean = here.at.Ts_s, fitted.mean()
+    fitted, left = fitted - mean, left - left.mean()
+    freq_hz, psd = density(np.column_stack([fitted, left]), Ts_s)
+    gain = psd[:, 0] / np.maximum(psd[:, 0] + psd[:, 1], 1e-300)
+    size = float(np.sqrt(np.sum(gain * psd[:, 0]) / max(np.sum(gain * psd[:, 1]), 1e-300)))
+    fitted, left = (denoised(v, gain, freq_hz, Ts_s) for v in (fitted, left))
+    return _Part(place, unit, fitted + mean, left, size if np.any(fitted) else 0.0, signals)
+
+
+def _sampled(
+    point: WorkingPoint,
+    left: Missing,
+    placed: Placed,
+    part: _Part,
+    every: int,
+    block: NDArray[np.int64],
+) -> Aspect:
+    signals = (*part.signals, *_signals(point, left.here.signals))
+    return Aspect(
+        placed.effect.identity,
+        part.place,
+        part.unit,
+        part.fitted[::every],
+        (part.fitted + part.left)[::every],
+        block,
+        tuple(_thinned(iter(signals), every)),
+    )

@@ -1,0 +1,330 @@
+"""One innovations filter for many columns at once: what forces and false readings do to a record.
+
+The errors of a record are linear in every force and in every false reading, so what one unit of an
+effect adds to them is the filter's answer to it, and a hundred candidates go through the filter
+side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ....model.declared_model import DeclaredModel
+from ....model.effects.base import Term
+from ...greybox.discretisation import Motion
+from ...greybox.intersample_input import Hold, held_step, lagged_input, moments
+from ...greybox.noise_model import Filter
+from ..records.trace_record import TraceRecord
+from .force_moments import around, force_moments, polynomial_weights
+
+Array = NDArray[np.float64]
+
+_BATCH = 16
+"""Columns that go through the filter at once: as many as stay in the cache with it."""
+_TINY, _TINY_ROWS = 1e-150, 64
+"""What has died away, and how often that is looked for: processors take long over smaller numbers.
+The compiler's cache follows a function's own file: the numbers stand in it."""
+
+
+@dataclass(frozen=True)
+class FilterBank:
+    """A record's innovations filter, ready for columns.
+
+    Phi, correction (R, 2n, 2n) and (R, 2n, n); `whitener` (R, n, n). `smooth` (6, 2n, n): what a
+    generalised force at the rows around a period adds to the state, `powers` (J, 2n, n) what its
+    moments add; `relative` (R, n, n): the mobility over its mean. All errors are in units of their
+    standard deviation; the mean of `every` rows becomes one, which keeps that.
+    """
+
+    Phi: Array
+    correction: Array
+    whitener: Array
+    smooth: Array
+    powers: Array
+    relative: Array
+    motion: Motion
+    model: DeclaredModel
+    record: TraceRecord
+    hold: Hold
+    every: int
+    blind: int
+
+    @classmethod
+    def build(
+        cls,
+        model: DeclaredModel,
+        record: TraceRecord,
+        at: Motion,
+        kalman: Filter,
+        hold: Hold,
+        every: int,
+    ) -> FilterBank:
+        """Return the bank of a record along its motion, with the filter `kalman`."""
+        n = at.K.shape[1]
+        Phi = transitions(at)
+        correction = Phi @ kalman.gain
+        mean = at.mobility.mean(axis=0)
+        relative = at.mobility @ np.linalg.inv(mean)
+        powers = _powers(at, mean)
+        weights = polynomial_weights(at.Ts_s, len(powers))
+        smooth = np.einsum("js,jip->sip", weights, powers)
+        whitener = np.linalg.inv(np.linalg.cholesky(kalman.covariance))
+        if len(whitener) == 1 and len(Phi) > 1:
+            whitener = np.broadcast_to(whitener, (len(Phi), n, n))
+        return cls(
+            np.ascontiguousarray(Phi), np.ascontiguousarray(correction), whitener, smooth, powers,
+            relative, at, model, record, hold, every, at.blind,
+        )  # fmt: skip
+
+    def columns(self, terms: Iterable[Term], count: int, out: Array | None = None) -> Array:
+        """Return what one unit of each of `count` terms adds to the errors (N // every, n, count).
+
+        Terms are used as they come, and need not exist all at once. `out`: where they are to be.
+        """
+        n, rows = self.motion.K.shape[1], self.record.rows
+        out = np.empty((rows // self.every, n, count)) if out is None else out
+        most = min(_BATCH, count)
+        forcing, seen = np.empty((most, rows, 2 * n)), np.empty((most, rows, n))
+        batch: list[int] = []
+        false = False
+
+        def flush() -> None:
+            k, first = len(batch), batch[0]
+            side_by_side = batch[-1] - first == k - 1  # mostly, and then it is quicker
+            there = slice(first, first + k) if side_by_side else batch
+            out[:, :, there] = self.errors(forcing[:k], seen[:k] if false else None)
+
+        for j, term in enumerate(terms):
+            held, force, gap = (_something(part) for part in (term.held, term.force, term.gap))
+            if held is None and force is None and gap is None:
+                out[:, :, j] = 0.0
+                continue
+            k = len(batch)
+            self._drive(held, force, forcing[k])
+            # The model explains what is measured less the false part of it.
+            if gap is not None:
+                if not false:
+                    seen[:k] = 0.0
+                seen[k] = -(gap @ self.record.places.decoupling.T)
+                false = True
+            elif false:
+                seen[k] = 0.0
+            batch.append(j)
+            if len(batch) == most:
+                flush()
+                batch, false = [], False
+        if batch:
+            flush()
+        return out
+
+    def _drive(self, held: Array | None, force: Array | None, forcing: Array) -> None:
+        """Put what commands (N, p) and forces (N, n) add to the state into forcing (N, 2n)."""
+        if held is not None:
+            forcing[:] = self.held_forcing(held)
+            if force is not None:
+                forcing += self.force_forcing(force)
+        elif force is not None:
+            forcing[:] = self.force_forcing(force)
+        else:
+            forcing[:] = 0.0
+
+    def errors(
+        self, forcing: Array, seen: Array | None = None, start: Array | None = None
+    ) -> Array:
+        """Return whitened errors (N // every, n, c) of forcing (c, N, 2n) and readings (c, N, n).
+
+        Readings are zero unless given; `start` (2n, c), the state at row 0, too.
+        """
+        columns, rows, size = forcing.shape
+        x = np.zeros((size, columns)) if start is None else np.array(start, float)
+        out = np.zeros((rows // self.every, size // 2, columns))
+        filter_columns(
+            self.Phi, self.correction, self.whitener, np.ascontiguousarray(forcing),
+            np.zeros((0, rows, size // 2)) if seen is None else np.ascontiguousarray(seen),
+            x, self.blind, self.every, out,
+        )  # fmt: skip
+        return out
+
+    def constants(self) -> Array:
+        """Return the columns (N // every, n, n) of a constant force on each DOF."""
+        n, rows = self.motion.K.shape[1], self.record.rows
+        constant = [Term(force=np.broadcast_to(np.eye(n)[i], (rows, n))) for i in range(n)]
+        return self.columns(constant, n)
+
+    def held_forcing(
+        self,
+        held: Array,
+        extra_lag_s: float = 0.0,
+        extra_s: float = 0.0,
+        by: Array | None = None,
+    ) -> Array:
+        """Return what commands (N, p) add to the state in each period (N, 2n).
+
+        `by` (N or 1, n, p): forces of a unit of each command, instead of the model's B. Along a
+        schedule each period has its own mobility, but the first one's stiffness and damping act
+        within it: at 1 kHz less than 0.1 % of the columns of lag and delay.
+        """
+        e, values = self.record.experiment, {**self.model.values, **self.model.scheduling}
+        delay_s = max(e.delay_cycles * e.Ts_s + self.model.delay(values) + extra_s, 0.0)
+        lag_s = max(self.model.lag(values) + extra_lag_s, 0.0)
+        powers = self._input_powers if by is None else self.powers
+        order = len(powers)
+
+        def pushed(commands: Array) -> Array:
+            return commands if by is None else np.einsum("...ip,...p->...i", by, commands)
+
+        if self.hold == "zoh":
+            step = held_step(e.Ts_s, order, delay_s, lag_s)
+            rows = np.arange(len(held))
+            old, new = (
+                held[np.maximum(rows - step.whole - 1, 0)],
+                held[np.maximum(rows - step.whole, 0)],
+            )
+            G_old, G_new, G_lag = (
+                np.tensordot(weights, powers, 1)
+                for weights in (step.from_old, step.from_new, step.from_lag)
+            )
+            forcing = pushed(old) @ G_old.T + pushed(new) @ G_new.T
+            forcing = forcing + pushed(lagged_input(held, step)) @ G_lag.T
+        else:
+            m = moments(held, e.Ts_s, order, self.hold, delay_s, lag_s)
+            if by is not None:
+                m = np.einsum("nip,njp->nji", np.broadcast_to(by, (len(m), *by.shape[1:])), m)
+            forcing = np.einsum("njp,jip->ni", m, powers, optimize=True)
+        return self._along(forcing)
+
+    @cached_property
+    def _input_powers(self) -> Array:
+        """A^j B (J, 2n, p): what the moments of a command add to the state."""
+        A, _ = self.motion.continuous()
+        powers = [np.vstack([np.zeros_like(self.motion.B[0]), self.motion.B.mean(axis=0)])]
+        for _ in range(len(self.motion.scale) - 2):
+            powers.append(A @ powers[-1])
+        return np.array(powers)
+
+    def force_forcing(self, force: Array) -> Array:
+        """Return what generalised forces (N, n) at the rows add to the state in each period."""
+        if self.hold == "band_limited":
+            order = len(self.motion.scale) - 1
+            m = force_moments(force, self.motion.Ts_s, order, self.hold)
+            return self._along(np.einsum("njp,jip->ni", m, self.powers, optimize=True))
+        taps = self.smooth.swapaxes(1, 2).reshape(-1, self.smooth.shape[1])
+        return self._along(around(force) @ taps)
+
+    def _along(self, forcing: Array) -> Array:
+        """Return forcing with each period's own mobility, where it changes."""
+        if len(self.relative) == 1:
+            return forcing
+        n = self.relative.shape[1]
+        turned = np.empty_like(forcing)
+        for part in (slice(0, n), slice(n, 2 * n)):
+            turned[:, part] = np.einsum("nij,nj->ni", self.relative, forcing[:, part])
+        return turned
+
+
+def thinned(errors: Array, every: int) -> Array:
+    """Return means of `every` rows times its root: white errors of unit variance stay so."""
+    if every == 1:
+        return errors
+    rows = len(errors) // every * every
+    # Slice by slice: a sum over so short an axis takes numpy ten times as long.
+    total = errors[0:rows:every] + errors[1:rows:every]
+    for k in range(2, every):
+        total += errors[k:rows:every]
+    return np.asarray(total / np.sqrt(every))
+
+
+def transitions(at: Motion) -> Array:
+    """Return the flow of every period (R, 2n, 2n), by the Taylor series that the motion uses."""
+    n, R = at.K.shape[1], len(at.K)
+    A = np.zeros((R, 2 * n, 2 * n))
+    A[:, :n, n:] = np.eye(n)
+    A[:, n:, :n], A[:, n:, n:] = -at.K, -at.D
+    Phi = np.broadcast_to(np.eye(2 * n), A.shape) * at.scale[-1]
+    for scale in at.scale[-2::-1]:
+        Phi = A @ Phi + scale * np.eye(2 * n)
+    return np.asarray(Phi)
+
+
+def _powers(at: Motion, mobility: Array) -> Array:
+    """Return A^j [0, mobility] (J, 2n, n): what the moments of a force add to the state."""
+    n = at.K.shape[1]
+    A, _ = at.continuous()
+    powers = [np.vstack([np.zeros((n, n)), mobility])]
+    for _ in range(len(at.scale) - 2):
+        powers.append(A @ powers[-1])
+    return np.array(powers)
+
+
+def _something(values: Array | None) -> Array | None:
+    return values if values is not None and values.any() else None
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def filter_columns(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one pass over the rows
+    Phi, correction, whitener, forcing, seen, x, blind, every, out
+):
+    """Add to out (N // every, n, c) the errors of x(k+1) = Phi x + correction e + forcing.
+
+    e = seen - C x, whitened, summed over `every` rows and over its root; none before row `blind`.
+    What comes in lies column by column as it is computed, what goes out side by side.
+    """
+    columns, rows, size = forcing.shape
+    n = size // 2
+    following, e = np.empty((size, columns)), np.zeros((n, columns))
+    reads, fixed, root = len(seen) > 0, len(Phi) == 1, 1.0 / np.sqrt(every)
+    for k in range(rows // every * every):
+        at = 0 if fixed else k
+        gain = at if len(correction) > 1 else 0
+        white = at if len(whitener) > 1 else 0
+        for c in range(columns):
+            for i in range(size):
+                following[i, c] = forcing[c, k, i]
+        for i in range(n):
+            for c in range(columns):
+                e[i, c] = -x[i, c]
+        if reads:
+            for c in range(columns):
+                for i in range(n):
+                    e[i, c] += seen[c, k, i]
+        if n == 3:  # as below; with sums in registers and not in memory it takes half the time
+            for i in range(6):
+                p0, p1, p2 = Phi[at, i, 0], Phi[at, i, 1], Phi[at, i, 2]
+                p3, p4, p5 = Phi[at, i, 3], Phi[at, i, 4], Phi[at, i, 5]
+                g0, g1, g2 = correction[gain, i, 0], correction[gain, i, 1], correction[gain, i, 2]
+                for c in range(columns):
+                    following[i, c] += (
+                        p0 * x[0, c] + p1 * x[1, c] + p2 * x[2, c]
+                        + p3 * x[3, c] + p4 * x[4, c] + p5 * x[5, c]
+                        + g0 * e[0, c] + g1 * e[1, c] + g2 * e[2, c]
+                    )  # fmt: skip
+        else:
+            for i in range(size):
+                for j in range(size):
+                    factor = Phi[at, i, j]
+                    for c in range(columns):
+                        following[i, c] += factor * x[j, c]
+                for j in range(n):
+                    factor = correction[gain, i, j]
+                    for c in range(columns):
+                        following[i, c] += factor * e[j, c]
+        if k >= blind:
+            for i in range(n):
+                for j in range(n):
+                    factor = whitener[white, i, j] * root
+                    for c in range(columns):
+                        out[k // every, i, c] += factor * e[j, c]
+        for i in range(size):
+            for c in range(columns):
+                x[i, c] = following[i, c]
+        if k % _TINY_ROWS == 0:
+            for i in range(size):
+                for c in range(columns):
+                    if abs(x[i, c]) < _TINY:
+                        x[i, c] = 0.0

@@ -1,0 +1,182 @@
+"""A model with the effects found so far, and a record along it: motion, filter, signals, errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from ....model.declared_model import DeclaredModel
+from ....model.effects.base import Placed, Signals, Term, total
+from ...greybox.discretisation import Motion, motion
+from ...greybox.experiment import Experiment
+from ...greybox.free_parameters import FreeParameters
+from ...greybox.intersample_input import Hold
+from ...greybox.noise_model import Filter, kalman_filter
+from ...greybox.prediction_errors import predict_along, settled
+from ...records.record import IdentificationError
+from ..records.effect_signals import measured_signals
+from ..records.noise_sources import Disturbance
+from ..records.trace_record import TraceRecord
+from .force_moments import force_moments
+from .innovations_filter_bank import thinned
+
+Array = NDArray[np.float64]
+
+_TO_HZ = 250.0
+"""Errors are averaged down to this rate: what a platform answers lies below half of it."""
+_MOST_TRUST = 1e3
+_NOISE_REACH = 21.0
+_MOST_FILTERS = 8
+_PASSES = 2
+
+
+@dataclass(frozen=True)
+class WorkingPoint:
+    """A model with the effects found so far; `parameters` are those of it that may change."""
+
+    model: DeclaredModel
+    parameters: FreeParameters
+    placed: tuple[Placed, ...]
+    disturbance: Disturbance
+    hold: Hold
+    trust: float = 1e3
+    """By how much more force noise than there is the trajectory follows what was measured."""
+    reference: DeclaredModel | None = None
+    """The model whose filters serve along moving schedules; this one's own where none is given."""
+
+    @property
+    def lag_s(self) -> float:
+        """Lag of the model's inputs, s."""
+        return max(self.model.lag({**self.model.values, **self.model.scheduling}), 0.0)
+
+    @property
+    def values(self) -> Array:
+        """Values of the free parameters (F,), SI."""
+        return np.array([self.model.values[name] for name in self.parameters.names])
+
+
+@dataclass(frozen=True)
+class Along:
+    """A record with its motion, filter and signals at a working point."""
+
+    record: TraceRecord
+    at: Motion
+    kalman: Filter
+    signals: Signals
+    added: Term
+    errors: Array
+    unknowns: Array
+    every: int
+    sd: float
+
+
+def thinning(Ts_s: float) -> int:
+    """Return how many rows become one error."""
+    return max(round(1 / (_TO_HZ * Ts_s)), 1)
+
+
+def along(point: WorkingPoint, record: TraceRecord) -> Along:
+    """Return a record along the working point, its constant force and start fitted."""
+    e = record.experiment
+    at = motion(point.model, e, point.hold)
+    kalman = filter_of(point, record, at)
+    signals, added = filtered(point, record, at)
+    corrected, acted = corrected_experiment(point, record, at, added)
+    prediction = predict_along(acted, corrected, kalman)
+    every = thinning(e.Ts_s)
+    return Along(
+        record, settled(at, prediction.offset), kalman, signals, added,
+        thinned(prediction.errors, every), thinned(prediction.unknowns, every), every,
+        point.disturbance.sensor_sd,
+    )  # fmt: skip
+
+
+def filter_of(point: WorkingPoint, record: TraceRecord, at: Motion, trust: float = 1.0) -> Filter:
+    """Return the Kalman filter of a record, told `trust` times the force noise that there is.
+
+    Any filter's errors are noise where the model is right, so along a moving schedule that of the
+    reference model serves for all models like it: to find it takes longer than to use it.
+    """
+    noise = point.disturbance.noise.scaled(force=trust)
+    if at.fixed:
+        return kalman_filter(at, noise)
+    model = point.model if point.reference is None else point.reference
+    told = np.array(list(model.values.values()))
+    key = np.concatenate([told, noise.force_density, noise.output_covariance], None).tobytes()
+    if key not in record.filters:
+        if len(record.filters) >= _MOST_FILTERS:
+            record.filters.clear()
+        reference = motion(model, record.experiment, point.hold)
+        record.filters[key] = kalman_filter(reference, noise)
+    return record.filters[key]
+
+
+def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Signals, Term]:
+    """Return the trajectory of a record and what the effects found so far add along it.
+
+    At first the filter does not know the effects, and follows the readings closely; then it knows
+    them, and may believe its model as far as that explains the records.
+    """
+    added = Term()
+    closely = filter_of(point, record, at, _MOST_TRUST)
+    believing = filter_of(point, record, at, point.trust)
+    signals = measured_signals(record, at, record.experiment.y, closely, point.lag_s)
+    for _ in range(_PASSES if point.placed else 0):
+        added = total([p.term(signals) for p in point.placed])
+        corrected, acted = corrected_experiment(point, record, at, added)
+        signals = measured_signals(record, acted, corrected.y, believing, point.lag_s)
+    if point.placed:
+        added = total([p.term(signals) for p in point.placed])
+    return signals, added
+
+
+def corrected_experiment(
+    point: WorkingPoint, record: TraceRecord, at: Motion, added: Term
+) -> tuple[Experiment, Motion]:
+    """Return the experiment without false readings, and the motion with the effects' forces."""
+    e = record.experiment
+    if added.gap is not None:
+        e = replace(e, y=e.y - added.gap @ record.places.decoupling.T)
+    if added.held is not None:
+        e = replace(e, u=e.u + added.held)
+        at = motion(point.model, e, point.hold)
+    if added.force is not None:
+        order = len(at.scale) - 1
+        outer = force_moments(added.force, e.Ts_s, order, point.hold)
+        B = np.concatenate([at.B, at.mobility], axis=2)
+        at = replace(at, B=B, inputs=np.concatenate([at.inputs, outer], axis=2))
+    return e, at
+
+
+def with_likely_noise(point: WorkingPoint, records: Sequence[TraceRecord]) -> WorkingPoint:
+    """Return the point with the force noise under which records are likeliest, model as it is.
+
+    Where no record is still, the noise that drives the filter is all that the model lacks; it comes
+    down as effects are found.
+    """
+    if point.disturbance.measured:
+        return point
+    noise = point.disturbance.noise
+    parts = []
+    for record in records:
+        at = motion(point.model, record.experiment, point.hold)
+        _, added = filtered(point, record, at)
+        parts.append(corrected_experiment(point, record, at, added))
+
+    def cost(log_level: float) -> float:
+        tried = noise.scaled(force=float(np.exp(log_level)))
+        try:
+            return sum(predict_along(at, e, kalman_filter(at, tried)).cost for e, at in parts)
+        except IdentificationError:
+            return np.inf
+
+    levels = np.linspace(-_NOISE_REACH, _NOISE_REACH, 15)
+    best = levels[np.argmin([cost(level) for level in levels])]
+    step = levels[1] - levels[0]
+    found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
+    likely = noise.scaled(force=float(np.exp(found.x)))
+    return replace(point, disturbance=replace(point.disturbance, noise=likely))

@@ -1,0 +1,1 @@
+"""Read the records of a trace and the noise, loads and signals in them."""

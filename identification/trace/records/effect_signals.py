@@ -1,0 +1,76 @@
+"""The trajectory that effects are evaluated along: measured and filtered, or simulated."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....model.effects.base import Signals
+from ...greybox.discretisation import Motion, innovations
+from ...greybox.noise_model import Filter
+from ...greybox.prediction_errors import settled
+from .trace_record import TraceRecord
+
+Array = NDArray[np.float64]
+
+
+def measured_signals(
+    record: TraceRecord, at: Motion, y: Array, kalman: Filter, lag_s: float
+) -> Signals:
+    """Return the trajectory of a record: poses y (N, n) filtered along its motion.
+
+    `at` has the forces of the effects found so far in it, y is free of false readings.
+    """
+    gain = kalman.gain
+    start = np.concatenate([y[0], np.zeros_like(y[0])])
+    at = settled(at, _mean_force(at, y))
+    error = innovations(at, gain, y, start)
+    n = y.shape[1]
+    q = y - error + np.einsum("nij,nj->ni", np.broadcast_to(gain[:, :n], (len(y), n, n)), error)
+    return trajectory(record, q, record.coil, lag_s)
+
+
+def _mean_force(at: Motion, y: Array) -> Array:
+    """Return the constant force (n,) that holds a pose which gets nowhere on average.
+
+    Without it the weight alone would pull the filter off by tens of micrometres.
+    """
+    stiff = np.einsum("nij,nj->ni", np.broadcast_to(at.K, (len(y), *at.K.shape[1:])), y)
+    pushed = np.einsum(
+        "nij,nj->ni", np.broadcast_to(at.B, (len(y), *at.B.shape[1:])), at.inputs[:, 0] / at.Ts_s
+    )
+    own = np.broadcast_to(at.drift[:, 0] / at.Ts_s, y.shape)
+    return np.linalg.solve(at.mobility.mean(axis=0), (stiff - pushed - own).mean(axis=0))
+
+
+def trajectory(record: TraceRecord, q: Array, coil: Array, lag_s: float) -> Signals:
+    """Return the signals of a record that moves as q (N, n) under commands coil (N, C)."""
+    Ts_s = record.experiment.Ts_s
+    qd = rate(q, Ts_s)
+    beam, rotor = record.beam, record.rotor
+    return Signals(
+        Ts_s,
+        record.time_s,
+        q,
+        qd,
+        rate(qd, Ts_s),
+        coil,
+        beam[:, 0],
+        beam[:, 1],
+        beam[:, 2],
+        rotor[:, 0],
+        rotor[:, 1],
+        rotor[:, 2],
+        record.experiment.delay_cycles,
+        record.places,
+        lag_s,
+        standing=record.standing,
+    )
+
+
+def rate(values: Array, Ts_s: float) -> Array:
+    """Return the derivative of samples (N, n) by central differences of fourth order."""
+    result = np.gradient(values, Ts_s, axis=0)
+    inner = 8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])
+    result[2:-2] = inner / (12 * Ts_s)
+    return np.asarray(result)

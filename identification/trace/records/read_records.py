@@ -1,0 +1,93 @@
+"""The records of a trace, read from logs."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ....config.model import ModelConfig
+from ....log.reader import read_log
+from ...records.duplicates import Once
+from ...records.record import IdentificationError, NotARecordError
+from .trace_record import SHORTEST_S, TraceRecord, trace_record
+
+
+def read_records(
+    logs: Sequence[Path], config: ModelConfig
+) -> tuple[dict[Path, TraceRecord], tuple[str, ...]]:
+    """Return the records among the logs by path, their names told apart, and notes.
+
+    A log is used once, however often it is given. A record in which a sensor is frozen is none: the
+    loop held the platform by a reading that says nothing, and there is no error to be made of it.
+    Notes say which logs are none, and why, and what happened in records.
+
+    Raises IdentificationError: there are none, or what trace_record raises.
+    """
+    records: dict[Path, TraceRecord] = {}
+    notes, once = [], Once()
+    for path in logs:
+        twice = once.again(path)
+        if twice is not None:
+            notes.append(twice)
+            continue
+        log = read_log(path)
+        try:
+            record = trace_record(log, config)
+            _require_long(record, path)
+            require_live(record, path)
+        except NotARecordError as reason:
+            notes.append(str(reason))
+            continue
+        copied = once.copied(path, log)
+        if copied is not None:
+            notes.append(copied)
+            continue
+        records[path] = record
+    if not records:
+        raise IdentificationError(
+            f"expected records among the {len(logs)} logs, found none: {'; '.join(notes)}"
+        )
+    records = _told_apart(records)
+    notes += [f"{r.name}: {told}" for r in records.values() for told in r.remarks]
+    return records, tuple(notes)
+
+
+def _told_apart(records: dict[Path, TraceRecord]) -> dict[Path, TraceRecord]:
+    """Return records of which no two have one name: those that had are named by their logs too."""
+    count = Counter(record.name for record in records.values())
+    if count.most_common(1)[0][1] == 1:
+        return records
+    common = Path(os.path.commonpath([path.absolute().parent for path in records]))
+    named = {}
+    for path, record in records.items():
+        name = record.name
+        if count[name] > 1:
+            name = f"{name} ({path.absolute().relative_to(common)})"
+        named[path] = replace(record, experiment=replace(record.experiment, name=name))
+    return named
+
+
+def _require_long(record: TraceRecord, path: Path) -> None:
+    seconds = record.rows * record.experiment.Ts_s
+    if seconds < SHORTEST_S:
+        raise NotARecordError(
+            f"{path.name}: left out, since it is {seconds:.2g} s long: expected {SHORTEST_S:g} s"
+        )
+
+
+def require_live(record: TraceRecord, path: Path) -> None:
+    """Raise NotARecordError where a sensor shows one value throughout."""
+    frozen = np.flatnonzero(np.ptp(record.gap, axis=0) == 0.0)
+    if len(frozen):
+        places = record.places
+        names = places.dof if places.sensors == len(places.dof) else None
+        which = [names[i] if names else f"sensor:{i}" for i in frozen.tolist()]
+        raise NotARecordError(
+            f"{path.name}: left out, since {', '.join(which)} is frozen: it shows "
+            f"{record.gap[0, frozen[0]]:.6g} {places.sensor_unit} in every row"
+        )

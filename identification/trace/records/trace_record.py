@@ -1,0 +1,245 @@
+"""A record as the trace sees it: every sensor and coil by itself, the beam, the drives' force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....config.base import parse_text
+from ....config.model import ModelConfig
+from ....config.rig import Geometry, RigConfig
+from ....log.reader import Log
+from ....model.effects.base import Places
+from ....model.geometry import shape_matrix
+from ...greybox.experiment import Experiment, experiment_from_log
+from ...greybox.noise_model import Filter
+from ...records.from_log import cut_off, cycles_at_limit
+from ...records.resampling import without_gaps
+from .stuck_sensors import standing
+
+Array = NDArray[np.float64]
+
+_SILENT = 1e-9
+SHORTEST_S = 1.0
+"""Of a record, or of a part that is held out."""
+_FITTED = 0.6
+_LEAST_HELD = 0.2
+"""Of a kind's time: where less of it is held out, its longest record is cut too."""
+
+
+@dataclass(frozen=True)
+class TraceRecord:
+    """An experiment, and what its pose and wrench do not show.
+
+    gap (N, S) as measured; coil, coil_excitation (N, C) commanded; beam and rotor (N, 3) position,
+    velocity, acceleration (zeros where there are none); drive_n (N,) force of the beam's drives;
+    time_s (N,) runs on through a session. `kind` says what moves in it: records of one kind are
+    exchangeable. standing (N, S): where readings stand still while the platform moves; None
+    where none does. `remarks` say in words what happened in it.
+    """
+
+    experiment: Experiment
+    places: Places
+    time_s: Array
+    gap: Array
+    coil: Array
+    coil_excitation: Array
+    beam: Array
+    rotor: Array
+    drive_n: Array | None
+    kind: str
+    standing: NDArray[np.bool_] | None = None
+    remarks: tuple[str, ...] = ()
+    filters: dict[bytes, Filter] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    """Filters along a moving schedule, by the noise they are for: they cost more than their use."""
+
+    @property
+    def name(self) -> str:
+        """Name of the record."""
+        return self.experiment.name
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing excites it and nothing moves."""
+        return self.kind == "still"
+
+    @property
+    def rows(self) -> int:
+        """Number of rows, N."""
+        return len(self.time_s)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that its arrays take, but for the filters."""
+        e = self.experiment
+        arrays = [self.time_s, self.gap, self.coil, self.coil_excitation, self.beam, self.rotor]
+        arrays += [e.u, e.y, *e.schedule.values()]
+        if e.loop is not None:
+            arrays += [e.loop.v, e.loop.reference, e.loop.feedforward]
+        return sum(a.nbytes for a in arrays)
+
+    def cut(self, start: int, stop: int) -> TraceRecord:
+        """Return rows start .. stop."""
+        if (start, stop) == (0, self.rows):
+            return self
+        rows = slice(start, stop)
+        return replace(
+            self,
+            experiment=self.experiment.rows(start, stop),
+            time_s=self.time_s[rows],
+            gap=self.gap[rows],
+            coil=self.coil[rows],
+            coil_excitation=self.coil_excitation[rows],
+            beam=self.beam[rows],
+            rotor=self.rotor[rows],
+            drive_n=None if self.drive_n is None else self.drive_n[rows],
+            standing=None if self.standing is None else self.standing[rows],
+        )
+
+
+def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
+    """Return the record of a log; raises as experiment_from_log does."""
+    experiment = experiment_from_log(log, model)
+    happened = tuple(cut_off(log))
+    log, gaps = without_gaps(log)
+    if "signals.yaml" in log.attachments:
+        return replace(_imported(experiment, model), remarks=happened)
+    at_limit = cycles_at_limit(log)
+    if at_limit:
+        happened += (
+            f"{at_limit} of {len(log.rows)} cycles with coils at a limit, which the free "
+            "simulation does not know: its error there counts as the model's",
+        )
+    geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
+    places = rig_places(geometry, model)
+    beam, rotor = (
+        _motion(log, axis, experiment.Ts_s) for axis in (("beam", "m"), ("rotor", "rad"))
+    )
+    gap = log.field("gap_m").astype(float)
+    coil = log.field("coil_n").astype(float)
+    coil_excitation = log.field("coil_excitation_n").astype(float)
+    record = TraceRecord(
+        experiment,
+        places,
+        log.field("time_s").astype(float),
+        gap,
+        coil,
+        coil_excitation,
+        beam,
+        rotor,
+        log.field("beam_force_n").astype(float),
+        "",
+        standing(gap, places.sensor_shape),
+        (*happened, *gaps),
+    )
+    return replace(record, kind=_kind(record))
+
+
+def rig_places(geometry: Geometry, model: ModelConfig) -> Places:
+    """Return where a rig's coils and sensors act on the DOF of its model."""
+    return Places(
+        tuple(q.name for q in model.dof),
+        tuple(q.unit for q in model.dof),
+        shape_matrix(geometry.coil_x_m, geometry.coil_y_m),
+        shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m),
+        "N",
+        tuple(q.unit for q in model.inputs),
+        "m",
+        np.stack([geometry.coil_x_m, geometry.coil_y_m], axis=1),
+        np.stack([geometry.sensors_x_m, geometry.sensors_y_m], axis=1),
+        beam=True,
+    )
+
+
+def imported_places(model: ModelConfig) -> Places:
+    """Return what is known of the places of others' data: an actuator an input, a sensor a DOF."""
+    return Places(
+        tuple(q.name for q in model.dof),
+        tuple(q.unit for q in model.dof),
+        np.eye(len(model.inputs)),
+        np.eye(len(model.dof)),
+        model.inputs[0].unit,
+        tuple(q.unit for q in model.inputs),
+        model.dof[0].unit,
+        np.zeros((0, 2)),
+        np.zeros((0, 2)),
+        beam=False,
+    )
+
+
+def split(records: Sequence[TraceRecord]) -> tuple[list[TraceRecord], list[TraceRecord]]:
+    """Return the records to fit to and those held out: of every kind about a third.
+
+    Of a kind with several records, the second, fifth, ... are held out. The only one of its kind is
+    cut, and its end held out; so is the longest where the others held out are short beside it.
+    """
+    by_kind: dict[str, list[TraceRecord]] = {}
+    for record in records:
+        by_kind.setdefault(record.kind, []).append(record)
+    out: set[int] = set()
+    cut: set[int] = set()
+    for group in by_kind.values():
+        whole = [r for i, r in enumerate(group) if i % 3 == 1]
+        out.update(id(r) for r in whole)
+        if _seconds(whole) < _LEAST_HELD * _seconds(group):
+            cut.add(id(max((r for r in group if id(r) not in out), key=_length)))
+    train: list[TraceRecord] = []
+    held: list[TraceRecord] = []
+    for record in records:
+        at = round(_FITTED * record.rows)
+        if id(record) in out:
+            held.append(record)
+        elif id(record) in cut and (record.rows - at) * record.experiment.Ts_s >= SHORTEST_S:
+            train.append(record.cut(0, at))
+            held.append(record.cut(at, record.rows))
+        else:
+            train.append(record)
+    return train, held
+
+
+def _length(record: TraceRecord) -> float:
+    return record.rows * record.experiment.Ts_s
+
+
+def _seconds(records: Sequence[TraceRecord]) -> float:
+    return sum(_length(r) for r in records)
+
+
+def _imported(experiment: Experiment, model: ModelConfig) -> TraceRecord:
+    p = experiment.u.shape[1]
+    places = imported_places(model)
+    N = len(experiment.y)
+    nothing = np.zeros((N, 3))
+    return TraceRecord(
+        experiment, places, np.asarray(np.arange(N) * experiment.Ts_s), experiment.y, experiment.u,
+        np.zeros((N, p)), nothing, nothing, None, "imported",
+    )  # fmt: skip
+
+
+def _motion(log: Log, axis: tuple[str, str], Ts_s: float) -> Array:
+    """Return position, velocity and its central difference (N, 3) of the beam or the rotor."""
+    name, unit = axis
+    position = log.field(f"{name}_{unit}").astype(float)
+    velocity = log.field(f"{name}_{unit}_s").astype(float)
+    return np.stack([position, velocity, np.gradient(velocity, Ts_s)], axis=1)
+
+
+def _kind(record: TraceRecord) -> str:
+    """Return what moves in a record, in words that are the same for like records."""
+    e = record.experiment
+    v = e.loop.v if e.loop is not None else e.u
+    parts = []
+    if np.any(np.abs(record.coil_excitation) > _SILENT):
+        parts.append("coils")
+    elif np.any(np.abs(v) > _SILENT):
+        parts.append("wrench")
+    if np.ptp(record.beam[:, 0]) > 1e-4:
+        parts.append("beam")
+    if np.ptp(record.rotor[:, 0]) > 1e-2:
+        parts.append("rotor")
+    return "+".join(parts) or "still"

@@ -1,0 +1,1 @@
+"""Measure what a model leaves unexplained: force residual, free-run errors, random vibration."""

@@ -1,0 +1,97 @@
+"""How well a model simulates records freely: errors over noise, sensor by sensor and DOF by DOF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from ...greybox.noise_floor import motion_covariance
+from ..linearised.working_point import WorkingPoint
+from ..records.trace_record import TraceRecord
+from .free_run_with_effects import free_run
+
+Array = NDArray[np.float64]
+
+_SEGMENT_S = 4.0
+
+
+@dataclass(frozen=True)
+class RecordError:
+    """Measured minus freely simulated, of one record from where it counts (5 s on).
+
+    rows: how many count, in how many seconds. squares: mean square over rows and sensors, in
+    variances of the sensor noise; floor: what noise alone leaves of that. pose_squares, pose_floor
+    (n,): mean squares of the pose's error, SI. freq_hz (F,), psd (F, n): one-sided spectrum of the
+    pose's error.
+    """
+
+    name: str
+    rows: int
+    seconds: float
+    squares: float
+    floor: float
+    pose_squares: Array
+    pose_floor: Array
+    freq_hz: Array
+    psd: Array
+    settled: bool
+
+
+def record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
+    """Return the free-running error of a record, and what noise alone would leave.
+
+    Of a simulation that runs away they are not finite, and nobody is warned of it.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _record_error(point, record)
+
+
+def _record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
+    run = free_run(point, record)
+    e, places = record.experiment, record.places
+    error = record.gap[run.counts_from :] - run.gap[run.counts_from :]
+    T, sd = places.decoupling, point.disturbance.sensor_sd
+    pose = error @ T.T
+    moved = motion_covariance(point.model, e, point.hold, point.disturbance.noise)
+    shown = np.diag(places.sensor_shape @ moved @ places.sensor_shape.T)
+    segment = min(round(_SEGMENT_S / e.Ts_s), len(error))
+    freq_hz, psd = welch(pose, 1 / e.Ts_s, nperseg=segment, axis=0)
+    return RecordError(
+        record.name,
+        len(error),
+        len(error) * e.Ts_s,
+        float(np.mean(error**2)) / sd**2,
+        float(np.mean(shown)) / sd**2 + 1.0,
+        np.mean(pose**2, axis=0),
+        np.diag(moved) + point.disturbance.noise.output_variance,
+        freq_hz,
+        psd,
+        run.settled,
+    )
+
+
+def pooled(errors: Sequence[RecordError]) -> tuple[float, float]:
+    """Return RMS error and floor over all records' time and sensors, in noise deviations."""
+    weights = shares(errors)
+    return (
+        float(np.sqrt(weights @ np.array([e.squares for e in errors]))),
+        float(np.sqrt(weights @ np.array([e.floor for e in errors]))),
+    )
+
+
+def pooled_pose(errors: Sequence[RecordError]) -> tuple[Array, Array]:
+    """Return RMS error and floor of each DOF (n,) over all records' time, SI."""
+    weights = shares(errors)
+    squares = np.array([e.pose_squares for e in errors])
+    floors = np.array([e.pose_floor for e in errors])
+    return np.sqrt(weights @ squares), np.sqrt(weights @ floors)
+
+
+def shares(errors: Sequence[RecordError]) -> Array:
+    """Return each record's share of the time that counts (R,)."""
+    seconds = np.array([e.seconds for e in errors])
+    return np.asarray(seconds / seconds.sum())

@@ -1,0 +1,216 @@
+"""What a model leaves of a record: the force it lacks, and readings no rigid platform can show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from ....model.effects.base import Placed, Term
+from ...greybox.discretisation import Motion, input_moments
+from ...greybox.noise_floor import powers_of
+from ..linearised.drive_force import beside_motion, calm, drive_errors
+from ..linearised.force_moments import force_moments
+from ..linearised.working_point import Along, WorkingPoint, along, corrected_experiment
+from ..records.trace_record import TraceRecord
+
+Array = NDArray[np.float64]
+
+_SEGMENT_S = 4.0
+_EDGE_ROWS = 3
+"""Rows at both ends that central differences of sixth order do not reach."""
+FADE_S = 0.5
+"""How long Missing.force takes to come up, and to fade, at the ends of a record."""
+_THIRD = 2.0 ** (1 / 3)
+_PASSED = 1.3
+"""Times the noise's density that a residual must have to be kept."""
+_WORST = 100.0
+_LINE = 30.0
+"""Of a line's density over the noise's: averages of ten spectra never scatter as far."""
+
+
+@dataclass(frozen=True)
+class Missing:
+    """What a working point leaves of a record.
+
+    force (N, n): generalised force that the model lacks, the mean of the period after each row, its
+    own mean over the record taken out, faded at both ends; good up to where the sensors' noise,
+    differentiated twice, is larger. reading (N, S): readings less their best rigid pose. drive
+    (N,): force of the beam's drives less what accelerations, speed and tilt explain; None where
+    nobody measured it.
+    """
+
+    here: Along
+    force: Array
+    reading: Array
+    drive: Array | None
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one effect adds, in the places of Missing; None where it adds nothing."""
+
+    force: Array | None
+    reading: Array | None
+    drive: Array | None
+
+
+def missing(point: WorkingPoint, record: TraceRecord) -> Missing:
+    """Return what the model with its effects leaves of a record."""
+    here = along(point, record)
+    e, acted = corrected_experiment(point, record, here.at, here.added)
+    force = _lacking(acted, e.y)
+    gap = record.gap if here.added.gap is None else record.gap - here.added.gap
+    drive = drive_errors(here)
+    if drive is not None:
+        drive = beside_motion(here, drive)
+        drive = np.where(calm(drive), drive, 0.0)
+    return Missing(here, force, beyond_rigid(record, gap), drive)
+
+
+def share(point: WorkingPoint, here: Along, placed: Placed) -> Share:
+    """Return what one effect of the working point adds to a record."""
+    term = placed.term(here.signals)
+    record = here.record
+    gap = None if term.gap is None else beyond_rigid(record, term.gap)
+    drive = None if term.drive is None else beside_motion(here, term.drive)
+    return Share(_force_of(point, here, term), gap, drive)
+
+
+def beyond_rigid(record: TraceRecord, gap: Array) -> Array:
+    """Return readings (N, S) less those of the rigid pose that fits them best."""
+    shape = record.places.sensor_shape
+    return np.asarray(gap - (gap @ np.linalg.pinv(shape).T) @ shape.T)
+
+
+def noise_density(point: WorkingPoint, here: Along, freq_hz: Array) -> Array:
+    """Return the one-sided density (F, n) of what noise alone leaves in Missing.force."""
+    at, noise = here.at, point.disturbance.noise
+    seen = powers_of(_impedance(here, freq_hz), noise.output_covariance)
+    return np.asarray(2 * at.Ts_s * seen + 2 * noise.force_psd)
+
+
+def false_density(point: WorkingPoint, here: Along, reading: Array) -> Array:
+    """Return the density (F, n), at the frequencies of `density`, that false readings leave there.
+
+    What no rigid platform shows (N, S) tells by how much the noise of each sensor is larger than it
+    was taken for, in thirds of octaves; that of one sensor is a force on every DOF.
+    """
+    shape, Ts_s = here.record.places.sensor_shape, here.at.Ts_s
+    freq_hz, psd = density(reading, Ts_s)
+    left = np.eye(len(shape)) - shape @ np.linalg.pinv(shape)
+    # Of sensors that err each by itself; a pose takes up a part of every one.
+    own = third_octaves(psd, freq_hz) @ np.linalg.pinv(left**2).T
+    excess = np.maximum(own - 2 * Ts_s * point.disturbance.sensor_sd**2, 0.0)
+    by_sensor = _impedance(here, freq_hz) @ here.record.places.decoupling
+    return np.asarray(np.einsum("fis,fs->fi", np.abs(by_sensor) ** 2, excess))
+
+
+def standing_out(psd: Array, noise: Array, freq_hz: Array) -> Array:
+    """Return the gain (F, .) of a filter that keeps what stands out of the noise; both (F, .).
+
+    Sensor noise grows as a force with the square of the frequency: where it is ten times as large
+    as at its best, only lines are kept.
+    """
+    ratio = psd / np.maximum(noise, 1e-300)
+    smooth = third_octaves(ratio, freq_hz)
+    gain = np.clip(1 - _PASSED / np.maximum(smooth, 1e-300), 0.0, 1.0)
+    gain[noise > _WORST * noise.min(axis=0)] = 0.0
+    gain[ratio > _LINE] = 1.0
+    gain[freq_hz <= 0.0] = 0.0
+    return np.asarray(gain)
+
+
+def third_octaves(values: Array, freq_hz: Array) -> Array:
+    """Return means (F, .) over a third of an octave: single lines of few averages scatter."""
+    edges = np.searchsorted(freq_hz, np.outer(freq_hz, [_THIRD**-0.5, _THIRD**0.5]))
+    sums = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    low, high = edges[:, 0], np.maximum(edges[:, 1], edges[:, 0] + 1)
+    return np.asarray((sums[high] - sums[low]) / (high - low)[:, None])
+
+
+def denoised(values: Array, gain: Array, freq_hz: Array, Ts_s: float) -> Array:
+    """Return samples (N,) through a filter of no phase: its gain (F,) at freq_hz (F,).
+
+    The ends are reflected, so that the filter does not ring there.
+    """
+    edge = min(len(values) - 1, round(_SEGMENT_S / Ts_s))
+    long = np.concatenate([values[edge:0:-1], values, values[-2 : -edge - 2 : -1]])
+    spectrum = np.fft.rfft(long)
+    spectrum *= np.interp(np.fft.rfftfreq(len(long), Ts_s), freq_hz, gain)
+    return np.fft.irfft(spectrum, len(long))[edge : edge + len(values)]
+
+
+def density(values: Array, Ts_s: float) -> tuple[Array, Array]:
+    """Return frequencies (F,) and the one-sided density (F, .) of samples (N, .)."""
+    segment = min(round(_SEGMENT_S / Ts_s), len(values))
+    freq_hz, psd = welch(values, 1 / Ts_s, nperseg=segment, axis=0)
+    return freq_hz, psd
+
+
+def _lacking(acted: Motion, y: Array) -> Array:
+    """Return M q'' + D q' + K q - B u around its mean (N, n), of each period, exact but for q'."""
+    Ts_s = acted.Ts_s
+    qd = _rate(y, Ts_s)
+    acceleration, velocity = (np.diff(x, axis=0) / Ts_s for x in (qd, y))
+    place = 0.5 * (y[1:] + y[:-1]) - Ts_s**2 / 12 * acceleration
+    rows = len(velocity)
+    lacking = acceleration + _times(acted.D, velocity) + _times(acted.K, place)
+    lacking -= _times(acted.B, acted.inputs[:rows, 0]) / Ts_s
+    lacking -= acted.drift[:rows, 0] / Ts_s if len(acted.drift) > 1 else acted.drift[0, 0] / Ts_s
+    force = _times(_inverse(acted.mobility), lacking)
+    # Where inputs from before the record still act, nothing is known.
+    known = slice(max(acted.blind, _EDGE_ROWS), rows - _EDGE_ROWS)
+    around_mean = np.zeros_like(y)
+    around_mean[known] = force[known] - force[known].mean(axis=0)
+    # Noise differentiated twice and cut off sharply would leave a blow at either end.
+    ramp = min(max(round(FADE_S / Ts_s), 1), rows // 4)
+    fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)
+    around_mean[known.start : known.start + ramp] *= fade[:, None]
+    around_mean[known.stop - ramp : known.stop] *= fade[::-1, None]
+    return around_mean
+
+
+def _force_of(point: WorkingPoint, here: Along, term: Term) -> Array | None:
+    """Return the generalised force (N, n) of a term, the mean of the period after each row."""
+    if term.force is None and term.held is None:
+        return None
+    force = np.zeros_like(here.signals.q)
+    if term.force is not None:
+        force += force_moments(term.force, here.at.Ts_s, 1, point.hold)[:, 0] / here.at.Ts_s
+    if term.held is not None:
+        e = replace(here.record.experiment, u=term.held)
+        acting = input_moments(point.model, e, point.hold, 1)[:, 0] / e.Ts_s
+        force += _times(_inverse(here.at.mobility) @ here.at.B, acting)
+    return force
+
+
+def _inverse(matrices: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrices), np.float64)
+
+
+def _times(matrices: Array, values: Array) -> Array:
+    """Return each row's matrix, or the one of all rows, times the row's vector."""
+    if len(matrices) == 1:
+        return np.asarray(values @ matrices[0].T)
+    return np.asarray(np.einsum("nij,nj->ni", matrices[: len(values)], values))
+
+
+def _impedance(here: Along, freq_hz: Array) -> NDArray[np.complex128]:
+    """Return the force (F, n, n) that moves the pose by one, where the model is linear."""
+    at = here.at
+    M = np.linalg.inv(at.mobility.mean(axis=0))
+    s = 2j * np.pi * freq_hz[:, None, None]
+    return np.asarray(M @ (s * s * np.eye(len(M)) + s * at.D.mean(axis=0) + at.K.mean(axis=0)))
+
+
+def _rate(values: Array, Ts_s: float) -> Array:
+    """Return the derivative of samples (N, n) by central differences of sixth order."""
+    result = np.gradient(values, Ts_s, axis=0)
+    one, two, three = (
+        values[3 + k : len(values) - 3 + k] - values[3 - k : len(values) - 3 - k] for k in (1, 2, 3)
+    )
+    result[3:-3] = (45 * one - 9 * two + three) / (60 * Ts_s)
+    return np.asarray(result)

@@ -1,0 +1,177 @@
+"""What shakes the platform at random: a force that is there whatever is flown, and repeats nothing.
+
+A floor that trembles has no phase that a model could foretell, so no effect of the table and no
+free form explains it: it is noise, but more of it, in a band, than coils and sensors make. Its
+signature is that it does not care: the force that the model lacks has the same density in still
+records as in excited ones. What depends on the motion is not there where nothing moves. Readings
+that are false look like forces too, and on several DOF at once; but they show beyond the rigid
+pose.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..linearised.working_point import WorkingPoint
+from ..records.trace_record import TraceRecord
+from .force_residual import FADE_S, density, false_density, missing, noise_density, third_octaves
+
+Array = NDArray[np.float64]
+
+_LOUD = 2.0
+"""Density over the noise's, in thirds of octaves, from which on a band counts."""
+_BEYOND_CHANCE = 10.0
+_ALIKE = 2.0
+"""Factor within which its power is the same in still and in excited records."""
+_WORST = 100.0
+"""Of the noise at its best: beyond, a sensor's noise as a force tells nothing."""
+_LOWEST_HZ = 0.5
+_OUTSIDE = 0.05
+_ENDS = 1.2
+"""Times the fading: what is blind at the ends of a record besides takes a few rows."""
+_LEAKAGE = 1.5
+"""Bins of a Hann window that are one independent one."""
+
+
+@dataclass(frozen=True)
+class Shaking:
+    """A random force on one DOF: its rms with standard error, in the DOF's unit of force.
+
+    band_hz: where the middle 90 % of its power lie. statistic: power in held-out records beyond the
+    noise's, in standard deviations of chance.
+    """
+
+    dof: int
+    band_hz: tuple[float, float]
+    rms: float
+    se: float
+    statistic: float
+
+
+@dataclass(frozen=True)
+class ForceSpectrum:
+    """The density (F, n) of the force that a model lacks in a record, and that of noise alone.
+
+    `averages`: independent spectra in it. One-sided, at freq_hz (F,).
+    """
+
+    freq_hz: Array
+    psd: Array
+    noise: Array
+    averages: float
+    still: bool
+
+
+def force_spectrum(point: WorkingPoint, record: TraceRecord) -> ForceSpectrum:
+    """Return the spectrum of what the working point leaves unexplained of a record, as a force."""
+    lacking = missing(point, record)
+    Ts_s = record.experiment.Ts_s
+    ends = min(round(_ENDS * FADE_S / Ts_s), record.rows // 4)
+    whole = lacking.force[ends : record.rows - ends]
+    freq_hz, psd = density(whole, Ts_s)
+    averages = max(len(whole) * Ts_s * (freq_hz[1] - freq_hz[0]), 1.0)
+    noise = noise_density(point, lacking.here, freq_hz)
+    noise += false_density(point, lacking.here, lacking.reading[ends : record.rows - ends])
+    return ForceSpectrum(freq_hz, psd, noise, averages, record.still)
+
+
+def shaking(fitted: Sequence[ForceSpectrum], kept: Sequence[ForceSpectrum]) -> tuple[Shaking, ...]:
+    """Return what shakes each DOF in `fitted` records, still and excited, and in the `kept` too.
+
+    Without still records among the fitted ones nothing can be told. Of records of several rates
+    those of the rate are asked that most of the still ones have.
+    """
+    grids = Counter((len(s.freq_hz), _step_hz(s)) for s in fitted if s.still)
+    if not grids:
+        return ()
+    grid = max(grids, key=lambda g: (grids[g], g))
+    fitted, kept = (
+        [s for s in part if (len(s.freq_hz), _step_hz(s)) == grid] for part in (fitted, kept)
+    )
+    still = [s for s in fitted if s.still]
+    moving = [s for s in fitted if not s.still]
+    if not still or not kept:
+        return ()
+    found = [_of_dof(i, still, moving, kept) for i in range(still[0].psd.shape[1])]
+    return tuple(s for s in found if s is not None)
+
+
+def _step_hz(spectrum: ForceSpectrum) -> float:
+    return float(f"{spectrum.freq_hz[1] - spectrum.freq_hz[0]:.6g}")
+
+
+def _of_dof(
+    dof: int,
+    still: Sequence[ForceSpectrum],
+    moving: Sequence[ForceSpectrum],
+    kept: Sequence[ForceSpectrum],
+) -> Shaking | None:
+    band = _band(dof, still)
+    if band is None:
+        return None
+    asked = [s for s in kept if s.still] or kept
+    if min(_statistic(dof, band, part) for part in (still, asked)) < _BEYOND_CHANCE:
+        return None
+    power = _power(dof, band, still)
+    for part in (moving, kept):
+        if part and not 1 / _ALIKE < _power(dof, band, part) / power < _ALIKE:
+            return None
+    everything = [*still, *moving, *kept]
+    rms = float(np.sqrt(_power(dof, band, everything)))
+    se = 0.5 * _power_error(dof, band, everything) / rms
+    return Shaking(dof, _middle(dof, band, everything), rms, se, _statistic(dof, band, asked))
+
+
+def _band(dof: int, spectra: Sequence[ForceSpectrum]) -> NDArray[np.bool_] | None:
+    """Return the run of frequencies (F,) that stands out of the noise and has most power."""
+    freq_hz = spectra[0].freq_hz
+    psd, noise = (_mean(dof, spectra, part) for part in ("psd", "noise"))
+    loud = third_octaves((psd / noise)[:, None], freq_hz)[:, 0] > _LOUD
+    loud &= (freq_hz > _LOWEST_HZ) & (noise < _WORST * noise.min())
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], loud.astype(np.int8), [0]])))
+    runs = [slice(a, b) for a, b in edges.reshape(-1, 2).tolist()]
+    if not runs:
+        return None
+    best = max(runs, key=lambda run: float(np.sum(psd[run] - noise[run])))
+    band = np.zeros(len(freq_hz), bool)
+    band[best] = True
+    return band
+
+
+def _statistic(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) -> float:
+    """Return how far the power in a band is beyond the noise's, in deviations of its own spread."""
+    ratio = _mean(dof, spectra, "psd")[band] / _mean(dof, spectra, "noise")[band]
+    count = sum(s.averages for s in spectra) * max(band.sum() / _LEAKAGE, 1.0)
+    return float((ratio.mean() - 1.0) * np.sqrt(count))
+
+
+def _power(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) -> float:
+    step_hz = float(spectra[0].freq_hz[1] - spectra[0].freq_hz[0])
+    beyond = _mean(dof, spectra, "psd")[band] - _mean(dof, spectra, "noise")[band]
+    return max(float(beyond.sum()) * step_hz, 1e-300)
+
+
+def _power_error(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) -> float:
+    """Return the standard error of that power: every bin's is its own, with the noise's in it."""
+    step_hz = float(spectra[0].freq_hz[1] - spectra[0].freq_hz[0])
+    squares = float(np.sum(_mean(dof, spectra, "psd")[band] ** 2))
+    return step_hz * float(np.sqrt(_LEAKAGE * squares / sum(s.averages for s in spectra)))
+
+
+def _middle(
+    dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]
+) -> tuple[float, float]:
+    beyond = _mean(dof, spectra, "psd")[band] - _mean(dof, spectra, "noise")[band]
+    share = np.cumsum(np.maximum(beyond, 0.0))
+    low, high = np.interp([_OUTSIDE, 1 - _OUTSIDE], share / share[-1], spectra[0].freq_hz[band])
+    return float(low), float(high)
+
+
+def _mean(dof: int, spectra: Sequence[ForceSpectrum], part: str) -> Array:
+    weights = [s.averages for s in spectra]
+    return np.average([getattr(s, part)[:, dof] for s in spectra], axis=0, weights=weights)

@@ -1,0 +1,153 @@
+"""Effects that are given up: stand-ins, guesses, and what others have made idle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ....model.effects.base import Placed
+from ..linearised.working_point import WorkingPoint
+from .candidate_screening import LEAST, Round, Tried, is_internal, width
+from .gauss_newton import NEARLY, Fitted, gather, refine
+from .regression import ColumnEvidence, cross_validated, steadied
+
+_STANDS_IN = 2e-3
+"""Of what was there for two that fitted alike to it, what the first may take beside the second and
+is only in its place: an equation that is right to a twentieth leaves as much."""
+_LED_ON = 0.1
+"""Of what an effect brought, as much as it may take along when it goes and has only led on."""
+_FOLLOWS = 0.03
+"""A name that takes less than this share of what is left where that is random has followed it."""
+_GUESS = 0.3
+"""A name that takes less than this share of what is left beside a free form was a guess."""
+
+
+def without_stand_in(
+    point: WorkingPoint,
+    squares: float,
+    taken: Tried,
+    rounds: Sequence[Round],
+    records: Fitted,
+) -> tuple[WorkingPoint, float, int | None]:
+    """Return the point without what was taken in place of the effect taken now, and in which round.
+
+    Two that fitted alike to all that was there may differ in what is left: where the second is
+    taken too, it may be enough by itself, begun as it fitted then.
+    """
+    for number, earlier in enumerate(rounds):
+        rival = _rival(earlier, taken.effect.identity)
+        if earlier.taken is None or rival is None:
+            continue
+        both = {taken.effect.identity, earlier.taken.effect.identity}
+        others = tuple(p for p in point.placed if p.effect.identity not in both)
+        if len(others) != len(point.placed) - 2:
+            continue  # it has been given up since
+        placed = Placed(rival.effect, rival.shape, rival.amplitudes)
+        alone, left = refine(replace(point, placed=(*others, placed)), records, within=NEARLY)
+        if left - squares < max(_STANDS_IN * earlier.excess, LEAST):
+            return alone, left, number
+    return point, squares, None
+
+
+def without_guide(
+    point: WorkingPoint, squares: float, before: float, records: Fitted
+) -> WorkingPoint | None:
+    """Return the point without the last effect, where that has only led on.
+
+    A fit ends in the valley that it began in. Beside another effect what was found before may come
+    out of it, and then needs no other: nine tenths of what that brought, `before` less `squares`,
+    stay without it. None where they do not.
+    """
+    *others, _ = point.placed
+    if not others:
+        return None
+    alone, left = refine(replace(point, placed=tuple(others)), records, within=NEARLY)
+    return alone if left - squares < _LED_ON * (before - squares) else None
+
+
+def followers(rounds: Sequence[Round]) -> frozenset[str]:
+    """Return who took so little that it may have followed what is random, by identity.
+
+    What only the drives feel is held against what they measure, and that does not shake.
+    """
+    taken = ((r.taken, r.excess) for r in rounds if r.taken is not None)
+    little = (t.effect for t, excess in taken if t.gain < _FOLLOWS * excess)
+    return frozenset(effect.identity for effect in little if not is_internal(effect))
+
+
+def taken_instead(found: Round, identity: str) -> Round:
+    """Return the round with one of its alternatives taken, and what was taken an alternative."""
+    rival = _rival(found, identity)
+    assert found.taken is not None
+    others = (t for t in found.alternatives if t is not rival)
+    return replace(found, taken=rival, alternatives=(found.taken, *others))
+
+
+def without_guesses(point: WorkingPoint, records: Fitted) -> WorkingPoint:
+    """Return the point without named effects that free-form forces make all but idle."""
+    named = [p.effect.identity for p in point.placed if p.effect.effect_class != "unknown"]
+    best = gather(point, records.train(point))
+    for guess in named:
+        others = tuple(p for p in point.placed if p.effect.identity != guess)
+        fewer = replace(point, placed=others)
+        fewer, squares = refine(fewer, records, within=NEARLY)
+        if squares - best.squares < max(_GUESS * best.excess, LEAST):
+            point, best = fewer, gather(fewer, records.train(fewer))
+    return point
+
+
+def without_idle(point: WorkingPoint, records: Fitted) -> WorkingPoint:
+    """Return the point without effects that those found after them have made idle.
+
+    One by one: two that stand in for each other are not both idle.
+    """
+    while len(point.placed) > 1:
+        fewer = _without_the_idlest(point, records)
+        if fewer is None:
+            break
+        point = fewer
+    return point
+
+
+def brought(point: WorkingPoint, train: ColumnEvidence) -> list[float]:
+    """Return by how much squared errors would rise without each effect, the others fitted anew."""
+    train = steadied(train)
+    at, base = len(point.parameters.names), list(range(train.gram.shape[1] - 1))
+    full = cross_validated(train, base).sum()
+    costs = []
+    for p in point.placed:
+        own = set(range(at, at + width(p)))
+        # Without it its errors come back: what its own columns would have to explain again.
+        back = _restored(train, p, sorted(own), len(p.amplitudes))
+        kept = [c for c in base if c not in own]
+        costs.append(float(cross_validated(back, kept).sum() - full))
+        at += width(p)
+    return costs
+
+
+def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | None:
+    """Return the point, refined, without the effect that does least; None where all do enough."""
+    costs = brought(point, gather(point, records.train(point)))
+    least = int(np.argmin(costs))
+    if costs[least] >= LEAST:
+        return None
+    others = point.placed[:least] + point.placed[least + 1 :]
+    return refine(replace(point, placed=others), records, within=NEARLY)[0]
+
+
+def _rival(found: Round, identity: str) -> Tried | None:
+    """Return the alternative of this identity, None if there is none."""
+    return next((t for t in found.alternatives if t.effect.identity == identity), None)
+
+
+def _restored(
+    evidence: ColumnEvidence, placed: Placed, own: Sequence[int], amplitudes: int
+) -> ColumnEvidence:
+    """Return the evidence with an effect's amplitudes set to nothing, to first order."""
+    take = np.eye(evidence.gram.shape[1])
+    columns = list(own)[:amplitudes]
+    take[columns, -1] = -np.array(placed.amplitudes) * evidence.size[columns]
+    gram = np.einsum("ji,bjk,kl->bil", take, evidence.gram, take, optimize=True)
+    return replace(evidence, gram=gram, prior=take.T @ evidence.prior @ take)

@@ -1,0 +1,57 @@
+"""Which candidates of a search are asked: those taken are not, those refused perhaps once more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from ....model.effects.base import Effect, Placed
+from .candidate_screening import Round, Tried
+from .gauss_newton import Candidate
+
+_STILL = 0.5
+"""Of what it took when it was refused, an effect must still take this to be asked again."""
+
+
+class Asked:
+    """Remembers who was taken and who was refused.
+
+    Held-out records that are full of one effect may refuse another: once the first is taken, the
+    other is asked once more. If it explains less by then, that was what the first took.
+    """
+
+    def __init__(self, placed: Iterable[Placed]) -> None:
+        self._taken = {p.effect.identity for p in placed}
+        self._refused: dict[str, Tried] = {}
+        self._barred: set[str] = set()
+        self._again: set[str] = set()
+        self.in_a_row = 0
+        """How many were refused since one was taken."""
+
+    def take(self, taken: Tried, placed: Iterable[Placed]) -> None:
+        """Note that an effect was taken, and what is there with it."""
+        self._taken |= {taken.effect.identity, *(p.effect.identity for p in placed)}
+        self._barred, self.in_a_row = set(self._again), 0
+
+    def refuse(self, tried: Tried) -> None:
+        """Note that an effect was refused."""
+        name = tried.effect.identity
+        if name in self._refused:
+            self._again.add(name)
+        self._refused.setdefault(name, tried)
+        self._barred.add(name)
+        self.in_a_row += 1
+
+    def candidates(self, effects: Sequence[Effect]) -> list[Candidate]:
+        """Return all shapes of the grids of those that are asked."""
+        left = [e for e in effects if e.identity not in self._taken | self._barred]
+        return [(effect, tuple(shape)) for effect in left for shape in effect.grid]
+
+    def worth(self, found: Round) -> Round:
+        """Return a round without the survivors that were refused, and explain less by now."""
+
+        def is_open(tried: Tried) -> bool:
+            before = self._refused.get(tried.effect.identity)
+            return before is None or tried.gain > _STILL * before.gain
+
+        return replace(found, survivors=tuple(t for t in found.survivors if is_open(t)))

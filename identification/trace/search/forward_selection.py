@@ -1,0 +1,198 @@
+"""Effects are added one by one, each if records that were not used to choose it agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ....model.effects.base import Effect
+from ..linearised.working_point import WorkingPoint
+from .backward_elimination import (
+    brought,
+    taken_instead,
+    without_guide,
+    without_idle,
+    without_stand_in,
+)
+from .candidate_queue import Asked
+from .candidate_screening import (
+    ALONE,
+    AT_FIRST,
+    BEYOND_CHANCE,
+    DESCRIBES,
+    FRICTION,
+    LEAST,
+    HeldError,
+    Least,
+    Records,
+    Round,
+    Tried,
+    asked_again,
+    is_internal,
+    screened,
+)
+from .candidate_shortlist import sifted
+from .free_form_readings import asked_first, worth_columns
+from .gauss_newton import NEARLY, Candidate, gather, refine
+from .held_out_test import LOWERS, helps
+from .regression import ColumnEvidence
+
+Progress = Callable[[str, float], None]
+
+MUCH = 1.7
+"""Mean square errors of the free simulation, over what noise leaves, beyond which much is left that
+no name explains: 1.3 times the floor."""
+_TRUST = 1e3
+_MOST_REFUSED = 3
+_MOST_GUIDES = 2
+"""Effects that led others out of their valleys: each costs a round, and may come again."""
+_EXPLAINED = 1.06
+"""Mean square errors of the free simulation, over what noise leaves, at which a model explains the
+records: 1.03 times the floor. A force that only the drives feel does not show there."""
+_UNSHOWN = 0.02
+"""Share of what noise leaves of the records fitted to that may be beyond it where those held out
+are explained: more is of an effect that these do not show."""
+_CARRIERS = {"beam", "rotor"}
+"""What comes between an effect and the platform is no place of the platform."""
+
+
+class Grown(NamedTuple):
+    """A point with effects added, its held-out error, and the rounds in which they were."""
+
+    point: WorkingPoint
+    error: HeldError
+    rounds: tuple[Round, ...]
+
+    @property
+    def much_left(self) -> bool:
+        """Whether the records held out have much left that a name might explain."""
+        return self.point.disturbance.measured and self.error.squares > MUCH * self.error.floor
+
+
+def grown(
+    begun: Grown,
+    effects: Sequence[Effect],
+    most: int,
+    enough: float,
+    records: Records,
+    progress: Progress,
+) -> Grown:
+    """Return the same with effects added while that helps.
+
+    It ends with `most` effects more, or with held-out errors of `enough` times what noise leaves.
+    Every round tries all candidates by regression, fits the few that explain most, model and all,
+    and takes the best of those.
+    """
+    point, error, _ = begun
+    rounds = list(begun.rounds)
+    asked = Asked(point.placed)
+    candidates = asked.candidates(effects)
+    guides, most = 0, most + len(point.placed)
+    while error.squares > enough * error.floor:
+        explained = point.disturbance.measured and error.squares < _EXPLAINED * error.floor
+        found, train = _screened(point, candidates, error, explained, rounds, records, progress)
+        found = asked.worth(found)
+        if not found.survivors or len(point.placed) >= most or asked.in_a_row >= _MOST_REFUSED:
+            rounds.append(found)
+            break
+        progress(f"fitting {', '.join(t.effect.name for t in found.survivors)}", share(len(rounds)))
+        found, begun_at = sifted(point, found, train, records)
+        taken = found.taken
+        assert taken is not None
+        progress(f"adding {taken.effect.name}", share(len(rounds)))
+        better, squares = refine(begun_at, records, within=NEARLY)
+        taken = asked_again(point, taken, better.placed[-1], records)
+        better, squares, stood_in = without_stand_in(better, squares, taken, rounds, records)
+        if stood_in is None and guides < _MOST_GUIDES:
+            alone = without_guide(better, squares, train.squares, records)
+            after = error if alone is None else records.held_error(alone)
+            if alone is not None and after.squares < (1.0 - LOWERS) * error.squares:
+                # Nothing is taken; who has shown the way may be asked again.
+                point, error, guides = alone, after, guides + 1
+                rounds.append(replace(found, taken=None))
+                continue
+        found = replace(found, taken=taken)
+        better = records.believed(without_idle(_believing(better, squares, train), records))
+        after = records.held_error(better)
+        gone = min((train.squares - squares) / max(train.excess, LEAST), 1.0)
+        enough_of_it = taken.effect.effect_class != "unknown" or gone > DESCRIBES
+        helped = enough_of_it and helps(taken, error, after, gone, explained)
+        stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
+        if agree(taken) and stays and squares < train.squares and helped:
+            point, error = better, after
+            asked.take(taken, point.placed)
+        else:
+            found, stood_in = replace(found, taken=None), None
+            asked.refuse(taken)
+        if stood_in is None:
+            rounds.append(found)
+        else:  # it is as if it had been taken then
+            rounds[stood_in] = taken_instead(rounds[stood_in], taken.effect.identity)
+        candidates = asked.candidates(effects)
+    return Grown(point, error, tuple(rounds))
+
+
+def agree(tried: Tried) -> bool:
+    """Return whether records that did not choose it agree with a candidate as it was fitted."""
+    return tried.chance > (BEYOND_CHANCE if tried.held else ALONE)
+
+
+def share(rounds: int) -> float:
+    """Return how far a search is after so many rounds, for its progress."""
+    return 0.85 - 0.7 * 0.6**rounds
+
+
+def _screened(
+    point: WorkingPoint,
+    candidates: Sequence[Candidate],
+    error: HeldError,
+    explained: bool,
+    rounds: Sequence[Round],
+    records: Records,
+    progress: Progress,
+) -> tuple[Round, ColumnEvidence]:
+    """Return a round in which nothing is taken yet, and what the records fitted to leave.
+
+    Where those held out are explained only the drives are asked, but for what they do not show.
+    """
+    internal = [c for c in candidates if is_internal(c[0])]
+    asked = internal if explained else candidates
+    first, rest = asked_first(point, asked)
+    if first:
+        progress(f"looking at {len(first)} candidates beyond the pose", share(len(rounds)))
+        little_of_it = AT_FIRST * DESCRIBES * gather(point, records.train(point)).excess
+        shown = records.shown(point, first)
+        asked = [*rest, *worth_columns(first, shown, records.sensor_shape, little_of_it)]
+    progress(f"screening {len(asked)} candidates", share(len(rounds)))
+    train = gather(point, records.train(point, asked))
+    if explained and train.excess > _UNSHOWN * float(train.count.sum()):
+        asked = candidates
+        progress(f"screening {len(asked)} candidates", share(len(rounds)))
+        train = gather(point, records.train(point, asked))
+    before = rounds[0].excess - train.excess if rounds else 0.0
+    little = error.squares < MUCH * error.floor
+    least = Least(train.excess, before, little, explained, _rubbed(point, train))
+    return screened(point, asked, train, records, least), train
+
+
+def _rubbed(point: WorkingPoint, train: ColumnEvidence) -> dict[str, float]:
+    """Return what friction on each DOF takes of the squared errors."""
+    if all(p.effect.effect_class != FRICTION for p in point.placed):
+        return {}
+    taken: dict[str, float] = {}
+    for p, squares in zip(point.placed, brought(point, train), strict=True):
+        if p.effect.effect_class == FRICTION:
+            for where in set(p.effect.where) - _CARRIERS:
+                taken[where] = max(taken.get(where, 0.0), squares)
+    return taken
+
+
+def _believing(point: WorkingPoint, squares: float, evidence: ColumnEvidence) -> WorkingPoint:
+    """Return the point with its trajectories as close to the model as the errors allow."""
+    count = float(evidence.count.sum())
+    wanted = float(np.clip(_TRUST * (squares / count - 1.0), 1.0, _TRUST))
+    # In decades: filters are kept for each.
+    return replace(point, trust=float(10.0 ** np.ceil(np.log10(wanted))))

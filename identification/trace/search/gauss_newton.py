@@ -1,0 +1,178 @@
+"""The best working point nearby, by Gauss-Newton steps on records linearised around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....model.declared_model import ModelError
+from ....model.effects.base import Effect, Quantity
+from ...records.record import IdentificationError
+from ..linearised.gram_matrices import Linearised
+from ..linearised.working_point import WorkingPoint
+from .regression import ColumnEvidence, covariance, solve
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+Candidate = tuple[Effect, tuple[float, ...]]
+
+_STEPS = 16
+_CONVERGED = 0.3
+_MOST_DAMPING = 1e4
+_WORTH_A_STEP = 0.1
+"""Squared errors that a step must promise, and take."""
+ROUGHLY, NEARLY, FULLY = 1e-3, 1e-4, 1e-6
+"""The same as a share of what noise does not explain: while others are missing, what is at its best
+now will not be then."""
+_CRAWLS = 0.1
+"""Of what a step must promise: two in a row that take less crawl along a valley that bends."""
+_SHORT = 1.0
+"""Damping from which on a step is short."""
+
+
+class Fitted(Protocol):
+    """Records to fit to, linearised around a working point on demand."""
+
+    def train(
+        self,
+        point: WorkingPoint,
+        candidates: Sequence[Candidate] = (),
+        only: Sequence[int] | None = None,
+    ) -> list[Linearised]:
+        """Return the records to fit to, all or some of them by number."""
+
+
+def refine(
+    point: WorkingPoint,
+    records: Fitted,
+    only: Sequence[int] | None = None,
+    steps: int = _STEPS,
+    within: float = 0.0,
+    most: float = np.inf,
+) -> tuple[WorkingPoint, float]:
+    """Return the point of least squares nearby, and its squared errors, by Gauss-Newton steps.
+
+    It ends where a whole step promises less than the share `within` of what is unexplained, and no
+    more than `most`; where two in a row take a tenth of that; and where errors rise along a short
+    one by more than a whole one promises: trajectories move too, and have another gradient.
+    """
+    train = gather(point, records.train(point, only=only))
+    damping, crawls = 0.0, False
+    for _ in range(steps):
+        step, free = _step(point, train, 0.0)
+        errors = np.sqrt(np.diag(covariance(train.whole, free))) / train.size[free]
+        small = float(np.max(np.abs(step[free]) / errors, initial=0.0))
+        worth = max(_WORTH_A_STEP, min(within * train.excess, most))
+        promised = _promised(train, step)
+        if small < _CONVERGED or promised < worth:
+            break
+        moved = stepped(point, _step(point, train, damping)[0] if damping else step)
+        try:
+            after = gather(moved, records.train(moved, only=only))
+        except (ModelError, IdentificationError, np.linalg.LinAlgError):
+            after = None
+        if after is not None and _cost(after) < _cost(train) * (1 + 1e-9):
+            gained = _cost(train) - _cost(after)
+            point, train, damping = moved, after, damping / 10 if damping > 1e-3 else 0.0
+            crawled, crawls = crawls, gained < _CRAWLS * worth
+            if gained < _WORTH_A_STEP or (crawled and crawls):
+                break
+        else:
+            rises = after is not None and _cost(after) - _cost(train) > promised
+            if damping >= (_SHORT if rises else _MOST_DAMPING):
+                break
+            damping = max(10 * damping, 1e-2)
+    return point, train.squares
+
+
+def gather(point: WorkingPoint, records: Sequence[Linearised]) -> ColumnEvidence:
+    """Return records as evidence, with what the model file says of the parameters beside it.
+
+    A parameter that records tell nothing of stays where it was declared: to know it worse than its
+    worth is to know nothing of it.
+    """
+    p = point.parameters
+    sd = np.minimum(p.worth, p.prior_sd)
+    rows = np.zeros((len(sd), len(sd) + 1))
+    np.fill_diagonal(rows, p.scale / sd)
+    rows[:, -1] = (point.values - p.prior_mean) / sd
+    return ColumnEvidence.gather(records, rows)
+
+
+def _step(point: WorkingPoint, train: ColumnEvidence, damping: float) -> tuple[Array, IntArray]:
+    """Return the step to the least squares, and the numbers that it moves.
+
+    What stands at its bound and would leave it stays there, and the others move as that asks; so
+    does what does nothing, as the shape of an effect of no size.
+    """
+    below, above = _room(point)
+    damped = train.whole.copy()
+    own = np.arange(len(below))
+    damped[own, own] *= 1 + damping
+    free: IntArray = np.flatnonzero(np.diag(train.whole)[:-1] > 0.0)
+    while True:
+        step = np.zeros(len(own))
+        step[free] = solve(damped, free) / train.size[free]
+        held = (step < 0.0) & (below <= 0.0) | (step > 0.0) & (above <= 0.0)
+        if not held.any():
+            return step, free
+        free = free[~held[free]]
+
+
+def _promised(train: ColumnEvidence, step: Array) -> float:
+    """Return by how much a step lowers the squared errors where they are linear in it."""
+    scaled, whole = step * train.size[:-1], train.whole
+    return -float(scaled @ (2.0 * whole[:-1, -1] + whole[:-1, :-1] @ scaled))
+
+
+def _room(point: WorkingPoint) -> tuple[Array, Array]:
+    """Return how far each number of a step may go down and up: zero or less at its bound."""
+    p = point.parameters
+    below, above = [(point.values - p.low) / p.scale], [(p.high - point.values) / p.scale]
+    for one in point.placed:
+        quantities = (*one.effect.amplitudes, *one.effect.shape)
+        values = np.array([*one.amplitudes, *one.shape])
+        below.append(values - np.array([q.low for q in quantities]))
+        above.append(np.array([q.high for q in quantities]) - values)
+    return np.concatenate(below), np.concatenate(above)
+
+
+def _cost(evidence: ColumnEvidence) -> float:
+    return float(evidence.whole[-1, -1])
+
+
+def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
+    """Return the working point after a step in [parameters over scale, amplitudes, shapes].
+
+    Nothing leaves its bounds.
+    """
+    p = point.parameters
+    at, placed = len(p.names), []
+    moved = np.clip(point.values + step[:at] * p.scale, p.low, p.high)
+    values = dict(zip(p.names, moved.tolist(), strict=True))
+    for one in point.placed:
+        a, k = len(one.amplitudes), len(one.shape)
+        moves = step[at + a : at + a + k]
+        shape = [
+            float(np.clip(value + _leash(move, value, q), q.low, q.high))
+            for value, move, q in zip(one.shape, moves, one.effect.shape, strict=True)
+        ]
+        amplitudes = [
+            float(np.clip(value + move, q.low, q.high))
+            for value, move, q in zip(
+                one.amplitudes, step[at : at + a], one.effect.amplitudes, strict=True
+            )
+        ]
+        placed.append(one.with_values(shape, amplitudes))
+        at += a + k
+    return replace(point, model=point.model.with_values(values), placed=tuple(placed))
+
+
+def _leash(move: float, value: float, quantity: Quantity) -> float:
+    """Return a step of a shape as far as terms are about linear."""
+    reach = abs(value) / 3 if quantity.log else 0.1 * (quantity.high - quantity.low)
+    return float(np.clip(move, -reach, reach))

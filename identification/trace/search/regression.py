@@ -1,0 +1,298 @@
+"""What helps to explain the errors of records, from their Gram matrices alone.
+
+A block of time is a row of evidence. What a set of columns explains is judged on blocks that did
+not fit it: coefficients come from four fifths of the blocks, and are tried on the fifth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..linearised.gram_matrices import Beside, Linearised
+
+Array = NDArray[np.float64]
+Indices = Sequence[int] | NDArray[np.intp]
+
+FOLDS = 5
+_HELD = 30.0
+_RIDGE = 1e-11
+"""Of each column's own square: directions that differ by rounding alone are held."""
+
+
+@dataclass(frozen=True)
+class ColumnEvidence:
+    """Blocks of several records: gram (blocks, Q, Q) with errors last, count as of Linearised.
+
+    Columns are in units of `size` (Q,), common to all records. `beside`: candidates, each by
+    itself.
+    """
+
+    gram: Array
+    count: Array
+    size: Array
+    time_s: Array
+    record: NDArray[np.int64]
+    prior: Array
+    beside: tuple[Beside, ...] = ()
+
+    @classmethod
+    def gather(cls, records: Sequence[Linearised], prior_rows: Array) -> ColumnEvidence:
+        """Return the blocks of all records, columns scaled alike.
+
+        `prior_rows` (., F + 1): what is known beforehand of the first F columns, errors last. It
+        stands beside the records in every fit, and is no block.
+        """
+        sizes = np.array([r.size for r in records])
+        size = np.sqrt(np.mean(sizes**2, axis=0))
+        grams = [r.gram * np.outer(r.size / size, r.size / size) for r in records]
+        rows = np.zeros((len(prior_rows), len(size)))
+        known = prior_rows.shape[1] - 1
+        rows[:, :known], rows[:, -1] = prior_rows[:, :-1], prior_rows[:, -1]
+        rows /= size
+        return cls(
+            np.concatenate(grams),
+            np.concatenate([r.count for r in records]),
+            size,
+            np.concatenate([r.time_s for r in records]),
+            np.concatenate([np.full(len(r.gram), i) for i, r in enumerate(records)]),
+            rows.T @ rows,
+            tuple(_gathered(records, size, i) for i in range(len(records[0].beside))),
+        )
+
+    def joined(self, candidate: int) -> ColumnEvidence:
+        """Return the evidence with one candidate's columns among the others, before the errors."""
+        b = self.beside[candidate]
+        own, width = len(self.size) - 1, len(b.size)
+        order = np.append(np.delete(np.arange(own + 1 + width), own), own)
+        gram = np.zeros((self.blocks, own + 1 + width, own + 1 + width))
+        gram[:, : own + 1, : own + 1] = self.gram
+        gram[:, : own + 1, own + 1 :] = b.cross
+        gram[:, own + 1 :, : own + 1] = np.swapaxes(b.cross, 1, 2)
+        gram[:, own + 1 :, own + 1 :] = b.inner
+        prior = np.zeros(gram.shape[1:])
+        prior[: own + 1, : own + 1] = self.prior
+        return replace(
+            self,
+            gram=gram[:, order][:, :, order],
+            size=np.concatenate([self.size, b.size])[order],
+            prior=prior[np.ix_(order, order)],
+            beside=(),
+        )
+
+    @cached_property
+    def whole(self) -> Array:
+        """Sum of all blocks' Gram matrices and of the prior's (Q, Q)."""
+        return np.asarray(self.gram.sum(axis=0) + self.prior)
+
+    @cached_property
+    def folds(self) -> Array:
+        """Sums of the Gram matrices that each fold leaves out (FOLDS, Q, Q)."""
+        each = np.arange(self.blocks) % FOLDS
+        return np.array([self.gram[each == fold].sum(axis=0) for fold in range(FOLDS)])
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return len(self.gram)
+
+    @property
+    def squares(self) -> float:
+        """Sum of squared errors as they are."""
+        return float(self.gram[:, -1, -1].sum())
+
+    @property
+    def excess(self) -> float:
+        """Sum of squared errors over what noise alone leaves."""
+        return self.squares - float(self.count.sum())
+
+
+def _scale(gram: Array) -> Array:
+    """Return the roots of the diagonal; 1 for a column that is nothing here, and stays so."""
+    diagonal = np.diag(gram)
+    return np.asarray(np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
+
+
+def _gathered(records: Sequence[Linearised], size: Array, i: int) -> Beside:
+    """Return candidate `i` of all records, scaled alike."""
+    parts = [r.beside[i] for r in records]
+    own = np.sqrt(np.mean([p.size**2 for p in parts], axis=0))
+    cross = [
+        p.cross * ((r.size / size)[:, None] * (p.size / own))
+        for r, p in zip(records, parts, strict=True)
+    ]
+    inner = [p.inner * np.outer(p.size / own, p.size / own) for p in parts]
+    return Beside(np.concatenate(cross), np.concatenate(inner), own)
+
+
+def solve(gram: Array, columns: Indices) -> Array:
+    """Return coefficients of columns that take most from the errors; gram (Q, Q), errors last."""
+    pick = np.asarray(columns, int)
+    A = gram[np.ix_(pick, pick)]
+    b = gram[pick, -1]
+    scale = _scale(A)
+    scaled = A / scale[:, None] / scale + _RIDGE * np.eye(len(pick))
+    return np.asarray(-np.linalg.solve(scaled, b / scale) / scale)
+
+
+def covariance(gram: Array, columns: Indices) -> Array:
+    """Return the covariance of those coefficients for errors of unit variance."""
+    pick = np.asarray(columns, int)
+    A = gram[np.ix_(pick, pick)]
+    scale = _scale(A)
+    scaled = A / scale[:, None] / scale + _RIDGE * np.eye(len(pick))
+    return np.asarray(np.linalg.inv(scaled) / scale[:, None] / scale)
+
+
+def remaining(gram: Array, columns: Indices, coefficients: Array) -> Array:
+    """Return the squared errors (blocks,) left by coefficients; gram (blocks, Q, Q)."""
+    pick = np.asarray(columns, int)
+    inner = gram[:, pick][:, :, pick]
+    return np.asarray(
+        gram[:, -1, -1]
+        + 2 * gram[:, pick, -1] @ coefficients
+        + np.einsum("i,bij,j->b", coefficients, inner, coefficients, optimize=True)
+    )
+
+
+def cross_validated(evidence: ColumnEvidence, columns: Indices) -> Array:
+    """Return the squared errors (blocks,) that columns leave on blocks they were not fitted to."""
+    pick = np.append(np.asarray(columns, int), -1)
+    few = np.arange(len(pick) - 1)
+    by_fold = evidence.folds[:, pick][:, :, pick]
+    whole = evidence.whole[np.ix_(pick, pick)]
+    grams = evidence.gram[:, pick][:, :, pick]
+    left = np.empty(evidence.blocks)
+    each = np.arange(evidence.blocks) % FOLDS
+    for fold in range(FOLDS):
+        out = each == fold
+        left[out] = remaining(grams[out], few, solve(whole - by_fold[fold], few))
+    return left
+
+
+def steadied(evidence: ColumnEvidence) -> ColumnEvidence:
+    """Return the evidence with its columns held to some thirty of their own standard errors.
+
+    The moment at which something came is told by one block alone; a fit without that block would
+    put it anywhere, and every question about anything else would be answered by that.
+    """
+    own = np.arange(len(evidence.size) - 1)
+    variance = np.diag(covariance(evidence.whole, own))
+    prior = evidence.prior.copy()
+    prior[own, own] += 1.0 / (_HELD**2 * np.maximum(variance, 1e-300))
+    return replace(evidence, prior=prior)
+
+
+def gains(evidence: ColumnEvidence) -> list[Array]:
+    """Return by how much each candidate lowers the cross-validated squared errors (blocks,)."""
+    evidence = steadied(evidence)
+    before = cross_validated(evidence, range(len(evidence.size) - 1))
+    found = []
+    for i in range(len(evidence.beside)):
+        joined = evidence.joined(i)
+        found.append(before - cross_validated(joined, range(len(joined.size) - 1)))
+    return found
+
+
+def standard_errors(evidence: ColumnEvidence, columns: Indices) -> Array:
+    """Return the standard errors (P,) of coefficients at the least squares, over no `size`.
+
+    What is left need be neither white nor of one size everywhere: blocks of time stand for
+    themselves, in the sandwich H^-1 (sum of g g^T over blocks) H^-1 of their gradients g (Liang and
+    Zeger, Biometrika 73 (1986) 13), times B / (B - P) for P coefficients. Where that is less than
+    errors of one size would give, as by chance of few blocks, it is that; never less than noise of
+    unit variance.
+    """
+    pick = np.asarray(columns, int)
+    spread = covariance(evidence.whole, pick)
+    common = max(evidence.squares / max(float(evidence.count.sum()), 1.0), 1.0) * np.diag(spread)
+    gradients = evidence.gram[:, pick, -1] @ spread
+    spare = evidence.blocks - len(pick)
+    own = (gradients**2).sum(axis=0) * evidence.blocks / spare if spare > 0 else common
+    return np.asarray(np.sqrt(np.maximum(common, own)) / evidence.size[pick])
+
+
+def chance(evidence: ColumnEvidence, base: Indices, group: Indices, coefficients: Array) -> float:
+    """Return how far beyond chance a prediction made elsewhere agrees with these errors.
+
+    `coefficients` of [base, group] come from other records. What the group predicts, freed of what
+    the base could do as well here, is correlated with the errors; if it predicts nothing that is a
+    standard normal number. Errors larger than noise make it smaller: each block's by its own, and
+    all by how much what blocks say scatters.
+    """
+    b = np.asarray(coefficients)[len(list(base)) :]
+    return _beyond(_agreement(evidence.gram, base, group, b), evidence.count)
+
+
+def expected(evidence: ColumnEvidence, base: Indices, group: Indices, coefficients: Array) -> float:
+    """Return what `chance` is on average where the prediction is right and the rest is noise."""
+    b = np.asarray(coefficients)[len(list(base)) :]
+    return float(np.sqrt(_agreement(evidence.gram, base, group, b).predicted.sum()))
+
+
+def chance_between(evidence: ColumnEvidence, base: Indices, group: Indices) -> float:
+    """Return the same between the blocks of these records: each fold is predicted from the rest.
+
+    Two folds predict each other, so that noise alone gives twice the variance.
+    """
+    evidence = steadied(evidence)
+    columns, own = [*base, *group], len(list(base))
+    each = np.arange(evidence.blocks) % FOLDS
+    parts, counts = [], []
+    for fold, summed in enumerate(evidence.folds):
+        b = solve(evidence.whole - summed, columns)[own:]
+        parts.append(_agreement(evidence.gram[each == fold], base, group, b))
+        counts.append(evidence.count[each == fold])
+    together = _Agreement(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    return _beyond(together, np.concatenate(counts))
+
+
+class _Agreement(NamedTuple):
+    """Of each block: a prediction times the errors, its own square, and what it leaves of them."""
+
+    with_errors: Array
+    predicted: Array
+    left: Array
+
+
+def _agreement(grams: Array, base: Indices, group: Indices, b: Array) -> _Agreement:
+    """Return how a prediction by `b` of the group agrees, freed of the base over all the blocks."""
+    base_list, group_list = list(base), list(group)
+    pick = np.array([*base_list, *group_list, grams.shape[1] - 1])
+    few = grams[:, pick][:, :, pick]
+    own, gram = len(base_list), few.sum(axis=0)
+    A = gram[:own, :own]
+    scale = _scale(A)
+    inverse = np.linalg.inv(A / scale[:, None] / scale + _RIDGE * np.eye(own))
+    inverse = inverse / scale[:, None] / scale
+    prediction = np.concatenate([-inverse @ (gram[:own, own:-1] @ b), b, [0.0]])
+    errors = np.concatenate([-inverse @ gram[:own, -1], np.zeros(len(b)), [1.0]])
+    after = errors + prediction
+
+    def of(one: Array, other: Array) -> Array:
+        return np.asarray(np.einsum("i,kij,j->k", one, few, other, optimize=True))
+
+    return _Agreement(
+        -of(prediction, errors), np.maximum(of(prediction, prediction), 0.0), of(after, after)
+    )
+
+
+def _beyond(agreement: _Agreement, count: Array) -> float:
+    """Return the sum of with_errors over its standard deviation where nothing is predicted.
+
+    The larger of two: errors that are white in a block, of its own mean square, but no less than
+    noise; and blocks that have nothing to do with each other, whatever is in them.
+    """
+    with_errors, predicted, left = agreement
+    whole, blocks = float(predicted.sum()), len(predicted)
+    if whole <= 0.0:
+        return 0.0
+    white = float(predicted @ np.maximum(left / np.maximum(count, 1.0), 1.0))
+    scatter = with_errors - predicted * (float(with_errors.sum()) / whole)
+    apart = float(scatter @ scatter) * blocks / max(blocks - 1, 1)
+    return float(with_errors.sum() / np.sqrt(max(white, apart)))

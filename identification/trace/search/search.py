@@ -1,0 +1,121 @@
+"""Which effects are there: screened by regression, fitted together, kept if others agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....model.effects.base import Effect
+from ...records.record import IdentificationError
+from ..linearised.working_point import WorkingPoint
+from .backward_elimination import followers, without_guesses
+from .candidate_screening import Records, Round
+from .candidate_swap import otherwise
+from .forward_selection import MUCH, Grown, Progress, grown
+from .gauss_newton import FULLY, gather, refine
+from .held_out_test import LOWERS
+from .regression import ColumnEvidence, standard_errors
+from .unit_amplitudes import free_numbers, with_plain_amplitudes
+
+Array = NDArray[np.float64]
+
+_MOST_EFFECTS = 6
+_MOST_UNKNOWN = 4
+
+
+@dataclass(frozen=True)
+class Found:
+    """The working point at the end, how it was reached, and what both sets of records leave.
+
+    errors: standard errors of [the model's parameters over scale, amplitudes and shapes]; nan of
+    what is held. idle: by identity, names that had followed what is random, and were dropped.
+    """
+
+    point: WorkingPoint
+    rounds: tuple[Round, ...]
+    errors: Array
+    train: ColumnEvidence
+    held: ColumnEvidence
+    idle: frozenset[str] = frozenset()
+
+
+def search(
+    point: WorkingPoint,
+    effects: Sequence[Effect],
+    unknown: Sequence[Effect],
+    records: Records,
+    progress: Progress,
+) -> Found:
+    """Add effects one by one while records that were not used to choose them agree.
+
+    `point` is at its best already. Where much is left in the end another way is tried, and then
+    free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped.
+    """
+    error = records.held_error(point)
+    if not np.isfinite(error.floor) or np.isnan(error.squares):
+        raise IdentificationError(
+            "expected a model that can be simulated freely over the records held out, since by "
+            f"that effects are judged, found one that runs away (error {error.squares:.3g}, of "
+            f"noise alone {error.floor:.3g}): an unstable plant has to be traced in its loop"
+        )
+    begun = Grown(point, error, ())
+    found = grown(begun, effects, _MOST_EFFECTS, 0.0, records, progress)
+    if found.much_left:
+        more = _MOST_EFFECTS - len(found.point.placed) + len(point.placed)
+        found = otherwise(found, effects, more, records, progress)
+    if found.much_left:
+        described = grown(
+            found._replace(rounds=()), unknown, _MOST_UNKNOWN, MUCH, records, progress
+        )
+        rounds = (*found.rounds, *described.rounds)
+        found = found._replace(rounds=rounds)
+        if described.point is not found.point:
+            point = without_guesses(described.point, records)
+            found = Grown(point, records.held_error(point), rounds)
+    return _settled(found, records)
+
+
+def without_followers(found: Found, records: Records) -> Found:
+    """Return what was found without the names that may have followed a force that is random.
+
+    Chance is that of errors that are white, and a force with no phase in a band is none: the best
+    of a table takes something of it, and held-out records agree by chance of their own.
+    """
+    idle = followers(found.rounds)
+    placed = tuple(p for p in found.point.placed if p.effect.identity not in idle)
+    if len(placed) == len(found.point.placed):
+        return found
+    fewer = replace(found.point, placed=placed)
+    settled = _settled(Grown(fewer, records.held_error(fewer), found.rounds), records)
+    return replace(settled, idle=idle)
+
+
+def _settled(reached: Grown, records: Records) -> Found:
+    """Return the point fitted to the end, with what it leaves."""
+    point, error, rounds = reached
+    # What was fitted last was so while it was not known whether more would come.
+    fitted, _ = refine(point, records, within=FULLY)
+    if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:
+        point = fitted
+    plain = with_plain_amplitudes(point, records)
+    if plain is not point and records.held_error(plain).squares < (1.0 + LOWERS) * error.squares:
+        point = plain
+    train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
+    free = free_numbers(point)
+    errors = np.full(len(free), np.nan)
+    errors[free] = standard_errors(train, np.flatnonzero(free))
+    return Found(_with_errors(point, errors), rounds, errors, train, held)
+
+
+def _with_errors(point: WorkingPoint, errors: Array) -> WorkingPoint:
+    """Return the point with the standard errors of its effects."""
+    at, placed = len(point.parameters.names), []
+    for p in point.placed:
+        names = [q.name for q in (*p.effect.amplitudes, *p.effect.shape)]
+        own = errors[at : at + len(names)]
+        placed.append(replace(p, standard_errors=dict(zip(names, own.tolist(), strict=True))))
+        at += len(names)
+    return replace(point, placed=tuple(placed))

@@ -1,0 +1,52 @@
+"""Effects as books have them: amplitudes of one, where that fits about as well."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....model.effects.base import Placed
+from ..linearised.working_point import WorkingPoint
+from .candidate_screening import LEAST
+from .gauss_newton import FULLY, Fitted, gather, refine
+
+
+def with_plain_amplitudes(point: WorkingPoint, records: Fitted) -> WorkingPoint:
+    """Return the point, refined, with what need not have an amplitude held at one.
+
+    Regression asks of everything how much of it there is. Of a saturation there is all: how deep it
+    is, and from where on, are one number far below its limit, and along that valley neither is
+    known.
+    """
+    squares = None
+    for i, placed in enumerate(point.placed):
+        if placed.effect.plain is None:
+            continue
+        if squares is None:
+            squares = gather(point, records.train(point)).squares
+        held = (*point.placed[:i], _held(placed), *point.placed[i + 1 :])
+        fitted, left = refine(replace(point, placed=held), records, within=FULLY)
+        if left - squares < LEAST:
+            point, squares = fitted, left
+    return point
+
+
+def free_numbers(point: WorkingPoint) -> NDArray[np.bool_]:
+    """Return which of [the model's parameters, amplitudes and shapes] (P,) are not held."""
+    held = [q.low == q.high for p in point.placed for q in (*p.effect.amplitudes, *p.effect.shape)]
+    return ~np.array([False] * len(point.parameters.names) + held, dtype=bool)
+
+
+def _held(placed: Placed) -> Placed:
+    effect, plain = placed.effect, placed.effect.plain
+    assert plain is not None
+    amplitudes = tuple(replace(q, low=1.0, high=1.0) for q in effect.amplitudes)
+    shape = [
+        float(np.clip(value, q.low, q.high))
+        for value, q in zip(plain(placed.amplitudes, placed.shape), effect.shape, strict=True)
+    ]
+    return Placed(
+        replace(effect, amplitudes=amplitudes), tuple(shape), tuple(1.0 for _ in amplitudes)
+    )

@@ -1,0 +1,78 @@
+"""Records freed of the effects that a model declares, so that its matrices alone can be fitted.
+
+Effects are evaluated along the measured motion, at the values in the model file. What they add to
+the readings is taken out of them; what they add to commands and forces becomes part of the known
+input, and in a loop part of its reference and its feed-forward: the loop stays the one that flew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.model import ModelConfig
+from ...log.reader import Log
+from ...model.effects.base import Term
+from ...model.effects.effect_serialization import placed_effects
+from ..greybox.discretisation import motion
+from ..greybox.experiment import ControlLoop, Experiment, experiment_from_log
+from ..greybox.fit import first_noise
+from ..greybox.free_parameters import free_parameters
+from ..greybox.model_file import declared_model
+from ..records.record import IdentificationError
+from .linearised.working_point import WorkingPoint, filtered
+from .records.noise_sources import Disturbance
+from .records.trace_record import trace_record
+
+Array = NDArray[np.float64]
+
+_SAME = 1e-9
+
+
+def experiment_of(log: Log, config: ModelConfig) -> Experiment:
+    """Return the record of a log, freed of the effects of the model; raises as trace_record does.
+
+    A force (N, n) is turned into the command that makes it behind the model's delay and lag, to
+    second order in the time over which it changes. What effects add to the force of the beam's
+    drives plays no part in a fit.
+    """
+    if not config.effects:
+        return experiment_from_log(log, config)
+    record, model = trace_record(log, config), declared_model(config)
+    placed = placed_effects(config.effects, record.places)
+    noise = Disturbance(first_noise([record.experiment]), 1.0, measured=False)
+    point = WorkingPoint(model, free_parameters(config), placed, noise, config.input)
+    _, added = filtered(point, record, motion(model, record.experiment, config.input))
+    return _freed(record.experiment, point, added, record.places.decoupling)
+
+
+def _freed(e: Experiment, point: WorkingPoint, added: Term, decoupling: Array) -> Experiment:
+    held = np.zeros_like(e.u) if added.held is None else added.held
+    if added.force is not None:
+        held = held + _as_command(e, point, added.force)
+    gap = np.zeros_like(e.y) if added.gap is None else added.gap @ decoupling.T
+    loop = e.loop and ControlLoop(
+        e.loop.v, e.loop.reference - gap, e.loop.feedforward + held, e.loop.controller
+    )
+    return replace(e, y=e.y - gap, u=e.u + held, loop=loop)
+
+
+def _as_command(e: Experiment, point: WorkingPoint, force: Array) -> Array:
+    """Return the command (N, p) that makes a generalised force (N, n)."""
+    model = point.model
+    B = model.at({name: float(v.mean()) for name, v in e.schedule.items()}).B
+    inverse = np.linalg.pinv(B)
+    if np.abs(B @ inverse - np.eye(len(B))).max() > _SAME:
+        raise IdentificationError(
+            f"record '{e.name}': expected inputs that reach every DOF, so that the effects' force "
+            "can be taken out, found a B of lower rank"
+        )
+    values = {**model.values, **model.scheduling}
+    later_s = e.delay_cycles * e.Ts_s + model.delay(values) + model.lag(values)
+    if point.hold == "zoh":
+        later_s += 0.5 * e.Ts_s  # a held command stands for the middle of its period
+    rows = np.arange(len(force), dtype=float)
+    shifted = [np.interp(rows + later_s / e.Ts_s, rows, f) for f in force.T]
+    return np.asarray(np.stack(shifted, axis=1) @ inverse.T)

@@ -1,0 +1,123 @@
+"""Effects as a model file names them, with their values, and back."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+from ..declared_model import ModelError
+from .base import Effect, Placed, Places, Quantity
+from .driven_range import Extent
+from .freeform import freeform_effect
+from .table import all_effects
+from .vibration import tone
+
+_TONE = re.compile(r"vibration\.\w+\.([0-9.e+]+)hz")
+
+
+class DeclaredValue(Protocol):
+    """A parameter of an effect in a model file: value, unit, standard error if known."""
+
+    @property
+    def value(self) -> float: ...  # noqa: D102
+    @property
+    def unit(self) -> str: ...  # noqa: D102
+    @property
+    def se(self) -> float | None: ...  # noqa: D102
+
+
+class DeclaredEffect(Protocol):
+    """An effect in a model file: its name in the table, where it sits, its parameters by name."""
+
+    @property
+    def effect(self) -> str: ...  # noqa: D102
+    @property
+    def where(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def parameters(self) -> Mapping[str, DeclaredValue]: ...  # noqa: D102
+
+
+def placed_effects(
+    declared: Sequence[DeclaredEffect], places: Places, extent: Extent | None = None
+) -> tuple[Placed, ...]:
+    """Return the effects of a model file at the places of a plant, in order.
+
+    `extent`: what records cover, by which shapes may be fitted anew; those of the file are within
+    the bounds in any case.
+
+    Raises ModelError: an effect or a place that the table does not have, one given twice, a
+    parameter that is missing, too many, or in another unit. It names the entry.
+    """
+    if not declared:
+        return ()
+    # A file may name a resonance that these records are too slow for, and a sensor that does not
+    # stand still in them.
+    covered = replace(
+        extent or Extent.typical(places),
+        fastest_hz=math.inf,
+        standing=tuple(range(places.sensors)),
+    )
+    table = {e.identity: e for e in all_effects(places, covered)}
+    for entry in declared:
+        found = _TONE.fullmatch(entry.effect)
+        if found is not None:
+            table |= {e.identity: e for e in tone(places, float(found[1]))}
+        described = freeform_effect(places, entry.effect, entry.where)
+        if described is not None:
+            table[described.identity] = described
+    placed: list[Placed] = []
+    for i, entry in enumerate(declared):
+        where = f"effects[{i}]"
+        one = _placed(entry, table, where)
+        if any(one.effect.identity == other.effect.identity for other in placed):
+            raise ModelError(f"{where}: expected every effect once, found {one.effect.name} again")
+        placed.append(one)
+    return tuple(placed)
+
+
+def _placed(entry: DeclaredEffect, table: Mapping[str, Effect], where: str) -> Placed:
+    effect = table.get(f"{entry.effect}@{'+'.join(entry.where)}")
+    if effect is None:
+        raise ModelError(f"{where}: {_unknown(entry, table)}")
+    quantities = {q.name: q for q in (*effect.amplitudes, *effect.shape)}
+    given = entry.parameters
+    if set(given) != set(quantities):
+        raise ModelError(
+            f"{where}: parameters: expected {', '.join(quantities)} of {entry.effect}, "
+            f"found {', '.join(given) or 'none'}"
+        )
+    for name, quantity in quantities.items():
+        if given[name].unit != quantity.unit:
+            raise ModelError(
+                f"{where}: parameters.{name}: expected the unit '{quantity.unit}', "
+                f"found '{given[name].unit}'"
+            )
+    errors = {name: given[name].se for name in quantities}
+    within = tuple(_wide_enough(q, given[q.name].value) for q in effect.shape)
+    return Placed(
+        replace(effect, shape=within),
+        tuple(given[q.name].value for q in effect.shape),
+        tuple(given[q.name].value for q in effect.amplitudes),
+        {name: error for name, error in errors.items() if error is not None},
+    )
+
+
+def _wide_enough(quantity: Quantity, value: float) -> Quantity:
+    return replace(quantity, low=min(quantity.low, value), high=max(quantity.high, value))
+
+
+def _unknown(entry: DeclaredEffect, table: Mapping[str, Effect]) -> str:
+    keys = {e.key for e in table.values()}
+    if entry.effect not in keys:
+        near = difflib.get_close_matches(entry.effect, keys, 3)
+        meant = f"; did you mean {' or '.join(near)}?" if near else ""
+        return f"effect: expected a name of the table of effects, found '{entry.effect}'{meant}"
+    places = ["+".join(e.where) or "[]" for e in table.values() if e.key == entry.effect]
+    return (
+        f"where: expected one of {', '.join(dict.fromkeys(places))} for {entry.effect}, "
+        f"found {'+'.join(entry.where) or '[]'}"
+    )

@@ -1,0 +1,1 @@
+"""Draw one figure of an identification; each file is one figure."""

@@ -1,0 +1,133 @@
+"""Bode grids of the plant, every input to every output: the paper's Figs. 10 and 12."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ..plotting.curves import CONFIDENCE, RIG, Curve, Range, SignalLabels, inside
+from ..plotting.panel_grid import legend_of, new_grid, plot_band, plot_curve
+from ..plotting.style import PAGE, Sheet, drawing, frequency_axis, log_ticks
+
+Array = NDArray[np.float64]
+
+_ROW_IN = 1.95
+_DECADES_MOST = 4.5
+_DOMINANT = 1.5
+_NO_PHASE_DEG = 60.0
+
+
+def bode_magnitude(
+    curves: Sequence[Curve],
+    signals: SignalLabels,
+    *,
+    truth: Sequence[Curve] = (),
+    shown: Range = RIG,
+    sheet: Sheet = PAGE,
+) -> Figure:
+    """Draw |P| of m x p panels in physical units, a line a curve, the truth beneath, wide and grey.
+
+    All panels span the same number of decades. Of a system with a dominant diagonal the scale of
+    panel (i, j) is placed at sqrt(|P_ii| |P_jj|): as high as the diagonal there means fully
+    coupled, and noise far below that looks as small as it is.
+    """
+    curves = [inside(c, shown) for c in curves]
+    truth = [inside(c, shown) for c in truth]
+    with drawing(sheet):
+        grid = new_grid(signals.shape, sheet, _ROW_IN, legend_of(curves, truth, shown))
+        limits = _limits([*curves, *truth], signals.shape)
+        for (i, j), ax in grid.panels():
+            frequency_axis(ax, (shown.low_hz, shown.high_hz))
+            log_ticks(ax, "y", limits[i][j])
+            ax.set_title(signals.path(i, j))
+            ax.set_title(signals.gain_unit(i, j), loc="right", fontweight="normal")
+            for curve in truth:
+                _draw_magnitude(ax, curve, i, j)
+            for curve in curves:
+                _draw_magnitude(ax, curve, i, j)
+        grid.finish_frequency(shown, curves)
+    return grid.figure
+
+
+def bode_phase(
+    curves: Sequence[Curve],
+    signals: SignalLabels,
+    *,
+    truth: Sequence[Curve] = (),
+    shown: Range = RIG,
+    sheet: Sheet = PAGE,
+) -> Figure:
+    """Draw the phase of the m x p panels in degrees, from −300 to 60 so that a delay does not wrap.
+
+    Where a curve brings its deviation, it is left out at frequencies whose phase is uncertain by 60
+    degrees or more: a line through noise would say nothing and cover the rest.
+    """
+    curves = [inside(c, shown) for c in curves]
+    truth = [inside(c, shown) for c in truth]
+    with drawing(sheet):
+        grid = new_grid(signals.shape, sheet, _ROW_IN, legend_of(curves, truth, shown))
+        for (i, j), ax in grid.panels():
+            frequency_axis(ax, (shown.low_hz, shown.high_hz))
+            ax.set_ylim(-300, 60)
+            ax.set_yticks([-270, -180, -90, 0], ["−270°", "−180°", "−90°", "0°"])
+            ax.set_title(signals.path(i, j))
+            for curve in truth:
+                _draw_phase(ax, curve, i, j)
+            for curve in curves:
+                _draw_phase(ax, curve, i, j)
+        grid.finish_frequency(shown, curves)
+    return grid.figure
+
+
+def _draw_magnitude(ax: Axes, curve: Curve, i: int, j: int) -> None:
+    magnitude = np.abs(curve.response[:, i, j])
+    magnitude = np.where(magnitude > 0, magnitude, np.nan)
+    plot_curve(ax, curve, magnitude, faint=i != j)
+    if curve.deviation is not None:
+        spread = CONFIDENCE * curve.deviation[:, i, j]
+        # What reaches down to nothing ends below the panel's edge.
+        plot_band(ax, curve, np.maximum(magnitude - spread, 1e-3 * magnitude), magnitude + spread)
+
+
+def _draw_phase(ax: Axes, curve: Curve, i: int, j: int) -> None:
+    H = curve.response[:, i, j]
+    phase = (np.degrees(np.angle(H)) + 300) % 360 - 300
+    spread = np.zeros(len(H))
+    if curve.phase_deviation_rad is not None:
+        spread = np.degrees(CONFIDENCE * curve.phase_deviation_rad[:, i, j])
+    elif curve.deviation is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = np.degrees(CONFIDENCE * curve.deviation[:, i, j] / np.abs(H))
+    phase[~(spread < _NO_PHASE_DEG)] = np.nan
+    line = phase.copy()
+    line[1:][np.abs(np.diff(phase)) > 180] = np.nan
+    plot_curve(ax, curve, line, faint=i != j)
+    if curve.deviation is not None:
+        plot_band(ax, curve, phase - spread, phase + spread)
+
+
+def _limits(curves: Sequence[Curve], shape: tuple[int, int]) -> list[list[tuple[float, float]]]:
+    """Return the limits of every panel, (low, high)."""
+    m, p = shape
+    tops, bottoms = np.full((m, p), np.nan), np.full((m, p), np.nan)
+    for i in range(m):
+        for j in range(p):
+            values = np.concatenate([np.abs(c.response[:, i, j]) for c in curves] or [np.ones(1)])
+            values = values[np.isfinite(values) & (values > 0)]
+            if values.size:
+                tops[i, j], bottoms[i, j] = values.max(), np.percentile(values, 0.5)
+    scale = np.where(np.isfinite(tops), tops, 1.0)
+    if m == p:
+        root = np.sqrt(np.diag(scale))
+        energy = np.outer(root, root)
+        # Where a coupling outdoes the diagonal, the diagonal is no measure of it.
+        if np.nanmax(np.where(np.isfinite(tops), tops, 0.0) / energy) < _DOMINANT:
+            scale = energy
+    up = np.nanmax(np.append(np.log10(tops / scale), 0.0)) + 0.2
+    down = np.nanmin(np.append(np.log10(bottoms / scale), -1.0)) - 0.1
+    down = max(down, up - _DECADES_MOST)
+    return [[(scale[i, j] * 10**down, scale[i, j] * 10**up) for j in range(p)] for i in range(m)]

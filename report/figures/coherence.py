@@ -1,0 +1,29 @@
+"""Coherence of the sensitivity: which share of the feedback the excitation explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+
+from ..plotting.curves import RIG, Curve, Range, SignalLabels, inside
+from ..plotting.panel_grid import legend_of, new_grid, plot_curve
+from ..plotting.style import PAGE, Sheet, drawing, frequency_axis
+
+
+def coherence(
+    curves: Sequence[Curve], signals: SignalLabels, *, shown: Range = RIG, sheet: Sheet = PAGE
+) -> Figure:
+    """Draw the coherence of every path from 0 to 1; the response of each curve is the coherence."""
+    curves = [inside(c, shown) for c in curves]
+    with drawing(sheet):
+        grid = new_grid(signals.shape, sheet, 1.25, legend_of(curves, shown=shown))
+        for (i, j), ax in grid.panels():
+            frequency_axis(ax, (shown.low_hz, shown.high_hz))
+            ax.set_ylim(0, 1.05)
+            ax.set_yticks([0, 0.5, 1])
+            ax.set_title(signals.path(i, j))
+            for curve in curves:
+                plot_curve(ax, curve, curve.response[:, i, j].real, faint=i != j)
+        grid.finish_frequency(shown)
+    return grid.figure

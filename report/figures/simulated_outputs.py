@@ -1,0 +1,125 @@
+"""Outputs simulated by a fitted model over the measured ones: the paper's Fig. 14."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from ..plotting.curves import symbol
+from ..plotting.min_max_envelope import envelope, plot_envelope
+from ..plotting.panel_grid import entry, new_grid
+from ..plotting.style import PAGE, TRUTH, LineStyle, Sheet, colour, drawing, engineering
+
+Array = NDArray[np.float64]
+
+NOISE_BAND = 1.96
+"""Of Gaussian noise 95 % lie within this many of its rms."""
+_BINS, _POINTS = 500, 1500
+_SCHEDULE_IN, _OUTPUT_IN, _ERROR_IN = 1.1, 1.5, 1.1
+_SCHEDULE = LineStyle(colour("ink"), width=1.1)
+_MEASURED = LineStyle(TRUTH.colour, width=2.8, alpha=0.6, zorder=2)
+_SIMULATED = LineStyle(colour("vermillion"), (5.0, 1.6), width=1.2, zorder=4)
+_ERROR = LineStyle(colour("blue"), width=0.8)
+
+
+@dataclass(frozen=True)
+class SimulatedOutput:
+    """A scheduling variable over a record: values (N,) in the unit."""
+
+    name: str
+    unit: str
+    values: Array
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Outputs measured and simulated (N, m) at t_s (N,), fit in percent and rms of the noise (m,).
+
+    `schedule` is what moved during the record, and drove the simulation besides the excitation.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    t_s: Array
+    measured: Array
+    simulated: Array
+    fit_percent: Array
+    floor_rms: Array
+    schedule: tuple[SimulatedOutput, ...] = ()
+
+
+def simulated_outputs(run: Simulated, *, sheet: Sheet = PAGE) -> Figure:
+    """Draw the schedule, then each output with what the simulation misses of it beneath.
+
+    Errors have a scale of their own, that of the noise, whose band is behind them.
+    """
+    schedules, outputs = len(run.schedule), len(run.names)
+    heights = [_SCHEDULE_IN] * schedules + [_OUTPUT_IN, _ERROR_IN] * outputs
+    legend: list[Artist] = [
+        entry("measured", _MEASURED),
+        entry("simulated", _SIMULATED),
+        entry("measured − simulated", _ERROR),
+        Patch(color=colour("truth"), alpha=0.3, label="95 % of the noise"),
+    ]
+    with drawing(sheet):
+        grid = new_grid((len(heights), 1), sheet, heights, legend)
+        axes = list(grid.axes[:, 0])
+        for ax, trace in zip(axes, run.schedule, strict=False):
+            factor, prefix = _scale(trace.values, trace.unit)
+            plot_envelope(ax, envelope(run.t_s, trace.values, _BINS), _SCHEDULE, factor)
+            ax.set_title(trace.name)
+            ax.set_title(prefix + trace.unit, loc="right", fontweight="normal")
+        for i in range(outputs):
+            above, beneath = axes[schedules + 2 * i], axes[schedules + 2 * i + 1]
+            _draw_output(above, run, i)
+            _draw_error(beneath, run, i)
+        for ax in axes:
+            ax.margins(x=0)
+            ax.tick_params(labelbottom=ax is axes[-1], length=2.5)
+        axes[-1].set_xlabel("time [s]")
+    return grid.figure
+
+
+def _draw_output(ax: Axes, run: Simulated, i: int) -> None:
+    factor, prefix = _scale(run.measured[:, i], run.units[i])
+    measured = envelope(run.t_s, run.measured[:, i], _BINS)
+    plot_envelope(ax, measured, _MEASURED, factor)
+    if not measured.is_line:  # a band thinner than the simulation's line would hide behind it
+        ax.plot(measured.t, factor * (measured.low + measured.high) / 2, **_MEASURED.keywords())
+    thinned = slice(None, None, -(-len(run.t_s) // _POINTS))
+    simulated = factor * run.simulated[thinned, i]
+    ax.plot(run.t_s[thinned], simulated, **_SIMULATED.keywords())
+    ax.set_title(f"{symbol(run.names[i])}, fit {run.fit_percent[i]:.2f} %")
+    ax.set_title(prefix + _shown(run.units[i]), loc="right", fontweight="normal")
+    known = factor * run.measured[:, i][np.isfinite(run.measured[:, i])]
+    if known.size and np.ptp(known) > 0:
+        margin = 0.15 * np.ptp(known)  # a simulation that runs away must not flatten the data
+        ax.set_ylim(known.min() - margin, known.max() + margin)
+
+
+def _draw_error(ax: Axes, run: Simulated, i: int) -> None:
+    error, band = run.measured[:, i] - run.simulated[:, i], NOISE_BAND * run.floor_rms[i]
+    known = np.abs(error[np.isfinite(error)])
+    largest = max(float(known.max(initial=0.0)), float(np.nan_to_num(band)))
+    factor, prefix = engineering(largest, run.units[i])
+    if np.isfinite(band):
+        ax.axhspan(-factor * band, factor * band, color=colour("truth"), alpha=0.3, linewidth=0)
+    plot_envelope(ax, envelope(run.t_s, error, _BINS), _ERROR, factor)
+    ax.set_title(f"{symbol(run.names[i])}, measured − simulated", fontweight="normal")
+    ax.set_title(prefix + _shown(run.units[i]), loc="right", fontweight="normal")
+    if largest > 0:
+        ax.set_ylim(-1.15 * factor * largest, 1.15 * factor * largest)
+
+
+def _scale(values: Array, unit: str) -> tuple[float, str]:
+    return engineering(float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0)), unit)
+
+
+def _shown(unit: str) -> str:
+    return "" if unit == "1" else unit

@@ -1,0 +1,113 @@
+"""Singular values of the Hankel matrix, by which the order is chosen: the paper's Fig. 9."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from ..plotting.panel_grid import new_grid
+from ..plotting.style import PAGE, LineStyle, Sheet, colour, drawing, log_ticks
+
+Array = NDArray[np.float64]
+
+SHOWN = 20
+
+
+@dataclass(frozen=True)
+class SingularValues:
+    """Singular values (k,) of one beam position, descending, how it is called and drawn."""
+
+    label: str
+    line: LineStyle
+    values: Array
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Singular values of every beam position by one estimator, and the order chosen from them.
+
+    None for an order that was chosen otherwise.
+    """
+
+    title: str
+    positions: tuple[SingularValues, ...]
+    order: int | None
+
+
+def gap(values: Array, order: int) -> float:
+    """Return s(n) / s(n + 1), by which an order n stands out; NaN where there is no next one."""
+    if not 0 < order < len(values) or not values[order] > 0:
+        return float("nan")
+    return float(values[order - 1] / values[order])
+
+
+def singular_values(spectra: Sequence[Spectrum], *, sheet: Sheet = PAGE) -> Figure:
+    """Draw one panel an estimator on one common scale, the order and its smallest gap marked."""
+    everything = [s.values[:SHOWN] for spectrum in spectra for s in spectrum.positions]
+    finite = np.concatenate([v[np.isfinite(v) & (v > 0)] for v in everything] or [np.ones(1)])
+    top = finite.max(initial=1e-12)
+    # Of exact data the values behind the order are rounding: they may lie below the panel.
+    limits = (max(finite.min(initial=top), 1e-7 * top) / 2.5, top * 2.5)
+    first = spectra[0].positions if spectra else ()
+    with drawing(sheet):
+        legend: list[Artist] = [
+            Line2D([], [], label=s.label, **_markers(k, s.line)) for k, s in enumerate(first)
+        ]
+        if len(legend) == 1 and len(spectra) == 1:
+            legend = []
+        grid = new_grid((1, max(len(spectra), 1)), sheet, 2.7, legend)
+        for (_, column), ax in grid.panels():
+            log_ticks(ax, "y", limits, every=1 if limits[1] / limits[0] < 1e6 else None)
+            ax.set_xlim(0, SHOWN + 1)
+            ax.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=10))
+            ax.set_xlabel("number n of the singular value")
+            if column < len(spectra):
+                _draw(ax, spectra[column])
+        grid.axes[0, 0].set_ylabel("σₙ (scaled)")
+    return grid.figure
+
+
+def _draw(ax: Axes, spectrum: Spectrum) -> None:
+    ax.set_title(spectrum.title)
+    for k, position in enumerate(spectrum.positions):
+        values = np.where(position.values > 0, position.values, np.nan)[:SHOWN]
+        ax.plot(np.arange(1, len(values) + 1), values, **_markers(k, position.line))
+    if spectrum.order is None:
+        return
+    gaps = [gap(position.values, spectrum.order) for position in spectrum.positions]
+    known = [g for g in gaps if np.isfinite(g)]
+    ax.axvline(spectrum.order + 0.5, color=colour("ink"), linewidth=0.8, linestyle=(0, (2, 2)))
+    text = f"{spectrum.order} states" + (f", gap × {_round(min(known))}" if known else "")
+    ax.annotate(
+        text,
+        (spectrum.order + 0.5, 1.0),
+        xytext=(6, -2),
+        xycoords=("data", "axes fraction"),
+        textcoords="offset points",
+        va="top",
+    )
+
+
+def _markers(index: int, line: LineStyle) -> dict[str, Any]:
+    return {
+        "color": line.colour,
+        "marker": "osD^vP"[index % 6],
+        "markersize": 4.5,
+        "markerfacecolor": line.colour if index == 0 else colour("paper"),
+        "markeredgewidth": 1.1,
+        "linewidth": 0.6,
+        "alpha": 0.9,
+    }
+
+
+def _round(value: float) -> str:
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"

@@ -1,0 +1,222 @@
+"""What the report says of a plant identified in a loop with a known controller: the paper's rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...identification.results import ClosedLoopPoint
+from ..figures.response_deviation import AGREEMENT, Bounds, Worst, largest, worst_on_diagonal
+from ..plotting.curves import Curve, Range, SignalLabels, ratio, rig_or
+from ..plotting.page import Number, Text, Verdict
+from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+Truth = Callable[[float | None, Array], Complex]
+"""Gives the true P as (F, m, p) for a beam position in m and frequencies in Hz (F,)."""
+
+TRUTH_NAME = "truth of the simulator"
+
+ESTIMATOR = {"least_squares": "least squares", "correlation": "cross-correlation"}
+
+_TRUTH_POINTS = 240
+
+
+@dataclass(frozen=True)
+class ClosedLoopReport:
+    """The curves of all beam positions, from which figures, numbers and tables follow.
+
+    ratios: by what is compared ('Ho-Kalman / truth'), one curve of ratios (F, m, p) a position.
+    Positions whose model by Ho-Kalman is not to be trusted are drawn as such, and judge nothing
+    unless there is no other.
+    """
+
+    points: tuple[ClosedLoopPoint, ...]
+    signals: SignalLabels
+    labels: tuple[str, ...]
+    shown: Range
+    ho_kalman: tuple[Curve, ...]
+    sensitivity: tuple[Curve, ...]
+    truth: tuple[Curve, ...]
+    ratios: dict[str, tuple[Curve, ...]]
+    bounds: Bounds = AGREEMENT
+
+    @property
+    def doubted(self) -> tuple[tuple[str, str], ...]:
+        """The positions whose model by Ho-Kalman is not to be trusted, and why."""
+        pairs = zip(self.labels, self.points, strict=True)
+        return tuple((label, "; ".join(p.doubts)) for label, p in pairs if not p.trusted)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the model by Ho-Kalman is to be trusted at any position."""
+        return len(self.doubted) < len(self.points)
+
+    def judged(self, name: str) -> tuple[tuple[str, Curve], ...]:
+        """Return label and ratios of the positions that a comparison is judged by."""
+        pairs = tuple(zip(self.labels, self.ratios[name], strict=True))
+        if not rests_on_model(name) or not self.trusted:
+            return pairs
+        return tuple(pair for pair, p in zip(pairs, self.points, strict=True) if p.trusted)
+
+    def worst(self, name: str) -> tuple[tuple[Worst, ...], ...]:
+        """Return by position and DOF the largest errors of one comparison."""
+        return tuple(worst_on_diagonal(curve, self.shown) for curve in self.ratios[name])
+
+    def largest(self, name: str) -> tuple[float, float]:
+        """Return the largest error of the positions judged, in dB, and the largest in degrees."""
+        return largest([curve for _, curve in self.judged(name)], self.shown)
+
+
+HO_KALMAN, SENSITIVITY = "Ho-Kalman", "sensitivity"
+METHOD = {
+    HO_KALMAN: "the model by Ho-Kalman's algorithm",
+    SENSITIVITY: "the frequency response from the sensitivity",
+}
+
+
+def rests_on_model(name: str) -> bool:
+    """Say whether a comparison rests on the model by Ho-Kalman."""
+    return HO_KALMAN in name.split(" / ")
+
+
+def closed_loop_report(
+    points: Sequence[ClosedLoopPoint], signals: SignalLabels, truth: Truth | None = None
+) -> ClosedLoopReport:
+    """Collect the curves of the operating points, in ascending order of the beam's position."""
+    beams = [point.beam_m for point in points]
+    labels = tuple(position_label(beam, beams) for beam in beams)
+    lines = [line_of(k) for k in range(len(points))]
+    shown = rig_or(float(points[0].freq_hz[0]), float(points[0].freq_hz[-1]), signals)
+    drawn = list(zip(points, labels, lines, strict=True))
+    ho_kalman = tuple(
+        Curve(label, line, p.freq_hz, p.from_ho_kalman)
+        if p.trusted
+        else Curve(f"{label}, not to be trusted", DOUBTFUL, p.freq_hz, p.from_ho_kalman)
+        for p, label, line in drawn
+    )
+    measured = tuple(
+        Curve(
+            label,
+            line,
+            p.from_sensitivity.freq_hz,
+            p.from_sensitivity.H,
+            p.from_sensitivity.standard_deviation,
+        )
+        for p, label, line in drawn
+    )
+    ratios: dict[str, tuple[Curve, ...]] = {}
+    truths: tuple[Curve, ...] = ()
+    if truth is not None:
+        f = np.geomspace(shown.low_hz, shown.high_hz, _TRUTH_POINTS)
+        truths = tuple(Curve(TRUTH_NAME, TRUTH, f, truth(b, f)) for b in beams)
+        for name, estimates in ((HO_KALMAN, ho_kalman), (SENSITIVITY, measured)):
+            exact = [
+                Curve("", TRUTH, estimate.freq_hz, truth(beam, estimate.freq_hz))
+                for estimate, beam in zip(estimates, beams, strict=True)
+            ]
+            ratios[f"{name} / truth"] = _ratios(estimates, exact)
+    ratios[f"{HO_KALMAN} / {SENSITIVITY}"] = _ratios(ho_kalman, measured)
+    return ClosedLoopReport(
+        tuple(points), signals, labels, shown, ho_kalman, measured, truths, ratios
+    )
+
+
+def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
+    """Return what was found, in sentences for the summary."""
+    main = next(iter(report.points[0].markov))
+    smallest = min(p.order.gap for p in report.points)
+    found = (
+        f"The loop shows {_numbers(p.order.order for p in report.points)} main states: in the "
+        f"singular values by {ESTIMATOR.get(main, main)} they stand out by a factor of "
+        f"{factor(smallest)} at least. Without the controller's integrators the plant has "
+        f"{_numbers(len(p.plant.core.A) for p in report.points)}."
+    )
+    span = f"From {report.shown.low_hz:g} to {report.shown.top_hz:g} Hz on the diagonal of P"
+    agreement = "; ".join(_comparison(report, name) for name in report.ratios)
+    texts = [Text(found)]
+    for label, why in report.doubted:
+        texts.append(Text(f"The model by Ho-Kalman, beam {label}, is not to be trusted: {why}."))
+    if report.doubted and report.trusted:
+        texts.append(Text("What follows of this model holds at the other positions."))
+    texts.append(Text(f"{span}, {agreement}."))
+    fits = _fits(report)
+    if fits.size:
+        kept_back = (
+            "On the end of every record, which no estimate has seen, the model in its loop fits "
+            f"what was excited by {fits.min():.1f} to {fits.max():.1f} %, output by output."
+        )
+        texts.append(Text(kept_back))
+    return tuple(texts)
+
+
+def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
+    """Return the numbers of the summary."""
+    smallest = min(p.order.gap for p in report.points)
+    orders = _numbers(p.order.order for p in report.points)
+    meaning = f"main states, standing out by a factor of {factor(smallest)}"
+    numbers = [Number(orders, meaning, "none" if report.trusted else "doubt")]
+    for label, why in report.doubted:
+        numbers.append(
+            Number("not to be trusted", f"model by Ho-Kalman, beam {label}: {why}", "doubt")
+        )
+    for name in report.ratios:
+        first, second = name.split(" / ")
+        if second != "truth" and report.truth:
+            continue
+        decibel, degree = report.largest(name)
+        kept = decibel <= report.bounds.decibel and degree <= report.bounds.degree
+        against = "the truth" if second == "truth" else second
+        meaning = f"{first} against {against} at worst, up to {report.shown.top_hz:g} Hz"
+        verdict: Verdict = "good" if kept else "bad"
+        if rests_on_model(name) and report.doubted:
+            verdict = verdict if report.trusted else "doubt"
+            meaning += ", where it is to be trusted" if report.trusted else "; not to be trusted"
+        numbers.append(Number(f"{decibel:.2f} dB, {degree:.1f}°", meaning, verdict))
+    fits = _fits(report)
+    if fits.size:
+        meaning = "least fit on data kept back"
+        if report.trusted:
+            numbers.append(Number(f"{fits.min():.1f} %", meaning))
+        else:
+            numbers.append(Number(f"{fits.min():.1f} %", f"{meaning}; not to be trusted", "doubt"))
+    return tuple(numbers)
+
+
+def factor(value: float) -> str:
+    """Return a ratio with two or three digits."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
+
+
+def _comparison(report: ClosedLoopReport, name: str) -> str:
+    first, second = name.split(" / ")
+    decibel, degree = report.largest(name)
+    error = f"{decibel:.2f} dB and {degree:.1f}°"
+    if second == "truth":
+        return f"{METHOD[first]} is within {error} of the simulator's truth"
+    return f"{METHOD[first]} and {METHOD[second]} differ by at most {error}"
+
+
+def _numbers(values: Iterable[int]) -> str:
+    return " or ".join(str(n) for n in sorted(set(values)))
+
+
+def _ratios(estimates: Sequence[Curve], references: Sequence[Curve]) -> tuple[Curve, ...]:
+    return tuple(
+        Curve(e.label, e.line, e.freq_hz, ratio(e, r))
+        for e, r in zip(estimates, references, strict=True)
+    )
+
+
+def _fits(report: ClosedLoopReport) -> Array:
+    """Return the fit of every output that a record excites, of all records."""
+    points = [p for p in report.points if p.trusted] or report.points
+    held = [h for point in points for h in point.holdout]
+    fits = [h.simulated_fit_percent[h.driven] for h in held if h.driven is not None]
+    together = np.concatenate([np.zeros(0), *fits])
+    return np.asarray(together[np.isfinite(together)])

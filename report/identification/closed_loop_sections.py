@@ -1,0 +1,258 @@
+"""The sections on a plant identified in its loop: order, plant, agreement, what it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..figures.bode import bode_magnitude, bode_phase
+from ..figures.coherence import coherence
+from ..figures.markov_parameters import Markov, markov_parameters
+from ..figures.response_deviation import bounds_told, deviation
+from ..figures.singular_values import SingularValues, Spectrum, gap, singular_values
+from ..plotting.curves import Curve
+from ..plotting.page import Part, Section, Table
+from ..plotting.style import LineStyle, colour, line_of
+from ..plotting.svg import Picture, to_svg
+from .closed_loop import ESTIMATOR, METHOD, ClosedLoopReport, factor, rests_on_model
+
+_MARKOV_SHOWN_S = 2.0
+_SUBSCRIPT = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+
+
+def closed_loop_sections(report: ClosedLoopReport) -> tuple[Section, ...]:
+    """Return the sections on order, plant, agreement, and what else to check."""
+    return (
+        Section("How many states", _order_parts(report)),
+        Section("The plant", _plant_parts(report)),
+        Section("How well it agrees", _agreement_parts(report)),
+        Section("What it rests on", _foundation_parts(report)),
+    )
+
+
+def _order_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
+    order, plant = report.points[0].order.order, len(report.points[0].plant.core.A)
+    spectra = [
+        Spectrum(
+            ESTIMATOR.get(method, method),
+            tuple(
+                SingularValues(label, line_of(k), point.singular_values[method])
+                for k, (point, label) in enumerate(zip(report.points, report.labels, strict=True))
+            ),
+            order,
+        )
+        for method in report.points[0].singular_values
+    ]
+    gaps = {s.title: min(gap(p.values, order) for p in s.positions) for s in spectra}
+    told = "; ".join(f"by {title} a factor of {factor(g)}" for title, g in gaps.items())
+    picture = Picture(
+        "singular-values",
+        to_svg(singular_values(spectra)),
+        f"Singular values of the Hankel matrix, logarithmic; the first {order} stand out.",
+        f"Singular values of the Hankel matrix of the loop, known delay and lag taken out. Between "
+        f"number {order} and the next lies {told}. {plant} states are the plant's and "
+        f"{order - plant} the controller's integrators; what is left is noise, which plain "
+        "correlation has far more of, since the rest of the response acts as noise on each of its "
+        "taps.",
+        "Fig. 9",
+    )
+    rows = tuple(
+        (
+            spectrum.title,
+            position.label,
+            *(_digits(position.values[n]) for n in (0, order - 1) if n < len(position.values)),
+            _digits(position.values[order]) if order < len(position.values) else "—",
+            factor(gap(position.values, order)),
+        )
+        for spectrum in spectra
+        for position in spectrum.positions
+    )
+    names = [f"σ{str(n).translate(_SUBSCRIPT)}" for n in (1, order, order + 1)]
+    head = ("estimator", "beam", *names, "gap")
+    return picture, Table("Singular values (scaled) around the gap", head, rows, labels=2)
+
+
+def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
+    beneath = " The wide grey lines beneath are the simulator's truth." if report.truth else ""
+    moved = (
+        " Where the beam is changes the inertia about θ and couples θ with z."
+        if len(report.points) > 1
+        else ""
+    )
+    scales = (
+        " All panels span the same decades, those off the diagonal placed at the geometric mean of "
+        "both diagonals: what lies low there couples little."
+    )
+    states = len(report.points[0].plant.core.A)
+    doubted = _doubted(report)
+    parts: list[Part] = [
+        Picture(
+            "plant-ho-kalman",
+            _magnitude(report, report.ho_kalman),
+            "Bode magnitude of the identified plant, every input to every output.",
+            f"Magnitude of P by Ho-Kalman's algorithm and (14), {states} states."
+            f"{moved}{scales}{beneath}{doubted}",
+            "Fig. 10",
+        ),
+        Picture(
+            "plant-sensitivity",
+            _magnitude(report, report.sensitivity),
+            "Bode magnitude of the plant from the input sensitivity, every input to every output.",
+            "Magnitude of P from the frequency response of the input sensitivity by (15) "
+            "corrected, without any model; bands hold 95 % of the estimate's error. What scatters "
+            f"lies below the noise.{beneath}",
+            "Fig. 12",
+        ),
+        Picture(
+            "plant-phase",
+            to_svg(
+                bode_phase(report.ho_kalman, report.signals, truth=report.truth, shown=report.shown)
+            ),
+            "Phase of the identified plant, every input to every output.",
+            "Phase of P by Ho-Kalman's algorithm. Beyond −180° it falls on by the delay of one "
+            f"cycle, the hold and the current loops, which belong to P here.{beneath}{doubted}",
+        ),
+        _modes_table(report),
+    ]
+    return tuple(parts)
+
+
+def _magnitude(report: ClosedLoopReport, curves: Sequence[Curve]) -> str:
+    figure = bode_magnitude(curves, report.signals, truth=report.truth, shown=report.shown)
+    return to_svg(figure)
+
+
+def _agreement_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
+    parts: list[Part] = []
+    for number, (name, curves) in enumerate(report.ratios.items()):
+        first, second = name.split(" / ")
+        decibel, degree = report.largest(name)
+        against = "the simulator's truth" if second == "truth" else METHOD[second]
+        parts.append(
+            Picture(
+                f"agreement-{number + 1}",
+                to_svg(deviation(curves, report.signals, bounds=report.bounds, shown=report.shown)),
+                f"Error of {first} against {second} in dB and degrees on the diagonal.",
+                f"{_upper(METHOD[first])} against {against}. Up to {report.shown.top_hz:g} Hz the "
+                f"largest difference is {decibel:.2f} dB and {degree:.1f}°; "
+                f"{bounds_told(curves, report.bounds, report.shown)}."
+                + (_doubted(report) if rests_on_model(name) else ""),
+            )
+        )
+    rows = []
+    for name in report.ratios:
+        labels = _marked(report) if rests_on_model(name) else report.labels
+        for label, worst in zip(labels, report.worst(name), strict=True):
+            cells = (f"{w.decibel:.2f} dB, {w.degree:.1f}°" for w in worst)
+            rows.append((name.replace(" / ", " against "), label, *cells))
+    diagonal = [report.signals.path(i, i) for i in range(min(report.signals.shape))]
+    span = f"{report.shown.low_hz:g} to {report.shown.top_hz:g} Hz"
+    head = ("compared", "beam", *diagonal)
+    parts.append(Table(f"Largest differences from {span}", head, tuple(rows), labels=2))
+    return tuple(parts)
+
+
+def _foundation_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
+    middle = len(report.points) // 2
+    point = report.points[middle]
+    faint = LineStyle(colour("truth"), width=1.0, alpha=0.7, zorder=2)
+    estimates = []
+    for method, estimate in reversed(list(point.markov.items())):
+        line = line_of(middle) if method == next(iter(point.markov)) else faint
+        line = LineStyle(line.colour, width=line.width, alpha=line.alpha, zorder=line.zorder)
+        shown = round(_MARKOV_SHOWN_S / estimate.Ts_s)
+        name = ESTIMATOR.get(method, method)
+        estimates.append(Markov(name, line, estimate.g[:shown], estimate.Ts_s))
+    spectra = [p.sensitivity for p in report.points]
+    coherences = [
+        Curve(label, line_of(k), S.freq_hz, S.coherence.astype(np.complex128))
+        for k, (S, label) in enumerate(zip(spectra, report.labels, strict=True))
+    ]
+    return (
+        Picture(
+            "markov-parameters",
+            to_svg(markov_parameters(estimates, report.signals)),
+            "Impulse response of the loop by both estimators, every input to every output.",
+            f"Markov parameters of the loop from v to y, beam {report.labels[middle]}: its impulse "
+            "response. Least squares accounts for the whole response at once; plain correlation "
+            "leaves the rest of it as noise on every tap.",
+        ),
+        Picture(
+            "coherence",
+            to_svg(coherence(coherences, report.signals, shown=report.shown)),
+            "Coherence of the feedback with the excitation, every input to every output.",
+            "Share of the controller's feedback that the excitation explains. Near 1 the "
+            "sensitivity is well known; off the diagonal it falls where the coupling sinks below "
+            "the noise.",
+        ),
+        _fits_table(report),
+        _controller_table(report),
+    )
+
+
+def _modes_table(report: ClosedLoopReport) -> Table:
+    rows = []
+    for point, label in zip(report.points, _marked(report), strict=True):
+        poles = np.linalg.eigvals(point.plant.core.A)
+        with np.errstate(divide="ignore"):
+            s = np.log(poles.astype(complex)) / point.plant.core.Ts_s
+        modes = sorted((abs(x), -x.real / abs(x)) for x in s if x.imag >= 0 and abs(x) > 0)
+        cells = ", ".join(f"{w / (2 * np.pi):.2f} Hz (ζ {zeta:.3f})" for w, zeta in modes)
+        rows.append((label, cells))
+    return Table("Modes of the identified plant", ("beam", "frequency (damping)"), tuple(rows), 2)
+
+
+def _fits_table(report: ClosedLoopReport) -> Table:
+    rows = [
+        (held.record, label, *(_percent(fit) for fit in held.simulated_fit_percent))
+        for point, label in zip(report.points, _marked(report), strict=True)
+        for held in point.holdout
+    ]
+    outputs = (f"{name} %" for name in report.signals.output_symbols)
+    caption = (
+        "Fit of the loop simulated from v alone, on rows that no estimate has seen; of an output "
+        "that a record hardly moves, noise is a larger part"
+    )
+    return Table(caption, ("record", "beam", *outputs), tuple(rows), labels=2)
+
+
+def _controller_table(report: ClosedLoopReport) -> Table:
+    controller = report.points[0].controller
+    plant = report.points[0].plant
+    known = f"{plant.delay_steps} cycles"
+    if plant.lag_pole:
+        known += f", lag {-1e3 * plant.core.Ts_s / np.log(plant.lag_pole):.3g} ms"
+    rows = [
+        (name, f"{kp:g}", f"{ki:g}")
+        for name, kp, ki in zip(
+            report.signals.output_symbols, controller.kp, controller.ki, strict=True
+        )
+    ]
+    caption = f"Controller used; known of the plant: delay of {known}, the hold's own included"
+    return Table(caption, ("axis", "Kp", "Ki"), tuple(rows))
+
+
+def _marked(report: ClosedLoopReport) -> tuple[str, ...]:
+    """Return the positions' labels, those of models that are not to be trusted marked."""
+    doubted = {label for label, _ in report.doubted}
+    return tuple(f"{x}, not to be trusted" if x in doubted else x for x in report.labels)
+
+
+def _doubted(report: ClosedLoopReport) -> str:
+    """Return which curves are not to be trusted, and why, as the end of a caption."""
+    told = "; ".join(f"{label}, since {why}" for label, why in report.doubted)
+    hatched = "" if report.trusted else ", in hatched panels"
+    return f" Not to be trusted, grey and dotted{hatched}: {told}." if told else ""
+
+
+def _digits(value: float) -> str:
+    return f"{value:#.3g}".removesuffix(".")
+
+
+def _upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _percent(value: float) -> str:
+    return f"{value:.1f}" if np.isfinite(value) else "—"

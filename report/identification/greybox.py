@@ -1,0 +1,304 @@
+"""What the report says of a declared model fitted to records: what was told, and how it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...identification.greybox.identify_greybox import GreyBox
+from ...identification.greybox.validation import Validation
+from ...identification.results import ClosedLoopPoint
+from ..figures.fitted_response import Place, fitted_curves, places_of
+from ..figures.residuals import chance
+from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, largest, told
+from ..plotting.curves import Curve, Range, SignalLabels, ratio, rig_or
+from ..plotting.page import Number, Text, Verdict
+from ..plotting.style import TRUTH, line_of
+from .closed_loop import HO_KALMAN, TRUTH_NAME, Truth
+
+FITTED = "fitted model"
+
+NOISE_MOST = 2.0
+"""Error over noise above which a model lacks something; noise alone on short rows reaches 1.5."""
+NOT_WHITE = 0.01
+"""Chance, over all tests together, below which errors do not count as white."""
+_STANDS_OUT = 10.0
+"""An output that moves by less than this times the noise tells of the noise, not of the model."""
+
+
+@dataclass(frozen=True)
+class GreyBoxReport:
+    """The fit, and its response at places of the schedule beside what it is held against.
+
+    ratios: by what is compared ('fitted model / truth'), one curve of ratios (F, n, p) a place.
+    """
+
+    grey: GreyBox
+    signals: SignalLabels
+    places: tuple[Place, ...]
+    shown: Range
+    fitted: tuple[Curve, ...]
+    ho_kalman: tuple[Curve, ...]
+    truth: tuple[Curve, ...]
+    ratios: dict[str, tuple[Curve, ...]]
+
+    def bounds(self, name: str) -> Bounds:
+        """Return what a comparison must keep."""
+        return ACCURACY if name.endswith("truth") else AGREEMENT
+
+    @property
+    def moving(self) -> tuple[Validation, ...]:
+        """The validations of records whose schedule moved."""
+        pairs = zip(self.grey.validations, self.grey.fit.predictions, strict=True)
+        return tuple(v for v, prediction in pairs if prediction.experiment.moving)
+
+    @property
+    def worst(self) -> Cell | None:
+        """Where the error is the most times as large as the noise."""
+        return max(self.cells(), key=lambda cell: cell.over_noise, default=None)
+
+    def cells(self) -> Iterator[Cell]:
+        """Yield what is known of every output of every record whose error can be told."""
+        for v in self.grey.validations:
+            for i, output in enumerate(self.signals.output_symbols):
+                if np.isfinite(v.error_rms[i]) and v.floor_rms[i] > 0:
+                    yield Cell(v, output, i)
+
+    def fits(self) -> list[Cell]:
+        """Return the cells whose output stands out of the noise."""
+        return [
+            cell
+            for cell in self.cells()
+            if cell.stands_out and np.isfinite(cell.validation.fit_percent[cell.index])
+        ]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One output of one record."""
+
+    validation: Validation
+    output: str
+    index: int
+
+    @property
+    def over_noise(self) -> float:
+        """The simulation's error over what noise alone would leave."""
+        return float(self.validation.error_rms[self.index] / self.validation.floor_rms[self.index])
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of what `over_noise` of a perfect model would be."""
+        return float(self.validation.floor_spread[self.index])
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether the output moved by ten times the noise or more."""
+        v = self.validation
+        return bool(v.measured[:, self.index].std() > _STANDS_OUT * v.floor_rms[self.index])
+
+    @property
+    def fit_percent(self) -> float:
+        """Fit of the simulation."""
+        return float(self.validation.fit_percent[self.index])
+
+
+def grey_box_report(
+    grey: GreyBox,
+    points: Sequence[ClosedLoopPoint],
+    signals: SignalLabels,
+    truth: Truth | None = None,
+) -> GreyBoxReport:
+    """Compute the curves that the report on a fit shows, at the beam positions of `points`.
+
+    It is held against those of their models by Ho-Kalman that are to be trusted.
+    """
+    places = places_of(grey, points)
+    lowest = max((float(v.freq_hz[1]) for v in grey.validations if len(v.freq_hz) > 1), default=0.1)
+    shown = rig_or(lowest, 0.4 / grey.Ts_s, signals)
+    fitted = fitted_curves(grey, places, shown)
+    by_beam = {p.beam_m: p for p in points if p.trusted}
+    beside = [by_beam.get(place.beam_m) for place in places]
+    pale = tuple(
+        Curve("", line_of(k), p.freq_hz, p.from_ho_kalman)
+        for k, p in enumerate(beside)
+        if p is not None
+    )
+    ratios: dict[str, tuple[Curve, ...]] = {}
+    truths: tuple[Curve, ...] = ()
+    if truth is not None:
+        truths = tuple(
+            Curve(TRUTH_NAME, TRUTH, c.freq_hz, truth(place.beam_m, c.freq_hz))
+            for c, place in zip(fitted, places, strict=True)
+        )
+        ratios[f"{FITTED} / truth"] = _ratios(fitted, truths)
+    if pale:
+        # At Ho-Kalman's own frequencies: between them its sharp resonances cannot be interpolated.
+        there = tuple(
+            replace(
+                c,
+                freq_hz=r.freq_hz,
+                response=grey.response(place.schedule, r.freq_hz),
+                deviation=None,
+            )
+            for c, r, place in zip(
+                (c for c, p in zip(fitted, beside, strict=True) if p is not None),
+                pale,
+                (place for place, p in zip(places, beside, strict=True) if p is not None),
+                strict=True,
+            )
+        )
+        ratios[f"{FITTED} / {HO_KALMAN}"] = _ratios(there, pale)
+    return GreyBoxReport(grey, signals, places, shown, fitted, pale, truths, ratios)
+
+
+def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
+    """Return what was found, in sentences for the summary."""
+    fit, declared = report.grey.fit, report.grey.declared
+    rows = sum(len(p.errors) for p in fit.predictions)
+    fixed = sum(p.is_fixed for p in declared.parameters.values())
+    fitted = (
+        f"{_count(len(fit.free), 'parameter')} of the declared model '{declared.name}' "
+        f"{_were(len(fit.free))} fitted to {_count(len(fit.predictions), 'record')} together, "
+        f"{rows * report.grey.Ts_s:.0f} s in all"
+    )
+    if fixed:
+        fitted += f"; {fixed} more {_were(fixed)} fixed by the model file"
+    texts = [f"{fitted}. {_told(report)}"]
+    texts += [f"Model and records contradict each other: {r}." for r in report.grey.remarks]
+    if fit.at_bound:
+        texts.append(
+            f"{', '.join(fit.at_bound)} ended at a bound of the model file: the standard error "
+            "there means little, and the bound is worth a look."
+        )
+    if report.grey.validations:
+        texts.append(f"{_explained(report)} {_whiteness(report)}".strip())
+    for name in report.ratios:
+        error = told(largest(report.ratios[name], report.shown))
+        against = "the simulator's truth" if name.endswith("truth") else "Ho-Kalman's algorithm"
+        texts.append(
+            f"From {report.shown.low_hz:.3g} to {report.shown.top_hz:.3g} Hz on the diagonal of P "
+            f"the fitted model and {against} differ by at most {error}."
+        )
+    return tuple(Text(text) for text in texts)
+
+
+def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
+    """Return the numbers of the summary."""
+    fit = report.grey.fit
+    free, held = len(fit.free), len(fit.unidentifiable)
+    numbers = [
+        Number(
+            f"{free} of {free + held}",
+            f"parameters of '{report.grey.declared.name}' told by the records",
+            "bad" if fit.at_bound else "none" if held else "good",
+        )
+    ]
+    fits = [cell.fit_percent for cell in report.fits()]
+    if fits:
+        numbers.append(Number(f"{min(fits):.2f} %", "least fit of the fitted model, simulated"))
+    if report.worst is not None:
+        times = report.worst.over_noise
+        numbers.append(
+            Number(
+                f"{times:.2f}",
+                f"largest simulation error over what noise leaves; a perfect model's 1 ± "
+                f"{report.worst.spread:.2f}",
+                _good(times <= NOISE_MOST),
+            )
+        )
+    least, tests = least_chance(report)
+    if tests:
+        white = not least * tests < NOT_WHITE
+        numbers.append(
+            Number(
+                "white" if white else "not white",
+                f"one-step-ahead errors, least p {chance(least)} of {tests} tests",
+                _good(white),
+            )
+        )
+    for name in report.ratios:
+        decibel, degree = largest(report.ratios[name], report.shown)
+        bounds = report.bounds(name)
+        against = "the truth" if name.endswith("truth") else HO_KALMAN
+        numbers.append(
+            Number(
+                told((decibel, degree), ", "),
+                f"fitted model against {against} at worst, up to {report.shown.top_hz:.3g} Hz",
+                _good(decibel <= bounds.decibel and degree <= bounds.degree),
+            )
+        )
+    return tuple(numbers)
+
+
+def least_chance(report: GreyBoxReport) -> tuple[float, int]:
+    """Return the least p-value of all whiteness tests, and how many there were."""
+    p = np.array([x for v in report.grey.validations for x in v.whiteness.p_value])
+    p = p[np.isfinite(p)]
+    return (float(p.min()), len(p)) if len(p) else (float("nan"), 0)
+
+
+def _told(report: GreyBoxReport) -> str:
+    held = report.grey.fit.unidentifiable
+    if not held:
+        return "The records tell all of them apart."
+    return " ".join(f"{u}." for u in held)
+
+
+def _explained(report: GreyBoxReport) -> str:
+    fits, worst = report.fits(), report.worst
+    text = "On rows that the fit has not seen, simulated from excitation and schedule alone"
+    if fits:
+        least = min(fits, key=lambda cell: cell.fit_percent)
+        text += (
+            f", every output that stands out of the noise fits by {least.fit_percent:.2f} % or "
+            f"more (least: {least.output} of {least.validation.record})"
+        )
+    if worst is None:
+        return f"{text}." if fits else ""
+    return (
+        f"{text}, {'and ' if fits else ''}no error exceeds {worst.over_noise:.2f} times what the "
+        f"noise alone would leave of a perfect model ({worst.output} of "
+        f"{worst.validation.record})."
+    )
+
+
+def _whiteness(report: GreyBoxReport) -> str:
+    least, tests = least_chance(report)
+    if not tests:
+        return ""
+    if least * tests >= NOT_WHITE:
+        return "One step ahead nothing is left but white noise."
+    names = report.signals.output_symbols
+    failed = [
+        f"{names[i]} of {v.record}"
+        for v in report.grey.validations
+        for i, p in enumerate(v.whiteness.p_value)
+        if p * tests < NOT_WHITE
+    ]
+    shown = ", ".join(failed[:4]) + (f" and {len(failed) - 4} more" if len(failed) > 4 else "")
+    return (
+        f"One-step-ahead errors are not white ({shown}): these records hold something that the "
+        "model does not, and standard errors are too small for it."
+    )
+
+
+def _ratios(estimates: Sequence[Curve], references: Sequence[Curve]) -> tuple[Curve, ...]:
+    return tuple(
+        Curve(e.label, e.line, e.freq_hz, ratio(e, r))
+        for e, r in zip(estimates, references, strict=True)
+    )
+
+
+def _good(yes: bool) -> Verdict:
+    return "good" if yes else "bad"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")
+
+
+def _were(number: int) -> str:
+    return "was" if number == 1 else "were"

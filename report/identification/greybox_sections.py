@@ -1,0 +1,301 @@
+"""The sections on a fitted model: parameters, response, simulated records, what is left of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ...config.model import ModelConfig, ModelParameter
+from ...identification.greybox.fit import Fit
+from ...identification.greybox.identifiability import Unidentifiable
+from ...identification.greybox.validation import Validation
+from ..figures.bode import bode_magnitude
+from ..figures.residuals import Residuals, chance, residual_correlation, residual_spectra
+from ..figures.response_deviation import bounds_told, deviation, largest, told
+from ..figures.simulated_outputs import Simulated, SimulatedOutput, simulated_outputs
+from ..plotting.curves import Curve
+from ..plotting.page import Part, Section, Table, Text
+from ..plotting.style import LineStyle, signed
+from ..plotting.svg import Picture, to_svg
+from .closed_loop import HO_KALMAN
+from .greybox import GreyBoxReport
+
+Array = NDArray[np.float64]
+
+_MOST_PICTURED = 3
+
+
+def grey_box_sections(report: GreyBoxReport) -> tuple[Section, ...]:
+    """Return the sections on parameters, response, simulation and residuals."""
+    sections = [
+        Section("Parameters of the declared model", _parameter_parts(report)),
+        Section("Response of the fitted model", _response_parts(report)),
+    ]
+    if report.grey.validations:
+        sections += [
+            Section("Simulated against measured", _simulated_parts(report)),
+            Section("What the fitted model leaves", _residual_parts(report)),
+        ]
+    return tuple(sections)
+
+
+def _parameter_parts(report: GreyBoxReport) -> tuple[Part, ...]:
+    fit, declared = report.grey.fit, report.grey.declared
+    held = {u.name: u for u in fit.unidentifiable}
+    rows = tuple(
+        (
+            name,
+            parameter.about or "—",
+            parameter.unit,
+            *_values(name, parameter, fit),
+        )
+        for name, parameter in declared.parameters.items()
+    )
+    head = ("parameter", "what it is", "unit", "declared", "fitted", "std. error")
+    parts: list[Part] = [
+        Table(
+            "Declared and fitted, SI units; changes in percent and in standard errors",
+            (*head, "change %", "in s.e."),
+            rows,
+            labels=3,
+        )
+    ]
+    parts += [Text(f"{u}; {_if_fitted(u, declared)}.") for u in held.values()]
+    return tuple(parts)
+
+
+def _values(name: str, parameter: ModelParameter, fit: Fit) -> tuple[str, ...]:
+    """Return declared, fitted, standard error, change in percent and in standard errors."""
+    before = _number(parameter.value)
+    error = fit.standard_errors.get(name)
+    if error is None:
+        return before, "fixed" if parameter.is_fixed else "held", "—", "—", "—"
+    after = fit.values[name]
+    change = after - parameter.value
+    return (
+        before,
+        _to_error(after, error) + (" (at bound)" if name in fit.at_bound else ""),
+        _number(error, 2),
+        _percent(100 * change / abs(parameter.value)) if parameter.value else "—",
+        signed(change / error, 1) if error > 0 else "—",
+    )
+
+
+def _to_error(value: float, error: float) -> str:
+    """Return a value with the digits that its standard error leaves, two of them uncertain."""
+    if not (error > 0 and np.isfinite(error) and value):
+        return _number(value)
+    digits = int(np.floor(np.log10(abs(value))) - np.floor(np.log10(error))) + 2
+    return _number(value, int(np.clip(digits, 1, 12)))
+
+
+def _number(value: float, digits: int = 6) -> str:
+    text = f"{value:#.{digits}g}" if digits != 6 else f"{value:g}"
+    text = text.removesuffix(".").replace(".e", "e")
+    return re.sub(r"e(-?)\+?0*(\d)", r"e\1\2", text).replace("-", "−")
+
+
+def _percent(change: float) -> str:
+    return ("+" if change > 0 else "") + _number(change, 2)
+
+
+def _if_fitted(held: Unidentifiable, declared: ModelConfig) -> str:
+    if np.isfinite(held.standard_error):
+        unit = declared.parameters[held.name].unit
+        return f"fitted, its standard error would be {_number(held.standard_error, 2)} {unit}"
+    if held.together_with:
+        return "what it does, these can do as well"
+    return "nothing in these records depends on it"
+
+
+def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
+    pale = [
+        replace(c, line=LineStyle(c.line.colour, width=3.2, alpha=0.3, zorder=2.5))
+        for c in report.ho_kalman
+    ]
+    if pale:
+        pale[0] = replace(pale[0], label=f"{HO_KALMAN}, beneath")
+    beneath = " over Ho-Kalman's estimates, wide and pale" if pale else ""
+    if report.truth:
+        beneath += f"{', and' if beneath else ' over'} the simulator's truth, wide and grey"
+    parts: list[Part] = [
+        Picture(
+            "fitted-response",
+            to_svg(_bode(report, [*report.fitted, *pale])),
+            "Bode magnitude of the fitted model, every input to every output.",
+            f"Magnitude of P of the fitted model{beneath}. {_of_schedule(report)}{_bands(report)}",
+            "Fig. 13",
+        )
+    ]
+    for number, (name, curves) in enumerate(report.ratios.items(), start=1):
+        bounds = report.bounds(name)
+        against = "the simulator's truth" if name.endswith("truth") else "Ho-Kalman's estimate"
+        error = told(largest(curves, report.shown))
+        parts.append(
+            Picture(
+                f"fitted-agreement-{number}",
+                to_svg(deviation(curves, report.signals, bounds=bounds, shown=report.shown)),
+                f"Difference of the fitted model from {against} in dB and degrees.",
+                f"The fitted model against {against}: up to {report.shown.top_hz:.3g} Hz "
+                f"{error} at most; {bounds_told(curves, bounds, report.shown)}.",
+            )
+        )
+    return tuple(parts)
+
+
+def _of_schedule(report: GreyBoxReport) -> str:
+    return "One set of parameters holds everywhere. " if len(report.places) > 1 else ""
+
+
+def _bands(report: GreyBoxReport) -> str:
+    if any(c.deviation is not None for c in report.fitted):
+        return "Bands hold 95 % of what the parameters' errors make."
+    return "What the parameters' errors make of it is thinner than the lines."
+
+
+def _bode(report: GreyBoxReport, curves: Sequence[Curve]) -> Figure:
+    return bode_magnitude(curves, report.signals, truth=report.truth, shown=report.shown)
+
+
+def _simulated_parts(report: GreyBoxReport) -> tuple[Part, ...]:
+    parts: list[Part] = []
+    for number, v in enumerate(report.moving[:_MOST_PICTURED], start=1):
+        names = ", ".join(trace.name for trace in _traces(report, v))
+        parts.append(
+            Picture(
+                f"simulated-{number}",
+                to_svg(simulated_outputs(_simulated(report, v))),
+                f"Measured and simulated outputs of record {v.record}, with the differences.",
+                f"The end of record {v.record}, simulated from {names or 'its schedule'} and the "
+                "excitation. The seconds before what is shown gave the state and the constant "
+                "force to start from; nothing else was measured of the outputs. Beneath each "
+                "output what is left of it, on a scale of its own, over the band of the noise.",
+                "Fig. 14",
+            )
+        )
+    if len(report.moving) > _MOST_PICTURED:
+        parts.append(Text("The other records with a moving schedule are in the table.", "note"))
+    if not report.moving:
+        parts.append(Text("No record has a moving schedule; all are in the table.", "note"))
+    parts.append(_fits_table(report))
+    return tuple(parts)
+
+
+def _simulated(report: GreyBoxReport, v: Validation) -> Simulated:
+    s = report.signals
+    return Simulated(
+        s.output_names,
+        s.output_units,
+        v.time_s,
+        v.measured,
+        v.simulated,
+        v.fit_percent,
+        v.floor_rms,
+        _traces(report, v),
+    )
+
+
+def _traces(report: GreyBoxReport, v: Validation) -> tuple[SimulatedOutput, ...]:
+    """Return the scheduling variables that a log has itself; derivatives follow from them."""
+    return tuple(
+        SimulatedOutput(name, variable.unit, v.schedule[name])
+        for name, variable in report.grey.declared.scheduling.items()
+        if not variable.derivative and name in v.schedule
+    )
+
+
+def _fits_table(report: GreyBoxReport) -> Table:
+    names = report.signals.output_symbols
+    rows = tuple(
+        (
+            v.record,
+            *(
+                cell
+                for i in range(len(names))
+                for cell in (_digits(v.fit_percent[i]), _over(v.error_rms[i], v.floor_rms[i]))
+            ),
+        )
+        for v in report.grey.validations
+    )
+    head = ("record", *(h for name in names for h in (f"{name} fit %", "error / noise")))
+    spreads = np.concatenate([v.floor_spread for v in report.grey.validations])
+    caption = (
+        "Fit of the simulation, and its error over what noise alone would leave (a perfect model's "
+        f"scatters around 1 with a deviation of {_between(spreads)}); of an output that a record "
+        "hardly moves there is little to fit"
+    )
+    return Table(caption, head, rows)
+
+
+def _residual_parts(report: GreyBoxReport) -> tuple[Part, ...]:
+    pictured = _pictured(report)
+    residuals = [
+        Residuals(
+            v.record,
+            v.freq_hz,
+            v.error_psd,
+            v.floor_psd,
+            v.whiteness.correlation,
+            v.whiteness.bound,
+            v.whiteness.p_value,
+        )
+        for v in pictured
+    ]
+    s = report.signals
+    which = "the record with the largest error over noise"
+    if report.moving:
+        which += (
+            " and "
+            + ("the record" if len(pictured) <= 2 else "records")
+            + " with a moving schedule"
+        )
+    rows = tuple(
+        (v.record, *(chance(p) for p in v.whiteness.p_value)) for v in report.grey.validations
+    )
+    return (
+        Picture(
+            "residual-spectrum",
+            to_svg(residual_spectra(residuals, s.output_names, s.output_units)),
+            "Spectra of the simulation's error and of the noise, every output.",
+            f"Error of the simulation and what noise alone would leave, of {which}. Where the "
+            "error rises over the noise the model misses something at that frequency.",
+        ),
+        Picture(
+            "residual-correlation",
+            to_svg(residual_correlation(residuals, s.output_names)),
+            "Autocorrelation of one-step-ahead errors with the bound of white noise.",
+            "One-step-ahead errors of the same records: white where the model with its noise "
+            "explains them. p is the chance that white errors would look less white, by Ljung and "
+            "Box's test.",
+        ),
+        Table("Whiteness of one-step-ahead errors, p", ("record", *s.output_symbols), rows),
+    )
+
+
+def _pictured(report: GreyBoxReport) -> list[Validation]:
+    """Return the worst record first, then those whose schedule moves, each once."""
+    worst = report.worst
+    first = report.grey.validations[0] if worst is None else worst.validation
+    others = [v for v in report.moving if v is not first]
+    return [first, *others][:_MOST_PICTURED]
+
+
+def _between(values: Array) -> str:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return "—"
+    low, high = f"{known.min():.2f}", f"{known.max():.2f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _digits(value: float) -> str:
+    return signed(value, 2).removeprefix("+") if np.isfinite(value) else "—"
+
+
+def _over(error: float, floor: float) -> str:
+    return f"{error / floor:.2f}" if floor > 0 and np.isfinite(error) else "—"

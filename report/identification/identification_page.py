@@ -1,0 +1,420 @@
+"""The report on an identification: summary, figures of the paper, agreement, what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...identification.greybox.identify_greybox import GreyBox
+from ...identification.nonparametric.robust_multisine import BestLinearApproximation
+from ...identification.records.record import describe_position
+from ...identification.results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
+from ..figures.response_deviation import worst_on_diagonal
+from ..plotting.curves import SignalLabels
+from ..plotting.page import Figures, Number, Part, Section, Steps, Table, Text, write_report
+from ..plotting.style import signed
+from ..plotting.svg import Picture
+from ..session.flight_data import Session
+from ..session.session_page import listed, session_sections, session_words
+from .closed_loop import (
+    ClosedLoopReport,
+    Truth,
+    closed_loop_numbers,
+    closed_loop_report,
+    closed_loop_words,
+    rests_on_model,
+)
+from .closed_loop_sections import closed_loop_sections
+from .greybox import (
+    NOISE_MOST,
+    NOT_WHITE,
+    GreyBoxReport,
+    grey_box_numbers,
+    grey_box_report,
+    grey_box_words,
+    least_chance,
+)
+from .greybox_sections import grey_box_sections
+from .multisine import multisine_numbers, multisine_report, multisine_sections, multisine_words
+from .open_loop import open_loop_numbers, open_loop_sections, open_loop_words
+from .subspace import subspace_numbers, subspace_report, subspace_sections, subspace_words
+
+_POOR_FIT_PERCENT = 50.0
+_FAST_S = 2e-4
+_READ_REMARKS = (
+    "Read the remarks on the records: what they name is noise to a linear model.",
+    "",
+)
+_NO_TRUTH = (
+    "No truth was given, as there is none on a real rig: the agreement of the methods and the data "
+    "kept back are what the model can be judged by."
+)
+
+
+def identification_report(
+    result: IdentificationResult | None,
+    session: Session | None,
+    out_dir: Path,
+    truth: Truth | None = None,
+    grey: GreyBox | None = None,
+    multisine: Sequence[BestLinearApproximation] = (),
+    notes: Sequence[str] = (),
+) -> Path:
+    """Write the page on an identification into `out_dir` and return its path.
+
+    What was not identified is left out: `result` is None without records for it, `grey` without a
+    declared model, `multisine` empty without periodic records. `session` is what
+    flown.read_session makes of the logs, None to leave the flight out. `truth` gives the true P
+    (F, m, p) of a beam position at frequencies in Hz; who calls knows the simulator, this page does
+    not. `notes` say what was left out and why, 'log: reason'.
+
+    Raises:
+        ValueError: nothing was identified.
+        OSError: the page cannot be written.
+    """
+    points = () if result is None else result.points
+    if not points and grey is None and not multisine:
+        raise ValueError(
+            "expected at least one operating point, fitted model or multisine to report on, found "
+            "none"
+        )
+    signals = _signals(result, grey, multisine)
+    closed = [p for p in points if isinstance(p, ClosedLoopPoint)]
+    others = [p for p in points if isinstance(p, OpenLoopPoint)]
+    chapters: list[_Chapter] = []
+    if closed:
+        chapters.append(_closed_loop_chapter(closed, signals, truth, grey))
+    if any(p.subspace for p in closed):
+        chapters.append(_subspace_chapter(closed, signals, truth))
+    for number, point in enumerate(others, start=1):
+        chapters.append(_open_loop_chapter(point, signals, truth, number))
+    if multisine:
+        chapters.append(_multisine_chapter(multisine, signals, truth))
+    if grey is not None:
+        chapters.append(_grey_box_chapter(grey, closed, signals, truth, session))
+    summary: list[Part] = [] if session is None else [Text(session_words(session), "lead")]
+    for chapter in chapters:
+        summary += [*chapter.words, Figures(chapter.numbers)]
+    if truth is None and (grey is not None or multisine or closed):
+        summary.append(Text(_NO_TRUTH, "note"))
+    sections = _numbered_once([section for chapter in chapters for section in chapter.sections])
+    details = _record_parts(result, grey, multisine, notes)
+    if session is not None:
+        taken = _paper_figures(sections)
+        sections[:0] = _numbered_once(session_sections(session), taken)
+        details += _versions_parts(session)
+    sections.append(Section("Records", details))
+    steps = dict.fromkeys(step for chapter in chapters for step in chapter.steps)
+    sections.append(Section("What next", (Steps(tuple(steps)),)))
+    title = f"Identification of {_name(result, session, grey, multisine)}"
+    return write_report(out_dir, title, [Section("Summary", tuple(summary)), *sections])
+
+
+def _paper_figures(sections: Sequence[Section]) -> set[str]:
+    return {p.paper for s in sections for p in s.parts if isinstance(p, Picture) and p.paper}
+
+
+def _numbered_once(sections: Sequence[Section], taken: Collection[str] = ()) -> list[Section]:
+    """Return the sections with each figure of the paper claimed by the first picture of it alone.
+
+    None of those that are `taken` already is claimed again.
+    """
+    claimed = set(taken)
+
+    def once(part: Part) -> Part:
+        if not isinstance(part, Picture) or not part.paper:
+            return part
+        if part.paper in claimed:
+            return replace(part, paper="")
+        claimed.add(part.paper)
+        return part
+
+    return [replace(s, parts=tuple(once(part) for part in s.parts)) for s in sections]
+
+
+@dataclass(frozen=True)
+class _Chapter:
+    """What one way of identification adds to the page."""
+
+    words: tuple[Text, ...]
+    numbers: tuple[Number, ...]
+    sections: tuple[Section, ...]
+    steps: Sequence[tuple[str, str]]
+
+
+def _closed_loop_chapter(
+    points: Sequence[ClosedLoopPoint],
+    signals: SignalLabels,
+    truth: Truth | None,
+    grey: GreyBox | None,
+) -> _Chapter:
+    report = closed_loop_report(points, signals, truth)
+    beam_moved = grey is not None and any(p.experiment.moving for p in grey.fit.predictions)
+    return _Chapter(
+        closed_loop_words(report),
+        closed_loop_numbers(report),
+        closed_loop_sections(report),
+        _after_closed_loop(report, beam_moved),
+    )
+
+
+def _subspace_chapter(
+    points: Sequence[ClosedLoopPoint], signals: SignalLabels, truth: Truth | None
+) -> _Chapter:
+    report = subspace_report(points, signals, truth)
+    return _Chapter(subspace_words(report), subspace_numbers(report), subspace_sections(report), ())
+
+
+def _open_loop_chapter(
+    point: OpenLoopPoint, signals: SignalLabels, truth: Truth | None, number: int
+) -> _Chapter:
+    return _Chapter(
+        open_loop_words(point, signals),
+        open_loop_numbers(point),
+        open_loop_sections(point, signals, truth, number),
+        _after_open_loop(point),
+    )
+
+
+def _multisine_chapter(
+    blas: Sequence[BestLinearApproximation], signals: SignalLabels, truth: Truth | None
+) -> _Chapter:
+    report = multisine_report(blas, signals, truth)
+    steps = []
+    if report.distorted():
+        steps.append(
+            (
+                "The plant distorts at this amplitude: fly the multisines at half of it. What "
+                "falls by more than half is distortion, and the model is that of the amplitude.",
+                "",
+            )
+        )
+    if any(bla.remarks for bla in blas):
+        steps.append(_READ_REMARKS)
+    return _Chapter(
+        multisine_words(report), multisine_numbers(report), multisine_sections(report), steps
+    )
+
+
+def _grey_box_chapter(
+    grey: GreyBox,
+    points: Sequence[ClosedLoopPoint],
+    signals: SignalLabels,
+    truth: Truth | None,
+    session: Session | None,
+) -> _Chapter:
+    report = grey_box_report(grey, points, signals, truth)
+    return _Chapter(
+        grey_box_words(report),
+        grey_box_numbers(report),
+        grey_box_sections(report),
+        _after_grey_box(report, truth, session),
+    )
+
+
+def _signals(
+    result: IdentificationResult | None,
+    grey: GreyBox | None,
+    multisine: Sequence[BestLinearApproximation],
+) -> SignalLabels:
+    """Return names and units; wrenches that are called like the axes they act on get a tau."""
+    if grey is not None:
+        inputs, dof = grey.declared.inputs, grey.declared.dof
+        return SignalLabels(
+            tuple(q.name for q in inputs),
+            tuple(q.unit for q in inputs),
+            tuple(q.name for q in dof),
+            tuple(q.unit for q in dof),
+        )
+    s = multisine[0].signals if result is None else result.signals
+    names = s.input_names
+    if names == s.output_names:
+        names = tuple(f"tau_{name}" for name in names)
+    return SignalLabels(names, s.input_units, s.output_names, s.output_units)
+
+
+def _name(
+    result: IdentificationResult | None,
+    session: Session | None,
+    grey: GreyBox | None,
+    multisine: Sequence[BestLinearApproximation],
+) -> str:
+    if session is not None:
+        return session.name
+    if result is not None and result.points:
+        return ", ".join(result.points[0].records)
+    return grey.declared.name if grey is not None else ", ".join(multisine[0].records)
+
+
+def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple[str, str]]:
+    """Return what to do next, most urgent first."""
+    steps = []
+    orders = {point.order.order for point in report.points}
+    if len(orders) > 1:
+        steps.append(
+            (
+                f"The beam positions show {listed([str(n) for n in sorted(orders)])} main states: "
+                "look at the singular values, and choose one order for all if the noise decides.",
+                "",
+            )
+        )
+    if report.doubted:
+        where = listed([label for label, _ in report.doubted])
+        steps.append(
+            (
+                f"Do not use the model by Ho-Kalman, beam {where}: longer records, or stronger "
+                "ones, would make a better one. The response by (15) needs no model and stands.",
+                "",
+            )
+        )
+    for name in report.ratios:
+        if rests_on_model(name) and not report.trusted:
+            continue
+        decibel, degree = report.largest(name)
+        if decibel <= report.bounds.decibel and degree <= report.bounds.degree:
+            continue
+        worst, path, label = max(
+            (
+                (w, report.signals.path(i, i), label)
+                for label, curve in report.judged(name)
+                for i, w in enumerate(worst_on_diagonal(curve, report.shown))
+            ),
+            key=lambda entry: np.nan_to_num(entry[0].decibel, nan=np.inf),
+        )
+        steps.append(
+            (
+                f"{name.replace(' / ', ' against ')} exceeds the bounds, most at "
+                f"{worst.decibel_at_hz:.1f} Hz on {path}, beam {label}: record longer, or excite "
+                "more strongly there.",
+                "",
+            )
+        )
+    if any(point.remarks for point in report.points):
+        steps.append(_READ_REMARKS)
+    flight = " --virtual" if report.truth else ""
+    if report.points[0].loop.Ts_s > _FAST_S:
+        steps.append(
+            (
+                "Fly the same at 10 kHz, as the paper did, with about the same result.",
+                f"levid excite config/sessions/white-noise-10khz.yaml{flight} --out out/10khz",
+            )
+        )
+    if not beam_moved:
+        steps.append(_move_the_beam(flight))
+    return steps
+
+
+def _after_grey_box(
+    report: GreyBoxReport, truth: Truth | None, session: Session | None
+) -> list[tuple[str, str]]:
+    fit, steps = report.grey.fit, []
+    if fit.unidentifiable:
+        names = listed([u.name for u in fit.unidentifiable])
+        steps.append(
+            (
+                f"{names} stayed as declared: measure what would tell, or fix it in the model file "
+                "where it is known.",
+                "",
+            )
+        )
+        if report.grey.declared.scheduling and not report.moving and session is not None:
+            steps.append(_move_the_beam(" --virtual" if truth else ""))
+    if fit.at_bound:
+        steps.append(
+            (f"Widen the bounds of {listed(list(fit.at_bound))} in the model file, or ask why.", "")
+        )
+    least, tests = least_chance(report)
+    worst = report.worst
+    if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
+        steps.append(
+            (
+                "Look at what the fitted model leaves: the frequency at which the error rises over "
+                "the noise tells what the declared model lacks.",
+                "",
+            )
+        )
+    if not steps:
+        steps.append(("Use the fitted model: it is a model file again.", ""))
+    return steps
+
+
+def _move_the_beam(flight: str) -> tuple[str, str]:
+    return (
+        "Let the beam move and see what that does to the platform: the paper's Fig. 14.",
+        f"levid excite config/sessions/beam.yaml{flight} --out out/beam",
+    )
+
+
+def _after_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
+    # An output that is constant there has no fit; one that is no number is no poor one.
+    poor = [h for h in point.holdout if np.any(h.simulated_fit_percent < _POOR_FIT_PERCENT)]
+    if poor:
+        return [
+            (
+                "The simulated fit leaves much unexplained: a longer record, or inputs that move "
+                "more at the frequencies where the band is wide, would tell noise from dynamics.",
+                "",
+            )
+        ]
+    what = "Use the model: its matrices are in the JSON of the same command."
+    return [(what, "levid identify LOG --out DIR --json")]
+
+
+def _record_parts(
+    result: IdentificationResult | None,
+    grey: GreyBox | None,
+    multisine: Sequence[BestLinearApproximation],
+    notes: Sequence[str],
+) -> tuple[Part, ...]:
+    rows: dict[tuple[str, str], list[str]] = {}
+    of_point: list[Part] = []
+    for point in (*(result.points if result is not None else ()), *multisine):
+        where = "—" if point.beam_m is None else f"{signed(1e3 * point.beam_m, 1)} mm"
+        for record in point.records:
+            own = [
+                r.removeprefix(f"{record}: ") for r in point.remarks if r.startswith(f"{record}: ")
+            ]
+            rows[record, where] = own
+    for point in result.points if result is not None else ():
+        own_to_records = tuple(f"{record}: " for record in point.records)
+        where = describe_position(point.beam_m)
+        of_point += [
+            Text(f"{where[0].upper()}{where[1:]}: {r}.")
+            for r in point.remarks
+            if not r.startswith(own_to_records)
+        ]
+    for prediction in () if grey is None else grey.fit.predictions:
+        experiment = prediction.experiment
+        where = "moving" if experiment.moving else "—"
+        if experiment.name not in {name for name, _ in rows}:
+            rows[experiment.name, where] = list(experiment.remarks)
+    told = tuple((record, where, "; ".join(own) or "—") for (record, where), own in rows.items())
+    parts: list[Part] = [
+        Table("Records that were identified", ("record", "beam", "remarks"), told, 3)
+    ]
+    parts += of_point
+    of_all = [
+        r
+        for bla in multisine
+        for r in bla.remarks
+        if not r.startswith(tuple(f"{record}: " for record in bla.records))
+    ]
+    parts += [Text(f"Multisines: {remark}.") for remark in dict.fromkeys(of_all)]
+    left_out = dict.fromkeys([*(result.skipped if result is not None else ()), *notes])
+    if left_out:
+        skipped = tuple(_log_and_reason(text) for text in left_out)
+        parts.append(Table("Left out, and other notes", ("what", "why"), skipped, 2))
+    return tuple(parts)
+
+
+def _log_and_reason(text: str) -> tuple[str, str]:
+    log, _, reason = text.partition(": ")
+    return log, reason
+
+
+def _versions_parts(session: Session) -> tuple[Part, ...]:
+    rows = tuple(sorted(session.versions.items()))
+    return (Table("Versions that wrote the logs", ("what", "version"), rows, 2),) if rows else ()

@@ -1,0 +1,203 @@
+"""What the report says of a system identified from input to output, such as imported data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...identification.results import OpenLoopPoint
+from ...identification.subspace.held_out_simulation import HoldOut
+from ..figures.bode import bode_magnitude, bode_phase
+from ..figures.held_out_outputs import HeldOut, held_out_outputs
+from ..figures.order_validation import OrderErrors, validation_errors
+from ..figures.singular_values import SingularValues, Spectrum, singular_values
+from ..plotting.curves import Curve, Range, SignalLabels
+from ..plotting.page import Number, Part, Section, Table, Text
+from ..plotting.style import TRUTH, line_of
+from ..plotting.svg import Picture, to_svg
+from .closed_loop import ESTIMATOR, Truth
+
+_MOST_TOLD = 6
+"""Records that get a sentence, numbers and a figure each; of more only those that fit worst."""
+
+
+def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, ...]:
+    """Return what was found, in sentences for the summary."""
+    m, p = signals.shape
+    texts = [
+        Text(
+            f"A system of {p} inputs and {m} outputs, identified from input to output without a "
+            f"known controller. The model that simulates has {point.order} states, the one that "
+            f"predicts a step ahead {point.predictor_order}.",
+        )
+    ]
+    for held in _worst_first(point.holdout)[:_MOST_TOLD]:
+        texts.append(
+            Text(
+                f"On the last {len(held.time_s)} rows of record {held.record}, which no estimate "
+                f"has seen: {_fit_words(held, signals)}."
+            )
+        )
+    if len(point.holdout) > _MOST_TOLD:
+        left = len(point.holdout) - _MOST_TOLD
+        texts.append(Text(f"The other {left} records fit better; all are in the table below."))
+    return tuple(texts)
+
+
+def open_loop_numbers(point: OpenLoopPoint) -> tuple[Number, ...]:
+    """Return the numbers of the summary."""
+    numbers = [Number(str(point.order), "states of the model")]
+    least = ", the least of all records" if len(point.holdout) > _MOST_TOLD else ""
+    for held in _worst_first(point.holdout)[: 1 if least else None]:
+        fits = " / ".join(map(_percent, held.simulated_fit_percent))
+        numbers.append(Number(fits, f"fit simulated, on data kept back{least}"))
+        if held.predicted_fit_percent is not None:
+            fits = " / ".join(map(_percent, held.predicted_fit_percent))
+            numbers.append(Number(fits, f"fit one step ahead, on data kept back{least}"))
+    return tuple(numbers)
+
+
+def _worst_first(holdout: Sequence[HoldOut]) -> list[HoldOut]:
+    """Return as many as a page can show in the records' order, of more those that fit worst."""
+    if len(holdout) <= _MOST_TOLD:
+        return list(holdout)
+
+    def least(held: HoldOut) -> float:
+        fits = held.simulated_fit_percent
+        return float(np.min(fits[np.isfinite(fits)], initial=np.inf))
+
+    return sorted(holdout, key=least)
+
+
+def _percent(fit: float) -> str:
+    return f"{fit:.1f} %" if np.isfinite(fit) else "—"
+
+
+def open_loop_sections(
+    point: OpenLoopPoint, signals: SignalLabels, truth: Truth | None = None, number: int = 1
+) -> tuple[Section, ...]:
+    """Return the sections on outputs kept back, frequency response, and order.
+
+    `number` tells one operating point from the others on the same page.
+    """
+    of = f" {number}" if number > 1 else ""
+    return (
+        Section(f"Data kept back{of}", _held_out_parts(point, signals, f"point-{number}")),
+        Section(
+            f"Frequency response{of}", _response_parts(point, signals, truth, f"point-{number}")
+        ),
+        Section(f"Order of the model{of}", _order_parts(point, f"point-{number}")),
+    )
+
+
+def _held_out_parts(point: OpenLoopPoint, signals: SignalLabels, name: str) -> tuple[Part, ...]:
+    pictures: list[Part] = []
+    for number, held in enumerate(_worst_first(point.holdout)[:_MOST_TOLD]):
+        tail = HeldOut(
+            signals.output_names,
+            signals.output_units,
+            held.time_s,
+            held.measured,
+            held.simulated,
+            held.simulated_fit_percent,
+            held.predicted,
+            held.predicted_fit_percent,
+        )
+        pictures.append(
+            Picture(
+                f"{name}-outputs-{number + 1}",
+                to_svg(held_out_outputs(tail)),
+                f"Measured, predicted and simulated outputs at the end of record {held.record}.",
+                f"The last {len(held.time_s)} rows of record {held.record}, kept from all "
+                "estimates. Simulated: from the input alone. One step ahead: from input and output "
+                "up to the row before. A fit of 100 % is perfect, 0 % no better than the mean.",
+            )
+        )
+    if len(point.holdout) > _MOST_TOLD:
+        pictures.append(_fits_table(point.holdout, signals))
+    return tuple(pictures)
+
+
+def _fits_table(holdout: Sequence[HoldOut], signals: SignalLabels) -> Table:
+    rows = []
+    for held in holdout:
+        by_kind = {"simulated": held.simulated_fit_percent}
+        if held.predicted_fit_percent is not None:
+            by_kind["one step ahead"] = held.predicted_fit_percent
+        rows += [(held.record, kind, *map(_percent, fits)) for kind, fits in by_kind.items()]
+    head = ("record", "model", *signals.output_names)
+    return Table("Fit on rows that no estimate has seen", head, tuple(rows), labels=2)
+
+
+def _response_parts(
+    point: OpenLoopPoint, signals: SignalLabels, truth: Truth | None, name: str
+) -> tuple[Part, ...]:
+    spectra = point.from_spectra
+    shown = Range(float(spectra.freq_hz[0]), float(spectra.freq_hz[-1]))
+    curves = [
+        Curve("spectra", line_of(1), spectra.freq_hz, spectra.H, spectra.standard_deviation),
+        Curve("model", line_of(0), point.freq_hz, point.from_ho_kalman),
+    ]
+    true = []
+    if truth is not None:
+        f = np.geomspace(shown.low_hz, shown.high_hz, 240)
+        true = [Curve("truth of the simulator", TRUTH, f, truth(point.beam_m, f))]
+    return (
+        Picture(
+            f"{name}-magnitude",
+            to_svg(bode_magnitude(curves, signals, truth=true, shown=shown)),
+            "Bode magnitude of every input to every output, by the model and from spectra.",
+            f"Magnitude of the model of {point.order} states and, without any model, of the ratio "
+            "of cross spectra, with a band that holds 95 % of its error.",
+        ),
+        Picture(
+            f"{name}-phase",
+            to_svg(bode_phase(curves, signals, truth=true, shown=shown)),
+            "Phase of every input to every output, by the model and from spectra.",
+            "Phase of the same; from spectra only where it is known to 60°.",
+        ),
+    )
+
+
+def _order_parts(point: OpenLoopPoint, name: str) -> tuple[Part, ...]:
+    spectra = [
+        Spectrum(
+            ESTIMATOR.get(method, method),
+            (SingularValues("singular values", line_of(0), values),),
+            None,
+        )
+        for method, values in point.singular_values.items()
+    ]
+    kinds = (
+        OrderErrors("simulation", line_of(1), point.validation_error, point.order),
+        OrderErrors(
+            "one step ahead", line_of(0), point.predictor_validation_error, point.predictor_order
+        ),
+    )
+    return (
+        Picture(
+            f"{name}-validation",
+            to_svg(validation_errors(kinds)),
+            "Validation error over the model's order, for simulation and for prediction.",
+            "Error on the last quarter of the training rows of models made from the rest. Chosen "
+            "is the smallest order within one standard error of the best. Orders without a stable "
+            "model have no point.",
+        ),
+        Picture(
+            f"{name}-singular-values",
+            to_svg(singular_values(spectra)),
+            "Singular values of the Hankel matrix on a logarithmic scale.",
+            "Singular values of the Hankel matrix of the Markov parameters, where no gap decides.",
+        ),
+    )
+
+
+def _fit_words(held: HoldOut, signals: SignalLabels) -> str:
+    words = []
+    for i, name in enumerate(signals.output_symbols):
+        text = f"{name} simulated with a fit of {held.simulated_fit_percent[i]:.1f} %"
+        if held.predicted_fit_percent is not None:
+            text += f", predicted one step ahead with {held.predicted_fit_percent[i]:.1f} %"
+        words.append(text)
+    return "; ".join(words)

@@ -1,0 +1,257 @@
+"""What the report says of the plant by the subspace method: response, modes, and their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...identification.results import ClosedLoopPoint, SubspacePoint
+from ...identification.subspace.response_uncertainty import SURE_95
+from ..figures.bode import bode_magnitude, bode_phase
+from ..figures.response_deviation import (
+    ACCURACY,
+    bounds_told,
+    deviation,
+    largest,
+    told,
+    worst_on_diagonal,
+)
+from ..plotting.curves import CONFIDENCE, Curve, Range, SignalLabels, ratio, rig_or
+from ..plotting.page import Number, Part, Section, Table, Text, Verdict
+from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
+from ..plotting.svg import Picture, to_svg
+from .closed_loop import HO_KALMAN, METHOD, TRUTH_NAME, Truth, factor
+
+Array = NDArray[np.float64]
+
+SUBSPACE = "subspace"
+_METHODS = {**METHOD, SUBSPACE: "the model by the subspace method"}
+_TRUTH_POINTS = 240
+
+
+@dataclass(frozen=True)
+class SubspaceReport:
+    """The positions that have such a model, their curves, and what these are compared with.
+
+    The curves' bands are the 95 % interval of the magnitude. `ratios` are by what is compared
+    ('subspace / truth'), one curve of ratios (F, m, p) a position.
+    """
+
+    points: tuple[ClosedLoopPoint, ...]
+    models: tuple[SubspacePoint, ...]
+    signals: SignalLabels
+    labels: tuple[str, ...]
+    shown: Range
+    curves: tuple[Curve, ...]
+    truth: tuple[Curve, ...]
+    ratios: dict[str, tuple[Curve, ...]]
+
+    def uncertainty_db(self) -> float:
+        """Return the 95 % interval on the diagonal, in dB, the largest up to the top."""
+        worst = [0.0]
+        for model in self.models:
+            r = model.response
+            part = (r.freq_hz >= self.shown.low_hz) & (r.freq_hz <= self.shown.top_hz)
+            for i in range(min(r.H.shape[1:])):
+                share = SURE_95 * r.magnitude_deviation[part, i, i] / np.abs(r.H[part, i, i])
+                worst.append(float(np.max(20 * np.log10(1 + share), initial=0.0)))
+        return float(np.max(worst))
+
+
+def subspace_report(
+    points: Sequence[ClosedLoopPoint], signals: SignalLabels, truth: Truth | None = None
+) -> SubspaceReport:
+    """Collect the curves of all positions; those without such a model are left out.
+
+    Raises ValueError when none has one.
+    """
+    beams = [point.beam_m for point in points]
+    chosen = [(k, p, p.subspace) for k, p in enumerate(points) if p.subspace is not None]
+    if not chosen:
+        raise ValueError("expected at least one position with a model by subspace, found none")
+    labels = tuple(position_label(p.beam_m, beams) for _, p, _ in chosen)
+    frequencies = points[0].freq_hz
+    shown = rig_or(float(frequencies[0]), float(frequencies[-1]), signals)
+    curves, ho_kalman, exact = [], [], []
+    for (k, point, model), label in zip(chosen, labels, strict=True):
+        r = model.response
+        # A figure's band is CONFIDENCE deviations wide, as is right for errors in two dimensions.
+        wide = SURE_95 / CONFIDENCE
+        bands = wide * r.magnitude_deviation, wide * r.phase_deviation_rad
+        line = line_of(k) if model.trusted else DOUBTFUL
+        name = label if model.trusted else f"{label}, not to be trusted"
+        curves.append(Curve(name, line, r.freq_hz, r.H, *bands))
+        other = line if point.trusted else DOUBTFUL
+        ho_kalman.append(Curve(label, other, point.freq_hz, point.from_ho_kalman))
+        if truth is not None:
+            exact.append(Curve("", TRUTH, r.freq_hz, truth(point.beam_m, r.freq_hz)))
+    ratios: dict[str, tuple[Curve, ...]] = {}
+    truths: tuple[Curve, ...] = ()
+    if truth is not None:
+        f = np.geomspace(shown.low_hz, shown.high_hz, _TRUTH_POINTS)
+        truths = tuple(Curve(TRUTH_NAME, TRUTH, f, truth(p.beam_m, f)) for _, p, _ in chosen)
+        ratios[f"{SUBSPACE} / truth"] = _ratios(curves, exact)
+    ratios[f"{HO_KALMAN} / {SUBSPACE}"] = _ratios(ho_kalman, curves)
+    return SubspaceReport(
+        tuple(p for _, p, _ in chosen),
+        tuple(model for _, _, model in chosen),
+        signals,
+        labels,
+        shown,
+        tuple(curves),
+        truths,
+        ratios,
+    )
+
+
+def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
+    """Return what was found, in sentences for the summary."""
+    states = " or ".join(str(n) for n in sorted({m.order.order for m in report.models}))
+    gap = factor(min(m.order.gap for m in report.models))
+    doubted = [
+        label for label, m in zip(report.labels, report.models, strict=True) if not m.trusted
+    ]
+    use = (
+        f"It is not to be trusted at {', '.join(doubted)}."
+        if doubted
+        else "Of the models that assume no physics it is the one to use."
+    )
+    text = (
+        f"The subspace method finds the plant of {states} states straight from its input and "
+        f"output, standing out by a factor of {gap} at least. Up to {report.shown.top_hz:g} Hz its "
+        f"diagonal is known with 95 % confidence to {_short(report.uncertainty_db())} dB"
+    )
+    compared = "; ".join(_comparison(report, name) for name in report.ratios)
+    return (Text(f"{text}; {compared}. {use}"),)
+
+
+def subspace_numbers(report: SubspaceReport) -> tuple[Number, ...]:
+    """Return the numbers of the summary."""
+    top = f"up to {report.shown.top_hz:g} Hz"
+    numbers = [
+        Number(f"{_short(report.uncertainty_db())} dB", f"95 % confidence by subspace, {top}")
+    ]
+    if report.truth:
+        error = largest(report.ratios[f"{SUBSPACE} / truth"], report.shown)
+        kept = error[0] <= ACCURACY.decibel and error[1] <= ACCURACY.degree
+        meaning = f"{SUBSPACE} against the truth at worst, {top}"
+        verdict: Verdict = "good" if kept else "bad"
+        if not all(model.trusted for model in report.models):
+            meaning, verdict = f"{meaning}; not all to be trusted", "doubt"
+        numbers.append(Number(told(error, ", "), meaning, verdict))
+    return tuple(numbers)
+
+
+def subspace_sections(report: SubspaceReport) -> tuple[Section, ...]:
+    """Return the section on this model."""
+    beneath = " The wide grey lines beneath are the simulator's truth." if report.truth else ""
+    figure = bode_magnitude(report.curves, report.signals, truth=report.truth, shown=report.shown)
+    phase = bode_phase(report.curves, report.signals, truth=report.truth, shown=report.shown)
+    past_ms = 1e3 * report.models[0].past * report.models[0].response.Ts_s
+    parts: list[Part] = [
+        Picture(
+            "plant-subspace",
+            to_svg(figure),
+            "Bode magnitude of the plant by the subspace method, every input to every output.",
+            f"Magnitude of P by the subspace method from plant input and output, with a predictor "
+            f"that looks back {past_ms:.3g} ms; bands, mostly narrower than the line, hold 95 % of "
+            f"the estimate's error.{beneath}",
+        ),
+        Picture(
+            "plant-subspace-phase",
+            to_svg(phase),
+            "Phase of the plant by the subspace method, every input to every output.",
+            f"Phase of the same.{beneath}",
+        ),
+    ]
+    for number, (name, curves) in enumerate(report.ratios.items(), start=1):
+        first, second = name.split(" / ")
+        against = "the simulator's truth" if second == "truth" else _METHODS[second]
+        picture = deviation(curves, report.signals, bounds=ACCURACY, shown=report.shown)
+        error = told(largest(curves, report.shown))
+        parts.append(
+            Picture(
+                f"subspace-agreement-{number}",
+                to_svg(picture),
+                f"Error of {first} against {second} in dB and degrees on the diagonal.",
+                f"{_upper(_METHODS[first])} against {against}: up to "
+                f"{report.shown.top_hz:g} Hz {error} at most; "
+                f"{bounds_told(curves, ACCURACY, report.shown)}.",
+            )
+        )
+    parts += [_differences_table(report), _modes_table(report), _fits_table(report)]
+    return (Section("The plant by subspace", tuple(parts)),)
+
+
+def _comparison(report: SubspaceReport, name: str) -> str:
+    first, second = name.split(" / ")
+    error = told(largest(report.ratios[name], report.shown))
+    if second == "truth":
+        return f"it is within {error} of the simulator's truth"
+    return f"{_METHODS[first]} differs from it by at most {error}"
+
+
+def _differences_table(report: SubspaceReport) -> Table:
+    rows = []
+    for name, curves in report.ratios.items():
+        for label, curve in zip(report.labels, curves, strict=True):
+            worst = worst_on_diagonal(curve, report.shown)
+            cells = (told((w.decibel, w.degree), ", ") for w in worst)
+            rows.append((name.replace(" / ", " against "), label, *cells))
+    diagonal = [report.signals.path(i, i) for i in range(min(report.signals.shape))]
+    span = f"{report.shown.low_hz:g} to {report.shown.top_hz:g} Hz"
+    head = ("compared", "beam", *diagonal)
+    return Table(f"Largest differences from {span}", head, tuple(rows), labels=2)
+
+
+def _modes_table(report: SubspaceReport) -> Table:
+    rows = []
+    for model, label in zip(report.models, report.labels, strict=True):
+        m = model.modes
+        for k in range(len(m.frequency_hz)):
+            frequency = _with_error(m.frequency_hz[k], m.frequency_se_hz[k])
+            rows.append((label, frequency, _with_error(m.damping[k], m.damping_se[k])))
+    head = ("beam", "frequency Hz", "damping ζ")
+    return Table("Modes by the subspace method, with standard errors", head, tuple(rows))
+
+
+def _fits_table(report: SubspaceReport) -> Table:
+    rows = []
+    for point, model, label in zip(report.points, report.models, report.labels, strict=True):
+        for ours, theirs in zip(model.holdout, point.holdout, strict=True):
+            for name, held in (SUBSPACE, ours), (HO_KALMAN, theirs):
+                cells = (_percent(fit) for fit in held.simulated_fit_percent)
+                rows.append((held.record, label, name, *cells))
+    outputs = (f"{name} %" for name in report.signals.output_symbols)
+    caption = "Fit of the loop simulated from v alone, on rows that neither estimate has seen"
+    return Table(caption, ("record", "beam", "model", *outputs), tuple(rows), labels=3)
+
+
+def _with_error(value: float, se: float) -> str:
+    """Return value ± se, both to the second digit of the error."""
+    if not (np.isfinite(se) and se > 0):
+        return f"{value:.4g}"
+    digits = max(1 - int(np.floor(np.log10(se))), 0)
+    return f"{value:.{digits}f} ± {se:.{digits}f}"
+
+
+def _short(value: float) -> str:
+    return f"{value:.1g}" if value < 1.0 else f"{value:.0f}"
+
+
+def _upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _percent(value: float) -> str:
+    return f"{value:.1f}" if np.isfinite(value) else "—"
+
+
+def _ratios(estimates: Sequence[Curve], references: Sequence[Curve]) -> tuple[Curve, ...]:
+    return tuple(
+        Curve(e.label, e.line, e.freq_hz, ratio(e, r))
+        for e, r in zip(estimates, references, strict=True)
+    )

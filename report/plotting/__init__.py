@@ -1,0 +1,1 @@
+"""Draw and write: style, panel grids, SVG, the HTML page."""

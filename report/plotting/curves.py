@@ -1,0 +1,192 @@
+"""What the frequency figures are drawn from: responses with names and units, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .style import DOUBTFUL, LineStyle
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class SignalLabels:
+    """Names and SI units of a system's p inputs and m outputs, as a log names them."""
+
+    input_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+
+    @property
+    def output_symbols(self) -> tuple[str, ...]:
+        """The outputs' names as symbols."""
+        return tuple(symbol(name) for name in self.output_names)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of outputs m and inputs p."""
+        return len(self.output_names), len(self.input_names)
+
+    def path(self, i: int, j: int) -> str:
+        """Return the way from input j to output i, as 'τψ → ψ'."""
+        return f"{symbol(self.input_names[j])} → {symbol(self.output_names[i])}"
+
+    def gain_unit(self, i: int, j: int) -> str:
+        """Return the unit of the gain from input j to output i, as 'rad/(N m)'; '' where none."""
+        output, given = self.output_units[i] or "1", self.input_units[j]
+        if given in ("", "1") or given == output:
+            return "" if output in ("1", given) else output
+        return f"{output}/({given})" if " " in given or "/" in given else f"{output}/{given}"
+
+
+RIG_SIGNALS = SignalLabels(
+    ("tau_psi", "tau_theta", "tau_z"),
+    ("N m", "N m", "N"),
+    ("psi", "theta", "z"),
+    ("rad", "rad", "m"),
+)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A frequency response (F, m, p) at freq_hz (F,), how it is called and drawn.
+
+    `deviation` (F, m, p), when given, is the standard deviation of the complex entries; CONFIDENCE
+    times it is drawn as a band, also around the phase unless that has a `phase_deviation_rad` of
+    its own. One in the line of what is not to be trusted is `doubtful`.
+    """
+
+    label: str
+    line: LineStyle
+    freq_hz: Array
+    response: Complex
+    deviation: Array | None = None
+    phase_deviation_rad: Array | None = None
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it is drawn as what is not to be trusted."""
+        return self.line == DOUBTFUL
+
+
+@dataclass(frozen=True)
+class Range:
+    """Frequencies a figure shows, and up to which the rigid plant is expected to hold, in Hz."""
+
+    low_hz: float
+    high_hz: float
+    valid_to_hz: float | None = None
+
+    @property
+    def top_hz(self) -> float:
+        """Highest frequency that is judged."""
+        return self.high_hz if self.valid_to_hz is None else min(self.valid_to_hz, self.high_hz)
+
+
+RIG = Range(1.0, 100.0, 64.0)
+"""The paper's figures; beyond about 400 rad/s its platform is no longer rigid."""
+
+
+def rig_or(low_hz: float, high_hz: float, signals: SignalLabels) -> Range:
+    """Return the paper's range for the rig, else the one given."""
+    return RIG if signals.output_names == ("psi", "theta", "z") else Range(low_hz, high_hz)
+
+
+_MOST_POINTS = 400
+_PER_DECADE = 60
+
+CONFIDENCE = 1.73
+"""Of a circular complex Gaussian error 95 % lie within sqrt(-ln 0.05) of its deviation."""
+
+_SYMBOLS = {"psi": "ψ", "theta": "θ", "tau": "τ", "v": "v", "phi": "φ"}
+
+
+def symbol(name: str) -> str:
+    """Return a signal's name in Greek letters if it names them: tau_psi as τψ, others unchanged."""
+    parts = name.split("_")
+    if all(part in _SYMBOLS or len(part) == 1 for part in parts):
+        return "".join(_SYMBOLS.get(part, part) for part in parts)
+    return name.replace("_", " ")
+
+
+def inside(curve: Curve, shown: Range, most: int = _MOST_POINTS) -> Curve:
+    """Return the part of a curve within the range, at up to 400 of its frequencies (or `most`).
+
+    Of more than these the nearest to a logarithmic grid are kept: over two decades the next is then
+    1 % away, closer than any resonance is narrow that could be seen.
+    """
+    f = curve.freq_hz
+    part = np.flatnonzero((f >= shown.low_hz) & (f <= shown.high_hz) & (f > 0))
+    if part.size > most:
+        wanted = np.geomspace(f[part[0]], f[part[-1]], most)
+        middle = (f[part[1:]] + f[part[:-1]]) / 2
+        part = part[np.unique(np.searchsorted(middle, wanted))]
+    return Curve(
+        curve.label,
+        curve.line,
+        curve.freq_hz[part],
+        curve.response[part],
+        *(
+            None if errors is None else errors[part]
+            for errors in (curve.deviation, curve.phase_deviation_rad)
+        ),
+    )
+
+
+def pooled(freq_hz: Array, values: Array, shown: Range) -> tuple[Array, Array]:
+    """Return frequencies and the rms of values (K, ...) over 60 logarithmic bins a decade.
+
+    Of the range only, and of bins that hold any line: more could not be told apart in a figure.
+    """
+    order = np.argsort(freq_hz)
+    order = order[(freq_hz[order] >= shown.low_hz) & (freq_hz[order] <= shown.high_hz)]
+    f, x = freq_hz[order], values[order]
+    if not f.size:
+        return f, x
+    number = np.rint(_PER_DECADE * np.log10(f / shown.low_hz))
+    starts = np.flatnonzero(np.diff(number, prepend=-1.0))
+    count = np.diff(np.append(starts, len(f)))
+    power = np.add.reduceat(x**2, starts) / count.reshape(-1, *[1] * (x.ndim - 1))
+    return np.add.reduceat(f, starts) / count, np.sqrt(power)
+
+
+def decibels(response: Complex) -> Array:
+    """Return 20 log10 |response|, NaN where it is zero or missing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level = 20 * np.log10(np.abs(response))
+    return np.where(np.isfinite(level), level, np.nan)
+
+
+def ratio(estimate: Curve, reference: Curve) -> Complex:
+    """Return estimate / reference (F, m, p) at the estimate's frequencies.
+
+    The reference is interpolated, in logarithm of magnitude and unwrapped phase, where its own
+    frequencies differ; outside of them the ratio is NaN.
+    """
+    if np.array_equal(estimate.freq_hz, reference.freq_hz):
+        other = reference.response
+    else:
+        other = _interpolated(reference, estimate.freq_hz)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(estimate.response / other)
+
+
+def _interpolated(curve: Curve, freq_hz: Array) -> Complex:
+    usable = (curve.freq_hz > 0) & np.isfinite(curve.response).all(axis=(1, 2))
+    f, H = np.log(curve.freq_hz[usable]), curve.response[usable]
+    out = np.full((len(freq_hz), *curve.response.shape[1:]), np.nan, complex)
+    if len(f) < 2:
+        return out
+    level, phase = np.log(np.abs(H)), np.unwrap(np.angle(H), axis=0)
+    with np.errstate(divide="ignore"):
+        x = np.log(freq_hz)
+    for i in range(out.shape[1]):
+        for j in range(out.shape[2]):
+            real = np.interp(x, f, level[:, i, j], np.nan, np.nan)
+            out[:, i, j] = np.exp(real + 1j * np.interp(x, f, phase[:, i, j], np.nan, np.nan))
+    return out

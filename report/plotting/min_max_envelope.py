@@ -1,0 +1,94 @@
+"""Long signals as bands of minimum and maximum, so that no peak is lost and no SVG grows large."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from .style import LineStyle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Minimum and maximum of a signal in bins: t, low, high (B,); NaN where it is missing."""
+
+    t: Array
+    low: Array
+    high: Array
+
+    @property
+    def is_line(self) -> bool:
+        """Whether the bins hold one sample each."""
+        return bool(np.array_equal(self.low, self.high, equal_nan=True))
+
+
+def envelope(t: NDArray[np.floating], x: NDArray[np.floating], bins: int) -> Envelope:
+    """Return minimum and maximum of x (n,), or of all columns of (n, k), in bins of equal count.
+
+    NaN and infinite samples are left out; a bin of nothing else is NaN. Up to `bins` samples come
+    back as they are.
+    """
+    x = np.where(np.isfinite(x), x, np.nan)
+    low, high = (np.fmin.reduce(x, 1), np.fmax.reduce(x, 1)) if x.ndim > 1 else (x, x)
+    n = len(low)
+    if n <= bins:
+        return Envelope(*(np.asarray(a, float) for a in (t, low, high)))
+    starts = np.linspace(0, n, bins, endpoint=False).astype(int)
+    return Envelope(
+        np.asarray(t[starts], float),
+        np.asarray(np.fmin.reduceat(low, starts), float),
+        np.asarray(np.fmax.reduceat(high, starts), float),
+    )
+
+
+def over_time(parts: Sequence[Envelope], bins: int) -> Envelope:
+    """Return envelopes one after the other, in `bins` bins of equal time.
+
+    Minima and maxima are those of all samples in a bin. Where time is missing between two parts the
+    band is broken by a NaN.
+    """
+    parts = [part for part in parts if len(part.t)]
+    if not parts:
+        return Envelope(np.zeros(0), np.zeros(0), np.zeros(0))
+    t, low, high = (np.concatenate([getattr(p, a) for p in parts]) for a in ("t", "low", "high"))
+    width = (t[-1] - t[0]) / bins
+    if len(t) > bins and width > 0:
+        number = np.floor((t - t[0]) / width)
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(number) > 0) + 1])
+        low, high = np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
+        t = t[starts]
+    # Parts of their own bin width lie side by side: missing is what exceeds the widest of them.
+    steps = [float(np.median(np.diff(p.t))) for p in parts if len(p.t) > 1]
+    breaks = np.flatnonzero(np.diff(t) > 3 * max([width, *steps])) + 1
+    nothing = np.full(len(breaks), np.nan)
+    return Envelope(
+        np.insert(t, breaks, t[breaks - 1]),
+        np.insert(low, breaks, nothing),
+        np.insert(high, breaks, nothing),
+    )
+
+
+def plot_envelope(
+    ax: Axes, signal: Envelope, line: LineStyle, scale: float = 1.0, label: str = ""
+) -> None:
+    """Draw a signal: as a line where it is one, else as a band with a hairline around it."""
+    if signal.is_line:
+        ax.plot(signal.t, scale * signal.low, label=label, **line.keywords())
+        return
+    ax.fill_between(
+        signal.t,
+        scale * signal.low,
+        scale * signal.high,
+        facecolor=line.colour,
+        edgecolor=line.colour,
+        linewidth=0.5,
+        alpha=line.alpha,
+        zorder=line.zorder,
+        label=label,
+    )

@@ -1,0 +1,1 @@
+"""Write the report on a flown session."""

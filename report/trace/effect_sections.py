@@ -1,0 +1,262 @@
+"""A section for each effect found: its equation, its parameters, its shape measured and fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.model import EffectParameter
+from ...identification.trace.figure_data import Aspect, RecordView, Views
+from ...identification.trace.residual.binned_means import dependence
+from ...identification.trace.result import FoundEffect, Outcome, RandomForce, telling
+from ..plotting.page import Part, Section, Table, Text
+from ..plotting.svg import Picture, to_svg
+from ..session.session_page import listed
+from .effect_shapes import Shape, effect_shapes
+from .number_format import (
+    CONFIDENCE,
+    amount,
+    place_text,
+    plain,
+    share_text,
+    signal_text,
+    with_interval,
+)
+
+Array = NDArray[np.float64]
+
+_ENOUGH = 0.6
+"""Of a part of an effect that one signal explains: below, it is drawn over itself as fitted."""
+_RATHER = 0.1
+_OF_CHANNEL = ("command of", "height at", "speed at")
+_STRETCH_S = 4.0
+_MOST_SHAPES = 3
+
+
+def effect_sections(result: Outcome, views: Views) -> list[Section]:
+    """Return a section for each effect: those found, random forces, those declared before."""
+    sections: list[Section] = []
+    for found in result.effects:
+        number = len(sections) + 1
+        sections.append(
+            Section(f"{number}. {found.effect.name}", tuple(_parts(found, views, number)))
+        )
+    for force in result.shaken:
+        sections.append(Section(f"{len(sections) + 1}. {force.name}", _random_parts(force)))
+    for found in result.declared:
+        number = len(sections) + 1
+        sections.append(
+            Section(f"{number}. {found.effect.name}", tuple(_parts(found, views, number)))
+        )
+    return sections
+
+
+def _random_parts(force: RandomForce) -> tuple[Part, ...]:
+    s = force.shaking
+    rms = EffectParameter(value=s.rms, se=s.se, unit=force.unit)
+    half = plain(100 * CONFIDENCE * s.se / s.rms, 2)
+    rows = [("rms", with_interval(rms), f"{half} %")]
+    rows += [
+        (name, f"{at:.3g} Hz", "—") for name, at in zip(("low", "high"), s.band_hz, strict=True)
+    ]
+    return (
+        Text(f"{force.equation}.", "lead"),
+        Text(
+            "No model foretells it, and model.yaml has none of it. In held-out records its power "
+            f"is {s.statistic:.0f} standard deviations beyond that of noise."
+        ),
+        Table(
+            "Parameters with 95 % intervals",
+            ("parameter", "value", "half the interval"),
+            tuple(rows),
+        ),
+    )
+
+
+def sizes(found: FoundEffect, views: Views) -> tuple[str, str, float, float] | None:
+    """Return place, unit, RMS in the liveliest record and maximum of an effect's largest part."""
+    parts = _aspects(found, views)
+    if not parts:
+        return None
+    part = parts[0]
+    rms = max(float(np.sqrt(np.mean(a.fitted**2))) for _, a in part.records)
+    most = max(float(np.max(np.abs(a.fitted))) for _, a in part.records)
+    return _on(place_text(part.place, views.dof)), part.unit, rms, most
+
+
+@dataclass(frozen=True)
+class _Everywhere:
+    """A part of an effect in all records."""
+
+    place: str
+    unit: str
+    records: tuple[tuple[RecordView, Aspect], ...]
+
+    @property
+    def fitted(self) -> Array:
+        return np.concatenate([a.fitted for _, a in self.records])
+
+    @property
+    def measured(self) -> Array:
+        return np.concatenate([a.measured for _, a in self.records])
+
+    @property
+    def block(self) -> NDArray[np.int64]:
+        return np.concatenate([a.block for _, a in self.records])
+
+    def signal(self, number: int) -> Array:
+        return np.concatenate([a.signals[number].values for _, a in self.records])
+
+
+def _aspects(found: FoundEffect, views: Views) -> list[_Everywhere]:
+    """Return the parts of an effect, that which says most about it first."""
+    by_place: dict[str, list[tuple[RecordView, Aspect]]] = {}
+    for record in views.records:
+        for aspect in record.aspects:
+            if aspect.identity == found.effect.identity and np.any(aspect.fitted):
+                by_place.setdefault(aspect.place, []).append((record, aspect))
+    parts = [
+        _Everywhere(place, records[0][1].unit, tuple(records))
+        for place, records in by_place.items()
+    ]
+    return sorted(parts, key=lambda p: -_clarity(p))[:_MOST_SHAPES]
+
+
+def _clarity(part: _Everywhere) -> float:
+    left = part.measured - part.fitted
+    return float(np.sum(part.fitted**2) / max(float(np.sum(left**2)), 1e-300)) * len(part.fitted)
+
+
+def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
+    effect, why = found.effect, found.evidence
+    parts: list[Part] = [Text(f"{effect.equation}.", "lead")]
+    if why is not None:
+        asked = "On held-out records"
+        if not why.held:
+            asked = "It does nothing in the records held out; between blocks of time of the others"
+        parts.append(
+            Text(
+                f"Taken in round {why.round}. Fitted to four fifths of the blocks of time it takes "
+                f"{why.explained:,.0f} squared errors, in variances of the noise, from the fifth"
+                + ("" if why.share is None else f", {share_text(why.share)}")
+                + f". {asked}, what it predicts agrees with the errors "
+                f"{why.statistic:.0f} standard deviations beyond chance."
+            )
+        )
+    parts.append(_parameter_table(found))
+    shapes = [_shape(part, views.dof) for part in _aspects(found, views)]
+    if shapes:
+        parts.append(
+            Picture(
+                f"effect-{number}",
+                to_svg(effect_shapes(shapes)),
+                f"{effect.name}: measured against fitted, over what it depends on and over time.",
+                f"{effect.name} as measured and as fitted. Measured is what the model without "
+                "this effect, but with all others, cannot explain; both went through one filter "
+                "that keeps what stands out of the noise. The mean over a record, which its "
+                "constant force hides, is as fitted. Intervals come from the spread between blocks "
+                "of 4 s. "
+                f"{_seen(shapes)}",
+            )
+        )
+    parts += [Text(text) for text in _neighbours(found)]
+    return parts
+
+
+def _parameter_table(found: FoundEffect) -> Table:
+    rows = []
+    for name, p in found.parameters().items():
+        half = None if p.se is None else CONFIDENCE * p.se
+        share = "—" if half is None or not p.value else f"{plain(100 * half / abs(p.value), 2)} %"
+        rows.append((name, with_interval(p), share))
+    return Table(
+        "Parameters with 95 % intervals",
+        ("parameter", "value", "half the interval"),
+        tuple(rows),
+    )
+
+
+def _neighbours(found: FoundEffect) -> list[str]:
+    effect, why = found.effect, found.evidence
+    texts = []
+    if why is not None and why.alternatives:
+        names = listed([e.name for e in why.alternatives])
+        how = f" What would: {telling(found)}." if telling(found) else ""
+        texts.append(f"These records do not tell it from {names}: they fit no worse.{how}")
+    elif why is not None:
+        texts.append("No other effect that was fitted fits these records as well.")
+    if effect.absorbed_by:
+        texts.append(f"What it cannot be told from in principle: {effect.absorbed_by}.")
+    return texts
+
+
+def _shape(part: _Everywhere, dof: Sequence[str]) -> Shape:
+    """Return a part of an effect over the signal that explains most of it."""
+    fitted, measured, block = part.fitted, part.measured, part.block
+    signals = part.records[0][1].signals
+    shares = [
+        dependence(part.signal(j), fitted, block).share if np.ptp(part.signal(j)) > 0 else 0.0
+        for j in range(len(signals))
+    ]
+    # Its own command or height says more of a channel than what happens to go with it.
+    own = [s.name.startswith(_OF_CHANNEL) for s in signals]
+    best = int(np.argmax(np.array(shares) + _RATHER * np.array(own)))
+    if shares[best] >= _ENOUGH:
+        over, name, unit = part.signal(best), signals[best].name, signals[best].unit
+    else:
+        over, name, unit = fitted, "the fitted effect", part.unit
+    by_measured, by_fitted = (dependence(over, y, block) for y in (measured, fitted))
+    record, stretch = _liveliest(part.records)
+    aspect = next(a for r, a in part.records if r is record)
+    time_s = next(s.values for s in aspect.signals if s.name == "time")[stretch]
+    return Shape(
+        place_text(part.place, dof), part.unit, name, unit,
+        by_measured.at, by_measured.mean, by_measured.error, by_fitted.mean,
+        record.name, time_s, aspect.measured[stretch], aspect.fitted[stretch],
+    )  # fmt: skip
+
+
+def _liveliest(records: Sequence[tuple[RecordView, Aspect]]) -> tuple[RecordView, slice]:
+    """Return the record, and the seconds of it, in which the effect is largest."""
+    best: tuple[float, RecordView, slice] | None = None
+    for record, aspect in records:
+        time_s = next(s.values for s in aspect.signals if s.name == "time")
+        rows = max(int(np.searchsorted(time_s, time_s[0] + _STRETCH_S)), 2)
+        power = np.convolve(aspect.fitted**2, np.ones(rows), "valid")
+        if not power.size:
+            continue
+        at = int(np.argmax(power))
+        if best is None or power[at] > best[0]:
+            best = float(power[at]), record, slice(at, at + rows)
+    if best is None:
+        return records[0][0], slice(None)
+    return best[1], best[2]
+
+
+def _seen(shapes: Sequence[Shape]) -> str:
+    """Return how far the measured shape is from the fitted one, in words."""
+    shape = shapes[0]
+    apart = np.abs(shape.measured - shape.fitted)
+    inside = float(np.mean(apart <= CONFIDENCE * shape.error)) if len(apart) else 1.0
+    over = signal_text(shape.over)
+    return (
+        f"Over {over}, {100 * inside:.0f} % of the intervals hold the fitted effect, "
+        f"and the largest difference is {amount(float(apart.max(initial=0.0)), shape.unit)}."
+    )
+
+
+def _on(place: str) -> str:
+    """Return a place after a number: 'on z', 'at coil 3'."""
+    for head, instead in (
+        ("force of the beam", "on the beam"),
+        ("force of ", "at "),
+        ("force ", ""),
+        ("reading of ", "at "),
+        ("readings, ", "in the readings, "),
+    ):
+        if place.startswith(head):
+            return instead + place.removeprefix(head)
+    return place

@@ -1,0 +1,295 @@
+"""Sections on a trace that are not of one effect: errors, search, what is left, the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ...config.model import ModelParameter
+from ...identification.trace.figure_data import Views
+from ...identification.trace.result import Outcome, model_after
+from ...identification.trace.search.candidate_screening import Round
+from ...identification.trace.study import Trace
+from ..plotting.curves import symbol
+from ..plotting.page import Part, Section, Table, Text
+from ..plotting.style import engineering
+from ..plotting.svg import Picture, to_svg
+from ..session.session_page import listed
+from .number_format import CONFIDENCE, amount, change_text, plain, times_text, unit_text
+from .trace_figures import Bar, candidates, error_spectra, errors_by_record
+
+Array = NDArray[np.float64]
+
+_OF_EXCESS = "explained, % of what noise does not explain"
+_OF_NOISE = "explained, squared errors in variances of the noise"
+_MOST_BARS = 8
+_NOISE = 0.01
+
+
+def error_section(found: Trace, result: Outcome, views: Views) -> Section:
+    """Return errors per DOF and record, in physical units, percent and multiples of the noise."""
+    names = [symbol(d.name) for d in result.dof]
+    floor = np.array([e.pose_floor for e in found.after])
+    over_before, over_after = (
+        np.sqrt(np.array([e.pose_squares for e in errors]) / floor)
+        for errors in (found.before, found.after)
+    )
+    labels = [e.name for e in found.after]
+    dof = [d.name for d in result.dof]
+    freq_hz, densities, short = _pooled_spectra(found, views)
+    but = f", but for {listed(short)}, too short or of another rate for these lines"
+    parts: list[Part] = [
+        Text(
+            "Held-out records, simulated freely from the excitation and the beam's motion alone; "
+            "their first 5 s (or third) give the state to start from, and do not count. The "
+            "declared model was fitted to the other records before, so what effects gain is not "
+            "what fitting gains."
+        ),
+        _dof_table(result),
+        Picture(
+            "trace-records",
+            to_svg(
+                errors_by_record(labels, dof, over_before if result.effects else None, over_after)
+            ),
+            "Error over noise of every held-out record and DOF, without and with effects.",
+            "Error of every held-out record over what noise alone would leave of it.",
+        ),
+        _record_table(found, result, names),
+        Picture(
+            "trace-spectrum",
+            to_svg(
+                error_spectra(
+                    freq_hz,
+                    densities if result.effects else (None, *densities[1:]),
+                    dof,
+                    [d.unit for d in result.dof],
+                )
+            ),
+            "Spectra of the free-running error without and with effects, and of the noise.",
+            "Where in frequency the error sits: spectra over all held-out records"
+            f"{but if short else ''}.",
+        ),
+    ]
+    if result.unsettled:
+        parts.append(
+            Text(
+                f"The simulation with effects found no end in {', '.join(result.unsettled)}: the "
+                "error there is not to be trusted."
+            )
+        )
+    return Section("Error before and after", tuple(parts))
+
+
+def _dof_table(result: Outcome) -> Table:
+    caption = "RMS error of each DOF over all held-out records"
+    if not result.effects:
+        alone = tuple(
+            (
+                symbol(d.name),
+                amount(d.after, d.unit),
+                amount(d.floor, d.unit),
+                times_text(d.after / d.floor),
+            )
+            for d in result.dof
+        )
+        return Table(caption, ("", "error", "noise alone", "error / noise"), alone)
+    rows = tuple(
+        (
+            symbol(d.name),
+            amount(d.before, d.unit),
+            amount(d.after, d.unit),
+            amount(d.floor, d.unit),
+            change_text(d.before, d.after),
+            times_text(d.before / d.floor),
+            times_text(d.after / d.floor),
+        )
+        for d in result.dof
+    )
+    head = ("without effects", "with effects", "noise alone", "change")
+    return Table(caption, ("", *head, "without / noise", "with / noise"), rows)
+
+
+def _record_table(found: Trace, result: Outcome, names: Sequence[str]) -> Table:
+    rows = []
+    for b, a in zip(found.before, found.after, strict=True):
+        cells = [b.name]
+        for i, unit in enumerate(found.places.dof_units):
+            before, after = (amount(float(np.sqrt(e.pose_squares[i])), unit) for e in (b, a))
+            sizes = [float(np.sqrt(e.pose_squares[i])) for e in (b, a)]
+            times = [times_text(size / float(np.sqrt(a.pose_floor[i]))) for size in sizes]
+            cells += (
+                [f"{before} → {after}", change_text(*sizes), " → ".join(times)]
+                if result.effects
+                else [after, times[1]]
+            )
+        rows.append(tuple(cells))
+    each = ("change", "/ noise") if result.effects else ("/ noise",)
+    head = ("record", *(h for n in names for h in (n, *each)))
+    what = ", without → with effects" if result.effects else ""
+    return Table(f"RMS error of each held-out record{what}", head, tuple(rows))
+
+
+def _pooled_spectra(
+    found: Trace, views: Views
+) -> tuple[Array, tuple[Array, Array, Array], list[str]]:
+    """Return frequencies (F,), densities (F, n) before, after and of noise, and who is left out."""
+    floors = {v.name: v.floor for v in views.records}
+    freq_hz = max((e.freq_hz for e in found.after), key=len)
+    n = found.after[0].psd.shape[1]
+    sums = [np.zeros((len(freq_hz), n)) for _ in range(3)]
+    weight, short = 0.0, []
+    for b, a in zip(found.before, found.after, strict=True):
+        floor = floors.get(a.name)
+        if floor is None or not np.array_equal(a.freq_hz, freq_hz):
+            short.append(a.name)
+            continue
+        for number, psd in enumerate((b.psd, a.psd, floor)):
+            sums[number] += a.seconds * psd
+        weight += a.seconds
+    before, after, floor = (total / max(weight, 1e-300) for total in sums)
+    return freq_hz, (before, after, floor), short
+
+
+def search_section(found: Trace) -> Section:
+    """Return the candidates of every round."""
+    parts: list[Part] = [
+        Text(
+            "Every round tries all effects of the table, each beside the model and the effects "
+            "found so far; blocks of time that did not fit it tell what it explains. Those that "
+            "explain most are fitted, model and all, and the best of them is taken if held-out "
+            "records agree by more than six standard deviations of chance. Once these are "
+            "simulated as well as their noise allows, only what the drives alone feel is tried."
+        )
+    ]
+    for number, r in enumerate(found.found.rounds, start=1):
+        bars = _bars(r)
+        if not bars:
+            continue
+        parts.append(
+            Picture(
+                f"trace-round-{number}",
+                to_svg(_candidates(r, bars)),
+                f"What the best candidates of round {number} explain of what was left.",
+                f"Round {number}: {_told(r)} Beside each bar how far held-out records agree with "
+                "it, in standard deviations of chance.",
+            )
+        )
+    return Section(
+        "How it was found" if found.found.point.placed else "What was tried", tuple(parts)
+    )
+
+
+def _bars(r: Round) -> list[Bar]:
+    fitted = {t.effect.identity for t in r.survivors}
+    taken = None if r.taken is None else r.taken.effect.identity
+    # What noise does not explain is known no better than the noise: a share may come out above 1.
+    whole, most = (1.0, math.inf) if _is_noise(r) else (0.01 * r.excess, 100.0)
+    shown = [t for t in r.ranking if t.gain > 0][:_MOST_BARS]
+    bars = []
+    for tried in shown:
+        is_taken = tried.effect.identity == taken
+        t = r.taken if is_taken and r.taken is not None else tried
+        agrees = f"{t.chance:.1f} σ".replace("-", "−")
+        share = min(t.gain / whole, most)
+        bars.append(Bar(t.effect.name, share, agrees, t.effect.identity in fitted, is_taken))
+    return bars
+
+
+def _candidates(r: Round, bars: list[Bar]) -> Figure:
+    if _is_noise(r):
+        return candidates(bars, _OF_NOISE)
+    return candidates(bars, _OF_EXCESS, last_tick=100.0)
+
+
+def _is_noise(r: Round) -> bool:
+    """Return whether so little is left that shares of it mean nothing."""
+    return r.excess <= _NOISE * r.count
+
+
+def _told(r: Round) -> str:
+    left = r.excess / r.count
+    said = f"the mean square of the errors is {1 + left:.3f}, 1 being noise."
+    if r.taken is not None:
+        said += f" {r.taken.effect.name} was taken"
+        if r.instead_of is not None:
+            said += f" in the place of {r.instead_of.name}, from which the search had come less far"
+        if r.alternatives:
+            said += ", though " + ", ".join(t.effect.name for t in r.alternatives) + " fit no worse"
+        return said + "."
+    return said + " None was taken: none explains enough, beyond chance."
+
+
+def model_section(found: Trace) -> Section:
+    """Return the model's parameters as declared, fitted without and with effects."""
+    after = model_after(found)
+    without = dict(zip(found.declared.parameters.names, found.declared.values, strict=True))
+    rows = tuple(
+        (
+            name,
+            unit_text(declared.unit),
+            plain(declared.value),
+            plain(float(without[name])),
+            *_with_error(after.parameters[name]),
+        )
+        for name, declared in found.config.parameters.items()
+        if not declared.is_fixed
+    )
+    head = ("parameter", "unit", "declared", "fitted without effects", "with effects", "± 95 %")
+    return Section(
+        "The model's own parameters",
+        (
+            Text(
+                "Fitted anew with every effect: what effects take from them is no longer bent into "
+                "them."
+            ),
+            Table("Free parameters of the declared model, SI units", head, rows, labels=2),
+        ),
+    )
+
+
+def _with_error(parameter: ModelParameter) -> tuple[str, str]:
+    if parameter.se is None:
+        return plain(parameter.value), "not told"
+    return plain(parameter.value), plain(CONFIDENCE * parameter.se, 2)
+
+
+def records_section(found: Trace) -> Section:
+    """Return which records were fitted, which held out, and what was left aside."""
+    noise = found.found.point.disturbance
+    unit = found.places.sensor_unit
+    factor, prefix = engineering(noise.sensor_sd, unit)
+    rows = [(name, "fitted") for name in found.fitted]
+    rows += [(name, "held out") for name in found.held]
+    parts: list[Part] = [
+        Text(
+            f"Noise of a sensor: {factor * noise.sensor_sd:.3g} {prefix}{unit} RMS, "
+            + (
+                "and of the force, both from still records."
+                if noise.measured
+                else "of the force as the fit has it, undeclared effects and all: no record is "
+                "still."
+            )
+        ),
+        Table(
+            "Records; one that is the only one of its kind is cut, and its end held out",
+            ("record", "use"),
+            tuple(dict.fromkeys(rows)),
+            2,
+        ),
+    ]
+    notes = [n for n in found.notes if "only records are identified" not in n]
+    if notes:
+        head = ("log or record", "what happened")
+        parts.append(
+            Table("Left out, or made good", head, tuple(_split(n) for n in notes), len(head))
+        )
+    return Section("Records", tuple(parts))
+
+
+def _split(note: str) -> tuple[str, str]:
+    log, _, reason = note.partition(": ")
+    return log, reason

@@ -1,0 +1,251 @@
+"""From a session to its report and JSON, and from bad logs to one line."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+
+from levid.cli.identify import _multisine
+from levid.config.base import load_yaml
+from levid.config.shipped import shipped
+from levid.config.sim import SimConfig
+from levid.sim.true_response import frequency_response
+
+Command = Callable[..., tuple[int, str, str]]
+SESSION = """
+levid: session
+name: short
+seed: 5
+excitations:
+  psi: {input: psi, rms_n_m: 0.1}
+  theta: {input: theta, rms_n_m: 0.1}
+  z: {input: z, rms_n: 1.3}
+steps:
+  - levitate: {settle_s: 1.0}
+  - move: {beam_m: 0.05, settle_s: 3.0}
+  - record: {name: psi, duration_s: 30, excite: [psi]}
+  - record: {name: theta, duration_s: 30, excite: [theta]}
+  - record: {name: z, duration_s: 30, excite: [z]}
+  - land: {}
+"""
+COLUMNS = "levid: signals\nname: made\nrate_hz: 100\ncolumns:\n" + "".join(
+    f"  - {{column: {i}, name: {name}, unit: V, role: {role}}}\n"
+    for i, (name, role) in enumerate([("u", "input"), ("y", "output")])
+)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory, run_levid: Callable[..., int]) -> list[Path]:
+    folder = tmp_path_factory.mktemp("identify")
+    (folder / "session.yaml").write_text(SESSION)
+    logs = folder / "logs"
+    assert run_levid("excite", folder / "session.yaml", "--virtual", "--out", logs) == 0
+    return sorted(logs.glob("*.mcap"))
+
+
+def test_identify_prints_one_json_object_and_leaves_a_report(
+    flown: list[Path], tmp_path: Path, levid: Command
+) -> None:
+    code, out, _ = levid("identify", *flown, "--out", tmp_path / "out", "--json")
+    assert code == 0
+    result = json.loads(out)
+    (point,) = result["points"]
+    assert point["beam_m"] == pytest.approx(0.05, abs=1e-4)
+    assert point["records"] == ["psi", "theta", "z"]
+    assert point["order"] == 9
+    assert Path(result["report"]).read_text().lower().startswith("<!doctype html>")
+
+    # The plant in the JSON is the plant of the simulator, which the command never saw: within a
+    # quarter of what 60 s a record must reach (2 dB), with half the data.
+    model = point["plant"]
+    freq = np.geomspace(1.0, 64.0, 30)
+    z = np.exp(2j * np.pi * freq * result["Ts_s"])
+    A, B, C, D = (np.array(model[name]) for name in "ABCD")
+    P = np.array([C @ np.linalg.solve(zi * np.eye(len(A)) - A, B) + D for zi in z])
+    P *= (z ** -model["delay_steps"] / (1 - model["lag_pole"] / z) * (1 - model["lag_pole"]))[
+        :, None, None
+    ]
+    truth = frequency_response(
+        load_yaml(shipped("sims/nominal.yaml"), SimConfig), 0.05, freq, 1000.0
+    )
+    diagonal = np.arange(3)
+    ratio = P[:, diagonal, diagonal] / truth[:, diagonal, diagonal]
+    assert np.abs(20 * np.log10(np.abs(ratio))).max() < 0.5
+
+
+def test_identify_says_which_input_is_missing(
+    flown: list[Path], tmp_path: Path, levid: Command
+) -> None:
+    # The fit of the declared model needs no excitation of every input.
+    code, out, _ = levid("identify", *flown[:3], "--out", tmp_path / "out")
+    assert code == 0
+    assert "note: no Markov parameters: beam at +50.0 mm: expected records that excite psi," in out
+    assert "theta, z is excited by none of 'psi'" in out
+
+
+def test_logs_without_a_record_are_named(flown: list[Path], tmp_path: Path, levid: Command) -> None:
+    code, _, err = levid("identify", flown[0], "--out", tmp_path / "out")
+    assert code == 1
+    assert "levitate" in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"hello", bytes(1000)])
+def test_what_is_no_log_is_one_line(tmp_path: Path, levid: Command, content: bytes) -> None:
+    path = tmp_path / "bad.mcap"
+    path.write_bytes(content)
+    code, _, err = levid("identify", path, "--out", tmp_path / "out")
+    assert code == 1
+    assert err.startswith("error:")
+    assert "bad.mcap" in err
+    code, _, err = levid("identify", tmp_path / "none.mcap", "--out", tmp_path / "out")
+    assert code == 1
+    assert "none.mcap" in err
+
+
+def test_cut_log_identifies_what_is_left_and_says_so(
+    flown: list[Path], tmp_path: Path, levid: Command
+) -> None:
+    cut = tmp_path / flown[2].name
+    data = flown[2].read_bytes()
+    cut.write_bytes(data[: len(data) * 9 // 10])
+    code, out, _ = levid("identify", cut, *flown[3:], "--out", tmp_path / "out", "--json")
+    assert code == 0
+    assert any("not complete" in remark for remark in json.loads(out)["points"][0]["remarks"])
+
+
+def test_data_of_others_are_imported_and_identified(tmp_path: Path, levid: Command) -> None:
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal(3000)
+    y = np.zeros(3000)
+    for k in range(2, 3000):  # poles at 0.9 e^(+-0.3 i)
+        y[k] = 1.8 * np.cos(0.3) * y[k - 1] - 0.81 * y[k - 2] + 0.1 * u[k - 1]
+    y += 1e-3 * rng.standard_normal(3000)
+    np.savetxt(tmp_path / "made.dat", np.stack([u, y], axis=1))
+    (tmp_path / "signals.yaml").write_text(COLUMNS)
+    log = tmp_path / "made.mcap"
+    code, out, _ = levid(
+        "import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log
+    )
+    assert code == 0
+    assert "3000 samples" in out
+    code, out, _ = levid("identify", log, "--out", tmp_path / "out", "--json")
+    assert code == 0
+    (point,) = json.loads(out)["points"]
+    assert point["order"] == 2
+    # The noise is 1e-3 of an output of rms 0.5: 99.8 % is what any model could reach.
+    assert point["holdout"][0]["simulated_fit_percent"][0] > 99.5
+
+
+MULTISINE = "signal: multisine, period_s: 2, band_hz: [1, 50], rise_hz: 10, lines: odd_random_grid"
+ORTHOGONAL = f"""
+levid: session
+name: orthogonal
+seed: 5
+excitations:
+  psi: {{input: psi, rms_n_m: 0.1, {MULTISINE}}}
+  theta: {{input: theta, rms_n_m: 0.1, {MULTISINE}}}
+  z: {{input: z, rms_n: 1.2, {MULTISINE}}}
+steps:
+  - levitate: {{settle_s: 1.0}}
+  - record: {{name: all, excite: [psi, theta, z], orthogonal: {{realisations: 2, periods: 3}}}}
+  - land: {{}}
+"""
+
+
+def test_multisines_keep_their_names_in_json_and_mat(tmp_path: Path, levid: Command) -> None:
+    (tmp_path / "session.yaml").write_text(ORTHOGONAL)
+    logs = tmp_path / "logs"
+    code, _, _ = levid("excite", tmp_path / "session.yaml", "--virtual", "--out", logs)
+    assert code == 0
+    out = tmp_path / "out"
+    log = logs / "01-all.mcap"
+    code, text, _ = levid("identify", log, "--out", out, "--json", "--mat")
+    assert code == 0
+    result = json.loads(text)
+    assert "points" not in result
+    assert result["inputs"][2] == {"name": "z", "unit": "N"}
+    assert result["outputs"][0] == {"name": "psi", "unit": "rad"}
+    assert result["Ts_s"] == 1e-3
+    mat = scipy.io.loadmat(out / "identified.mat")
+    assert mat["frf"].shape[:2] == (3, 3)
+    assert [str(unit.item()) for unit in mat["input_units"][0]] == ["N m", "N m", "N"]
+    assert "rad/(N m)" in Path(result["report"]).read_text()
+
+
+SPRING = """
+levid: model
+name: spring
+dof: [{name: y, unit: V}]
+inputs: [{name: u, unit: V}]
+parameters:
+  k: {value: 9.0, unit: V/V, min: 1, max: 100}
+  d: {value: 2.0, unit: s, min: 0.01, max: 10}
+M: [[1]]
+D: [[d]]
+K: [[k]]
+"""
+
+
+@pytest.mark.parametrize(("said", "warned"), [("band_limited", True), ("zoh", False)])
+def test_an_input_that_model_and_log_know_otherwise_is_warned_of(
+    tmp_path: Path, levid: Command, said: str, warned: bool
+) -> None:
+    rng = np.random.default_rng(1)
+    u, y = rng.standard_normal(1500), np.zeros(1500)
+    for k in range(2, 1500):  # 3 rad/s, damping 1 1/s, at 10 Hz
+        y[k] = 1.73 * y[k - 1] - 0.82 * y[k - 2] + 0.005 * (u[k - 1] + u[k - 2])
+    np.savetxt(tmp_path / "made.dat", np.stack([u, y + 1e-4 * rng.standard_normal(1500)], axis=1))
+    columns = COLUMNS.replace("rate_hz: 100\n", f"rate_hz: 10\ninput_hold: {said}\n")
+    (tmp_path / "signals.yaml").write_text(columns)
+    (tmp_path / "spring.yaml").write_text(SPRING)
+    log, out = tmp_path / "made.mcap", tmp_path / "out"
+    levid("import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log)
+    code, text, err = levid(
+        "identify", log, "--model", tmp_path / "spring.yaml", "--out", out, "--json"
+    )
+    assert code == 0
+    sentence = "record 'made': its signals file says input_hold: band_limited, model 'spring'"
+    assert (f"warning: {sentence}" in err) == warned
+    assert any(note.startswith(sentence) for note in json.loads(text)["notes"]) == warned
+    page = (out / "index.html").read_text().replace("&#39;", "'")
+    assert (sentence in page) == warned
+    assert "\ninput: zoh\n" in (out / "model.yaml").read_text()
+
+
+def test_truth_is_for_the_rig_alone(tmp_path: Path, levid: Command) -> None:
+    np.savetxt(tmp_path / "made.dat", np.random.default_rng(1).standard_normal((500, 2)))
+    (tmp_path / "signals.yaml").write_text(COLUMNS)
+    log = tmp_path / "made.mcap"
+    levid("import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log)
+    code, _, err = levid(
+        "identify", log, "--truth", shipped("sims/nominal.yaml"), "--out", tmp_path / "out"
+    )
+    assert code == 1
+    assert "--truth" in err
+
+
+def test_distortion_is_told_as_often_as_chance_allows_and_not_of_one_realisation() -> None:
+    no = {"p_value": [None, 0.5]}
+
+    def bla(*p_values: float | None) -> dict[str, Any]:
+        tests = {"distortion": {"p_value": list(p_values)}, "even": no, "odd": no}
+        return {"beam_m": None, "records": ["a", "b"], "lines": 7, "tests": tests}
+
+    said = _multisine([bla(None, None), bla(0.5, 0.004), bla(0.9, 1e-6)])
+    assert [line.partition("distortion ")[2] for line in said] == [
+        "not told by one realisation",
+        "not found",  # one of four tests
+        "found",
+    ]
+    assert said[0].startswith("all records: multisine of a, b, 7 lines")  # levels of one place
+    assert _multisine([bla(None)])[0].startswith("all records: multisine, 7 lines")
+    # Lines left out tell of distortion where one realisation does not.
+    (one,) = _multisine(
+        [{**bla(None), "tests": {**bla(None)["tests"], "odd": {"p_value": [1e-9]}}}]
+    )
+    assert one.endswith("distortion found")

@@ -1,0 +1,367 @@
+"""The control socket under clients that flood, dawdle, vanish, or are not allowed."""
+
+from __future__ import annotations
+
+import contextlib
+import grp
+import json
+import os
+import pwd
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from levid.config.base import ConfigError
+from levid.config.service import Service
+from levid.daemon.api.control_server import LONGEST_LINE, LONGEST_SHORT, Reply, Server, ServerError
+from levid.daemon.client import Client
+from levid.daemon.host.access_control import Access, Peer, peer_of
+from levid.daemon.ipc.json_lines import Lines
+
+_GIVE_UP_S = 60.0
+
+
+class Bench:
+    """A server that answers `echo` at once and `wait` when `answer_all` is called."""
+
+    def __init__(self, folder: Path, access: Access | None = None) -> None:
+        self.path = folder / "test.sock"
+        self.waiting: list[Reply] = []
+        self.stops: list[int] = []
+        self.gone = threading.Event()
+        handlers: dict[str, Any] = {
+            "echo": lambda request, reply: reply.done(said=request.get("say")),
+            "wait": self._wait,
+            "stop": lambda _, reply: (self.stops.append(1), reply.done()),
+            "flood": lambda _, reply: [reply.send({"line": "x" * 10_000}) for _ in range(1000)],
+        }
+        self.server = Server(self.path, handlers, access or Access(Service()))
+        self.server.start()
+
+    def _wait(self, _: object, reply: Reply) -> None:
+        reply.gone = self.gone.set
+        self.waiting.append(reply)
+
+    def connect(self) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX)
+        connection.connect(str(self.path))  # waits where many others do
+        connection.settimeout(_GIVE_UP_S)
+        return connection
+
+    def ask(self, connection: socket.socket, *lines: bytes) -> list[dict[str, Any]]:
+        stream = connection.makefile("rwb")
+        stream.write(b"\n".join([*lines, b""]))
+        stream.flush()
+        return [json.loads(stream.readline()) for _ in lines]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(tmp_path)
+    yield made
+    made.server.close()
+    assert not made.path.exists()
+
+
+def works(bench: Bench) -> bool:
+    with bench.connect() as connection:
+        (answer,) = bench.ask(connection, b'{"op": "echo", "say": 1}')
+        return answer == {"ok": True, "said": 1}
+
+
+def test_long_line_is_handed_on_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What takes long to parse would keep the supervisor from its heartbeat."""
+    parsed, handed = [], []
+    loads = json.loads
+    monkeypatch.setattr(
+        "levid.daemon.api.control_server.json.loads",
+        lambda line: (parsed.append(len(line)), loads(line))[1],
+    )
+
+    def long(line: bytes, reply: Reply) -> None:
+        handed.append(len(line))
+        reply.done(handed=len(line))
+
+    handlers: dict[str, Any] = {"echo": lambda request, reply: reply.done(said=request["say"])}
+    server = Server(tmp_path / "test.sock", handlers, Access(Service()), long=long)
+    server.start()
+    try:
+        with Client(tmp_path / "test.sock") as client:
+            for size in (10, LONGEST_SHORT, 4 * LONGEST_SHORT, LONGEST_LINE - 100):
+                client.request("echo", say="x" * size)
+    finally:
+        server.close()
+    assert len(handed) == 3
+    assert min(handed) > LONGEST_SHORT >= max(n for n in parsed if n not in handed)
+
+
+def test_requests_on_one_connection_are_answered_in_order(bench: Bench) -> None:
+    with bench.connect() as connection:
+        lines = [b'{"op": "echo", "say": %d}' % i for i in range(500)]
+        assert [a["said"] for a in bench.ask(connection, *lines)] == list(range(500))
+
+
+def test_request_behind_one_that_takes_time_waits_for_it(bench: Bench) -> None:
+    with bench.connect() as connection:
+        connection.sendall(b'{"op": "wait"}\n{"op": "echo", "say": 2}\n')
+        assert works(bench)  # others do not wait
+        while not bench.waiting:
+            pass
+        bench.waiting[0].done(said=1)
+        stream = connection.makefile("rb")
+        assert [json.loads(stream.readline())["said"] for _ in range(2)] == [1, 2]
+
+
+def test_silent_clients_make_room_and_those_who_wait_for_an_answer_stay(bench: Bench) -> None:
+    with bench.connect() as patient, contextlib.ExitStack() as stack:
+        patient.sendall(b'{"op": "wait"}\n')
+        while not bench.waiting:
+            pass
+        for _ in range(200):
+            stack.enter_context(bench.connect()).sendall(b'{"op"')
+        assert works(bench)
+        bench.waiting[0].done(said="still here")
+        assert json.loads(patient.makefile("rb").readline())["said"] == "still here"
+
+
+def test_client_that_takes_nothing_is_hung_up_on(bench: Bench) -> None:
+    with bench.connect() as slow:
+        slow.sendall(b'{"op": "flood"}\n')
+        assert works(bench)
+        with contextlib.suppress(ConnectionResetError):
+            while slow.recv(1 << 20):
+                pass
+
+
+def test_flood_of_requests_does_not_keep_others_waiting(bench: Bench) -> None:
+    stop = threading.Event()
+
+    def flood() -> None:
+        with contextlib.suppress(OSError), bench.connect() as connection:
+            while not stop.is_set():
+                connection.sendall(b'{"op": "echo"}\n' * 1000)
+
+    floods = [threading.Thread(target=flood) for _ in range(4)]
+    for thread in floods:
+        thread.start()
+    try:
+        for _ in range(20):
+            assert works(bench)
+    finally:
+        stop.set()
+        for thread in floods:
+            thread.join()
+
+
+def test_what_goes_wrong_with_one_connection_ends_no_other(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with bench.connect() as patient, bench.connect() as odd:
+        patient.sendall(b'{"op": "wait"}\n')
+        odd.sendall(b'{"op": "wait"}\n')
+        deadline_s = time.monotonic() + _GIVE_UP_S
+        while len(bench.waiting) < 2 and time.monotonic() < deadline_s:
+            time.sleep(0.001)
+        bench.waiting[1].done(said={1, 2})  # JSON has no sets
+        assert odd.recv(1) == b""
+        monkeypatch.setattr("levid.daemon.api.control_server.peer_of", lambda _: 1 / 0)
+        with bench.connect() as unknown, contextlib.suppress(ConnectionError):
+            assert unknown.recv(1) == b""
+        monkeypatch.undo()
+        bench.waiting[0].done(said=1)
+        assert json.loads(patient.makefile("rb").readline())["said"] == 1
+    assert works(bench)
+
+
+def test_server_whose_thread_ended_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    server = Server(tmp_path / "test.sock", {}, Access(Service()))
+    assert not server.dead  # it has not begun
+    monkeypatch.setattr(server, "_accept_all", lambda: 1 / 0)
+    server.start()
+    assert not server.dead
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.connect(str(tmp_path / "test.sock"))
+        server._thread.join(_GIVE_UP_S)
+    assert server.dead
+    server._wake_up()  # whoever still posts does not fail
+    server.close()
+
+
+def test_line_without_an_end_is_refused(bench: Bench) -> None:
+    with bench.connect() as connection:
+        with contextlib.suppress(OSError):
+            connection.sendall(b"x" * (LONGEST_LINE + 2))
+        assert "at most" in json.loads(connection.makefile("rb").readline())["error"]
+    assert works(bench)
+
+
+@pytest.mark.parametrize("before", [b'{"op": "echo"}', b'{"op": "wait"}', b"nonsense"])
+def test_stop_of_a_client_that_does_not_wait_is_heard(bench: Bench, before: bytes) -> None:
+    for _ in range(20):
+        with bench.connect() as connection:
+            connection.sendall(before + b'\n{"op": "echo"}\n{"op": "stop"}\n')
+    with bench.connect() as connection:
+        connection.sendall(before + b'\n{"op": "stop"}\n')
+        connection.shutdown(socket.SHUT_WR)
+        connection.makefile("rb").read()
+    deadline_s = time.monotonic() + _GIVE_UP_S
+    while len(bench.stops) < 21 and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    assert len(bench.stops) == 21
+
+
+@pytest.mark.parametrize("line", [b"", b"stop", b'{"op": "echo"}'])
+def test_flood_of_a_client_that_goes_holds_nobody_up(bench: Bench, line: bytes) -> None:
+    flood = (line + b"\n") * (1_900_000 // (len(line) + 1))
+    with bench.connect() as connection:
+        connection.sendall(b'{"op": "wait"}\n' + flood)
+    began_s = time.monotonic()
+    assert bench.gone.wait(_GIVE_UP_S)
+    assert works(bench)
+    assert time.monotonic() - began_s < 0.7
+
+
+def test_what_is_left_of_a_conversation_is_searched_for_words() -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        lines = Lines(ours, 1000, 1000)
+        theirs.sendall(b"one\n\nstop 1\nno\nland stop 2\n\nstop 3 has no end")
+        lines.receive()
+        assert lines.next_line() == b"one"
+        assert list(lines.rest((b"stop", b"land"))) == [b"stop 1", b"land stop 2"]
+        assert lines.next_line() is None
+
+
+def test_who_is_being_hung_up_on_is_read_no_more(bench: Bench) -> None:
+    """His answers fill his own buffers, and then he may say what he likes."""
+    with bench.connect() as connection:
+        connection.sendall(b'{"op": "echo", "say": "' + b"x" * 200_000 + b'"}\n')
+        connection.setblocking(False)
+        said, deadline_s = 0, time.monotonic() + 1.0
+        while time.monotonic() < deadline_s:
+            try:
+                said += connection.send(b"y" * 100_000)
+            except BlockingIOError:
+                time.sleep(0.01)
+            except OSError:
+                break
+        # Twice the longest line, and what the kernel keeps.
+        assert said < 4 * LONGEST_LINE
+    assert works(bench)
+
+
+def test_client_that_vanishes_is_noticed(bench: Bench) -> None:
+    with bench.connect() as connection:
+        connection.sendall(b'{"op": "wait"}\n')
+    assert bench.gone.wait(_GIVE_UP_S)
+    assert not bench.waiting[0].waiting
+    bench.waiting[0].done()  # answered all the same, to nobody
+    assert works(bench)
+
+
+def test_client_that_is_left_is_gone_whoever_still_holds_it(bench: Bench) -> None:
+    with Client(bench.path) as daemon:
+        stream = daemon._stream  # as the traceback of an interrupt does
+        stream.write(b'{"op": "wait"}\n')
+        stream.flush()
+        while not bench.waiting:
+            time.sleep(0.01)
+    assert bench.gone.wait(_GIVE_UP_S)
+
+
+def test_kernel_says_who_asks() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX)
+    with ours, theirs:
+        peer = peer_of(ours)
+    assert (peer.pid, peer.uid) == (os.getpid(), os.geteuid())
+    assert peer.gids == {os.getegid(), *os.getgroups()}
+
+
+def test_who_may_ask() -> None:
+    own = Access(Service())
+    stranger = Peer(1, 54_321, frozenset({54_321}))
+    assert own.mode == 0o660
+    for peer in (
+        Peer(1, 0, frozenset({54_321})),
+        Peer(1, os.geteuid(), frozenset({54_321})),
+        Peer(1, 54_321, frozenset({54_321, os.getegid()})),
+    ):
+        assert own.refuses(peer) == ""
+    assert "user 54321 may not" in own.refuses(stranger)
+    user, group = pwd.getpwall()[-1], grp.getgrall()[-1]
+    for more in (
+        {"allow_users": (54_321,)},
+        {"allow_groups": (54_321,)},
+        {"allow_users": (user.pw_name, 54_321), "allow_groups": (group.gr_name,)},
+    ):
+        assert Access(Service(**more)).refuses(stranger) == ""
+    with pytest.raises(ConfigError, match="allow_users: expected a user, found 'nobody-at-all'"):
+        Access(Service(allow_users=("nobody-at-all",)))
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_another_user_is_told_so_and_hung_up_on() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        bench = Bench(Path(folder), Access(Service(allow_users=(54_322,))))
+        readable, writable = os.pipe()
+        try:
+            child = os.fork()
+            if child == 0:  # somebody else, with nothing of the test's but this pipe
+                os.setgroups([])
+                os.setgid(54_321)
+                os.setuid(54_321)
+                with bench.connect() as connection:
+                    os.write(writable, connection.recv(1000))
+                os._exit(0)
+            os.waitpid(child, 0)
+            assert b"user 54321 may not ask" in os.read(readable, 1000)
+            assert works(bench)
+        finally:
+            bench.server.close()
+
+
+def test_socket_where_so_many_ask_that_nobody_gets_in_is_not_taken_over(tmp_path: Path) -> None:
+    busy = socket.socket(socket.AF_UNIX)
+    busy.bind(str(tmp_path / "test.sock"))
+    busy.listen(1)
+    waiting = []
+    with contextlib.suppress(BlockingIOError):
+        for _ in range(64):
+            waiting.append(socket.socket(socket.AF_UNIX))
+            waiting[-1].setblocking(False)
+            waiting[-1].connect(str(tmp_path / "test.sock"))
+    with pytest.raises(ServerError, match="another daemon answers"):
+        Server(tmp_path / "test.sock", {}, Access(Service())).start()
+    for end in [*waiting, busy]:
+        end.close()
+
+
+def test_whoever_is_let_in_later_finds_the_door_open(bench: Bench) -> None:
+    assert bench.path.stat().st_mode & 0o777 == 0o660
+    bench.server.admit(Access(Service(allow_users=["nobody"])))
+    assert bench.path.stat().st_mode & 0o777 == 0o666
+
+
+def test_refused_clients_take_nobodys_place(bench: Bench) -> None:
+    mine = [bench.connect() for _ in range(64)]
+    for connection in mine:
+        bench.ask(connection, b'{"op": "echo"}')
+    bench.server.admit(_Nobody(Service()))
+    with bench.connect() as stranger, contextlib.suppress(ConnectionError):
+        assert stranger.recv(1) == b""
+    assert [bench.ask(c, b'{"op": "echo"}')[0]["ok"] for c in mine] == [True] * 64
+    for connection in mine:
+        connection.close()
+
+
+class _Nobody(Access):
+    def refuses(self, peer: Peer) -> str:
+        return "nobody may"

@@ -1,0 +1,147 @@
+"""The push of each coil after lift-off: sound coils pass, whatever the plant; others are named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from levid.config.base import ConfigError, parse_text
+from levid.config.rig import load_rig
+from levid.config.session import CoilCheck, SessionConfig
+from levid.config.shipped import shipped
+from levid.daemon.control.faults import Fault, FlightFault
+from levid.daemon.loop.virtual_session import fly_virtually
+from levid.daemon.planning.plan import plan_session
+from levid.log.reader import read_log
+
+RIG_FILE = shipped("rigs/loopback.yaml")
+
+COILS = """
+import numpy as np
+
+class Wired:
+    def __init__(self, order, gain):
+        self.order, self.gain = list(order), np.array(gain, float)
+
+    def reset(self, plant):
+        pass
+
+    def coil_force(self, t_s, q, force_n):
+        return force_n[self.order] * self.gain
+"""
+
+
+def fly(folder: Path, sim: Path, rate_hz: float, **check: float) -> np.ndarray:
+    session = {
+        "levid": "session",
+        "name": "check",
+        "rate_hz": rate_hz,
+        "steps": [
+            {"levitate": {"ramp_s": 1.5, "check_coils": check, "settle_s": 0.5}},
+            {"land": {"ramp_s": 0.3, "release_s": 0.2}},
+        ],
+    }
+    text = yaml.safe_dump(session)
+    rig = load_rig(RIG_FILE).model_copy(update={"sim": str(sim)})
+    config = parse_text(text, SessionConfig, "check")
+    result = fly_virtually(rig, RIG_FILE, config, text.encode(), folder / "out")
+    return read_log(result.logs[0]).rows
+
+
+def wired(folder: Path, order: list[int], gain: list[float]) -> Path:
+    (folder / "coils.py").write_text(COILS)
+    plain = yaml.safe_load(shipped("sims/nominal.yaml").read_text())
+    plain["effects"] = [{"use": "coils.py:Wired", "order": order, "gain": gain}]
+    path = folder / "sim.yaml"
+    path.write_text(yaml.safe_dump(plain))
+    return path
+
+
+@pytest.mark.parametrize("rate_hz", [250.0, 1000.0, 10_000.0])
+@pytest.mark.parametrize("sim", ["nominal", "rig", "undeclared"])
+def test_sound_coils_pass(tmp_path: Path, sim: str, rate_hz: float) -> None:
+    rows = fly(tmp_path, shipped(f"sims/{sim}.yaml"), rate_hz)
+    assert rows["fault"].max() == 0
+    assert (np.abs(rows["coil_excitation_n"]).max(axis=0) == 1.0).all()  # each was pushed
+    # It is a small thing: the pose stays within what excitation does.
+    pushed = rows[rows["coil_excitation_n"].any(axis=1)]
+    assert np.abs(pushed["gap_m"]).max() < 3e-4
+
+
+@pytest.mark.parametrize(
+    ("order", "gain", "named"),
+    [
+        ([0, 1, 2, 3, 4, 5, 6, 7, 8], {5: 0.7}, ["coil 5"]),
+        ([0, 1, 2, 3, 4, 5, 6, 7, 8], {8: 1.3, 4: 0.6}, ["coil 4", "coil 8"]),
+        ([0, 1, 2, 3, 4, 5, 8, 7, 6], {}, ["coil 6", "coil 8"]),
+        ([0, 2, 1, 3, 4, 5, 6, 7, 8], {}, ["coil 1", "coil 2"]),
+    ],
+)
+def test_coil_that_moves_other_sensors_is_named(
+    tmp_path: Path, order: list[int], gain: dict[int, float], named: list[str]
+) -> None:
+    gains = [gain.get(i, 1.0) for i in range(9)]
+    with pytest.raises(FlightFault) as caught:
+        fly(tmp_path, wired(tmp_path, order, gains), 1000.0)
+    assert caught.value.fault is Fault.COIL_CHECK
+    words = caught.value.detail
+    assert [f"coil {i}" for i in range(9) if f"coil {i} moved" in words] == named
+    rows = read_log(tmp_path / "out" / "00-levitate.mcap").rows
+    at = int(np.flatnonzero(rows["fault"])[0])
+    assert not rows["coil_n"][at:].any()
+
+
+def test_check_that_outlasts_the_rows_kept_is_refused(tmp_path: Path) -> None:
+    rig = load_rig(RIG_FILE)
+    for pause_s, before_fault_s, rate_hz, seconds in (
+        (3.0, 10.0, 10_000.0, r"23\.0 s, found 27\.3 s"),
+        (1.5, 0.1, 10_000.0, r"13\.1 s, found 13\.8 s"),
+        # Of a slow loop 4096 rows are kept.
+        (5.0, 0.1, 115.0, r"33\.6 s, found 45\.3 s"),
+    ):
+        recording = rig.recording.model_copy(update={"before_fault_s": before_fault_s})
+        slow = rig.model_copy(update={"recording": recording})
+        steps = f"[{{levitate: {{check_coils: {{pause_s: {pause_s}}}}}}}, {{land: {{}}}}]"
+        text = f"{{levid: session, name: x, rate_hz: {rate_hz}, steps: {steps}}}"
+        config = parse_text(text, SessionConfig, "x")
+        with pytest.raises(ConfigError, match=rf"steps\[0\].levitate.check_coils: .* {seconds}"):
+            plan_session(config, slow)
+
+
+def test_loop_too_slow_for_its_pushes_is_told_so() -> None:
+    rig = load_rig(RIG_FILE)
+    for rate_hz, push_s in ((100.0, 0.008), (50.0, 0.015)):
+        steps = f"[{{levitate: {{check_coils: {{push_s: {push_s}}}}}}}, {{land: {{}}}}]"
+        text = f"{{levid: session, name: x, rate_hz: {rate_hz}, steps: {steps}}}"
+        config = parse_text(text, SessionConfig, "x")
+        with pytest.raises(ConfigError, match=r"check_coils.push_s: expected .* at least one per"):
+            plan_session(config, rig)
+
+
+def test_what_is_not_asked_for_is_done_where_the_caller_wants_it_and_nowhere_else() -> None:
+    rig, found = load_rig(RIG_FILE), []
+    for given in ("", "check_coils: false", "check_coils: {push_n: 2}"):
+        text = f"{{levid: session, name: x, steps: [{{levitate: {{{given}}}}}, {{land: {{}}}}]}}"
+        config = parse_text(text, SessionConfig, "x")
+        for check in (None, CoilCheck()):
+            segments = plan_session(config, rig, check=check).steps[0].segments()
+            found.append([s.checks.force_n for s in segments if s.checks is not None])
+    assert found == [[], [1.0], [], [], [2.0], [2.0]]
+
+
+def test_long_check_is_judged_by_all_of_its_rows(tmp_path: Path) -> None:
+    # Nine turns of 0.562 s: 5.1 s, of 23 s that there may be.
+    rows = fly(tmp_path, shipped("sims/nominal.yaml"), 4500.0, pause_s=0.53)
+    assert rows["fault"].max() == 0
+    assert (np.abs(rows["coil_excitation_n"]).max(axis=0) == 1.0).all()
+
+
+def test_push_that_a_coil_cannot_carry_is_refused(tmp_path: Path) -> None:
+    rig = load_rig(RIG_FILE)
+    weak = rig.model_copy(update={"limits": rig.limits.model_copy(update={"coil_n": 9.0})})
+    steps = "[{levitate: {check_coils: {push_n: 5}}}, {land: {}}]"
+    text = f"{{levid: session, name: x, steps: {steps}}}"
+    config = parse_text(text, SessionConfig, "x")
+    with pytest.raises(ConfigError, match=r"steps\[0\].levitate.check_coils.*saturate"):
+        fly_virtually(weak, RIG_FILE, config, text.encode(), tmp_path / "out")

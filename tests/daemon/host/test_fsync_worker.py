@@ -1,0 +1,382 @@
+"""What was written is on the disk soon, the end of it too, and a disk that refuses is heard of."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable
+from errno import EIO, ENOMEM, ENOSPC
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from levid.config.rig import load_rig
+from levid.config.service import Recording
+from levid.config.shipped import shipped
+from levid.daemon.control.faults import Fault
+from levid.daemon.host.child_process import ChildSilence
+from levid.daemon.host.fsync_worker import Syncer
+from levid.daemon.ipc.control_words import Word
+from levid.daemon.ipc.row_ring import Ring
+from levid.daemon.ipc.shared_memory import Shared
+from levid.daemon.recording.fault_recorder import NO_ROWS, FaultLog
+from levid.daemon.recording.log_router import Event, LogFile
+from levid.daemon.recording.recorder_link import RecorderLink
+from levid.log.reader import read_log
+from levid.log.signals import cycle_dtype
+from levid.log.writer import LogWriter
+
+DTYPE = cycle_dtype(9, 9)
+
+
+def test_a_whole_file_and_its_name_are_brought_to_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced = []
+
+    def fsync(descriptor: int) -> None:
+        path = Path(f"/proc/self/fd/{descriptor}").readlink()
+        synced.append((path, path.stat().st_size if path.is_file() else 0))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    syncer, path = Syncer(), tmp_path / "01-z.mcap"
+    path.write_bytes(b"x" * 1000)
+    syncer.whole(path)
+    syncer.finish(30.0)
+    assert synced == [(path, 1000), (tmp_path, 0)]
+    assert syncer.failures() == []
+
+
+def test_a_disk_that_refuses_is_heard_of_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fdatasync", refuse)
+    monkeypatch.setattr("levid.daemon.host.fsync_worker._EVERY_S", 0.0)
+    syncer, rows = Syncer(), np.zeros(20_000, DTYPE)
+    with LogWriter(
+        tmp_path / "01-z.mcap", DTYPE, rate_hz=1e3, metadata={"kind": "record"}, attachments={}
+    ) as writer:
+        for _ in range(3):
+            writer.write(rows, np.zeros(len(rows), np.uint64))
+            syncer.offer(writer)
+            syncer.finish(30.0)
+    found = syncer.failures()
+    assert [path.name for path, _ in found] == ["01-z.mcap"]
+    assert "Input/output error" in found[0][1]
+    assert syncer.failures() == []
+
+
+def test_a_clock_that_is_behind_costs_no_flight_recording(tmp_path: Path) -> None:
+    ring, told = Ring(DTYPE, 4000), []
+    for k in range(5):  # of another year
+        (tmp_path / f"fault-20300101T00000{k}.000Z-GAP.mcap").touch()
+    log = FaultLog(
+        ring, 1e3, tmp_path, Recording(keep_faults=5), {},
+        lambda fault, path, error: told.append((fault, Path(path), error)),
+    )  # fmt: skip
+    ring.rows["cycle"][:2000] = np.arange(2000)
+    ring.head = 2000
+    for years in (1, 0, 2):  # it is set back again, and on
+        log.epoch_ns = years * 10**16
+        log.write(Fault.LINK)
+    assert not any(error for _, _, error in told)
+    assert all(path.exists() for _, path, _ in told)
+    kept = sorted(p.name for p in tmp_path.iterdir())
+    assert len(kept) == 5
+    assert [name for name in kept if "GAP" in name] == [  # the oldest went
+        "fault-20300101T000003.000Z-GAP.mcap", "fault-20300101T000004.000Z-GAP.mcap"
+    ]  # fmt: skip
+    for _ in range(4):
+        log.write(Fault.LINK)
+    assert [path.exists() for _, path, _ in told] == [False] * 2 + [True] * 5
+
+
+def full_disk(monkeypatch: pytest.MonkeyPatch, room: Callable[[], int], code: int = ENOSPC) -> None:
+    """Have files of LogWriter refuse what goes beyond `room()` bytes of one."""
+    opened = Path.open
+
+    class Full(io.FileIO):
+        def write(self, data: Any) -> int:
+            if self.tell() + len(data) > room():
+                raise OSError(code, os.strerror(code))
+            return super().write(data)
+
+    def begin(path: Path, mode: str = "r", *args: Any, **kwargs: Any) -> Any:
+        return Full(path, mode) if mode == "xb" else opened(path, mode, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", begin)
+
+
+def kept_faults(
+    tmp_path: Path, keep: int, there: int
+) -> tuple[FaultLog, list[tuple[Fault, str, str]]]:
+    """Return a log of faults in a folder that has some already, and what it tells."""
+    ring, told = Ring(DTYPE, 4000), []
+    for k in range(there):
+        (tmp_path / f"fault-19600101T00000{k}.000Z-GAP.mcap").touch()
+    ring.rows["cycle"][:2000] = np.arange(2000)
+    ring.head = 2000
+    config = Recording(keep_faults=keep)
+    return FaultLog(ring, 1e3, tmp_path, config, {}, lambda *of: told.append(of)), told
+
+
+def test_a_full_disk_keeps_flight_recordings_and_has_no_broken_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, told = kept_faults(tmp_path, 5, 5)
+    full_disk(monkeypatch, lambda: 10_000)
+    for _ in range(3):
+        log.write(Fault.LINK)
+    assert [path for _, path, _ in told] == [""] * 3
+    assert "No space left" in told[0][2]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert [name[20] for name in names] == list("1234")  # one went for the new one
+
+
+@pytest.mark.parametrize(("keep", "there"), [(5, 4), (1, 1)])
+def test_a_full_disk_costs_no_recording_that_is_not_to_go_or_is_the_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keep: int, there: int
+) -> None:
+    log, told = kept_faults(tmp_path, keep, there)
+    full_disk(monkeypatch, lambda: 10_000)
+    log.write(Fault.LINK)
+    assert told[0][1] == ""
+    assert len(list(tmp_path.iterdir())) == there
+
+
+def test_the_oldest_recording_makes_room_for_the_newest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, told = kept_faults(tmp_path, 3, 3)
+    full_disk(monkeypatch, lambda: 10_000 if len(list(tmp_path.glob("*GAP*"))) == 3 else 10**9)
+    log.write(Fault.LINK)
+    assert not told[0][2]
+    assert len(read_log(Path(told[0][1])).rows) == 2000
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_disk_that_fails_otherwise_costs_no_flight_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, told = kept_faults(tmp_path, 3, 3)
+    full_disk(monkeypatch, lambda: 10_000, EIO)
+    log.write(Fault.LINK)
+    assert "Input/output error" in told[0][2]
+    assert sorted(path.name[20] for path in tmp_path.iterdir()) == list("012")
+
+
+def test_a_flight_recording_that_lacks_its_summary_only_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, told = kept_faults(tmp_path, 3, 0)
+    log.write(Fault.LINK)
+    size = Path(told[0][1]).stat().st_size
+    full_disk(monkeypatch, lambda: size - 100)
+    log.write(Fault.LINK)
+    assert "No space left" in told[1][2]
+    assert len(read_log(Path(told[1][1])).rows) == 2000
+
+
+def test_every_fault_gets_its_recording_however_fast_they_come(tmp_path: Path) -> None:
+    ring, told = Ring(DTYPE, 4000), []
+    log = FaultLog(ring, 1e3, tmp_path, Recording(), {}, lambda *of: told.append(of))
+    faults = ring.rows["fault"]
+    ring.rows["cycle"][:3000] = np.arange(3000)
+    faults[1000:1050], faults[1100:1200], faults[1300:1400] = Fault.GAP, Fault.STOPPED, Fault.POSE
+    for head in (1010, 1250, 1320, 1550, 2500):  # two of them in one block
+        ring.head = head
+        taken = ring.take(4000)
+        ring.tail = head
+        log.see(taken)
+    assert [fault for fault, *_ in told] == [Fault.GAP, Fault.STOPPED, Fault.POSE]
+    assert not any(error for *_, error in told)
+    # Half a second goes on after each.
+    assert [int(read_log(Path(path)).rows["cycle"][-1]) for _, path, _ in told] == [
+        1499, 1599, 1799
+    ]  # fmt: skip
+    assert log.nothing_due
+
+
+def test_a_fault_before_the_first_row_is_told_too(tmp_path: Path) -> None:
+    told: list[object] = []
+    log = FaultLog(Ring(DTYPE, 4000), 1e3, tmp_path, Recording(), {}, lambda *of: told.append(of))
+    log.write(Fault.LOOP)
+    assert told == [(Fault.LOOP, "", "there were no rows before it")]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recorder_that_follows_a_dead_one_writes_what_was_asked_of_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[dict[str, object]] = []
+    board = {Word.RECORDER_BEAT: 0}
+    monkeypatch.setattr(RecorderLink, "_send", lambda _, message: sent.append(message))
+    link = RecorderLink(b"{}", -1, board, tmp_path, lambda *_: None)  # type: ignore[arg-type]
+    monkeypatch.setattr(link._child, "start", lambda *_: None)
+    link.fault(Fault.LOOP)
+    link._start(0.0)
+    assert sent == [{"fault": "LOOP"}] * 2
+    link.forget()  # a flight has begun since: it is no part of that fault
+    link._start(0.0)
+    assert sent[2:] == [{"forget": 0}]
+    del sent[2:]
+    link.fault(Fault.LOOP)
+    del sent[2:]
+    link._take({"event": "fault", "fault": "LOOP", "path": str(tmp_path / "a.mcap"), "why": ""})
+    link._start(1.0)
+    assert len(sent) == 2
+
+
+def test_recorder_that_waits_for_a_disk_in_the_kernel_records_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    now_s, board = 1000.0, {Word.RECORDER_BEAT: 0}
+    link = RecorderLink(b"{}", -1, board, tmp_path, said.append)  # type: ignore[arg-type]
+    child: Any = SimpleNamespace(
+        running=True, kill=lambda _: None, end="it runs", waited_s=0.0
+    )  # it is in no hurry
+    monkeypatch.setattr(link, "_child", child)
+    monkeypatch.setattr(link, "_silence", ChildSilence(child))
+    monkeypatch.setattr("levid.daemon.recording.recorder_link.time.monotonic", lambda: now_s)
+    board[Word.RECORDER_BEAT] += 1  # it has begun
+    link.watch()
+    now_s += 60.0
+    link.watch()  # the machine stood still
+    assert not said
+    for _ in range(1010):
+        now_s += 0.01
+        link.watch()
+    assert said == ["the recorder hangs for 10 s: it is killed"]
+    assert "hangs" in link.problem
+    board[Word.RECORDER_BEAT] += 1  # its disk answers
+    link.watch()
+    assert not link.problem
+
+
+def linked(tmp_path: Path, said: list[str], board: Any = None) -> RecorderLink:
+    """Return a link whose recorder runs as far as anybody can see."""
+    link = RecorderLink(b"{}", -1, board or {Word.RECORDER_BEAT: 0}, tmp_path, said.append)
+    link._child = cast("Any", SimpleNamespace(running=True, end="exit code 1"))
+    return link
+
+
+def fault_of(path: str, why: str = "") -> dict[str, str]:
+    return {"event": "fault", "fault": "GAP", "path": path, "why": why}
+
+
+def test_a_flight_recording_that_failed_shows_until_something_is_written(tmp_path: Path) -> None:
+    link = linked(tmp_path, [])
+    link._take(fault_of("/a.mcap"))
+    link._take(fault_of("", NO_ROWS))
+    assert not link.problem  # nothing failed
+    before = link.define(LogFile(tmp_path / "0.mcap", {}, {}))
+    of_log = {"log": before, "path": str(tmp_path / "0.mcap"), "why": ""}
+    link._take({"event": Event.OPENED, **of_log})
+    link._take(fault_of("", "No space left on device"))
+    assert link.problem == "flight recording of GAP: No space left on device"
+    assert link.last_fault_log == "/a.mcap"
+    link._take({"event": Event.CLOSED, **of_log})  # for its end there was room
+    link.forget()
+    assert "No space left" in link.problem
+    of_log = {"log": link.define(LogFile(tmp_path / "1.mcap", {}, {})), "path": "1", "why": ""}
+    link._take({"event": Event.OPENED, **of_log})
+    assert link.problem
+    link._take({"event": Event.CLOSED, **of_log})
+    assert not link.problem
+    link._take(fault_of("", "No space left on device"))
+    link._take(fault_of("/b.mcap"))
+    assert (link.problem, link.last_fault_log) == ("", "/b.mcap")
+
+
+def test_a_log_that_failed_shows_until_a_flight_recording_is_written(tmp_path: Path) -> None:
+    link = linked(tmp_path, [])
+    tag = link.define(LogFile(tmp_path / "1.mcap", {}, {}))
+    link._take({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
+    assert link.problem == "No space left"
+    link._take(fault_of("/a.mcap"))
+    assert not link.problem
+    assert link.failed == {tag: "No space left"}  # whoever asked for the log hears of it
+    link._take({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
+    link.forget()
+    assert not link.problem
+
+
+@pytest.mark.parametrize("beats", [False, True])
+def test_a_recorder_that_dies_of_each_start_is_tried_ever_more_seldom(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, beats: bool
+) -> None:
+    said: list[str] = []
+    starts: list[float] = []
+    now_s, board = 1000.0, {Word.RECORDER_BEAT: 0}
+    link = linked(tmp_path, said, board)
+    monkeypatch.setattr("levid.daemon.recording.recorder_link.time.monotonic", lambda: now_s)
+
+    def start(*_: object) -> None:
+        starts.append(now_s)
+        link._child.running = True
+
+    link._child.start, link._child.running = start, False
+
+    def live(seconds: float, lives_s: float) -> None:
+        nonlocal now_s
+        for _ in range(round(seconds / 0.05)):
+            now_s += 0.05
+            board[Word.RECORDER_BEAT] += beats or lives_s > 1.0
+            link.watch()
+            link._child.running = now_s - starts[-1] < lives_s
+
+    live(0.05, 20.0)
+    live(20.0, 20.0)
+    live(0.1, 0.1)
+    assert [s - 1000.0 for s in starts] == pytest.approx([0.05, 20.1], abs=0.06)  # at once
+    live(3600.0, 0.1)
+    assert 60 < len(starts) < 75
+    assert starts[-1] - starts[-2] == pytest.approx(60.0, abs=0.2)
+    assert 55 < len(said) <= 62
+    assert "the recorder is gone (exit code 1)" in said[-1]
+    assert "more since" in said[1]
+    live(75.0, 15.0)  # whatever was wrong is mended, and it dies of something else
+    assert 58.0 < starts[-3] - starts[-4] < 62.0
+    assert starts[-1] - starts[-2] == pytest.approx(15.0, abs=0.2)
+    live(15.0, 1000.0)
+    link._child.running = False
+    count = len(starts)
+    live(0.1, 1000.0)
+    assert len(starts) == count + 1
+
+
+def test_a_recorder_that_the_kernel_does_not_start_is_told_of_once_a_minute(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    now_s = 1000.0
+    link = linked(tmp_path, said)
+    monkeypatch.setattr("levid.daemon.recording.recorder_link.time.monotonic", lambda: now_s)
+
+    def start(*_: object) -> None:
+        raise OSError(ENOMEM, os.strerror(ENOMEM))
+
+    link._child.start, link._child.running = start, False
+    for _ in range(20 * 50):
+        now_s += 0.05
+        link.watch()
+    assert said == ["the recorder cannot be started: [Errno 12] Cannot allocate memory"]
+
+
+def test_rows_that_a_hung_recorder_has_lost_count_at_once() -> None:
+    shared = Shared(load_rig(shipped("rigs/loopback.yaml")))
+    ring = shared.ring
+    shared.board[Word.DROPPED] = 5
+    for waiting, lost in ((0, 0), (ring.capacity - 1, 0), (ring.capacity + 9, 10)):
+        ring.head = waiting
+        assert shared.lost == 5 + lost
+    ring.take(1)
+    assert (shared.lost, ring.lost) == (15, 10)
+    shared.close()

@@ -1,0 +1,108 @@
+"""What the kernel does not permit is a warning that says what follows; everything else holds."""
+
+import gc
+import os
+import subprocess
+import sys
+
+import pytest
+
+from levid.config.service import Realtime
+from levid.daemon.host import real_time_scheduling
+from levid.daemon.host.real_time_scheduling import (
+    be_punctual,
+    cpu_latency_us,
+    leave_to_loop,
+    no_collections,
+)
+
+NOTHING = Realtime(priority=0, lock_memory=False, cpu_latency_us=None)
+
+
+def test_what_is_not_asked_for_is_not_warned_of() -> None:
+    assert be_punctual(NOTHING) == []
+
+
+def test_processor_that_is_not_there_is_a_warning() -> None:
+    before = os.sched_getaffinity(0)
+    (warning,) = be_punctual(NOTHING.model_copy(update={"cpus": (4000,)}))
+    assert warning.startswith("realtime.cpus [4000]: ")
+    assert warning.endswith("the loop moves between processors")
+    assert os.sched_getaffinity(0) == before
+
+
+def test_others_keep_off_the_loops_processors_if_there_are_any() -> None:
+    before = os.sched_getaffinity(0)
+    try:
+        leave_to_loop(())
+        assert os.sched_getaffinity(0) == before
+        leave_to_loop((4000,))
+        assert os.sched_getaffinity(0) == before
+        leave_to_loop(before)
+        assert os.sched_getaffinity(0) == before
+        if len(before) > 1:
+            leave_to_loop((max(before),))
+            assert os.sched_getaffinity(0) == before - {max(before)}
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def test_process_without_rights_is_warned_of_each_part_it_lacks() -> None:
+    # In a process of its own, which gives away the rights it may have.
+    program = """
+import os, resource
+from levid.config.service import Realtime
+from levid.daemon.host.real_time_scheduling import be_punctual
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
+if os.geteuid() == 0:
+    os.setgroups([])
+    os.setgid(54321)
+    os.setuid(54321)
+print(*be_punctual(Realtime(cpu_latency_us=0)), sep="\\n")
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout
+    assert [line.split()[0].rstrip(":") for line in told.splitlines()] == [
+        "realtime.lock_memory",
+        "realtime.cpu_latency_us",
+        "realtime.priority",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("flags", "asked", "latency_us"),
+    [
+        ("fpu hypervisor lahf_lm", "auto", None),
+        ("fpu lahf_lm", "auto", 0),
+        ("fpu hypervisor lahf_lm", 0, 0),
+        ("fpu lahf_lm", 50, 50),
+        ("fpu lahf_lm", None, None),
+    ],
+)
+def test_processors_of_a_virtual_machine_may_sleep_unless_told_otherwise(
+    tmp_path, monkeypatch, flags: str, asked, latency_us: int | None
+) -> None:
+    (tmp_path / "cpuinfo").write_text(f"processor\t: 0\nflags\t\t: {flags}\nbugs\t\t: none\n")
+    monkeypatch.setattr(real_time_scheduling, "_CPUINFO", tmp_path / "cpuinfo")
+    monkeypatch.setattr(real_time_scheduling, "_DEVICE_TREE", tmp_path / "none")
+    assert cpu_latency_us(Realtime(cpu_latency_us=asked)) == latency_us
+
+
+def test_machine_that_tells_nothing_of_itself_is_taken_for_a_real_one(
+    tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(real_time_scheduling, "_CPUINFO", tmp_path / "none")
+    monkeypatch.setattr(real_time_scheduling, "_DEVICE_TREE", tmp_path / "none")
+    assert cpu_latency_us(Realtime()) == 0
+    (tmp_path / "tree" / "fw-cfg@9020000").mkdir(parents=True)
+    monkeypatch.setattr(real_time_scheduling, "_DEVICE_TREE", tmp_path / "tree")
+    assert cpu_latency_us(Realtime()) is None
+
+
+def test_collector_is_back_afterwards() -> None:
+    with no_collections():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0

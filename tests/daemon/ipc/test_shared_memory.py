@@ -1,0 +1,184 @@
+"""What the daemon's processes share: the ring that tells what it lost, the program, the landing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from levid.config.rig import load_rig
+from levid.config.shipped import shipped
+from levid.daemon.control.control_cycle import Controller
+from levid.daemon.control.faults import FAULTS, Fault
+from levid.daemon.control.landing import Landing
+from levid.daemon.control.segment import idle_segment
+from levid.daemon.control.states import TRANSITIONS, State
+from levid.daemon.ipc.control_words import Board, Word
+from levid.daemon.ipc.row_ring import Ring
+from levid.daemon.ipc.segment_stream import Feeder, Logged, Program
+from levid.daemon.planning import point_to_point
+
+DTYPE = np.dtype([("cycle", "<u8"), ("payload", "<f4", 3)])
+RIG = load_rig(shipped("rigs/loopback.yaml"))
+
+
+def write(ring: Ring, n: int, tag: int = 1) -> None:
+    for _ in range(n):
+        slot = ring.head % ring.capacity
+        ring.rows["cycle"][slot], ring.tags[slot] = ring.head, tag
+        ring.head += 1
+
+
+def test_ring_hands_on_every_row_once_and_in_order() -> None:
+    ring = Ring(DTYPE, 10)
+    seen: list[int] = []
+    for n in (3, 9, 0, 1, 8, 8):
+        write(ring, n)
+        seen += ring.take(100).rows["cycle"].tolist()
+    assert seen == list(range(29))
+    assert ring.lost == 0
+
+
+def test_ring_writes_over_what_is_not_read_and_counts_it() -> None:
+    ring = Ring(DTYPE, 10)
+    write(ring, 25)
+    taken = ring.take(100)
+    # The slot of the oldest row may be being written: nine of ten are sure.
+    assert taken.rows["cycle"].tolist() == list(range(16, 25))
+    assert taken.first == 16
+    assert ring.lost == 16
+
+
+def test_row_that_is_written_over_while_it_is_read_does_not_count() -> None:
+    class Racing(Ring):
+        @property
+        def head(self) -> int:
+            value = super().head
+            if self.racing and value == 10:  # the writer goes on while rows are copied
+                self.racing = False
+                self.words[0] = 14
+            return value
+
+        @head.setter
+        def head(self, value: int) -> None:
+            self.words[0] = value
+
+        racing = False
+
+    ring = Racing(DTYPE, 10)
+    write(ring, 10)
+    ring.racing = True
+    assert ring.copy(0, 100).first == 5
+
+
+def test_two_rings_on_one_memory_are_one() -> None:
+    memory = memoryview(bytearray(Ring.size(DTYPE, 10)))
+    writer, reader = Ring(DTYPE, 10, memory), Ring(DTYPE, 10, memory)
+    write(writer, 4, tag=7)
+    taken = reader.take(100)
+    assert taken.tags.tolist() == [7] * 4
+    assert writer.tail == 4
+
+
+def test_last_rows_are_there_whether_taken_or_not() -> None:
+    ring = Ring(DTYPE, 10)
+    write(ring, 12)
+    ring.take(100)
+    assert ring.last(3).rows["cycle"].tolist() == [9, 10, 11]
+    assert len(ring.last(100).rows) == 9
+
+
+def test_feeder_streams_a_plan_longer_than_the_memory() -> None:
+    board = Board(memoryview(bytearray(Board.SIZE)))
+    capacity, coils = 64, 9
+    program = Program(coils, capacity, memoryview(bytearray(Program.size(coils, capacity))), board)
+    rng = np.random.default_rng(1)
+    segments = []
+    for cycles in (5, 300, 1, 100):
+        v = rng.normal(size=(cycles, 3)) if cycles > 1 else np.ones((1, 3))
+        segment = replace(idle_segment(cycles, coils, np.zeros(3), np.zeros(3)), v=v)
+        segments.append(Logged(segment, cycles))
+    feeder = Feeder(program, board, 1, segments)
+    flown = []
+    while board[Word.QUEUE_TAIL] < len(segments):
+        feeder.feed()
+        assert board[Word.QUEUE_TAIL] < board[Word.QUEUE_HEAD]
+        announced = program.announced(board[Word.QUEUE_TAIL])
+        board[Word.QUEUE_TAIL] += 1
+        assert announced.log == announced.cycles
+        for position in range(announced.first, announced.first + announced.cycles):
+            if position >= board[Word.ROWS_HEAD]:
+                feeder.feed()
+            assert position < board[Word.ROWS_HEAD]
+            flown.append(program.v[position % capacity].copy())
+            board[Word.ROWS_TAIL] = position
+    assert announced.last
+    np.testing.assert_array_equal(flown, np.vstack([logged.segment.v for logged in segments]))
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3, -0.5])
+def test_landing_by_hand_is_the_planned_one(speed: float) -> None:
+    control = Controller(RIG, 1e-3)
+    control.beam_ref[:] = 0.02, speed, 0.0
+    control.rotor_ref[:] = 1.0, 10 * speed, 0.0
+    landing = Landing(control, RIG.limits, 1e-3)
+    landing.begin(500, 200)
+    rows = []
+    while landing.set_row(len(rows)):
+        segment = landing.segment
+        rows.append(np.concatenate([segment.blend[0], segment.beam[0], segment.rotor[0]]))
+    assert len(rows) == 700
+    s = np.arange(500, 0, -1) / 500
+    blend, beam = np.array(rows)[:, :3], np.array(rows)[:, 3:6]
+    np.testing.assert_allclose(blend[:500, 0], s**3 * (10 - 15 * s + 6 * s**2), atol=1e-12)
+    assert np.all(blend[:500, 1:] == 1.0)
+    assert np.all(np.diff(blend[500:, 2]) < 0)
+    brake = point_to_point.brake(0.02, speed, RIG.limits.beam_acceleration_m_s2, 1e-3)
+    np.testing.assert_allclose(beam[: len(brake)], brake, atol=1e-12)
+    np.testing.assert_allclose(beam[len(brake) :, 0], brake[-1, 0], atol=1e-12)
+    assert not beam[len(brake) :, 1:].any()
+
+
+def test_stop_is_there_at_once_and_twice_is_once() -> None:
+    board = Board(memoryview(bytearray(Board.SIZE)))
+    board.stop(Fault.STOPPED)
+    board.stop(Fault.LOOP)
+    assert board[Word.ZERO] == Fault.STOPPED
+
+
+def test_a_stop_that_comes_after_a_clear_is_not_taken_back_by_it() -> None:
+    board = Board(memoryview(bytearray(Board.SIZE)))
+    board.stop()
+    asked = board[Word.STOPS]
+    board.stop()  # before the clear is acted upon
+    board.clear(asked)
+    board.take_back_stop()
+    assert board[Word.ZERO] == Fault.STOPPED
+    board.clear()
+    board.take_back_stop()
+    assert board[Word.ZERO] == 0
+
+
+def test_detail_of_any_length_comes_back() -> None:
+    board = Board(memoryview(bytearray(Board.SIZE)))
+    for text in ("", "short", "ü" * 1000):
+        board.detail = text
+        assert text.startswith(board.detail.rstrip("\ufffd"))
+    board.detail = "short"
+    assert board.detail == "short"
+
+
+def test_every_state_can_end_in_a_fault_and_come_back() -> None:
+    assert set(TRANSITIONS) == set(State)
+    for state in State:
+        assert state.may_become(State.FAULT)
+    # The only way out of a fault is through the self-test, the only way to fly through IDLE.
+    assert TRANSITIONS[State.FAULT] == {State.SELF_TEST, State.OFF}
+    assert [s for s in State if State.LEVITATING in TRANSITIONS[s] and s is not State.IDLE] == [
+        State.EXCITING,
+        State.MOVING,
+    ]
+
+
+def test_every_fault_says_cause_check_and_cure() -> None:
+    assert set(FAULTS) == set(Fault)
+    assert all(t.cause and t.check and t.cleared for f, t in FAULTS.items() if f)

@@ -1,0 +1,234 @@
+"""What the loop says of its cycles in counters and rows: nothing that was not so."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scripted_loop import LIFT, ScriptedLoop
+
+from levid.daemon.control.faults import Fault
+from levid.daemon.control.states import State
+from levid.daemon.ipc.control_words import Word
+from levid.drivers.base import Backend, Devices, StaleError
+
+
+def test_homing_is_no_cycle() -> None:
+    """A clear that takes 10 s was a cycle of 10 s, and the next one late by as much."""
+    flight = ScriptedLoop()
+    clock = flight.loop._clock
+    flight.loop._recover = lambda: time.sleep(0.2)
+
+    def script(n: int) -> None:
+        clock.skipped = {401: 200, 501: 3}.get(n, 0)
+        if n == 300:
+            flight.board.stop()
+        if n == 400:
+            flight.board.clear()
+
+    flight.run(script, 600)
+    assert flight.board.fault is Fault.NONE
+    figures = flight.shared.timing.figures()
+    assert figures["execution_us"]["max"] < 0.15e6
+    assert sum(figures["late_by"].values()) == 1  # the one that was
+    assert flight.loop._lateness.late == 1
+    rows = flight.shared.ring.last(300).rows
+    assert rows["execution_s"].max() < 0.15
+    assert rows["skipped"].max() == 200
+
+
+@pytest.mark.parametrize(
+    ("slow", "part", "cause"),
+    [
+        ("amplifiers.write", "writing", "drivers"),
+        ("drives.write", "writing", "drivers"),
+        ("sensors.read", "drivers", "drivers"),
+        ("course.advance", "control", "control"),
+    ],
+)
+def test_time_is_counted_to_whoever_took_it(slow: str, part: str, cause: str) -> None:
+    flight = ScriptedLoop()
+    loop, clock = flight.loop, flight.loop._clock
+    whose, name = slow.split(".")
+    one = loop.course if whose == "course" else getattr(loop._devices, whose)
+    takes_long = False
+
+    def script(n: int) -> None:
+        nonlocal takes_long
+        takes_long = n == 300
+        clock.skipped = 19 if n == 301 else 0
+        if n == 300 and whose == "course":  # it changes its method as what is flown changes
+            slowly()
+
+    def slowly() -> None:
+        usual = getattr(one, name)
+
+        def action(*arguments: object) -> object:
+            if takes_long:
+                time.sleep(0.02)
+            return usual(*arguments)
+
+        setattr(one, name, action)
+
+    if whose != "course":
+        slowly()
+    flight.run(script, 310)
+    figures = flight.shared.timing.figures()
+    assert figures["late_by"] == {"wake_up": 0, "drivers": 0, "control": 0, cause: 1}
+    parts = {name: figures[f"{name}_us"]["max"] for name in ("drivers", "control", "writing")}
+    assert max(parts, key=lambda name: parts[name]) == part
+    assert figures["execution_us"]["max"] == pytest.approx(sum_at(flight), rel=0.05)
+
+
+def sum_at(flight: ScriptedLoop) -> float:
+    """Return the longest execution of the rows, us."""
+    return float(1e6 * flight.shared.ring.last(300).rows["execution_s"].max())
+
+
+def test_counters_go_on_where_every_cycle_is_late() -> None:
+    """With every other period skipped the cycle is odd for ever, and no multiple of 64."""
+    flight = ScriptedLoop()
+    clock = flight.loop._clock
+
+    def script(n: int) -> None:
+        clock.skipped = 1 if n > 100 else 0
+
+    flight.run(script, 400)
+    assert flight.board[Word.LATE] >= 400 - 100 - 64
+
+
+def test_loop_that_follows_a_dead_one_counts_on() -> None:
+    flight = ScriptedLoop()
+    board = flight.board
+    board[Word.LATE], board[Word.STALE] = 7, 11
+    flight.loop.__init__(  # type: ignore[misc]
+        flight.rig, flight.controller, flight.loop._devices, flight.loop._clock, flight.shared,
+        lambda: None, flight.parent,
+    )  # fmt: skip
+    clock = flight.loop._clock
+
+    def script(n: int) -> None:
+        clock.skipped = 2 if n == 50 else 0
+
+    flight.run(script, 200)
+    assert (board[Word.LATE], board[Word.STALE]) == (8, 11)
+
+
+def test_row_of_the_cycle_that_was_too_late_has_the_forces_that_were_sent() -> None:
+    flight = ScriptedLoop()
+    clock = flight.loop._clock
+
+    def script(n: int) -> None:
+        clock.skipped = 1500 if n == 1500 else 0  # more than limits.stall_s
+        if n == 300:
+            flight.fly({"levitate": {**LIFT, "settle_s": 5.0}})
+
+    flight.run(script, 1502)
+    assert flight.board.fault is Fault.LATE
+    rows = flight.shared.ring.last(10).rows
+    late = rows["fault"] == Fault.LATE
+    assert late.sum() == 3
+    assert rows["coil_n"][~late].any(axis=1).all()
+    assert not rows["coil_n"][late].any()
+    assert (rows["state"][late] == State.FAULT).all()
+
+
+@pytest.mark.parametrize("late", [1, 100])
+def test_move_that_is_asked_for_as_somebody_lands_is_dropped(late: int) -> None:
+    """Who announces it looks for a landing before, and asks for one again after."""
+    flight = ScriptedLoop()
+    board, seen = flight.board, []
+
+    def script(n: int) -> None:
+        if n == 300:
+            flight.fly({"levitate": LIFT})
+        if n == 2000:
+            assert board.state is State.LEVITATING
+            assert not board[Word.PLAN]
+            board.land()
+        if n == 2000 + late:
+            flight.fly({"move": {"beam_m": 0.01}})
+            assert flight._feeder is not None
+            flight._feeder.feed()
+            board.land()
+        seen.append(board.state)
+
+    flight.run(script, 4000)
+    assert board.fault is Fault.NONE
+    assert seen[-1] is State.IDLE
+    assert State.LANDING in seen
+    assert State.MOVING not in seen
+    assert board[Word.PLAN_DONE] == board[Word.PLAN_CUT] == flight.plans
+
+
+def test_devices_are_told_how_late_a_cycle_begins_without_those_that_were_skipped() -> None:
+    """A reading is waited for until this cycle's end: what was missed before has no part in it."""
+    heard: list[tuple[int, float]] = []
+
+    class Listening:
+        def __init__(self, backend: Backend) -> None:
+            self._backend = backend
+
+        def sync(self, cycle: int, late_s: float = 0.0) -> None:
+            heard.append((cycle, late_s))
+            self._backend.sync(cycle, late_s)
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self._backend, name)
+
+    flight = ScriptedLoop(
+        lambda devices: replace(devices, backends=(Listening(devices.backends[0]),))
+    )
+    clock = flight.loop._clock
+
+    def script(n: int) -> None:
+        clock.skipped, clock.late_s = (3, 3.4e-3) if n == 50 else (0, 2e-5)
+
+    before = len(heard)
+    flight.run(script, 60)
+    told = [late_s for _, late_s in heard[before:]]
+    assert told[49] == pytest.approx(0.4e-3)
+    assert told[48] == told[50] == 2e-5
+
+
+def test_readings_that_stay_away_at_rest_are_counted_where_others_see_it() -> None:
+    """Cycles that raise write no row: counters that are published by rows stood still."""
+    silent = SimpleNamespace(now=False, stale=0)
+
+    class Counting:
+        def __init__(self, backend: Backend) -> None:
+            self._backend = backend
+
+        @property
+        def stale(self) -> int:
+            return silent.stale
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self._backend, name)
+
+    def failing(devices: Devices) -> Devices:
+        read = devices.sensors.read
+
+        def reading(gap_m: np.ndarray) -> None:
+            if silent.now:
+                silent.stale += 1
+                raise StaleError("no reading")
+            read(gap_m)
+
+        devices.sensors.read = reading  # type: ignore[method-assign]
+        return replace(devices, backends=(Counting(devices.backends[0]),))
+
+    flight = ScriptedLoop(failing)
+    clock, board, seen = flight.loop._clock, flight.board, []
+
+    def script(n: int) -> None:
+        clock.skipped = 2 if n == 399 else 0
+        silent.now = n >= 400
+        if n == 900:
+            seen.extend((board.state, board.fault, board[Word.STALE], board[Word.LATE]))
+
+    flight.run(script, 900)
+    assert seen == [State.IDLE, Fault.NONE, 500, 1]

@@ -1,0 +1,155 @@
+"""Coils that are hot stay so in the eyes of the daemon that follows."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.config.rig import RigConfig, load_rig
+from levid.config.shipped import shipped
+from levid.daemon.recording import coil_heat as heat_module
+from levid.daemon.recording.coil_heat import HeatFile, state_folder
+
+RIG = load_rig(shipped("rigs/loopback.yaml"))
+LIMITED = RIG.model_copy(update={"limits": RIG.limits.model_copy(update={"coil_rms_n": 8.0})})
+
+
+class Machine:
+    """Its clocks, and the number of its boot."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.boot, self.uptime_s, self.time_s = "one", 100.0, 1e9
+        monkeypatch.setattr(heat_module, "_now", lambda: dict(vars(self)))
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
+    return Machine(monkeypatch)
+
+
+def kept(folder: Path, heat: np.ndarray, rig: RigConfig = LIMITED) -> None:
+    file = HeatFile(rig, folder, np.zeros(9), np.zeros(1))
+    file.start()
+    file._heat[:], file._heated[:] = heat, 1.0  # a daemon flies meanwhile
+    file.close(10.0)
+
+
+def taken_over(folder: Path, said: list[str] | None = None) -> np.ndarray:
+    heat = np.zeros(9)
+    file = HeatFile(LIMITED, folder, heat, np.zeros(1), [].append if said is None else said.append)
+    file.start()
+    found = heat.copy()
+    file.close(10.0)
+    return found
+
+
+def test_the_next_daemon_finds_the_coils_as_hot_but_for_the_time_between(
+    tmp_path: Path, machine: Machine
+) -> None:
+    hot = np.arange(9.0) * 7.0
+    kept(tmp_path, hot)
+    machine.uptime_s += 60.0
+    machine.time_s -= 5000.0  # somebody set the clock: the other one counts
+    np.testing.assert_allclose(taken_over(tmp_path), hot * math.exp(-1.0))
+
+
+def test_after_a_boot_the_time_of_day_counts_and_never_backwards(
+    tmp_path: Path, machine: Machine
+) -> None:
+    hot = np.full(9, 50.0)
+    kept(tmp_path, hot)
+    machine.boot, machine.uptime_s, machine.time_s = "two", 1.0, 1e9 - 10.0
+    np.testing.assert_allclose(taken_over(tmp_path), hot)
+    kept(tmp_path, hot)
+    machine.boot, machine.time_s = "three", machine.time_s + 120.0
+    np.testing.assert_allclose(taken_over(tmp_path), hot * math.exp(-2.0))
+
+
+def test_without_a_limit_there_is_no_file(tmp_path: Path) -> None:
+    free = RIG.model_copy(update={"limits": RIG.limits.model_copy(update={"coil_rms_n": None})})
+    kept(tmp_path, np.full(9, 50.0), free)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "{}", '{"heat_n2": "hot"}', json.dumps({"heat_n2": [1e9] * 9}),
+     json.dumps({"heat_n2": [math.nan] * 9}), json.dumps({"heat_n2": [1.0] * 8})],
+)  # fmt: skip
+def test_a_file_that_is_none_is_told_and_made_anew(
+    tmp_path: Path, text: str, machine: Machine
+) -> None:
+    kept(tmp_path, np.full(9, 50.0))
+    (path,) = tmp_path.iterdir()
+    path.write_text(text)
+    said: list[str] = []
+    assert (taken_over(tmp_path, said) == 64.0).all()  # the most that they may be
+    assert "not a file of coils' heat" in said[0]
+    assert json.loads(path.read_text())["boot"] == machine.boot
+
+
+def test_a_folder_that_takes_nothing_is_told_once(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    said: list[str] = []
+    file = HeatFile(
+        LIMITED, tmp_path / "file" / "below", np.full(9, 50.0), np.zeros(1), said.append
+    )
+    file.start()
+    file._write()
+    file.close(10.0)
+    assert len([line for line in said if "is not kept" in line]) == 1
+
+
+def test_a_boot_without_a_number_is_not_the_same_one(tmp_path: Path, machine: Machine) -> None:
+    """Uptime after a reboot is less than before it: nothing would have cooled down."""
+    machine.boot = ""
+    kept(tmp_path, np.full(9, 50.0))
+    machine.uptime_s, machine.time_s = 1.0, machine.time_s + 60.0
+    np.testing.assert_allclose(taken_over(tmp_path), 50.0 * math.exp(-1.0))
+
+
+def test_file_is_of_the_time_of_its_heat_where_no_cycle_counts_it(
+    tmp_path: Path, machine: Machine
+) -> None:
+    """A link that was gone over the weekend had coils found on Monday as hot as on Friday."""
+    file = HeatFile(LIMITED, tmp_path, np.zeros(9), np.zeros(1))
+    file._heat[:], file._heated[:] = 60.0, 1000.0
+    file._write()
+    machine.uptime_s += 120.0
+    file._write()
+    file.start()
+    file.close(10.0)
+    np.testing.assert_allclose(taken_over(tmp_path), 60.0 * math.exp(-2.0))
+
+
+def test_after_a_write_that_failed_coils_are_not_taken_for_colder_than_they_are(
+    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    file = HeatFile(LIMITED, tmp_path, np.full(9, 5.0), np.zeros(1))
+    assert file._write()
+    (path,) = tmp_path.iterdir()
+    with monkeypatch.context() as patched:
+        patched.setattr(heat_module.os, "fsync", full)
+        file._heated[:] = 1.0
+        assert not file._write()
+        assert path.stat().st_size > 0, "it says what is so"
+        file._heat[:] = 60.0
+        assert not file._write()
+    assert [path] == list(tmp_path.iterdir())
+    said: list[str] = []
+    assert (taken_over(tmp_path, said) == 64.0).all()
+    assert "as hot as they may be" in said[0]
+    assert file._write()  # as soon as there is room
+    np.testing.assert_allclose(taken_over(tmp_path), 60.0)
+
+
+def test_a_service_keeps_it_in_its_own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/levid:/var/lib/other")
+    assert state_folder() == Path("/var/lib/levid")

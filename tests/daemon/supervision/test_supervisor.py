@@ -1,0 +1,304 @@
+"""What the supervisor does in moments that processes seldom come to: it alone, without any."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+from daemon_process import calm
+
+from levid.config.rig import load_rig
+from levid.config.service import Service
+from levid.config.shipped import shipped
+from levid.daemon.api.control_server import ServerError
+from levid.daemon.control.faults import Fault
+from levid.daemon.control.states import State
+from levid.daemon.host.access_control import Access
+from levid.daemon.host.child_process import Child
+from levid.daemon.ipc.control_words import Word
+from levid.daemon.supervision import supervisor as supervisor_module
+from levid.daemon.supervision.supervisor import Supervisor
+
+RIG_FILE = shipped("rigs/loopback.yaml")
+
+
+class Told:
+    """A reply that keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.answers: list[Any] = []
+        self.waiting = True
+
+    def done(self, **answer: Any) -> None:
+        self.answers.append(answer)
+
+    def refuse(self, error: str) -> None:
+        self.answers.append(error)
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
+    made = Supervisor(
+        calm(load_rig(RIG_FILE), tmp_path), RIG_FILE, tmp_path / "levid.sock", lambda _: None
+    )
+    yield made
+    made._shared.close()
+
+
+def test_stop_while_devices_are_being_opened_ends_their_loop(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may be homing drives: a stop that waits for the end of that is none."""
+    board, asked = supervisor.board, []
+
+    class Opening:
+        running, end = True, "exit code 143"
+
+        def terminate(self) -> None:
+            asked.append(True)
+
+    loop = Opening()
+    monkeypatch.setattr(supervisor, "_loop", loop)
+    board[Word.BUSY] = 1
+    supervisor._busy_s = time.monotonic()
+    supervisor._watch_loop()
+    assert not asked
+    board.stop()
+    supervisor._watch_loop()
+    assert asked
+    loop.running = False
+    supervisor._watch_loop()
+    assert board.fault is Fault.LOOP
+    assert "stopped while its devices were being opened; exit code 143" in board.detail
+
+
+def test_machine_that_stood_still_has_not_lost_its_loop(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, ended = 1000.0, []
+    monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(supervisor, "_loop", SimpleNamespace(running=True))
+    monkeypatch.setattr(supervisor, "_end_loop", ended.append)
+    supervisor._watch_loop()
+    for _ in range(100):  # it was paused for a minute each time: what hangs is given 30 s
+        now_s += 60.0
+        supervisor._watch_loop()
+    assert not ended
+    for _ in range(4000):
+        now_s += 0.01
+        supervisor._watch_loop()
+    assert "it did not advance for 30.0 s" in ended[0]
+
+
+def test_rows_that_are_lost_are_told_in_the_journal(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, said = 1000.0, []
+    monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(supervisor._burdens, "_say", said.append)
+    monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
+    supervisor._tick()
+    ring = supervisor._shared.ring
+    ring.head = ring.capacity + 41  # 42 rows more than nobody's having looked leaves room for
+    now_s += 2.0
+    supervisor._tick()
+    assert any("rows are lost: 42 that" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGRTMIN + 1, "signal 35")]
+)
+def test_child_that_was_killed_says_by_what(number: int, words: str) -> None:
+    child = Child("sleep", "", b"")
+    child._process = subprocess.Popen(["sleep", "60"])
+    assert child.end == "it runs"
+    assert child.pid == child._process.pid
+    child._process.send_signal(number)
+    assert child.wait(60.0)
+    assert child.end == f"killed by {words}"
+    assert child.pid is None
+
+
+def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board, tries = supervisor.board, 0
+
+    def start(*_: object) -> None:
+        nonlocal tries
+        tries += 1
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(supervisor._loop, "start", start)
+    board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
+    for n in (1, 2):
+        reply: Any = Told()
+        supervisor.post(lambda reply=reply: supervisor.clear(reply, 0))
+        supervisor._mail.popleft()()
+        assert tries == n
+        assert "cannot be started" in reply.answers[0]
+        assert "Resource temporarily unavailable" in reply.answers[0]
+        assert (board.state, board.fault, board[Word.BUSY]) == (State.FAULT, Fault.LOOP, 0)
+    assert not supervisor._clearings
+
+
+@pytest.mark.parametrize("state", [State.OFF, State.SELF_TEST])
+def test_clear_whose_time_is_over_before_the_self_test_is_not_done(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch, state: State
+) -> None:
+    board, reply = supervisor.board, Told()
+    now_s = 1000.0
+    monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(supervisor._loop, "start", lambda *_: None)
+    board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
+    supervisor.clear(reply, 0)  # type: ignore[arg-type]
+    board[Word.STATE] = state
+    supervisor._clearings.answer()
+    assert reply.answers == []
+    now_s += 121.0  # devices may take 120 s
+    supervisor._clearings.answer()
+    assert len(reply.answers) == 1
+    assert "still being opened or tested" in reply.answers[0]
+
+
+def test_watchdog_is_fed_while_the_end_is_being_told(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+
+    class Pilot:
+        job: object | None = object()
+
+        def tick(self) -> None:
+            done.append("tick")
+            if len(done) >= 6:
+                self.job = None
+
+    monkeypatch.setattr(supervisor, "pilot", Pilot())
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
+    monkeypatch.setattr(supervisor._notify, "alive", lambda: done.append("alive"))
+    supervisor._land_and_end()  # there is no loop: what is left is to tell how it ended
+    assert done == ["alive", "tick"] * 3
+
+
+def test_daemon_that_nobody_can_ask_any_more_lands_and_ends_in_an_error(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    monkeypatch.setattr(supervisor, "_say", done.append)
+    monkeypatch.setattr(supervisor, "_start_loop", lambda: None)
+    monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
+    monkeypatch.setattr(supervisor, "_land_and_end", lambda: done.append("landed"))
+    for name in ("watch", "end"):
+        monkeypatch.setattr(supervisor.recorder, name, lambda *_: None)
+    monkeypatch.setattr(supervisor._shared, "close", lambda: None)  # the fixture does
+    monkeypatch.setattr(supervisor._server._selector, "select", lambda *_: 1 / 0)
+    with pytest.raises(ServerError, match="nobody answers at the control socket"):
+        supervisor.run()
+    assert done == ["nobody answers at the control socket any more: landing, then ending", "landed"]
+
+
+class Opening:
+    """A loop that does not look at the board, since it opens devices."""
+
+    def __init__(self) -> None:
+        self.running, self.end, self.done = True, "exit code 143", list[str]()
+
+    def terminate(self) -> None:
+        self.done.append("terminated")
+        self.running = False
+
+    def wait(self, _: float) -> bool:
+        self.done.append("waited")
+        return not self.running
+
+    def kill(self, *_: float) -> None:
+        if self.running:
+            self.done.append("killed")
+        self.running = False
+
+
+@pytest.mark.parametrize("hurry", [False, True])
+def test_end_while_devices_are_opened_lets_the_loop_close_them(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch, hurry: bool
+) -> None:
+    loop, board = Opening(), supervisor.board
+    monkeypatch.setattr(supervisor, "_loop", loop)
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
+    board[Word.BUSY] = 1
+    supervisor.stop()
+    if not hurry:
+        supervisor._land_and_end()
+    supervisor._end_loop_at_once()
+    assert loop.done == (["terminated", "waited"] if hurry else ["terminated"])
+    assert board.fault is not Fault.LOOP  # it was asked to
+
+
+def test_users_that_are_long_in_coming_hold_nobody_up(
+    supervisor: Supervisor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, looking, said = threading.Event(), [], []
+    plain = supervisor.rig.model_dump(mode="json")
+    plain["service"] |= {"allow_users": ["far"], "client_gone": "land"}
+    file = tmp_path / "rig.yaml"
+    file.write_text(yaml.safe_dump(plain))
+
+    def far_away(config: Service) -> Access:
+        looking.append(config)
+        assert go_on.wait(20.0)
+        return Access(Service())
+
+    monkeypatch.setattr("levid.daemon.supervision.rig_reload.Access", far_away)
+    monkeypatch.setattr(supervisor._reader, "_rig_file", file)
+    monkeypatch.setattr(supervisor, "_say", said.append)
+    monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
+
+    def tick_until(condition: Callable[[], bool]) -> None:
+        give_up_s = time.monotonic() + 15.0  # reading a RIG.yaml takes milliseconds
+        while not condition():
+            assert time.monotonic() < give_up_s
+            supervisor._tick()
+            time.sleep(0.001)
+
+    supervisor._reader.start()
+    supervisor.reload()
+    tick_until(lambda: len(looking) == 1)
+    for _ in range(3):  # no more than one at a time
+        supervisor.reload()
+        supervisor._tick()
+    assert supervisor.rig.service.client_gone == "go_on"
+    assert len(looking) == 1
+    assert not said
+    go_on.set()
+    # What was asked for meanwhile is one reading more.
+    tick_until(lambda: sum("are taken over" in line for line in said) == 2)
+    assert supervisor.rig.service.client_gone == "land"
+    assert len(looking) == 2
+
+
+def test_readings_that_stay_away_are_told_in_the_journal(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, said, board = 1000.0, [], supervisor.board
+    monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(supervisor._silence, "_say", said.append)
+    monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
+    monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
+    board[Word.STATE] = State.IDLE
+    for _ in range(3):
+        supervisor._tick()
+        now_s += 2.0
+        board[Word.CYCLE] += 2000
+        board[Word.STALE] += 2000
+    assert any("readings have been missing for 4 s" in line for line in said)

@@ -1,0 +1,18 @@
+"""docs/effects-table.md is what the table of candidate effects says."""
+
+from __future__ import annotations
+
+import importlib.util
+
+from repository import DOCS
+
+
+def test_page_is_as_generated():
+    spec = importlib.util.spec_from_file_location(
+        "make_effects_table", DOCS / "make_effects_table.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    assert (DOCS / "effects-table.md").read_text(encoding="utf-8") == made.page()

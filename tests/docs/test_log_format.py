@@ -1,0 +1,47 @@
+"""The examples of docs/log-format.md run, one after the other, as they stand."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import numpy as np
+import yaml
+from repository import DOCS
+
+from levid.identification.identify import identify
+from levid.identification.records.from_log import from_log
+from levid.log.reader import read_log
+from levid.log.signals_file import SignalsFile
+
+TEXT = (DOCS / "log-format.md").read_text()
+
+
+def blocks(language):
+    return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+
+
+def test_the_stranger_s_log_is_written_and_read_as_the_docs_say(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scripts = blocks("python")
+    assert len(scripts) == 3
+    for script in scripts:
+        exec(compile(script, "log-format.md", "exec"), {})
+    log = read_log("drive.mcap")
+    assert log.complete
+    assert log.rate_hz == 1000.0
+    np.testing.assert_array_equal(log.field("time_s"), np.arange(2000) / 1000)
+    u_n, z_m = log.field("u_n"), log.field("z_m")
+    np.testing.assert_allclose(z_m[1:], 0.95 * z_m[:-1] + 0.05e-6 * u_n[:-1], rtol=0, atol=1e-18)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (point,) = identify([from_log(log)]).points
+    assert point.order == 1
+    (pole,) = np.linalg.eigvals(point.model.A)
+    # The record has no noise; what is not there is what lies beyond 200 taps, 0.95^200 = 4e-5.
+    assert abs(pole - 0.95) < 1e-4
+
+
+def test_the_example_of_a_signals_file_is_one():
+    (example,) = blocks("yaml")
+    assert SignalsFile.model_validate(yaml.safe_load(example)).rate_hz == 610.35

@@ -1,0 +1,373 @@
+"""Drives in the cycle, on a bus that a test plays: deadlines, skipped cycles, heartbeats."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.config.rig import RigConfig, load_rig
+from levid.config.shipped import shipped
+from levid.drivers.base import DriveError, DriverError, StaleError
+from levid.drivers.can.bus_link import CanLink
+from levid.drivers.can.canopen_drives import CanDrives
+from levid.drivers.stale_readings import Watch
+from levid.log.signals import Stale
+from levid.wire.can.cia402 import (
+    EMERGENCY_ID,
+    ENABLE_OPERATION,
+    HEARTBEAT_ID,
+    POSITION_M,
+    QUICK_STOP,
+    RPDO,
+    RPDO1_ID,
+    SDO_ANSWER_ID,
+    SDO_REQUEST_ID,
+    SYNC_ID,
+    TPDO,
+    TPDO1_ID,
+    DriveStates,
+    Node,
+)
+from levid.wire.can.kernel_frame import ReceivedFrame
+
+OPERATING = DriveStates.OPERATION_ENABLED.value[1]
+FAULT = DriveStates.FAULT.value[1]
+
+
+class Wire:
+    """A bus that keeps what is sent, and brings what a test puts there."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[int, bytes]] = []
+        self.coming: deque[ReceivedFrame] = deque()
+        self.always: ReceivedFrame | None = None
+
+    def send(self, can_id: int, data: bytes) -> None:
+        self.sent.append((can_id, data))
+
+    def receive(self, _: float) -> ReceivedFrame | None:
+        return self.coming.popleft() if self.coming else self.always
+
+    def shutdown(self) -> None:
+        return
+
+    def answer(self, position: int, stamp_s: float, status: int = OPERATING) -> None:
+        data = TPDO.pack(status, position, 0)
+        self.coming.extend(ReceivedFrame(TPDO1_ID + i, data, stamp_s) for i in (1, 2, 3))
+
+    def targets(self) -> list[tuple[int, int]]:
+        """Controlwords and positions of X1 that were sent since this was asked last."""
+        found = [RPDO.unpack(data) for can_id, data in self.sent if can_id == RPDO1_ID + 1]
+        self.sent.clear()
+        return found
+
+
+class Bench:
+    def __init__(self, rig: RigConfig, every: int) -> None:
+        options = rig.on_bus("drives")[1].model_copy(update={"every": every})
+        self.wire, self.deadline_s = Wire(), math.inf
+        link = CanLink("main", rig.can[options.bus])
+        link._bus = self.wire
+        self.drives = CanDrives(link, rig, options, Path(), 2, lambda: self.deadline_s)
+        self.beam, self.rotor = np.zeros(3), np.zeros(3)
+
+    def read(self) -> None:
+        self.drives.read(self.beam, self.rotor)
+
+
+@pytest.fixture
+def rig() -> RigConfig:
+    return load_rig(shipped("rigs/canfd.yaml"))
+
+
+def test_answer_that_came_after_its_deadline_is_stale(rig: RigConfig) -> None:
+    """By its stamp, whenever this process looks: a reading of another moment is none."""
+    bench = Bench(rig, 1)
+    with pytest.raises(StaleError, match="too late"):  # noqa: PT012
+        for k in range(3):
+            bench.deadline_s = time.perf_counter() - 0.1
+            bench.drives.sync(k)
+            bench.wire.answer(1000, time.time() - 0.01)
+            bench.read()
+            assert bench.beam[0] == 0.0
+            assert bench.drives.stale == Stale.DRIVES
+    assert bench.drives.watch.stale == 3
+
+
+def test_answer_that_came_in_time_counts_however_late_it_is_looked_at(rig: RigConfig) -> None:
+    bench = Bench(rig, 1)
+    bench.drives.sync(0)
+    bench.deadline_s = time.perf_counter() - 0.1
+    bench.wire.answer(1000, time.time() - 0.5)
+    bench.read()
+    assert bench.beam[0] == pytest.approx(1000 * POSITION_M)
+    assert bench.drives.stale == 0
+
+
+def test_bus_that_is_busy_with_other_things_is_not_waited_for(rig: RigConfig) -> None:
+    bench = Bench(rig, 1)
+    bench.wire.always = ReceivedFrame(0x7F0, b"", 0.0)
+    bench.drives.sync(0)
+    bench.deadline_s = time.perf_counter() + 0.01
+    bench.read()  # this is what would not end
+    assert bench.drives.stale == Stale.DRIVES
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_draining_ends_on_a_bus_that_is_busy(rig: RigConfig, stamped: bool) -> None:
+    link, wire = CanLink("main", rig.can["main"]), Wire()
+    link._bus, seen = wire, []
+    link.listen(0x7F0, lambda *_: seen.append(time.time()))
+
+    def busy(_: float) -> ReceivedFrame:
+        return ReceivedFrame(0x7F0, b"", time.time() if stamped else 0.0)
+
+    wire.receive = busy  # type: ignore[method-assign]
+    link.drain()
+    assert len(seen) <= 1000
+
+
+def test_id_that_somebody_listens_to_is_refused(rig: RigConfig) -> None:
+    link = CanLink("main", rig.can["main"])
+    link.listen(0x181, lambda *_: None)
+    with pytest.raises(DriverError, match="ID 0x181 is used twice"):
+        link.listen(0x181, lambda *_: None)
+
+
+def test_answers_that_nobody_waits_for_are_not_kept(rig: RigConfig) -> None:
+    """They come all the same: a quick stop by SDO is answered, and others may ask a drive too."""
+    bench = Bench(rig, 1)
+    answer = ReceivedFrame(SDO_ANSWER_ID + 1, bytes(8), time.time())
+    (node, *_) = bench.drives._nodes
+
+    def queued() -> int:
+        bench.wire.coming.append(answer)
+        bench.drives._link.drain()
+        return int(node._node.sdo.responses.qsize())
+
+    assert queued() == 0
+    node.listen(True)
+    assert queued() == 1
+    node.listen(False)
+    assert queued() == 1
+
+
+def syncs(wire: Wire) -> list[int]:
+    return [data[0] for can_id, data in wire.sent if can_id == SYNC_ID]
+
+
+def test_syncs_come_at_multiples_and_count_by_one(rig: RigConfig) -> None:
+    bench = Bench(rig, 4)
+    bench.drives._counted = True
+    bench.drives.watch = Watch("drives", 100)  # nobody answers
+    for k in (0, 0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12, 13):  # 7 and 8 were skipped
+        before = len(syncs(bench.wire))
+        bench.drives.sync(k)
+        sent = len(syncs(bench.wire)) - before
+        assert sent == (k in (0, 4, 9, 12) and not (k == 0 and before))
+    assert syncs(bench.wire) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("released", [4, 5, 7])
+def test_release_sends_no_sync_out_of_turn(rig: RigConfig, released: int) -> None:
+    """The regular one after it would have the same counter, and drives that look at it a fault."""
+    bench = Bench(rig, 4)
+    bench.drives._counted = True
+    bench.drives.watch = Watch("drives", 100)
+    for k in range(17):
+        bench.drives.sync(k)
+        if k == released:
+            before = len(bench.wire.sent)
+            bench.drives.release()
+            sent = bench.wire.sent[before:]
+            assert {can_id for can_id, _ in sent} == {
+                base + node for base in (SDO_REQUEST_ID, RPDO1_ID) for node in (1, 2, 3)
+            }
+    assert syncs(bench.wire) == [1, 2, 3, 4, 5]
+
+
+def test_last_sync_makes_the_quick_stop_act_and_counts_on(rig: RigConfig) -> None:
+    bench = Bench(rig, 4)
+    bench.drives._counted = True
+    for k in range(6):
+        bench.drives.sync(k)
+    bench.wire.sent.clear()
+    bench.drives.leave()
+    *stops, (last, counter) = bench.wire.sent
+    ids = [RPDO1_ID + node for node in (1, 2, 3)]
+    assert [RPDO.unpack(data)[0] for can_id, data in stops if can_id in ids] == [QUICK_STOP] * 3
+    assert (last, counter) == (SYNC_ID, b"\x03")
+
+
+@pytest.mark.parametrize("written", [1, 2])
+def test_targets_of_a_cycle_that_is_skipped_are_carried_forward(
+    rig: RigConfig, written: int
+) -> None:
+    """The drives have a target for every SYNC: where they would be had nothing been skipped."""
+    T, speed, acceleration = 1 / rig.rate_hz, 0.1, 2.0
+
+    def setpoint(k: int) -> np.ndarray:
+        t = k * T
+        return np.array(
+            [speed * t + 0.5 * acceleration * t * t, speed + acceleration * t, acceleration]
+        )
+
+    skipped, whole = Bench(rig, 4), Bench(rig, 4)
+    for bench, cycles in ((skipped, range(written + 1)), (whole, range(4))):
+        for k in cycles:
+            bench.drives.sync(k)
+            bench.drives.write(setpoint(k), np.zeros(3))
+        bench.drives.sync(4)
+    (expected,) = whole.wire.targets()
+    *targets, (last, _) = skipped.wire.sent
+    assert last == SYNC_ID
+    assert skipped.wire.targets() == [expected]
+    assert len(targets) == 4  # the first SYNC, and three targets before the second
+    assert expected[1] > 0
+
+
+def test_targets_from_long_ago_are_not_carried_forward(rig: RigConfig) -> None:
+    """After a stall the drives stand; where the reference is by now they hear with the next."""
+    bench = Bench(rig, 4)
+    bench.drives.sync(0)
+    bench.drives.write(np.array([0.0, 0.1, 0.0]), np.zeros(3))
+    bench.drives.sync(500)
+    assert bench.wire.targets() == []
+
+
+def test_drives_are_told_to_stop_once_one_is_in_fault(rig: RigConfig) -> None:
+    bench = Bench(rig, 1)
+    bench.drives.sync(0)
+    bench.wire.answer(0, time.time())
+    bench.read()
+    bench.drives.write(np.zeros(3), np.zeros(3))
+    assert [word for word, _ in bench.wire.targets()] == [ENABLE_OPERATION]
+    bench.drives.sync(1)
+    bench.wire.answer(0, time.time(), FAULT)
+    with pytest.raises(DriveError, match="found fault"):
+        bench.read()
+    bench.drives.write(np.zeros(3), np.zeros(3))
+    assert [word for word, _ in bench.wire.targets()] == [QUICK_STOP]
+
+
+@pytest.mark.parametrize("every", [1, 4])
+@pytest.mark.parametrize("how", ["heartbeat", "emergency"])
+def test_others_stop_beside_a_drive_that_is_off_the_bus(
+    rig: RigConfig, every: int, how: str
+) -> None:
+    """Its readings are missing in every cycle; that is an error of its own, and not the last."""
+    bench = Bench(rig, every)
+    raised: list[Exception] = []
+    for k in range(8 * every):
+        if k != 5 * every:  # by then more of them are missing than are bridged
+            pass
+        elif how == "heartbeat":
+            bench.drives._axes[0].heard_s -= 1.0  # five periods of it
+        else:
+            error = ReceivedFrame(EMERGENCY_ID + 1, bytes((0x05, 0x73, 1)) + bytes(5), time.time())
+            bench.wire.coming.append(error)
+            bench.drives._link.drain()
+        for call in (
+            lambda k=k: bench.drives.sync(k),
+            bench.read,
+            lambda: bench.drives.write(np.zeros(3), np.zeros(3)),
+        ):
+            try:
+                call()
+            except DriverError as error:
+                raised.append(error)
+        if not k % every:
+            data = TPDO.pack(OPERATING, 0, 0)
+            bench.wire.coming.extend(ReceivedFrame(TPDO1_ID + i, data, time.time()) for i in (2, 3))
+        while bench.wire.coming:
+            bench.drives._link.drain()
+    words = [RPDO.unpack(d)[0] for i, d in bench.wire.sent if i == RPDO1_ID + 2]
+    drive = [error for error in raised if isinstance(error, DriveError)]
+    assert len(drive) == 1  # told once
+    assert ("no heartbeat" if how == "heartbeat" else "0x7305") in str(drive[0])
+    assert any(isinstance(error, StaleError) for error in raised)
+    assert words[-1] == QUICK_STOP
+
+
+def test_drives_that_were_released_hear_of_nothing_but_a_stop(rig: RigConfig) -> None:
+    """As where a fault cannot be cleared: the loop goes on with its cycles."""
+    bench = Bench(rig, 1)
+    bench.drives.release()
+    assert [word for word, _ in bench.wire.targets()] == [QUICK_STOP]
+    for k in range(3):
+        bench.drives.sync(k)
+        bench.wire.answer(0, time.time(), DriveStates.SWITCH_ON_DISABLED.value[1])
+        bench.read()
+        bench.drives.write(np.zeros(3), np.zeros(3))
+        assert [word for word, _ in bench.wire.targets()] == [QUICK_STOP]
+
+
+@pytest.mark.parametrize(
+    ("said", "fault"),
+    [
+        ((Node.OPERATIONAL, Node.OPERATIONAL), ""),
+        ((Node.PRE_OPERATIONAL, Node.OPERATIONAL), ""),  # said before it was started
+        ((Node.BOOT_UP,), "boot-up"),
+        ((Node.OPERATIONAL, Node.PRE_OPERATIONAL), "pre-operational"),
+        ((Node.OPERATIONAL, Node.STOPPED, Node.OPERATIONAL), "stopped"),
+    ],
+)
+def test_node_that_leaves_operation_by_itself_is_a_fault(
+    rig: RigConfig, said: tuple[Node, ...], fault: str
+) -> None:
+    bench = Bench(rig, 1)
+    for state in said:
+        bench.wire.coming.append(ReceivedFrame(HEARTBEAT_ID + 2, bytes((state,)), time.time()))
+    bench.drives._link.drain()
+    bench.drives.sync(0)
+    bench.wire.answer(0, time.time())
+    if fault:
+        with pytest.raises(
+            DriveError, match=f"drive x2.*expected to be operational, found {fault}"
+        ):
+            bench.read()
+    else:
+        bench.read()
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_drives_beside_one_in_fault_are_stopped_in_this_cycle(rig: RigConfig, every: int) -> None:
+    """Also where the next targets are some cycles away: two motors of a gantry are on."""
+    bench = Bench(rig, every)
+    bench.drives.sync(0)
+    bench.wire.answer(0, time.time(), DriveStates.FAULT.value[1])
+    bench.wire.sent.clear()
+    cycles = 0
+    with pytest.raises(DriveError):  # noqa: PT012
+        while True:
+            bench.read()
+            bench.drives.write(np.zeros(3), np.zeros(3))
+            cycles += 1
+            bench.drives._link.drain()  # as the backend does first
+            bench.drives.sync(cycles)
+    bench.drives.write(np.zeros(3), np.zeros(3))
+    assert cycles <= 1  # slower drives have until the next cycle to answer
+    assert QUICK_STOP in [word for word, _ in bench.wire.targets()]
+
+
+@pytest.mark.parametrize(("every", "stale_cycles", "syncs"), [(1, 2, 2), (4, 20, 5), (4, 2, 1)])
+def test_staleness_is_bounded_in_cycles_however_slow_the_drives_are(
+    rig: RigConfig, every: int, stale_cycles: int, syncs: int
+) -> None:
+    bench = Bench(rig, every)
+    options = rig.on_bus("drives")[1].model_copy(update={"every": every})
+    link = CanLink("main", rig.can[options.bus])
+    link._bus = Wire()
+    drives = CanDrives(link, rig, options, Path(), stale_cycles, lambda: 0.0)
+    k = 0
+    with pytest.raises(StaleError):  # noqa: PT012
+        for k in range(100):
+            drives.sync(k)
+            drives.read(bench.beam, bench.rotor)
+    # So many answers may be missing; the one too many is told as the next is asked for.
+    assert k == (syncs + 1) * every if every > 1 else k == syncs

@@ -1,0 +1,375 @@
+"""Drives between cycles: homed together, switched off where that fails, asked what they count."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from standing_drives import run, until, with_drives
+
+from levid.config.rig import RigConfig
+from levid.config.shipped import shipped
+from levid.drivers.base import Context, Devices, DriveError, DriverError
+from levid.drivers.can.canopen_nodes import DriveNode, interpolation
+from levid.drivers.registry import open_devices
+from levid.sim.electronics.drive_nodes import Drive
+from levid.sim.electronics.rig import Electronics
+from levid.wire.can.cia402 import (
+    HOMING_ATTAINED,
+    HOMING_ERROR,
+    TARGET_REACHED,
+    TPDO,
+    TPDO1_ID,
+    DriveStates,
+    Mode,
+    Object,
+)
+
+RATE_HZ = 100.0
+OPERATING = DriveStates.OPERATION_ENABLED
+
+
+pytestmark = pytest.mark.usefixtures("host_paced")
+
+
+@pytest.fixture
+def rig(rig_on, quiet_sim: Path) -> RigConfig:
+    return rig_on("can", RATE_HZ, quiet_sim)
+
+
+def opened(rig: RigConfig) -> Devices:
+    return open_devices(Context(rig, 1 / RATE_HZ, Path()))
+
+
+def nodes_of(electronics: Electronics) -> list:
+    return electronics._buses[0]._drives.drives  # type: ignore[attr-defined]
+
+
+def never_home(drive) -> Callable[[], None]:
+    """Let a drive's homing take for ever; returns what ends that."""
+    see = drive.see
+    drive.see = lambda position, _: setattr(drive, "_true", position)
+    return lambda: setattr(drive, "see", see)
+
+
+def do_not_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let hosts take drives for homed that are merely enabled."""
+    monkeypatch.setattr(DriveNode, "start_homing", lambda _: None)
+    monkeypatch.setattr(DriveNode, "homing", lambda _: (True, True))
+
+
+def off_by(devices: Devices, electronics: Electronics, cycles: range) -> np.ndarray:
+    """Return how far what the host reads of beam and rotor is from where they are."""
+    beam, rotor = np.zeros(3), np.zeros(3)
+    for k in cycles:  # without a word on where to go
+        for sync in devices.syncs:
+            sync(k)
+        devices.drives.read(beam, rotor)
+    true = electronics.core.axes
+    return np.array([beam[0] - 0.5 * (true[0, 0] + true[1, 0]), rotor[0] - true[2, 0]])
+
+
+def test_positions_are_right_once_drives_are_homed(rig: RigConfig) -> None:
+    """Each counts from another place until then: one that is trusted before is wrong by far."""
+    with Electronics(rig, Path()) as electronics:
+        drives = nodes_of(electronics)
+        for drive, (position, _, force) in zip(drives, electronics.core.axes, strict=True):
+            drive.see(position, force)
+        wrong_m = [(d._counts * d._unit - d._true) for d in drives[:2]]
+        assert min(map(abs, wrong_m)) > 1e-3
+        assert max(map(abs, wrong_m)) < rig.limits.beam_m  # within its travel, as it would be
+        assert abs(wrong_m[0] - wrong_m[1]) > 1e-3
+        assert abs(drives[2]._counts * drives[2]._unit - drives[2]._true) > 0.1
+        devices = opened(rig)
+        np.testing.assert_allclose(off_by(devices, electronics, range(3)), 0.0, atol=2e-7)
+        devices.close()
+
+
+def test_host_that_trusts_what_was_not_homed_is_found_out(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    do_not_home(monkeypatch)
+    with Electronics(rig, Path()):
+        devices = opened(rig)
+        with pytest.raises(DriveError, match=r"X1 and X2 are 50\.000 mm apart"):
+            run(devices, range(3))
+        devices.close()
+
+
+def test_drive_whose_encoder_was_lost_knows_its_place_when_it_is_homed_again(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Electronics(rig, Path()) as electronics:
+        devices = opened(rig)
+        run(devices, range(3))
+        electronics.injector.command("encoder phi")
+        with pytest.raises(DriveError, match="0x7305"):
+            run(devices, range(3, 10))
+        electronics.injector.clear()
+        with monkeypatch.context() as patch:
+            do_not_home(patch)
+            devices.recover()
+            assert abs(off_by(devices, electronics, range(10, 13))[1]) > 0.1
+        devices.recover()
+        np.testing.assert_allclose(off_by(devices, electronics, range(13, 16)), 0.0, atol=2e-7)
+        devices.close()
+
+
+def test_start_that_fails_leaves_no_drive_powered_and_the_next_homes_again(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A node that is pre-operational hears no PDO; and homing starts with an edge, every time."""
+    monkeypatch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 0.3)
+    with Electronics(rig, Path()) as electronics:
+        drives = nodes_of(electronics)
+        mend = never_home(drives[1])
+        with pytest.raises(DriveError, match=r"drive x2 \(node 2\).*: not homed after 0.3 s by"):
+            opened(rig)
+        until(lambda: all(drive.state is not OPERATING for drive in drives))
+        mend()
+        monkeypatch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 10.0)
+        devices = opened(rig)
+        assert all(drive.operating for drive in drives)
+        devices.close()
+
+
+def test_recovery_that_fails_leaves_no_drive_powered(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Electronics(rig, Path()) as electronics:
+        devices, drives = opened(rig), nodes_of(electronics)
+        run(devices, range(5))
+        never_home(drives[2])  # X1 and X2 are homed again by then
+        monkeypatch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 0.3)
+        with pytest.raises(DriveError, match="drive phi"):
+            devices.recover()
+        until(lambda: all(drive.state is not OPERATING for drive in drives))
+        devices.close()
+
+
+def test_drives_beside_one_in_fault_are_stopped(rig: RigConfig) -> None:
+    with Electronics(rig, Path()) as electronics:
+        devices, drives = opened(rig), nodes_of(electronics)
+        run(devices, range(5))
+        electronics.injector.command("encoder x2")
+        with pytest.raises(DriveError, match="x2"):
+            run(devices, range(5, 20))
+        run(devices, range(20, 25))
+        until(lambda: all(drive.state is not OPERATING for drive in drives))
+        electronics.injector.clear()
+        devices.recover()
+        run(devices, range(25, 30))
+        assert all(drive.operating for drive in drives)
+        devices.close()
+
+
+def test_motors_of_the_gantry_start_together(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[tuple[str, str]] = []
+    for name in ("start_homing", "homing"):
+        real = getattr(DriveNode, name)
+
+        def noted(node: DriveNode, name=name, real=real) -> object:
+            done.append((name, node.name))
+            return real(node)
+
+        monkeypatch.setattr(DriveNode, name, noted)
+    with Electronics(rig, Path()):
+        opened(rig).close()
+    assert done[:4] == [(do, x) for do in ("start_homing", "homing") for x in ("x1", "x2")]
+    started = done.index(("start_homing", "phi"))
+    assert {name for do, name in done[started:]} == {"phi"}
+
+
+def test_gantry_that_goes_askew_while_it_is_homed_is_stopped(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("levid.sim.electronics.drive_nodes._HOMING_S", 1e9)
+    real, asked = DriveNode.homing, []
+
+    with Electronics(rig, Path()) as electronics:
+        core, drives = electronics.core, nodes_of(electronics)
+
+        def homing(node: DriveNode) -> tuple[bool, bool]:
+            asked.append(node)
+            with core.lock:
+                core.axes[0, 0] = 3e-3  # wherever they are when it begins
+                core.axes[1, 0] = 2e-3 if len(asked) < 8 else 1.5e-3
+            return real(node)
+
+        monkeypatch.setattr(DriveNode, "homing", homing)
+        with pytest.raises(DriveError, match=r"X1 and X2 are 0\.500 mm apart"):
+            opened(rig)
+        until(lambda: all(drive.state is not OPERATING for drive in drives))
+
+
+def test_homing_is_done_once_the_target_is_reached(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With bit 12 alone the drive is still on its way to its home."""
+    monkeypatch.setattr("levid.sim.electronics.drive_nodes.TARGET_REACHED", 0)
+    monkeypatch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 0.3)
+    with Electronics(rig, Path()), pytest.raises(DriveError, match=r"drive x1.*not homed"):
+        opened(rig)
+
+
+@pytest.mark.parametrize("before", [TARGET_REACHED | HOMING_ATTAINED, HOMING_ERROR])
+def test_statusword_of_before_the_start_is_not_of_this_homing(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch, before: int
+) -> None:
+    """A drive that was homed before, or failed to be, says so for a moment more."""
+    # Twice as long as such a word is doubted; it lags by half of that.
+    monkeypatch.setattr("levid.sim.electronics.drive_nodes._HOMING_S", 0.2)
+    real, follow, at_home = Drive.statusword.fget, DriveNode.follow, []
+    assert real is not None
+
+    def lagging(drive: Drive) -> int:
+        left_s = drive._homed_at_s - time.monotonic()
+        return int(real(drive)) | (before if left_s > 0.15 else 0)
+
+    monkeypatch.setattr(Drive, "statusword", property(lagging))
+    with Electronics(rig, Path()) as electronics:
+        drives = {drive.node_id: drive for drive in nodes_of(electronics)}
+
+        def noted(node: DriveNode) -> None:
+            at_home.append(drives[node.node_id]._homed)
+            follow(node)
+
+        monkeypatch.setattr(DriveNode, "follow", noted)
+        opened(rig).close()
+    assert at_home == [True] * 3
+
+
+def test_drive_that_is_home_at_once_is_believed(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By methods 35 and 37 home is where it stands: bit 12 may never be seen low."""
+    real = Drive.statusword.fget
+    assert real is not None
+    word = property(lambda drive: int(real(drive)) | TARGET_REACHED | HOMING_ATTAINED)
+    monkeypatch.setattr(Drive, "statusword", word)
+    with Electronics(rig, Path()):
+        opened(rig).close()
+
+
+def test_forces_are_in_parts_of_what_is_rated(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("levid.sim.electronics.drive_nodes._RATED_BEAM", 4000)
+    with Electronics(rig, Path()) as electronics:
+        devices = opened(rig)
+        drives = devices.backends[0]._roles["drives"]
+        told, force = nodes_of(electronics), np.zeros(2)
+        for drive, newtons, per_mille in zip(told, (1.0, 1.0, 2.5e-3), (250,) * 3, strict=True):
+            drive.see(0.0, newtons)
+            assert TPDO.unpack(drive.tpdo()[1])[2] == per_mille
+        drives._deadline = lambda: np.inf
+        drives.sync(0)
+        drives._waiting = 3
+        for drive in told:
+            drives._by_id[TPDO1_ID + drive.node_id].came = False
+            drives._take(*drive.tpdo())
+        force[:] = sum(axis.force for axis in drives._axes[:2]), drives._axes[2].force
+        np.testing.assert_allclose(force, [2.0, 2.5e-3], rtol=1e-12)
+        devices.close()
+
+
+SECTION = re.compile(r"(\[1019\].*?AccessType=)rw(\nDefaultValue=)240", re.DOTALL)
+
+
+def with_overflow(rig: RigConfig, folder: Path, overflow: int) -> RigConfig:
+    """The rig with drives whose 0x1019 can only be read, as many have it."""
+    text, found = SECTION.subn(rf"\g<1>ro\g<2>{overflow}", shipped("drive.eds").read_text())
+    assert found == 1
+    (folder / "other.eds").write_text(text)
+    return with_drives(rig, eds=str(folder / "other.eds"))
+
+
+@pytest.mark.parametrize("overflow", [0, 240])
+def test_sync_is_counted_where_the_drives_say_so(
+    rig: RigConfig, tmp_path: Path, overflow: int
+) -> None:
+    other = with_overflow(rig, tmp_path, overflow)
+    with Electronics(other, Path()) as electronics:
+        devices = opened(other)
+        assert devices.backends[0]._roles["drives"]._counted is bool(overflow)
+        run(devices, range(5))
+        assert all(drive.operating for drive in nodes_of(electronics))
+        devices.close()
+
+
+def test_sync_of_another_count_is_refused(rig: RigConfig, tmp_path: Path) -> None:
+    other = with_overflow(rig, tmp_path, 10)
+    words = r"0x1019\): expected 240, or 0 for a SYNC that is not counted, found 10"
+    with Electronics(other, Path()), pytest.raises(DriverError, match=words):
+        opened(other)
+
+
+def test_sync_that_some_of_them_count_is_refused(rig: RigConfig) -> None:
+    with Electronics(rig, Path()) as electronics:
+        nodes_of(electronics)[1]._node.set_data(Object.SYNC_OVERFLOW, 0, b"\0")
+        with pytest.raises(DriverError, match="counted in x1, phi alone"):
+            opened(rig)
+
+
+@pytest.mark.parametrize(
+    ("sync_s", "expected"),
+    [(1e-3, (1, -3)), (4e-3, (4, -3)), (1 / 3000, (33, -5)), (1e-4, (1, -4)), (2.5e-4, (25, -5))],
+)
+def test_interpolation_period_is_the_nearest_there_is(
+    sync_s: float, expected: tuple[int, int]
+) -> None:
+    assert interpolation(sync_s) == expected
+
+
+def test_homing_starts_where_the_last_host_left_while_it_was_homing(rig: RigConfig) -> None:
+    """The drive is enabled, and the bit that starts homing is set already."""
+    with Electronics(rig, Path()) as electronics:
+        for drive in nodes_of(electronics):
+            drive.state, drive.mode, drive._controlword = OPERATING, Mode.HOMING, 0x1F
+        opened(rig).close()
+
+
+def test_fault_is_reset_though_it_did_not_go_the_first_time(rig: RigConfig) -> None:
+    with Electronics(rig, Path()) as electronics:
+        drive = nodes_of(electronics)[2]
+        drive.state, control, left = DriveStates.FAULT, drive._control, [2]
+
+        def again(word: int) -> None:
+            if word & 0x80 and left and not drive._controlword & 0x80:
+                left[0] -= 1
+                if left[0]:
+                    drive._controlword = word
+                    return
+                left.clear()
+            control(word)
+
+        drive._control = again
+        opened(rig).close()
+        assert not left
+
+
+def test_drive_that_fails_while_it_is_homed_says_why(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not after ten seconds, as one that is not homed: at once, with its error code."""
+    with Electronics(rig, Path()) as electronics:
+        drives = nodes_of(electronics)
+        never_home(drives[2])
+        begun = DriveNode.start_homing
+
+        def start(node: DriveNode) -> None:
+            begun(node)
+            if node.name == "phi":
+                drives[2].fail(0x7305, 1)
+
+        monkeypatch.setattr(DriveNode, "start_homing", start)
+        began_s = time.monotonic()
+        with pytest.raises(DriveError, match="error code 0x7305"):
+            opened(rig)
+        assert time.monotonic() - began_s < 5.0

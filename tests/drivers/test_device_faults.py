@@ -1,0 +1,349 @@
+"""Every fault that electronics can play ends in zero force within three cycles, and is named."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.benchmarks.bus import fault_messages
+from levid.config.base import parse_text
+from levid.config.rig import RigConfig
+from levid.config.shipped import shipped
+from levid.drivers.base import (
+    AmplifierError,
+    Context,
+    Devices,
+    DriveError,
+    DriverError,
+    LinkError,
+    SensorError,
+)
+from levid.drivers.bus_backend import AnswerTime
+from levid.drivers.registry import open_devices
+from levid.log.signals import Stale
+from levid.sim.electronics.faults import FAULTS, InjectionError
+from levid.sim.electronics.rig import Electronics
+from levid.wire.device_protocol import AmplifierState, DriveState
+
+pytestmark = pytest.mark.usefixtures("host_paced")
+
+RATE_HZ = 50.0
+WITHIN_CYCLES = 3
+LONG, SHORT = 20, 2
+"""Cycles until setpoints expire: so long that nothing but zero force that was sent ends the force
+in time, and so short as it has to be where nothing gets through."""
+
+# What is injected: the error that the host raises, and words that name the cause.
+_WORDS = fault_messages
+EXPECTED = [line for line in _WORDS.EXPECTED if not line.startswith("frozen")]
+
+
+@dataclass
+class Bench:
+    devices: Devices
+    electronics: Electronics
+    cycle: int = -1
+
+    def run(self, force_n: float) -> None:
+        self.cycle += 1
+        devices = self.devices
+        gap_m, coil_n, beam, rotor = np.zeros(9), np.zeros(9), np.zeros(3), np.zeros(3)
+        for sync in devices.syncs:
+            sync(self.cycle)
+        devices.sensors.read(gap_m)
+        devices.drives.read(beam, rotor)
+        devices.amplifiers.read(coil_n)
+        devices.amplifiers.write(np.full(9, force_n))
+        devices.drives.write(np.zeros(3), np.zeros(3))
+
+
+@pytest.fixture(params=["can", "serial"])
+def bench(request, rig_on) -> Iterator[Bench]:
+    with on_bench(rig_on(request.param, RATE_HZ, shipped("sims/nominal.yaml"))) as bench:
+        yield bench
+
+
+@contextmanager
+def on_bench(rig: RigConfig) -> Iterator[Bench]:
+    with Electronics(rig, Path()) as electronics:
+        devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
+        bench = Bench(devices, electronics)
+        try:
+            yield bench
+        finally:
+            electronics.injector.clear()
+            devices.close()
+
+
+def fly(bench: Bench) -> None:
+    """Enable, then ask for force, as in flight."""
+    for _ in range(50):
+        bench.run(0.0)
+    for _ in range(5):
+        bench.run(7.0)
+    assert bench.electronics.core.acting_n == pytest.approx(7.0, abs=1e-3)
+
+
+def answer_by(bench: Bench, seconds: float) -> None:
+    for backend in bench.devices.backends:
+        if hasattr(backend, "_answers"):
+            backend._answers = AnswerTime(seconds)
+        else:
+            for port in backend._ports.values():
+                port._answers = AnswerTime(seconds)
+
+
+def cycles_of_force(bench: Bench, most: int = 10) -> tuple[int, DriverError | None]:
+    """Fly until no force acts; return in how many cycles it did, and what the host raised first.
+
+    The loop's reaction is zero force at once, as well as the wire still allows, and from then on.
+    """
+    core, raised, acted = bench.electronics.core, None, 0
+    for _ in range(most):
+        try:
+            bench.run(0.0 if raised else 7.0)
+        except DriverError as error:
+            raised = raised or error
+            with suppress(LinkError):
+                bench.devices.amplifiers.release(np.zeros(9))
+        time.sleep(0.01)  # what comes behind an answer comes within the cycle
+        if bench.electronics.injector.hears:
+            until_heard(bench)
+        else:
+            core._period()  # its own clock goes on, in step with the host's
+        acted += bool(core.acting_n.any())
+        if raised and not core.acting_n.any():
+            break
+    return acted, raised
+
+
+def until_heard(bench: Bench) -> None:
+    """Wait until the electronics have come to the host's cycle."""
+    core, give_up_s = bench.electronics.core, time.monotonic() + 10.0
+    while time.monotonic() < give_up_s:
+        with core.lock:
+            if core.cycle == bench.cycle:
+                return
+        time.sleep(0.001)
+    raise AssertionError(f"at cycle {core.cycle}, not {bench.cycle}")
+
+
+@pytest.mark.parametrize("bus", ["can", "serial"])
+@pytest.mark.parametrize("line", EXPECTED)
+def test_fault_ends_in_zero_force_is_named_and_mended(bus: str, line: str, rig_on) -> None:
+    expire_cycles = SHORT if line in _WORDS.UNHEARD else LONG
+    rig = rig_on(bus, RATE_HZ, shipped("sims/nominal.yaml"), expire_cycles)
+    with on_bench(rig) as bench:
+        ends_in_zero_force_is_named_and_mended(bench, line)
+
+
+def ends_in_zero_force_is_named_and_mended(bench: Bench, line: str) -> None:
+    fly(bench)
+    answer_by(bench, 0.05)
+    assert bench.electronics.injector.command(line) == line
+    acted, raised = cycles_of_force(bench)
+    assert _WORDS.names(raised, line), raised
+    assert acted <= WITHIN_CYCLES
+    # Once it is mended, the same devices carry on.
+    bench.electronics.injector.clear()
+    answer_by(bench, 2.0)
+    for _ in range(1000):  # a port that was closed needs its moment to be there again
+        try:
+            bench.devices.recover()
+            break
+        except LinkError:
+            time.sleep(0.01)
+    fly(bench)
+
+
+def test_every_fault_is_tested_or_said_to_be_slower() -> None:
+    faults = {line.split()[0] for line in _WORDS.EXPECTED}
+    assert faults == set(FAULTS) - _WORDS.NO_FAULT_OF_A_DEVICE
+    assert len(EXPECTED) == len(faults) - 1  # frozen has a test of its own
+
+
+def test_frozen_channel_is_found_within_cycles_where_the_platform_moves(bench: Bench) -> None:
+    fly(bench)
+    for k in range(10):  # a force that swings moves it by 10 um in a cycle, and more
+        bench.run(7.0 + 0.5 * (k // 5 % 2))
+    bench.electronics.injector.command("frozen 6")
+    with pytest.raises(SensorError, match="sensor 6: frozen"):  # noqa: PT012
+        # The first answer repeats the one before; three repeats are needed.
+        for k in range(WITHIN_CYCLES):
+            bench.run(7.0 + 0.5 * (k // 5 % 2))
+
+
+@pytest.mark.parametrize("why", ["askew", "released"])
+def test_motors_do_not_stay_powered_where_the_host_alone_finds_a_fault(
+    bench: Bench, why: str
+) -> None:
+    """Two that stand askew would push against each other until somebody clears the fault."""
+    devices, core = bench.devices, bench.electronics.core
+    for _ in range(5):
+        bench.run(0.0)
+    if why == "askew":
+        bench.electronics.injector.command("skew 0.001")
+    else:
+        devices.drives.release()
+    raised = []
+    for _ in range(6):
+        try:
+            bench.run(0.0)
+        except DriveError as error:
+            raised.append(error)
+            devices.drives.write(np.zeros(3), np.zeros(3))  # as the loop does, all the same
+        until_heard(bench)
+    assert len(raised) == (why == "askew")  # told once
+    assert core.drive_state is DriveState.OFF
+    bench.electronics.injector.clear()
+    devices.recover()
+    for _ in range(5):
+        bench.run(0.0)
+    until_heard(bench)
+    assert core.drive_state is DriveState.OPERATING
+
+
+def test_setpoint_that_is_lost_shows_in_the_next_answer(bench: Bench) -> None:
+    fly(bench)
+    injector = bench.electronics.injector
+    injector.command("drop-setpoints")
+    bench.run(7.0)
+    amplifiers = bench.devices.amplifiers
+    if amplifiers.stale == 0:  # on CAN they follow the answer: it is the next that tells
+        injector.command("clear")
+        bench.run(7.0)
+    assert amplifiers.stale == Stale.SETPOINTS
+    injector.command("clear")
+    for _ in range(2):
+        bench.run(7.0)
+    assert amplifiers.stale == 0
+
+
+def test_setpoints_that_are_lost_in_a_row_are_named_before_they_expire(rig_on) -> None:
+    rig = rig_on("canfd", RATE_HZ, shipped("sims/nominal.yaml"), 10)
+    with Electronics(rig, Path()) as electronics:
+        devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
+        try:
+            bench = Bench(devices, electronics)
+            fly(bench)
+            electronics.injector.command("drop-setpoints")
+            words = "did not come through in 3 cycles"
+            with pytest.raises(AmplifierError, match=words):  # noqa: PT012
+                for _ in range(WITHIN_CYCLES + 1):
+                    bench.run(7.0)
+        finally:
+            devices.close()
+
+
+def test_trip_whose_cause_is_not_gone_stays(bench: Bench) -> None:
+    fly(bench)
+    bench.electronics.injector.command("trip 1")
+    with pytest.raises(AmplifierError):  # noqa: PT012
+        for _ in range(WITHIN_CYCLES):
+            bench.run(7.0)
+    with pytest.raises(AmplifierError, match="still tripped, coil 1"):
+        bench.devices.recover()
+
+
+def test_single_missed_answer_is_counted_and_bridged(bench: Bench) -> None:
+    fly(bench)
+    answer_by(bench, 0.05)
+    bench.electronics.injector.command("drop")
+    bench.run(7.0)
+    bench.electronics.injector.clear()
+    answer_by(bench, 2.0)
+    stale = bench.devices.stale
+    assert stale >= 1
+    for _ in range(5):
+        bench.run(7.0)
+    assert bench.devices.stale == stale
+
+
+@pytest.mark.parametrize("line", ["", "fly", "trip", "trip 9", "trip x", "drop 1", "encoder z"])
+def test_injection_that_is_not_understood_is_refused(bench: Bench, line: str) -> None:
+    with pytest.raises((InjectionError, ValueError)):
+        bench.electronics.injector.command(line)
+
+
+def test_amplifiers_that_expired_at_zero_force_are_enabled_again_at_once(bench: Bench) -> None:
+    """A stall on the ground is made good by itself."""
+    core = bench.electronics.core
+    for _ in range(50):
+        bench.run(0.0)
+    for _ in range(3):
+        core._period()
+    assert core.amplifier_state is AmplifierState.EXPIRED
+    # State, challenge and response take a cycle each, and one more where an answer comes after the
+    # reading; at 100 Hz the idling before a flight has thirty.
+    for _ in range(10):
+        bench.run(0.0)
+    assert core.amplifier_state is AmplifierState.ENABLED
+
+
+TWO_BUSES = """
+can:
+  force: {interface: virtual, channel: CHANNEL-force, stale_cycles: 20}
+  motion: {interface: virtual, channel: CHANNEL-motion, stale_cycles: 20}
+amplifiers: {backend: can, bus: force, expire_cycles: 20}
+sensors: {backend: can, bus: motion}
+drives: {backend: can, bus: motion}
+"""
+TWO_BACKENDS = """
+can: {main: {interface: virtual, channel: CHANNEL, stale_cycles: 20}}
+serial: {main: {port: CHANNEL/port, baud: 3000000, stale_cycles: 20}}
+amplifiers: {backend: can, bus: main, expire_cycles: 20}
+sensors: {backend: serial, bus: main}
+drives: {backend: serial, bus: main}
+"""
+TWO_PORTS = """
+serial:
+  force: {port: CHANNEL/force, baud: 3000000, stale_cycles: 20}
+  motion: {port: CHANNEL/motion, baud: 3000000, stale_cycles: 20}
+amplifiers: {backend: serial, bus: force, expire_cycles: 20}
+sensors: {backend: serial, bus: motion}
+drives: {backend: serial, bus: motion}
+"""
+
+
+def rig_of(text: str, folder: Path) -> RigConfig:
+    head = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
+    head = head.replace("rate_hz: 1000", f"rate_hz: {RATE_HZ}")
+    sim = f"sim: {shipped('sims/nominal.yaml')}"
+    return parse_text(f"{head}{text.replace('CHANNEL', str(folder))}{sim}", RigConfig, "two")
+
+
+def lose(bench: Bench, bus: str) -> None:
+    """Let every use of a bus fail, as when its adapter is unplugged."""
+
+    def gone(*_: object) -> None:
+        raise OSError(19, "No such device")
+
+    for backend in bench.devices.backends:
+        for name, link in getattr(backend, "_links", {}).items():
+            if name == bus:
+                link._bus.receive = gone
+        for name, port in getattr(backend, "_ports", {}).items():
+            if name == bus:
+                port._line._fd = 1 << 20
+
+
+@pytest.mark.parametrize(
+    ("text", "lost"), [(TWO_BUSES, "motion"), (TWO_PORTS, "motion"), (TWO_BACKENDS, "main")]
+)
+def test_bus_that_is_lost_keeps_no_force_on_another(text: str, lost: str, tmp_path: Path) -> None:
+    with on_bench(rig_of(text, tmp_path)) as bench:
+        fly(bench)
+        backends = bench.devices.backends
+        if len(backends) == 2:  # the one that is lost comes first
+            bench.devices = replace(bench.devices, backends=backends[::-1])
+            backends[0]._links = {"healthy": backends[0]._links["main"]}
+        lose(bench, lost)
+        acted, raised = cycles_of_force(bench)
+        assert isinstance(raised, LinkError)
+        assert acted <= 1  # the force of the cycle in which it was lost

@@ -1,0 +1,218 @@
+"""What devices say of themselves is believed, whatever their numbers look like."""
+
+from __future__ import annotations
+
+import contextlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numba import typeof
+
+from levid.config.rig import load_rig
+from levid.config.shipped import shipped
+from levid.daemon.control.control_cycle import Controller
+from levid.daemon.loop.warm_up import locate
+from levid.drivers import reading_checks
+from levid.drivers.amplifier_enabling import AmplifierWatch, worst_state
+from levid.drivers.base import AmplifierError, DriveError, SensorError, StaleError
+from levid.drivers.reading_checks import SensorWatch
+from levid.wire import int16_scaling
+from levid.wire.can import can_frames
+from levid.wire.device_protocol import (
+    AmplifierState,
+    DeviceParameter,
+    Request,
+    SensorState,
+    declared,
+)
+from levid.wire.serial import cobs, serial_frames
+
+RIG = load_rig(shipped("rigs/loopback.yaml"))
+
+
+def test_a_reading_that_the_adc_calls_faulty_is_an_error_though_it_is_a_number() -> None:
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    draw = np.random.default_rng(1).normal
+    watch.judge(draw(0, 1e-7, 9), SensorState.OK)
+    with pytest.raises(SensorError, match="the ADC says that a channel is faulty"):
+        watch.judge(draw(0, 1e-7, 9), SensorState.FAULTY)
+    watch.judge(draw(0, 1e-7, 9), SensorState.FAULTY)  # told once
+    watch.reset()
+    with pytest.raises(SensorError):
+        watch.judge(draw(0, 1e-7, 9), 7)  # a state that no page knows
+    watch.reset()
+    gap = draw(0, 1e-7, 9)
+    gap[4] = np.nan
+    with pytest.raises(SensorError, match="sensor 4: no reading"):  # what says more goes first
+        watch.judge(gap, SensorState.FAULTY)
+
+
+@pytest.mark.parametrize(
+    ("states", "told"),
+    [
+        ((1, 1, 1), AmplifierState.ENABLED),
+        ((1, 2, 1), AmplifierState.EXPIRED),
+        ((1, 1, 4), AmplifierState.UNHEARD),
+        ((4, 0, 1), AmplifierState.OFF),
+        ((0, 2, 3), AmplifierState.TRIPPED),
+        ((1, 9, 1), 9),
+    ],
+)
+def test_of_several_amplifiers_the_one_that_is_worst_off_is_told(
+    states: tuple[int, ...], told: int
+) -> None:
+    assert worst_state(states) == told
+
+
+def test_amplifiers_that_failed_in_flight_stay_off_until_that_is_cleared() -> None:
+    asked: list[tuple[Request, int, int]] = []
+    watch = AmplifierWatch("amplifiers", declared(RIG, 3), lambda *what: asked.append(what), 2)
+    coil_n, zero_n = np.full(9, 7.0), np.zeros(9)
+    watch.judge(AmplifierState.OFF, coil_n)
+    assert asked  # nothing is commanded: they are to be enabled
+    watch.judge(AmplifierState.ENABLED, coil_n)
+    watch.commanding(coil_n)
+    with pytest.raises(AmplifierError, match="switched off"):
+        watch.judge(AmplifierState.OFF, coil_n)
+    watch.commanding(zero_n)  # as every fault does
+    asked.clear()
+    for _ in range(20):
+        watch.judge(AmplifierState.OFF, coil_n)
+    assert not asked
+    watch.reset(lambda *_: (DeviceParameter.TRIPPED_COILS, 0))
+    watch.judge(AmplifierState.OFF, coil_n)
+    assert asked
+
+
+@pytest.mark.parametrize("late", ["in flight", "after a fault", "in time"])
+def test_a_challenge_is_answered_while_they_are_to_be_enabled_alone(late: str) -> None:
+    """It was asked for on the ground; what it leads to is force, or amplifiers on after a fault."""
+    asked = []
+    watch = AmplifierWatch("amplifiers", declared(RIG, 3), lambda *what: asked.append(what), 2)
+    zero_n = np.zeros(9)
+    watch.judge(AmplifierState.OFF, zero_n)
+    assert asked == [(Request.READ, DeviceParameter.CHALLENGE, 0)]
+    if late != "in time":
+        watch.commanding(np.full(9, 7.0))
+    if late == "after a fault":
+        with pytest.raises(AmplifierError):
+            watch.judge(AmplifierState.TRIPPED, zero_n)
+        watch.commanding(zero_n)
+    watch.answered(DeviceParameter.CHALLENGE, 0x12345678)
+    assert (asked[-1][0] == Request.ENABLE) == (late == "in time")
+    watch.reset(lambda *_: (DeviceParameter.TRIPPED_COILS, 0))
+    watch.answered(DeviceParameter.CHALLENGE, 0x12345678)
+    assert asked[-1][0] == Request.ENABLE
+
+
+def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    controller, syncs = Controller(RIG, 1e-3), []
+
+    def read(beam: np.ndarray, rotor: np.ndarray) -> None:
+        if len(syncs) == 2:
+            raise StaleError("two in a row")
+        beam[:] = rotor[:] = 0.02 if len(syncs) >= comes_at else np.nan
+
+    devices = SimpleNamespace(syncs=(syncs.append,), drives=SimpleNamespace(read=read))
+    comes_at = 3
+    locate(controller, devices, RIG, 7)  # type: ignore[arg-type]
+    assert controller.beam_ref[0] == 0.02
+    assert syncs == [7, 7, 7]
+    comes_at = 1 << 40
+    monkeypatch.setattr("levid.daemon.loop.warm_up._PATIENCE_S", 0.01)
+    with pytest.raises(DriveError, match="did not come"):
+        locate(controller, devices, RIG, 7)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("bus", ["can", "serial"])
+def test_nothing_is_compiled_in_the_first_cycle(monkeypatch: pytest.MonkeyPatch, bus: str) -> None:
+    """That takes seconds where no cache holds it."""
+    called: set[object] = set()
+
+    def note(module: object, name: str) -> None:
+        function = getattr(module, name)
+
+        def noting(*arguments: object) -> object:
+            called.add((name, *map(typeof, arguments)))
+            return function(*arguments)
+
+        monkeypatch.setattr(module, name, noting)
+
+    modules = {can_frames: ("_pack", "_unpack"), cobs: ("_encode", "_decode")}
+    modules |= {int16_scaling: ("_quantise", "_scale"), reading_checks: ("_judge",)}
+    for module, names in modules.items():
+        for name in names:
+            note(module, name)
+    coils, gaps = np.zeros(9), np.zeros(9)
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    if bus == "can":
+        frames = can_frames.load_frames(None, 9, 9, True)
+        before = called.copy()
+        frames.setpoint.encode(coils, 12, 3)
+        frames.gap.finish(gaps)
+    else:
+        port = serial_frames.SerialFrames(serial_frames.FrameContents(9, 9, True))
+        before = called.copy()
+        port.accept(port.cycle(12, coils, np.zeros(3), np.zeros(3))[:-1])
+        port.amplifier_readings(coils)
+        port.sensor_readings(gaps)
+    watch.judge(gaps)
+    assert len(before) == (3 if bus == "can" else 5)
+    assert called == before
+
+
+def test_channel_that_is_mended_leaves_no_suspicion_of_others() -> None:
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    mended, ended = np.full(9, 1e-7), np.full(9, 1e-7)
+    ended[1] = 1e-3
+    watch.judge(np.zeros(9))
+    with pytest.raises(SensorError, match="sensor 1: at the end of its range"):
+        watch.judge(ended.copy())
+    watch.reset()
+    for _ in range(5):  # it reads what it should; by chance the others repeat themselves
+        watch.judge(mended.copy())
+
+
+def test_channel_that_is_still_frozen_is_found_again() -> None:
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    draw = np.random.default_rng(1).normal
+    gaps = 1e-5 * np.arange(60.0)[:, None] + draw(0, 1e-7, (60, 9))
+    gaps[:, 4] = 0.0
+
+    def read(first: int) -> None:
+        for gap in gaps[first : first + 20]:
+            watch.judge(gap.copy())
+
+    for cleared in (0, 20, 40):
+        with pytest.raises(SensorError, match="sensor 4: frozen"):
+            read(cleared)
+        watch.reset()
+
+
+def test_sensor_that_is_back_does_not_make_others_look_frozen() -> None:
+    """The platform has dropped meanwhile: where the missing one is now moves the plane of all."""
+    watch = SensorWatch("sensors", RIG.geometry, 1e-3)
+    flying, down = np.zeros(9), np.full(9, -5e-4)
+    watch.judge(flying.copy())
+    lost = flying.copy()
+    lost[6] = np.nan
+    with pytest.raises(SensorError, match="sensor 6: no reading"):
+        watch.judge(lost.copy())
+    for _ in range(5):  # at rest, and by chance the others repeat themselves
+        lost = down.copy()
+        lost[6] = np.nan
+        watch.judge(lost)
+    watch.reset()
+    for _ in range(4):
+        lost = down.copy()
+        lost[6] = np.nan
+        with contextlib.suppress(SensorError):
+            watch.judge(lost)
+    watch.reset()
+    watch._repeats[4] = 5
+    watch.judge(down.copy())
+    for _ in range(30):
+        watch.judge(down.copy())

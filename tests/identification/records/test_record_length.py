@@ -1,0 +1,85 @@
+"""A record that is shorter than the others is left out where it costs more than it tells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from levid.identification.identify import identify
+from levid.identification.options import Options
+from levid.identification.records.record import Record
+from levid.identification.records.record_length import long_enough
+from levid.identification.results import ClosedLoopPoint
+
+RATE_HZ = 200.0
+
+
+def records(rows: Sequence[int], axes: Sequence[int] | None = None) -> list[Record]:
+    """Return a record of so many rows each, that excites one of two inputs, or both."""
+    out = []
+    for number, count in enumerate(rows):
+        v = np.random.default_rng(number).normal(size=(count, 2))
+        if axes is not None:
+            v[:, 1 - axes[number]] = 0.0
+        out.append(Record(f"r{number}", 0.01, v, v, ("a", "b"), ("N", "N"), ("c", "d"), ("m", "m")))
+    return out
+
+
+def left_out(some: Sequence[Record], wanted_rows: int) -> list[str]:
+    used, out = long_enough(some, wanted_rows)
+    assert [r.name for r in some if r in used] == [r.name for r in used]
+    assert len(used) + len(out) == len(some)
+    return [r.name for r in out]
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        ([100, 1000, 1000], ["r0"]),
+        ([1000, 300, 1000], []),  # an eighth of all
+        ([1000, 100, 90, 1000], ["r1", "r2"]),
+        ([200, 100, 1000, 1000], ["r1"]),  # both together are a seventh of all
+        ([2000, 450, 1800], []),  # longer than what is wanted
+        ([100] * 20, []),  # nothing is gained by leaving out one of many alike
+        ([100, *range(101, 121)], []),
+        ([100], []),
+    ],
+)
+def test_few_short_ones_are_left_out(rows, expected):
+    assert left_out(records(rows), 400) == expected
+
+
+def test_what_none_of_the_others_excites_is_kept():
+    assert left_out(records([1000, 1000, 90], [0, 1, 1]), 400) == ["r2"]
+    assert left_out(records([1000, 1000, 90], [0, 0, 1]), 400) == []
+    # The shortest can be spared, the next cannot: with it both stay, for nothing would be gained.
+    assert left_out(records([1000, 80, 90], [0, 0, 1]), 400) == []
+
+
+@pytest.fixture(scope="module")
+def flown(rig) -> list[Record]:
+    return rig.records([0.0], RATE_HZ, 45.0, at_rest=False)
+
+
+def closed(some: list[Record], options: Options) -> ClosedLoopPoint:
+    (point,) = identify(some, options).points
+    assert isinstance(point, ClosedLoopPoint)
+    return point
+
+
+def test_one_short_record_shortens_nothing_in_a_loop(rig, flown):
+    options = Options(lag_s=rig.LAG_S)
+    short = Record(**{**flown[0].rows(0, 1200).__dict__, "name": "short"})
+    alone, both = closed(flown, options), closed([*flown, short], options)
+    assert both.records == alone.records
+    assert both.remarks[0] == (
+        "'short' is left out: its 1200 rows would shorten the impulse response of all"
+    )
+    assert both.remarks[1:] == alone.remarks
+    np.testing.assert_array_equal(both.markov["least_squares"].g, alone.markov["least_squares"].g)
+    assert both.subspace is not None
+    # Asked for an impulse response that it allows, it is used.
+    of_1_s = Options(lag_s=rig.LAG_S, impulse_s=1.0, segment_s=1.0)
+    assert "short" in closed([*flown, short], of_1_s).records

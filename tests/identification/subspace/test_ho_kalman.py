@@ -1,0 +1,105 @@
+"""Ho-Kalman: exact Markov parameters give back the system they came from, at any size and order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from levid.identification.records.record import IdentificationError
+from levid.identification.subspace.hankel_operator import HankelOperator, leading_svd
+from levid.identification.subspace.ho_kalman import (
+    Scaling,
+    decompose,
+    decompose_coloured,
+    order_from_gap,
+    realise,
+)
+
+
+def _system(n: int, m: int, p: int, seed: int):
+    """Return a stable random system with well-spread poles: A, B, C, D."""
+    rng = np.random.default_rng(seed)
+    A = np.diag(rng.uniform(0.5, 0.9, n) * rng.choice([-1, 1], n))
+    Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    return Q @ A @ Q.T, rng.normal(size=(n, p)), rng.normal(size=(m, n)), rng.normal(size=(m, p))
+
+
+def _markov(A, B, C, D, length: int) -> np.ndarray:
+    g, x = [D], B
+    for _ in range(length - 1):
+        g.append(C @ x)
+        x = A @ x
+    return np.array(g)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+@pytest.mark.parametrize(("m", "p"), [(1, 1), (1, 3), (3, 1), (2, 2), (3, 3), (4, 2)])
+def test_exact_markov_parameters_give_back_the_system(n, m, p):
+    g = _markov(*_system(n, m, p, seed=n + 10 * m + 100 * p), 61)
+    # Units far apart: the scaling must undo itself.
+    scaling = Scaling(np.logspace(-4, 2, m), np.logspace(1, -1, p))
+    decomposition = decompose(g, 0.01, scaling)
+    choice = order_from_gap(decomposition.singular_values)
+    assert choice.order == n
+    model = realise(decomposition, n)
+    found = _markov(model.A, model.B, model.C, model.D, 61)
+    # Gaps of the random systems' singular values reach 1e5; squared with rounding, 1e-6 is safe.
+    np.testing.assert_allclose(found, g, atol=1e-6 * np.abs(g).max())
+
+
+def test_the_hankel_operator_is_the_matrix():
+    rng = np.random.default_rng(0)
+    h = rng.normal(size=(60, 2, 3))
+    operator = HankelOperator(h, 40, 20)
+    dense = operator.dense()
+    assert dense[2 * 5 + 1, 3 * 7 + 2] == h[5 + 7, 1, 2]
+    x, y = rng.normal(size=60), rng.normal(size=80)
+    # FFTs of length 60 round to about 1e-15 of the largest number.
+    np.testing.assert_allclose(operator.matvec(x), dense @ x, atol=1e-13)
+    np.testing.assert_allclose(operator.rmatvec(y), dense.T @ y, atol=1e-13)
+    X = rng.normal(size=(60, 4))
+    np.testing.assert_allclose(operator.matmat(X), dense @ X, atol=1e-13)
+
+
+def test_leading_triplets_equal_those_of_the_dense_matrix():
+    rng = np.random.default_rng(1)
+    t = np.arange(600)[:, None, None]
+    h = np.exp(-t / 80.0) * np.cos(t * np.array([0.1, 0.3])[:, None] * np.array([1.0, 0.7]))
+    h = h + 1e-4 * rng.normal(size=h.shape)
+    operator = HankelOperator(h, 300, 300)  # side 600: beyond DENSE_SIDE, so Lanczos
+    found = leading_svd(operator, 12)
+    U, s, _ = np.linalg.svd(operator.dense())
+    np.testing.assert_allclose(found.s, s[:12], rtol=1e-10)
+    # Singular vectors up to sign, where the values stand apart.
+    gap = (s[:11] - s[1:12]) / s[0] > 1e-3
+    overlap = np.abs(np.sum(found.U[:, :11] * U[:, :11], axis=0))
+    np.testing.assert_allclose(overlap[gap], 1.0, atol=1e-9)
+    np.testing.assert_allclose(leading_svd(operator, 12).s, found.s, rtol=0, atol=0)
+
+
+def test_weighting_by_coloured_inputs_leaves_exact_data_exact():
+    rng = np.random.default_rng(2)
+    g = _markov(*_system(4, 2, 2, seed=5), 41)
+    inputs = np.cumsum(rng.normal(size=(3000, 2)), axis=0) * 0.05 + rng.normal(size=(3000, 2))
+    model = realise(decompose_coloured(g, 1.0, Scaling(np.ones(2), np.ones(2)), [inputs]), 4)
+    found = _markov(model.A, model.B, model.C, model.D, 41)
+    np.testing.assert_allclose(found, g, atol=1e-7 * np.abs(g).max())
+
+
+def test_the_gap_below_rounding_does_not_count():
+    s = np.array([1.0, 0.5, 1e-3, 1e-16, 1e-22, 1e-30])
+    choice = order_from_gap(s)
+    assert choice.order == 3
+    assert choice.gaps[0] == 2.0
+
+
+def test_an_order_that_is_not_there_is_an_error():
+    g = _markov(*_system(2, 1, 1, seed=1), 21)
+    decomposition = decompose(g, 1.0, Scaling(np.ones(1), np.ones(1)))
+    with pytest.raises(IdentificationError, match="expected an order of 1 to 2, found 5"):
+        realise(decomposition, 5)
+
+
+def test_too_few_markov_parameters_for_the_blocks_are_an_error():
+    with pytest.raises(ValueError, match="expected 9 Markov parameters"):
+        HankelOperator(np.zeros((5, 1, 1)), 5, 5)

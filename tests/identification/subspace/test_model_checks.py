@@ -1,0 +1,123 @@
+"""A loop that rings for long is given a longer response; a model that cannot be true is told."""
+
+from __future__ import annotations
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+from levid.identification.identify import identify
+from levid.identification.nonparametric.markov_parameters import MarkovEstimate
+from levid.identification.options import Options
+from levid.identification.records.record import Record
+from levid.identification.results import ClosedLoopPoint
+from levid.identification.subspace.ho_kalman import Scaling, decompose, order_from_gap
+from levid.identification.subspace.model_checks import has_decayed, order_doubts, settling_time
+from levid.identification.summary import summary
+from levid.model.second_order import StateSpace
+
+
+@pytest.fixture(scope="module")
+def ringing(rig) -> list[Record]:
+    """Return records of a rig with four coils' air damping instead of nine's: rings twice as long.
+
+    Its loop's resonances decay by 1/e in 2.5 s, so that 4 % are left after 8 s.
+    """
+    M, D, K = rig.matrices(0.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rig, "matrices", lambda _x_b: (M, 4 / 9 * D, K))
+        return rig.records([0.0], 1000.0, 60.0, at_rest=False)
+
+
+def _point(records: list[Record], options: Options) -> ClosedLoopPoint:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = identify(records, options)
+        text = summary(result)
+    json.dumps(text, allow_nan=False)
+    (point,) = result.points
+    assert isinstance(point, ClosedLoopPoint)
+    assert text["points"][0]["trusted"] == point.trusted
+    return point
+
+
+def test_a_loop_that_rings_for_long_gets_a_longer_impulse_response(rig, ringing):
+    point = _point(ringing, Options(lag_s=rig.LAG_S))
+    assert len(point.markov["least_squares"].g) > 10_000
+    assert any("rings for longer than" in text for text in point.remarks)
+    assert any("as much is left out at the begin of records" in text for text in point.remarks)
+    assert point.order.order == 9
+    assert point.trusted
+    for axis, holdout in enumerate(point.holdout):
+        # As with the damping of nine coils: sensor noise leaves 0.2 to 0.3 %.
+        assert holdout.simulated_fit_percent[axis] > 99.5
+
+
+def test_a_model_that_cannot_be_true_is_not_to_be_trusted(rig, ringing):
+    """Of order 6, less three integrators, there are three states left for three axes."""
+    point = _point(ringing, Options(lag_s=rig.LAG_S, order=6, impulse_s=4.0))
+    assert not point.trusted
+    text = "; ".join(point.doubts)
+    assert "the plant has 3 states, 3 degrees of freedom need 6 at least" in text
+    # The response from the sensitivity needs no model and stands.
+    assert np.all(np.isfinite(point.from_sensitivity.H))
+
+
+def test_data_kept_back_show_a_model_that_misses_them(rig, ringing):
+    # The end of the second axis' record moves as no linear model of the begin would have it.
+    broken = ringing[1].y.copy()
+    broken[45_000:] *= 1.2
+    records = [ringing[0], Record(**{**ringing[1].__dict__, "y": broken}), ringing[2]]
+    point = _point(records, Options(lag_s=rig.LAG_S))
+    # Both the impulse response and the model miss it alike: the rows are at fault, not the model.
+    assert point.trusted
+    assert point.holdout[1].simulated_fit_percent[1] < 90
+
+
+def _markov(decay_per_s: float, noise: float) -> MarkovEstimate:
+    t = 1e-2 * np.arange(600)
+    g = np.exp(-decay_per_s * t)[:, None, None] * np.eye(2)
+    g = g + noise * np.random.default_rng(0).normal(size=g.shape)
+    return MarkovEstimate("made", g, np.full((2, 2), noise), np.ones(2), 1e-2)
+
+
+def test_the_end_of_an_impulse_response_is_judged_by_noise_and_size():
+    assert has_decayed(_markov(2.0, 1e-6))  # e^-10: too small to matter, if far above noise
+    assert not has_decayed(_markov(0.5, 1e-6))  # e^-2.5
+    assert has_decayed(_markov(0.5, 0.1))  # hidden in noise: more taps would bring only more of it
+
+
+def test_settling_time_is_that_of_the_slowest_motion_that_shows():
+    Ts_s = 1e-2
+    slow, fast = np.exp(-0.5 * Ts_s), np.exp(-5.0 * Ts_s)
+    model = StateSpace(np.diag([slow, fast]), np.eye(2), np.eye(2), np.zeros((2, 2)), Ts_s)
+    # What is left falls as e^-0.5t for the slow one: to 3e-3 in 5.8 / 0.5 s.
+    assert settling_time(model, 1.0, 60.0) == pytest.approx(-np.log(3e-3) / 0.5, rel=0.02)
+    assert settling_time(model, 20.0, 60.0) == 20.0
+    unstable = StateSpace(np.diag([1.1, fast]), np.eye(2), np.eye(2), np.zeros((2, 2)), Ts_s)
+    assert settling_time(unstable, 1.0, 60.0) == 60.0
+
+
+def test_an_order_that_no_gap_tells_is_a_guess():
+    clear = order_from_gap(np.array([5.0, 4.0, 3.0, 0.1, 0.09]), 2)
+    assert clear.order == 3
+    assert order_doubts(clear) == ()
+    (doubt,) = order_doubts(order_from_gap(np.array([5.0, 4.0, 3.0, 2.2, 2.0]), 2))
+    assert doubt.startswith("the singular values leave no gap: s(3) / s(4) is the largest with 1.4")
+    # No signal at all: whatever the length, the largest of all ratios is far from a gap.
+    for length in (60, 200, 1000):
+        noise = np.random.default_rng(length).normal(size=(length, 3, 3))
+        scaling = Scaling(np.ones(3), np.ones(3))
+        assert order_doubts(order_from_gap(decompose(noise, 1e-3, scaling).singular_values))
+
+
+def test_a_loop_whose_order_no_gap_tells_is_not_to_be_trusted(rig, ringing):
+    """Sensor noise alone: excitation that is written down was never played."""
+    rng = np.random.default_rng(0)
+    asleep = [
+        Record(**{**r.__dict__, "y": 1e-6 * rng.normal(size=r.y.shape), "u": r.v}) for r in ringing
+    ]
+    point = _point(asleep, Options(lag_s=rig.LAG_S, impulse_s=1.0))
+    assert any("leave no gap" in text for text in point.doubts)

@@ -1,0 +1,118 @@
+"""A study uses every log once, and goes on with what the other methods can do."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from levid.config.model import load_model
+from levid.config.shipped import shipped
+from levid.identification import study as studies
+from levid.identification.options import Options
+from levid.identification.records.record import IdentificationError
+from levid.log.reader import read_log
+from levid.log.signals import cycle_dtype
+from levid.log.writer import LogWriter
+
+RIG = Path(shipped("rigs/loopback.yaml")).read_bytes()
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> list[Path]:
+    """Return three logs of 4 s, an input each, excited by a slow sine: nothing for Markov."""
+    paths = []
+    dtype = cycle_dtype(9, 9)
+    for axis, field in enumerate(("psi_n_m", "theta_n_m", "z_n")):
+        rows = np.zeros(4000, dtype)
+        rows["cycle"] = 5000 * axis + np.arange(4000)
+        rows[f"v_{field}"] = np.sin(2 * np.pi * 1.7 * 1e-3 * np.arange(4000))
+        rng = np.random.default_rng(axis)
+        for height in ("z_m", "psi_rad", "theta_rad"):
+            rows[height] = 1e-7 * rng.normal(size=4000)
+        paths.append(tmp_path / f"{axis}.mcap")
+        metadata = {"kind": "record", "name": field, "session": "slow", "rate_hz": "1000"}
+        with LogWriter(
+            paths[-1], dtype, rate_hz=1000.0, metadata=metadata, attachments={"rig.yaml": RIG}
+        ) as writer:
+            writer.write(rows, (10**6 * rows["cycle"]).astype(np.uint64))
+    return paths
+
+
+def test_poor_excitation_leaves_the_grey_box_and_says_why(logs, monkeypatch):
+    def fitted(_model, experiments, *_rest):
+        return SimpleNamespace(records=[e.name for e in experiments])
+
+    monkeypatch.setattr(studies, "identify_grey_box", fitted)
+    model = load_model(shipped("models/rig.yaml"))
+    found = studies.study(logs, lambda _log: model, Options())
+    assert found.points is None
+    assert found.grey.records == ["psi_n_m", "theta_n_m", "z_n"]
+    (note,) = found.notes
+    assert note.startswith("no Markov parameters: beam at +0.0 mm: expected excitation")
+    assert "fly white noise" in note
+
+
+def test_poor_excitation_without_a_model_is_an_error(logs):
+    with pytest.raises(IdentificationError, match="fly white noise"):
+        studies.study(logs, lambda _log: None, Options())
+
+
+def test_a_log_given_twice_is_used_once(logs, monkeypatch, tmp_path):
+    counted = []
+
+    def fitted(_model, experiments, *_rest):
+        counted.append(len(experiments))
+        return SimpleNamespace()
+
+    monkeypatch.setattr(studies, "identify_grey_box", fitted)
+    model = load_model(shipped("models/rig.yaml"))
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    copy = Path(shutil.copy(logs[1], folder))
+    again = logs[0].parent / "elsewhere" / ".." / logs[0].name
+    found = studies.study([*logs, again, copy], lambda _log: model, Options())
+    assert counted == [3]
+    assert any("0.mcap: given twice, used once" in note for note in found.notes)
+    assert any(f"{copy}: the same record as {logs[1]}, used once" in n for n in found.notes)
+
+
+def altered(log: Path, begin: int = 100, **columns: float) -> Path:
+    """Return a copy of a log in which rows `begin` and on of these columns have one value."""
+    was = read_log(log)
+    rows, path = was.rows.copy(), log.with_name(f"altered-{log.name}")
+    for name, value in columns.items():
+        rows[name][begin:] = value
+    metadata = {"kind": "record", "name": "altered", "session": "slow", "rate_hz": "1000"}
+    with LogWriter(
+        path, rows.dtype, rate_hz=1000.0, metadata=metadata, attachments={"rig.yaml": RIG}
+    ) as writer:
+        writer.write(rows, was.log_time_ns)
+    return path
+
+
+def test_a_log_that_is_of_no_use_does_not_end_the_study_of_others(logs, monkeypatch):
+    monkeypatch.setattr(
+        studies, "identify_grey_box", lambda _model, experiments, *_: SimpleNamespace(n=experiments)
+    )
+    model = load_model(shipped("models/rig.yaml"))
+    broken, stuck = altered(logs[0], z_m=np.nan), altered(logs[1], stale=1)
+    found = studies.study([broken, *logs, stuck], lambda _log: model, Options())
+    assert len(found.grey.n) == 3
+    told = [note for note in found.notes if "altered-" in note]
+    assert [note.partition(": expected")[0] for note in told] == [f"{broken}: z_m", f"{stuck}"]
+    with pytest.raises(IdentificationError, match="z_m: expected finite values"):
+        studies.study([broken], lambda _log: model, Options())
+
+
+def test_an_output_of_one_value_is_told(logs, monkeypatch):
+    monkeypatch.setattr(studies, "identify_grey_box", lambda *_: SimpleNamespace())
+    model = load_model(shipped("models/rig.yaml"))
+    dead = altered(logs[0], begin=0, psi_rad=0.0)
+    found = studies.study([dead, logs[1]], lambda _log: model, Options())
+    told = [note for note in found.notes if "one value" in note]
+    assert len(told) == 1
+    assert told[0].startswith("altered-0.mcap: psi shows one value in every row")

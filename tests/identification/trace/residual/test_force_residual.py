@@ -1,0 +1,186 @@
+"""What a model lacks, put back together from a record: the force, its noise, what it depends on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig_effects import rig_places
+
+from levid.config.base import parse_text
+from levid.config.model import ModelConfig
+from levid.identification.greybox.experiment import Experiment
+from levid.identification.greybox.free_parameters import free_parameters
+from levid.identification.greybox.model_file import declared_model
+from levid.identification.greybox.noise_model import Noise
+from levid.identification.trace.linearised.working_point import WorkingPoint
+from levid.identification.trace.records.noise_sources import Disturbance
+from levid.identification.trace.records.trace_record import TraceRecord
+from levid.identification.trace.residual.binned_means import dependence
+from levid.identification.trace.residual.force_residual import (
+    beyond_rigid,
+    denoised,
+    density,
+    false_density,
+    missing,
+    noise_density,
+    standing_out,
+)
+from levid.model.effects.base import Places
+
+TS = 1e-3
+M, D, K = 2.0, 3.0, 800.0
+MODEL = f"""
+levid: model
+name: one
+dof: [{{name: x, unit: m}}]
+inputs: [{{name: u, unit: N}}]
+parameters:
+  m: {{value: {M}, unit: kg}}
+M: [[m]]
+D: [[{D}]]
+K: [[{K}]]
+"""
+
+
+def record(y: np.ndarray, u: np.ndarray, places: Places) -> TraceRecord:
+    N = len(y)
+    experiment = Experiment("made", TS, u, y, {}, frozenset(), False)
+    none = np.zeros((N, 3))
+    return TraceRecord(
+        experiment, places, TS * np.arange(N), y @ places.sensor_shape.T, u, np.zeros_like(u),
+        none, none, None, "wrench",
+    )  # fmt: skip
+
+
+@pytest.fixture
+def places() -> Places:
+    one, nowhere = np.eye(1), np.zeros((0, 2))
+    return Places(("x",), ("m",), one, one, "N", ("N",), "m", nowhere, nowhere, beam=False)
+
+
+def point(sensor_sd: float, force_psd: float) -> WorkingPoint:
+    config = parse_text(MODEL, ModelConfig, "made")
+    noise = Noise.independent(np.array([force_psd]), np.array([sensor_sd**2]))
+    disturbance = Disturbance(noise, sensor_sd, measured=True)
+    return WorkingPoint(
+        declared_model(config), free_parameters(config), (), disturbance, config.input
+    )
+
+
+def moved_by(force: dict[float, complex], t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The steady motion x and the force itself (N,) for lines of force by frequency, Hz."""
+    x, f = np.zeros(len(t)), np.zeros(len(t))
+    for hz, amplitude in force.items():
+        s = 2j * np.pi * hz
+        wave = np.exp(s * t)
+        x += np.real(amplitude / (M * s * s + D * s + K) * wave)
+        f += np.real(amplitude * wave)
+    return x, f
+
+
+def test_missing_force_is_the_one_that_moved_it(places: Places) -> None:
+    t = TS * np.arange(8000)
+    x, force = moved_by({1.5: 0.02, 7.25: 0.01j, 31.0: -0.015}, t)
+    found = missing(point(1e-9, 1e-8), record(x[:, None], np.zeros((8000, 1)), places)).force[:, 0]
+    # Of each row it is the mean over the period that follows: the force half a period later.
+    _, later = moved_by({1.5: 0.02, 7.25: 0.01j, 31.0: -0.015}, t + TS / 2)
+    inner = slice(600, -600)  # both ends are faded
+    # A mean over 1 ms is smaller than the middle by (w Ts)^2 / 24, 0.16 % at 31 Hz.
+    np.testing.assert_allclose(found[inner], later[inner], atol=3e-3 * np.abs(force).max())
+
+
+def test_noise_in_it_is_as_told(places: Places) -> None:
+    rng = np.random.default_rng(2)
+    sd = 1e-7
+    y = sd * rng.standard_normal((60_000, 1))
+    at = point(sd, 1e-20)
+    left = missing(at, record(y, np.zeros((60_000, 1)), places))
+    freq_hz, psd = density(left.force, TS)
+    noise = noise_density(at, left.here, freq_hz)
+    band = (freq_hz > 1) & (freq_hz < 60)
+    # 29 averages of 236 lines: the mean ratio scatters by 1.2 %; differences instead of
+    # derivatives lose (w Ts)^2 / 12 of M w^2, 2.4 % of its power at 60 Hz.
+    assert np.mean(psd[band] / noise[band]) == pytest.approx(1.0, abs=0.06)
+    # What is noise alone does not stand out.
+    gain = standing_out(psd, noise, freq_hz)
+    assert np.mean(gain[freq_hz < 60]) < 0.02
+
+
+def test_noisy_sensor_is_no_force(places: Places) -> None:
+    rng = np.random.default_rng(3)
+    sd, three = 1e-7, replace(places, sensor_shape=np.ones((3, 1)))
+    errors = sd * rng.standard_normal((60_000, 3)) * [1.0, 5.0, 1.0]
+    moved = errors.mean(axis=1, keepdims=True)
+    logged = replace(record(moved, np.zeros((60_000, 1)), three), gap=errors)
+    at = point(sd, 1e-20)
+    at = replace(
+        at,
+        disturbance=replace(
+            at.disturbance, noise=Noise.independent(*np.array([[1e-20], [sd**2 / 3]]))
+        ),
+    )
+    left = missing(at, logged)
+    freq_hz, psd = density(left.force, TS)
+    taken = noise_density(at, left.here, freq_hz)
+    false = false_density(at, left.here, left.reading)
+    band = (freq_hz > 5) & (freq_hz < 60)
+    # 27 of 3 parts are there; of that thirds of octaves tell all, but for 3 % of chance.
+    assert np.mean(psd[band] / taken[band]) == pytest.approx(9.0, rel=0.06)
+    assert np.mean(psd[band] / (taken + false)[band]) == pytest.approx(1.0, abs=0.08)
+    # A motion that all of them show is none of theirs.
+    x, _ = moved_by({12.0: 0.02}, TS * np.arange(60_000))
+    honest = sd * rng.standard_normal((60_000, 3)) + x[:, None]
+    y = honest.mean(axis=1, keepdims=True)
+    left = missing(at, replace(record(y, np.zeros((60_000, 1)), three), gap=honest))
+    false = false_density(at, left.here, left.reading)
+    assert np.mean((false / taken)[band]) < 0.15
+
+
+def test_what_stands_out_keeps_its_phase() -> None:
+    t = TS * np.arange(10_000)
+    wave = np.sin(2 * np.pi * 3 * t)
+    noise = np.random.default_rng(1).standard_normal(len(t))
+    freq_hz = np.linspace(0, 500, 2001)
+    gain = ((freq_hz > 1) & (freq_hz < 8)).astype(float)
+    kept = denoised(wave + 0.1 * noise, gain, freq_hz, TS)
+    inner = slice(1000, -1000)
+    # Of the noise 7 Hz out of 500 are left: 0.1 sqrt(7 / 500) = 0.012 RMS.
+    assert np.sqrt(np.mean((kept - wave)[inner] ** 2)) < 0.02
+
+
+def test_a_rigid_pose_shows_nothing_beyond_itself() -> None:
+    rng = np.random.default_rng(0)
+    pose = rng.standard_normal((50, 3))
+    made = record(pose, np.zeros((50, 3)), rig_places())
+    np.testing.assert_allclose(beyond_rigid(made, made.gap), 0.0, atol=1e-12)
+    false = made.gap.copy()
+    false[:, 4] += 1.0
+    # The middle of nine: a ninth of what it shows falsely is taken for height.
+    np.testing.assert_allclose(beyond_rigid(made, false)[:, 4], 8 / 9, atol=1e-12)
+
+
+def test_dependence_tells_a_curve_from_chance() -> None:
+    rng = np.random.default_rng(4)
+    x = rng.uniform(-1, 1, 20_000)
+    block = np.repeat(np.arange(40), 500)
+    noise = 0.1 * rng.standard_normal(len(x))
+    found = dependence(x, x**3 + noise, block)
+    # Within a bin, a 24th of the range, a cube spreads by less than the noise.
+    assert found.share == pytest.approx(1 - 0.01 / (1 / 7 + 0.01), abs=0.02)
+    apart = np.abs(found.mean - found.at**3)
+    # A bin's mean of the cube is not the cube of its mean: off by 3 x var, 0.0004 x at most 3.
+    assert np.mean(apart < 1.96 * found.error + 2e-3) > 0.85
+    assert abs(dependence(rng.uniform(-1, 1, len(x)), x**3 + noise, block).share) < 0.01
+
+
+def test_errors_of_a_dependence_know_of_what_lasts() -> None:
+    # The same number all through a block is one number, however many rows have it.
+    rng = np.random.default_rng(7)
+    x = rng.uniform(-1, 1, 20_000)
+    block = np.repeat(np.arange(40), 500)
+    lasting = np.repeat(rng.standard_normal(40), 500)
+    found = dependence(x, lasting, block)
+    # The error of a mean of 40 numbers of unit variance; the estimate itself scatters by 11 %.
+    assert np.mean(found.error) == pytest.approx(1 / np.sqrt(40), rel=0.3)

@@ -1,0 +1,226 @@
+"""Free runs with effects in them settle on what an integrator of another kind finds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from levid.config.base import parse_text
+from levid.config.model import ModelConfig
+from levid.identification.greybox.experiment import ControlLoop, Experiment
+from levid.identification.greybox.free_parameters import free_parameters
+from levid.identification.greybox.model_file import declared_model
+from levid.identification.greybox.noise_model import Noise
+from levid.identification.records.record import IdentificationError, PiController
+from levid.identification.trace.linearised.working_point import WorkingPoint
+from levid.identification.trace.records.noise_sources import Disturbance
+from levid.identification.trace.records.trace_record import TraceRecord
+from levid.identification.trace.residual.error_metric import pooled, record_error
+from levid.identification.trace.residual.free_run_with_effects import EffectFreeRun, free_run
+from levid.model.effects.base import Placed, Places
+from levid.model.effects.driven_range import Extent
+from levid.model.effects.table import all_effects
+
+MASS, DAMPER, SPRING = 2.0, 12.0, 800.0  # 3.2 Hz, damping 0.15
+MODEL = f"""
+levid: model
+name: mass
+dof: [{{name: x, unit: m}}]
+inputs: [{{name: f, unit: N}}]
+input: HOLD
+parameters:
+  m: {{value: {MASS}, unit: kg, min: 0.1, max: 20}}
+  d: {{value: {DAMPER}, unit: N s/m, min: 0, max: 100}}
+  k: {{value: {SPRING}, unit: N/m, min: 1, max: 10000}}
+M: [[m]]
+D: [[d]]
+K: [[k]]
+"""
+TS = 2e-3
+ROWS = 5000
+SD = 1e-8
+ONE = np.eye(1)
+PLACES = Places(("x",), ("m",), ONE, ONE, "N", ("N",), "m", np.zeros((0, 2)), np.zeros((0, 2)),
+                beam=False, span_s=(0.0, ROWS * TS))  # fmt: skip
+KP, KI = np.array([2000.0]), np.array([8000.0])
+Force = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def waves(seed: int, rms_n: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a force of twenty sines between 0.5 and 15 Hz, at any time."""
+    rng = np.random.default_rng(seed)
+    omega, phase = 2 * np.pi * rng.uniform(0.5, 15.0, 20), rng.uniform(0, 2 * np.pi, 20)
+    size = rms_n / np.sqrt(10)
+    return lambda t: size * np.sin(np.multiply.outer(t, omega) + phase).sum(axis=-1)
+
+
+def open_record(rms_n: float, force: Force) -> TraceRecord:
+    """Return a mass under waves and an unknown force, integrated to ten digits by scipy."""
+    u, t = waves(1, rms_n), np.arange(ROWS) * TS
+
+    def motion(time: float, state: np.ndarray) -> np.ndarray:
+        x, v = state
+        return np.array([v, (u(time) - DAMPER * v - SPRING * x + force(x, v)) / MASS])
+
+    solved = solve_ivp(motion, (0.0, t[-1]), [0.0, 0.0], "DOP853", t, rtol=1e-9, atol=1e-12)
+    return _record(u(t)[:, None], solved.y[:1].T, None)
+
+
+def held_record(rms_n: float, force: Force) -> TraceRecord:
+    """Return the same in a loop, commands held and a cycle late, in steps of a twentieth."""
+    v = waves(2, rms_n)(np.arange(ROWS) * TS)
+    x = speed = integral = acting = 0.0
+    u, y, fine = np.empty((ROWS, 1)), np.empty((ROWS, 1)), TS / 20
+
+    def acceleration(x: float, speed: float, held: float) -> float:
+        return (held - DAMPER * speed - SPRING * x + float(force(x, speed))) / MASS
+
+    for k in range(ROWS):
+        y[k] = x
+        integral -= KI[0] * TS * x
+        u[k] = v[k] - KP[0] * x + integral
+        for _ in range(20):  # Heun's rule: (omega Ts / 20)^2 of a period, 1e-6
+            a = acceleration(x, speed, acting)
+            after, faster = x + fine * speed, speed + fine * a
+            b = acceleration(after, faster, acting)
+            x, speed = x + 0.5 * fine * (speed + faster), speed + 0.5 * fine * (a + b)
+        acting = u[k, 0]
+    nothing = np.zeros((ROWS, 1))
+    return _record(u, y, ControlLoop(v[:, None], nothing, nothing, PiController(KP, KI)))
+
+
+def _record(u: np.ndarray, y: np.ndarray, loop: ControlLoop | None) -> TraceRecord:
+    y = y + SD * np.random.default_rng(3).standard_normal(y.shape)
+    e = Experiment("made", TS, u, y, {}, frozenset(), False, int(loop is not None), loop)
+    own = np.zeros_like(u) if loop is None else loop.v
+    nothing = np.zeros((ROWS, 3))
+    return TraceRecord(
+        e, PLACES, np.arange(ROWS) * TS, y, u, 0.0 * own, nothing, nothing, None, "made"
+    )
+
+
+def point(hold: str, *placed: Placed) -> WorkingPoint:
+    config = parse_text(MODEL.replace("HOLD", hold), ModelConfig, "mass")
+    noise = Disturbance(Noise.independent(np.array([1e-12]), np.array([SD**2])), SD, measured=True)
+    parameters = free_parameters(config)
+    # Effects are known: the trajectory may follow the model.
+    return WorkingPoint(declared_model(config), parameters, placed, noise, config.input, trust=1.0)
+
+
+def effect(key: str, amplitude: float, shape: tuple[float, ...] = ()) -> Placed:
+    table = all_effects(PLACES, Extent((0.01,), (0.2,), 0.01, 10.0, 0.0))
+    return Placed(next(e for e in table if e.key == key), shape, (amplitude,))
+
+
+def off(run: EffectFreeRun, record: TraceRecord) -> float:
+    """Return the rms error over the rms of the motion."""
+    rest = slice(run.counts_from, None)
+    y = record.experiment.y[rest]
+    return float(np.sqrt(np.mean((run.q[rest] - y) ** 2)) / y.std())
+
+
+CUBIC, COULOMB, SLOW = 1e6, 0.5, 0.01
+
+
+def hardening(x: np.ndarray, _v: np.ndarray) -> np.ndarray:
+    return -CUBIC * x**3
+
+
+def sliding(_x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return -COULOMB * np.tanh(v / SLOW)
+
+
+@cache
+def made(kind: str, rms_n: float, loop: bool) -> TraceRecord:
+    force = {"cubic": hardening, "coulomb": sliding, "none": lambda x, v: 0.0 * x}[kind]
+    return (held_record if loop else open_record)(rms_n, force)
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_a_linear_plant_runs_as_integrated(loop: bool) -> None:
+    record = made("none", 2.0, loop)
+    run = free_run(point("zoh" if loop else "band_limited"), record)
+    assert run.settled
+    assert run.counts_from == ROWS // 3  # a third, of a record shorter than 15 s
+    # What lies between samples is straight over an eighth of one, and Heun's steps: some 1e-5.
+    assert off(run, record) < 1e-4
+
+
+def test_a_band_limited_run_starts_where_the_plant_was() -> None:
+    record = made("none", 2.0, loop=False)
+    run = free_run(point("band_limited"), record)
+    rows = slice(run.counts_from, run.counts_from + 100)
+    error = (run.q - record.experiment.y)[rows]
+    # Five deviations of the readings' noise, by which the state at the start is known better.
+    assert np.abs(error).max() < 5 * SD
+
+
+@pytest.mark.parametrize(
+    ("rms_n", "loop"), [(6.0, False), (15.0, False), (6.0, True), (15.0, True)]
+)
+def test_a_strong_spring_is_found_by_repetition(rms_n: float, loop: bool) -> None:
+    record = made("cubic", rms_n, loop)
+    y = record.experiment.y
+    hold = "zoh" if loop else "band_limited"
+    # The cube is no small correction: it stiffens the spring at its largest 1.5 to 10 times over,
+    # and a run without it is of no use.
+    assert 3 * CUBIC * np.max(y**2) > 1.5 * SPRING
+    assert off(free_run(point(hold), record), record) > 0.3
+    run = free_run(point(hold, effect("stiffness.cubic", CUBIC)), record)
+    assert run.settled
+    # A force told by six rows errs by (omega Ts)^6 / 300 within a period, 1e-4 at the harmonics of
+    # the stiffest motion, and the state at the start by noise; a motion this nonlinear carries
+    # differences on and makes a hundred times more of them before it forgets.
+    assert off(run, record) < 1e-2
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_coulomb_friction_is_found_by_repetition(loop: bool) -> None:
+    record = made("coulomb", 2.0, loop)
+    hold = "zoh" if loop else "band_limited"
+    without = off(free_run(point(hold), record), record)
+    run = free_run(point(hold, effect("friction.coulomb", COULOMB, (SLOW,))), record)
+    assert run.settled
+    # The force turns its sign within a few rows, between which no polynomial follows it: in one of
+    # hundred rows, by a tenth, of what friction does.
+    assert off(run, record) < 3e-3 * without
+    assert without > 0.02
+
+
+def test_a_spring_that_pulls_apart_is_no_answer_but_is_told() -> None:
+    # Softening far beyond the linear spring: there is no bounded trajectory to settle on.
+    record = made("none", 10.0, loop=False)
+    with np.errstate(all="ignore"):
+        run = free_run(point("band_limited", effect("stiffness.cubic", -1e9)), record)
+    assert not run.settled
+
+
+def test_error_of_the_truth_is_the_floor_and_of_a_wrong_model_its_bias() -> None:
+    record = made("cubic", 10.0, loop=True)
+    right, wrong = (
+        record_error(point("zoh", *placed), record)
+        for placed in ((effect("stiffness.cubic", CUBIC),), ())
+    )
+    assert right.rows == ROWS - ROWS // 3
+    rest = record.experiment.y[ROWS // 3 :]
+    run = free_run(point("zoh"), record)
+    bias = np.mean((rest - run.q[ROWS // 3 :]) ** 2)
+    assert wrong.squares * SD**2 == pytest.approx(bias, rel=1e-9)
+    assert wrong.pose_squares[0] == pytest.approx(bias, rel=1e-9)
+    assert wrong.squares > 1e3 * right.squares
+    # Welch's spectrum adds up to the mean square, but for the mean that it takes out first.
+    spread = np.var(rest - run.q[ROWS // 3 :])
+    assert np.sum(wrong.psd) * wrong.freq_hz[1] == pytest.approx(spread, rel=0.2)
+    error, floor = pooled([right, right])
+    assert error == pytest.approx(np.sqrt(right.squares))
+    assert floor == pytest.approx(np.sqrt(right.floor))
+
+
+def test_a_loop_whose_input_is_not_held_is_refused() -> None:
+    record = made("none", 2.0, loop=True)
+    with pytest.raises(IdentificationError, match="'made': expected a held input in a loop, found"):
+        free_run(point("band_limited"), record)

@@ -1,0 +1,50 @@
+"""Names that free forms make idle are given up, each by itself; what is not idle stays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import pytest
+from rig_effects import rig_places
+
+from levid.identification.trace.search import backward_elimination
+from levid.model.effects.base import Placed
+from levid.model.effects.driven_range import Extent
+from levid.model.effects.freeform import freeform_effects
+from levid.model.effects.table import all_effects
+
+NAMED = {e.identity: e for e in all_effects(rig_places())}
+FORM = freeform_effects(rig_places(), Extent.typical(rig_places()))[0]
+WORTH = {"coil_gain@coil:1": 1e6, "coil_gain@coil:2": 0.0, "coil_gain@coil:3": 0.0}
+"""Squared errors that come back without each: the plant has the first alone."""
+
+
+@dataclass(frozen=True)
+class Point:
+    placed: tuple[Placed, ...]
+
+
+def squares(point: Point) -> float:
+    there = {p.effect.identity for p in point.placed}
+    return 1000.0 + sum(worth for name, worth in WORTH.items() if name not in there)
+
+
+def refined(point: Point, _: object, within: float) -> tuple[Point, float]:
+    """A fit makes every effect anew, as one with other values."""
+    return replace(point, placed=tuple(replace(p) for p in point.placed)), squares(point)
+
+
+@pytest.mark.parametrize("order", [(1, 2, 3), (2, 1, 3), (3, 2, 1)])
+def test_each_idle_name_is_given_up(order, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backward_elimination, "refine", refined)
+    monkeypatch.setattr(
+        backward_elimination,
+        "gather",
+        lambda point, _: SimpleNamespace(squares=squares(point), excess=10.0),
+    )
+    names = [f"coil_gain@coil:{i}" for i in order]
+    effects = [*(NAMED[name] for name in names), FORM]
+    point = Point(tuple(Placed(e, (), (1.0,) * len(e.amplitudes)) for e in effects))
+    left = backward_elimination.without_guesses(point, SimpleNamespace(train=lambda _: ()))
+    assert [p.effect.identity for p in left.placed] == ["coil_gain@coil:1", FORM.identity]

@@ -1,0 +1,118 @@
+"""Who is asked whether an effect is there: records held out, or blocks of time of the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rig_effects import rig_places
+
+from levid.identification.trace.search import candidate_screening
+from levid.model.effects.driven_range import Extent
+from levid.model.effects.freeform import freeform_effects
+from levid.model.effects.table import all_effects
+
+NAMED = {e.identity: e for e in all_effects(rig_places())}
+
+
+@pytest.mark.parametrize(
+    ("blocks", "shown", "agrees", "between", "told"),
+    [
+        (20, 2.0, 1.0, 25.0, (25.0, False)),  # it does nothing in them
+        (20, 4.5, 4.5, 100.0, (100.0, False)),  # too little for them to agree by six
+        (20, 4.5, 1.0, 100.0, (1.0, True)),  # less than they should: they contradict
+        (20, 4.5, 4.5, 15.0, (4.5, True)),  # the others are in doubt
+        (20, 4.5, 6.5, 100.0, (6.5, True)),
+        (20, 30.0, 4.0, 100.0, (4.0, True)),
+        (4, 30.0, 30.0, 12.0, (12.0, True)),  # what four blocks scatter by nobody knows
+        (4, 30.0, 8.0, 50.0, (8.0, True)),
+    ],
+)
+def test_who_can_be_asked_is(
+    monkeypatch: pytest.MonkeyPatch,
+    blocks: int,
+    shown: float,
+    agrees: float,
+    between: float,
+    told: tuple[float, bool],
+) -> None:
+    monkeypatch.setattr(candidate_screening, "expected", lambda *_: shown)
+    monkeypatch.setattr(candidate_screening, "chance", lambda *_: agrees)
+    monkeypatch.setattr(candidate_screening, "chance_between", lambda *_: between)
+    held = SimpleNamespace(size=np.ones(3), blocks=blocks)
+    assert candidate_screening._agrees(SimpleNamespace(), held, 1, np.ones(2)) == told
+
+
+@pytest.mark.parametrize(
+    ("identity", "share", "chance", "fitted"),
+    [
+        # At two thirds too wide it acts in records held out, in which the right one does nothing.
+        ("dead_zone@coil:7", 0.6, -0.9, True),
+        ("dead_zone@coil:7", 0.4, -0.9, False),
+        ("dead_zone@coil:7", 0.4, 2.5, True),
+        # No fit makes another of what has no shape.
+        ("coil_gain@coil:7", 0.6, -0.9, False),
+        ("coil_gain@coil:7", 0.6, 6.5, True),
+    ],
+)
+def test_who_explains_most_of_it_is_fitted_if_it_has_a_shape_to_move(
+    identity: str, share: float, chance: float, fitted: bool
+) -> None:
+    effect = NAMED[identity]
+    least = candidate_screening.Least(1e6, 0.0, little=False, unshown=False)
+    tried = candidate_screening.Tried(
+        effect, effect.grid[0], share * 1e6, np.ones(3), (1.0,), chance
+    )
+    assert least.taken_by(tried) is fitted
+
+
+@pytest.mark.parametrize(
+    ("identity", "taken"),
+    [
+        ("rod_stiffness.cubic@psi", False),
+        # Another law of friction may be the right one, and is asked about that elsewhere.
+        ("friction.dahl@psi", True),
+        ("rod_stiffness.cubic@z", True),
+        ("coil_gain@coil:7", True),
+        ("flexible_mode.saddle@", True),  # of no one place
+    ],
+)
+def test_what_another_law_of_friction_leaves_is_no_effect_at_its_place(
+    identity: str, taken: bool
+) -> None:
+    """As eight springs that slip leave it of twenty: a five-hundredth of all that there was."""
+    effect = NAMED[identity]
+    least = candidate_screening.Least(2e5, 1e8, little=False, unshown=False, rubbed={"psi": 1e8})
+    tried = candidate_screening.Tried(effect, effect.grid[0], 2e5, np.ones(3), (1.0,), 90.0)
+    assert least.taken_by(tried) is taken
+    assert least.taken_by(replace(tried, gain=3e5))
+
+
+def test_of_two_forms_the_one_that_depends_on_less_is_told() -> None:
+    forms = {e.identity: e for e in freeform_effects(rig_places(), Extent.typical(rig_places()))}
+    alone, product = (
+        next(e for name, e in forms.items() if name.startswith(key) and name.endswith("@theta"))
+        for key in ("unknown.v_b[", "unknown.v_b[0.4]*theta[")
+    )
+    assert candidate_screening._told(alone, 95.0) > candidate_screening._told(product, 100.0)
+    assert candidate_screening._told(alone, 85.0) < candidate_screening._told(product, 100.0)
+    named = NAMED["rod_stiffness.cubic@psi"]
+    assert candidate_screening._told(named, 7.0) == 7.0
+
+
+@pytest.mark.parametrize(
+    ("share", "first_guess", "taken"),
+    [(0.2, False, True), (0.05, False, False), (0.05, True, True), (0.02, True, False)],
+)
+def test_a_first_guess_of_a_resonance_may_take_less(
+    share: float, first_guess: bool, taken: bool
+) -> None:
+    """At 3 Hz and broad, one of 2 Hz that rings takes a twentieth; where it is, all of it."""
+    forms = freeform_effects(rig_places(), Extent.typical(rig_places()))
+    kind = "unknown.answer.x_b" if first_guess else "unknown.psi["
+    effect = next(e for e in forms if e.key.startswith(kind) and e.where == ("theta",))
+    least = candidate_screening.Least(1e6, 0.0, little=False, unshown=False)
+    tried = candidate_screening.Tried(effect, effect.grid[0], share * 1e6, np.ones(3), (1.0,), 9.0)
+    assert least.taken_by(tried) is taken

@@ -1,0 +1,122 @@
+"""What a result says of itself: when its names are in doubt."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from rig_effects import rig_places
+
+from levid.identification.trace.result import Evidence, FoundEffect, Outcome, telling
+from levid.model.effects.base import Placed
+from levid.model.effects.driven_range import Extent
+from levid.model.effects.freeform import freeform_effects
+from levid.model.effects.table import all_effects
+
+EXTENT = Extent((1e-4,) * 3, (1e-2,) * 3, 1e-4, 12.0, 0.2)
+CUBIC = next(e for e in all_effects(rig_places()) if e.identity == "rod_stiffness.cubic@z")
+
+
+def result(before: float, after: float, *, named: bool = True) -> Outcome:
+    effects = (FoundEffect(Placed(CUBIC, (), (1.0,)), None),) if named else ()
+    return Outcome(effects, (), before, after, 1.0, (), after**2, 1.0, (), (), ())
+
+
+def nothing(mean_square: float = 1.0, *, measured: bool = True) -> Outcome:
+    return Outcome((), (), 1.0, 1.0, 1.0, (), mean_square, 1.0, (), (), (), noise_measured=measured)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "doubtful"),
+    [
+        (20.0, 14.0, True),  # half is left: something else is there
+        (20.0, 5.0, False),  # much is left, of an effect that explains 94 %
+        (20.0, 1.0, False),
+        (2.5, 1.9, False),  # little is left, of whatever it was
+        (2.5, 2.4, True),
+        (20.0, 20.0, True),
+    ],
+)
+def test_names_that_explain_little_of_much_are_in_doubt(
+    before: float, after: float, doubtful: bool
+) -> None:
+    found = result(before, after)
+    assert found.doubtful is doubtful
+    assert found.verdict.startswith("perhaps: Cubic" if doubtful else "found: Cubic")
+
+
+def test_a_name_beside_a_free_form_at_its_place_may_be_a_part_of_it() -> None:
+    forms = freeform_effects(rig_places(), EXTENT)
+    at_z, at_psi = (next(e for e in forms if e.where == (dof,)) for dof in ("z", "psi"))
+    cubic = FoundEffect(Placed(CUBIC, (), (1.0,)), None)
+    for form, told in ((at_z, (at_z.name,)), (at_psi, ())):
+        free = FoundEffect(Placed(form, (), (0.0,) * len(form.amplitudes)), None)
+        found = Outcome((cubic, free), (), 20.0, 2.0, 1.0, (), 4.0, 1.0, (), (), ())
+        assert found.perhaps_part_of(cubic) == told
+        assert found.perhaps_part_of(free) == ()
+        assert ("perhaps a part of" in found.verdict) == bool(told)
+
+
+def test_what_all_coils_do_alike_may_be_a_part_of_a_force_on_any_dof() -> None:
+    """As of steel that draws the beam: the coils were blamed, and the rest described freely."""
+    forms = {e.where: e for e in freeform_effects(rig_places(), EXTENT)}
+    effects = [e for e in all_effects(rig_places()) if e.key == "force_constant.linear"]
+    of_all, of_one = (
+        next(e for e in effects if len(e.where) == count and "coil:3" in e.where)
+        for count in (9, 1)
+    )
+    for where, told in ((("theta",), (True, False)), (("sensor:3",), (False, False))):
+        form = forms[where]
+        free = FoundEffect(Placed(form, (), (0.0,) * len(form.amplitudes)), None)
+        for effect, doubted in zip((of_all, of_one), told, strict=True):
+            named = FoundEffect(Placed(effect, (), (1.0,)), None)
+            found = Outcome((named, free), (), 20.0, 2.0, 1.0, (), 4.0, 1.0, (), (), ())
+            assert found.perhaps_part_of(named) == ((form.name,) if doubted else ())
+
+
+def test_who_names_nothing_is_in_no_doubt() -> None:
+    assert not result(20.0, 19.0, named=False).doubtful
+    assert math.isnan(result(0.9, 1.0).explained)
+    assert not result(0.9, 1.0).doubtful
+
+
+def test_errors_far_below_the_noise_tell_that_it_was_none() -> None:
+    told = nothing(0.3)
+    assert told.overrated
+    assert not told.significant
+    assert told.verdict.startswith("nothing can be told: one step ahead the errors have 0.3 of")
+    assert not nothing(0.9).overrated
+    assert nothing(0.9).verdict == "nothing found: the model explains the records down to the noise"
+
+
+def test_noise_that_no_still_record_told_is_not_called_noise() -> None:
+    assert "what the fit takes for noise" in nothing(measured=False).verdict
+    assert result(20.0, 1.0).rest == "what is left is noise"
+    assert replace(result(20.0, 1.0), noise_measured=False).rest == "what is left passes for noise"
+
+
+def test_what_would_tell_two_apart_is_said_of_both() -> None:
+    rival = next(e for e in all_effects(rig_places()) if e.identity == "air_damping.quadratic@z")
+    evidence = Evidence(9.0, True, 100.0, 0.5, 1, (rival,))
+    found = FoundEffect(Placed(CUBIC, (), (1.0,)), evidence)
+    assert telling(found) == f"{CUBIC.told_apart_by}; or {rival.told_apart_by}"
+    assert telling(replace(found, evidence=None)) == CUBIC.told_apart_by
+
+
+def test_every_free_form_says_what_would_tell_it() -> None:
+    assert all(e.told_apart_by for e in freeform_effects(rig_places(), EXTENT))
+
+
+def test_there_is_a_verdict_on_every_effect_beside_every_free_form() -> None:
+    """Bending modes have no one place."""
+    places = rig_places()
+    free = tuple(
+        FoundEffect(Placed(form, (), (0.0,) * len(form.amplitudes)), None)
+        for form in freeform_effects(places, EXTENT)
+    )
+    for effect in all_effects(places):
+        named = FoundEffect(Placed(effect, (), (1.0,) * len(effect.amplitudes)), None)
+        found = Outcome((named, *free), (), 20.0, 2.0, 1.0, (), 4.0, 1.0, (), (), ())
+        assert effect.name in found.verdict
+        assert effect.where or not found.perhaps_part_of(named)

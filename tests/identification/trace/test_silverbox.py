@@ -1,0 +1,57 @@
+"""Measured data: the Silverbox, an electronic Duffing oscillator, traced from its linear model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.benchmarks.harness import silverbox
+from levid.config.model import load_model
+from levid.identification.trace.linearised.working_point import WorkingPoint
+from levid.identification.trace.records.trace_record import trace_record
+from levid.identification.trace.residual.free_run_with_effects import free_run
+from levid.identification.trace.study import trace
+from levid.identification.trace.worker_pool import Alone
+from levid.log.reader import read_log
+from levid.model.effects.table import all_effects
+
+TRAIN = ((40_650, 48_841), (65_226, 73_417), (89_802, 97_993))
+"""Rows of three eighths of the usual training part, to be quick."""
+CONFIG = load_model(silverbox.MODEL)
+
+pytestmark = pytest.mark.skipif(
+    not silverbox.SOURCE.exists(),
+    reason="the Silverbox's measurements are not beside this repository",
+)
+
+
+def test_error(point: WorkingPoint, log: Path) -> float:
+    """Return the rms error in V of a free run of the test part."""
+    record = trace_record(read_log(log), CONFIG)
+    run = free_run(point, record)
+    assert run.settled
+    error = record.gap[:, 0] - run.gap[:, 0]
+    return float(np.sqrt(np.mean(error[run.counts_from :] ** 2)))
+
+
+test_error.__test__ = False  # type: ignore[attr-defined]
+
+
+def test_cube_and_square_are_named_and_the_error_falls_more_than_tenfold(tmp_path: Path) -> None:
+    logs = [silverbox.imported(rows, tmp_path) for rows in TRAIN]
+    found = trace(logs, CONFIG, all_effects, Alone(CONFIG), lambda *_: None)
+    named = [p.effect.key for p in found.found.point.placed]
+    assert named[:2] == ["stiffness.cubic", "stiffness.asymmetric"]
+    unseen = silverbox.imported(silverbox.TEST, tmp_path)
+    before, after = (test_error(p, unseen) for p in (found.declared, found.found.point))
+    # A linear model leaves 7 mV, a cubic one 0.65 mV, with the square that is there too 0.40 mV.
+    assert before > 5e-3
+    assert after < 0.40e-3
+    alone = replace(
+        found.found.point,
+        placed=tuple(p for p in found.found.point.placed if p.effect.key == "stiffness.cubic"),
+    )
+    assert test_error(alone, unseen) < before / 3  # most of it is the cube's own work

@@ -1,0 +1,317 @@
+"""Bringing in the data of others: what comes out, and what a wrong file is told."""
+
+from __future__ import annotations
+
+import subprocess
+
+import numpy as np
+import pytest
+import scipy.io
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from repository import ROOT
+
+from levid.config.base import ConfigError, parse_text
+from levid.log import matlab
+from levid.log.errors import LogError
+from levid.log.importer import import_file
+from levid.log.reader import read_log
+from levid.log.signals_file import SignalsFile
+
+MEASURED = ROOT.parent / "shared" / "data"
+SIGNALS = ROOT / "config" / "signals"
+
+HEAD = "levid: signals\nrate_hz: 100\n"
+BY_NAME = """columns:
+  - {column: V1, name: u_v, unit: V, role: input}
+  - {column: V2, name: y_v, unit: V, role: output}
+"""
+BY_NUMBER = BY_NAME.replace("V1", "0").replace("V2", "1")
+GOOD = [[1.0, -2.0], [0.5, 3e-3], [-1e3, 0.25]]
+
+
+def run(tmp_path, data, signals, *, name="data.csv"):
+    """Import `data` (text, or a function that writes the file) and read the log."""
+    source = tmp_path / name
+    if callable(data):
+        data(source)
+    else:
+        source.write_text(data)
+    (tmp_path / "signals.yaml").write_text(signals)
+    out = tmp_path / "out.mcap"
+    count = import_file(source, tmp_path / "signals.yaml", out)
+    log = read_log(out)
+    assert count == log.rows.size
+    return log
+
+
+def columns_of(log):
+    return np.stack([log.field("u_v"), log.field("y_v")], axis=1).tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "columns"),
+    [
+        ("a.csv", "V1,V2\n1,-2\n.5,3e-3\n-1e3,.25\n", BY_NAME),
+        ("a.csv", '"V1","V2",\n1,-2,\n.5,3e-3,\n-1e3,.25,\n', BY_NAME),
+        ("a.csv", "1,-2\n.5,3e-3\n-1e3,.25\n", BY_NUMBER),
+        ("a.csv", "V1,V2\r\n1,-2\r\n\r\n.5,3e-3\r\n-1e3,.25", BY_NUMBER),
+        ("a.csv", "\ufeffV1;V2\n1;-2\n.5;3e-3\n-1e3;.25\n", BY_NAME),
+        ("a.csv", "t,V2,V1\n0,-2,1\n,3e-3,.5\nx,.25,-1e3\n", BY_NAME),
+        ("a.dat", "  1  -2 \n\n .5\t3e-3\n-1e3 .25\n", BY_NUMBER),
+        ("a.txt", "% by hand\nV1 V2\n1 -2\n# pause\n.5 3e-3\n-1e3 .25\n", BY_NAME),
+        ("a.log", "1 -2\n.5 3e-3\n-1e3 .25\n", "format: text\n" + BY_NUMBER),
+    ],
+)
+def test_text_in_its_many_dresses(tmp_path, name, text, columns):
+    log = run(tmp_path, text, HEAD + columns, name=name)
+    assert columns_of(log) == GOOD
+    assert log.complete
+    assert log.schema_name == "levid/msg/Signals"
+    np.testing.assert_array_equal(log.field("cycle"), [0, 1, 2])
+    np.testing.assert_array_equal(log.field("time_s"), [0, 0.01, 0.02])
+    np.testing.assert_array_equal(log.log_time_ns, [0, 10_000_000, 20_000_000])
+    assert log.rate_hz == 100.0
+    assert log.metadata["kind"] == "import"
+    assert log.metadata["name"] == "a"
+    assert log.metadata["input_hold"] == "zoh"
+
+
+def test_the_log_carries_roles_and_units(tmp_path):
+    log = run(tmp_path, "1,2\n", HEAD + BY_NUMBER)
+    signals = parse_text(log.attachments["signals.yaml"], SignalsFile, "signals.yaml")
+    assert [c.name for c in signals.with_role("input")] == ["u_v"]
+    assert [(c.name, c.unit) for c in signals.with_role("output")] == [("y_v", "V")]
+    with log.path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        ((schema, _, _, message),) = reader.iter_decoded_messages()
+    assert b"float64 u_v  # [V]" in schema.data
+    assert (message.u_v, message.y_v, message.time_s, message.cycle) == (1.0, 2.0, 0.0, 0)
+
+
+def test_scale_offset_and_rows(tmp_path):
+    signals = HEAD + "rows: {first: 1, last: 2}\n" + BY_NUMBER.replace("V, r", "V, scale: 10, r", 1)
+    signals = signals.replace("role: output", "offset: -1, role: output")
+    log = run(tmp_path, "9,9\n1,2\n3,4\n9,9\nno,number\n", signals)
+    assert columns_of(log) == [[10.0, 1.0], [30.0, 3.0]]
+    np.testing.assert_array_equal(log.field("time_s"), [0, 0.01])
+
+
+def npz(**variables):
+    return lambda path: np.savez(path, **variables)
+
+
+def mat(**variables):
+    return lambda path: scipy.io.savemat(path, variables)
+
+
+U, Y = np.array(GOOD).T
+UY = np.array(GOOD)
+MATRIX = BY_NAME.replace("column: V1", "column: D, index: 0").replace(
+    "column: V2", "column: D, index: 1"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "columns"),
+    [
+        ("a.npz", npz(V1=U, V2=Y, other=np.arange(9)), BY_NAME),
+        ("a.npz", npz(V1=U[None], V2=Y[:, None]), BY_NAME),
+        ("a.npz", npz(D=UY), MATRIX),
+        ("a.npz", npz(D=UY.T), "samples: columns\n" + MATRIX),
+        ("a.mat", mat(V1=U, V2=Y), BY_NAME),
+        ("a.mat", mat(V1=U[:, None], V2=Y[None]), BY_NAME),
+        ("a.mat", mat(D=UY), MATRIX),
+        ("a.mat", mat(S={"u": U, "y": Y}), BY_NAME.replace("V1", "S.u").replace("V2", "S.y")),
+    ],
+)
+def test_arrays_by_name(tmp_path, name, data, columns):
+    assert columns_of(run(tmp_path, data, HEAD + columns, name=name)) == GOOD
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "said"),
+    [
+        ("V1,V2\n1,2\n3\n", BY_NAME, "line 3: expected 2 cells, as in the first row, found 1"),
+        ("V1,V2\n1,2\n3,4,5\n", BY_NAME, "line 3: expected 2 cells, as in the first row, found 3"),
+        ("V1,V2\n1,2\n3,\n", BY_NAME, "line 3, column 'V2': expected a number, found an empty"),
+        ("V1,V2\n1,2\n,4\n", BY_NAME, "line 3, column 'V1': expected a number, found an empty"),
+        ("1,2\n3,four\n", BY_NUMBER, "line 2, column 1: expected a number, found 'four'"),
+        ("1,2\n3,nan\n", BY_NUMBER, "line 2, column 1: expected a finite number, found nan"),
+        ("1,2\n3,4\n", BY_NAME, "column 'V1': the file has no header"),
+        ("V1,W2\n3,4\n", BY_NAME, "column 'V2' stands nowhere in the header; there is V1, W2"),
+        ("V1,V2,V2\n3,4,5\n", BY_NAME, "column 'V2' stands twice in the header"),
+        ("1\n2\n", BY_NUMBER, "column 1: expected 0 to 0"),
+        ("", BY_NUMBER, "expected rows of numbers, found none"),
+        ("V1,V2\n", BY_NAME, "expected rows 0 on, found 0 rows"),
+        ("1,2\n3,4\n", "rows: {last: 2}\n" + BY_NUMBER, "expected rows 0 to 2, found 2 rows"),
+        ("1,2\n", "rows: {first: 5}\n" + BY_NUMBER, "expected rows 5 on, found 1 rows"),
+        ("1,2\n", MATRIX, "column 'D', index 0: index is for variables of NPZ and MAT files"),
+        ("\0\1,\2\n", BY_NUMBER, "data.csv: "),
+        # Decimal commas: no separators.
+        ("1,5;2,5\n3,5;4,5\n", BY_NUMBER, "column 0: expected a number, found '3,5'"),
+        ('V1,V2,n\n1,2,ok\n3,4,"bad\n5,6,ok\n', BY_NAME, "cannot be read: unexpected end of data"),
+        ("1,2\n3e300,4\n", "rate_hz: 1e-12\n" + BY_NUMBER, "expected 2 samples to last at most"),
+        (
+            "1,2\n3e300,4\n",
+            BY_NUMBER.replace("0,", "0, scale: 1e300,"),
+            "row 1: expected a number that scale 1e+300 leaves finite, found 3e+300",
+        ),
+    ],
+)
+def test_a_table_that_does_not_fit_says_where(tmp_path, text, columns, said):
+    head = "" if "rate_hz" in columns else HEAD
+    with pytest.raises(LogError) as caught:
+        run(tmp_path, text, (head or "levid: signals\n") + columns)
+    assert said in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
+    assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "columns", "said"),
+    [
+        ("a.npz", npz(V1=U), BY_NAME, "column 'V2': no such variable; there is V1"),
+        ("a.npz", npz(V1=U, V2=Y[:2]), BY_NAME, "expected 3 samples, as column 'V1' has, found 2"),
+        ("a.npz", npz(V1=UY, V2=Y), BY_NAME, "a vector, or an index into a matrix, found shape (3"),
+        ("a.npz", npz(D=U), MATRIX.replace("index: 0", "index: 3"), "expected a vector, found"),
+        ("a.npz", npz(D=UY), MATRIX.replace("index: 0", "index: 2"), "expected index 0 to 1"),
+        ("a.npz", npz(V1=U + 1j, V2=Y), BY_NAME, "expected real numbers, found complex128"),
+        ("a.npz", npz(V1=U, V2=np.array([1.0, np.inf, 0.0])), BY_NAME, "row 1: expected a finite"),
+        ("a.npz", npz(V1=U), BY_NUMBER, "column 0: expected a variable's name; there is V1"),
+        ("a.npz", npz(V1=np.array([{}]), V2=Y), BY_NAME, "expected real numbers, found object"),
+        ("a.npz", "no zip", BY_NAME, "not a usable NPZ file"),
+        ("a.mat", "no mat", BY_NAME, "not a usable MAT file"),
+        ("a.mat", mat(S={"u": U}), BY_NAME.replace("V1", "S.v"), "no such variable; there is u"),
+        ("a.xls", "1,2\n", BY_NUMBER, "expected one of .csv, .txt, .dat"),
+    ],
+)
+def test_arrays_that_do_not_fit_say_which(tmp_path, name, data, columns, said):
+    with pytest.raises(LogError) as caught:
+        run(tmp_path, data, HEAD + columns, name=name)
+    assert said in str(caught.value)
+    assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize("seed", [11, 212, 235])
+def test_a_damaged_mat_file_does_not_take_the_program_along(tmp_path, seed):
+    """One to three wrong bytes of these seeds crash the reader of scipy 1.17; others may err."""
+    scipy.io.savemat(
+        tmp_path / "a.mat",
+        {
+            "V1": np.arange(50.0),
+            "V2": np.arange(50.0),
+            "S": {"u": np.arange(4), "s": "hi", "c": np.array([1, "a"], object)},
+        },
+    )
+    data = bytearray((tmp_path / "a.mat").read_bytes())
+    rng = np.random.default_rng(seed)
+    for _ in range(rng.integers(1, 4)):
+        data[rng.integers(128, len(data))] = rng.integers(256)
+    with pytest.raises(LogError, match=r"a\.mat: (not a usable MAT file|.*expected)"):
+        run(tmp_path, lambda path: path.write_bytes(data), HEAD + BY_NAME, name="a.mat")
+
+
+@pytest.mark.parametrize(
+    ("code", "said"), [(-11, "was ended by SIGSEGV"), (-200, "by signal 200"), (1, "exit code 1")]
+)
+def test_how_the_reader_of_mat_files_ended_is_said(tmp_path, monkeypatch, code, said):
+    ended = subprocess.CompletedProcess([], code, b"", b"")
+    monkeypatch.setattr(matlab.subprocess, "run", lambda *_, **__: ended)
+    with pytest.raises(LogError, match=f"not a usable MAT file: its reader .*{said}"):
+        run(tmp_path, mat(V1=U, V2=Y), HEAD + BY_NAME, name="a.mat")
+
+
+def test_matlab_7_3_is_told_what_to_do(tmp_path):
+    # The header of such a file as MATLAB writes it; HDF5 follows at byte 512.
+    text = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\0\2IM"
+    data = text.ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n"
+    with pytest.raises(LogError, match=r"found 7\.3 \(HDF5\); in MATLAB.*'-v7'"):
+        run(tmp_path, lambda path: path.write_bytes(data), HEAD + BY_NAME, name="a.mat")
+
+
+@pytest.mark.parametrize(
+    ("signals", "said"),
+    [
+        (HEAD.replace("100", "0") + BY_NAME, "rate_hz"),
+        (HEAD.replace("rate_hz: 100\n", "") + BY_NAME, "rate_hz: required key is missing"),
+        (HEAD + BY_NAME.replace("name: y_v", "name: u_v"), "found 'u_v' again"),
+        (HEAD + BY_NAME.replace("name: y_v", "name: time_s"), "found 'time_s' again"),
+        (HEAD + BY_NAME.replace("name: y_v", "name: Y V"), "columns[1].name"),
+        (HEAD + BY_NAME.replace("unit: V", "unit: '#V'"), "columns[0].unit"),
+        (HEAD + BY_NAME.replace("role: input", "role: u"), "columns[0].role"),
+        (HEAD + "columns: []\n", "columns"),
+        (HEAD + "rows: {first: 3, last: 2}\n" + BY_NAME, "expected last >= first, found 3 to 2"),
+        (HEAD + "rate: 5\n" + BY_NAME, "rate: unknown key"),
+        ("levid: rig\nrate_hz: 1\n" + BY_NAME, "levid"),
+    ],
+)
+def test_a_signals_file_that_does_not_fit_names_the_key(tmp_path, signals, said):
+    with pytest.raises(ConfigError) as caught:
+        run(tmp_path, "1,2\n", signals)
+    assert said in str(caught.value)
+
+
+def test_missing_data_and_an_existing_log_are_errors(tmp_path):
+    with pytest.raises(LogError, match=r"data\.csv: expected a file, found none"):
+        run(tmp_path, lambda _: None, HEAD + BY_NUMBER)
+    run(tmp_path, "1,2\n", HEAD + BY_NUMBER)
+    before = (tmp_path / "out.mcap").read_bytes()
+    with pytest.raises(LogError, match="exists"):
+        run(tmp_path, "3,4\n", HEAD + BY_NUMBER)
+    assert (tmp_path / "out.mcap").read_bytes() == before
+
+
+def measured(name):
+    path = MEASURED / name
+    if not path.exists():
+        pytest.skip(f"the measured data {name} are not beside this repository")
+    return path
+
+
+def test_the_cd_players_arm(tmp_path):
+    data = measured("daisy/CD_player_arm.dat")
+    out = tmp_path / "arm.mcap"
+    assert import_file(data, SIGNALS / "cd-player-arm.yaml", out) == 2048
+    log = read_log(out)
+    table = np.loadtxt(data)
+    for column, name in enumerate(("u1", "u2", "y1", "y2")):
+        np.testing.assert_array_equal(log.field(name), table[:, column])
+
+
+def test_the_silverbox(tmp_path):
+    data = measured("silverbox/SNLS80mV.csv")
+    out = tmp_path / "box.mcap"
+    assert import_file(data, SIGNALS / "silverbox.yaml", out) == 105_712 - 40_650
+    log = read_log(out)
+    table = np.loadtxt(data, delimiter=",", skiprows=1, usecols=(0, 1))[40_650:105_712]
+    np.testing.assert_array_equal(log.field("u_v"), table[:, 0])
+    np.testing.assert_array_equal(log.field("y_v"), table[:, 1])
+    assert log.rate_hz == pytest.approx(610.35, abs=0.01)  # as its authors state it
+
+
+def test_empty_cells_in_columns_that_nobody_asked_for_do_not_matter(tmp_path):
+    # Its overload flags stand in the first row only.
+    data = measured("silverbox/Schroeder80mV.csv")
+    (tmp_path / "signals.yaml").write_text(HEAD + BY_NAME)
+    assert import_file(data, tmp_path / "signals.yaml", tmp_path / "out.mcap") == 131_072
+
+
+def test_python_objects_that_nobody_asked_for_do_not_matter(tmp_path):
+    log = run(tmp_path, npz(V1=U, V2=Y, meta=np.array({"a": 1})), HEAD + BY_NAME, name="a.npz")
+    assert columns_of(log) == GOOD
+
+
+def test_a_file_with_a_name_that_is_no_text(tmp_path):
+    # Names of files are bytes; a log has text.
+    log = run(tmp_path, "1,-2\n.5,3e-3\n-1e3,.25\n", HEAD + BY_NUMBER, name="a\udce9.csv")
+    assert columns_of(log) == GOOD
+    assert log.metadata["source"] == "a?.csv"
+
+
+def test_a_signal_named_like_one_of_the_loops_keeps_its_unit(tmp_path):
+    named = BY_NUMBER.replace("y_v", "z_m")
+    run(tmp_path, "1,2\n3,4\n", HEAD + named)
+    with (tmp_path / "out.mcap").open("rb") as file:
+        (schema,) = make_reader(file).get_summary().schemas.values()
+    assert "float64 z_m  # [V]" in schema.data.decode().replace("z_m #", "z_m  #")

@@ -1,0 +1,325 @@
+"""Free-form forces: what they depend on, and that a model file can hold them."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.polynomial import chebyshev
+from rig_effects import acts, moving, rig_places
+from scipy.signal import lsim
+
+from levid.model.effects.driven_range import Extent
+from levid.model.effects.freeform import DEGREE, Form, depends_on, freeform_effect, freeform_effects
+
+
+def effects():
+    return freeform_effects(rig_places(), Extent.typical(rig_places()))
+
+
+def test_key_and_place_say_all_that_there_is_to_know():
+    for effect in effects():
+        again = freeform_effect(rig_places(), effect.key, effect.where)
+        assert again is not None
+        assert again.identity == effect.identity
+        shape, s = effect.grid[0], moving()
+        for ours, theirs in zip(effect.build(s, shape), again.build(s, shape), strict=True):
+            np.testing.assert_array_equal(acts(ours), acts(theirs))
+
+
+def test_each_has_a_name_of_its_own_and_travels():
+    identities = [e.identity for e in effects()]
+    assert len(set(identities)) == len(identities)
+    pickle.loads(pickle.dumps(effects()))
+
+
+def test_each_acts_at_its_place_alone():
+    for effect in effects():
+        kind, _, number = effect.where[0].partition(":")
+        for term in effect.build(moving(), effect.grid[0]):
+            assert (term.gap is not None) == (kind == "sensor")
+            assert (term.held is not None) == (kind == "coil")
+            if kind == "coil":
+                alone = rig_places().coil_shape[int(number)]
+                along = acts(term) @ alone / (alone @ alone)
+                np.testing.assert_allclose(acts(term), along[:, None] * alone, atol=1e-12)
+                continue
+            own = [int(number) if kind == "sensor" else rig_places().dof.index(kind)]
+            if effect.key.startswith("unknown.wave") and kind == "z":
+                own.append(1)  # a force where the beam is
+            assert not np.any(np.delete(acts(term), own, axis=1))
+
+
+def test_what_depends_on_commands_is_of_coils_and_readings_alone():
+    by = {e.identity: e for e in effects() if any(w.startswith("coil") for w in depends_on(e))}
+    kinds = {e.where[0].partition(":")[0] for e in by.values()}
+    assert kinds == {"sensor", "coil"}
+    stray = by["unknown.coil_3[12]@sensor:0"]
+    assert depends_on(stray) == ("coil:3",)
+    assert stray.name == "Reading that depends on the command of coil:3 at sensor:0"
+    s = moving()
+    # A field is there when the coil's force is: a cycle after its command, between two of them.
+    columns = np.stack([acts(t)[:, 0] for t in stray.build(s, ())], axis=1)
+    acting = s.acting(s.coil)[:, 3]
+    left = acting**2 - columns @ np.linalg.lstsq(columns, acting**2, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9
+    shared = by["unknown.coil_5[12]*coil_4[12]@coil:5"]
+    assert depends_on(shared) == ("coil:5", "coil:4")
+    product = s.coil[:, 5] * (s.coil[:, 4] / 7.0 - 1.0)
+    alone = rig_places().coil_shape[5]
+    columns = np.stack([acts(t) @ alone / (alone @ alone) for t in shared.build(s, ())], axis=1)
+    left = product - columns @ np.linalg.lstsq(columns, product, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9
+    # Of another coil it would be another effect.
+    assert freeform_effect(rig_places(), shared.key, ("coil:6",)) is None
+    assert freeform_effect(rig_places(), stray.key, ("theta",)) is None
+
+
+@pytest.mark.parametrize("by", ["x_b", "time", "z", "z_rate", "phi"])
+def test_no_sum_of_functions_is_constant(by: str):
+    """A constant force is an unknown of every record already; that of a reading stands apart."""
+    s = np.linspace(-1.0, 1.0, 400) * (np.pi if by == "phi" else 1.0)
+    functions = Form(by, 1.0)._shapes(s, DEGREE)
+    best, *_ = np.linalg.lstsq(functions, np.ones(400), rcond=None)
+    # What is left of a constant: all of it for harmonics, a peak as wide as a piece for splines.
+    assert np.mean((1.0 - functions @ best) ** 2) > 1e-3
+
+
+def test_a_coil_may_do_anything_with_what_it_is_told():
+    """As an amplifier whose second stage comes in beyond a force, and has another offset."""
+    s = moving()
+    s = replace(s, coil=6.0 + s.coil)
+    extent = Extent.measured([s])
+    (own,) = (
+        e for e in freeform_effects(s.places, extent) if e.where == ("coil:3",) and "+-" in e.key
+    )
+    again = freeform_effect(s.places, own.key, own.where)
+    assert again is not None
+    assert own.identity == again.identity
+    alone = s.places.coil_shape[3]
+    columns = np.stack([acts(t) @ alone / (alone @ alone) for t in again.build(s, ())], axis=1)
+    step = 0.1 * (s.coil[:, 3] > 7.0)
+    left = (
+        step
+        - step.mean()
+        - (columns - columns.mean(axis=0))
+        @ np.linalg.lstsq(columns - columns.mean(axis=0), step - step.mean(), rcond=None)[0]
+    )
+    # A cube leaves two fifths of it; twelve pieces over six deviations a blur of half of one.
+    assert np.var(left) < 0.15 * np.var(step)
+    words = chebyshev.chebvander((s.coil[:, 3] - 6.0) / 3.0, 3)
+    cube = step - words @ np.linalg.lstsq(words, step, rcond=None)[0]
+    assert np.var(cube) > 0.3 * np.var(step)
+
+
+def test_a_reading_may_be_false_in_one_place_and_right_everywhere_else():
+    """As near a magnet that passes. A sensor has a zero of its own, which single readings show."""
+    s = replace(moving(), x_b_m=np.linspace(-0.1, 0.1, 200))
+    effect = freeform_effect(rig_places(), "unknown.x_b[0.1]", ("sensor:4",))
+    assert effect is not None
+    columns = np.stack([acts(t)[:, 4] for t in effect.build(s, ())], axis=1)
+    bump = np.exp(-(((s.x_b_m - 0.01) / 0.03) ** 2))
+    left = bump - columns @ np.linalg.lstsq(columns, bump, rcond=None)[0]
+    assert np.abs(left).max() < 0.02  # cubic pieces of 22 mm
+    assert len(columns.T) == len(effect.amplitudes) == 12
+
+
+@pytest.mark.parametrize(
+    ("by", "signals"), [("v_b", ("v_b",)), ("a_b_v_b", ("a_b", "v_b")), ("phi_speed", ("phi'",))]
+)
+def test_what_lingers_is_what_a_leaking_store_holds(by: str, signals: tuple[str, ...]):
+    """As of a capacitor that braking charges, or of what friction heats."""
+    s, tau_s = moving(), 0.4
+    (effect,) = (e for e in effects() if e.where == ("sensor:2",) and f".lingering.{by}[" in e.key)
+    assert depends_on(effect) == signals
+    u = {"v_b": s.v_b_m_s, "a_b_v_b": s.a_b_m_s2 * s.v_b_m_s, "phi_speed": s.phi_rad_s}[by]
+    scale = float(effect.key.partition("[")[2].rstrip("]"))
+    for term, side in zip(effect.build(s, (tau_s,)), (u, -u), strict=True):
+        fed = np.maximum(side, 0.0) / scale
+        _, held, _ = lsim(([1.0], [tau_s, 1.0]), fed - fed[0], s.Ts_s * np.arange(len(fed)))
+        np.testing.assert_allclose(acts(term)[:, 2], fed[0] + held, atol=1e-9)
+
+
+def test_what_a_command_leaves_behind_is_of_its_mean_and_of_readings_alone():
+    s = moving()
+    s = replace(s, coil=6.0 + s.coil)
+    found = [
+        e for e in freeform_effects(s.places, Extent.measured([s])) if ".lingering.coil" in e.key
+    ]
+    assert len(found) == 81
+    assert {e.where[0].partition(":")[0] for e in found} == {"sensor"}
+    warm = next(e for e in found if e.where == ("sensor:4",) and ".coil_7[" in e.key)
+    assert depends_on(warm) == ("coil:7",)
+    again = freeform_effect(s.places, warm.key, warm.where)
+    assert again is not None
+    above, below = (acts(t)[:, 4] for t in again.build(s, (1e-6,)))
+    middle, scale = (float(n) for n in warm.key.partition("[")[2].rstrip("]").split("+-"))
+    acting = s.acting(s.coil)[:, 7]
+    np.testing.assert_allclose(middle + scale * (above - below), acting, atol=1e-3)
+    assert freeform_effect(s.places, warm.key, ("theta",)) is None
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "v_b[0]", "v_b[-1]", "v_b[inf]", "v_b[1e999]", "v_b[1..2]", "v_b", "x_b[0.1]",
+        "v_b[0.1+-0.4]", "coil_3[2]", "coil_9[6+-2]", "coil_3[nan+-2]", "coil_3[1e999+-2]",
+    ],
+)  # fmt: skip
+def test_what_lingers_has_a_signal_and_a_scale(key: str):
+    assert freeform_effect(rig_places(), f"unknown.lingering.{key}", ("sensor:1",)) is None
+    assert freeform_effect(rig_places(), "unknown.lingering.v_b[0.4]", ("coil:1",)) is None
+
+
+def test_a_reading_may_be_bent_over_a_small_part_of_a_tilt():
+    """As of an oscillator that is locked to its neighbour where their gaps are nearly alike."""
+    s = moving()
+    s = replace(s, q=np.linspace(-3e-3, 3e-3, len(s.q))[:, None] * np.ones(3))
+    effect = freeform_effect(rig_places(), "unknown.psi[0+-0.003]~", ("sensor:4",))
+    assert effect is not None
+    columns = np.stack([acts(t)[:, 4] for t in effect.build(s, ())], axis=1)
+    assert len(columns.T) == len(effect.amplitudes) == 20
+    off, width = s.q[:, 0] - 4e-4, 3e-4
+    lock = off - np.sign(off) * np.sqrt(np.maximum(off**2 - width**2, 0.0))
+    left = lock - columns @ np.linalg.lstsq(columns, lock, rcond=None)[0]
+    words = chebyshev.chebvander(s.q[:, 0] / 3e-3, 6)
+    smooth = lock - words @ np.linalg.lstsq(words, lock, rcond=None)[0]
+    # A polynomial has no room for it. What cubic pieces of 0.35 mrad leave is at its two edges.
+    assert np.var(left) < 0.25 * np.var(smooth)
+
+
+@pytest.mark.parametrize("key", ["unknown.z_rate[1]*phi", "unknown.z[1]*phi", "unknown.phi"])
+@pytest.mark.parametrize("where", ["z", "sensor:4"])
+def test_every_function_of_a_model_file_has_its_amplitude(key: str, where: str):
+    effect = freeform_effect(rig_places(), key, (where,))
+    assert effect is not None
+    assert len(effect.build(moving(), ())) == len(effect.amplitudes)
+
+
+def test_what_happens_at_one_end_of_the_beam_says_nothing_of_the_other():
+    form = Form("x_b", 0.1)
+    ends = replace(moving(), x_b_m=np.linspace(-0.1, 0.1, 200))
+    left, right = (
+        form.functions(ends, constant=False)[rows] for rows in (slice(80), slice(-80, None))
+    )
+    assert not np.any(np.any(left != 0.0, axis=0)[-3:])
+    assert not np.any(np.any(right != 0.0, axis=0)[:3])
+
+
+def test_nonsense_is_no_effect():
+    keys = ("unknown.nobody[1]", "unknown.theta", "unknown.theta[x]", "unknown.theta[0]")
+    assert Form.of("unknown.theta[1]~") is Form.of("unknown.coil_1[0+-1]~") is None
+    for key in (*keys, "friction.coulomb", "unknown.phi[1]", "unknown.z[1]*nobody[2]"):
+        assert freeform_effect(rig_places(), key, ("theta",)) is None
+    for nowhere in (("beam",), ("sensor:9",), ("psi", "z"), ()):
+        assert freeform_effect(rig_places(), "unknown.x_b[0.1]", nowhere) is None
+
+
+def test_answer_is_what_a_mass_on_a_spring_gives_back():
+    """But for what a model has already: mass, damping and stiffness between the two DOF."""
+    Ts_s, rows, w, zeta, m = 1e-3, 8000, 2 * np.pi * 14.0, 0.05, 0.2
+    t = np.arange(rows) * Ts_s
+    f_hz = np.array([3.0, 7.0, 11.0, 13.5, 15.0, 22.0])[:, None]
+    s = 2j * np.pi * f_hz
+    waves = np.exp(s * t) * np.exp(1j * np.arange(6))[:, None]
+    h, rate, twice = ((1e-4 * s**k * waves).sum(axis=0).imag for k in range(3))
+    # From the transfer function of a mass on a spring and a damper, not from any simulation.
+    gives = -m * s**2 * (w**2 + 2 * zeta * w * s) / (s**2 + 2 * zeta * w * s + w**2)
+    force = (1e-4 * gives * waves).sum(axis=0).imag
+    q = np.stack([h, 0 * h, 0 * h], axis=1)
+    signals = replace(moving(), Ts_s=Ts_s, time_s=t, q=q)
+    effect = freeform_effect(rig_places(), "unknown.answer.psi", ("z",))
+    assert effect is not None
+    assert depends_on(effect) == ("psi",)
+    settled = slice(4000, None)  # exp(-zeta w 4 s) is 2e-8
+
+    def left(frequency_hz: float) -> float:
+        terms = effect.build(signals, (frequency_hz, zeta))
+        columns = np.stack([h, rate, twice, *(term.force[:, 2] for term in terms)], axis=1)
+        columns /= np.linalg.norm(columns, axis=0)
+        best, *_ = np.linalg.lstsq(columns[settled], force[settled])
+        return float(np.std((force - columns @ best)[settled]) / np.std(force[settled]))
+
+    # Inputs straight between rows leave (w Ts)^2 / 12 of an answer five to ten times the motion.
+    assert left(14.0) < 0.01
+    assert left(20.0) > 0.2
+
+
+def test_time_means_the_same_to_those_who_know_no_session():
+    # The simulator and identify read a model without the records it was found in.
+    session, alone = rig_places((200.0, 300.0)), rig_places((0.0, 1.0))
+    effect = next(
+        e
+        for e in freeform_effects(session, Extent.typical(session))
+        if e.where == ("z",) and depends_on(e) == ("time",)
+    )
+    assert effect.key == "unknown.time[250+-50]"
+    again = freeform_effect(alone, effect.key, effect.where)
+    s = moving()
+    late = replace(s, time_s=np.linspace(200.0, 300.0, s.rows))
+    for ours, theirs in zip(
+        effect.build(replace(late, places=session), ()),
+        again.build(replace(late, places=alone), ()),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(acts(ours), acts(theirs))
+        assert np.ptp(acts(ours)) > 0
+
+
+def test_functions_lie_where_the_motion_is():
+    # A beam that is swept on one side, and a platform that hangs off its middle.
+    places = rig_places()
+    s = moving()
+    there = np.linspace(0.0, 0.2, s.rows)
+    q = s.q + np.array([0.0, 0.0, 0.05])
+    covered = Extent.measured([replace(s, x_b_m=there, q=q)])
+    found = {e.identity: e for e in freeform_effects(places, covered)}
+    by_beam = found["unknown.x_b[0.1+-0.1]@z"]
+    columns = [acts(t) for t in by_beam.build(replace(s, x_b_m=there), ())]
+    # Each of its splines has its own part of the way.
+    assert all(np.ptp(column) > 0.1 for column in columns)
+    (by_z,) = (
+        e
+        for e in found.values()
+        if e.where == ("z",) and e.key.startswith("unknown.z[") and "*" not in e.key
+    )
+    form = Form.of(by_z.key)
+    assert form is not None
+    assert form.middle == pytest.approx(0.05, abs=0.2 * form.scale)  # tones are not symmetric
+    again = freeform_effect(places, by_z.key, by_z.where)
+    for ours, theirs in zip(by_z.build(s, ()), again.build(s, ()), strict=True):
+        np.testing.assert_array_equal(acts(ours), acts(theirs))
+
+
+def test_coil_that_remembers_where_its_command_turned():
+    """A loop of the command: there and back give forces apart, and no sum of stops is smooth."""
+    s = moving()
+    t = np.arange(200) / 100
+    command = 7.6 + 2.0 * np.sin(2 * np.pi * t)
+    s = replace(s, coil=np.tile(command[:, None], 9))
+    extent = replace(Extent.typical(rig_places()), commands=((7.6, 1.41),) * 9)
+    (effect,) = [
+        e
+        for e in freeform_effects(rig_places(), extent)
+        if e.key == "unknown.hysteresis.command[1.41]" and e.where == ("coil:6",)
+    ]
+    assert depends_on(effect) == ("coil:6",)
+    terms = effect.build(s, ())
+    for term, width in zip(terms, (0.05, 0.15, 0.4, 1.0, 2.5), strict=True):
+        own = term.held @ np.linalg.pinv(np.atleast_2d(s.places.coil_shape[6]))
+        held, r = [], 1.41 * width
+        for start in (1.0, -1.0):  # a stop by its definition
+            f, path = start, [start]
+            for a, b in pairwise(command):
+                f = min(max(f + (b - a) / r, -1.0), 1.0)
+                path.append(f)
+            held.append(path)
+        np.testing.assert_allclose(own[:, 0], np.mean(held, axis=0), atol=1e-12)
+    up, down = terms[1].held[110], terms[1].held[140]  # the same command, 16 ms before the turn
+    assert np.abs(up - down).max() > np.abs(up).max()
+    assert len(effect.remains(s, ())) == len(terms)
+    assert freeform_effect(rig_places(), "unknown.hysteresis.command[0]", ("coil:6",)) is None
+    assert freeform_effect(rig_places(), "unknown.hysteresis.command[1]", ("z",)) is None

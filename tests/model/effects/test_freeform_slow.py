@@ -1,0 +1,162 @@
+"""Free forms along the beam's way and of a coil's heat: against forces written down by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig_effects import acts, moving, rig_places
+from scipy.signal import lsim
+
+from levid.model.effects.base import Loads
+from levid.model.effects.driven_range import Extent
+from levid.model.effects.freeform import depends_on, freeform_effect, freeform_effects
+
+
+def swept(hz_s: float = 0.02):
+    """A beam that goes to and fro over 0.2 m, faster each time."""
+    t = 0.01 * np.arange(2000)
+    angle = 2 * np.pi * (0.2 * t + 0.5 * hz_s * t**2)
+    rate = 2 * np.pi * (0.2 + hz_s * t)
+    s = moving()
+    q = np.zeros((len(t), 3))
+    return replace(
+        s, time_s=t, q=q, qd=q, qdd=q, x_b_m=0.1 * np.sin(angle),
+        v_b_m_s=0.1 * rate * np.cos(angle),
+        a_b_m_s2=0.1 * (2 * np.pi * hz_s * np.cos(angle) - rate**2 * np.sin(angle)),
+        coil=np.zeros((len(t), 9)),
+    )  # fmt: skip
+
+
+def explained(columns, wanted):
+    columns = np.stack(columns, axis=1)
+    left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    return 1.0 - np.linalg.norm(left) / np.linalg.norm(wanted)
+
+
+def test_an_uneven_rail_lifts_the_beam_with_its_speed_squared():
+    """m w'' of w = A cos(2 pi x_b / p + f), by numbers: of v_b^2 and of a_b is a part each."""
+    s, period = swept(), 0.02
+    dt = 1e-6
+
+    def height(along_s: float):
+        x = s.x_b_m + along_s * s.v_b_m_s + 0.5 * along_s**2 * s.a_b_m_s2
+        return np.cos(2 * np.pi * x / period + 0.7)
+
+    lift = (height(dt) - 2 * height(0.0) + height(-dt)) / dt**2
+    parts = [
+        freeform_effect(rig_places(), f"unknown.wave.{by}", ("z",)).build(s, (period,))
+        for by in ("v_b_squared[0.16]", "a_b[4]")
+    ]
+    of_z = [acts(t)[:, 2] for terms in parts for t in terms]
+    of_theta = [acts(t)[:, 1] for terms in parts for t in terms]
+    assert explained(of_z, lift) > 0.999
+    np.testing.assert_allclose(of_theta, s.x_b_m * of_z)
+    assert explained(of_z[:2], lift) > 0.9  # a_b / (k v_b^2) is a twentieth where it is fast
+
+
+@pytest.mark.parametrize(
+    ("key", "where", "signals"),
+    [
+        ("v_b_squared[0.16]", "z", ("v_b", "x_b")),
+        ("a_b[4]", "psi", ("a_b", "x_b")),
+        ("v_b[0.4]", "sensor:3", ("v_b", "x_b")),
+        ("place", "sensor:3", ("x_b",)),
+    ],
+)
+def test_a_wave_says_what_it_is_felt_with(key: str, where: str, signals: tuple[str, ...]):
+    effect = freeform_effect(rig_places(), f"unknown.wave.{key}", (where,))
+    assert depends_on(effect) == signals
+    s = swept()
+    factor = {"v": s.v_b_m_s ** len(signals), "a": s.a_b_m_s2, "p": 1.0}[key[0]]
+    if key.startswith("v_b["):
+        factor = s.v_b_m_s
+    elif key.startswith("v_b_squared"):
+        factor = s.v_b_m_s**2
+    unit = float(key.partition("[")[2].rstrip("]") or 1.0)
+    at = {"psi": 0, "z": 2, "sensor:3": 3}[where]
+    cosine, sine = (acts(t)[:, at] for t in effect.build(s, (0.05,)))
+    np.testing.assert_allclose(cosine, factor / unit * np.cos(2 * np.pi * s.x_b_m / 0.05))
+    np.testing.assert_allclose(sine, factor / unit * np.sin(2 * np.pi * s.x_b_m / 0.05))
+
+
+def test_a_reading_follows_the_losses_of_a_coil_through_a_session():
+    """Against the whole session at once: a record knows what was carried before it."""
+    rng, Ts_s, tau_s, before_s = np.random.default_rng(3), 0.01, 11.0, 4.0
+    told = np.repeat(6.0 + rng.standard_normal(30), 200)  # 2 s each: as loads are kept
+    t = Ts_s * np.arange(len(told))
+    loads = Loads(
+        tuple(2.0 * np.arange(30)), tuple((*[0.0] * 7, float(f**2), 0.0) for f in told[::200])
+    )
+    long_t = np.concatenate([np.arange(-before_s, 0.0, Ts_s), t])
+    fed = np.concatenate([np.full(round(before_s / Ts_s), told[0] ** 2), told**2])
+    _, heat, _ = lsim(([1.0], [tau_s, 1.0]), fed, long_t + before_s, interp=False)
+    heat = heat[-len(t) :]
+    rows = slice(2000, 6000)
+    coil = np.zeros((4000, 9))
+    coil[:, 7] = told[rows]
+    places = replace(rig_places(), loads=loads)
+    s = replace(moving(), time_s=t[rows], coil=coil, places=places)
+    effect = freeform_effect(rig_places(), "unknown.warming.coil_7", ("sensor:4",))
+    assert depends_on(effect) == ("coil:7",)
+    constant, warm = (acts(term)[:, 4] for term in effect.build(s, (tau_s, before_s)))
+    np.testing.assert_array_equal(constant, 1.0)
+    np.testing.assert_allclose(warm, heat[rows], rtol=1e-3)  # blocks of 2 s, steps of 10 ms
+
+
+def test_there_is_one_of_every_pair_and_none_of_a_beam_where_there_is_none():
+    places = rig_places()
+    found = [e for e in freeform_effects(places, Extent.typical(places)) if "wave" in e.key]
+    assert len(found) == 3 * (3 + 9) + 9
+    still = replace(places, beam=False)
+    keys = [e.key for e in freeform_effects(still, Extent.typical(still))]
+    assert not [key for key in keys if "wave" in key]
+    assert sum("warming" in key for key in keys) == 81
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "wave.v_b", "wave.v_b[0]", "wave.v_b[-1]", "wave.v_b[1..2]", "wave.v_b[1e999]",
+        "wave.place[1]", "wave.phi_speed[1]", "wave", "warming.coil_9", "warming.coil_07",
+        "warming.v_b", "warming",
+    ],
+)  # fmt: skip
+def test_nonsense_is_none(key: str):
+    assert freeform_effect(rig_places(), f"unknown.{key}", ("sensor:1",)) is None
+
+
+def test_places_that_do_not_come_into_question():
+    for key, where in (
+        ("wave.place", "theta"), ("wave.v_b[0.4]", "coil:1"), ("warming.coil_1", "theta"),
+        ("warming.coil_1", "sensor:9"), ("answer.x_b*x_b", "sensor:1"), ("answer.x_b", "coil:1"),
+    ):  # fmt: skip
+        assert freeform_effect(rig_places(), f"unknown.{key}", (where,)) is None
+
+
+@pytest.mark.parametrize("where", ["theta", "sensor:6"])
+def test_what_the_rig_stands_on_answers_the_beam(where: str):
+    """Pushed by a_b and pressed by x_b, with parts of it that a model has: weight and reaction."""
+    s, f_hz, zeta = swept(0.15), 1.9, 0.08
+    w = 2 * np.pi * f_hz
+    push = 0.4 * s.a_b_m_s2 - 9.81 * s.x_b_m
+    _, turned, _ = lsim(([1.0], [1.0, 2 * zeta * w, w * w]), push, s.time_s)
+    turning = push - 2 * zeta * w * np.gradient(turned, s.time_s) - w * w * turned
+    effect = freeform_effect(rig_places(), "unknown.answer.x_b", (where,))
+    assert depends_on(effect) == ("x_b",)
+    at = {"theta": 1, "sensor:6": 6}[where]
+    settled = slice(400, None)  # exp(-zeta w 4 s) is a fiftieth
+
+    def share(frequency_hz: float) -> float:
+        answered = [acts(t)[settled, at] for t in effect.build(s, (frequency_hz, zeta))]
+        known = [x[settled] for x in (s.x_b_m, s.v_b_m_s, s.a_b_m_s2)]
+        return explained([*known, *answered], (turning - turned)[settled])
+
+    if where == "theta":
+        itself = freeform_effect(rig_places(), "unknown.answer.x_b*x_b", (where,))
+        assert depends_on(itself) == ("x_b",)
+        for one, other in zip(*(e.build(s, (f_hz, zeta)) for e in (effect, itself)), strict=True):
+            np.testing.assert_allclose(acts(one)[:, at] * s.x_b_m, acts(other)[:, at])
+    assert share(f_hz) > 0.97  # rows of 10 ms, and what is left of the start
+    assert share(2.5) < 0.9

@@ -1,0 +1,235 @@
+"""The report on an identification: the right numbers, with and without truth."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from levid.identification.identify import identify
+from levid.identification.options import Options
+from levid.identification.records.record import Record
+from levid.report.identification.closed_loop import (
+    HO_KALMAN,
+    SENSITIVITY,
+    closed_loop_numbers,
+    closed_loop_report,
+)
+from levid.report.identification.identification_page import identification_report
+from levid.report.plotting.curves import SignalLabels
+
+pytestmark = pytest.mark.usefixtures("no_warnings")
+
+RATE_HZ = 1000.0
+DOF = ("psi", "theta", "z")
+AXES = SignalLabels(
+    ("tau_psi", "tau_theta", "tau_z"), ("N m", "N m", "N"), DOF, ("rad", "rad", "m")
+)
+# Short records and responses: what is tested is the report, not the estimates.
+OPTIONS = Options(impulse_s=0.6, segment_s=3.0, lag_s=0.3e-3)
+
+
+def flown(rig, positions):
+    records = rig.records(list(positions.values()), RATE_HZ, 10.0)
+    places = [place for place in positions for _ in DOF]
+    named = [
+        replace(record, name=f"{place}-{record.name.partition('-')[0]}")
+        for record, place in zip(records, places, strict=True)
+    ]
+    named[0] = replace(named[0], remarks=("3 cycles with <coils> at a limit",))
+    return named
+
+
+@pytest.fixture(scope="module")
+def truth(rig):
+    return lambda beam_m, freq_hz: rig.sampled_plant(beam_m, 1 / RATE_HZ).frequency_response(
+        freq_hz
+    )
+
+
+@pytest.fixture(scope="module")
+def result(rig):
+    positions = {"left": -0.1, "middle": 0.0, "right": 0.1}
+    skipped = ("00-levitate.mcap: kind 'levitate', only records are identified",)
+    found = identify(flown(rig, positions), OPTIONS, skipped=skipped)
+    first, *others = found.points
+    first = replace(first, remarks=(*first.remarks, "it <rings>"))
+    return replace(found, points=(first, *others))
+
+
+@pytest.fixture(scope="module")
+def open_result():
+    """A resonance with one input and two outputs, coloured input, no controller known."""
+    rng = np.random.default_rng(6)
+    u = signal.lfilter([1], [1, -0.6], rng.normal(size=1200))
+    y = np.stack([signal.lfilter(b, [1, -1.5, 0.8], u) for b in ([0, 1], [0, 0.2, 0.3])], axis=1)
+    y += 0.02 * rng.normal(size=y.shape)
+    record = Record("measured", 0.01, u[:, None], y, ("u",), ("V",), ("y1", "y2"), ("m", "m"))
+    return identify([record], Options(segment_s=2.0, impulse_s=0.3))
+
+
+@pytest.fixture(scope="module")
+def with_truth(result, truth, tmp_path_factory):
+    return identification_report(result, None, tmp_path_factory.mktemp("truth"), truth)
+
+
+@pytest.fixture(scope="module")
+def without_truth(result, tmp_path_factory):
+    return identification_report(result, None, tmp_path_factory.mktemp("none"))
+
+
+def words(page):
+    return page.read_text(encoding="utf-8").replace("\u00a0", " ")
+
+
+def test_the_page_shows_the_figures_of_the_paper(result, with_truth):
+    text = words(with_truth)
+    for expected in (
+        *("Summary", "How many states", "The plant", "How well it agrees", "What it rests on"),
+        *("Records", "What next", "Fig. 9", "Fig. 10", "Fig. 12"),
+        *("left (−100 mm)", "middle (0 mm)", "right (+100 mm)"),
+        *("truth of the simulator", "rad/(N m)", f"{result.points[0].order.order} states"),
+    ):
+        assert expected in text
+    drawn = {f.stem for f in (with_truth.parent / "figures").iterdir()}
+    assert {name for name in drawn if "subspace" not in name} == {
+        *("agreement-1", "agreement-2", "agreement-3", "coherence", "markov-parameters"),
+        *("plant-ho-kalman", "plant-phase", "plant-sensitivity", "singular-values"),
+    }
+
+
+def test_every_figure_is_below_300_kb(with_truth):
+    sizes = {f.name: f.stat().st_size for f in (with_truth.parent / "figures").iterdir()}
+    assert max(sizes.values()) < 300_000, sizes
+
+
+def test_remarks_and_logs_left_out_are_told_and_escaped(without_truth):
+    text = words(without_truth)
+    assert "3 cycles with &lt;coils&gt; at a limit" in text
+    assert "<coils>" not in text
+    assert "00-levitate.mcap" in text
+    assert "Beam at -100.0 mm: it &lt;rings&gt;." in text
+    assert "Read the remarks" in text
+
+
+def test_without_truth_nothing_is_said_of_one(without_truth):
+    text = words(without_truth)
+    assert "No truth was given" in text
+    assert "truth of the simulator" not in text
+    assert not re.search(r"agreement-2", text)
+    assert "--virtual" not in text  # a rig that is no simulator
+
+
+def test_equal_results_give_equal_bytes(result, truth, with_truth, tmp_path):
+    again = identification_report(result, None, tmp_path, truth)
+    assert again.read_bytes() == with_truth.read_bytes()
+
+
+def test_errors_are_those_against_the_truth_that_was_given(result):
+    """Against itself turned by 10 degrees and 1 dB louder, an estimate is off by just that."""
+    plants = {p.beam_m: p.plant for p in result.points}
+
+    def turned(beam_m, freq_hz):
+        return plants[beam_m].response(freq_hz) * 10 ** (1 / 20) * np.exp(1j * np.radians(10))
+
+    report = closed_loop_report(result.points, AXES, turned)
+    assert report.largest(f"{HO_KALMAN} / truth") == pytest.approx((1.0, 10.0))
+    assert f"{SENSITIVITY} / truth" in report.ratios
+
+
+def test_an_error_out_of_bounds_is_marked_and_followed_by_advice(result, tmp_path):
+    def wrong(beam_m, freq_hz):
+        point = next(p for p in result.points if p.beam_m == beam_m)
+        return 2.0 * point.plant.response(freq_hz)
+
+    text = words(identification_report(result, None, tmp_path, wrong))
+    assert 'class="bad"' in text
+    assert "exceeds the bounds" in text
+
+
+def test_a_truth_that_is_not_known_is_not_taken_for_agreement(result, tmp_path):
+    def unknown(beam_m, freq_hz):
+        return np.full((len(freq_hz), 3, 3), np.nan, complex)
+
+    text = words(identification_report(result, None, tmp_path, unknown))
+    assert 'class="bad"' in text
+    assert 'class="good"' not in text
+
+
+def doubtful(result, *positions):
+    """The same result with models that are not to be trusted at these positions alone."""
+    points = [
+        replace(p, doubts=("it is <unstable>",) if k in positions else ())
+        for k, p in enumerate(result.points)
+    ]
+    return replace(result, points=tuple(points))
+
+
+def test_a_model_that_is_not_to_be_trusted_is_marked_and_judges_nothing(result, truth, tmp_path):
+    """Whatever it says: here of the first position 20 dB too much."""
+    worse = replace(result.points[0], from_ho_kalman=10.0 * result.points[0].from_ho_kalman)
+    one = doubtful(replace(result, points=(worse, *result.points[1:])), 0)
+    report = closed_loop_report(one.points, AXES, truth)
+    name = f"{HO_KALMAN} / truth"
+    others = closed_loop_report(one.points[1:], AXES, truth)
+    assert report.largest(name) == others.largest(name)
+    assert report.ho_kalman[0].doubtful
+    assert not report.sensitivity[0].doubtful  # which needs no model
+    text = words(identification_report(one, None, tmp_path, truth))
+    assert "beam left (−100 mm), is not to be trusted: it is &lt;unstable&gt;" in text
+    assert 'class="doubt"><dt>model by Ho-Kalman, beam left (−100 mm): it is' in text
+    assert "where it is to be trusted" in text
+    assert "Do not use the model by Ho-Kalman, beam left" in text
+    figure = (tmp_path / "figures" / "plant-ho-kalman.svg").read_text(encoding="utf-8")
+    assert "left (−100 mm), not to be trusted" in figure
+
+
+def test_numbers_of_models_none_of_which_is_to_be_trusted_are_marked(result, truth):
+    report = closed_loop_report(doubtful(result, 0, 1, 2).points, AXES, truth)
+    by_meaning = {n.meaning: n.verdict for n in closed_loop_numbers(report)}
+    for meaning, verdict in by_meaning.items():
+        of_model = not meaning.startswith(SENSITIVITY)
+        assert (verdict == "doubt") == of_model, meaning
+    assert f"{HO_KALMAN} against the truth at worst, up to 64 Hz; not to be trusted" in by_meaning
+
+
+def test_a_figure_of_the_paper_is_claimed_once(with_truth):
+    claimed = re.findall(r'class="paper">(Fig\. \d+)', words(with_truth))
+    assert len(claimed) == len(set(claimed)) >= 3
+
+
+def test_one_beam_position(rig, tmp_path):
+    single = identify(flown(rig, {"middle": 0.02}), OPTIONS)
+    text = words(identification_report(single, None, tmp_path))
+    assert "+20 mm" in text
+
+
+def test_responses_with_holes_are_drawn(result, truth, tmp_path):
+    point = result.points[0]
+    H = point.from_sensitivity.H.copy()
+    H[20:40] = np.nan
+    broken = replace(point, from_sensitivity=replace(point.from_sensitivity, H=H))
+    identification_report(replace(result, points=(broken,)), None, tmp_path, truth)
+
+
+def test_a_system_without_known_controller(open_result, tmp_path):
+    text = words(identification_report(open_result, None, tmp_path))
+    assert "Identification of measured" in text
+    assert "m/V" in text
+    for expected in (
+        "Data kept back",
+        "Frequency response",
+        "Order of the model",
+        "one step ahead",
+    ):
+        assert expected in text
+    fit = open_result.points[0].holdout[0].simulated_fit_percent[0]
+    assert f"{fit:.1f} %" in text
+
+
+def test_no_operating_point_is_an_error(result, tmp_path):
+    with pytest.raises(ValueError, match="at least one operating point"):
+        identification_report(replace(result, points=()), None, tmp_path)

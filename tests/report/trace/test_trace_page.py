@@ -1,0 +1,129 @@
+"""How the page on a trace writes numbers and draws: to the digit, and the same each time."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from levid.config.model import EffectParameter
+from levid.report.plotting.style import COLOURS
+from levid.report.plotting.svg import to_svg
+from levid.report.trace.effect_shapes import Shape, effect_shapes
+from levid.report.trace.number_format import (
+    amount,
+    change_text,
+    place_text,
+    plain,
+    signal_text,
+    unit_text,
+    with_interval,
+)
+from levid.report.trace.trace_figures import (
+    Bar,
+    candidates,
+    dependence_map,
+    error_spectra,
+    errors_by_record,
+    sensors_alone,
+    squares_over_time,
+)
+
+
+@pytest.mark.parametrize(
+    ("value", "se", "unit", "text"),
+    [
+        (3.0032e8, 5.6e5, "N/m^3", "(3.003 ± 0.011)·10⁸ N/m³"),
+        (-0.020001, 7.7e-6, "1", "−0.020001 ± 0.000015"),
+        (1.0017e-3, 3.7e-7, "N m", "(1.00170 ± 0.00073)·10⁻³ N m"),
+        (-6244.5, 53.0, "V/V^2", "(−6244 ± 104) V/V²"),
+        (0.0, 1.0, "N", "(0.0 ± 2.0) N"),
+        (2.5, None, "s", "2.5 s"),
+        (1.5e-7, None, "1", "1.5·10⁻⁷"),
+    ],
+)
+def test_a_value_has_the_digits_that_its_interval_leaves(
+    value: float, se: float | None, unit: str, text: str
+) -> None:
+    assert with_interval(EffectParameter(value=value, unit=unit, se=se)) == text
+
+
+def test_units_names_and_sizes_read_as_people_write_them() -> None:
+    assert unit_text("N m/rad^3") == "N m/rad³"
+    assert unit_text("1") == ""
+    assert signal_text("theta'") == "θ′"
+    assert signal_text("psi''") == "ψ″"
+    assert signal_text("x_b") == "x_b"
+    assert place_text("force on theta", ("psi", "theta")) == "force on θ"
+    assert place_text("force of coil 3", ("psi", "theta")) == "force of coil 3"
+    assert amount(1.36e-6, "m") == "1.36 µm"
+    assert amount(4.2e-3, "N m") == "4.2 mN m"
+    assert amount(-2.5e5, "N/m^3") == "−2.5·10⁵ N/m³"
+    assert amount(float("nan"), "m") == "—"
+    assert change_text(2.0, 0.5) == "−75.0 %"
+    assert change_text(2.0, 2.0) == "0 %"
+    assert plain(-8.20715e-7) == "−8.20715·10⁻⁷"
+
+
+def shape() -> Shape:
+    x = np.linspace(-3e-4, 3e-4, 20)
+    t = np.linspace(20.0, 24.0, 400)
+    wave = np.sin(5 * t)
+    return Shape(
+        "force on z", "N", "z", "m", x, -(x**3) * 3e8, np.full(20, 1e-4), -(x**3) * 3.01e8,
+        "sweep", t, 1e-3 * wave, 1.1e-3 * wave,
+    )  # fmt: skip
+
+
+FREQ = np.linspace(0.0, 500.0, 2001)
+FLAT = np.full((2001, 3), 1e-15)
+DOF, UNITS = ("psi", "theta", "z"), ("rad", "rad", "m")
+BLOCKS = [np.array([2.0, 6.0, 10.0]), np.array([20.0, 24.0])]
+ONES = [np.ones(3), np.ones(2)]
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda: effect_shapes([shape(), shape()]),
+        lambda: candidates(
+            [
+                Bar("Cubic stiffness at z", 99.0, "267 σ", True, True),
+                Bar("A", -1.0, "0", False, False),
+            ],
+            "explained, %",
+        ),
+        lambda: dependence_map(DOF, ["z", "z'"], None, np.array([[0.0, 0.1]] * 3)),
+        lambda: dependence_map(DOF, ["z", "z'"], np.full((3, 2), 0.9), np.zeros((3, 2))),
+        lambda: errors_by_record(["a", "b"], DOF, np.full((2, 3), 30.0), np.ones((2, 3))),
+        lambda: errors_by_record(["a", "b"], DOF, None, np.ones((2, 3))),
+        lambda: errors_by_record(["a", "b"], DOF, None, np.array([[1.0] * 3, [np.inf] * 3])),
+        lambda: errors_by_record(["a", "b"], DOF, np.ones((2, 3)), np.full((2, 3), np.nan)),
+        lambda: error_spectra(FREQ, (9 * FLAT, np.inf * FLAT, FLAT), DOF, UNITS),
+        lambda: error_spectra(FREQ, (9 * FLAT, 2 * FLAT, FLAT), DOF, UNITS),
+        lambda: error_spectra(FREQ, (None, 2 * FLAT, FLAT), DOF, UNITS),
+        lambda: squares_over_time(BLOCKS, [30 * o for o in ONES], ONES),
+        lambda: squares_over_time(BLOCKS, None, ONES),
+        lambda: sensors_alone(np.full(9, 40.0), np.ones(9)),
+        lambda: sensors_alone(None, np.ones(9)),
+    ],
+)
+def test_figures_are_the_same_each_time_in_the_colours_of_the_page(draw) -> None:
+    svg = to_svg(draw())
+    assert svg == to_svg(draw())
+    # The page finds colours by their value: one that is in no table would not go dark.
+    known = {c.light for c in COLOURS} | {"#000000"}
+    assert set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", svg)) <= known
+
+
+def test_long_names_stay_within_their_figure() -> None:
+    name = f"Unbelievably {'long ' * 30}name at coil:0"
+    figure = candidates([Bar(name, 1.0, "1", True, True)], "explained, %")
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    (label,) = figure.axes[0].get_yticklabels()
+    assert label.get_text().startswith("Unbelievably long")
+    assert label.get_text().endswith("name at coil:0")
+    assert label.get_window_extent().x0 >= 0.0

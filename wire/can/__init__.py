@@ -1,0 +1,1 @@
+"""CAN: frames, buses, adapters, timestamps."""

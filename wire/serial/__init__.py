@@ -1,0 +1,1 @@
+"""The serial protocol: framing and frames."""

@@ -145,5 +145,5 @@ class ChildSilence:
 
 
 def module_of(name: str) -> str:
-    """Return the full name of a module of this package."""
-    return f"{__package__}.{name}"
+    """Return the full name of a module of the daemon, such as `loop.loop_process`."""
+    return f"{__package__.rpartition('.')[0]}.{name}"

@@ -39,7 +39,10 @@ class PlannerLink:
     def __init__(self, rig_json: bytes, coils: int, say: Callable[[str], None]) -> None:
         # One thread: a process of several is not to be forked.
         self._child = Child(
-            "planner", module_of("planner_process"), rig_json, {"OPENBLAS_NUM_THREADS": "1"}
+            "planner",
+            module_of("planning.planner_process"),
+            rig_json,
+            {"OPENBLAS_NUM_THREADS": "1"},
         )
         self._coils, self._say = coils, say
         self._end: socket.socket | None = None

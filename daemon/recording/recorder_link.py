@@ -43,7 +43,7 @@ class RecorderLink:
     def __init__(
         self, rig_json: bytes, shared_fd: int, board: Board, faults: Path, say: Say
     ) -> None:
-        self._child = Child("recorder", module_of("recorder_process"), rig_json)
+        self._child = Child("recorder", module_of("recording.recorder_process"), rig_json)
         self._shared_fd, self._board, self._faults, self._say = shared_fd, board, faults, say
         self._lines: Lines | None = None
         self._head: Mapping[str, bytes] | None = None

@@ -75,7 +75,7 @@ class Supervisor:
         self.board = self._shared.board
         rig_json = rig.model_dump_json().encode()
         self._folder = folder
-        self._loop = Child("loop", module_of("loop_process"), rig_json)
+        self._loop = Child("loop", module_of("loop.loop_process"), rig_json)
         self.recorder = RecorderLink(
             rig_json, self._shared.fd, self.board, fault_folder(rig, folder), say
         )

@@ -29,7 +29,7 @@ def test_share_of_random_frames_is_what_counter_and_checksum_predict(right_count
 
 @pytest.mark.parametrize("kind", ["can_mutated", "serial_blocks"])
 def test_nothing_mutated_passes_that_is_not_right(kind: str) -> None:
-    found = getattr(kind)(N, np.random.default_rng(2))
+    found = getattr(fuzz, kind)(N, np.random.default_rng(2))
     assert found.wrong == 0
     # A CRC-8 lets one in 256 through, a CRC-32 none of so few.
     assert found.accepted < (N / 100 if kind == "can_mutated" else 1)
@@ -39,7 +39,7 @@ def test_nothing_mutated_passes_that_is_not_right(kind: str) -> None:
     ("kind", "options"), [("can_mutated", {"resealed": True}), ("serial_resealed", {})]
 )
 def test_a_right_checksum_alone_is_not_enough(kind: str, options: dict[str, bool]) -> None:
-    found = getattr(kind)(N, np.random.default_rng(4), **options)
+    found = getattr(fuzz, kind)(N, np.random.default_rng(4), **options)
     assert found.wrong == 0
     # What was changed is mostly a value; version, kind, length or counter often enough.
     assert 0.2 * N < found.accepted < 0.6 * N
@@ -80,7 +80,7 @@ def test_no_frame_ends_the_emulated_drives() -> None:
     ],
 )  # fmt: skip
 def test_noise_is_judged_as_it_should_be(kind: str) -> None:
-    found = getattr(kind)(N // 4, np.random.default_rng(8))
+    found = getattr(fuzz, kind)(N // 4, np.random.default_rng(8))
     assert found.wrong == 0
     assert found.accepted > 0
 
@@ -123,10 +123,10 @@ def test_readings_of_another_cycle_would_be_noticed(monkeypatch) -> None:
     ],
 )
 def test_frames_that_do_not_belong_together_would_be_noticed(
-    fuzz, monkeypatch, kind: str, broken: str, instead
+    monkeypatch, kind: str, broken: str, instead
 ) -> None:
     monkeypatch.setattr(ValueFrames, broken, instead)
-    assert getattr(kind)(N // 20, np.random.default_rng(13)).wrong > 0
+    assert getattr(fuzz, kind)(N // 20, np.random.default_rng(13)).wrong > 0
 
 
 def test_drive_that_is_told_to_go_on_beside_a_fault_would_be_noticed(monkeypatch) -> None:
@@ -136,11 +136,9 @@ def test_drive_that_is_told_to_go_on_beside_a_fault_would_be_noticed(monkeypatch
 
 @pytest.mark.parametrize("most", [0.0, math.inf])
 @pytest.mark.parametrize("kind", ["drives_heard", "drives_followed"])
-def test_speed_by_other_differences_would_be_noticed(
-    fuzz, monkeypatch, kind: str, most: float
-) -> None:
+def test_speed_by_other_differences_would_be_noticed(monkeypatch, kind: str, most: float) -> None:
     monkeypatch.setattr("levid.drivers.can.canopen_drives.most_bend", lambda *_: most)
-    assert getattr(kind)(N // 20, np.random.default_rng(14)).wrong > 0
+    assert getattr(fuzz, kind)(N // 20, np.random.default_rng(14)).wrong > 0
 
 
 def test_every_run_is_kept_and_has_its_figures(tmp_path: Path, monkeypatch) -> None:
@@ -151,8 +149,8 @@ def test_every_run_is_kept_and_has_its_figures(tmp_path: Path, monkeypatch) -> N
             asked.append(key)
             return super().submit(call, key, min(n, 20))
 
-    monkeypatch.setattr("KEPT", tmp_path)
-    monkeypatch.setattr("ProcessPoolExecutor", lambda _: Pool(1))
+    monkeypatch.setattr(fuzz, "KEPT", tmp_path)
+    monkeypatch.setattr(fuzz, "ProcessPoolExecutor", lambda _: Pool(1))
     fuzz.Parts(tmp_path / f"20000-{fuzz.version()}.jsonl").keep(
         "nodes", [{"tried": 8, "accepted": 2, "wrong": 0, "expected_share": 0.25}, 1.0]
     )

@@ -100,6 +100,6 @@ def test_field_figure_verb_and_effect_appear_after_a_flight(extended, tmp_path: 
     rows = read_log(log).rows  # without the example: the log brings its schema
     # A sum of nine float32 values of some 8 N each.
     assert abs(rows["lift_n"] - rows["coil_n"].sum(axis=1)).max() < 1e-4
-    assert "Lift force" in (flown / "report.html").read_text()
+    assert "Lift force" in (flown / "report" / "index.html").read_text()
     assert f"{rows['lift_n'].mean():.3f} N" in extended(*levid, "lift", log)
     assert "lift" in extended(*levid, "--help")

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from ..model.effects.base import Places
 
 
+_WORTH_A_WORD = 1e-3
+"""Share of the feed-forward that is not linear in the beam's motion, and is reported."""
+
+
 @click.command("check")
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
@@ -98,6 +102,7 @@ def _periods(rows: NDArray[np.void]) -> int:
 
 def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.base import ConfigError
+    from ..config.rig import with_model
     from ..daemon.control.detection_times import held_too_long
     from ..drivers.base import Context
     from ..drivers.registry import check_backends
@@ -115,8 +120,26 @@ def _rig(rig: RigConfig, path: Path) -> str:
         raise ConfigError(f"{'' if named else f'{path}: '}{error}") from None
     if warning := held_too_long(rig):
         click.echo(f"{path}: warning: {warning}", err=True)
-    carried = f"; the wire carries {1 / found.cycle_s:.0f} Hz" if found.buses else ""
-    return f"rig, {len(rig.geometry.coil_x_m)} coils, {rig.rate_hz:g} Hz{carried}"
+    wire = f"; the wire carries {1 / found.cycle_s:.0f} Hz" if found.buses else ""
+    ahead = _feed_forward(with_model(rig, path), path)
+    return f"rig, {len(rig.geometry.coil_x_m)} coils, {rig.rate_hz:g} Hz{wire}; {ahead}"
+
+
+def _feed_forward(rig: RigConfig, path: Path) -> str:
+    """Return in words what the feed-forward asks of a coil, and what it cannot follow."""
+    from ..config.base import ConfigError
+    from ..daemon.control.feed_forward import beam_at_limits, feed_forward, largest_coil_n
+
+    try:
+        law = feed_forward(rig, 1 / rig.rate_hz)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    most_n = largest_coil_n(rig, law.wrench(beam_at_limits(rig)))
+    said = f"the feed-forward asks for up to {most_n:.3g} N of a coil"
+    left_n = largest_coil_n(rig, law.left_over[None])
+    if left_n > _WORTH_A_WORD * most_n:
+        said += f" (its linear part: the model's force differs from it by up to {left_n:.2g} N)"
+    return said
 
 
 def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:

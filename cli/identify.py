@@ -32,7 +32,7 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
 @click.option(
     "--model",
     type=click.Path(path_type=Path),
-    help="Declared model to fit; config/models/rig.yaml for logs of the rig, none for others.",
+    help="Declared model to fit; for logs of a rig the rig's model unless given, for others none.",
 )
 @click.option(
     "--truth",
@@ -88,10 +88,10 @@ def identify_logs(
     """Identify logs, write report and model.yaml; return what was found and the page's path."""
     from ..config.base import load_yaml
     from ..config.model import load_model
-    from ..config.shipped import shipped
     from ..config.sim import SimConfig
     from ..identification.greybox.identify_greybox import to_yaml
     from ..identification.options import Options
+    from ..identification.records.from_log import rig_model
     from ..identification.records.record import IdentificationError
     from ..identification.study import study
     from ..report.identification.identification_page import identification_report
@@ -109,7 +109,7 @@ def identify_logs(
         flown = "rig.yaml" in log.attachments
         if truth is not None and not flown:
             raise IdentificationError(f"--truth: expected logs of the rig, found {log.path}")
-        return load_model(shipped("models/rig.yaml")) if flown and not declared else declared
+        return declared or rig_model(log)
 
     with progress("identifying") as report:
         found = study(logs, model_of, Options(), lambda what, share: report(what, 0.85 * share))

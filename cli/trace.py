@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option(
     "--model",
     type=click.Path(path_type=Path),
-    help="Declared model to start from; config/models/rig.yaml for logs of the rig.",
+    help="Declared model to start from; for logs of a rig the rig's model unless given.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the report.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
@@ -234,19 +234,20 @@ def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
 
 
 def _model(path: Path | None, logs: Sequence[Path]) -> ModelConfig:
-    """Return the model to start from: the one named, or the rig's for logs of the rig."""
+    """Return the model to start from: the one named, or that of the rig that flew the first log."""
     from ..config.model import load_model
-    from ..config.shipped import shipped
+    from ..identification.records.from_log import rig_model
     from ..identification.records.record import IdentificationError
     from ..log.reader import read_log
 
     if path is not None:
         return load_model(path)
-    if "rig.yaml" not in read_log(logs[0]).attachments:
+    model = rig_model(read_log(logs[0]))
+    if model is None:
         raise IdentificationError(
             f"expected --model MODEL.yaml, since {logs[0]} is no log of the rig; found none"
         )
-    return load_model(shipped("models/rig.yaml"))
+    return model
 
 
 def _workers(

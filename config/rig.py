@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, model_validator
 
 from .base import ConfigError, Finite, NonNegative, Positive, Strict, load_yaml
 from .buses import CanBus, RoleOptions, SerialBus, role_options
+from .model import ModelConfig, load_model
 from .service import Realtime, Recording, SelfTest, Service
 
 Rate = Annotated[float, Field(ge=10.0, le=20_000.0)]
@@ -76,10 +77,11 @@ class Control(Strict):
 
 
 class FeedForward(Strict):
-    """What is carried without waiting for the integrators: weight, the beam's torque, the rods.
+    """What a rig without a model carries without waiting for the integrators.
 
-    The rods' stiffness in z matters off the working point alone: it takes the platform from the
-    stops and back along its reference instead of letting the rods throw it.
+    Weight, the beam's torque, and the rods in z, whose stiffness matters off the working point
+    alone: it takes the platform from the stops and back along its reference instead of letting the
+    rods throw it.
     """
 
     mass_kg: NonNegative
@@ -136,7 +138,14 @@ class RigConfig(Strict):
     rate_hz: Rate
     geometry: Geometry
     control: Control
-    feedforward: FeedForward
+    model: Annotated[
+        Annotated[str, Field(min_length=1)] | ModelConfig | None,
+        # The reference has the model's keys in a section of their own.
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "null"}]}),
+    ] = None
+    """MODEL.yaml, relative to this file, or the model itself, as `load_rig` returns it."""
+    feedforward: FeedForward | None = None
+    """In place of a model."""
     limits: Limits
     amplifiers: Role
     sensors: Role
@@ -153,6 +162,15 @@ class RigConfig(Strict):
     service: Service = Service()
     recording: Recording = Recording()
     self_test: SelfTest = SelfTest()
+
+    @model_validator(mode="after")
+    def _one_feed_forward(self) -> Self:
+        if (self.model is None) == (self.feedforward is None):
+            found = "neither" if self.model is None else "both"
+            raise ValueError(
+                f"expected either 'model' (path of a MODEL.yaml) or 'feedforward', found {found}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _loop_has_time(self) -> Self:
@@ -201,5 +219,21 @@ class RigConfig(Strict):
 
 
 def load_rig(path: Path | str) -> RigConfig:
-    """Read RIG.yaml; raises ConfigError."""
-    return load_yaml(path, RigConfig)
+    """Read RIG.yaml and the model that it names; raises ConfigError."""
+    return with_model(load_yaml(path, RigConfig), Path(path))
+
+
+def with_model(rig: RigConfig, rig_file: Path) -> RigConfig:
+    """Return a rig read from `rig_file` with the model itself in place of the model's path.
+
+    Raises:
+        ConfigError: the model cannot be read.
+    """
+    if not isinstance(rig.model, str):
+        return rig
+    try:
+        model = load_model(rig_file.parent / rig.model)
+    except ConfigError as error:
+        lines = str(error).splitlines()
+        raise ConfigError("\n".join(f"{rig_file}: model: {line}" for line in lines)) from None
+    return rig.model_copy(update={"model": model})

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .expression import Expression, ExpressionError
-from .second_order import SecondOrder
+
+if TYPE_CHECKING:
+    from .second_order import SecondOrder
 
 Array = NDArray[np.float64]
 Grid = tuple[tuple[Expression, ...], ...]
@@ -115,6 +118,9 @@ class DeclaredModel:
 
         Raises ModelError: an unknown variable, a formula without a value, an M without an inverse.
         """
+        # Here, since scipy.linalg takes half a second to load: the daemon's loop starts without it.
+        from .second_order import SecondOrder
+
         given = dict(scheduling or {})
         unknown = set(given) - set(self.scheduling)
         if unknown:

@@ -14,7 +14,7 @@ from punctuality import Watch, Witness
 
 from levid.cli.main import main
 from levid.config.base import parse_text
-from levid.config.rig import RigConfig
+from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
 
 _TESTS = Path(__file__).parent
@@ -175,7 +175,7 @@ drives: {{backend: {backend}{options}{patient}}}
 sim: {sim}
 {BUSES.get(bus, "").replace("CHANNEL", tmp_path.name).replace("FOLDER", str(tmp_path))}"""
         text = text.replace("rate_hz: 1000", f"rate_hz: {rate_hz}")
-        return parse_text(text, RigConfig, bus)
+        return with_model(parse_text(text, RigConfig, bus), shipped("rigs/loopback.yaml"))
 
     return rig_on
 

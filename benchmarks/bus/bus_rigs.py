@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from levid.config.base import parse_text
-from levid.config.rig import RigConfig
+from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
 from levid.drivers.base import Context, Devices, DriverError
 from levid.drivers.registry import open_devices
 
 RATE_HZ = 1000.0
 HEAD = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
+HEAD = HEAD.replace("../models/rig.yaml", str(shipped("models/rig.yaml")))
 CAN = "{backend: can, bus: main"
 SERIAL = "{backend: serial, bus: main"
 FD = (
@@ -89,7 +90,7 @@ sim: {shipped("sims/nominal.yaml")}
 
 def rig_on(name: str, folder: Path) -> RigConfig:
     """Return that rig."""
-    return parse_text(rig_text(name, folder), RigConfig, name)
+    return with_model(parse_text(rig_text(name, folder), RigConfig, name), folder / name)
 
 
 def cycle_of(devices: Devices) -> Callable[[int], bool]:

@@ -23,7 +23,7 @@ from levid.benchmarks.bus.fault_messages import EXPECTED, NO_FAULT_OF_A_DEVICE, 
 from levid.benchmarks.harness import table
 from levid.benchmarks.harness.table import Figure, Target
 from levid.config.base import parse_text
-from levid.config.rig import RigConfig
+from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
 from levid.drivers import bus_backend
 from levid.drivers.base import Context, Devices, DriverError
@@ -195,7 +195,7 @@ sensors: {role}}}
 drives: {role}}}
 sim: {shipped("sims/nominal.yaml")}
 """
-    return parse_text(text, RigConfig, bus)
+    return with_model(parse_text(text, RigConfig, bus), shipped("rigs/loopback.yaml"))
 
 
 if __name__ == "__main__":

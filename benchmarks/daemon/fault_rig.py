@@ -259,6 +259,7 @@ def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
     tilt = {"kp_n_m_rad": 5, "ki_n_m_rad_s": 50}
     plain |= {
         "rate_hz": RATE_HZ,
+        "model": str(shipped("models/rig.yaml")),
         "sim": str(SETTINGS[1]),
         "socket": str(folder / "levid.sock"),
         "control": {"psi": tilt, "theta": dict(tilt), "z": {"kp_n_m": 300, "ki_n_m_s": 1500}},

@@ -174,6 +174,7 @@ def _rig(folder: Path, service: Mapping[str, Any]) -> Path:
     """Write a rig at 1 kHz, whose limits leave a machine its stalls; return its file."""
     plain = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
     plain |= {
+        "model": str(shipped("models/rig.yaml")),
         "sim": str(shipped("sims/nominal.yaml")),
         "socket": str(folder / "levid.sock"),
         "recording": {"faults": str(folder / "faults")},

@@ -257,6 +257,7 @@ def rig_file(folder: Path, rate_hz: int) -> Path:
     plain = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
     plain |= {
         "rate_hz": rate_hz,
+        "model": str(shipped("models/rig.yaml")),
         "sim": str(shipped("sims/nominal.yaml")),
         "socket": str(folder / "levid.sock"),
         # As cyclictest asks for by itself.

@@ -93,6 +93,7 @@ def loopback_rig(folder: Path, **limits: float) -> Path:
     """Write the shipped loopback rig, with a socket and recordings in `folder`; return its file."""
     plain: dict[str, Any] = yaml.safe_load(shipped("rigs/loopback.yaml").read_text())
     plain |= {
+        "model": str(shipped("models/rig.yaml")),
         "sim": str(shipped("sims/nominal.yaml")),
         "socket": str(folder / "levid.sock"),
         "recording": {"faults": str(folder / "faults")},

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...config.rig import RigConfig
 from ...model.geometry import decoupling_matrix, shape_matrix
 from .faults import Fault
+from .feed_forward import feed_forward
 from .segment import Segment
 from .states import State
 
@@ -45,10 +46,13 @@ class Controller:
         rig: geometry, gains and limits.
         period_s: the period of a cycle.
         memory: of `memory_shape`, zero at first: how hot the coils are outlasts a controller in it.
+
+    Raises:
+        ConfigError: see feed_forward.
     """
 
     def __init__(self, rig: RigConfig, period_s: float, memory: Array | None = None) -> None:
-        geometry, ff, limits = rig.geometry, rig.feedforward, rig.limits
+        geometry, limits = rig.geometry, rig.limits
         coils, sensors = len(geometry.coil_x_m), len(geometry.sensors_x_m)
         self._inputs = np.zeros(sensors + coils + 6)
         self.gap_m, self.readback_n, self.beam, self.rotor = np.split(
@@ -62,7 +66,7 @@ class Controller:
             shape_matrix(geometry.coil_x_m, geometry.coil_y_m).ravel(),
             rig.control.kp,
             [ki * period_s for ki in rig.control.ki],
-            [ff.mass_kg * ff.gravity_m_s2, ff.beam_mass_kg * ff.gravity_m_s2, ff.rods_n_m],
+            feed_forward(rig, period_s).numbers,
             [limits.coil_n, limits.coil_rate_n_s * period_s],
             [limits.gap_m, limits.beam_m + BEAM_MARGIN_M],
             # What the rig does not limit has no limit.
@@ -198,7 +202,7 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     T_sensors = law[:end].reshape(3, n_sensors)
     T_coils = law[end : end + 3 * n_coils].reshape(3, n_coils)
     S_coils = law[end + 3 * n_coils : end + 6 * n_coils].reshape(n_coils, 3)
-    kp, ki_Ts = law[-20:-17], law[-17:-14]
+    kp, ki_Ts, by_model = law[-41:-38], law[-38:-35], law[-35:-14].reshape(3, 7)
     weight, beam_weight, rods, coil_limit, coil_step, gap_limit, beam_limit = law[-14:-7]
     total_limit, tilt_limit, speed_limit, beam_speed_limit, heat_limit, cooling, Ts = law[-7:]
 
@@ -271,7 +275,15 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         last[3] = blend[1] * goal[3]
         ff[1] = last[3] * beam_weight * beam[0]
         ff[2] = last[3] * (weight + rods * ref[2])
+        at = min(k, len(beam_all) - 1)
         for i in range(3):
+            carried = by_model[i, 0] + by_model[i, 4] * beam[0]
+            for j in range(3):
+                carried += by_model[i, 1 + j] * ref[j]
+            for j in range(1, 3):
+                carried += by_model[i, 4 + j] * beam_all[at, j]
+            if carried != 0.0:  # without a model not even the sign of a zero changes
+                ff[i] += last[3] * carried
             error = ref[i] - pose[i]
             integral[i] += ki_Ts[i] * error
             tau[i] = blend[2] * (kp[i] * error + integral[i] + ff[i] + v[i])

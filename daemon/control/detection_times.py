@@ -12,6 +12,8 @@ import math
 from ...config.buses import AmplifierOptions
 from ...config.rig import RigConfig
 
+_G_M_S2 = 9.81
+
 
 def fall_s(rig: RigConfig) -> float:
     """Return how long the platform takes from the working point to gap_m, falling freely, in s.
@@ -19,7 +21,8 @@ def fall_s(rig: RigConfig) -> float:
     A force that is held leads no further in that time: what `total_n` leaves beside the weight is,
     on shipped rigs, less than the weight.
     """
-    return math.sqrt(2.0 * rig.limits.gap_m / rig.feedforward.gravity_m_s2)
+    own = rig.feedforward
+    return math.sqrt(2.0 * rig.limits.gap_m / (_G_M_S2 if own is None else own.gravity_m_s2))
 
 
 def expiry_cycles(rig: RigConfig) -> int | None:

@@ -38,7 +38,7 @@ def fly_virtually(
                 f"{rig_file}: {role}.backend: virtual time needs loopback, found {backend}"
             )
     rate_hz = session.rate_hz or rig.rate_hz
-    texts = attachments(rig_file.read_bytes(), session_text)
+    texts = attachments(rig, rig_file.read_bytes(), session_text)
     with Flight(rig, rig_file.parent, rate_hz, VirtualClock()) as flight:
         plan = plan_session(session, rig, flight.beam_m, flight.rotor_rad, source)
         # Only now: a session that does not fit is refused before any file is made.

@@ -14,6 +14,7 @@ from ...config.rig import RigConfig
 from ...config.session import CoilCheck, Land, Levitate, Move, RecordStep, SessionConfig, Step
 from ...model.geometry import decoupling_matrix
 from ..control.coil_check import LONGER, Pushes
+from ..control.feed_forward import feed_forward
 from ..control.segment import Segment, idle_segment
 from ..control.states import State
 from ..ipc.row_ring import ring_rows
@@ -111,6 +112,7 @@ class _Planner:
         self.session, self.rig, self.check = session, rig, check
         self.source = source or f"session {session.name}"
         self.rate_hz = session.rate_hz or rig.rate_hz
+        self.feed_forward = feed_forward(rig, 1.0 / self.rate_hz)
         self.beam_m, self.rotor_rad = beam_m, rotor_rad
         self.coils = len(rig.geometry.coil_x_m)
         self.T_coils = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
@@ -315,10 +317,8 @@ class _Planner:
 
     def check_levels(self, v: Array, coil_excitation: Array, beam: Array, where: str) -> None:
         """Raise ConfigError where weight and excitation together ask more than a coil can give."""
-        ff, limit = self.rig.feedforward, self.rig.limits.coil_n
-        beam_torque = ff.beam_mass_kg * ff.gravity_m_s2 * np.atleast_2d(beam)[:, 0]
-        weight = np.zeros((len(beam_torque), 3))
-        weight[:, 1], weight[:, 2] = beam_torque, ff.mass_kg * ff.gravity_m_s2
+        limit = self.rig.limits.coil_n
+        weight = self.feed_forward.wrench(np.atleast_2d(beam))
         carried = float(np.max(np.abs(weight @ self.T_coils)))
         played = _peak_force(v, self.T_coils) + float(np.max(np.abs(coil_excitation)))
         if not carried + played <= limit:  # nor is what is no number

@@ -158,6 +158,9 @@ class Planner:
         if text is None:
             return
         rig = parse_text(str(text), RigConfig, "rig")
+        if isinstance(rig.model, str) and self._rig.model is not None:
+            # The client alone knows what the path is relative to.
+            rig = rig.model_copy(update={"model": self._rig.model})
         if _as_started(rig) != _as_started(self._rig):
             raise ConfigError(
                 f"rig {rig.name}: expected the rig that this daemon runs, found another"

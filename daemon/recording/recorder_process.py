@@ -66,7 +66,7 @@ class RecorderProcess:
             rig.recording,
             {
                 name: data
-                for name, data in attachments(rig.model_dump_json().encode(), b"").items()
+                for name, data in attachments(rig, rig.model_dump_json().encode(), b"").items()
                 if data
             },
             self._tell_fault,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # a client that stops a flight does not wait for scipy
+    from ...config.rig import RigConfig
     from ..planning.plan import Plan, PlannedStep
 
 
@@ -54,10 +55,18 @@ def log_metadata(plan: Plan, step: PlannedStep) -> dict[str, str]:
     }
 
 
-def attachments(rig_text: bytes, session_text: bytes) -> dict[str, bytes]:
-    """Return what goes to the head of every log: the configs, versions and the host."""
+def attachments(rig: RigConfig, rig_text: bytes, session_text: bytes) -> dict[str, bytes]:
+    """Return what goes to the head of every log: the configs, versions and the host.
+
+    `rig_text` may name the model of `rig` by its path; the model itself goes beside it.
+    """
+    model = rig.model
+    beside = {}
+    if model is not None and not isinstance(model, str):  # JSON is YAML
+        beside["model.yaml"] = model.model_dump_json(indent=1, exclude_none=True).encode()
     return {
         "rig.yaml": rig_text,
+        **beside,
         "session.yaml": session_text,
         "versions.json": json.dumps(_versions(), indent=1, sort_keys=True).encode(),
         "host.json": json.dumps(_host(), indent=1, sort_keys=True).encode(),

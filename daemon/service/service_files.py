@@ -16,6 +16,7 @@ from ...config.rig import RigConfig
 from ...config.shipped import shipped
 from ...drivers.base import Context
 from ...drivers.registry import check_backends
+from ..control.feed_forward import feed_forward
 from ..host.access_control import Access
 
 UNIT = "etc/systemd/system/levid.service"
@@ -65,6 +66,7 @@ def hindrances(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[str]:
     """Say what would keep the service from running, or what it is not told here."""
     try:
         check_backends(Context(rig, 1.0 / rig.rate_hz, rig_file.parent))
+        feed_forward(rig, 1.0 / rig.rate_hz)
         Access(rig.service)
     except ConfigError as error:
         yield f"the daemon will not start: {error}"

@@ -17,6 +17,7 @@ from ..api.control_server import Reply, Server, ServerError
 from ..api.prometheus_metrics import serve_metrics
 from ..control.detection_times import held_too_long
 from ..control.faults import Fault
+from ..control.feed_forward import feed_forward
 from ..control.states import IN_FLIGHT, State
 from ..host.access_control import Access
 from ..host.child_process import Child, module_of
@@ -54,7 +55,7 @@ class Supervisor:
     """Runs in one thread from `run` to its return; requests come through the socket.
 
     Raises:
-        ConfigError: the rig's backends or access cannot be as they are configured.
+        ConfigError: the rig's backends, model or access cannot be as they are configured.
     """
 
     def __init__(
@@ -67,9 +68,10 @@ class Supervisor:
         self.rig, self.rig_file = rig, rig_file
         self.rig_text = rig_file.read_bytes()
         # Once: what the host is called is asked of files, and of a process.
-        self.attachments = attachments(self.rig_text, b"")
+        self.attachments = attachments(rig, self.rig_text, b"")
         folder = rig_file.parent.resolve()
         check_backends(Context(rig, 1.0 / rig.rate_hz, folder))
+        feed_forward(rig, 1.0 / rig.rate_hz)
         self._say = say
         self._shared = Shared(rig)
         self.board = self._shared.board

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from ...config.base import ConfigError, parse_text
+from ...config.model import ModelConfig, load_model
 from ...config.rig import RigConfig
+from ...config.shipped import shipped
 from ...log.reader import Log
 from ...log.signals_file import SignalsFile
 from ...model.geometry import shape_matrix
@@ -130,6 +132,23 @@ def rig_of(log: Log) -> RigConfig:
         raise IdentificationError(f"{log.path}: expected the attachment rig.yaml, found none")
     try:
         return parse_text(text, RigConfig, f"{log.path}: rig.yaml")
+    except ConfigError as error:
+        raise IdentificationError(str(error)) from None
+
+
+def rig_model(log: Log) -> ModelConfig | None:
+    """Return the declared model of the rig that flew the log; None for a log that no rig flew.
+
+    It is the attachment model.yaml; the shipped models/rig.yaml for a rig that names no model.
+    Raises IdentificationError for an attachment that is not a model.
+    """
+    if "rig.yaml" not in log.attachments:
+        return None
+    text = log.attachments.get("model.yaml")
+    try:
+        if text is None:
+            return load_model(shipped("models/rig.yaml"))
+        return parse_text(text, ModelConfig, f"{log.path}: model.yaml")
     except ConfigError as error:
         raise IdentificationError(str(error)) from None
 

@@ -93,7 +93,8 @@ def test_loop_that_is_killed_between_two_of_its_periods_is_refused(tmp_path: Pat
     message = error_of(tmp_path, rig_text(rate_hz=10, service={"loop_s": 0.299}))
     assert "service.loop_s: expected at least 0.3 s, 3 periods at 10 Hz, found 0.299 s" in message
     path = tmp_path / "rig.yaml"
-    path.write_text(rig_text(rate_hz=10, service={"loop_s": 0.3}))
+    model = str(shipped("models/rig.yaml"))
+    path.write_text(rig_text(rate_hz=10, service={"loop_s": 0.3}, model=model))
     assert load_rig(path).service.loop_s == 0.3
 
 

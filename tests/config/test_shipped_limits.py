@@ -12,12 +12,14 @@ from levid.config.rig import Limits, RigConfig, load_rig
 from levid.config.session import load_session
 from levid.config.shipped import shipped
 from levid.daemon.control.detection_times import held_too_long, longest_stall, zero_after_s
+from levid.daemon.control.feed_forward import feed_forward
 from levid.daemon.control.states import State
 from levid.daemon.loop.virtual_session import fly_virtually
 from levid.log.reader import read_log
 from levid.model.geometry import decoupling_matrix
 
 RIGS = sorted(shipped("rigs/loopback.yaml").parent.glob("*.yaml"))
+G_M_S2 = 9.81
 CLEAR = 1.4
 """By so much less than what ends a flight, or scales forces down, does a session need at most."""
 
@@ -29,10 +31,13 @@ def rig(request: pytest.FixtureRequest) -> RigConfig:
 
 def at_rest_n(rig: RigConfig, beam_m: float) -> np.ndarray:
     """Return what each coil carries at the working point."""
-    ff, geometry = rig.feedforward, rig.geometry
-    T = decoupling_matrix(geometry.coil_x_m, geometry.coil_y_m)
-    weight, beam = ff.mass_kg * ff.gravity_m_s2, ff.beam_mass_kg * ff.gravity_m_s2
-    return np.array([0.0, beam * beam_m, weight]) @ T
+    T = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
+    return carried(rig, beam_m) @ T
+
+
+def carried(rig: RigConfig, beam_m: float = 0.0) -> np.ndarray:
+    """Return the wrench that the feed-forward carries while the beam rests."""
+    return feed_forward(rig, 1 / rig.rate_hz).wrench(np.array([[beam_m, 0.0, 0.0]]))[0]
 
 
 def test_no_limit_is_left_open(rig: RigConfig) -> None:
@@ -48,10 +53,10 @@ def test_a_lost_loop_leaves_no_force_that_moves_the_platform_out_of_its_range(
     if zero_s is not None:
         assert zero_s <= 3.0 / rig.rate_hz + 1e-9
         # Held or falling, at the acceleration of the larger of weight and force at its limit.
-        weight_n = rig.feedforward.mass_kg * rig.feedforward.gravity_m_s2
+        weight_n = carried(rig)[2]
         assert rig.limits.total_n is not None
         most_n = max(weight_n, rig.limits.total_n - weight_n)
-        moved_m = 0.5 * most_n / rig.feedforward.mass_kg * zero_s**2
+        moved_m = 0.5 * most_n / weight_n * G_M_S2 * zero_s**2
         assert moved_m < rig.limits.gap_m
         assert longest_stall(rig) * CLEAR / rig.rate_hz <= zero_s
 
@@ -70,7 +75,7 @@ def test_layers_follow_each_other(rig: RigConfig) -> None:
     assert limits.coil_rms_n is not None
     assert limits.tilt_rad is not None
     assert limits.gap_m_s is not None
-    weight_n = rig.feedforward.mass_kg * rig.feedforward.gravity_m_s2
+    weight_n = carried(rig)[2]
     # Forces: the weight with as much again to accelerate it by a half, less than all coils at once.
     assert 1.5 * weight_n < limits.total_n < coils * limits.coil_n
     # Heat: a coil may carry its share for ever, the beam at the end of its way, and not its limit.
@@ -80,7 +85,7 @@ def test_layers_follow_each_other(rig: RigConfig) -> None:
     assert limits.tilt_rad * max(rig.geometry.sensors_y_m) < limits.gap_m
     # What falls onto its stops is not too fast; what is faster was thrown, or a sensor jumps.
     stops_m = 0.9e-3
-    assert limits.gap_m_s > math.sqrt(2.0 * rig.feedforward.gravity_m_s2 * stops_m)
+    assert limits.gap_m_s > math.sqrt(2.0 * G_M_S2 * stops_m)
 
 
 @pytest.mark.parametrize("name", ["trace-demo", "beam"])

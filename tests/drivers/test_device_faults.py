@@ -13,7 +13,7 @@ import pytest
 
 from levid.benchmarks.bus import fault_messages
 from levid.config.base import parse_text
-from levid.config.rig import RigConfig
+from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
 from levid.drivers.base import (
     AmplifierError,
@@ -315,7 +315,8 @@ def rig_of(text: str, folder: Path) -> RigConfig:
     head = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
     head = head.replace("rate_hz: 1000", f"rate_hz: {RATE_HZ}")
     sim = f"sim: {shipped('sims/nominal.yaml')}"
-    return parse_text(f"{head}{text.replace('CHANNEL', str(folder))}{sim}", RigConfig, "two")
+    rig = parse_text(f"{head}{text.replace('CHANNEL', str(folder))}{sim}", RigConfig, "two")
+    return with_model(rig, shipped("rigs/loopback.yaml"))
 
 
 def lose(bench: Bench, bus: str) -> None:

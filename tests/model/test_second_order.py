@@ -33,7 +33,7 @@ def test_rig_model_gives_the_papers_matrices() -> None:
     )
     np.testing.assert_allclose(at.D, np.diag([6 * 0.12**2 * 4] * 2 + [36]), rtol=1e-14)  # (5)
     np.testing.assert_allclose(np.diag(at.K), [210 - z_b * m_b * g, 190 - z_b * m_b * g, 2600])
-    np.testing.assert_allclose(at.force, [0, -m_b * g * x_b, 0])
+    np.testing.assert_allclose(at.force, [0, -m_b * g * x_b, -(m_p + m_b) * g])
 
 
 def test_moving_beam_adds_what_the_accelerating_mass_feels() -> None:

@@ -139,7 +139,7 @@ def test_long_check_is_judged_by_all_of_its_rows(tmp_path: Path) -> None:
 
 def test_push_that_a_coil_cannot_carry_is_refused(tmp_path: Path) -> None:
     rig = load_rig(RIG_FILE)
-    weak = rig.model_copy(update={"limits": rig.limits.model_copy(update={"coil_n": 9.0})})
+    weak = rig.model_copy(update={"limits": rig.limits.model_copy(update={"coil_n": 12.0})})
     steps = "[{levitate: {check_coils: {push_n: 5}}}, {land: {}}]"
     text = f"{{levid: session, name: x, steps: {steps}}}"
     config = parse_text(text, SessionConfig, "x")

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from levid.config.base import ConfigError, parse_text
+from levid.config.model import ModelConfig
 from levid.config.rig import RigConfig, load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
@@ -76,7 +77,10 @@ def test_log_says_all_that_identification_needs(flown: FlightResult) -> None:
     assert log.metadata["session"] == "short"
     assert log.attachments["rig.yaml"] == RIG_FILE.read_bytes()
     assert log.attachments["session.yaml"] == SESSION.encode()
-    assert set(log.attachments) == {"rig.yaml", "session.yaml", "versions.json", "host.json"}
+    assert parse_text(log.attachments["model.yaml"], ModelConfig, "log") == load_rig(RIG_FILE).model
+    assert set(log.attachments) == {
+        "rig.yaml", "model.yaml", "session.yaml", "versions.json", "host.json",
+    }  # fmt: skip
     rows = log.rows
     assert rows["lateness_s"].max() == rows["execution_s"].max() == 0.0
     # The command of cycle k acts from k + 1 on; after many lags of 0.3 ms the readback is there,

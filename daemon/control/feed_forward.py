@@ -1,0 +1,160 @@
+"""Feed-forward: the wrench that carries platform and moving beam, as the rig's model has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.base import ConfigError
+from ...config.model import ModelConfig
+from ...config.rig import RigConfig
+from ...identification.greybox.model_file import declared_model
+from ...model.declared_model import DeclaredModel, ModelError
+from ...model.expression import ExpressionError
+from ...model.geometry import decoupling_matrix
+
+Array = NDArray[np.float64]
+
+_DOF = (("psi", "rad"), ("theta", "rad"), ("z", "m"))
+_INPUT_UNITS = ("N m", "N m", "N")
+_BEAM = {"beam_m": 0, "beam_m_s": 1, "beam_ref_m": 0, "beam_ref_m_s": 1, "beam_ref_m_s2": 2}
+"""Fields of the log that measure the beam, and which derivative of its position they are."""
+_ACTS_AFTER = 1.5
+"""Periods from a reading to the middle of the period in which the force computed from it acts."""
+_GRID = (-1.0, -0.5, 0.0, 0.5, 1.0)
+"""Shares of the limits at which a model's force is compared with its linear part."""
+
+
+@dataclass(frozen=True)
+class FeedForwardLaw:
+    """The feed-forward of a rig, linear in references and beam.
+
+    With x the measured position of the beam, v and a the planned velocity and acceleration, in SI
+    units, the wrench (3,) is
+
+        [0, beam_weight x, weight + rods z_ref] + by_model [1, psi_ref, theta_ref, z_ref, x, v, a]
+
+    The first part is zero for a rig with a model, by_model (3, 7) for one without. left_over (3,)
+    is the part of the model's wrench within the rig's limits that is not linear.
+    """
+
+    weight_n: float = 0.0
+    beam_weight_n: float = 0.0
+    rods_n_m: float = 0.0
+    by_model: Array = field(default_factory=lambda: np.zeros((3, 7)))
+    left_over: Array = field(default_factory=lambda: np.zeros(3))
+
+    def wrench(self, beam: Array) -> Array:
+        """Return the wrench (n, 3) at the working point for setpoints (n, 3) of the beam."""
+        found: Array = beam @ self.by_model[:, 4:].T + self.by_model[:, 0]
+        found[:, 1] += self.beam_weight_n * beam[:, 0]
+        found[:, 2] += self.weight_n
+        return found
+
+    @property
+    def numbers(self) -> Array:
+        """All that the compiled cycle needs, (24,)."""
+        own = (self.weight_n, self.beam_weight_n, self.rods_n_m)
+        return np.concatenate([self.by_model.ravel(), own])
+
+
+def feed_forward(rig: RigConfig, period_s: float) -> FeedForwardLaw:
+    """Return the feed-forward of `rig`: of its model, or of its own few numbers.
+
+    The model M q'' + D q' + K q = B u + f gives u = B^-1 (K q_ref - f): K with the beam at rest in
+    its middle, f linear in the beam's motion, through its values there and at the rig's limits. It
+    is that of the moment when the force acts: the position is ahead by v times 1.5 periods and the
+    model's lag and delay. D q_ref' and M q_ref'' are left out, see docs/configuration.md.
+
+    Raises:
+        ConfigError: the model does not fit the rig, or takes more force than a coil may give.
+    """
+    if rig.feedforward is not None:
+        own = rig.feedforward
+        g = own.gravity_m_s2
+        return FeedForwardLaw(own.mass_kg * g, own.beam_mass_kg * g, own.rods_n_m)
+    if not isinstance(rig.model, ModelConfig):
+        raise ConfigError(f"model: expected what load_rig has read, found the path {rig.model}")
+    try:
+        return _of_model(rig, rig.model, period_s)
+    except (ModelError, ExpressionError, ConfigError) as error:
+        raise ConfigError(f"rig {rig.name}: model {rig.model.name}: {error}") from None
+
+
+def largest_coil_n(rig: RigConfig, wrench: Array) -> float:
+    """Return the largest force of a coil (N) under wrenches (n, 3)."""
+    T = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
+    return float(np.abs(wrench @ T).max())
+
+
+def beam_at_limits(rig: RigConfig, shares: tuple[float, ...] = (-1.0, 1.0)) -> Array:
+    """Return motions (n, 3) of the beam with these shares of the rig's limits, in all mixtures."""
+    limits = rig.limits
+    most = limits.beam_m, limits.beam_velocity_m_s, limits.beam_acceleration_m_s2
+    return np.array(list(product(shares, repeat=3))) * most
+
+
+def _of_model(rig: RigConfig, config: ModelConfig, period_s: float) -> FeedForwardLaw:
+    model = declared_model(config)
+    derivative = _derivatives(config, model)
+    limits = rig.limits
+    most = np.array([limits.beam_m, limits.beam_velocity_m_s, limits.beam_acceleration_m_s2])
+    alone = np.vstack([np.zeros(3), np.diag(most), -np.diag(most)])
+    wrench, stiffness = _wrench(model, derivative, alone)
+    slopes = 0.5 * (wrench[1:4] - wrench[4:7]).T / most
+    grid = beam_at_limits(rig, _GRID)
+    curved = _wrench(model, derivative, grid)[0] - grid @ slopes.T - wrench[0]
+    at_rest_n = largest_coil_n(rig, wrench[[0, 1, 4]])
+    if not at_rest_n <= limits.coil_n:
+        raise ConfigError(
+            f"to carry the platform at rest takes {at_rest_n:.3g} N of a coil, expected at most "
+            f"limits.coil_n, {limits.coil_n:g} N; check the masses and units of its force"
+        )
+    values = {**model.values, **model.scheduling}
+    ahead_s = _ACTS_AFTER * period_s + model.lag(values) + model.delay(values)
+    slopes[:, 1] += ahead_s * slopes[:, 0]
+    by_model = np.hstack([wrench[:1].T, stiffness, slopes])
+    return FeedForwardLaw(by_model=by_model, left_over=np.abs(curved).max(axis=0))
+
+
+def _wrench(model: DeclaredModel, derivative: dict[str, int], beam: Array) -> tuple[Array, Array]:
+    """Return B^-1 (-f) (n, 3) along motions (n, 3) of the beam, and B^-1 K (3, 3) at the first."""
+    at = model.over({name: beam[:, which] for name, which in derivative.items()})
+    try:
+        wrench = np.linalg.solve(at.B, -at.force[:, :, None])[:, :, 0]
+        return np.broadcast_to(wrench, beam.shape), np.linalg.solve(at.B[0], at.K[0])
+    except np.linalg.LinAlgError:
+        raise ConfigError("B: expected a matrix with an inverse, found none") from None
+
+
+def _derivatives(config: ModelConfig, model: DeclaredModel) -> dict[str, int]:
+    """Return which derivative of the beam's position each scheduling variable is.
+
+    Raises:
+        ConfigError: DOF, inputs or scheduling variables are not those of a rig.
+    """
+    dof = tuple((axis.name, axis.unit) for axis in config.dof)
+    if dof != _DOF or tuple(axis.unit for axis in config.inputs) != _INPUT_UNITS:
+        raise ConfigError(
+            f"expected the DOF of a rig, {_listed(_DOF)}, and inputs in {', '.join(_INPUT_UNITS)}, "
+            f"found {_listed(dof)} and inputs in {', '.join(a.unit for a in config.inputs)}"
+        )
+    found = {
+        name: _BEAM[variable.signal] + variable.derivative
+        for name, variable in config.scheduling.items()
+        if _BEAM.get(variable.signal, 3) + variable.derivative < 3
+    }
+    used = {name for formula in model.force for name in formula.names}
+    if strange := sorted(used & set(config.scheduling) - set(found)):
+        raise ConfigError(
+            f"force: expected position, velocity or acceleration of the beam (signals beam_m, "
+            f"beam_m_s and its derivative), found '{strange[0]}', which is not one of them"
+        )
+    return found
+
+
+def _listed(axes: tuple[tuple[str, str], ...]) -> str:
+    return ", ".join(f"{name} in {unit}" for name, unit in axes)

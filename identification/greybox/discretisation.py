@@ -118,7 +118,7 @@ def motion(
 
     A schedule that stands still gives one set of matrices and no drift (a constant force is part of
     the record's unknown offset); one that moves gives matrices in the middle of each period and the
-    model's force as a straight line over it.
+    model's force as a straight line over it, without DOF where it is constant: a weight, say.
 
     Raises ModelError: a formula without a value, an M without an inverse; IdentificationError: a
     model too fast for the sampling time.
@@ -133,6 +133,7 @@ def motion(
         middle = {name: 0.5 * (begin[name] + end[name]) for name in begin}
         at = model.over(middle)
         force = np.stack([model.force_over(begin), model.force_over(end)], axis=2)
+        force[:, np.ptp(force, axis=(0, 2)) == 0.0] = 0.0
     else:
         middle = {name: np.array([values.mean()]) for name, values in experiment.schedule.items()}
         at, force = model.over(middle), np.zeros((1, len(model.dof), 2))

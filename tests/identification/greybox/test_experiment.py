@@ -11,6 +11,11 @@ from cycle_log import cycle_log
 from levid.config.model import ModelConfig, Scheduling, load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.experiment import experiment_from_log
+from levid.identification.greybox.model_file import declared_model
+from levid.identification.greybox.noise_model import Noise
+from levid.identification.greybox.prediction_errors import predict
+from levid.identification.records.from_log import rig_model
+from levid.identification.records.record import IdentificationError
 from levid.log.reader import Log
 from levid.log.signals import cycle_dtype
 
@@ -82,3 +87,32 @@ def test_noise_of_wrench_and_pose_is_correlated_as_the_places_are() -> None:
     inverse = np.linalg.inv(expected)
     size = np.sqrt(np.diag(inverse))
     np.testing.assert_allclose(pose, inverse / np.outer(size, size), rtol=1e-12)
+
+
+def test_logs_are_identified_with_the_model_of_the_rig_that_flew_them() -> None:
+    log, shipped_one = flown(np.full(4000, 0.05)), load_model(shipped("models/rig.yaml"))
+    assert rig_model(log) == shipped_one  # its rig.yaml is alone: what is shipped stands in
+    own = shipped_one.model_copy(update={"name": "mine"})
+    text = own.model_dump_json(exclude_none=True).encode()
+    assert rig_model(replace(log, attachments={**log.attachments, "model.yaml": text})) == own
+    assert rig_model(replace(log, attachments={})) is None
+    broken = {**log.attachments, "model.yaml": b"levid: model\n"}
+    with pytest.raises(IdentificationError, match=r"model\.yaml: name: required key is missing"):
+        rig_model(replace(log, attachments=broken))
+
+
+def test_a_constant_force_of_the_model_changes_no_prediction() -> None:
+    # The weight, say: a record has a constant force of its own, fitted whatever the model has.
+    log = flown(0.1 * np.sin(2 * np.pi * TIME_S))
+    rng = np.random.default_rng(1)
+    rows = log.rows.copy()
+    rows["coil_n"] = rng.normal(8.0, 0.1, rows["coil_n"].shape)
+    model = load_model(shipped("models/rig.yaml"))
+    light = model.model_copy(update={"force": (*model.force[:2], 0.0)})
+    experiment = experiment_from_log(replace(log, rows=rows), model)
+    noise = Noise.independent(np.full(3, 1e-6), np.full(3, 1e-14))
+    heavy, light = (
+        predict(declared_model(one), experiment, "zoh", noise).errors for one in (model, light)
+    )
+    assert experiment.moving
+    np.testing.assert_array_equal(heavy, light)

@@ -1,1 +1,1 @@
-"""The log: one record a cycle in MCAP, its writer, its reader, and the import of others' data."""
+"""Write and read logs (MCAP, one record per cycle), and import other measured data."""

@@ -1,5 +1,5 @@
-"""The one error that this room raises for what a user or a damaged file can get wrong."""
+"""Define the error that log/ raises for wrong input and damaged files."""
 
 
 class LogError(Exception):
-    """A log that cannot be read, written or imported; says what was expected, found, and where."""
+    """A log cannot be read, written or imported: where, what was expected and what was found."""

@@ -1,4 +1,4 @@
-"""Brings measured data of others (CSV, text, NPZ, MAT) into a log that identification can read."""
+"""Import measured data (CSV, text, NPZ, MAT) into a log that identification can read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .writer import LogWriter
 SCHEMA_NAME = "levid/msg/Signals"
 TOPIC = "/levid/signals"
 _LONGEST_S = 9e9
-"""Nanoseconds in 64 bits with a sign: what readers of MCAP expect."""
+"""MCAP readers expect times in ns that fit a signed 64-bit integer."""
 
 _FORMATS: dict[str, Format] = {
     ".csv": "csv",
@@ -34,19 +34,19 @@ _FORMATS: dict[str, Format] = {
 
 
 def import_file(data_path: Path, signals_path: Path, out_path: Path) -> int:
-    """Write the log `out_path` from a data file and the SIGNALS.yaml that explains it.
+    """Write the log `out_path` from a data file and the SIGNALS.yaml that describes it.
 
     The log's fields are cycle, time_s (from 0, by the rate) and the signals, float64, scaled to
-    their units; the SIGNALS.yaml goes along as the attachment "signals.yaml". Equal files give
-    equal logs.
+    their units. The SIGNALS.yaml becomes the attachment "signals.yaml". Equal files give equal
+    logs.
 
     Returns:
         The number of samples written.
 
     Raises:
-        ConfigError: the SIGNALS.yaml does not fit.
-        LogError: the data do not: file, row, column, what was expected and found; or `out_path`
-            exists.
+        ConfigError: the SIGNALS.yaml is invalid.
+        LogError: the data do not fit it (file, row, column, what was expected and found), or
+            `out_path` exists.
     """
     data_path, signals_path = Path(data_path), Path(signals_path)
     signals = load_yaml(signals_path, SignalsFile)
@@ -71,7 +71,7 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> int:
         "source": data_path.name,
         "source_sha256": sha256,
     }
-    # One that was interrupted would open as a whole log with fewer rows.
+    # An interrupted import must not leave a log that opens as whole with fewer rows.
     part = out_path.with_name(f"{out_path.name}.part")
     with (
         _in_its_place(out_path, part),
@@ -93,20 +93,20 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> int:
 
 @contextmanager
 def _in_its_place(path: Path, part: Path) -> Iterator[None]:
-    """Have a log written as `part`, which gets its name when it is whole, or goes.
+    """Rename `part` to `path` when it is complete; delete it after an error.
 
-    Raises LogError where there is one of that name.
+    Raises LogError if `path` exists.
     """
     if path.exists():
         raise LogError(f"{path}: exists; a log is never written over another")
     try:
-        part.unlink(missing_ok=True)  # of one that was killed
+        part.unlink(missing_ok=True)  # left by an import that was killed
         yield
         try:
-            path.hardlink_to(part)  # unlike a renaming, this takes nobody's place
+            path.hardlink_to(part)  # unlike a rename, it replaces no file
         except FileExistsError:
             raise LogError(f"{path}: exists; a log is never written over another") from None
-        except OSError:  # a file system without such links
+        except OSError:  # a file system without hard links
             part.rename(path)
     finally:
         part.unlink(missing_ok=True)
@@ -115,25 +115,25 @@ def _in_its_place(path: Path, part: Path) -> Iterator[None]:
 def _scaled(
     where: str, raw: NDArray[np.float64], scale: float, offset: float, signals: SignalsFile
 ) -> NDArray[np.float64]:
-    """Return a column in its unit; LogError where that is more than a number holds."""
+    """Return a column in its unit; raise LogError if a value overflows."""
     with np.errstate(over="ignore"):
         values = scale * raw + offset
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         raise LogError(
-            f"{where}: row {signals.rows.first + bad[0]}: expected a number that scale {scale:g} "
-            f"leaves finite, found {raw[bad[0]]:g}"
+            f"{where}: row {signals.rows.first + bad[0]}: expected a number that stays finite "
+            f"with scale {scale:g}, found {raw[bad[0]]:g}"
         )
     return values
 
 
 def _raw_columns(path: Path, signals: SignalsFile) -> list[NDArray[np.float64]]:
-    """Return the columns as they are in the file, all of one length, finite."""
+    """Return the columns in the units of the file, all of one length, finite."""
     kind = signals.format or _FORMATS.get(path.suffix.lower())
     if kind is None:
         raise LogError(
             f"{path}: expected one of {', '.join(_FORMATS)}; "
-            "for another ending say format: csv, text, npz or mat in the signals file"
+            "for another suffix set format: csv, text, npz or mat in the signals file"
         )
     if not path.is_file():
         raise LogError(f"{path}: expected a file, found {'a folder' if path.exists() else 'none'}")

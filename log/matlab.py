@@ -1,4 +1,4 @@
-"""Columns out of a MAT file, read in a process of its own: damage can crash scipy's reader."""
+"""Read columns from a MAT file in a child process, because damage can crash scipy's reader."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .signals_file import SignalsFile
 from .tables import Columns, load_mat, read_variables
 
 _REFUSED = 3
-"""Exit code of the process for a file that does not fit; what is wrong then stands on stdout."""
+"""Exit code of the child process for a file that does not fit; stdout holds the error."""
 
 
 def read_mat(path: Path, signals: SignalsFile) -> Columns:
     """Return the columns of a MAT file up to version 7, each (n,), finite.
 
     Raises:
-        LogError: it is no such file, is damaged, or does not hold what `signals` names.
+        LogError: not a MAT file, a damaged one, or one without the columns that `signals` names.
     """
     child = subprocess.run(
         [sys.executable, "-P", "-m", __name__, str(path)],
@@ -35,10 +35,10 @@ def read_mat(path: Path, signals: SignalsFile) -> Columns:
         raise LogError(child.stdout.decode())
     if child.returncode != 0:
         raise LogError(
-            f"{path}: not a usable MAT file: its reader {_end(child.returncode)}, as only damaged "
-            "files make it"
+            f"{path}: not a usable MAT file: its reader {_end(child.returncode)}, which only a "
+            "damaged file causes"
         )
-    # Numbers alone come back: nothing that a file could have made of the process is believed.
+    # Only numbers are accepted: a hostile file may have taken over the child process.
     return list(np.load(io.BytesIO(child.stdout), allow_pickle=False))
 
 
@@ -52,7 +52,7 @@ def _end(code: int) -> str:
 
 
 def _read(path: Path) -> int:
-    """Write the columns that stdin's signals name to stdout as one array; return the exit code."""
+    """Write the columns to stdout as one array (stdin: the SignalsFile); return the exit code."""
     signals = SignalsFile.model_validate_json(sys.stdin.buffer.read())
     try:
         columns = read_variables(path, signals, load_mat(path))

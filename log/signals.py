@@ -1,4 +1,4 @@
-"""The signals of a cycle in one table, from which dtype, ros2msg schema and docs follow."""
+"""Define the signals of a cycle in one table that gives dtype, ros2msg schema and docs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Shape = Literal["scalar", "coil", "sensor"]
 
 @dataclass(frozen=True)
 class Signal:
-    """One field of the cycle record: one value a cycle, or one for each coil or sensor."""
+    """One field of the cycle record: one value per cycle, or one per coil or sensor."""
 
     name: str
     unit: str
@@ -27,9 +27,9 @@ class Signal:
 
 
 class Stale(IntFlag):
-    """Bits of the field `stale`: whose values in the row are those of an earlier cycle.
+    """Bits of the field `stale`: the devices whose values were repeated from an earlier cycle.
 
-    SETPOINTS: not the reading, but the force is: the amplifiers say that no setpoints came for it.
+    SETPOINTS: the amplifiers report that no setpoints arrived, so the force is an earlier cycle's.
     """
 
     SENSORS = 1
@@ -38,8 +38,8 @@ class Stale(IntFlag):
     SETPOINTS = 8
 
 
-# Fields of 8 bytes first, then 4, then 1: CDR then needs no padding anywhere, whatever the number
-# of coils and sensors, and the packed little-endian numpy record is the message's payload.
+# Fields of 8 bytes first, then 4, then 1: CDR then needs no padding for any number of coils and
+# sensors, and the packed little-endian numpy record is the message's payload.
 SIGNALS: tuple[Signal, ...] = (
     Signal("cycle", "1", "uint64", "scalar", "number of the cycle, skipped periods counted"),
     Signal("time_s", "s", "float64", "scalar", "time, runs on through the files of a session"),
@@ -96,7 +96,7 @@ _NUMPY_TYPES = {
     "float32": "f4",
     "float64": "f8",
 }
-# byte and char are other names of uint8; a type writes itself as the name listed last.
+# byte and char are other names of uint8; the name listed last is the one written.
 _ROS_TYPES = {code: name for name, code in _NUMPY_TYPES.items()}
 
 _NAME = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
@@ -117,14 +117,14 @@ def cycle_dtype(n_coils: int, n_sensors: int) -> np.dtype[np.void]:
 
 
 def ros2msg(dtype: np.dtype[np.void], units: Mapping[str, str] | None = None) -> str:
-    """Return the ros2msg definition of a record; one line a field, with `# [unit] meaning`.
+    """Return the ros2msg definition of a record, one line per field: `type name  # [unit] meaning`.
 
-    Known signals take unit and meaning from SIGNALS; `units` gives those of a log of others. The
-    unit in brackets is the convention of ROS 2's own message files.
+    SIGNALS gives unit and meaning of known fields, `units` the unit of others. ROS 2's own message
+    files write units in brackets as well.
 
     Raises:
-        LogError: a field has a name, type or shape that a ros2msg cannot hold, or its place is not
-            where CDR puts it.
+        LogError: ros2msg has no such name, type or shape of a field, or CDR places the field
+            elsewhere.
     """
     known = {s.name: f"[{s.unit}] {s.description}" for s in SIGNALS}
     known |= {name: f"[{unit}]" for name, unit in (units or {}).items()}
@@ -153,20 +153,20 @@ def ros2msg(dtype: np.dtype[np.void], units: Mapping[str, str] | None = None) ->
 
 
 def dtype_from_ros2msg(text: str) -> np.dtype[np.void]:
-    """Return the little-endian dtype, CDR padding included, of a definition of fixed-size fields.
+    """Return the little-endian dtype of a ros2msg definition, CDR padding included.
 
-    CDR puts a value at the next multiple of its own size, counted from the end of its 4-byte
-    header; an array of fixed length has no prefix and the alignment of its elements.
+    CDR places a value at the next multiple of its own size, counted from the end of the 4-byte
+    header. An array of fixed length has no length prefix and is aligned as its elements are.
 
     Raises:
-        LogError: a field is nested, of variable size, or not understood; it is named.
+        LogError: a field is nested, of variable size, or not valid ros2msg; names the field.
     """
-    names: dict[str, None] = {}  # in order, and quick to ask
+    names: dict[str, None] = {}  # an ordered set
     formats, offsets, end = [], [], 0
     for line in _definition_lines(text):
         name, kind, length = _field_of(line)
         if name in names:
-            raise LogError(f"schema: field '{name}' stands twice")
+            raise LogError(f"schema: expected distinct field names, found '{name}' twice")
         size = np.dtype(kind).itemsize
         offset = -(-end // size) * size
         end = offset + size * (length or 1)
@@ -208,7 +208,7 @@ def _definition_lines(text: str) -> Iterator[str]:
         if raw.startswith("==="):  # definitions of nested types follow
             return
         line = raw.partition("#")[0].strip()
-        # A constant (`uint8 FAULT=1`) has an '=' after its type; a bound (`string<=10`) in it.
+        # A constant (`uint8 FAULT=1`) has '=' after its type, a bound (`string<=10`) within it.
         if line and "=" not in "".join(line.split(None, 1)[1:]):
             yield line
 

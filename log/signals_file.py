@@ -1,4 +1,4 @@
-"""SIGNALS.yaml in types: what the columns of somebody else's data file are."""
+"""Describe the columns of a data file to import: the schema of SIGNALS.yaml."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Index = Annotated[int, Field(ge=0)]
 
 
 class Column(Strict):
-    """One signal: where it is in the file, what it is called, its unit and its part in the model.
+    """One signal: its place in the file, name, unit and role in the model.
 
     `column` is a number, from 0, or a name: of the header in CSV and text, of a variable in NPZ and
     MAT (`struct.field` for a field of a MATLAB struct); `index` picks one column of a variable that
@@ -35,13 +35,13 @@ class Column(Strict):
 
     @property
     def label(self) -> str:
-        """What to call the column in an error."""
+        """The column's name in error messages."""
         index = "" if self.index is None else f", index {self.index}"
         return f"column {self.column!r}{index}"
 
 
 class RowRange(Strict):
-    """The samples to be taken, both included; counted from 0, a header not counted."""
+    """Range of samples to import, first and last included; row 0 follows the header."""
 
     first: Index = 0
     last: Index | None = None
@@ -54,15 +54,15 @@ class RowRange(Strict):
 
     @property
     def end(self) -> int | None:
-        """One past the last row, None for 'to the end'."""
+        """The row after the last, None for the end of the file."""
         return None if self.last is None else self.last + 1
 
 
 class SignalsFile(Strict):
     """SIGNALS.yaml.
 
-    `format` follows the file's ending unless given. `input_hold` is what the inputs do between
-    samples. `samples` says along what a matrix of an NPZ or MAT file holds its samples.
+    The file's suffix gives `format` if it is not set. `input_hold`: how the inputs behave between
+    samples. `samples`: whether rows or columns of a matrix (NPZ, MAT) are samples.
     """
 
     levid: Literal["signals"]

@@ -1,4 +1,4 @@
-"""Columns of numbers out of CSV, text, NPZ and MAT files, as a SIGNALS.yaml names them."""
+"""Read the columns that a SIGNALS.yaml names from CSV, text, NPZ and MAT files."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Columns = list[NDArray[np.float64]]
 
 
 def read_delimited(path: Path, signals: SignalsFile, *, whitespace: bool) -> Columns:
-    """Return the columns of a text file, each (n,), finite: cells between commas or white space.
+    """Return the columns of a text file, each (n,), finite; separated by commas or white space.
 
-    CSV may use semicolons or tabs instead. A first row that is not all numbers is a header; a comma
-    at the end of the rows is no column; lines of text that start with # or % are comments.
+    CSV may use semicolons or tabs instead. A first row that is not all numbers is a header. A comma
+    at the end of each row adds no column. Text lines that start with # or % are comments.
 
     Raises:
-        LogError: a cell or row that does not fit, with its line in the file.
+        LogError: a cell or row does not fit; names its line in the file.
     """
     for column in signals.columns:
         if column.index is not None:
@@ -42,7 +42,7 @@ def read_delimited(path: Path, signals: SignalsFile, *, whitespace: bool) -> Col
 
 
 def read_variables(path: Path, signals: SignalsFile, variables: Mapping[str, Any]) -> Columns:
-    """Return the columns out of named arrays, each (n,), finite.
+    """Return columns from named arrays, each (n,), finite.
 
     Raises:
         LogError: a variable is missing, of the wrong shape or type, too short or not finite.
@@ -74,9 +74,9 @@ def read_variables(path: Path, signals: SignalsFile, variables: Mapping[str, Any
 
 
 def load_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an NPZ file by name; LogError if it is none.
+    """Return the arrays of an NPZ file by name; raise LogError if it is not an NPZ file.
 
-    Arrays of Python objects come without what is in them: to read it would run what a file says.
+    Arrays of Python objects come without their content: unpickling would run code from the file.
     """
     try:
         loaded = np.load(path, allow_pickle=False)
@@ -94,14 +94,14 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
         return found
     except LogError:
         raise
-    except Exception as error:  # noqa: BLE001 - zipfile, zlib and numpy each have their own
+    except Exception as error:  # noqa: BLE001 - zipfile, zlib and numpy raise different errors
         raise LogError(f"{path}: not a usable NPZ file: {error}") from None
 
 
 def load_mat(path: Path) -> dict[str, Any]:
-    """Return the variables of a MAT file by name, structs as dicts; LogError if it is none.
+    """Return the variables of a MAT file by name, structs as dicts; raise LogError if damaged.
 
-    Some damaged files crash scipy's reader, and Python with it: see matlab.read_mat.
+    Some damaged files crash scipy's reader and this process: matlab.read_mat uses a child process.
     """
     try:
         loaded = scipy.io.loadmat(path, simplify_cells=True)
@@ -110,7 +110,7 @@ def load_mat(path: Path) -> dict[str, Any]:
             f"{path}: expected a MAT file up to version 7, found 7.3 (HDF5); "
             "in MATLAB, load it and save it again with save(..., '-v7')"
         ) from None
-    except Exception as error:  # noqa: BLE001 - scipy lets through whatever damage leads to
+    except Exception as error:  # noqa: BLE001 - damage makes scipy raise almost anything
         raise LogError(f"{path}: not a usable MAT file: {error}") from None
     return {name: value for name, value in loaded.items() if not name.startswith("__")}
 
@@ -119,7 +119,7 @@ def _csv_lines(file: TextIO) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells of each row that is not blank."""
     first = file.readline()
     file.seek(0)
-    # Where there are semicolons or tabs, commas are decimal ones: as numbers they are refused.
+    # With semicolons or tabs, a comma is a decimal comma, and the number is rejected.
     separators = [s for s in (";", "\t", ",") if s in first]
     separator = separators[0] if separators else ","
     reader = csv.reader(file, delimiter=separator, skipinitialspace=True, strict=True)
@@ -163,7 +163,7 @@ def _read_lines(
 
 
 def _place(path: Path, column: Column, head: list[str], is_header: bool) -> int:
-    """Return which cell of a row the column is."""
+    """Return the index of the column's cell in a row."""
     if isinstance(column.column, int):
         if column.column >= len(head):
             raise LogError(f"{path}: {column.label}: expected 0 to {len(head) - 1}")
@@ -173,7 +173,7 @@ def _place(path: Path, column: Column, head: list[str], is_header: bool) -> int:
     if head.count(column.column) != 1:
         times = "twice" if column.column in head else "nowhere"
         raise LogError(
-            f"{path}: {column.label} stands {times} in the header"
+            f"{path}: {column.label}: expected once in the header, found {times}"
             f"{_close(column.column, [name for name in head if name])}"
         )
     return head.index(column.column)
@@ -212,7 +212,7 @@ def _check_length(path: Path, rows: RowRange, count: int) -> None:
 
 
 def _variable(where: str, column: Column, variables: Mapping[str, Any]) -> object:
-    """Return the variable of that name, or the field of a struct: `name.field`."""
+    """Return a variable, or a field of a struct: `name.field`."""
     if isinstance(column.column, int):
         raise LogError(f"{where}: expected a variable's name; there is {', '.join(variables)}")
     if column.column in variables:
@@ -229,7 +229,7 @@ def _variable(where: str, column: Column, variables: Mapping[str, Any]) -> objec
 def _vector(
     where: str, values: NDArray[np.float64], index: int | None, samples: str
 ) -> NDArray[np.float64]:
-    """Return one signal, (n,), of a vector or of a matrix and the index in it."""
+    """Return one signal, (n,), from a vector, or from a matrix by index."""
     if index is None and values.ndim and values.size == max(values.shape):
         return values.ravel()
     if values.ndim != 2 or index is None:

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from ...config.rig import RigConfig
-from ...log.container import scan
 from ...log.errors import LogError
+from ...log.mcap_scan import scan
 from ...log.writer import BEGINNING
 from ..control.faults import Fault
 from ..host.fsync_worker import Syncer
@@ -244,7 +244,7 @@ def _is_empty_log(data: bytes) -> bool:
     if data[: len(BEGINNING)] != BEGINNING[: len(data)]:
         return False
     with contextlib.suppress(LogError):  # not all of its head got into the file
-        return not scan(memoryview(data)).segments
+        return not scan(memoryview(data)).chunks
     return True
 
 

@@ -139,8 +139,12 @@ def test_arrays_by_name(tmp_path, name, data, columns):
         ("1,2\n3,four\n", BY_NUMBER, "line 2, column 1: expected a number, found 'four'"),
         ("1,2\n3,nan\n", BY_NUMBER, "line 2, column 1: expected a finite number, found nan"),
         ("1,2\n3,4\n", BY_NAME, "column 'V1': the file has no header"),
-        ("V1,W2\n3,4\n", BY_NAME, "column 'V2' stands nowhere in the header; there is V1, W2"),
-        ("V1,V2,V2\n3,4,5\n", BY_NAME, "column 'V2' stands twice in the header"),
+        (
+            "V1,W2\n3,4\n",
+            BY_NAME,
+            "column 'V2': expected once in the header, found nowhere; there is V1, W2",
+        ),
+        ("V1,V2,V2\n3,4,5\n", BY_NAME, "column 'V2': expected once in the header, found twice"),
         ("1\n2\n", BY_NUMBER, "column 1: expected 0 to 0"),
         ("", BY_NUMBER, "expected rows of numbers, found none"),
         ("V1,V2\n", BY_NAME, "expected rows 0 on, found 0 rows"),
@@ -155,7 +159,7 @@ def test_arrays_by_name(tmp_path, name, data, columns):
         (
             "1,2\n3e300,4\n",
             BY_NUMBER.replace("0,", "0, scale: 1e300,"),
-            "row 1: expected a number that scale 1e+300 leaves finite, found 3e+300",
+            "row 1: expected a number that stays finite with scale 1e+300, found 3e+300",
         ),
     ],
 )

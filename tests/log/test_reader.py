@@ -10,13 +10,13 @@ import tracemalloc
 import lz4.frame
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from levid.log import container, reader
-from levid.log.container import scan
+from levid.log import mcap_scan, reader
 from levid.log.errors import LogError
-from levid.log.mcap_format import RECORD_HEAD, Op
+from levid.log.mcap_scan import RECORD_HEAD, scan
 from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype, dtype_from_ros2msg, ros2msg
 from levid.log.writer import LogWriter
@@ -61,7 +61,7 @@ def chunks_of(data):
     while at < len(data) - 8:
         opcode, length = RECORD_HEAD.unpack_from(data, at)
         end = at + RECORD_HEAD.size + length
-        if opcode == Op.CHUNK:
+        if opcode == Opcode.CHUNK:
             chunks.append((at, end))
         at = end
     return chunks
@@ -174,7 +174,7 @@ def test_a_corrupt_length_asks_for_no_memory(path, rows, tmp_path, length, which
 
 def test_a_log_larger_than_the_memory_is_refused_before_it_is_unpacked(path, rows, monkeypatch):
     """However little of a disk it takes: zstd packs zeros to nothing."""
-    claimed = sum(segment.size for segment in scan(memoryview(path.read_bytes())).segments)
+    claimed = sum(c.uncompressed_size for c in scan(memoryview(path.read_bytes())).chunks.values())
     monkeypatch.setattr(reader, "memory_bytes", lambda: claimed)
     assert read_log(path).rows.tobytes() == rows.tobytes()
     monkeypatch.setattr(reader, "memory_bytes", lambda: claimed - 1)
@@ -184,13 +184,33 @@ def test_a_log_larger_than_the_memory_is_refused_before_it_is_unpacked(path, row
     assert reader.memory_bytes() > 2**28
 
 
-@pytest.mark.parametrize("opcode", [Op.MESSAGE_INDEX, Op.SUMMARY_OFFSET, 0x86])
+@pytest.mark.parametrize("opcode", [Opcode.MESSAGE_INDEX, Opcode.SUMMARY_OFFSET, 0x86])
 def test_a_chunk_made_to_look_like_something_else_leaves_no_hole(path, rows, tmp_path, opcode):
     data = path.read_bytes()
     start, _ = chunks_of(data)[2]
     log = read_bytes(tmp_path, data[:start] + bytes([opcode]) + data[start + 1 :])
     assert not log.complete
     assert log.rows.tobytes() == rows[:100].tobytes()
+
+
+def test_a_chunk_whose_length_covers_the_next_one_leaves_no_hole(path, rows, tmp_path):
+    data = path.read_bytes()
+    (start, _), (_, end), (_, after) = chunks_of(data)[2:5]
+    swallowed = data[: start + 1] + struct.pack("<Q", end - start - RECORD_HEAD.size)
+    # Cut off before the index, which would detect the missing chunk.
+    log = read_bytes(tmp_path, swallowed + data[start + RECORD_HEAD.size : after])
+    assert not log.complete
+    assert log.rows.tobytes() == rows[:100].tobytes()
+
+
+def test_a_message_shorter_than_its_head_ends_the_rows_before_it(rows, tmp_path):
+    data = mcap_bytes(lambda w: fill(w, rows), use_chunking=False)
+    size = RECORD_HEAD.size + 22 + 4 + DTYPE.itemsize
+    at = data.index(rows[200].tobytes()) + DTYPE.itemsize - size
+    log = read_bytes(tmp_path, data[: at + 1] + struct.pack("<Q", 13) + data[at + 9 :])
+    assert not log.complete
+    assert f"byte {at}: expected a message" in log.problem
+    assert log.rows.tobytes() == rows[:200].tobytes()
 
 
 def mcap_bytes(build, **options):
@@ -245,7 +265,7 @@ def test_damage_between_messages_outside_of_chunks_is_told_by_the_crc_of_all_dat
     at = data.index(rows[200].tobytes()) + 50
     log = read_bytes(tmp_path, data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
     assert not log.complete
-    assert "data section: expected CRC" in log.problem
+    assert "data section: damaged: expected CRC" in log.problem
 
 
 def test_a_foreign_log_cut_off_opens_to_its_last_whole_chunk(rows, tmp_path):
@@ -416,9 +436,9 @@ def test_statistics_that_count_no_messages_say_nothing(rows, tmp_path):
 
 def test_messages_outside_of_chunks_are_read_in_runs(rows, tmp_path, monkeypatch):
     data = mcap_bytes(lambda w: fill(w, rows), use_chunking=False)
-    monkeypatch.setattr(container, "_RUN_BYTES", 3000)
-    monkeypatch.setattr(container, "MAX_CHUNK_BYTES", 10_000)
-    assert len(scan(memoryview(data)).segments) > 10
+    monkeypatch.setattr(mcap_scan, "_RUN_BYTES", 3000)
+    monkeypatch.setattr(mcap_scan, "MAX_CHUNK_BYTES", 10_000)
+    assert len(scan(memoryview(data)).chunks) > 10
     log = read_bytes(tmp_path, data)
     assert log.complete
     assert log.rows.tobytes() == rows.tobytes()

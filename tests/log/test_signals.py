@@ -110,7 +110,7 @@ string never_looked_at
         ("string name", "'name'.*no fixed size"),
         ("string<=10 name", "'name'.*no fixed size"),
         ("std_msgs/Header header", "'header'.*nested.*std_msgs/Header"),
-        ("float64 x\nfloat64 x", "'x' stands twice"),
+        ("float64 x\nfloat64 x", "found 'x' twice"),
         ("float64[0] x", "'x'"),
         ("float64[99999999] x", "'x'.*grows beyond"),
         ("float64[999999999999] x", "'x'"),

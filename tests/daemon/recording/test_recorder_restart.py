@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.records import Header
+from mcap.writer import MCAP0_MAGIC
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
@@ -19,10 +21,9 @@ from levid.daemon.ipc.row_ring import HUNG_S, Ring
 from levid.daemon.ipc.shared_memory import Shared
 from levid.daemon.recording.log_router import BLOCK, Event, LogFile, Scribe
 from levid.daemon.recording.recorder_process import RecorderProcess, without_empty_part
-from levid.log.mcap_format import MAGIC, Op, record, string
 from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype
-from levid.log.writer import LogWriter
+from levid.log.writer import LogWriter, record_bytes
 
 METADATA = {"kind": "record", "name": "z"}
 
@@ -58,8 +59,8 @@ def test_part_with_rows_stays(tmp_path: Path) -> None:
     [
         b"notes of an operator",
         # Another's log that has no rows, or was cut off.
-        MAGIC + record(Op.HEADER, string(""), string("libmcap 1.0")),
-        MAGIC + record(Op.HEADER, string(""), string("libmcap 1.0"))[:12],
+        MCAP0_MAGIC + record_bytes(Header("", "libmcap 1.0")),
+        MCAP0_MAGIC + record_bytes(Header("", "libmcap 1.0"))[:12],
     ],
 )
 def test_what_somebody_else_has_put_there_stays(tmp_path: Path, data: bytes) -> None:

@@ -1,14 +1,14 @@
-"""A session on the nominal rig, flown for a benchmark in virtual time."""
+"""Fly a session on the nominal rig in virtual time."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import yaml
 
 from levid.config.base import parse, read_mapping
-from levid.config.rig import load_rig
+from levid.config.rig import RigConfig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
@@ -24,18 +24,24 @@ def truth() -> SimConfig:
 
 
 def fly_session(
-    session: Mapping[str, object], out: Path, effects: Sequence[Mapping[str, object]] = ()
+    session: Mapping[str, object],
+    out: Path,
+    effects: Sequence[Mapping[str, object]] = (),
+    without_limits: Collection[str] = (),
 ) -> tuple[Path, ...]:
     """Fly a session, its seed the plant's too; return the records' logs.
 
-    `effects` as in a SIM.yaml. The logs go into `out`, and nothing else does.
+    `effects` as in a SIM.yaml; `without_limits`: keys of the rig's `limits` to omit. `out` then
+    contains the logs only.
     """
     out.mkdir(parents=True, exist_ok=True)
     sim_file = out / "sim.yaml"
     plant = {**read_mapping(SIM), "seed": session["seed"], "effects": [dict(e) for e in effects]}
     sim_file.write_text(yaml.safe_dump(plant))
+    rig = read_mapping(RIG)
+    rig["limits"] = {k: v for k, v in rig["limits"].items() if k not in without_limits}
     flown = fly_virtually(
-        load_rig(RIG).model_copy(update={"sim": str(sim_file)}),
+        parse(rig, RigConfig, str(RIG)).model_copy(update={"sim": str(sim_file)}),
         RIG,
         parse(dict(session), SessionConfig, f"session '{session['name']}'"),
         yaml.safe_dump(dict(session)).encode(),

@@ -1,14 +1,14 @@
-"""Ways to the plant P from the same flight: levid's, and those of other packages.
+"""Methods to identify the plant P from one flight: levid's, and those of other packages.
 
-Every contender takes a flight at one beam position (each record excites one input, the loop closed
-by a known controller; together they are unbroken) and returns P at given frequencies. Multisines
-are an excitation of their own: a flight of the same length, at the same position.
+Each contender gets a flight at one beam position (each record excites one input, the loop closed by
+a known controller) and returns P at given frequencies. Multisines are a flight of their own, of the
+same length at the same position.
 
-A peer has the settings and the preparation of its data that served it best on three flights; what
-was tried stands beside them. Those that identify the loop G from v to y go on by (14) with the
-controller, exactly and point by point; where they get fewer samples, v and y pass the same filter
-first, which leaves G as it is. Those that stand feedback identify the core Q from u to y, the known
-delay and lag put before their data as levid does it.
+A peer has the settings and data preparation that served it best on three flights; comments list
+what was tried. Methods that identify the loop G from v to y continue by (14) with the controller,
+exactly and point by point; if they get fewer samples, v and y pass the same filter first, which
+leaves G unchanged. Methods that tolerate feedback identify the core Q from u to y, behind the known
+delay and lag, as levid does.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 from scipy.io import loadmat, savemat
 
+from levid.benchmarks.identification.known_plant import LAG_S, Array, Complex
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment import Experiment
 from levid.identification.greybox.identify_greybox import identify_grey_box
@@ -48,20 +48,13 @@ from levid.identification.subspace.pbsid import plant_by_subspace
 from levid.identification.subspace.plant_from_loop import IdentifiedPlant, plant_from_loop
 from levid.model.second_order import StateSpace
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-LAG_S = 0.3e-3  # of the current loops, as config/models/rig.yaml declares it
 ORDER = 12
 """States of the peers' G: nine, and three for the part of a sample in the delay (9 to 18 tried)."""
 
 
 @dataclass(frozen=True)
 class Declared:
-    """The logs of `records` as the grey-box fit takes them, and the declared model it starts from.
-
-    The model is off: what is fitted must come from the logs.
-    """
+    """The logs of `records` as the grey-box fit takes them, and the model it starts from."""
 
     experiments: tuple[Experiment, ...]
     model: ModelConfig
@@ -79,9 +72,9 @@ class Flight:
 
 @dataclass(frozen=True)
 class Contender:
-    """One way to P: `identify` returns P (F, 3, 3) at freq_hz (F,) from its part of a flight.
+    """One method: `identify` returns P (F, 3, 3) at freq_hz (F,) from a part of a flight, `takes`.
 
-    Which part, `takes` says; of multisines, freq_hz are the excited lines.
+    For multisines, freq_hz are the excited lines.
     """
 
     key: str
@@ -93,10 +86,6 @@ class Contender:
     @property
     def is_levid(self) -> bool:
         return self.key.startswith("levid")
-
-    @property
-    def on_equal_data(self) -> bool:
-        return self.takes != "multisines"
 
 
 def levid_ho_kalman(records: Sequence[Record], freq_hz: Array) -> Complex:
@@ -121,12 +110,12 @@ def levid_sensitivity(records: Sequence[Record], freq_hz: Array) -> Complex:
 
 
 def levid_local_polynomial(records: Sequence[Record], freq_hz: Array) -> Complex:
-    """Joint input-output estimate by the local polynomial method, which has no leakage."""
+    """Joint input-output estimate by the local polynomial method, without leakage."""
     return plant_by_local_polynomial(records, freq_hz).H
 
 
 def levid_grey_box(declared: Declared, freq_hz: Array) -> Complex:
-    """Maximum-likelihood fit of the declared model, with no row kept back."""
+    """Maximum-likelihood fit of the declared model, without held-out rows."""
     grey = identify_grey_box(declared.model, declared.experiments, 0.0)
     return grey.response({"x_b": declared.beam_m}, freq_hz)
 
@@ -177,9 +166,9 @@ def nfoursid(records: Sequence[Record], freq_hz: Array) -> Complex:
     import pandas as pd
     from nfoursid.nfoursid import NFourSID
 
-    # It makes a matrix as wide and as high as there are rows: 16 GB for all three records at every
-    # 4th sample, so each record, with its one input, is identified by itself. Every 8th sample is
-    # quick and far worse (30 %); every 3rd and less do not fit into 8 GB.
+    # Its matrix is as wide and as high as there are rows: 16 GB for all three records at every 4th
+    # sample, so each record, with its one input, is identified by itself. Every 8th sample is quick
+    # and far worse (30 %); every 3rd and less do not fit into 8 GB.
     outputs, G = ["y0", "y1", "y2"], np.empty((len(freq_hz), 3, 3), complex)
     for record in records:
         j = int(np.flatnonzero(record.excited)[0])
@@ -203,8 +192,8 @@ def scipy_csd_direct(records: Sequence[Record], freq_hz: Array) -> Complex:
     for record in records:
         assert record.u is not None
         j = int(np.flatnonzero(record.excited)[0])
-        # Two inputs move along in the loop, so one record alone does not tell them apart: all
-        # three are needed, U U^H and Y U^H summed over them.
+        # In the loop all inputs move in each record: all three records are needed, U U^H and Y U^H
+        # summed over them.
         U += _cross_spectra(record.u, record.u, record.Ts_s, freq_hz) / record.v[:, j].var()
         Y += _cross_spectra(record.y, record.u, record.Ts_s, freq_hz) / record.v[:, j].var()
     return np.asarray(Y @ np.linalg.inv(U))
@@ -257,10 +246,7 @@ CONTENDERS = (
     Contender("scipy_csd_direct", "scipy: csd from u to y", scipy_csd_direct, "scipy"),
     Contender("octave_n4sid", "Octave, SLICOT: n4sid", octave_n4sid, "scipy"),
 )
-"""Whoever joins the comparison stands here; levid's own have keys that begin with `levid`.
-
-A star marks what flies an excitation of its own for the same time.
-"""
+"""Keys of levid's own begin with `levid`. A star marks an excitation of its own."""
 
 
 def _lag_pole(records: Sequence[Record]) -> float:
@@ -268,11 +254,11 @@ def _lag_pole(records: Sequence[Record]) -> float:
 
 
 def impulse_taps(records: Sequence[Record]) -> int:
-    """Return the Markov parameters of 8 s, or as many as the records allow where that is less.
+    """Return the number of Markov parameters in 8 s, or the most that the records allow.
 
     The slowest mode, of the integrators, decays in 1.15 s: after 8 s a thousandth of it is left.
     """
-    shortest = min(len(record.y) for record in records)  # what stalls left of it
+    shortest = min(len(record.y) for record in records)
     return min(round(8.0 / records[0].Ts_s), shortest // 3, most_taps(records))
 
 
@@ -283,9 +269,7 @@ def _controller(records: Sequence[Record]) -> PiController:
 
 
 def _every(record: Record, step: int) -> Record:
-    """Return v and y of every `step`-th sample behind one and the same linear-phase filter."""
-    if step == 1:
-        return record
+    """Return v and y at every `step`-th sample, both behind one linear-phase filter."""
 
     def fewer(x: Array) -> Array:
         return signal.decimate(x - x.mean(axis=0), step, ftype="fir", axis=0, zero_phase=True)
@@ -294,7 +278,7 @@ def _every(record: Record, step: int) -> Record:
 
 
 def _core_signals(records: Sequence[Record]) -> tuple[Array, Array, Scaling]:
-    """Return the whole flight in rms 1: what enters Q, the output at that time, and their units."""
+    """Return the whole flight in rms 1: Q's input, the output at that time, and their units."""
     pole, delay = _lag_pole(records), records[0].leading_zeros
     u = np.vstack([np.asarray(r.u) for r in records])
     lagged = signal.lfilter([1.0 - pole], [1.0, -pole], u - u[0], axis=0)
@@ -344,7 +328,7 @@ def _control_markov(records: Sequence[Record]) -> Array:
 def _cross_spectra(y: Array, x: Array, Ts_s: float, freq_hz: Array) -> Complex:
     """Return the cross spectra (F, m, p) of y (N, m) with x (N, p), segments of 10 s.
 
-    csd(x, y) is E conj(X) Y: what the response from x to y has as its numerator.
+    csd(x, y) is E conj(X) Y, the numerator of the response from x to y.
     """
     rows = round(10.0 / Ts_s)
     _, spectra = signal.csd(x.T[None], y.T[:, None], 1.0 / Ts_s, nperseg=rows)

@@ -1,17 +1,17 @@
-"""The grey-box fit against the simulator's truth: errors, coverage of its intervals, time.
+"""The grey-box fit against the simulator's parameters: errors, coverage of its intervals, time.
 
-The records are flown anew for every seed; the fit starts from a model file that is off by 10 % and
-sees the logs alone. The Silverbox (measured data) is judged by its simulated error where
-its files are given.
+The fit starts from a model that is 10 % off and gets the logs only. If the Silverbox data are at
+hand, its linear model is fitted to the training part and judged by the simulated test error.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import tempfile
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, as_completed
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -20,199 +20,138 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from levid.benchmarks.harness import silverbox as silverbox_data
-from levid.benchmarks.harness import table, virtual_flight
-from levid.benchmarks.harness.code_version import FLYING, code_version
+from levid.benchmarks.harness import table
 from levid.benchmarks.harness.declared_model import off_by_a_tenth
 from levid.benchmarks.harness.table import Figure
-from levid.benchmarks.harness.virtual_flight import fly_session
-from levid.config.base import load_yaml
+from levid.benchmarks.identification.known_plant import (
+    BAND_HZ,
+    diagonal_ratio,
+    fly_white_noise,
+    true_response,
+    worst,
+)
 from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
-from levid.config.sim import SimConfig
 from levid.identification.greybox.discretisation import innovations, motion
-from levid.identification.greybox.experiment import experiment_from_log
-from levid.identification.greybox.fit import Fit, fit_model
+from levid.identification.greybox.experiment import Experiment, experiment_from_log
+from levid.identification.greybox.fit import fit_model
 from levid.identification.greybox.identify_greybox import identify_grey_box
 from levid.identification.greybox.prediction_errors import settled
 from levid.identification.records.record import IdentificationError
 from levid.log.reader import read_log
-from levid.sim.true_response import frequency_response
 
-KEPT = Path(__file__).resolve().parents[2] / "build" / "greybox"
-# Lag and delay move the response almost alike: what a record can tell of either is in its standard
-# error, some 0.4 % of the lag after nine minutes, and no estimator does better.
+BEAMS_M = (-0.1, 0.0, 0.1)
+# Lag and delay change the response almost alike: the standard error of the lag is 0.4 % after nine
+# minutes, and no estimator does better.
 HARD = ("lag", "delay")
 
 
-def measure(quick: bool) -> list[Figure]:
-    figures = accuracy(20.0 if quick else 60.0)
-    figures += coverage(4 if quick else 100, 8.0)
-    return figures + silverbox()
+def measure(quick: bool) -> Iterator[Figure]:
+    yield from accuracy(20.0 if quick else 60.0)
+    yield from coverage(4 if quick else 100, 8.0)
+    yield from silverbox()
 
 
-def accuracy(duration_s: float) -> list[Figure]:
-    """Nine records and a moving beam: every parameter against the truth."""
+def accuracy(duration_s: float) -> Iterator[Figure]:
+    """Fit nine records and a moving beam; yield the errors of all parameters."""
     truth, start = load_model(shipped("models/rig.yaml")), off_by_a_tenth(1)
-    with tempfile.TemporaryDirectory() as folder:
-        logs = fly(Path(folder) / "logs", duration_s, 30.0, seed=1, rate_hz=1000.0)
-        experiments = [experiment_from_log(read_log(path), start) for path in logs]
+    experiments = flown(start, duration_s, 30.0, seed=1)
     begin = perf_counter()
     grey = identify_grey_box(start, experiments, 0.0)
     seconds = perf_counter() - begin
     still = fit_model(start, [e for e in experiments if not e.moving])
-    in_se, relative = {}, {}
-    for name in grey.fit.free:
-        error = grey.fit.values[name] - truth.parameters[name].value
-        in_se[name] = abs(error) / grey.fit.standard_errors[name]
-        relative[name] = abs(error) / size_of(name, truth)
-    dB, degrees = response_error(grey)
-    said = "z_b" in {lost.name for lost in still.unidentifiable}
-    return [
-        Figure(
-            "records", len(experiments), "", f"records of {duration_s:g} s, one more of a sweep"
-        ),
-        Figure("fit_s", seconds, "s", "fit of all parameters to all records"),
-        Figure("worst_in_se", max(in_se.values()), "SE", "worst error of a parameter"),
-        Figure(
-            "worst_percent",
-            100 * max(v for k, v in relative.items() if k not in HARD),
-            "%",
-            "worst error but of lag and delay (couplings: of the diagonal)",
-        ),
-        Figure("lag_percent", 100 * relative["lag"], "%", "error of the lag"),
-        Figure(
-            "lag_se_percent",
-            100 * grey.fit.standard_errors["lag"] / truth.parameters["lag"].value,
-            "%",
-            "standard error of the lag",
-        ),
-        Figure("response_db", dB, "dB", "worst on the diagonal of P, 1 to 64 Hz"),
-        Figure("response_deg", degrees, "deg", "worst on the diagonal of P, 1 to 64 Hz"),
-        Figure(
-            "z_b_said_singular", float(said), "", "z_b is said to be lost without a moving beam"
-        ),
-    ]
+    errors = {n: abs(grey.fit.values[n] - truth.parameters[n].value) for n in grey.fit.free}
+    relative = {name: error / size_of(name, truth) for name, error in errors.items()}
+    in_se = max(error / grey.fit.standard_errors[name] for name, error in errors.items())
+    rest = max(error for name, error in relative.items() if name not in HARD)
+    lag_se = grey.fit.standard_errors["lag"] / truth.parameters["lag"].value
+    freq_hz = np.geomspace(*BAND_HZ, 100)
+    dB, degrees = worst(
+        [
+            diagonal_ratio(grey.response({"x_b": x}, freq_hz), true_response(x, freq_hz, 1000.0))
+            for x in BEAMS_M
+        ]
+    )
+    reported = "z_b" in {lost.name for lost in still.unidentifiable}
+    label = f"records of {duration_s:g} s, the last of a beam sweep"
+    yield Figure("records", len(experiments), "", label)
+    yield Figure("fit_s", seconds, "s", "fit of all parameters to all records")
+    yield Figure("worst_in_se", in_se, "SE", "largest parameter error")
+    label = "largest parameter error except lag and delay (couplings: of the diagonal)"
+    yield Figure("worst_percent", 100 * rest, "%", label)
+    yield Figure("lag_percent", 100 * relative["lag"], "%", "error of the lag")
+    yield Figure("lag_se_percent", 100 * lag_se, "%", "standard error of the lag")
+    yield Figure("response_db", dB, "dB", "largest error of P's diagonal, 1 to 64 Hz")
+    yield Figure("response_deg", degrees, "deg", "phase")
+    label = "without a moving beam, z_b is reported as unidentifiable"
+    yield Figure("z_b_unidentifiable", float(reported), "", label)
 
 
-def coverage(seeds: int, duration_s: float) -> list[Figure]:
-    """How often 95 % intervals hold the truth, all parameters together; how wide errors spread.
+def coverage(seeds: int, duration_s: float) -> Iterator[Figure]:
+    """Yield how often 95 % intervals contain the truth, all parameters, and the rms error.
 
-    Seeds are kept as they come, so that a run that was stopped carries on; results of other code
-    do not count. A fit that fails gives no interval that holds anything.
+    A flight or fit that fails is a miss of all its parameters.
     """
-    kept = KEPT / f"coverage-{duration_s:g}s-{version()}.jsonl"
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    known: dict[int, list[float]] = {}
-    if kept.exists():
-        known = {r["seed"]: r["z"] for r in map(json.loads, kept.read_text().splitlines())}
-    missing = [seed for seed in range(100, 100 + seeds) if seed not in known]
-    with (
-        ProcessPoolExecutor(mp_context=get_context("forkserver")) as pool,
-        kept.open("a") as out,
-    ):
-        futures = {pool.submit(errors_in_se, seed, duration_s): seed for seed in missing}
-        for done in as_completed(futures):
-            known[futures[done]] = z = _errors(futures[done], done)
-            out.write(json.dumps({"seed": futures[done], "z": z}) + "\n")
-            out.flush()
-    flights = [known[seed] for seed in range(100, 100 + seeds)]
-    failed = sum(not z for z in flights)
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        task = partial(errors_in_se, duration_s=duration_s)
+        flights = list(pool.map(task, range(100, 100 + seeds)))
     z = [value for flight in flights for value in flight]
-    of = seeds * max(map(len, flights))  # no parameter of a failed fit is in its interval
-    inside = float(np.sum(np.abs(z) < 1.96)) / max(of, 1)
-    spread = float(np.sqrt(np.mean(np.square(z)))) if z else math.nan
-    return [
-        Figure("coverage_seeds", seeds, "", f"flights of nine records of {duration_s:g} s"),
-        Figure("coverage_percent", 100 * inside, "%", "of 95 % intervals hold the truth"),
-        Figure("coverage_failed", failed, "", "of them could not be flown or fitted: a miss each"),
-        Figure("spread", spread, "SE", "rms error (1: the bound) of the others"),
-    ]
-
-
-def _errors(seed: int, done: Future[list[float]]) -> list[float]:
-    """Return the errors of a seed, none where it failed; raises where this machine did."""
-    error = done.exception()
-    if error is None:
-        return done.result()
-    machine = isinstance(error, BrokenExecutor | OSError | MemoryError)
-    if machine or not isinstance(error, Exception):
-        raise error
-    print(f"seed {seed}: {type(error).__name__}: {error}", file=sys.stderr)
-    return []
-
-
-def version() -> str:
-    """Return a digest of what decides an error: flights, the way from a log to a fit, the model."""
-    fitting = ("identification/greybox/identify_greybox.py", "identification/greybox/experiment.py")
-    here = (Path(__file__), Path(virtual_flight.__file__))
-    settings = (virtual_flight.RIG, virtual_flight.SIM, shipped("models/rig.yaml"))
-    return code_version((*FLYING, *fitting, "log/reader.py"), here, settings)
+    inside = sum(abs(value) < 1.96 for value in z) / max(seeds * max(map(len, flights)), 1)
+    spread = math.sqrt(np.mean(np.square(z))) if z else None
+    failed = sum(not flight for flight in flights)
+    yield Figure("coverage_seeds", seeds, "", f"flights of nine records of {duration_s:g} s")
+    yield Figure("coverage_percent", 100 * inside, "%", "of 95 % intervals contain the truth")
+    yield Figure("coverage_failed", failed, "", "of them without a fit, counted as misses")
+    yield Figure("spread", spread, "SE", "rms error of the others (1: the Cramer-Rao bound)")
 
 
 def errors_in_se(seed: int, duration_s: float) -> list[float]:
-    """Return each parameter's error in its standard errors, of a fit to a flight of this seed."""
+    """Return each parameter's error in standard errors for a flight; empty if the fit fails."""
     truth, start = load_model(shipped("models/rig.yaml")), off_by_a_tenth(seed)
-    with tempfile.TemporaryDirectory() as folder:
-        logs = fly(Path(folder) / "logs", duration_s, 12.0, seed, 1000.0)
-        experiments = [experiment_from_log(read_log(path), start) for path in logs]
-    with threadpool_limits(1):
-        fit = fit_model(start, experiments)
+    try:
+        with threadpool_limits(1):
+            fit = fit_model(start, flown(start, duration_s, 12.0, seed))
+    except IdentificationError as error:
+        print(f"seed {seed}: {error}", file=sys.stderr)
+        return []
     return [
         float(fit.values[name] - truth.parameters[name].value) / fit.standard_errors[name]
         for name in fit.free
     ]
 
 
-def silverbox() -> list[Figure]:
-    """Train on the official part, simulate the multisine: the linear part of a measured Duffing."""
-    if not silverbox_data.SOURCE.exists():
-        return []
-    config = load_model(silverbox_data.MODEL)
+def flown(start: ModelConfig, duration_s: float, sweep_s: float, seed: int) -> list[Experiment]:
+    """Fly white noise at each input at three beam positions, and a beam sweep."""
     with tempfile.TemporaryDirectory() as folder:
-        train, test = (
-            experiment_from_log(read_log(silverbox_data.imported(rows, Path(folder))), config)
-            for rows in (silverbox_data.TRAIN, silverbox_data.TEST)
-        )
-    figures = []
+        logs = fly_white_noise(Path(folder), 1000, BEAMS_M, duration_s, seed, sweep_s)
+        return [experiment_from_log(read_log(path), start) for path in logs]
+
+
+def silverbox() -> Iterator[Figure]:
+    """Fit the training part and simulate the test multisine; yield None without the data."""
+    config = load_model(silverbox_data.MODEL)
     for hold in ("band_limited", "zoh"):
         held = config.model_copy(update={"input": hold})
-        fit: Fit = fit_model(held, [train])
-        at = settled(motion(fit.model, test, held.input), fit.predictions[0].offset)
-        gain = np.zeros((1, 2, 1))
-        error = test.y + innovations(at, gain, np.zeros_like(test.y), np.zeros(2))
-        rms = float(np.sqrt(np.mean(error[silverbox_data.FIRST_ROWS :] ** 2)))
-        figures.append(
-            Figure(f"silverbox_{hold}_mv", 1e3 * rms, "mV", f"Silverbox, test multisine, {hold}")
+        rms = simulated_error(held) if silverbox_data.SOURCE.exists() else None
+        mv = None if rms is None else 1e3 * rms
+        yield Figure(f"silverbox_{hold}_mv", mv, "mV", f"Silverbox, test multisine, {hold}")
+
+
+def simulated_error(model: ModelConfig) -> float:
+    """Return the rms error in V of a simulation of the Silverbox's test part."""
+    with tempfile.TemporaryDirectory() as folder:
+        train, test = (
+            experiment_from_log(read_log(silverbox_data.imported(rows, Path(folder))), model)
+            for rows in (silverbox_data.TRAIN, silverbox_data.TEST)
         )
-    return figures
-
-
-def fly(out: Path, duration_s: float, sweep_s: float, seed: int, rate_hz: float) -> list[Path]:
-    """Fly white noise at each input at three beam positions, and a sweep; return the records."""
-    steps: list[dict[str, object]] = [{"levitate": {"settle_s": 2.0}}]
-    for name, beam_m in (("left", -0.1), ("middle", 0.0), ("right", 0.1)):
-        steps.append({"move": {"beam_m": beam_m, "settle_s": 2.0}})
-        steps += [
-            {"record": {"name": f"{name}-{i}", "duration_s": duration_s, "excite": [i]}}
-            for i in ("psi", "theta", "z")
-        ]
-    waypoints = [{"to_m": 0.08, "dwell_s": 0.5}, {"to_m": -0.08, "dwell_s": 0.5}]
-    steps.append({"record": {"name": "sweep", "duration_s": sweep_s, "beam": waypoints}})
-    steps.append({"land": {}})
-    levels = {"psi": {"rms_n_m": 0.1}, "theta": {"rms_n_m": 0.1}, "z": {"rms_n": 1.3}}
-    session = {
-        "levid": "session",
-        "name": "grey-box",
-        "rate_hz": rate_hz,
-        "seed": seed,
-        "excitations": {name: {"input": name, **level} for name, level in levels.items()},
-        "steps": steps,
-    }
-    return list(fly_session(session, out))
+    fit = fit_model(model, [train])
+    at = settled(motion(fit.model, test, model.input), fit.predictions[0].offset)
+    error = test.y + innovations(at, np.zeros((1, 2, 1)), np.zeros_like(test.y), np.zeros(2))
+    return float(np.sqrt(np.mean(error[silverbox_data.FIRST_ROWS :] ** 2)))
 
 
 def size_of(name: str, truth: ModelConfig) -> float:
-    """Return what an error is measured by: the value, for couplings sqrt(K_ii K_jj), M alike."""
+    """Return the unit of a relative error: the value; for couplings sqrt(K_ii K_jj), M alike."""
     v = {key: p.value for key, p in truth.parameters.items()}
     tilt = v["m_b"] * v["z_b"] ** 2
     return {
@@ -224,22 +163,5 @@ def size_of(name: str, truth: ModelConfig) -> float:
     }.get(name, abs(v[name]))
 
 
-def response_error(grey: object) -> tuple[float, float]:
-    """Return the worst error of P's diagonal in dB and degrees over the three positions."""
-    freq_hz = np.geomspace(1.0, 64.0, 100)
-    config = load_yaml(shipped("sims/nominal.yaml"), SimConfig)
-    worst = np.zeros(2)
-    for beam_m in (-0.1, 0.0, 0.1):
-        fitted = grey.response({"x_b": beam_m}, freq_hz)  # type: ignore[attr-defined]
-        truth = frequency_response(config, beam_m, freq_hz, 1000.0)
-        ratio = np.einsum("fii->fi", fitted) / np.einsum("fii->fi", truth)
-        error = [np.abs(20 * np.log10(np.abs(ratio))).max(), np.abs(np.angle(ratio, True)).max()]
-        worst = np.maximum(worst, error)
-    return float(worst[0]), float(worst[1])
-
-
 if __name__ == "__main__":
-    try:
-        table.run("The grey-box fit", measure)
-    except IdentificationError as error:
-        raise SystemExit(f"error: {error}") from None
+    table.run("The grey-box fit", measure)

@@ -1,18 +1,17 @@
-"""levid against its peers on the same records in the same run: error, time and memory of P.
+"""levid against other packages on the same records: error, time and memory of the identified plant.
 
-Flies white noise at each input in turn, with the beam off the middle, so that theta and z couple,
-and has every contender (contenders.py) identify P from those logs, each in a process of its own.
-Beside them stands the multisine method, which needs multisines: flown for the same time. The grey
-box starts from a declared model that is 10 % off. The truth is the simulator's. Several flights
-differ in seed; the medians over them are shown. `pip install levid[peers]` brings the other
-packages; what is missing or fails says so in the table.
+White noise is flown at each input in turn, with the beam off the middle, so that theta and z
+couple. Each contender (contenders.py) identifies P from these logs in a process of its own. The
+multisine method gets multisines, flown for the same time. Medians over several flights. `pip
+install 'levid[peers]'` installs the other packages; the table reports those that are missing or
+fail.
 """
 
 from __future__ import annotations
 
 import statistics
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,44 +21,40 @@ from rich.table import Table
 
 from levid.benchmarks.harness.declared_model import off_by_a_tenth
 from levid.benchmarks.harness.isolated import Outcome, measure_apart
-from levid.benchmarks.harness.multisine_records import fly_multisines
 from levid.benchmarks.harness.table import Figure, parser, show
-from levid.benchmarks.harness.virtual_flight import truth
-from levid.benchmarks.harness.white_noise_records import fly
-from levid.benchmarks.identification.contenders import (
-    CONTENDERS,
+from levid.benchmarks.identification.contenders import CONTENDERS, Contender, Declared, Flight
+from levid.benchmarks.identification.known_plant import (
+    BAND_HZ,
     Array,
     Complex,
-    Contender,
-    Declared,
-    Flight,
+    diagonal_ratio,
+    fly_multisines,
+    fly_white_noise,
+    true_response,
+    worst,
 )
 from levid.identification.greybox.experiment import experiment_from_log
 from levid.identification.nonparametric.robust_multisine import best_linear_approximation
 from levid.identification.records.from_log import from_log
 from levid.identification.records.periodic_records import periodic_record
 from levid.log.reader import read_log
-from levid.sim.true_response import frequency_response
 
 RATE_HZ = 1000
 BEAM_M = 0.1
-BAND_HZ = (1.0, 64.0)
 FREQ_HZ = np.unique(np.round(np.geomspace(*BAND_HZ, 100), 1))  # bins of spectra over 10 s
 COMPARABLE, NO_WORSE = 2.0, 1.1
-"""Errors up to this many times another count as comparable to it, or as no worse."""
+"""Errors up to this many times another are comparable to it, or no worse."""
 ALIKE = "levid_subspace"
-"""What the peers are compared with: it knows as little as they do."""
+"""The peers are compared with this one: it knows no declared model either."""
 MEMORY_BYTES = 8_000_000_000
-CAPTION = (
-    "largest errors in dB and degrees, rms relative error; time from records to P, peak memory of "
-    "the process; levid: how many times as fast is its fastest method that is no worse (in "
-    "brackets: there is none, its most accurate one); *: own excitation, same time, at its lines"
-)
 
 
 @dataclass(frozen=True)
 class Score:
-    """Medians over the flights of one contender; `failed` says why there are none."""
+    """Medians over the flights of one contender; `failed` is the reason if there are none.
+
+    error_db and error_deg are the largest of P's diagonal, error_percent is the rms of both.
+    """
 
     contender: Contender
     error_db: float = np.nan
@@ -71,54 +66,49 @@ class Score:
 
 
 def main() -> None:
-    options = parser("levid against its peers; --quick: one flight of 20 s an input")
-    options.add_argument("--only", nargs="+", metavar="KEY", help="some of the contenders")
-    arguments = options.parse_args()
-    chosen = [c for c in CONTENDERS if arguments.only is None or c.key in arguments.only]
+    arguments = parser("levid against its peers; --quick: one flight of 20 s an input").parse_args()
+    seeds, duration_s, timeout_s = [1, 2, 3], 60.0, 300.0
     if arguments.quick:
         seeds, duration_s, timeout_s = [1], 20.0, 60.0
-    else:
-        seeds, duration_s, timeout_s = [1, 2, 3], 60.0, 300.0
     scores: list[Score] = []
 
-    def measured() -> list[Figure]:
-        scores.extend(measure(chosen, seeds, duration_s, timeout_s))
-        return told(scores)
+    def measured() -> Iterator[Figure]:
+        scores.extend(measure(seeds, duration_s, timeout_s))
+        yield from figures(scores)
 
     title = f"P's diagonal, 1 to 64 Hz, from 3 x {duration_s:g} s"
     show("levid against its peers", arguments, measured, lambda: [table(scores, title)])
 
 
-def measure(
-    contenders: Sequence[Contender], seeds: Sequence[int], duration_s: float, timeout_s: float
-) -> list[Score]:
-    """Return the scores of all contenders; they take turns on every flight."""
-    outcomes: dict[str, list[Outcome]] = {c.key: [] for c in contenders}
-    ratios: dict[str, list[Complex]] = {c.key: [] for c in contenders}
+def measure(seeds: Sequence[int], duration_s: float, timeout_s: float) -> list[Score]:
+    """Return the scores of all contenders; they take turns on each flight."""
+    outcomes: dict[str, list[Outcome]] = {c.key: [] for c in CONTENDERS}
+    ratios: dict[str, list[Complex]] = {c.key: [] for c in CONTENDERS}
     for seed in seeds:
-        flight = fly_all(duration_s, seed)
-        for contender in contenders:
+        flight = fly(duration_s, seed)
+        for contender in CONTENDERS:
             known = outcomes[contender.key]
             if any(o.failed for o in known):
                 continue
             freq_hz = lines(flight) if contender.takes == "multisines" else FREQ_HZ
-            packages = [contender.package] if contender.package else []
             outcome = measure_apart(
-                contender.identify, getattr(flight, contender.takes), freq_hz, packages=packages,
+                contender.identify, getattr(flight, contender.takes), freq_hz,
+                packages=[contender.package] if contender.package else [],
                 timeout_s=timeout_s, memory_bytes=MEMORY_BYTES,
             )  # fmt: skip
             known.append(outcome)
             if not outcome.failed:
-                true = frequency_response(truth(), BEAM_M, freq_hz, RATE_HZ)
-                ratios[contender.key].append(diagonal(outcome.value) / diagonal(true))
-    return [score(c, outcomes[c.key], ratios[c.key]) for c in contenders]
+                true = true_response(BEAM_M, freq_hz, RATE_HZ)
+                ratios[contender.key].append(diagonal_ratio(outcome.value, true))
+    return [score(c, outcomes[c.key], ratios[c.key]) for c in CONTENDERS]
 
 
-def fly_all(duration_s: float, seed: int) -> Flight:
+def fly(duration_s: float, seed: int) -> Flight:
+    """Fly white noise and multisines at BEAM_M; the declared model is 10 % off."""
     with tempfile.TemporaryDirectory() as folder:
-        logs = fly(Path(folder) / "noise", RATE_HZ, [BEAM_M], duration_s, seed)
+        logs = fly_white_noise(Path(folder, "noise"), RATE_HZ, [BEAM_M], duration_s, seed)
         read = [read_log(path) for path in logs]
-        (log,) = fly_multisines(Path(folder) / "multisines", [BEAM_M], duration_s, seed)
+        (log,) = fly_multisines(Path(folder, "multisines"), [BEAM_M], duration_s, seed)
         model = off_by_a_tenth(seed)
         return Flight(
             tuple(from_log(log) for log in read),
@@ -133,90 +123,74 @@ def lines(flight: Flight) -> Array:
     return freq_hz[(freq_hz >= BAND_HZ[0]) & (freq_hz <= BAND_HZ[1])]
 
 
-def diagonal(P: Complex) -> Complex:
-    return np.asarray(np.einsum("fii->fi", P))
-
-
 def score(contender: Contender, outcomes: Sequence[Outcome], ratios: Sequence[Complex]) -> Score:
-    """Return the medians over flights of the largest and the rms relative errors, and the cost."""
+    """Return the medians over flights of the errors and the cost."""
     for outcome in outcomes:
         if outcome.failed:
             return Score(contender, failed=outcome.failed)
+    errors = [worst([ratio]) for ratio in ratios]
+    percent = [100 * float(np.sqrt(np.mean(np.abs(r - 1) ** 2))) for r in ratios]
     return Score(
         contender,
-        _median([np.abs(20 * np.log10(np.abs(r))).max() for r in ratios]),
-        _median([np.abs(np.angle(r, deg=True)).max() for r in ratios]),
-        _median([100 * np.sqrt(np.mean(np.abs(r - 1) ** 2)) for r in ratios]),
-        _median([o.seconds for o in outcomes]),
-        _median([o.peak_bytes / 1e6 for o in outcomes]),
+        statistics.median(dB for dB, _ in errors),
+        statistics.median(degrees for _, degrees in errors),
+        statistics.median(percent),
+        statistics.median(o.seconds for o in outcomes),
+        statistics.median(o.peak_bytes / 1e6 for o in outcomes),
     )
 
 
-def figures(scores: Sequence[Score]) -> dict[str, float]:
-    """Return every number by name; of a contender that failed only failed_KEY = 1.
-
-    diverged_KEY = 1 says that its P is no number somewhere in the band, or zero.
-    """
-    out: dict[str, float] = {}
-    for s in scores:
-        key = s.contender.key
-        out[f"failed_{key}"] = float(bool(s.failed))
-        if not s.failed:
-            errors = (s.error_db, s.error_deg, s.error_percent)
-            out[f"diverged_{key}"] = float(not np.all(np.isfinite(errors)))
-            out[f"error_{key}_db"] = s.error_db
-            out[f"error_{key}_deg"] = s.error_deg
-            out[f"error_{key}_percent"] = s.error_percent
-            out[f"time_{key}_s"] = s.seconds
-            out[f"memory_{key}_mb"] = s.peak_mb
+def figures(scores: Sequence[Score]) -> Iterator[Figure]:
+    """Yield levid's leads, then all errors and costs; None if a contender failed or diverged."""
     ours = equals(scores)
-    peers = [s for s in scores if not s.contender.is_levid and not s.failed]
-    if ours and peers:
-        least = min(s.error_percent for s in peers)
-        out["lead_error"] = least / min(s.error_percent for s in ours)
-        # Of like with like: a peer knows no declared model either.
-        alike = next((s.error_percent for s in ours if s.contender.key == ALIKE), np.nan)
-        out["lead_error_subspace"] = least / alike
-        comparable = [s for s in peers if s.error_percent <= COMPARABLE * alike]
-        leads = [time_lead(s, ours) for s in comparable]
-        if leads:
-            out["lead_time"] = min(leads)
-    return {key: value for key, value in out.items() if np.isfinite(value)}
-
-
-def told(scores: Sequence[Score]) -> list[Figure]:
-    """Return all figures; those that say by how much levid leads have a label."""
-    found = figures(scores)
-    leads = [Figure(key, found.pop(key, None), "x", label) for key, label in _LEADS.items()]
-    return [*leads, *(Figure(key, value, "", "") for key, value in found.items())]
-
-
-_LEADS = {
-    "lead_error": "least error of a peer over levid's least",
-    "lead_error_subspace": "least error of a peer over that of levid's subspace method",
-    "lead_time": "least lead in time over a peer of a comparable error",
-}
+    # A response that is not finite or zero somewhere in the band is no result.
+    peers = [s for s in scores if not s.contender.is_levid and np.isfinite(s.error_db)]
+    least = min((s.error_percent for s in peers), default=None)
+    alike = next((s.error_percent for s in ours if s.contender.key == ALIKE), None)
+    lead = least and ours and least / min(s.error_percent for s in ours)
+    yield Figure("lead_error", lead or None, "x", "least error of a peer over levid's least")
+    lead = least and alike and least / alike
+    label = "least error of a peer over that of levid's subspace method"
+    yield Figure("lead_error_subspace", lead, "x", label)
+    leads = [time_lead(s, ours) for s in peers if alike and s.error_percent <= COMPARABLE * alike]
+    label = "least lead in time over a peer of a comparable error"
+    yield Figure("lead_time", min(leads, default=None), "x", label)
+    for s in scores:
+        for key, value in (
+            (f"error_{s.contender.key}_db", s.error_db),
+            (f"error_{s.contender.key}_deg", s.error_deg),
+            (f"error_{s.contender.key}_percent", s.error_percent),
+            (f"time_{s.contender.key}_s", s.seconds),
+            (f"memory_{s.contender.key}_mb", s.peak_mb),
+        ):
+            yield Figure(key, value if np.isfinite(value) else None, "", "")
 
 
 def equals(scores: Sequence[Score]) -> list[Score]:
-    """Return levid's own that saw the same records as the peers, and did not fail."""
-    ours = [s for s in scores if s.contender.is_levid and s.contender.on_equal_data]
-    return [s for s in ours if not s.failed]
+    """Return levid's methods that used the same records as the peers and did not fail."""
+    return [
+        s
+        for s in scores
+        if s.contender.is_levid and s.contender.takes != "multisines" and np.isfinite(s.error_db)
+    ]
 
 
 def time_lead(peer: Score, ours: Sequence[Score]) -> float:
-    """Return how many times as fast levid's fastest method is of those no worse than the peer.
+    """Return the peer's time over that of levid's fastest method that is no worse.
 
-    Where every one of levid's is worse, its most accurate one is compared.
+    If all of levid's are worse, its most accurate one is compared.
     """
     enough = max(NO_WORSE * peer.error_percent, min(s.error_percent for s in ours))
     return peer.seconds / min(s.seconds for s in ours if s.error_percent <= enough)
 
 
 def table(scores: Sequence[Score], title: str) -> Table:
-    """Return the errors (largest in dB and degrees, rms in percent), the cost and levid's lead."""
-    grid = Table(title=title, title_justify="left", box=box.SIMPLE, caption=CAPTION)
-    grid.caption_justify = "left"
+    """Return the errors, the cost and levid's lead in time, a row for each contender."""
+    grid = Table(title=title, title_justify="left", box=box.SIMPLE)
+    grid.caption = (
+        "largest errors in dB and degrees, rms relative error; time from records to P; peak "
+        "memory; levid: lead in time of its fastest method that is no worse; *: own excitation"
+    )
     grid.add_column("contender", no_wrap=True)
     for column in ("dB", "deg", "%", "s", "MB", "levid"):
         grid.add_column(column, justify="right", no_wrap=True)
@@ -225,16 +199,12 @@ def table(scores: Sequence[Score], title: str) -> Table:
         if s.failed:
             grid.add_row(f"{s.contender.label}\n  failed: {s.failed}")
             continue
-        lead = "" if s.contender.is_levid or not ours else f"{time_lead(s, ours):.2g} x"
-        if lead and NO_WORSE * s.error_percent < min(o.error_percent for o in ours):
-            lead = f"({lead})"
-        numbers = f"{s.error_db:.3f}", f"{s.error_deg:.2f}", f"{s.error_percent:.3f}"
-        grid.add_row(s.contender.label, *numbers, f"{s.seconds:.2f}", f"{s.peak_mb:.0f}", lead)
+        alone = s.contender.is_levid or not ours or not np.isfinite(s.error_db)
+        grid.add_row(
+            s.contender.label, f"{s.error_db:.3f}", f"{s.error_deg:.2f}", f"{s.error_percent:.3f}",
+            f"{s.seconds:.2f}", f"{s.peak_mb:.0f}", "" if alone else f"{time_lead(s, ours):.2g} x",
+        )  # fmt: skip
     return grid
-
-
-def _median(values: Iterable[float]) -> float:
-    return float(statistics.median(values))
 
 
 if __name__ == "__main__":

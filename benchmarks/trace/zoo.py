@@ -1,275 +1,283 @@
-"""The zoo: plants with effects that nobody declared, and whether a trace names them.
+"""The zoo: does a trace name effects that are in the plant but not in the declared model?
 
-Every effect that the simulator knows, alone, so large that the error of the declared model,
-refitted, is 5 and 20 times the noise floor (or as large as physics allows); pairs of them; plants
-with nothing undeclared; and effects that no table knows. Each is flown by config/sessions/
-trace-short.yaml, and its logs are traced without a word of what is in the plant. What counts as
-right is said in zoo_score.py.
-
-Results are kept as they come, one line each, in OUT/results.jsonl; what is there already, of the
-same plant, size, seed and code, is not flown again. A plant that cannot be flown, since with this
-seed it meets its stops, is flown with effects of 0.8 times the size, then of 0.64, and so on down
-to a quarter. Rows, lines and figures are made from what is kept, so that a change of the scoring
-flies nothing; --show prints them. With --publish what one code has found, in several runs, is
-written into zoo-results.jsonl.gz beside this file: as long as the code is that one, its plants are
-not flown either, but for --afresh.
+Each effect of the simulator is flown alone, at sizes for which the error of the declared model,
+refitted, is 5 and 20 times the noise floor (or as large as physics allows); also pairs of effects,
+plants without any, and effects that no table lists. The session is trace-short.yaml; the trace gets
+the logs only. zoo_score.py defines what is right, zoo_cases.py the cases. The full plan takes hours
+and prints its figures at the end, or at an interrupt.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import multiprocessing
+import random
+import statistics
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, suppress
-from dataclasses import asdict
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from itertools import combinations
 
+from rich import box
 from rich.table import Table
 
-from levid.benchmarks.harness.table import Figure, parser, show
-from levid.benchmarks.trace.zoo_cases import CASES, UNLISTED
-from levid.benchmarks.trace.zoo_fly import (
-    PARTS,
-    Entries,
-    Found,
-    TooLargeError,
-    flies_empty,
-    fly_and_trace,
-)
-from levid.benchmarks.trace.zoo_plan import FIRST_SEED, Plant, plan
-from levid.benchmarks.trace.zoo_pool import run_apart
-from levid.benchmarks.trace.zoo_results import Kept, Result
-from levid.benchmarks.trace.zoo_sizes import (
-    Sizes,
-    known_floor_m,
-    known_sizes,
-    noise_floor_m,
-    sizes_of,
-)
-from levid.benchmarks.trace.zoo_tables import score_of, summary_table, told, verdicts_table
+from levid.benchmarks.harness.isolated import Outcome, measure_apart
+from levid.benchmarks.harness.table import Figure, Target, parser, show
+from levid.benchmarks.trace.zoo_cases import CASES, FLOOR_M, TIMES, UNLISTED, Case
+from levid.benchmarks.trace.zoo_flight import Found, fly_and_trace
+from levid.benchmarks.trace.zoo_score import EXPLAINED, Score, score_plant, with_random_forces
+from levid.benchmarks.trace.zoo_truth import relative_errors
 
-PROCESSES = 2
-LONGEST_S = 1800.0
-"""On a machine that does much else; alone it takes about a minute and a half."""
-DRAWS, OTHER_DRAW = 3, 500
-"""So often a seed is drawn, and so far from the last one, if a plant that holds nothing meets its
-stops with it."""
-PUBLISHED = Path(__file__).with_name("zoo-results.jsonl.gz")
-_THIS = "this"
-DEFAULT = Path(__file__).resolve().parents[2] / "build" / "zoo"
+CORES = 2
+QUICK = ("cubic-z", "coulomb-z", "bouc-wen-psi", "magnet-field", "gain-coil-3", "gain-sensor-2")
+QUICK += ("mains-z",)
+FIRST_SEED = 110_000
+"""No plant of these seeds was used to develop the trace. Another is due if one has changed it."""
+TIMEOUT_S, MEMORY_BYTES = 1800.0, 16_000_000_000
+_AS_INTENDED = 1.25
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant: the error of each of its effects alone is `times` the noise floor."""
+
+    kind: str  # alone, pair, triple, nothing or unlisted
+    cases: tuple[Case, ...]
+    times: float
+    seed: int
+
+    def __str__(self) -> str:
+        what = " + ".join(case.name for case in self.cases)
+        return (
+            f"{what} {self.times:g}x (seed {self.seed})" if what else f"nothing (seed {self.seed})"
+        )
+
+
+@dataclass(frozen=True)
+class Result:
+    """The trace of a plant, with its score and the relative errors of its parameters."""
+
+    plant: Plant
+    found: Found
+    score: Score
+    errors: tuple[float, ...]
+
+    @classmethod
+    def of(cls, plant: Plant, found: Found) -> Result:
+        """Score what a trace found."""
+        floor = FLOOR_M / found.sensor_sd_m
+        score = score_plant(plant.cases, found.summary, found.placed, floor)
+        entries = [case.effect(plant.times) for case in plant.cases]
+        errors = relative_errors(entries, with_random_forces(found.summary, found.placed))
+        return cls(plant, found, score, tuple(errors))
+
+    @property
+    def worst_error(self) -> float | None:
+        """The largest relative error of its parameters; None if none can be compared."""
+        return max(self.errors, default=None)
+
+    @property
+    def as_intended(self) -> bool:
+        """Whether the error before is as many times the floor as the plan asks."""
+        return 1 / _AS_INTENDED <= self.score.before / self.plant.times <= _AS_INTENDED
 
 
 def main() -> None:
-    options = _options()
-    arguments = options.parse_args()
-    if arguments.quick and arguments.full:
-        options.error("expected --quick or --full, found both")
-    zoo = _Kept(arguments) if arguments.show else _Flown(arguments)
-    show("The zoo against its targets", arguments, zoo.measure, zoo.tables)
-
-
-class _Flown:
-    """The plants of a plan, flown as far as there is no result of them."""
-
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        self._arguments, self._results = arguments, list[Result]()
-        self._plants = _plants(arguments)
-
-    def measure(self) -> Iterator[Figure]:
-        """Fly, and yield the figures, after an interrupt too: of what there is by then."""
-        plants, out = self._plants, self._arguments.out
-        sizes = sizes_of([case for plant in plants for case in plant.cases], PROCESSES, _say)
-        floor_m = noise_floor_m(_say)
-        kept = Kept(out, None if self._arguments.afresh else PUBLISHED)
-        try:
-            flights = out / "flights" if self._arguments.keep_flights else None
-            _fly_all(plants, sizes, kept, floor_m, flights)
-        finally:
-            _publish(kept, self._arguments)
-            self._results = [r for r in kept.of(plants, sizes, floor_m) if r.flown]
-            yield from told(self._results, len(plants) if self._default else None)
-
-    def tables(self) -> list[Table]:
-        """Return what was found of each plant, and what it comes to."""
-        return [verdicts_table(self._results), summary_table(self._results)]
-
-    @property
-    def _default(self) -> bool:
-        a = self._arguments
-        return not (a.quick or a.full or a.only or a.times)
-
-
-class _Kept:
-    """The results that there are of one version of the code."""
-
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        kept = Kept(arguments.out, PUBLISHED)
-        code = kept.version if arguments.show == _THIS else arguments.show
-        if code not in kept.codes:
-            others = ", ".join(f"{count} of {other}" for other, count in kept.codes.items())
-            raise SystemExit(f"error: no result of code {code} is kept; there are: {others or 0}")
-        if arguments.publish and code != kept.version:
-            raise SystemExit(f"error: --publish is for results of this code, {kept.version}")
-        _publish(kept, arguments)
-        results = kept.all(code, known_sizes(), known_floor_m())
-        chosen = _chosen([result.plant for result in results], arguments)
-        self._results = [result for result in results if result.plant in chosen]
-
-    def measure(self) -> list[Figure]:
-        """Return the figures."""
-        return told(self._results, None)
-
-    def tables(self) -> list[Table]:
-        """Return what was found of each plant, and what it comes to."""
-        return [verdicts_table(self._results), summary_table(self._results)]
-
-
-def _publish(kept: Kept, arguments: argparse.Namespace) -> None:
-    if arguments.publish:
-        _say(f"{PUBLISHED.name}: {kept.publish(PUBLISHED)} results")
-
-
-def _plants(arguments: argparse.Namespace) -> list[Plant]:
-    """Return what is to be flown; raises SystemExit where that is nothing."""
-    plants = plan(arguments.quick, arguments.full, arguments.first_seed, bool(arguments.only))
-    plants = _chosen(plants, arguments)
-    if not plants:
-        times = " ".join(f"{times:g}" for times in arguments.times or ())
-        more = "" if arguments.full else "; add --full, which has 1.5 and more plants"
-        raise SystemExit(f"error: this plan has no such plant of --times {times}{more}")
-    return plants
-
-
-def _chosen(plants: Sequence[Plant], arguments: argparse.Namespace) -> list[Plant]:
-    """Return the plants that --only and --times leave."""
-    known = {case.name: case for case in CASES + UNLISTED}
-    unknown = sorted(set(arguments.only or ()) - set(known) - {"nothing", "pair", "triple"})
-    if unknown:
-        raise SystemExit(f"error: --only: expected names of zoo-cases.yaml, found {unknown}")
-    if arguments.only:
-        only = set(arguments.only)
-        plants = [p for p in plants if p.kind in only or {c.name for c in p.cases} <= only]
-        plants = [p for p in plants if p.cases or p.kind in only]
-    if arguments.times:
-        plants = [p for p in plants if p.cases and p.times in arguments.times]
-    return list(plants)
-
-
-def _options() -> argparse.ArgumentParser:
-    options = parser("The zoo: which effects a trace finds; --quick: eight named cases")
+    options = parser("The zoo: which effects a trace names; --quick: seven cases and one without")
     options.add_argument(
         "--full",
         action="store_true",
-        help="1.5 times the floor too, three seeds, more pairs, all unlisted effects",
-    )
-    options.add_argument("--out", type=Path, default=DEFAULT, help="where results are kept")
-    options.add_argument(
-        "--show",
-        nargs="?",
-        const=_THIS,
-        metavar="CODE",
-        help="fly nothing: print what is kept, of this code or of another version of it",
+        help="also 1.5 times the floor, triples, all unlisted effects",
     )
     options.add_argument(
-        "--first-seed",
-        type=int,
-        default=FIRST_SEED,
-        metavar="N",
-        help="draw noise, excitation and pairs by other seeds, from this one on",
+        "--only", nargs="+", metavar="NAME", help="cases of --full, or pair, triple, nothing"
     )
-    options.add_argument(
-        "--afresh", action="store_true", help=f"fly what {PUBLISHED.name} holds, too"
-    )
-    options.add_argument(
-        "--publish", action="store_true", help=f"add what this code found to {PUBLISHED.name}"
-    )
-    options.add_argument(
-        "--keep-flights", action="store_true", help="keep logs too, 50 MB a plant, to trace again"
-    )
-    options.add_argument(
-        "--only", nargs="+", metavar="NAME", help="cases by name, or nothing, pair, triple"
-    )
-    options.add_argument(
-        "--times", nargs="+", type=float, metavar="N", help="of these sizes only, as 1.5 of --full"
-    )
-    return options
+    options.add_argument("--first-seed", type=int, default=FIRST_SEED, metavar="N")
+    arguments = options.parse_args()
+    plants = chosen(arguments)
+    default = not (arguments.quick or arguments.full or arguments.only)
+    done: list[tuple[Plant, Outcome]] = []
 
+    def results() -> list[Result]:
+        return [Result.of(plant, outcome.value) for plant, outcome in done if outcome.value]
 
-def _fly_all(
-    plants: Sequence[Plant],
-    sizes: dict[str, Sizes],
-    kept: Kept,
-    floor_m: float | None,
-    flights: Path | None,
-) -> None:
-    """Fly and trace the plants that there is no result of; logs stay in `flights`, if given."""
-    missing = [plant for plant in plants if not kept.has(plant, sizes)]
-    if len(missing) < len(plants):
-        _say(f"{len(plants) - len(missing)} of {len(plants)} plants were flown before by this code")
-    begun = [
-        _Task(plant, {part: plant.entries(sizes, part) for part in PARTS}, flights)
-        for plant in missing
-    ]
-    # Whatever ends this ends the processes that fly.
-    with closing(run_apart(_Task.fly, begun, PROCESSES, LONGEST_S)) as flown:
-        for count, done in enumerate(flown, 1):
-            own = done.item.plant.seed
-            part, seed, found = (1.0, own, None) if done.answer is None else done.answer
-            result = Result(
-                done.item.plant,
-                None if found is None else asdict(found),
-                done.failed,
-                tuple(done.item.plant.entries(sizes, part)),
-                part < 1.0,
-                done.seconds,
-                floor_m,
-                seed,
-            )
-            kept.add(result, sizes)
-            less = f", {part:g} of the size" if result.less else ""
-            drawn = f", drawn anew with seed {seed}" if seed != own else ""
-            _say(f"{count}/{len(missing)} {_line(result)}{less}{drawn} ({done.seconds:.0f} s)")
-
-
-class _Task:
-    """A plant to be flown in another process."""
-
-    def __init__(self, plant: Plant, parts: Mapping[float, Entries], flights: Path | None) -> None:
-        self.plant, self.parts, self.flights = plant, parts, flights
-
-    def fly(self) -> tuple[float, int, Found]:
-        """Return how much of its size can be flown, with which seed, and what was found."""
-        own = self.plant.seed
+    def measure() -> Iterator[Figure]:
         try:
-            return 1.0, own, self._with(1.0, own)
-        except TooLargeError as error:
-            too_large = error
-        # What the seed draws may by itself leave the range to fly in, about once in 150 plants.
-        draws = range(own, own + DRAWS * OTHER_DRAW, OTHER_DRAW)
-        seed = next((seed for seed in draws if flies_empty(seed)), own)
-        for part in self.parts:
-            if (part, seed) != (1.0, own):
-                with suppress(TooLargeError):
-                    return part, seed, self._with(part, seed)
-        raise too_large
+            for plant, outcome in flown(plants):
+                done.append((plant, outcome))
+                found = outcome.value and Result.of(plant, outcome.value)
+                said = found.score.said if found else outcome.failed
+                verdict = "failed" if not found else "right" if found.score.right else "wrong"
+                print(f"{len(done)}/{len(plants)} {plant}: {verdict}: {said}", file=sys.stderr)
+        finally:  # an interrupted run prints what it has
+            yield from figures(results(), len(done) - len(results()), limited=default)
 
-    def _with(self, part: float, seed: int) -> Found:
-        return fly_and_trace(self.parts[part], seed, self.flights)
+    show("The zoo", arguments, measure, lambda: [table(results())])
 
 
-def _line(result: Result) -> str:
-    if result.found is None:
-        return f"{result.plant.name}: failed: {result.failed}"
-    score = score_of(result)
-    after = score.after_over_floor
-    ending = "" if math.isnan(after) else f", after {after:.2f} x floor"
-    verdict = "right" if score.right else "wrong"
-    return f"{result.plant.name}: {verdict}: {score.said or 'nothing'}{ending}"
+def plan(quick: bool, full: bool, first_seed: int = FIRST_SEED) -> list[Plant]:
+    """Return the plants to fly, in random order.
+
+    Of the unlisted effects, the usual plan contains the unseen ones. Another first seed draws other
+    noise, excitation, errors of the declared model, pairs and triples.
+    """
+    if quick:
+        by_name = {case.name: case for case in CASES}
+        alone = [Plant("alone", (by_name[n],), 5.0, first_seed + i) for i, n in enumerate(QUICK)]
+        return [*alone, Plant("nothing", (), 0.0, first_seed)]
+    plants = [
+        Plant(kind, (case,), times, first_seed + 100 * k + i)
+        for k, times in enumerate(TIMES)
+        for kind, cases in (("alone", CASES), ("unlisted", UNLISTED))
+        for i, case in enumerate(cases)
+        if full or (times >= 5.0 and (kind == "alone" or case.unseen))
+        if times >= 5.0 or case.visible  # the others have no smaller size
+    ]
+    together = [("pair", 2, 4000, first_seed)]
+    together += [("triple", 3, 6000, first_seed + 1)] if full else []
+    for kind, many, apart, seed in together:
+        plants += [
+            Plant(kind, cases, 5.0, first_seed + apart + i)
+            for i, cases in enumerate(combined(many, 10, seed))
+        ]
+    plants += [Plant("nothing", (), 0.0, first_seed + 5000 + i) for i in range(10)]
+    random.Random(0).shuffle(plants)  # an interrupted run then has some of each kind
+    return plants
 
 
-def _say(text: str) -> None:
-    sys.stderr.write(text + "\n")
+def combined(many: int, count: int, seed: int) -> Iterator[tuple[Case, ...]]:
+    """Yield `count` sets of visible cases; in each no two have one class and a place in common."""
+    rng, visible = random.Random(seed), [case for case in CASES if case.visible]
+    while count:
+        cases = tuple(rng.sample(visible, many))
+        if not any(a.kind == b.kind and {*a.where} & {*b.where} for a, b in combinations(cases, 2)):
+            yield cases
+            count -= 1
+
+
+def chosen(arguments: argparse.Namespace) -> list[Plant]:
+    """Return the plants of the plan that --only leaves; exit if there are none."""
+    only = set(arguments.only or ())
+    plants = plan(arguments.quick, arguments.full or bool(only), arguments.first_seed)
+    if only:
+        plants = [p for p in plants if {p.kind, "+".join(c.name for c in p.cases)} & only]
+    if not plants:
+        raise SystemExit("error: --only: expected case names of zoo-cases.yaml; none matches")
+    return plants
+
+
+def flown(plants: Sequence[Plant]) -> Iterator[tuple[Plant, Outcome]]:
+    """Yield each plant's outcome as it is done; each runs in a process of its own."""
+
+    def one(plant: Plant) -> Outcome:
+        effects = [case.effect(plant.times) for case in plant.cases]
+        return measure_apart(
+            fly_and_trace, effects, plant.seed, timeout_s=TIMEOUT_S, memory_bytes=MEMORY_BYTES
+        )
+
+    with ThreadPoolExecutor(CORES) as pool:
+        waiting = {pool.submit(one, plant): plant for plant in plants}
+        try:
+            for future in as_completed(waiting):
+                yield waiting[future], future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.kill()
+
+
+def figures(results: Sequence[Result], failed: int, limited: bool = False) -> list[Figure]:
+    """Return the figures; `limited`: of the usual plan, whose time has a target."""
+    large = [r for r in _of(results, "alone") if r.plant.times >= 5.0]
+    small, largest = _of(results, "alone", 1.5), _of(results, "alone", 20.0)
+    pair, triple = _of(results, "pair"), _of(results, "triple")
+    nothing, unlisted = _of(results, "nothing"), _of(results, "unlisted")
+    right = [r for r in results if r.score.right and not r.score.hidden and r.plant.cases]
+    known = [r for r in right if r.plant.kind != "unlisted"]
+    sized = [r for r in results if len(r.plant.cases) == 1 and r.plant.cases[0].visible]
+    errors = [r.worst_error for r in largest if r in right and r.worst_error is not None]
+    hours = sum(r.found.seconds for r in results) / 3600.0 / CORES
+    share = Target(least=95.0)
+    none = Target(most=0.0)
+    return [
+        Figure("plants", len(results), "", "plants flown and traced"),
+        Figure("failed", failed, "", "not flown or not traced; not in the shares", target=none),
+        _right("alone_5x_and_20x", large, "alone, 5 and 20 times the floor", share),
+        _right("pair_5x", pair, "pairs", share),
+        _right("triple_5x", triple, "triples", None),
+        _right("alone_1_5x", small, "alone, 1.5 times the floor", Target(least=70.0)),
+        _right("nothing", nothing, "without effects", None),
+        Figure("nothing_false_alarms", _sum(nothing, lambda r: r.score.false_alarms), "",
+               "false alarms without effects", target=none),
+        Figure("false_alarms", _sum(results, lambda r: r.score.false_alarms), "",
+               "false alarms, all", target=none),
+        Figure("after_over_floor", _median([r.score.after for r in right]), "x floor",
+               "error after, median where right", target=Target(most=EXPLAINED)),
+        Figure("mechanism_percent", _percent([r.score.mechanism for r in known]), "%",
+               "right equation too, of those"),
+        Figure("alone_20x_parameter_error", _median(errors), "",
+               "largest parameter error, 20 times, median"),
+        Figure("alone_20x_within_5_percent", _percent([e <= 0.05 for e in errors]), "%",
+               "parameter errors up to 5 %, 20 times", target=Target(least=100.0)),
+        Figure("alone_20x_compared", len(errors) if largest else None, "",
+               "plants with comparable parameters, 20 times"),
+        Figure("unlisted_misnamed", _sum(unlisted, lambda r: r.score.misnamed), "",
+               "unlisted effects with a known name", target=none),
+        _right("unlisted", unlisted, "unlisted, described and halved", Target(least=100.0)),
+        Figure("as_intended_percent", _percent([r.as_intended for r in sized]), "%",
+               f"error before within a factor {_AS_INTENDED:g} of the intended size"),
+        Figure("own_floor", _median([r.score.own_floor for r in results]), "x floor",
+               "reported noise floor, median"),
+        Figure("hours", hours if results else None, "h", f"processor time on {CORES} cores",
+               target=Target(most=2.5) if limited else None),
+    ]  # fmt: skip
+
+
+def table(results: Sequence[Result]) -> Table:
+    """Return a line for each plant: its verdict, the report, and the errors."""
+    grid = Table(
+        "plant", "verdict", "reported", title="Plants", title_justify="left", box=box.SIMPLE
+    )
+    for column in ("before", "after", "parameters", "s"):
+        grid.add_column(column, justify="right")
+    for r in sorted(results, key=lambda r: (r.plant.kind, r.plant.times, str(r.plant))):
+        verdict = "right" if r.score.right else "wrong"
+        grid.add_row(
+            str(r.plant), "right, hidden" if r.score.hidden else verdict, r.score.said,
+            f"{r.score.before:.3g}", f"{r.score.after:.3g}",
+            "" if r.worst_error is None else f"{100 * r.worst_error:.2g} %",
+            f"{r.found.seconds:.0f}",
+        )  # fmt: skip
+    grid.caption = (
+        "before, after: error of the refitted model without and with the reported effects, over "
+        "the noise floor; parameters: largest relative error; hidden: a refit absorbs the effect"
+    )
+    return grid
+
+
+def _of(results: Sequence[Result], kind: str, times: float | None = None) -> list[Result]:
+    return [r for r in results if r.plant.kind == kind and times in (None, r.plant.times)]
+
+
+def _right(key: str, results: Sequence[Result], label: str, target: Target | None) -> Figure:
+    percent = _percent([r.score.right for r in results])
+    label = f"right, {label} ({len(results)} plants)"
+    return Figure(f"{key}_right_percent", percent, "%", label, target=target)
+
+
+def _percent(those: Sequence[bool]) -> float | None:
+    return 100.0 * sum(those) / len(those) if those else None
+
+
+def _sum(results: Sequence[Result], of: Callable[[Result], int]) -> float | None:
+    return float(sum(map(of, results))) if results else None
+
+
+def _median(values: Sequence[float]) -> float | None:
+    finite = [value for value in values if math.isfinite(value)]
+    return statistics.median(finite) if finite else None
 
 
 if __name__ == "__main__":

@@ -1,24 +1,20 @@
-"""The parameters that a trace should find, from what the simulator was told, where forms agree.
+"""Compare parameters that a trace finds with those of the simulator, where their equations agree.
 
-The simulator says forces at one point of a DOF, the candidates generalised ones: a force F at the
-arm r (1 for z) is a torque r F, a way s an angle s / r. Where plant and candidate are written in
-different forms (a one-sided spring as a parabola, several springs that slip for one that yields)
-what both have in common is compared, or nothing.
+The simulator states a force at one point of a DOF, a candidate the generalised force: a force F at
+the arm r (1 for z) is a torque r F, a distance s an angle s / r. If plant and candidate have
+different equations (a one-sided spring as a parabola), only what both have in common is compared.
 """
 
 from __future__ import annotations
 
 import math
-import statistics
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+from levid.benchmarks.harness.virtual_flight import SIM
 from levid.benchmarks.trace.zoo_cases import is_called
-from levid.benchmarks.trace.zoo_fly import SESSION, SIM
 from levid.config.base import read_mapping
-from levid.config.session import RecordStep, load_session
 
 Values = Mapping[str, Any]
 Found = Mapping[str, float]
@@ -27,372 +23,234 @@ _SIM = read_mapping(SIM)
 _ARM_M = float(_SIM["geometry"]["r_m"])
 _BEAM_M = float(_SIM["beam"]["z_b_m"])
 _GRAVITY_M_S2 = 9.81
+_RECORD_S = 24.0
+"""A payload's time is relative to a record of trace-short.yaml, not to the session's clock."""
 _SAME_LINE_HZ = 0.3
+_POSE = ("psi", "theta", "z")
 
 
 @dataclass(frozen=True)
 class Known:
-    """One number that is known of an effect: in which candidate, where, and how to read it there.
+    """One true number: the candidate and places it belongs to, and how to read it there.
 
-    `of` returns the number from a candidate's parameters, None if it is not about this one. Without
-    places it is known wherever the candidate is. An error is over `unit`, None for over the value.
+    read: a parameter's name, or a function of all parameters that returns None for another effect.
+    where None: any place. The error is relative to `unit`, or to the value.
     """
 
     key: str
-    where: frozenset[str] | None
-    label: str
+    where: Sequence[str] | None
     value: float
-    of: Callable[[Found], float | None]
+    read: str | Callable[[Found], float | None]
     unit: float | None = None
 
-
-@dataclass(frozen=True)
-class Compared:
-    """A number found beside the true one; `error` is relative to `unit`, or to the true one."""
-
-    label: str
-    true: float
-    found: float
-    unit: float | None = None
-
-    @property
-    def error(self) -> float:
-        return abs(self.found - self.true) / abs(self.true if self.unit is None else self.unit)
+    def in_(self, effect: Mapping[str, Any]) -> float | None:
+        """Return this number in an effect of a model, None if it is not there."""
+        if not is_called(effect["effect"], self.key):
+            return None
+        if self.where is not None and set(effect["where"]) != set(self.where):
+            return None
+        found = {name: p["value"] for name, p in effect["parameters"].items()}
+        return found.get(self.read) if isinstance(self.read, str) else self.read(found)
 
 
-def compared(
-    entries: Sequence[Mapping[str, Any]], placed: Sequence[Mapping[str, Any]]
-) -> list[Compared]:
-    """Return all that is known of the effects flown and was found.
+def known(entry: Values) -> list[Known]:
+    """Return the numbers that are known of an entry of a SIM.yaml's `effects`."""
+    return _KNOWN.get(entry["use"].rpartition(":")[2], lambda _: [])(entry)
 
-    `entries` are those of the SIM.yaml, `placed` those of the model that the trace ends with
-    (effect, where, parameters with a value each), and random forces among them.
+
+def relative_errors(entries: Sequence[Values], placed: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Return the relative errors of all known numbers of these entries that a trace found.
+
+    `placed`: effects of the model that the trace ends with (effect, where, parameters).
     """
-    found = []
-    for entry in entries:
-        cls = entry["use"].rpartition(":")[2]
-        for known in _KNOWN.get(cls, _nothing)(entry):
-            for effect in placed:
-                if not is_called(effect["effect"], known.key):
-                    continue
-                if known.where is not None and set(effect["where"]) != known.where:
-                    continue
-                values = {name: p["value"] for name, p in effect["parameters"].items()}
-                number = known.of(values)
-                if number is not None:
-                    found.append(Compared(known.label, known.value, number, known.unit))
-    return found
+    return [
+        abs(number - one.value) / abs(one.value if one.unit is None else one.unit)
+        for entry in entries
+        for one in known(entry)
+        for effect in placed
+        if (number := one.in_(effect)) is not None
+    ]
 
 
-def _nothing(_v: Values) -> Iterator[Known]:
-    yield from ()
+def _at(where: Sequence[str] | None, key: str, **numbers: float) -> list[Known]:
+    return [Known(key, where, value, name) for name, value in numbers.items()]
 
 
-def _on_dof(
-    v: Values, key: str, name: str, value: float, arms: int, label: str | None = None
-) -> Known:
-    """Return a number at a DOF that goes with the power `arms` of the arm."""
-    return Known(key, frozenset({v["dof"]}), label or name, value * _arm(v) ** arms, _get(name))
-
-
-def _at(places: Sequence[str], key: str, name: str, value: float) -> Known:
-    return Known(key, frozenset(places), name, value, _get(name))
-
-
-def _get(name: str) -> Callable[[Found], float | None]:
-    return lambda found: found.get(name)
-
-
-def _size(found: Found) -> float | None:
-    """Return the amplitude of a cosine and a sine."""
-    return math.hypot(found["a"], found["b"]) if {"a", "b"} <= set(found) else None
-
-
-@cache
-def _record_s() -> float:
-    """Return the length of the session's records, the median of them, s."""
-    records = [step.record for step in load_session(SESSION).steps if step.record is not None]
-    return statistics.median(_length_s(record) for record in records)
-
-
-def _length_s(record: RecordStep) -> float:
-    if record.each_s is not None:
-        return record.each_s * len(record.excite)
-    assert record.duration_s is not None
-    return record.duration_s
+def _on_dof(v: Values, key: str, arms: int, **numbers: float) -> list[Known]:
+    """Return numbers at a DOF that go with the power `arms` of its arm."""
+    by = _arm(v) ** arms
+    return _at([v["dof"]], key, **{name: by * value for name, value in numbers.items()})
 
 
 def _arm(v: Values) -> float:
     return 1.0 if v["dof"] == "z" else _ARM_M
 
 
-def _coils(v: Values, what: str = "coil") -> list[str]:
-    return [f"{what}:{i}" for i in range(9)] if v[what] == "all" else [f"{what}:{v[what]}"]
+def _coils(v: Values) -> list[str]:
+    return [f"coil:{i}" for i in range(9)] if v["coil"] == "all" else [f"coil:{v['coil']}"]
 
 
-def _cubic(v: Values) -> Iterator[Known]:
-    yield _on_dof(v, "rod_stiffness.cubic", "k3", v["k3_n_m3"], 4)
+def _sensor(v: Values) -> list[str]:
+    return [f"sensor:{v['sensor']}"]
 
 
-def _quadratic(v: Values) -> Iterator[Known]:
-    yield _on_dof(v, "rod_stiffness.asymmetric", "k2", v["k2_n_m2"], 3)
-
-
-def _bilinear(v: Values) -> Iterator[Known]:
-    yield _on_dof(v, "rod_stiffness.one_sided", "k", v["k_n_m"], 2)
-
-
-def _drag(v: Values) -> Iterator[Known]:
-    yield _on_dof(v, "air_damping.quadratic", "d2", v["d2_n_s2_m2"], 3)
-
-
-def _film(v: Values) -> Iterator[Known]:
-    # As long as the film moves little in its thickness, d / h0 alone is seen.
-    places = frozenset({"psi", "theta", "z"})
-    true = v["d_n_s_m"] / v["film_m"]
-    yield Known("air_damping.squeeze_film", places, "d / h0", true, lambda f: f["d"] / f["h0"])
-
-
-def _sliding(v: Values) -> Iterator[Known]:
-    for key in ("friction.coulomb", "friction.stribeck", "friction.dahl", "friction.lugre"):
-        yield _on_dof(v, key, "friction", v["coulomb_n"], 1)
-
-
-def _coulomb(v: Values) -> Iterator[Known]:
-    yield from _sliding(v)
-    yield _on_dof(v, "friction.coulomb", "v_s", v["speed_m_s"], -1)
-
-
-def _dahl(v: Values) -> Iterator[Known]:
-    yield from _sliding(v)
-    yield _on_dof(v, "friction.dahl", "x_s", v["coulomb_n"] / v["stiffness_n_m"], -1)
-
-
-def _bouc_wen(v: Values) -> Iterator[Known]:
-    force = (1.0 - v.get("left", 0.0)) * v["stiffness_n_m"] * v["yield_m"]
-    for key in ("friction.bouc_wen", "friction.dahl"):
-        yield _on_dof(v, key, "friction", force, 1)
-    yield _on_dof(v, "friction.bouc_wen", "x_s", v["yield_m"], -1)
-
-
-def _slip(v: Values) -> Iterator[Known]:
-    yield Known(
-        "friction.maxwell_slip", frozenset({v["dof"]}), "friction, all", sum(v["slip_n"]) * _arm(v),
-        lambda f: f["friction_1"] + f["friction_2"] + f["friction_3"],
-    )  # fmt: skip
-
-
-def _beam_cable(v: Values) -> Iterator[Known]:
-    yield _at(["z"], "cable_pull.linear", "a", v["weight_n_m"])
-
-
-def _mode(v: Values) -> Iterator[Known]:
-    for name, true in (("frequency", v["freq_hz"]), ("damping", v["damping"])):
-        yield Known("flexible_mode", None, name, true, _get(name))
-
-
-def _centre(v: Values) -> Iterator[Known]:
-    yield _at(["psi", "z"], "centre_of_mass", "a", v["m_p_kg"] * v["y_m"])
-    yield _at(["theta", "z"], "centre_of_mass", "a", v["m_p_kg"] * v["x_m"])
-
-
-def _payload(v: Values) -> Iterator[Known]:
-    places = ["psi", "theta", "z"]
-    for name, key in (("m", "mass_kg"), ("x", "x_m"), ("y", "y_m")):
-        yield _at(places, "payload", name, v[key])
-    # The clock's zero is nothing to the payload: to know when it came is to know where in a record.
-    when = _at(places, "payload", "time", v["begin_s"])
-    yield replace(when, unit=_record_s())
-
-
-def _motor_friction(v: Values) -> Iterator[Known]:
-    # What goes with the speed is none of it: see model/effects/drives.py.
-    for key in ("friction.beam", "friction.beam_presliding"):
-        yield _at(["beam"], key, "friction", v["coulomb_n"])
-    yield _at(["beam"], "friction.beam", "v_s", v["speed_m_s"])
-
-
-def _cogging(v: Values) -> Iterator[Known]:
-    places = frozenset({"beam"})
-    yield Known("cogging", places, "amplitude", abs(v["amplitude_n"]), _size)
-    yield Known("cogging", places, "pitch", v["pitch_m"], _get("pitch"))
-
-
-def _bearing(v: Values) -> Iterator[Known]:
-    # Where its springs begin to slip is another thing in one that yields little by little.
-    for name, true in (("m", v["m_b_kg"] * _BEAM_M**2), ("height", _BEAM_M)):
-        yield Known("friction.bearing", None, name, true, _get(name))
-
-
-def _field(v: Values) -> Iterator[Known]:
-    places = frozenset({"z"})
-    yield Known("external_field", places, "amplitude", abs(v["amplitude_n"]), _size)
-    yield Known("external_field", places, "period", v["pitch_m"], _get("period"))
-
-
-def _reaction(v: Values) -> Iterator[Known]:
-    yield _at(["theta"], "beam_motion.reaction", "a", v["excess"] * v["m_b_kg"] * _BEAM_M)
-
-
-def _coriolis(v: Values) -> Iterator[Known]:
-    yield _at(["z"], "beam_motion.coriolis_lift", "a", v["excess"] * v["m_b_kg"])
-
-
-def _gravity(v: Values) -> Iterator[Known]:
-    yield _at(["theta"], "beam_motion.gravity", "a", v["excess"] * v["m_b_kg"] * _GRAVITY_M_S2)
-
-
-def _imbalance(v: Values) -> Iterator[Known]:
-    s = abs(v["imbalance_kg_m"])
-    for dof in ("psi", "theta"):
-        where = frozenset({"rotor", dof})
-        yield Known("rotor.imbalance", where, f"on {dof}", s * v["rotor_z_m"], _size)
-    every = frozenset({"rotor", "psi", "theta"})
-    yield Known("rotor.weight", every, "weight", s * _GRAVITY_M_S2, _size)
-
-
-def _bar(v: Values) -> Iterator[Known]:
-    yield _at(["rotor", "psi"], "rotor.bar", "a", v["j_kg_m2"] * v["lean_x_rad"])
-    yield _at(["rotor", "theta"], "rotor.bar", "a", -v["j_kg_m2"] * v["lean_y_rad"])
-
-
-def _gain(v: Values) -> Iterator[Known]:
-    yield _at(_coils(v), "coil_gain", "gain", v["excess"])
-
-
-def _constant(v: Values) -> Iterator[Known]:
-    if v["slope_1_m"]:
-        yield _at(_coils(v), "force_constant.linear", "a", v["slope_1_m"])
-    if v.get("curve_1_m2"):
-        yield _at(_coils(v), "force_constant.quadratic", "b", v["curve_1_m2"])
-
-
-def _lag(v: Values) -> Iterator[Known]:
-    # What a lag and a delay of the same time do alike is all that a slow platform shows.
-    yield _at(_coils(v), "actuator_lag", "lag", v["lag_s"])
-    yield _at(_coils(v), "delay", "delay", v["lag_s"])
-
-
-def _delay(v: Values) -> Iterator[Known]:
-    yield _at(_coils(v), "delay", "delay", v["delay_s"])
-    yield _at(_coils(v), "actuator_lag", "lag", v["delay_s"])
-
-
-def _dead_zone(v: Values) -> Iterator[Known]:
-    yield _at(_coils(v), "dead_zone", "width", v["width_n"])
-
-
-def _thermal(v: Values) -> Iterator[Known]:
-    yield _at(_coils(v), "thermal_drift.heat", "a", v["loss"] / v["rated_n"] ** 2)
-    yield _at(_coils(v), "thermal_drift.heat", "tau", v["time_constant_s"])
-
-
-def _saturation(v: Values) -> Iterator[Known]:
-    yield _at(_coils(v), "saturation", "limit", v["limit_n"])
-
-
-def _sensor_gain(v: Values) -> Iterator[Known]:
-    yield _at(_coils(v, "sensor"), "sensor_gain", "gain", v["excess"])
-
-
-def _bent(v: Values) -> Iterator[Known]:
-    places = _coils(v, "sensor")
-    yield _at(places, "sensor_nonlinearity.quadratic", "a", -1.0 / v["distance_m"])
-    yield _at(places, "sensor_nonlinearity.inverse", "a", -1.0 / v["distance_m"])
-    yield _at(places, "sensor_nonlinearity.inverse", "k", 1.0 / v["distance_m"])
-
-
-def _warm_up(v: Values) -> Iterator[Known]:
-    places = _coils(v, "sensor")
-    yield _at(places, "sensor_offset.warm_up", "a", v["offset_m"])
-    yield _at(places, "sensor_offset.warm_up", "tau", v["time_constant_s"])
-
-
-def _crosstalk(v: Values) -> Iterator[Known]:
-    places = [f"sensor:{v['sensor']}", f"sensor:{v['other']}"]
-    yield _at(places, "sensor_crosstalk", "share", v["share"])
-
-
-def _sensor_lag(v: Values) -> Iterator[Known]:
-    yield _at(_coils(v, "sensor"), "sensor_lag", "lag", v["lag_s"])
-
-
-def _sticking(v: Values) -> Iterator[Known]:
-    yield _at(_coils(v, "sensor"), "sensor_stuck.jump", "width", v["step_m"])
-
-
-def _hum(v: Values) -> Iterator[Known]:
-    force = "dof" in v
-    key = "vibration.force" if force else "vibration.reading"
-    where = frozenset([v["dof"]] if force else _coils(v, "sensor"))
-    arm = _arm(v) if force else 1.0
-    for k, amplitude in enumerate(v["amplitudes_n" if force else "amplitudes_m"], 1):
-        if amplitude:
-            f_hz = k * v.get("freq_hz", 50.0)
-            yield Known(key, where, f"{f_hz:g} Hz", abs(amplitude) * arm, _line(f_hz))
-
-
-def _tone(v: Values) -> Iterator[Known]:
-    force = abs(v["acceleration_m_s2"]) * v["mass_kg"]
-    yield Known("vibration.force", frozenset({"z"}), "force", force, _line(v["freq_hz"]))
-
-
-def _shaken(v: Values) -> Iterator[Known]:
-    # All of its power is in its band, so that of the force is that of the floor times the mass.
-    force = v["rms_m_s2"] * v["mass_kg"]
-    yield Known("vibration.random", frozenset({"z"}), "rms", force, _get("rms"))
+def _amplitude(found: Found) -> float | None:
+    """Return the amplitude of a cosine and a sine."""
+    return math.hypot(found["a"], found["b"]) if {"a", "b"} <= set(found) else None
 
 
 def _line(f_hz: float) -> Callable[[Found], float | None]:
-    """Return what reads the amplitude of one line and of no other."""
+    """Return what reads the amplitude of the spectral line at f_hz, and of no other."""
 
     def amplitude(found: Found) -> float | None:
         near = abs(found.get("frequency", -1.0) - f_hz) < _SAME_LINE_HZ
-        return _size(found) if near else None
+        return _amplitude(found) if near else None
 
     return amplitude
 
 
-_KNOWN: dict[str, Callable[[Values], Iterator[Known]]] = {
-    "CubicRods": _cubic,
-    "QuadraticRods": _quadratic,
-    "BilinearRods": _bilinear,
-    "QuadraticDamping": _drag,
-    "SqueezeFilm": _film,
-    "Coulomb": _coulomb,
+def _sliding(v: Values) -> list[Known]:
+    laws = ("coulomb", "stribeck", "dahl", "lugre")
+    return [
+        one for law in laws for one in _on_dof(v, f"friction.{law}", 1, friction=v["coulomb_n"])
+    ]
+
+
+def _bouc_wen(v: Values) -> list[Known]:
+    force = (1.0 - v.get("left", 0.0)) * v["stiffness_n_m"] * v["yield_m"]
+    return [
+        *_on_dof(v, "friction.bouc_wen", 1, friction=force),
+        *_on_dof(v, "friction.dahl", 1, friction=force),
+        *_on_dof(v, "friction.bouc_wen", -1, x_s=v["yield_m"]),
+    ]
+
+
+def _payload(v: Values) -> list[Known]:
+    when = Known("payload", _POSE, v["begin_s"], "time", _RECORD_S)
+    return [*_at(_POSE, "payload", m=v["mass_kg"], x=v["x_m"], y=v["y_m"]), when]
+
+
+def _imbalance(v: Values) -> list[Known]:
+    s = abs(v["imbalance_kg_m"])
+    return [
+        Known("rotor.imbalance", ["rotor", "psi"], s * v["rotor_z_m"], _amplitude),
+        Known("rotor.imbalance", ["rotor", "theta"], s * v["rotor_z_m"], _amplitude),
+        Known("rotor.weight", ["rotor", "psi", "theta"], s * _GRAVITY_M_S2, _amplitude),
+    ]
+
+
+def _lag_or_delay(v: Values, time_s: float) -> list[Known]:
+    # A slow platform shows only what a lag and a delay of one time have in common.
+    lag = _at(_coils(v), "actuator_lag", lag=time_s)
+    return lag + _at(_coils(v), "delay", delay=time_s)
+
+
+def _bent(v: Values) -> list[Known]:
+    one_m = 1.0 / v["distance_m"]
+    quadratic = _at(_sensor(v), "sensor_nonlinearity.quadratic", a=-one_m)
+    return quadratic + _at(_sensor(v), "sensor_nonlinearity.inverse", a=-one_m, k=one_m)
+
+
+def _mains(v: Values, key: str, where: Sequence[str], amplitudes: Sequence[float]) -> list[Known]:
+    first_hz = v.get("freq_hz", 50.0)
+    return [
+        Known(key, where, abs(amplitude), _line(k * first_hz))
+        for k, amplitude in enumerate(amplitudes, 1)
+        if amplitude
+    ]
+
+
+_KNOWN: dict[str, Callable[[Values], list[Known]]] = {
+    "CubicRods": lambda v: _on_dof(v, "rod_stiffness.cubic", 4, k3=v["k3_n_m3"]),
+    "QuadraticRods": lambda v: _on_dof(v, "rod_stiffness.asymmetric", 3, k2=v["k2_n_m2"]),
+    "BilinearRods": lambda v: _on_dof(v, "rod_stiffness.one_sided", 2, k=v["k_n_m"]),
+    "QuadraticDamping": lambda v: _on_dof(v, "air_damping.quadratic", 3, d2=v["d2_n_s2_m2"]),
+    "SqueezeFilm": lambda v: [
+        # As long as the film moves little in its thickness, only d / h0 shows.
+        Known("air_damping.squeeze_film", _POSE, v["d_n_s_m"] / v["film_m"],
+              lambda f: f["d"] / f["h0"])
+    ],
+    "Coulomb": lambda v: _sliding(v) + _on_dof(v, "friction.coulomb", -1, v_s=v["speed_m_s"]),
     "Stribeck": _sliding,
-    "Dahl": _dahl,
+    "Dahl": lambda v: (
+        _sliding(v) + _on_dof(v, "friction.dahl", -1, x_s=v["coulomb_n"] / v["stiffness_n_m"])
+    ),
     "LuGre": _sliding,
     "BoucWen": _bouc_wen,
-    "MaxwellSlip": _slip,
-    "BeamCable": _beam_cable,
-    "FlexibleMode": _mode,
-    "CentreOfMass": _centre,
+    "MaxwellSlip": lambda v: [
+        Known("friction.maxwell_slip", [v["dof"]], sum(v["slip_n"]) * _arm(v),
+              lambda f: f["friction_1"] + f["friction_2"] + f["friction_3"])
+    ],
+    "BeamCable": lambda v: _at(["z"], "cable_pull.linear", a=v["weight_n_m"]),
+    "FlexibleMode": lambda v: _at(
+        None, "flexible_mode", frequency=v["freq_hz"], damping=v["damping"]
+    ),
+    "CentreOfMass": lambda v: (
+        _at(["psi", "z"], "centre_of_mass", a=v["m_p_kg"] * v["y_m"])
+        + _at(["theta", "z"], "centre_of_mass", a=v["m_p_kg"] * v["x_m"])
+    ),
     "Payload": _payload,
-    "BearingPresliding": _bearing,
-    "MotorFriction": _motor_friction,
-    "MotorCogging": _cogging,
-    "MagnetField": _field,
-    "BeamReaction": _reaction,
-    "BeamCoriolis": _coriolis,
-    "BeamGravity": _gravity,
+    "BearingPresliding": lambda v: _at(
+        None, "friction.bearing", m=v["m_b_kg"] * _BEAM_M**2, height=_BEAM_M
+    ),
+    "MotorFriction": lambda v: (
+        _at(["beam"], "friction.beam", friction=v["coulomb_n"], v_s=v["speed_m_s"])
+        + _at(["beam"], "friction.beam_presliding", friction=v["coulomb_n"])
+    ),
+    "MotorCogging": lambda v: [
+        Known("cogging", ["beam"], abs(v["amplitude_n"]), _amplitude),
+        *_at(["beam"], "cogging", pitch=v["pitch_m"]),
+    ],
+    "MagnetField": lambda v: [
+        Known("external_field", ["z"], abs(v["amplitude_n"]), _amplitude),
+        *_at(["z"], "external_field", period=v["pitch_m"]),
+    ],
+    "BeamReaction": lambda v: _at(
+        ["theta"], "beam_motion.reaction", a=v["excess"] * v["m_b_kg"] * _BEAM_M
+    ),
+    "BeamCoriolis": lambda v: _at(
+        ["z"], "beam_motion.coriolis_lift", a=v["excess"] * v["m_b_kg"]
+    ),
+    "BeamGravity": lambda v: _at(
+        ["theta"], "beam_motion.gravity", a=v["excess"] * v["m_b_kg"] * _GRAVITY_M_S2
+    ),
     "RotorImbalance": _imbalance,
-    "BarTorque": _bar,
-    "CoilGain": _gain,
-    "ForceConstant": _constant,
-    "ActuatorLag": _lag,
-    "ExtraDelay": _delay,
-    "DeadZone": _dead_zone,
-    "ThermalDrift": _thermal,
-    "SoftSaturation": _saturation,
-    "SensorGain": _sensor_gain,
+    "BarTorque": lambda v: (
+        _at(["rotor", "psi"], "rotor.bar", a=v["j_kg_m2"] * v["lean_x_rad"])
+        + _at(["rotor", "theta"], "rotor.bar", a=-v["j_kg_m2"] * v["lean_y_rad"])
+    ),
+    "CoilGain": lambda v: _at(_coils(v), "coil_gain", gain=v["excess"]),
+    "ForceConstant": lambda v: (
+        _at(_coils(v), "force_constant.linear", a=v["slope_1_m"])
+        if v["slope_1_m"]
+        else _at(_coils(v), "force_constant.quadratic", b=v["curve_1_m2"])
+    ),
+    "ActuatorLag": lambda v: _lag_or_delay(v, v["lag_s"]),
+    "ExtraDelay": lambda v: _lag_or_delay(v, v["delay_s"]),
+    "DeadZone": lambda v: _at(_coils(v), "dead_zone", width=v["width_n"]),
+    "ThermalDrift": lambda v: _at(
+        _coils(v), "thermal_drift.heat", a=v["loss"] / v["rated_n"] ** 2, tau=v["time_constant_s"]
+    ),
+    "SoftSaturation": lambda v: _at(_coils(v), "saturation", limit=v["limit_n"]),
+    "SensorGain": lambda v: _at(_sensor(v), "sensor_gain", gain=v["excess"]),
     "SensorNonlinearity": _bent,
-    "SensorDrift": _warm_up,
-    "SensorCrosstalk": _crosstalk,
-    "SensorLag": _sensor_lag,
-    "StickingSensor": _sticking,
-    "MainsForce": _hum,
-    "MainsPickup": _hum,
-    "FloorTone": _tone,
-    "FloorNoise": _shaken,
-}
+    "SensorDrift": lambda v: _at(
+        _sensor(v), "sensor_offset.warm_up", a=v["offset_m"], tau=v["time_constant_s"]
+    ),
+    "SensorCrosstalk": lambda v: _at(
+        [*_sensor(v), f"sensor:{v['other']}"], "sensor_crosstalk", share=v["share"]
+    ),
+    "SensorLag": lambda v: _at(_sensor(v), "sensor_lag", lag=v["lag_s"]),
+    "StickingSensor": lambda v: _at(_sensor(v), "sensor_stuck.jump", width=v["step_m"]),
+    "MainsForce": lambda v: _mains(
+        v, "vibration.force", [v["dof"]], [_arm(v) * a for a in v["amplitudes_n"]]
+    ),
+    "MainsPickup": lambda v: _mains(v, "vibration.reading", _sensor(v), v["amplitudes_m"]),
+    "FloorTone": lambda v: [
+        Known("vibration.force", ["z"], abs(v["acceleration_m_s2"]) * v["mass_kg"],
+              _line(v["freq_hz"]))
+    ],
+    # All power is in the band: the force's rms is the floor's acceleration times the mass.
+    "FloorNoise": lambda v: _at(["z"], "vibration.random", rms=v["rms_m_s2"] * v["mass_kg"]),
+}  # fmt: skip
+"""By the simulator's class."""

@@ -1,9 +1,8 @@
-"""PySINDy and SysIdentPy on one library of functions, the same forces, and nothing that remembers.
+"""Fit a force law with PySINDy or SysIdentPy, both from one library of static functions.
 
-The library is static for both: products, |v| v and a smooth sign(v). SysIdentPy's lagged regressors
-and PySINDy's derivatives would be memory, and what is put into the model here as a force law is a
-function of the present row alone. Friction that remembers is beyond both for that reason, not for
-one of theirs.
+The library has products, |v| v and a smooth sign(v). Lagged regressors (SysIdentPy) and derivatives
+(PySINDy) are left out: the law that is put into the model is a function of the present row.
+Friction with memory is out of reach of both for this reason.
 """
 
 from __future__ import annotations
@@ -22,17 +21,17 @@ Array = NDArray[np.float64]
 
 DEGREE = 3
 _THRESHOLDS = np.geomspace(1e-3, 0.5, 10)
-"""Of regressors of unit size, and forces of which the largest is."""
+"""For regressors of unit size, and forces of which the largest has unit size."""
 _RIDGE = 1e-8
 _FOLDS = 5
 _MOST_TERMS = 25
 _SLOW = 0.1
-"""Of a velocity's deviation: below it the smooth sign(v) is no sign yet."""
+"""Of a velocity's deviation: where the smooth sign(v) saturates."""
 
 
 @dataclass(frozen=True)
 class Library:
-    """T functions of regressors over `scale` (R,), some of which are `velocities` (columns).
+    """T functions of regressors over `scale` (R,); `velocities` are some of their columns.
 
     First the products up to DEGREE, the constant before all; then |v| v of each velocity, then
     tanh(v / v_0), v_0 a tenth of its deviation.
@@ -44,7 +43,13 @@ class Library:
     @cached_property
     def powers(self) -> NDArray[np.int64]:
         """Powers (., R) of the products."""
-        return powers_of(len(self.scale))
+        count = len(self.scale)
+        chosen = (
+            some
+            for k in range(DEGREE + 1)
+            for some in combinations_with_replacement(range(count), k)
+        )
+        return np.array([np.bincount(np.array(some, int), minlength=count) for some in chosen])
 
     def __len__(self) -> int:
         return len(self.powers) + 2 * len(self.velocities)
@@ -54,18 +59,19 @@ class Library:
         which = np.arange(len(self)) if some is None else np.asarray(some, np.int64)
         x, count = regressors / self.scale, len(self.powers)
         v = x[:, self.velocities]
-        laws = np.hstack([np.abs(v) * v, np.tanh(v / _SLOW)])
-        return np.hstack(
-            [products(x, self.powers[which[which < count]]), laws[:, which[which >= count] - count]]
-        )
+        laws = np.hstack([np.abs(v) * v, np.tanh(v / _SLOW)])[:, which[which >= count] - count]
+        powers = self.powers[which[which < count]]
+        products = np.ones((len(x), len(powers)))
+        for t, i in zip(*np.nonzero(powers), strict=True):
+            products[:, t] *= x[:, i] ** powers[t, i]
+        return np.hstack([products, laws])
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Forces (N, n) over `size` (n,), and what they may be made of; each row's block of time.
+    """Forces (N, n) over `size` (n,), the functions they may consist of, each row's time block.
 
-    functions: for each DOF those of the library (N, T), through the filter that its force came
-    through.
+    functions: for each DOF those of the library (N, T), through the filter of its force.
     """
 
     functions: tuple[Array, ...]
@@ -77,14 +83,14 @@ class Sample:
 
 @dataclass(frozen=True)
 class ForceLaw:
-    """Force as a sum of functions of a library, coefficients (T, n)."""
+    """A force as a sum of functions of a library, coefficients (T, n)."""
 
     library: Library
     coefficients: Array
 
     @property
     def terms(self) -> int:
-        """Number of functions that do anything, over all DOFs."""
+        """Number of nonzero coefficients, over all DOFs."""
         return int(np.count_nonzero(self.coefficients))
 
     def at(self, regressors: Array) -> Array:
@@ -93,49 +99,39 @@ class ForceLaw:
         return np.asarray(self.library.at(regressors, used) @ self.coefficients[used])
 
 
-def powers_of(count: int) -> NDArray[np.int64]:
-    """Return the powers (T, count) of all products up to DEGREE, the constant first."""
-    chosen = (
-        some for k in range(DEGREE + 1) for some in combinations_with_replacement(range(count), k)
-    )
-    return np.array([np.bincount(np.array(some, int), minlength=count) for some in chosen])
-
-
-def products(x: Array, powers: NDArray[np.int64]) -> Array:
-    """Return products (N, T) of powers (T, R) of x (N, R)."""
-    out = np.ones((len(x), len(powers)))
-    for t, i in zip(*np.nonzero(powers), strict=True):
-        out[:, t] *= x[:, i] ** powers[t, i]
-    return out
-
-
 def pysindy(sample: Sample) -> ForceLaw:
-    """Return a sparse sum by STLSQ (Brunton, Proctor and Kutz 2016), for each DOF."""
+    """Return a sparse sum by STLSQ (Brunton, Proctor and Kutz 2016) for each DOF.
+
+    The threshold is the one of least error on a fifth of the blocks.
+    """
     import pysindy as ps
 
-    out = sample.block % _FOLDS == 0
+    held_out = sample.block % _FOLDS == 0
 
     def fitted(dof: int, threshold: float, rows: NDArray[np.bool_]) -> Array:
         optimizer = ps.STLSQ(threshold=threshold, alpha=_RIDGE)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a threshold that leaves nothing is no news
+            warnings.simplefilter("ignore")  # a threshold that removes all terms
             optimizer.fit(sample.functions[dof][rows], sample.force[rows, dof : dof + 1])
         return np.asarray(optimizer.coef_, float).ravel()
 
     def error(threshold: float) -> float:
         left = [
-            sample.force[out, i] - given[out] @ fitted(i, threshold, ~out)
+            sample.force[held_out, i] - given[held_out] @ fitted(i, threshold, ~held_out)
             for i, given in enumerate(sample.functions)
         ]
         return float(np.mean(np.square(left)))
 
-    best, every = min(_THRESHOLDS.tolist(), key=error), np.ones_like(out)
+    best, every = min(_THRESHOLDS.tolist(), key=error), np.ones_like(held_out)
     found = np.column_stack([fitted(i, best, every) for i in range(len(sample.functions))])
     return ForceLaw(sample.library, found * sample.size)
 
 
 def sysidentpy(sample: Sample) -> ForceLaw:
-    """Return functions one by one by error reduction ratio (Billings 2013), for each DOF."""
+    """Return functions one by one by error reduction ratio (FROLS, Billings 2013) for each DOF.
+
+    Their number is by BIC.
+    """
     from sysidentpy.basis_function import Polynomial as Basis
     from sysidentpy.model_structure_selection import FROLS
     from sysidentpy.parameter_estimation import LeastSquares
@@ -152,24 +148,24 @@ def sysidentpy(sample: Sample) -> ForceLaw:
         )  # fmt: skip
         model.fit(X=ahead, y=sample.force[:, [i]])
         for code, theta in zip(model.final_model, np.ravel(model.theta), strict=True):
-            # 2001 is the first input a row before, 3001 the second; 0 stands for nothing.
+            # 2001 is the first input a row before, 3001 the second; 0 is an empty factor.
             used = np.asarray(code, int)[np.asarray(code) > 0] // 1000 - 1
             found[used[0] if len(used) else 0, i] += float(theta) * sample.size[i]
     return ForceLaw(sample.library, found)
 
 
 def load(who: str) -> None:
-    """Import all of a peer, which takes a second; raises ModuleNotFoundError."""
-    for name in _MODULES[who]:
+    """Import a peer before the clock starts; raises ModuleNotFoundError."""
+    names = {
+        "PySINDy": ["pysindy"],
+        "SysIdentPy": [
+            "sysidentpy.basis_function",
+            "sysidentpy.model_structure_selection",
+            "sysidentpy.parameter_estimation",
+        ],
+    }
+    for name in names[who]:
         importlib.import_module(name)
 
 
 PEERS: dict[str, Callable[[Sample], ForceLaw]] = {"PySINDy": pysindy, "SysIdentPy": sysidentpy}
-_MODULES = {
-    "PySINDy": ("pysindy",),
-    "SysIdentPy": (
-        "sysidentpy.basis_function",
-        "sysidentpy.model_structure_selection",
-        "sysidentpy.parameter_estimation",
-    ),
-}

@@ -16,12 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich import box
-from rich.table import Table
 
 from levid.benchmarks.harness.declared_model import off_by_a_tenth
 from levid.benchmarks.harness.isolated import Outcome, measure_apart
-from levid.benchmarks.harness.table import Figure, parser, show
+from levid.benchmarks.harness.table import Figure, run
 from levid.benchmarks.identification.contenders import CONTENDERS, Contender, Declared, Flight
 from levid.benchmarks.identification.known_plant import (
     BAND_HZ,
@@ -65,22 +63,12 @@ class Score:
     failed: str = ""
 
 
-def main() -> None:
-    arguments = parser("levid against its peers; --quick: one flight of 20 s an input").parse_args()
-    seeds, duration_s, timeout_s = [1, 2, 3], 60.0, 300.0
-    if arguments.quick:
-        seeds, duration_s, timeout_s = [1], 20.0, 60.0
-    scores: list[Score] = []
-
-    def measured() -> Iterator[Figure]:
-        scores.extend(measure(seeds, duration_s, timeout_s))
-        yield from figures(scores)
-
-    title = f"P's diagonal, 1 to 64 Hz, from 3 x {duration_s:g} s"
-    show("levid against its peers", arguments, measured, lambda: [table(scores, title)])
+def measure(quick: bool) -> Iterator[Figure]:
+    seeds, duration_s, timeout_s = ([1], 20.0, 60.0) if quick else ([1, 2, 3], 60.0, 300.0)
+    yield from figures(scores(seeds, duration_s, timeout_s))
 
 
-def measure(seeds: Sequence[int], duration_s: float, timeout_s: float) -> list[Score]:
+def scores(seeds: Sequence[int], duration_s: float, timeout_s: float) -> list[Score]:
     """Return the scores of all contenders; they take turns on each flight."""
     outcomes: dict[str, list[Outcome]] = {c.key: [] for c in CONTENDERS}
     ratios: dict[str, list[Complex]] = {c.key: [] for c in CONTENDERS}
@@ -156,14 +144,17 @@ def figures(scores: Sequence[Score]) -> Iterator[Figure]:
     label = "least lead in time over a peer of a comparable error"
     yield Figure("lead_time", min(leads, default=None), "x", label)
     for s in scores:
-        for key, value in (
-            (f"error_{s.contender.key}_db", s.error_db),
-            (f"error_{s.contender.key}_deg", s.error_deg),
-            (f"error_{s.contender.key}_percent", s.error_percent),
-            (f"time_{s.contender.key}_s", s.seconds),
-            (f"memory_{s.contender.key}_mb", s.peak_mb),
+        key, label = s.contender.key, s.contender.label
+        for name, value, unit, what in (
+            (f"error_{key}_percent", s.error_percent, "%", s.failed or "rms error"),
+            (f"error_{key}_db", s.error_db, "dB", "largest error"),
+            (f"error_{key}_deg", s.error_deg, "deg", "phase"),
+            (f"time_{key}_s", s.seconds, "s", "from records to P"),
+            (f"memory_{key}_mb", s.peak_mb, "MB", "peak memory"),
         ):
-            yield Figure(key, value if np.isfinite(value) else None, "", "")
+            finite = value if np.isfinite(value) else None
+            shown = what in (s.failed, "rms error", "from records to P")
+            yield Figure(name, finite, unit, f"{label}: {what}" if shown else "")
 
 
 def equals(scores: Sequence[Score]) -> list[Score]:
@@ -184,28 +175,5 @@ def time_lead(peer: Score, ours: Sequence[Score]) -> float:
     return peer.seconds / min(s.seconds for s in ours if s.error_percent <= enough)
 
 
-def table(scores: Sequence[Score], title: str) -> Table:
-    """Return the errors, the cost and levid's lead in time, a row for each contender."""
-    grid = Table(title=title, title_justify="left", box=box.SIMPLE)
-    grid.caption = (
-        "largest errors in dB and degrees, rms relative error; time from records to P; peak "
-        "memory; levid: lead in time of its fastest method that is no worse; *: own excitation"
-    )
-    grid.add_column("contender", no_wrap=True)
-    for column in ("dB", "deg", "%", "s", "MB", "levid"):
-        grid.add_column(column, justify="right", no_wrap=True)
-    ours = equals(scores)
-    for s in scores:
-        if s.failed:
-            grid.add_row(f"{s.contender.label}\n  failed: {s.failed}")
-            continue
-        alone = s.contender.is_levid or not ours or not np.isfinite(s.error_db)
-        grid.add_row(
-            s.contender.label, f"{s.error_db:.3f}", f"{s.error_deg:.2f}", f"{s.error_percent:.3f}",
-            f"{s.seconds:.2f}", f"{s.peak_mb:.0f}", "" if alone else f"{time_lead(s, ours):.2g} x",
-        )  # fmt: skip
-    return grid
-
-
 if __name__ == "__main__":
-    main()
+    run("levid against its peers, P's diagonal", measure)

@@ -20,9 +20,6 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import combinations
 
-from rich import box
-from rich.table import Table
-
 from levid.benchmarks.harness.isolated import Outcome, measure_apart
 from levid.benchmarks.harness.table import Figure, Target, parser, show
 from levid.benchmarks.trace.zoo_cases import CASES, FLOOR_M, TIMES, UNLISTED, Case
@@ -73,6 +70,12 @@ class Result:
         errors = relative_errors(entries, with_random_forces(found.summary, found.placed))
         return cls(plant, found, score, tuple(errors))
 
+    def __str__(self) -> str:
+        verdict = "right" if self.score.right else "wrong"
+        error = "" if self.worst_error is None else f", parameters off by {self.worst_error:.2g}"
+        floors = f"{self.score.before:.3g} to {self.score.after:.3g} floors"
+        return f"{verdict}: {self.score.said}; {floors}{error} ({self.found.seconds:.0f} s)"
+
     @property
     def worst_error(self) -> float | None:
         """The largest relative error of its parameters; None if none can be compared."""
@@ -98,23 +101,21 @@ def main() -> None:
     arguments = options.parse_args()
     plants = chosen(arguments)
     default = not (arguments.quick or arguments.full or arguments.only)
-    done: list[tuple[Plant, Outcome]] = []
-
-    def results() -> list[Result]:
-        return [Result.of(plant, outcome.value) for plant, outcome in done if outcome.value]
 
     def measure() -> Iterator[Figure]:
+        results, failed = list[Result](), 0
         try:
             for plant, outcome in flown(plants):
-                done.append((plant, outcome))
-                found = outcome.value and Result.of(plant, outcome.value)
-                said = found.score.said if found else outcome.failed
-                verdict = "failed" if not found else "right" if found.score.right else "wrong"
-                print(f"{len(done)}/{len(plants)} {plant}: {verdict}: {said}", file=sys.stderr)
+                result = outcome.value and Result.of(plant, outcome.value)
+                if result:
+                    results.append(result)
+                failed += not result
+                count = f"{len(results) + failed}/{len(plants)}"
+                print(f"{count} {plant}: {result or outcome.failed}", file=sys.stderr)
         finally:  # an interrupted run prints what it has
-            yield from figures(results(), len(done) - len(results()), limited=default)
+            yield from figures(results, failed, limited=default)
 
-    show("The zoo", arguments, measure, lambda: [table(results())])
+    show("The zoo", arguments, measure)
 
 
 def plan(quick: bool, full: bool, first_seed: int = FIRST_SEED) -> list[Plant]:
@@ -233,28 +234,6 @@ def figures(results: Sequence[Result], failed: int, limited: bool = False) -> li
         Figure("hours", hours if results else None, "h", f"processor time on {CORES} cores",
                target=Target(most=2.5) if limited else None),
     ]  # fmt: skip
-
-
-def table(results: Sequence[Result]) -> Table:
-    """Return a line for each plant: its verdict, the report, and the errors."""
-    grid = Table(
-        "plant", "verdict", "reported", title="Plants", title_justify="left", box=box.SIMPLE
-    )
-    for column in ("before", "after", "parameters", "s"):
-        grid.add_column(column, justify="right")
-    for r in sorted(results, key=lambda r: (r.plant.kind, r.plant.times, str(r.plant))):
-        verdict = "right" if r.score.right else "wrong"
-        grid.add_row(
-            str(r.plant), "right, hidden" if r.score.hidden else verdict, r.score.said,
-            f"{r.score.before:.3g}", f"{r.score.after:.3g}",
-            "" if r.worst_error is None else f"{100 * r.worst_error:.2g} %",
-            f"{r.found.seconds:.0f}",
-        )  # fmt: skip
-    grid.caption = (
-        "before, after: error of the refitted model without and with the reported effects, over "
-        "the noise floor; parameters: largest relative error; hidden: a refit absorbs the effect"
-    )
-    return grid
 
 
 def _of(results: Sequence[Result], kind: str, times: float | None = None) -> list[Result]:

@@ -170,7 +170,10 @@ def chosen(arguments: argparse.Namespace) -> list[Plant]:
 
 
 def flown(plants: Sequence[Plant]) -> Iterator[tuple[Plant, Outcome]]:
-    """Yield each plant's outcome as it is done; each runs in a process of its own."""
+    """Yield each plant's outcome as it is done, each from a new process.
+
+    A process imports the code when it starts: do not edit it during a run.
+    """
 
     def one(plant: Plant) -> Outcome:
         effects = [case.effect(plant.times) for case in plant.cases]

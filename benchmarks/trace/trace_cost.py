@@ -53,7 +53,8 @@ def measure(quick: bool) -> Iterator[Figure]:
     duration_s, seconds = 24.0 if quick else 60.0, {}
     with tempfile.TemporaryDirectory() as folder:
         logs = fly_session(_session(duration_s, quick), Path(folder), list(EFFECTS.values()))
-        for name, part in {"all": 1} if quick else {"quarter": 4, "half": 2, "all": 1}.items():
+        parts = {"all": 1} if quick else {"quarter": 4, "half": 2, "all": 1}
+        for name, part in parts.items():
             some = logs[: len(logs) // part]
             outcome = _apart(found_in, some)
             seconds[len(some)] = outcome.seconds

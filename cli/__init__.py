@@ -1,1 +1,1 @@
-"""The commands: parse, call, print."""
+"""Command-line interface: parse options, call the library, print results."""

@@ -1,4 +1,4 @@
-"""`levid check`: read files as strictly as the daemon would, touch no device."""
+"""`levid check`: validate configuration and log files as the daemon does, without a device."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ _WORTH_A_WORD = 1e-3
     "--rig",
     "rig_path",
     type=click.Path(path_type=Path),
-    help="Rig that sessions are checked against; the shipped loopback rig unless given.",
+    help="RIG.yaml to check sessions against. Default: the shipped loopback rig.",
 )
 def command(files: tuple[Path, ...], rig_path: Path | None) -> int:
     """Check FILES: rigs, simulators, sessions, models, signals, and logs (.mcap).
 
-    Every problem is one line that names file, key, what was expected and what came. No device is
-    touched. Exit code 0 when all can be used, a log that was cut off too, 1 otherwise.
+    Prints one line a file. Each mistake is reported on its own line: file, key, what was expected
+    and what was found. No device is accessed. Exit code 0 if all files can be used (a truncated
+    log can), else 1.
 
     \b
     Examples:
@@ -64,19 +65,19 @@ def _check(path: Path, rig_path: Path | None) -> str:
     from ..config.sim import SimConfig
     from ..log.signals_file import SignalsFile
 
-    said = "ok"
+    summary = "ok"
     match load_any(path, {"signals": SignalsFile}):
         case RigConfig() as rig:
-            said = _rig(rig, path)
+            summary = _rig(rig, path)
         case SessionConfig() as session:
-            said = _session(session, path, rig_path)
+            summary = _session(session, path, rig_path)
         case ModelConfig() as model:
-            said = _model(model, path)
+            summary = _model(model, path)
         case SimConfig() as sim:
-            said = _sim(sim, path)
+            summary = _sim(sim, path)
         case SignalsFile() as signals:
-            said = f"signals, {len(signals.columns)} columns at {signals.rate_hz:g} Hz"
-    return said
+            summary = f"signals, {len(signals.columns)} columns at {signals.rate_hz:g} Hz"
+    return summary
 
 
 def _log(path: Path) -> str:
@@ -84,14 +85,14 @@ def _log(path: Path) -> str:
 
     log = read_log(path)
     n = len(log.rows)
-    # Skipped periods are no rows, but they are time.
+    # Skipped periods have no row but count as time.
     seconds = (_periods(log.rows) or n) / log.rate_hz
-    ending = "" if log.complete else f"; not complete, this is what is left: {log.problem}"
-    return f"log, {n} records at {log.rate_hz:g} Hz ({seconds:.1f} s){ending}"
+    ending = "" if log.complete else f"; truncated, these rows can be read: {log.problem}"
+    return f"log, {n} rows at {log.rate_hz:g} Hz ({seconds:.1f} s){ending}"
 
 
 def _periods(rows: NDArray[np.void]) -> int:
-    """Return how many periods rows span by their cycles; 0 where a log of others counts none."""
+    """Return the number of periods from first to last row; 0 for logs without a cycle counter."""
     if "cycle" not in (rows.dtype.names or ()) or not rows.size:
         return 0
     cycle = rows["cycle"]
@@ -114,19 +115,19 @@ def _rig(rig: RigConfig, path: Path) -> str:
     except GeometryError as error:
         raise ConfigError(f"{path}: geometry: {error}") from None
     try:
-        found = check_backends(Context(rig, 1 / rig.rate_hz, path.parent))
+        budget = check_backends(Context(rig, 1 / rig.rate_hz, path.parent))
     except ConfigError as error:
-        named = str(error).startswith(f"{path}: ")
-        raise ConfigError(f"{'' if named else f'{path}: '}{error}") from None
+        names_file = str(error).startswith(f"{path}: ")
+        raise ConfigError(f"{'' if names_file else f'{path}: '}{error}") from None
     if warning := held_too_long(rig):
         click.echo(f"{path}: warning: {warning}", err=True)
-    wire = f"; the wire carries {1 / found.cycle_s:.0f} Hz" if found.buses else ""
-    ahead = _feed_forward(with_model(rig, path), path)
-    return f"rig, {len(rig.geometry.coil_x_m)} coils, {rig.rate_hz:g} Hz{wire}; {ahead}"
+    bus_rate = f"; bus rate limit {1 / budget.cycle_s:.0f} Hz" if budget.buses else ""
+    coils = f"{len(rig.geometry.coil_x_m)} coils"
+    return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {_feed_forward(with_model(rig, path), path)}"
 
 
 def _feed_forward(rig: RigConfig, path: Path) -> str:
-    """Return in words what the feed-forward asks of a coil, and what it cannot follow."""
+    """Return a summary of the largest coil force of the feed-forward, and of its linear part's error."""
     from ..config.base import ConfigError
     from ..daemon.control.feed_forward import beam_at_limits, feed_forward, largest_coil_n
 
@@ -135,11 +136,11 @@ def _feed_forward(rig: RigConfig, path: Path) -> str:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     most_n = largest_coil_n(rig, law.wrench(beam_at_limits(rig)))
-    said = f"the feed-forward asks for up to {most_n:.3g} N of a coil"
+    text = f"feed-forward up to {most_n:.3g} N a coil"
     left_n = largest_coil_n(rig, law.left_over[None])
     if left_n > _WORTH_A_WORD * most_n:
-        said += f" (its linear part: the model's force differs from it by up to {left_n:.2g} N)"
-    return said
+        text += f" (linear; it differs from the model's force by up to {left_n:.2g} N)"
+    return text
 
 
 def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
@@ -174,7 +175,7 @@ def _model(config: ModelConfig, path: Path) -> str:
 
 
 def _places(config: ModelConfig) -> Places:
-    """Return where effects of a model may sit: on the rig if the model is one of it."""
+    """Return the valid locations of the model's effects; a model in psi, theta, z is the rig's."""
     from ..config.rig import load_rig
     from ..config.shipped import shipped
     from ..identification.trace.records.trace_record import imported_places, rig_places

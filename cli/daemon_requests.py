@@ -1,4 +1,4 @@
-"""`levid status`, `levitate`, `move`, `land`, `stop`, `clear`, `watch`: ask the running daemon."""
+"""`levid status`, `watch`, `levitate`, `move`, `land`, `stop`, `clear`: control the daemon."""
 
 from __future__ import annotations
 
@@ -15,51 +15,52 @@ _RIG = click.option(
     "--rig",
     "rig_path",
     type=click.Path(path_type=Path),
-    help="RIG.yaml whose socket to use; the default socket unless given.",
+    help="RIG.yaml that names the daemon's socket. Default: the default socket.",
 )
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-_GONE = click.option(
+_IF_GONE = click.option(
     "--if-gone",
     type=click.Choice(["go_on", "land"]),
-    help="What the flight does if this command is interrupted; as the rig says unless given.",
+    help="What the daemon does if this command is interrupted. Default: service.client_gone of "
+    "the rig.",
 )
 
 
-_COUNTED = {
-    "stale": "readings not in time",
+_COUNTERS = {
+    "stale": "stale readings",
     "lost": "rows lost",
 }
-"""What `levid status` tells of if there was any."""
+"""Counters that `levid status` prints if they are not zero."""
 
 
 @click.command("status")
 @_RIG
 @_JSON
 def status(rig_path: Path | None, as_json: bool) -> int:
-    """Say what the daemon is doing.
+    """Print the daemon's state: session or fault, late cycles, lateness and execution time.
 
     \b
     Examples:
       levid status
       levid status --json
     """
-    answer = _ask("status", rig_path)
+    answer = _request("status", rig_path)
     if as_json:
         click.echo(json.dumps(answer))
         return 0
-    click.echo(f"{answer['rig']} at {answer['rate_hz']:g} Hz: {_doing(answer)}")
-    counts = [f"{answer[key]} {words}" for key, words in _COUNTED.items() if answer[key]]
+    click.echo(f"{answer['rig']} at {answer['rate_hz']:g} Hz: {_activity(answer)}")
+    counts = [f"{answer[key]} {words}" for key, words in _COUNTERS.items() if answer[key]]
     click.echo(", ".join([f"cycle {answer['cycle']}", f"{answer['late']} late", *counts]))
-    for what in ("lateness", "execution"):
-        us = answer["timing"][f"{what}_us"]
-        shares = ", ".join(f"{name} {us[name]:.0f}" for name in ("p50", "p99", "p99.9", "max"))
-        click.echo(f"{what} in us: {shares}")
+    for quantity in ("lateness", "execution"):
+        us = answer["timing"][f"{quantity}_us"]
+        percentiles = ", ".join(f"{name} {us[name]:.0f}" for name in ("p50", "p99", "p99.9", "max"))
+        click.echo(f"{quantity} in us: {percentiles}")
     if answer["late"]:
-        by = ", ".join(
+        causes = ", ".join(
             f"{n} by {k.replace('_', '-')}" for k, n in answer["timing"]["late_by"].items()
         )
-        click.echo(f"late: {by}")
-    for line in _burdens(answer):
+        click.echo(f"late: {causes}")
+    for line in _resource_problems(answer):
         click.echo(line)
     if answer["recording"]:
         click.echo(f"not recording: {answer['recording']}")
@@ -71,9 +72,16 @@ def status(rig_path: Path | None, as_json: bool) -> int:
 @click.command("watch")
 @_RIG
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
-@click.option("--every-s", type=click.FloatRange(0.05, 3600), default=0.5, help="Seconds between.")
+@click.option(
+    "--every-s",
+    type=click.FloatRange(0.05, 3600),
+    default=0.5,
+    help="Seconds between lines. Default: 0.5.",
+)
 def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
-    """Say what the daemon is doing, again and again, until Ctrl-C.
+    """Print the daemon's state, one line every --every-s seconds, until Ctrl-C.
+
+    A line shows cycle, late cycles, height z, beam position and activity.
 
     \b
     Examples:
@@ -86,26 +94,27 @@ def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
             click.echo(json.dumps(answer))
             return
         z_m, beam_m = answer["z_m"], answer["beam_m"]
-        where = "" if z_m is None else f"  z {1e6 * z_m:7.1f} um"
-        where += "" if beam_m is None else f"  beam {1e3 * beam_m:7.2f} mm"
+        position = "" if z_m is None else f"  z {1e6 * z_m:7.1f} um"
+        position += "" if beam_m is None else f"  beam {1e3 * beam_m:7.2f} mm"
         stale = f"  {answer['stale']} stale" if answer["stale"] else ""
-        late = f"{answer['cycle']:>12d}  {answer['late']:>6d} late{stale}"
-        click.echo(f"{late}{where}  {_doing(answer)}")
+        counts = f"{answer['cycle']:>12d}  {answer['late']:>6d} late{stale}"
+        click.echo(f"{counts}{position}  {_activity(answer)}")
 
-    _ask("watch", rig_path, show, every_s=every_s)
+    _request("watch", rig_path, show, every_s=every_s)
     return 0
 
 
 @click.command("levitate")
 @_RIG
 @_JSON
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for a log of the flight.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for a log. Default: no log.")
 @click.option(
     "--check-coils/--no-check-coils",
     default=None,
-    help="Push each coil, once up, and see what it moves; until the coils are known unless given.",
+    help="After lift-off, push each coil and measure the response. Default: only at the first "
+    "lift-off after the daemon's start and after a fault.",
 )
-@_GONE
+@_IF_GONE
 def levitate(
     rig_path: Path | None,
     as_json: bool,
@@ -113,7 +122,7 @@ def levitate(
     check_coils: bool | None,
     if_gone: str | None,
 ) -> int:
-    """Lift off and hold the working point until `levid land`.
+    """Lift off and hold the working point until `levid land`; wait until it levitates.
 
     \b
     Examples:
@@ -122,23 +131,24 @@ def levitate(
     """
     from ..daemon.recording.session_logs import in_doubt
 
-    more: dict[str, Any] = {"out": str(out.resolve())} if out else {}
-    more |= _if_gone(if_gone)
+    arguments: dict[str, Any] = {"out": str(out.resolve())} if out else {}
+    arguments |= _if_gone(if_gone)
     if check_coils is not None:
-        more["levitate"] = {"check_coils": {} if check_coils else False}
-    answer = _ask("levitate", rig_path, **more)
+        arguments["levitate"] = {"check_coils": {} if check_coils else False}
+    answer = _request("levitate", rig_path, **arguments)
     if doubt := in_doubt(answer["unjudged_coils"]):
         say(doubt)
-    _tell(answer, as_json, "landed before it was up" if answer["stopped"] else "levitating")
+    landed = "landed on request before the lift-off was complete"
+    _print(answer, as_json, landed if answer["stopped"] else "levitating")
     return 1 if answer["stopped"] else 0
 
 
 @click.command("move")
-@click.option("--beam-m", type=float, help="Where the beam is to go.")
-@click.option("--rotor-rad", type=float, help="Where the rotor is to go.")
+@click.option("--beam-m", type=float, help="Target position of the beam in m.")
+@click.option("--rotor-rad", type=float, help="Target angle of the rotor in rad.")
 @_RIG
 @_JSON
-@_GONE
+@_IF_GONE
 def move(
     beam_m: float | None,
     rotor_rad: float | None,
@@ -146,19 +156,20 @@ def move(
     as_json: bool,
     if_gone: str | None,
 ) -> int:
-    """Move beam, rotor or both while levitating, and wait until they are there.
+    """Move beam, rotor or both while levitating; wait until the move is complete.
 
     \b
     Examples:
       levid move --beam-m 0.05
       levid move --beam-m -0.02 --rotor-rad 1.57
     """
-    wanted = {"beam_m": beam_m, "rotor_rad": rotor_rad}
-    given = {key: value for key, value in wanted.items() if value is not None}
+    targets = {"beam_m": beam_m, "rotor_rad": rotor_rad}
+    given = {key: value for key, value in targets.items() if value is not None}
     if not given:
-        raise click.UsageError("expected --beam-m, --rotor-rad or both")
-    answer = _ask("move", rig_path, move=given, **_if_gone(if_gone))
-    _tell(answer, as_json, "landed before it was there" if answer["stopped"] else "there")
+        raise click.UsageError("expected --beam-m, --rotor-rad or both, found neither")
+    answer = _request("move", rig_path, move=given, **_if_gone(if_gone))
+    landed = "landed on request before the move was complete"
+    _print(answer, as_json, landed if answer["stopped"] else "move complete")
     return 1 if answer["stopped"] else 0
 
 
@@ -166,14 +177,14 @@ def move(
 @_RIG
 @_JSON
 def land(rig_path: Path | None, as_json: bool) -> int:
-    """End the session at hand: the platform lands at once.
+    """End the running session: the platform lands now.
 
     \b
     Examples:
       levid land
     """
-    answer = _ask("land", rig_path)
-    _tell(answer, as_json, "landing" if answer["landing"] else "nothing is flying")
+    answer = _request("land", rig_path)
+    _print(answer, as_json, "landing" if answer["landing"] else "no flight to land")
     return 0
 
 
@@ -181,15 +192,15 @@ def land(rig_path: Path | None, as_json: bool) -> int:
 @_RIG
 @_JSON
 def stop(rig_path: Path | None, as_json: bool) -> int:
-    """Zero force at once: the platform drops onto its stops, and the daemon is in fault STOPPED.
+    """Set all coil forces to zero immediately; the platform drops onto its stops.
 
-    It works whatever else the daemon is doing. `levid clear` takes it back.
+    It works in every state. The daemon is then in fault STOPPED until `levid clear`.
 
     \b
     Examples:
       levid stop
     """
-    _tell(_ask("stop", rig_path), as_json, "zero force; 'levid clear' to go on")
+    _print(_request("stop", rig_path), as_json, "zero force; run 'levid clear' to fly again")
     return 0
 
 
@@ -197,36 +208,36 @@ def stop(rig_path: Path | None, as_json: bool) -> int:
 @_RIG
 @_JSON
 def clear(rig_path: Path | None, as_json: bool) -> int:
-    """Clear a fault, once its cause is gone: the daemon takes sessions again.
+    """Clear a fault after its cause is removed, so that the daemon accepts sessions again.
 
     \b
     Examples:
       levid clear
     """
-    answer = _ask("clear", rig_path)
+    answer = _request("clear", rig_path)
     cleared = answer["cleared"]
-    _tell(answer, as_json, "there was no fault" if cleared == "NONE" else f"cleared {cleared}")
+    _print(answer, as_json, "no fault to clear" if cleared == "NONE" else f"cleared {cleared}")
     return 0
 
 
-def _burdens(answer: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what has weighed on the daemon since its start, in words."""
+def _resource_problems(answer: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line for each resource problem and restart since the daemon's start."""
     if answer["clients_gone"]:
-        yield f"clients gone in mid-flight: {answer['clients_gone']}"
+        yield f"clients that disconnected during a flight: {answer['clients_gone']}"
     if answer["recorder_restarts"]:
-        yield f"recorders started anew: {answer['recorder_restarts']}"
+        yield f"recorder restarts: {answer['recorder_restarts']}"
     if answer["flooded_s"]:
         yield f"control socket flooded for {answer['flooded_s']:g} s"
     if answer["memory_stalled_s"]:
-        yield f"processes waited for memory for {answer['memory_stalled_s']:g} s"
+        yield f"processes waited {answer['memory_stalled_s']:g} s for memory"
     if answer["stolen_s"]:
-        yield f"the host of this virtual machine kept its processors for {answer['stolen_s']:g} s"
+        yield f"CPU time taken by the virtual machine's host: {answer['stolen_s']:g} s"
 
 
-def _doing(answer: Mapping[str, Any]) -> str:
+def _activity(answer: Mapping[str, Any]) -> str:
     if answer["fault"] != "NONE":
         detail = f" ({answer['detail']})" if answer["detail"] else ""
-        return f"fault {answer['fault']}{detail}; 'levid clear' when it is mended"
+        return f"fault {answer['fault']}{detail}; remove its cause, then run 'levid clear'"
     if answer["session"]:
         return f"session {answer['session']}, {answer['step']}, {100 * answer['share']:.0f} %"
     return {"IDLE": "idle, zero force", "LEVITATING": "levitating"}.get(
@@ -234,32 +245,32 @@ def _doing(answer: Mapping[str, Any]) -> str:
     )
 
 
-def _tell(answer: Mapping[str, Any], as_json: bool, words: str) -> None:
-    click.echo(json.dumps(answer) if as_json else words)
+def _print(answer: Mapping[str, Any], as_json: bool, summary: str) -> None:
+    click.echo(json.dumps(answer) if as_json else summary)
 
 
-def _if_gone(what: str | None) -> dict[str, Any]:
-    return {"client_gone": what} if what else {}
+def _if_gone(action: str | None) -> dict[str, Any]:
+    return {"client_gone": action} if action else {}
 
 
-def _ask(
+def _request(
     op: str,
     rig_path: Path | None,
     on_line: Callable[[Mapping[str, Any]], None] | None = None,
-    **more: Any,
+    **arguments: Any,
 ) -> dict[str, Any]:
     from ..daemon.api.socket_paths import socket_path
     from ..daemon.client import Client
 
     rig = None
     if rig_path:
-        from ..config.rig import load_rig  # takes a second: not before a stop that needs none
+        from ..config.rig import load_rig  # takes 1 s: `levid stop` without --rig must not wait
 
         rig = load_rig(rig_path)
     with Client(socket_path(rig)) as client:
         try:
-            return client.request(op, on_line, **more)
+            return client.request(op, on_line, **arguments)
         except KeyboardInterrupt:
-            if op in ("levitate", "move") and more.get("client_gone") != "land":
-                say("the daemon goes on as it is configured; 'levid land' lands")
+            if op in ("levitate", "move") and arguments.get("client_gone") != "land":
+                say("the daemon follows service.client_gone of its rig; run 'levid land' to land")
             raise

@@ -1,4 +1,4 @@
-"""`levid demo`: the main job from end to end, on the simulated rig."""
+"""`levid demo`: fly, log, identify and trace the simulated rig."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
-    help="Folder for logs and reports; the next free out/demo-N unless given.",
+    help="Folder for logs and reports. Default: the next unused out/demo-N.",
 )
 def command(out: Path | None) -> int:
-    """Fly the paper's experiment on the simulated rig, identify it from its logs, show pictures.
+    """Fly the paper's experiment on the simulated rig, identify the plant and trace effects.
 
-    White noise at each input in turn at three beam positions, then a moving beam: ten minutes of
-    flight, flown in virtual time. At the end a plant does what its model does not know, and is
-    traced from its logs. Prints where the reports lie.
+    The flight has white noise at each input in turn, at three beam positions, then a moving beam:
+    ten minutes in virtual time. Then a plant with two effects that the model lacks is flown, and
+    the trace finds them from the logs. Prints results and the paths of the reports.
 
     \b
     Examples:
@@ -40,14 +40,14 @@ def command(out: Path | None) -> int:
     from ..report.session.session_page import session_report
 
     begin = time.perf_counter()
-    folder = out or _next_free()
-    excited = _fly("sessions/white-noise-1khz.yaml", folder / "white-noise")
-    moved = _fly("sessions/beam.yaml", folder / "beam")
+    folder = out or _next_unused_folder()
+    white_noise = _fly("sessions/white-noise-1khz.yaml", folder / "white-noise")
+    moving_beam = _fly("sessions/beam.yaml", folder / "beam")
     with progress("drawing the moving beam"):
-        beam_page = session_report(moved.logs, folder / "beam" / "report")
-    # The truth is drawn beneath the results; identification gets the logs and nothing else.
+        beam_page = session_report(moving_beam.logs, folder / "beam" / "report")
+    # The report draws the true response for comparison; identification reads the logs only.
     found, page = identify_logs(
-        [*excited.logs, *moved.logs],
+        [*white_noise.logs, *moving_beam.logs],
         None,
         shipped("sims/nominal.yaml"),
         folder / "identification",
@@ -55,20 +55,20 @@ def command(out: Path | None) -> int:
     for line in words(found):
         click.echo(line)
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
-    click.echo(f"moving beam: {beam_page}")
+    click.echo(f"report on the moving beam: {beam_page}")
     click.echo(f"report: {page}")
     _trace(folder / "trace")
     return 0
 
 
 def _trace(folder: Path) -> None:
-    """Fly a plant with effects that no model knows, and trace them."""
+    """Fly a plant with effects that the model lacks, and trace them."""
     from ..config.shipped import shipped
 
     begin = time.perf_counter()
-    flown = _fly("sessions/trace-demo.yaml", folder, shipped("sims/undeclared.yaml"))
-    traced = trace_logs(flown.logs, None, folder / "found")
-    click.echo("trace of a plant that does what its model does not know:")
+    flight = _fly("sessions/trace-demo.yaml", folder, shipped("sims/undeclared.yaml"))
+    traced = trace_logs(flight.logs, None, folder / "found")
+    click.echo("trace of a plant with two effects that the model lacks:")
     for line in trace_words(traced.found):
         click.echo(line)
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
@@ -88,7 +88,7 @@ def _fly(name: str, out: Path, sim: Path | None = None) -> FlightResult:
     return result
 
 
-def _next_free() -> Path:
+def _next_unused_folder() -> Path:
     number = 1
     while (Path("out") / f"demo-{number}").exists():
         number += 1

@@ -1,4 +1,4 @@
-"""`levid electronics`: emulated amplifiers, ADC and drives that answer on a rig's buses."""
+"""`levid electronics`: emulate amplifiers, ADC and drives on a rig's buses."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from .progress import say
 @click.command("electronics")
 @click.argument("rig", type=click.Path(path_type=Path))
 def command(rig: Path) -> int:
-    """Play the electronics of RIG.yaml on its buses, in real time, with its simulated plant behind.
+    """Emulate the electronics of RIG.yaml on its buses, in real time, with its simulated plant.
 
-    Lines on standard input switch faults while it runs, each answered by one line: `status`, the
-    name of a fault with its argument (`trip 3`), `clear`; `help` lists them. The end of the input
-    ends nothing: Ctrl-C or SIGTERM does.
+    Commands on standard input inject faults while it runs; each prints one line. `help` lists the
+    faults, `trip 3` (name and argument) injects one, `clear` removes all, `status` prints JSON.
+    Ctrl-C or SIGTERM ends it; the end of standard input does not.
 
     \b
     Examples:
@@ -36,14 +36,14 @@ def command(rig: Path) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: done.set())
     with electronics:
-        say(f"electronics of {config.name} answer; Ctrl-C ends them")
-        threading.Thread(target=_obey, args=(electronics,), daemon=True).start()
+        say(f"emulating the electronics of {config.name}; Ctrl-C ends it")
+        threading.Thread(target=_run_commands, args=(electronics,), daemon=True).start()
         while not done.wait(0.2):
             pass
     return 0
 
 
-def _obey(electronics: object) -> None:
+def _run_commands(electronics: object) -> None:
     from ..sim.electronics.faults import FAULTS, InjectionError
     from ..sim.electronics.rig import Electronics
 

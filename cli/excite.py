@@ -1,4 +1,4 @@
-"""`levid excite`: fly a session, here in virtual time or on the running daemon."""
+"""`levid excite`: fly a session on the running daemon or in virtual time in this process."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from ..config.session import SessionConfig
     from ..daemon.recording.session_logs import FlightResult
 
-_REPORTS = {"identify": "identification", "trace": "trace"}
-"""Folder of the report, by what a session's `then` names."""
+_REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
+"""Report folder of each command that a session's `then` can name."""
 
 
 @click.command("excite")
@@ -26,26 +26,30 @@ _REPORTS = {"identify": "identification", "trace": "trace"}
     "--rig",
     "rig_path",
     type=click.Path(path_type=Path),
-    help="RIG.yaml; with --virtual the shipped loopback rig unless given.",
+    help="RIG.yaml to fly. Default: the daemon's rig; with --virtual the shipped loopback rig.",
 )
 @click.option(
     "--sim",
     "sim_path",
     type=click.Path(path_type=Path),
-    help="SIM.yaml to fly instead of the one the rig names (with --virtual).",
+    help="SIM.yaml to fly instead of the one that the rig names; needs --virtual.",
 )
 @click.option(
     "--virtual",
     is_flag=True,
-    help="Fly in this process, on the loopback simulator, in virtual time.",
+    help="Fly in this process, on the simulated rig, in virtual time.",
 )
 @click.option(
-    "--out", required=True, type=click.Path(path_type=Path), help="Folder for logs, new or empty."
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Folder for logs and report; it must not contain logs.",
 )
 @click.option(
     "--if-gone",
     type=click.Choice(["go_on", "land"]),
-    help="What the daemon does if this command is interrupted; as its rig says unless given.",
+    help="What the daemon does if this command is interrupted. Default: service.client_gone of "
+    "the rig.",
 )
 def command(
     session: Path,
@@ -55,11 +59,11 @@ def command(
     out: Path,
     if_gone: str | None,
 ) -> int:
-    """Fly SESSION.yaml and write one log a step into --out, and a page on the flight.
+    """Fly SESSION.yaml; write one log per step and a report of the flight to --out.
 
-    With --virtual it flies here, as fast as the code runs; without it, the daemon that `levid run`
-    started flies, in real time. What that does if this command is interrupted, --if-gone says, or
-    its rig's service.client_gone.
+    Without --virtual the daemon that `levid run` started flies in real time. With --virtual this
+    process flies the simulated rig as fast as the code runs. Prints the number of cycles, late
+    cycles and lost rows, the path of the report, and the next command.
 
     \b
     Examples:
@@ -75,7 +79,7 @@ def command(
     if virtual:
         result = fly_here(config, session, rig_path, sim_path, out)
     elif sim_path is not None:
-        raise click.UsageError("--sim needs --virtual: the daemon's rig names its simulator")
+        raise click.UsageError("--sim needs --virtual; the daemon flies what its rig names")
     else:
         result = _on_daemon(session, rig_path, out, if_gone)
     late = f", {result.late} late cycles" if result.late else ""
@@ -92,7 +96,12 @@ def command(
 def fly_here(
     config: SessionConfig, session: Path, rig_path: Path | None, sim_path: Path | None, out: Path
 ) -> FlightResult:
-    """Fly in this process, in virtual time."""
+    """Fly a session in this process in virtual time.
+
+    Raises:
+        ConfigError: a file is wrong, or the rig cannot fly the session.
+        FlightFault: the flight ended in a fault; its logs are in `out`.
+    """
     from ..config.rig import load_rig
     from ..config.shipped import shipped
     from ..daemon.control.faults import FlightFault
@@ -114,29 +123,29 @@ def fly_here(
                 source=str(session),
             )
         except FlightFault:
-            say(f"logs up to the fault and half a second beyond: {out}")
+            say(f"logs up to 0.5 s after the fault: {out}")
             raise
 
 
 def refuse_used_folder(out: Path) -> None:
-    """Raise ConfigError where `out` is no folder or holds logs: none is ever overwritten."""
+    """Raise ConfigError if `out` is not a folder or contains logs, which are never overwritten."""
     from ..config.base import ConfigError
 
     try:
         if out.exists() and not out.is_dir():
             raise ConfigError(f"--out {out}: expected a folder, found a file")
         logs = sorted(out.glob("*.mcap")) if out.is_dir() else []
-    except PermissionError:  # a service's folder: the daemon, who writes there, looks for itself
+    except PermissionError:  # a folder of the service: the daemon writes there and checks it
         return
     if logs:
         raise ConfigError(
-            f"--out {out}: expected a new folder or one without logs, found {len(logs)} logs "
-            f"({logs[0].name}, ...); logs are never overwritten"
+            f"--out {out}: expected a folder without logs, found {len(logs)} logs "
+            f"({logs[0].name}, ...); logs are never overwritten: name another folder"
         )
 
 
 def _text(path: Path) -> str:
-    """Return what YAML reads in a file, which may be UTF-16."""
+    """Return the text of a YAML file, which may be in UTF-8 or UTF-16."""
     from ..config.base import ConfigError
 
     raw = path.read_bytes()
@@ -164,31 +173,31 @@ def _on_daemon(
         raise NoDaemonError(f"{error}, or fly in this process with --virtual") from None
     except KeyboardInterrupt:
         if if_gone != "land":
-            say("unless its rig says otherwise the daemon goes on; 'levid land' ends it")
+            say("the daemon follows service.client_gone of its rig; run 'levid land' to land")
         raise
 
 
 def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> int:
-    """Hand the logs over or draw the flight; return the exit code."""
+    """Run the session's `then` commands or draw the flight; return the exit code."""
     from ..daemon.recording.post_processing import HandoverError, hand_over
     from ..report.session.session_page import session_report
 
     excited = any(step.record is not None and step.record.excite for step in config.steps)
-    following = f"levid identify {logs_in(out)} --out {quoted(out / 'identification')}"
+    next_command = f"levid identify {logs_in(out)} --out {quoted(out / 'identification')}"
     if result.stopped:
-        say(f"the session was asked to land before its end; to use what there is: {following}")
+        say(f"landed on request before the session's end; to use its logs: {next_command}")
         return 1
-    if not os.access(out, os.W_OK):  # a service's folder: the daemon wrote there, this user may not
-        say(f"no report: {out} may not be written to; use what there is: {following}")
+    if not os.access(out, os.W_OK):  # a folder of the service, where only the daemon may write
+        say(f"no report: {out} may not be written to; to use the logs: {next_command}")
         return 0
     if config.then and result.records:
         failed = []
         for verb in config.then:
             try:
-                hand_over(verb, result.logs, out / _REPORTS[verb])  # which says where its report is
-            except HandoverError as error:  # which need not stop the others
+                hand_over(verb, result.logs, out / _REPORT_FOLDERS[verb])  # prints the report path
+            except HandoverError as error:  # the other commands still run
                 say(f"error: {error}")
-                again = f"{verb} {logs_in(out)} --out {quoted(out / _REPORTS[verb])}"
+                again = f"{verb} {logs_in(out)} --out {quoted(out / _REPORT_FOLDERS[verb])}"
                 say(f"to repeat it: levid {again}")
                 failed.append(verb)
         return 1 if failed else 0
@@ -197,5 +206,5 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> in
         page = session_report(result.logs, out / "report")
     say(f"report: {page}")
     if excited:
-        say(f"next: {following}")
+        say(f"next: {next_command}")
     return 0

@@ -1,4 +1,4 @@
-"""`levid identify`: from logs to the plant, with a report."""
+"""`levid identify`: identify the plant from logs and write a report."""
 
 from __future__ import annotations
 
@@ -37,10 +37,11 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),
-    help="SIM.yaml that flew the logs: its true response is drawn beneath, and never used.",
+    help="SIM.yaml of the simulated flight: the report draws its true response for comparison; "
+    "the identification does not use it.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the report.")
-@click.option("--mat", is_flag=True, help="Write what was found for MATLAB and Octave too.")
+@click.option("--mat", is_flag=True, help="Also write OUT/identified.mat for MATLAB and Octave.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 def command(
     logs: tuple[Path, ...],
@@ -50,11 +51,12 @@ def command(
     mat: bool,
     as_json: bool,
 ) -> int:
-    """Identify the plant from LOGS: all records at all beam positions, from nothing but the logs.
+    """Identify the plant from the records in LOGS, at all beam positions.
 
-    White noise gives Markov parameters, Ho-Kalman and the sensitivity; orthogonal multisines the
-    best linear approximation with noise and distortion apart; all records together a fit of the
-    declared model, written to OUT/model.yaml with standard errors.
+    White noise gives Markov parameters, the sensitivity and a Ho-Kalman state-space model.
+    Orthogonal multisines give the best linear approximation, with noise and nonlinear distortion
+    separated. The declared model is fitted to all records and written to OUT/model.yaml with
+    standard errors. Prints the results and the path of the report.
 
     \b
     Examples:
@@ -85,7 +87,15 @@ def command(
 def identify_logs(
     logs: Sequence[Path], model: Path | None, truth: Path | None, out: Path
 ) -> tuple[Study, Path]:
-    """Identify logs, write report and model.yaml; return what was found and the page's path."""
+    """Identify the plant from logs and write the report and model.yaml to `out`.
+
+    Returns:
+        Results and path of the report.
+
+    Raises:
+        ConfigError: `out` cannot be written, or a model or simulator file is wrong.
+        IdentificationError: the logs cannot be identified.
+    """
     from ..config.base import load_yaml
     from ..config.model import load_model
     from ..config.sim import SimConfig
@@ -98,7 +108,7 @@ def identify_logs(
     from ..report.plotting.atomic_write import replace_text
     from ..report.session.flight_data import read_session
 
-    # Whatever can be wrong without reading a log is found before the work begins.
+    # Check everything that needs no log before the long work.
     writable_folder(out, ("model.yaml", "index.html"), ("figures",))
     declared = None if model is None else load_model(model)
     simulator = None if truth is None else load_yaml(truth, SimConfig)
@@ -113,12 +123,12 @@ def identify_logs(
 
     with progress("identifying") as report:
         found = study(logs, model_of, Options(), lambda what, share: report(what, 0.85 * share))
-        # First of all what took so long: a page that cannot be drawn loses nothing.
+        # Save the model first: the results of a long fit survive an error in the report.
         out.mkdir(parents=True, exist_ok=True)
         if found.grey is not None:
             replace_text(out / "model.yaml", to_yaml(found.grey.fitted))
         report("report", 0.85)
-        # Plant time is continuous within one session: the page shows the one of the first log.
+        # Plant time is continuous within a session only: the page shows the first log's session.
         session = [path for path in logs if path.parent == logs[0].parent]
         page = identification_report(
             found.points,
@@ -133,7 +143,7 @@ def identify_logs(
 
 
 def words(found: Study) -> list[str]:
-    """Return what was found, a line an operating point or a parameter."""
+    """Return the results as lines of text: one per operating point, record and parameter."""
     from ..identification.summary import study_summary
 
     plain = study_summary(found)
@@ -148,8 +158,7 @@ def words(found: Study) -> list[str]:
             if p["se"] is not None
         ]
         lines += grey["unidentifiable"]
-    # Steps of a session that are no records are nobody's loss; what was refused is. Where model
-    # and records contradict each other a warning has said so.
+    # Omit notes on skipped steps (harmless) and notes already printed as warnings.
     warned = _contradictions(found)
     lines += [
         f"note: {note}"
@@ -160,9 +169,9 @@ def words(found: Study) -> list[str]:
 
 
 def _multisine(blas: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a line a position and level: how many lines, and whether outputs are distorted.
+    """Return a line per position and level: number of lines, and whether outputs are distorted.
 
-    One of so many tests passes its bound by chance; the report asks as much of them.
+    p-values are multiplied by the number of tests (Bonferroni), as in the report.
     """
     from ..report.identification.multisine import SIGNIFICANT
 
@@ -217,7 +226,7 @@ def _where(beam_m: float | None) -> str:
 
 
 def _write_mat(found: Study, out: Path) -> None:
-    """Write a file of each kind of result, the first of them under the name that users expect."""
+    """Write a .mat file for each kind of result; the first is named identified.mat."""
     from ..identification.export import write_fitted_mat, write_mat, write_multisine_mat
 
     first = out / "identified.mat"
@@ -236,7 +245,7 @@ def _contradictions(found: Study) -> tuple[str, ...]:
 
 
 def _signals(found: Study) -> SignalNames:
-    """Return names and units of what was identified."""
+    """Return sampling time, names and units of the identified inputs and outputs."""
     from ..identification.export import fitted_signals
 
     if found.points is not None:

@@ -1,4 +1,4 @@
-"""`levid import`: measured data of others become a log."""
+"""`levid import`: convert measured data (CSV, text, NPZ, MAT) to a log."""
 
 from __future__ import annotations
 
@@ -16,11 +16,15 @@ from .result_folders import quoted
     "--signals",
     required=True,
     type=click.Path(path_type=Path),
-    help="SIGNALS.yaml: columns, units, roles and rate; see config/signals/.",
+    help="SIGNALS.yaml: columns, units, roles and rate; examples in config/signals/.",
 )
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The new log.")
+@click.option(
+    "-o", "--out", required=True, type=click.Path(path_type=Path), help="Path of the new log."
+)
 def command(file: Path, signals: Path, out: Path) -> int:
-    """Turn FILE (CSV, whitespace text, NPZ, MAT) into a log that `levid identify` reads.
+    """Convert FILE (CSV, whitespace text, NPZ, MAT) to a log that `levid identify` reads.
+
+    Prints the number of samples and the next command.
 
     \b
     Examples:

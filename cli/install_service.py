@@ -1,4 +1,4 @@
-"""`levid install-service`: the files that make the daemon a service of systemd."""
+"""`levid install-service`: write the systemd, networkd and udev files of the daemon."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from .progress import say
     "--root",
     type=click.Path(path_type=Path),
     default=Path("/"),
-    help="Write below this folder, as for an image; / unless given.",
+    help="Write below this folder, for example a disk image. Default: /.",
 )
-@click.option("--dry-run", is_flag=True, help="Print the files, write nothing.")
-@click.option("--force", is_flag=True, help="Replace files that were changed by hand, too.")
+@click.option("--dry-run", is_flag=True, help="Print the files; write nothing.")
+@click.option("--force", is_flag=True, help="Also replace files that were edited by hand.")
 def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
-    """Write what systemd, networkd and udev need to run the daemon on RIG.yaml.
+    """Install the daemon on RIG.yaml as a systemd service.
 
-    The unit levid.service, the user levid, bitrates and restart of its CAN interfaces, and the
-    right to its serial adapters. Nothing is started: it says what comes next.
+    Writes the unit levid.service, the user levid, bitrates and restart of the CAN interfaces, and
+    access rights to the serial adapters. Starts nothing; prints the commands to run next.
 
     \b
     Examples:
@@ -45,13 +45,13 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
     program = Path(sysconfig.get_path("scripts")) / "levid"
     files = service_files(config, rig_file, program)
     if dry_run:
-        for path, what in preview(files, root).items():
-            click.echo(f"# {root / path}: {what}\n{files[path]}")
+        for path, change in preview(files, root).items():
+            click.echo(f"# {root / path}: {change}\n{files[path]}")
     else:
-        for path, what in write(files, root, force).items():
-            say(f"{root / path}: {what}")
+        for path, change in write(files, root, force).items():
+            say(f"{root / path}: {change}")
     for old in left_over(files, root):
-        say(f"warning: {old} is of a rig before this one and still holds: remove it")
+        say(f"warning: {old} is from an earlier rig and still takes effect: remove it")
     for hindrance in hindrances(config, rig_file, program):
         say(f"warning: {hindrance}")
     if not dry_run:
@@ -63,6 +63,7 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
             "systemctl daemon-reload && systemctl enable --now levid"
         )
         if any(path.endswith(".link") for path in files):
-            say("then plug CAN adapters in anew, or reboot: queue and name come with that")
-        say("who may ask it: usermod --append --groups levid NAME; then: levid status")
+            say("then reconnect the CAN adapters or reboot, which sets queue length and name")
+        say("to let user NAME control the daemon: usermod --append --groups levid NAME")
+        say("to check: levid status")
     return 0

@@ -1,4 +1,4 @@
-"""The `levid` command: its verbs, loaded when called, and one place for errors a user can cause."""
+"""Define the `levid` command: load a subcommand when it is called and print user errors."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ import click
 
 from .. import __version__
 
-# verb: module and attribute, what it does (shown without loading the module)
+# verb: module and attribute, summary for `levid --help` (shown without loading the module)
 _VERBS = {
-    "check": ("check:command", "Check configuration and log files without touching a device."),
-    "run": ("run:command", "Run the daemon on a rig, in real time, until it is stopped."),
+    "check": ("check:command", "Check configuration and log files; no device is accessed."),
+    "run": ("run:command", "Run the daemon on a rig in real time."),
     "electronics": (
         "electronics:command",
-        "Play a rig's electronics on its buses, with the simulated plant behind.",
+        "Emulate a rig's electronics on its buses, with the simulated plant.",
     ),
     "excite": ("excite:command", "Fly an excitation session and log it."),
-    "status": ("daemon_requests:status", "Say what the daemon is doing."),
-    "watch": ("daemon_requests:watch", "Say what the daemon is doing, again and again."),
-    "levitate": ("daemon_requests:levitate", "Lift off and hold until told to land."),
+    "status": ("daemon_requests:status", "Print the daemon's state."),
+    "watch": ("daemon_requests:watch", "Print the daemon's state periodically."),
+    "levitate": ("daemon_requests:levitate", "Lift off and levitate until `levid land`."),
     "move": ("daemon_requests:move", "Move beam and rotor while levitating."),
-    "land": ("daemon_requests:land", "End the daemon's session at hand: land at once."),
-    "stop": ("daemon_requests:stop", "Zero force at once, whatever the daemon is doing."),
-    "clear": ("daemon_requests:clear", "Clear the daemon's fault, once its cause is gone."),
+    "land": ("daemon_requests:land", "End the running session and land."),
+    "stop": ("daemon_requests:stop", "Set all coil forces to zero immediately."),
+    "clear": ("daemon_requests:clear", "Clear a fault after its cause is removed."),
     "install-service": (
         "install_service:command",
-        "Make the daemon a service of systemd: unit, user, network, devices.",
+        "Install the daemon as a systemd service: unit, user, network, devices.",
     ),
     "identify": ("identify:command", "Identify the plant from logs."),
-    "trace": ("trace:command", "Trace what a model lacks to physical effects, with proof."),
-    "import": ("import_data:command", "Turn measured data of others into a log."),
-    "demo": ("demo:command", "Fly, log, identify and trace the simulated rig, and show pictures."),
+    "trace": ("trace:command", "Find the physical effects that the model lacks, from logs."),
+    "import": ("import_data:command", "Convert measured data (CSV, text, NPZ, MAT) to a log."),
+    "demo": ("demo:command", "Fly, log, identify and trace the simulated rig; write reports."),
 }
 
 EXIT_FAILED = 1
@@ -41,7 +41,7 @@ EXIT_INTERRUPTED = 130
 
 
 class _Verbs(click.Group):
-    """Loads a verb's module only when that verb is called: `levid --help` stays quick."""
+    """Import a subcommand's module only when it is called, so that `levid --help` is fast."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(_VERBS)
@@ -56,13 +56,15 @@ class _Verbs(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         with formatter.section("Commands"):
-            formatter.write_dl([(verb, about) for verb, (_, about) in _VERBS.items()])
+            formatter.write_dl([(verb, summary) for verb, (_, summary) in _VERBS.items()])
 
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="levid")
 def levid() -> None:
-    """Fly, excite, log and identify a magnetically levitated platform, and trace what it lacks.
+    """Fly, excite, log and identify a magnetically levitated platform.
+
+    `levid VERB --help` describes one command.
 
     \b
     Examples:
@@ -75,8 +77,8 @@ def levid() -> None:
 
 
 def main() -> None:
-    """Run the command line; what a user can get wrong ends in one line and exit code 1."""
-    for stream in (sys.stdout, sys.stderr):  # names of files need not be text in any encoding
+    """Run the command line; print a user's error without traceback and exit with code 1."""
+    for stream in (sys.stdout, sys.stderr):  # a file name may be invalid in the stream's encoding
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
@@ -99,7 +101,7 @@ def main() -> None:
 
 
 def _user_error(error: Exception) -> bool:
-    """Tell errors with a message for the user from those that need a traceback."""
+    """Return whether the error's message is written for the user; others need a traceback."""
     return isinstance(error, OSError) or any(
         kind.__module__.startswith("levid.") for kind in type(error).__mro__
     )

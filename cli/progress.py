@@ -1,4 +1,4 @@
-"""Messages and a progress bar on stderr; the bar is silent when stderr is no terminal."""
+"""Print messages and a progress bar on stderr; the bar is hidden if stderr is not a terminal."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ import click
 
 
 class Report(Protocol):
-    """Tells how far the work is."""
+    """Callback that reports progress."""
 
     def __call__(self, what: str, share: float) -> None:
-        """Say what is being done and the share done, 0 to 1."""
+        """Report the current activity and the completed fraction, 0 to 1."""
 
 
 def say(text: str) -> None:
-    """Write a line for people; stdout is for results."""
+    """Print a message to stderr; stdout carries results only."""
     click.echo(text, err=True)
 
 
 @contextmanager
 def progress(title: str) -> Iterator[Report]:
-    """Show a bar while the body runs; the body calls what it gets with (what, share)."""
+    """Show a progress bar while the `with` body runs; yield the callback that updates it."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,

@@ -1,4 +1,4 @@
-"""Folders that results go to, and how a command that names one is written for a shell."""
+"""Check output folders before long work, and quote paths for printed shell commands."""
 
 from __future__ import annotations
 
@@ -7,28 +7,31 @@ import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-_FEW = 3
-_TICK_S = 0.05
+_MOST_NAMED = 3  # logs that a printed command names one by one
+_FILE_TIME_RESOLUTION_S = 0.05
 
 
 def writable_folder(out: Path, files: Iterable[str] = (), folders: Iterable[str] = ()) -> None:
-    """See before a long work that its folder, and these in it, can be made and written to.
+    """Check that `out`, and these files and folders in it, can be created and written.
 
-    Raises ConfigError.
+    Call it before long work. It creates nothing.
+
+    Raises:
+        ConfigError: one of them cannot.
     """
     from ..config.base import ConfigError
 
     if out.is_symlink() and not out.exists():
-        raise ConfigError(f"--out {out}: expected a folder, found a link to nothing")
-    there = out.absolute()
-    while not there.exists():
-        there = there.parent
-    if not there.is_dir():
-        found = "a file" if there == out.absolute() else f"the file {there}"
+        raise ConfigError(f"--out {out}: expected a folder, found a link to a missing path")
+    existing = out.absolute()
+    while not existing.exists():
+        existing = existing.parent
+    if not existing.is_dir():
+        found = "a file" if existing == out.absolute() else f"the file {existing}"
         raise ConfigError(f"--out {out}: expected a folder, found {found}")
-    if not os.access(there, os.W_OK | os.X_OK):
+    if not os.access(existing, os.W_OK | os.X_OK):
         raise ConfigError(
-            f"--out {out}: expected a folder, found that {there} may not be written to"
+            f"--out {out}: expected a writable folder, but {existing} may not be written to"
         )
     for name in files:
         if (out / name).is_dir():
@@ -36,29 +39,31 @@ def writable_folder(out: Path, files: Iterable[str] = (), folders: Iterable[str]
     for name in folders:
         inner = out / name
         if inner.exists() and not (inner.is_dir() and os.access(inner, os.W_OK | os.X_OK)):
-            raise ConfigError(f"--out {out}: expected {name} to be a folder that may be written to")
+            raise ConfigError(f"--out {out}: expected {name} to be a writable folder")
 
 
 def older_results(out: Path, names: Iterable[str], began_s: float) -> list[Path]:
-    """Return the results in a folder that were there before a work began, at that time of day."""
-    # Times of files come from a clock that ticks: they may be a little before what time() says.
+    """Return the files in `out` that were last written before `began_s`, in s as time.time()."""
+    # The kernel's clock for file times may be one tick behind time.time().
     paths = [out / name for name in names]
-    return [p for p in paths if p.exists() and p.stat().st_mtime < began_s - _TICK_S]
+    return [
+        p for p in paths if p.exists() and p.stat().st_mtime < began_s - _FILE_TIME_RESOLUTION_S
+    ]
 
 
 def logs_in(folder: Path) -> str:
-    """Return all logs of a folder as a shell takes them."""
+    """Return the shell pattern of all logs in a folder."""
     return f"{shlex.quote(str(folder))}/*.mcap"
 
 
 def quoted(*paths: Path) -> str:
-    """Return paths as a shell takes them."""
+    """Return paths quoted for a shell."""
     return shlex.join(map(str, paths))
 
 
 def same_logs(logs: Sequence[Path]) -> str:
-    """Return these logs as a shell takes them: by name, or by folder where they are all of one."""
-    if len(logs) <= _FEW:
+    """Return logs quoted for a shell; all logs of a folder become one pattern."""
+    if len(logs) <= _MOST_NAMED:
         return quoted(*logs)
     words = []
     for folder in dict.fromkeys(log.parent for log in logs):

@@ -1,4 +1,4 @@
-"""`levid run`: the daemon in real time."""
+"""`levid run`: run the daemon in real time."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from pathlib import Path
 import click
 
 EXIT_CONFIG = 78
-"""The rig is wrong (EX_CONFIG of sysexits.h): the service is not started again on it."""
+"""Exit code for a wrong RIG.yaml (EX_CONFIG of sysexits.h); systemd then does not restart it."""
 
 
 @click.command("run")
 @click.argument("rig", type=click.Path(path_type=Path))
 def command(rig: Path) -> int:
-    """Run the daemon on RIG.yaml: zero force until a session is flown, landing on exit.
+    """Run the daemon on RIG.yaml in real time.
 
-    Three processes: this one supervises and answers the control socket, one flies, one records.
-    Ctrl-C or SIGTERM lands the platform and ends them. Exit code 78 if the rig is wrong.
+    Coils have zero force until a session flies (`levid excite`, `levid levitate`). Prints rig, rate
+    and socket, then the journal. Ctrl-C or SIGTERM lands the platform and ends the daemon. Exit
+    code 78 if RIG.yaml is wrong.
 
     \b
     Examples:

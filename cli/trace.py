@@ -1,4 +1,4 @@
-"""`levid trace`: from logs to what the model lacks, with proof, a report and a better model."""
+"""`levid trace`: find the physical effects that a model lacks, from logs."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ if TYPE_CHECKING:
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
-    help="Processes to spread the records over; one a core unless given.",
+    help="Number of worker processes. Default: one per processor.",
 )
 @click.option(
     "--dask",
     metavar="tcp://HOST:PORT",
-    help="Scheduler of a dask.distributed cluster to work on instead; it must see the logs too.",
+    help="Scheduler of a dask.distributed cluster to use instead of local processes; its workers "
+    "must be able to read the logs.",
 )
 def command(
     logs: tuple[Path, ...],
@@ -48,11 +49,12 @@ def command(
     workers: int | None,
     dask: str | None,
 ) -> int:
-    """Trace what LOGS hold and the declared model lacks to physical effects.
+    """Find the physical effects that LOGS show and the declared model lacks.
 
-    The model is fitted, what it leaves is held against a table of effects, and those are added that
-    lower the error on records not used to fit, by more than chance. OUT/model.yaml is the model
-    with them, refitted; identify, trace and the simulator take it.
+    The model is fitted to the records and its residual is compared with a table of effects. An
+    effect is accepted if it lowers the prediction error on held-out records by more than chance.
+    OUT/model.yaml is the refitted model with the accepted effects; identify, trace and the
+    simulator read it. Prints the effects, their evidence, the next command and the report's path.
 
     \b
     Examples:
@@ -87,7 +89,7 @@ def command(
 
 @dataclass(frozen=True)
 class Traced:
-    """What was found, model.yaml and the page on it; where one is missing, the error behind it."""
+    """Result of a trace, paths of model.yaml and the report, and the error if one is missing."""
 
     found: Trace
     model: Path | None = None
@@ -102,7 +104,14 @@ def trace_logs(
     workers: int | None = None,
     dask: str | None = None,
 ) -> Traced:
-    """Trace logs, write model.yaml and the report; what was found outlives a page that fails."""
+    """Trace logs and write model.yaml and the report to `out`.
+
+    An error while writing them is returned in `Traced.undrawn`, so that the results are not lost.
+
+    Raises:
+        ConfigError: `out` cannot be written, or the model file is wrong.
+        IdentificationError: the logs cannot be traced.
+    """
     from ..identification.greybox.identify_greybox import to_yaml
     from ..identification.trace.figure_data import views
     from ..identification.trace.result import model_after
@@ -117,7 +126,7 @@ def trace_logs(
         found = trace(
             logs, config, all_effects, spread, lambda what, share: report(what, 0.9 * share)
         )
-        # First of all what took so long: a page that cannot be drawn loses nothing.
+        # Save the model first: the results of a long search survive an error in the report.
         written = None
         try:
             out.mkdir(parents=True, exist_ok=True)
@@ -127,13 +136,13 @@ def trace_logs(
             seen = views(found, spread)
             report("report", 0.97)
             page = trace_report(found, seen, out)
-        except Exception as error:  # noqa: BLE001 - raised when it is told what was found
+        except Exception as error:  # noqa: BLE001 - raised after the results are printed
             return Traced(found, written, None, error)
     return Traced(found, written, page)
 
 
 def words(found: Trace) -> list[str]:
-    """Return what was found, a line a thing; intervals are of 95 %."""
+    """Return the results as lines of text; +- is a 95 % interval."""
     from ..identification.trace.result import NO_STILL, PERHAPS_A_PART, outcome
 
     result = outcome(found)
@@ -167,7 +176,7 @@ def words(found: Trace) -> list[str]:
     ]
     if not result.noise_measured:
         lines.append(f"note: {NO_STILL}")
-    # Steps of a session that are no records are nobody's loss; what was refused is.
+    # Omit notes on skipped steps (levitate, move, land): they are harmless.
     lines += [f"note: {note}" for note in found.notes if "only records are identified" not in note]
     return lines
 
@@ -176,7 +185,7 @@ def _effect(found: FoundEffect) -> list[str]:
     from ..identification.trace.result import telling
 
     effect, why = found.effect, found.evidence
-    # Coefficients of a free form say nothing to people.
+    # The coefficients of a free-form term have no physical meaning.
     values = "" if found.unknown else f": {_values(found)} (95 %)"
     lines = [f"  {effect.name}{values}", f"    {effect.equation}"]
     if why is None:
@@ -197,7 +206,7 @@ def _effect(found: FoundEffect) -> list[str]:
 
 
 def _values(found: FoundEffect) -> str:
-    """Return the effect's parameters with 95 % intervals; shares of zero say nothing."""
+    """Return the effect's parameters with 95 % intervals; omit parameters fixed at zero."""
     return ", ".join(
         f"{name} = {p.value:.5g}"
         + ("" if p.se is None else f" +- {_half(p.se):.2g}")
@@ -214,7 +223,7 @@ def _half(se: float) -> float:
 
 
 def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
-    """Return the command that is worth running next."""
+    """Return the recommended next command or experiment."""
     from ..identification.trace.result import telling
 
     rivals = [f for f in result.effects if f.evidence is not None and f.evidence.alternatives]
@@ -234,7 +243,7 @@ def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
 
 
 def _model(path: Path | None, logs: Sequence[Path]) -> ModelConfig:
-    """Return the model to start from: the one named, or that of the rig that flew the first log."""
+    """Return the model in `path`; default: the model of the rig that flew the first log."""
     from ..config.model import load_model
     from ..identification.records.from_log import rig_model
     from ..identification.records.record import IdentificationError

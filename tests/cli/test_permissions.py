@@ -1,4 +1,4 @@
-"""What users without the right to a service's folders and socket are told."""
+"""Test commands of users without access to the service's folders and socket."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from levid.cli.run import EXIT_CONFIG
 from levid.config.shipped import shipped
 from levid.daemon.client import Client, DaemonError, NoDaemonError
 
-pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
-_STRANGER = 65_534
+pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can change its user")
+_NOBODY = 65_534
 
 
 @contextmanager
-def stranger() -> Iterator[None]:
-    os.seteuid(_STRANGER)
+def other_user() -> Iterator[None]:
+    os.seteuid(_NOBODY)
     try:
         yield
     finally:
@@ -30,28 +30,28 @@ def stranger() -> Iterator[None]:
 
 
 @pytest.fixture
-def shut(tmp_path: Path) -> Path:
+def closed_folder(tmp_path: Path) -> Path:
     folder = tmp_path / "state"
     folder.mkdir(mode=0o770)
     return folder
 
 
-def test_folder_that_only_the_daemon_sees_is_left_to_it(shut: Path) -> None:
-    with stranger():
-        refuse_used_folder(shut / "today")
+def test_folder_that_only_the_daemon_can_read_is_not_checked(closed_folder: Path) -> None:
+    with other_user():
+        refuse_used_folder(closed_folder / "today")
 
 
-def test_stranger_is_not_told_to_start_a_daemon(shut: Path) -> None:
-    path = shut / "levid.sock"
+def test_error_without_access_does_not_suggest_to_start_a_daemon(closed_folder: Path) -> None:
+    path = closed_folder / "levid.sock"
     with socket.socket(socket.AF_UNIX) as daemon:
         daemon.bind(str(path))
         daemon.listen()
-        with stranger(), pytest.raises(DaemonError, match="may not ask it") as raised:
+        with other_user(), pytest.raises(DaemonError, match="Permission denied") as raised:
             Client(path).__enter__()
     assert not isinstance(raised.value, NoDaemonError)
 
 
-def test_wrong_rig_has_an_exit_code_of_its_own(levid: Callable[..., Any], tmp_path: Path) -> None:
+def test_wrong_rig_ends_with_exit_code_78(levid: Callable[..., Any], tmp_path: Path) -> None:
     wrong = tmp_path / "rig.yaml"
     wrong.write_text(shipped("rigs/loopback.yaml").read_text().replace("rate_hz:", "rate:"))
     outcome = levid("run", wrong)

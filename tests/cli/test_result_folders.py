@@ -1,4 +1,4 @@
-"""What results are written to, and commands that a shell takes as they are."""
+"""Test the check of output folders and the quoting of printed shell commands."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from levid.cli.result_folders import logs_in, older_results, quoted, same_logs, 
 from levid.config.base import ConfigError
 
 
-def test_a_folder_that_cannot_be_written_is_found_before_the_work(
+def test_folder_that_cannot_be_written_is_rejected_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writable_folder(tmp_path / "new" / "deeper")
-    assert not (tmp_path / "new").exists()  # a work that fails leaves nothing
+    assert not (tmp_path / "new").exists()  # the check creates nothing
     (tmp_path / "report.html").write_text("")
     for out in ("report.html", "report.html/x"):
         with pytest.raises(ConfigError, match=r"report.html.*: expected a folder, found .*file"):
@@ -27,16 +27,16 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_work(
         writable_folder(tmp_path / "new")
 
 
-def test_commands_take_any_name() -> None:
+def test_printed_commands_quote_any_path() -> None:
     odd = Path("my runs") / "it's"
     assert shlex.split(quoted(odd, Path("x"))) == [str(odd), "x"]
     assert shlex.split(logs_in(odd)) == [f"{odd}/*.mcap"]
-    assert logs_in(odd).endswith("/*.mcap")  # which the shell has to see
+    assert logs_in(odd).endswith("/*.mcap")  # outside the quotes, so that the shell expands it
     few = [odd / "a.mcap", odd / "b.mcap"]
     assert shlex.split(same_logs(few)) == list(map(str, few))
 
 
-def test_many_logs_are_named_by_folder_only_where_they_are_all_of_it(tmp_path: Path) -> None:
+def test_many_logs_become_a_pattern_only_if_they_are_all_logs_of_the_folder(tmp_path: Path) -> None:
     paths = []
     for day in ("monday", "tuesday"):
         (tmp_path / day).mkdir()
@@ -48,21 +48,21 @@ def test_many_logs_are_named_by_folder_only_where_they_are_all_of_it(tmp_path: P
     assert same_logs(paths[:5]) == f"{monday} {quoted(*paths[3:5])}"
 
 
-def test_what_stands_where_results_go_is_found_before_the_work(tmp_path: Path) -> None:
+def test_paths_in_the_way_of_results_are_rejected_before_the_work(tmp_path: Path) -> None:
     for name in ("model.yaml", "figures/x"):
         (tmp_path / "a" / name).mkdir(parents=True)
     writable_folder(tmp_path / "a", ("index.html",), ("figures",))
     with pytest.raises(ConfigError, match=r"to write model.yaml, found a folder of that name"):
         writable_folder(tmp_path / "a", ("model.yaml",))
     (tmp_path / "figures").write_text("")
-    with pytest.raises(ConfigError, match="expected figures to be a folder"):
+    with pytest.raises(ConfigError, match="expected figures to be a writable folder"):
         writable_folder(tmp_path, (), ("figures",))
     (tmp_path / "link").symlink_to(tmp_path / "gone")
-    with pytest.raises(ConfigError, match="found a link to nothing"):
+    with pytest.raises(ConfigError, match="found a link to a missing path"):
         writable_folder(tmp_path / "link")
 
 
-def test_results_of_an_earlier_run_are_named(tmp_path: Path) -> None:
+def test_results_of_an_earlier_run_are_returned(tmp_path: Path) -> None:
     (tmp_path / "model.yaml").write_text("")
     began_s = time.time() + 1.0
     (tmp_path / "identified.mat").write_text("")

@@ -1,1 +1,1 @@
-"""config"""
+"""Schemas of the YAML files, and the files that levid ships."""

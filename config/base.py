@@ -1,4 +1,4 @@
-"""Strict YAML configuration: an error names file, key, what was expected and what came."""
+"""Read YAML configuration files strictly, with limits on size and errors that name file and key."""
 
 from __future__ import annotations
 
@@ -24,37 +24,57 @@ MOST_BYTES = 1 << 18
 """Largest file in bytes, and most characters of text in it; the largest shipped file has 6 KiB."""
 MOST_NODES = 30_000
 """Most keys, values, lists and mappings in a file. A file of MOST_BYTES in the style of the shipped
-files has about as many; PyYAML reads them in about 1 s."""
+files has about as many; PyYAML takes about 1 s to read them."""
 MOST_DEPTH = 32
 """Most levels of lists and mappings; shipped files have 6."""
 MOST_DIGITS = 64
-"""Longest number in characters. Longer text is not a number: a conversion takes quadratic time."""
+"""Longest number in characters. Longer text stays text: its conversion takes quadratic time."""
 MOST_KEY = 200
-"""Longest key in characters. Every mistake below a key holds a copy of the key."""
+"""Longest key in characters. Every message about a value below a key contains the key."""
 _MOST_PROBLEM = 300
 """Longest text of a YAML error in characters; it may quote the file."""
+_YAML_PROBLEMS = {
+    "found character '\\t' that cannot start any token": "expected spaces, found a tab",
+    "that cannot start any token": "at the start of a value: put the value in quotes",
+    "mapping values are not allowed here": "': ' is not allowed here: check the indentation, or "
+    "put text that contains ': ' in quotes",
+    "could not find expected ':'": "expected ':' after a key",
+    "found unexpected end of stream": "expected a closing quotation mark, found the file's end",
+    "but got": "found",
+    "but found": "found",
+    "'<stream end>'": "the end of the file",
+    "<document start>": "the start of the file",
+    "<block end>": "the indentation of the lines above",
+    "'<block sequence start>'": "a list entry",
+    "'<block mapping start>'": "a mapping",
+    "'<scalar>'": "text",
+    "the node content": "a value",
+    "in the stream": "in the file",
+}
+"""Replacements for terms of the YAML parser in its messages, in this order."""
 
 
 class ConfigError(Exception):
-    """A configuration that cannot be used; the message is one line per problem."""
+    """A configuration file is wrong; the message has one line per mistake."""
 
 
 class Strict(BaseModel):
-    """Base of every configuration model: unknown keys are errors, instances are frozen.
+    """Base of every configuration schema: unknown keys are errors, instances are frozen.
 
-    A number is a number: YAML's yes and on, which Python counts as 1, are refused for one.
+    A number may not be given as yes, no, on or off, which YAML reads as true and false.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_truth_for_a_number(cls, value: object, info: ValidationInfo) -> object:
+    def _no_bool_for_a_number(cls, value: object, info: ValidationInfo) -> object:
         field = cls.model_fields[str(info.field_name)]
-        kinds = set(_kinds(field.annotation))
-        if kinds & {int, float} and bool not in kinds and (truths := _truths(value)):
+        types = set(_types(field.annotation))
+        if types & {int, float} and bool not in types and (bools := _bools(value)):
             raise ValueError(
-                f"expected a number, found {truths[0]}; yes, no, on and off are no numbers"
+                f"expected a number, found {quoted(bools[0])}; YAML reads yes, no, on and off as "
+                "true and false"
             )
         return value
 
@@ -63,17 +83,17 @@ def load_yaml(path: Path | str, model: type[M]) -> M:
     """Read one YAML file into `model`.
 
     Raises:
-        ConfigError: the file is missing, is not YAML, or does not fit; each line names file, key,
-            what was expected and what came.
+        ConfigError: the file is missing, is not YAML, or does not fit the schema; each line names
+            the file, the key, what is expected and what is found.
     """
     return parse(read_mapping(path), model, str(path))
 
 
 def parse(data: object, model: type[M], where: str) -> M:
-    """Fit `data` (lists, mappings and scalars) into `model`; `where` names the source in errors.
+    """Validate `data` (lists, mappings, scalars) as `model`; `where` names the source in errors.
 
     Raises:
-        ConfigError: `data` exceeds a limit or does not fit.
+        ConfigError: `data` exceeds a limit or does not fit the schema.
     """
     check_limits(data, where)
     try:
@@ -83,27 +103,27 @@ def parse(data: object, model: type[M], where: str) -> M:
 
 
 def check_limits(data: object, where: str) -> None:
-    """Check that `data` holds no more than a YAML file may hold, in linear time.
+    """Check that `data` is within the limits of a YAML file, in linear time.
 
     Raises:
         ConfigError: too many values, levels or characters, a key or a number that is too long, or
             text with half a surrogate pair.
     """
     nodes = characters = 0
-    todo: list[tuple[object, int, _Path]] = [(data, 0, None)]
-    while todo:
-        value, depth, path = todo.pop()
+    stack: list[tuple[object, int, _Path]] = [(data, 0, None)]
+    while stack:
+        value, depth, path = stack.pop()
         nodes += 1
         problem = None
         if isinstance(value, (Mapping, list, tuple, set, frozenset)):
             depth += 1
-            problem = _excess(nodes + len(todo) + len(value), characters, depth)
+            problem = _excess(nodes + len(stack) + len(value), characters, depth)
             if not problem and isinstance(value, Mapping):
                 problem = _long_key(value)
-                todo += [(inner, depth, (path, key)) for key, inner in value.items()]
-                todo += [(key, depth, path) for key in value]
+                stack += [(inner, depth, (path, key)) for key, inner in value.items()]
+                stack += [(key, depth, path) for key in value]
             elif not problem:
-                todo += [(inner, depth, (path, at)) for at, inner in enumerate(value)]
+                stack += [(inner, depth, (path, at)) for at, inner in enumerate(value)]
         elif isinstance(value, (str, bytes)):
             characters += len(value)
             problem = _excess(nodes, characters, depth)
@@ -116,7 +136,7 @@ def check_limits(data: object, where: str) -> None:
 
 
 def parse_text(text: str | bytes, model: type[M], where: str) -> M:
-    """Parse YAML `text` (say, an attachment of a log) into `model`; raises ConfigError."""
+    """Parse YAML `text`, such as an attachment of a log, as `model`; raises ConfigError."""
     return parse(_mapping(text, where), model, where)
 
 
@@ -127,7 +147,7 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
             text = file.read(MOST_BYTES + 1)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError as error:  # a name that no file can have
+    except ValueError as error:  # an invalid file name
         raise ConfigError(f"{str(path)!r}: cannot be read: {error}") from None
     return _mapping(text, str(path))
 
@@ -143,25 +163,28 @@ def _mapping(text: str | bytes, where: str) -> dict[str, Any]:
         problem = shortened(str(error.problem), _MOST_PROBLEM)
         if isinstance(error, yaml.composer.ComposerError) and error.context:
             problem = f"{shortened(error.context, _MOST_PROBLEM)}, {problem}"
-        invalid = "" if isinstance(error, _LimitError) else "not valid YAML: "
-        raise ConfigError(f"{where}{line}: {invalid}{problem}") from None
+        if not isinstance(error, _LimitError):
+            for term, words in _YAML_PROBLEMS.items():
+                problem = problem.replace(term, words)
+            problem = f"not valid YAML: {problem}"
+        raise ConfigError(f"{where}{line}: {problem}") from None
     except yaml.reader.ReaderError as error:
         raise ConfigError(
             f"{where}: not valid YAML: expected text in UTF-8 without control characters, found "
             f"#x{error.character:02x} at position {error.position + 1}"
         ) from None
-    except Exception as error:  # noqa: BLE001 - whatever PyYAML raises, the file is wrong
+    except Exception as error:  # noqa: BLE001 - any other error of PyYAML: the file is wrong too
         raise ConfigError(
             f"{where}: not valid YAML: {shortened(str(error), _MOST_PROBLEM)}"
         ) from None
     if not isinstance(data, dict):
-        found = "nothing" if data is None else type(data).__name__
-        raise ConfigError(f"{where}: expected a mapping of keys at top level, found {found}")
+        found = "an empty file" if data is None else quoted(data)
+        raise ConfigError(f"{where}: expected 'key: value' lines at top level, found {found}")
     return data
 
 
 class _LimitError(yaml.MarkedYAMLError):
-    """YAML that is valid and that a configuration does not accept."""
+    """The file is valid YAML but exceeds a limit or uses a feature that is not accepted."""
 
     def __init__(self, problem: str, mark: Any) -> None:
         super().__init__(None, None, problem, mark)
@@ -172,14 +195,14 @@ class _Loader(yaml.SafeLoader):
 
     1e-4 is a number and 2024-05-01 is text, as in YAML 1.2. Duplicate keys, keys that are lists or
     mappings, and tags other than those of YAML 1.2's core schema are errors. A scalar longer than
-    MOST_DIGITS is text. Nodes, characters and levels are counted while they are read, those of an
-    alias as often as it is used.
+    MOST_DIGITS is text. Nodes, characters and levels are counted during reading; those of an alias
+    count at each use.
     """
 
     def __init__(self, stream: str | bytes) -> None:
         super().__init__(stream)
         self._nodes = self._characters = self._depth = 0
-        self._deepest = 0  # of what has been read since the node that is being read began
+        self._deepest = 0  # deepest level since the start of the current node
         self._sizes: dict[str, tuple[int, int, int]] = {}  # by anchor: nodes, characters, levels
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
@@ -187,7 +210,7 @@ class _Loader(yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
             alias = super().compose_node(parent, index)
             if event.anchor not in self._sizes:
-                raise _LimitError("an alias stands within what it names", event.start_mark)
+                raise _LimitError("an alias refers to the value that contains it", event.start_mark)
             self._count(*self._sizes[event.anchor], event.start_mark)
             return alias
         nodes, characters, deepest = self._nodes, self._characters, self._deepest
@@ -224,7 +247,7 @@ class _Loader(yaml.SafeLoader):
             raise _LimitError(f"expected no tag, found {quoted(written)}", mark)
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        # Before keys are merged into the mapping: a key may be given anew there.
+        # Check for duplicates before keys are merged: a mapping may override merged keys.
         node: yaml.MappingNode = super().compose_mapping_node(anchor)
         seen: set[str] = set()
         for key, _ in node.value:
@@ -232,7 +255,7 @@ class _Loader(yaml.SafeLoader):
                 kind = "list" if isinstance(key, yaml.SequenceNode) else "mapping"
                 raise _LimitError(f"expected a key that is text, found a {kind}", key.start_mark)
             if key.value in seen and key.tag != f"{_TAG}merge":
-                raise _LimitError(f"key {quoted(key.value)} stands twice", key.start_mark)
+                raise _LimitError(f"duplicate key {quoted(key.value)}", key.start_mark)
             seen.add(key.value)
         return node
 
@@ -251,7 +274,7 @@ class _Loader(yaml.SafeLoader):
         return str(super().resolve(kind, value, implicit))  # type: ignore[no-untyped-call]
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        if node.tag == f"{_TAG}merge":  # << in a place other than that of a key
+        if node.tag == f"{_TAG}merge":  # << as a value is text
             node.tag = self.DEFAULT_SCALAR_TAG
         expected = _CONVERTED.get(node.tag)
         if not expected:
@@ -279,13 +302,13 @@ _CONVERTED = {
     f"{_TAG}float": "a number",
     f"{_TAG}bool": "a word like yes",
 }
-"""Tags that not every text fits, and what is expected instead."""
+"""Tags of values that are converted from text, and the expected text."""
 _RESOLVED = {f"{_TAG}{kind}" for kind in ("int", "float", "bool", "null", "merge")}
 _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if tag in _RESOLVED]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-# PyYAML follows YAML 1.1, where 1e-4 is text; YAML 1.2 and every engineer read a number.
+# PyYAML follows YAML 1.1, where 1e-4 is text; in YAML 1.2 it is a number.
 _Loader.add_implicit_resolver(
     f"{_TAG}float",
     re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
@@ -294,24 +317,24 @@ _Loader.add_implicit_resolver(
 
 
 def _excess(nodes: int, characters: int, depth: int) -> str | None:
-    """Return which limit is exceeded, None if none is."""
+    """Return a message if a limit is exceeded, else None."""
     if depth > MOST_DEPTH:
         return f"expected at most {MOST_DEPTH} levels of lists and mappings, found more"
     if nodes > MOST_NODES:
         return (
-            f"expected at most {MOST_NODES} keys and values, found more (an alias counts as often "
-            "as it is used)"
+            f"expected at most {MOST_NODES} keys and values, found more (an alias counts at each "
+            "use)"
         )
     if characters > MOST_BYTES:
         return (
-            f"expected at most {MOST_BYTES} characters of text, found more (an alias counts as "
-            "often as it is used)"
+            f"expected at most {MOST_BYTES} characters of text, found more (an alias counts at "
+            "each use)"
         )
     return None
 
 
 def _long_key(mapping: Mapping[Any, Any]) -> str | None:
-    """Return what is wrong with the first key that is too long, None if there is none."""
+    """Return a message about the first key that is too long, None if there is none."""
     for key in mapping:
         if isinstance(key, (str, bytes)) and len(key) > MOST_KEY:
             return f"expected keys of at most {MOST_KEY} characters, found {quoted(key)}"
@@ -319,7 +342,7 @@ def _long_key(mapping: Mapping[Any, Any]) -> str | None:
 
 
 def _is_unicode(text: str) -> bool:
-    """Return whether UTF-8 can represent the text: an escape can be half a surrogate pair."""
+    """Return whether UTF-8 can encode the text; half a surrogate pair cannot be encoded."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -336,16 +359,16 @@ def _parts(path: _Path) -> list[Any]:
     return parts[::-1]
 
 
-def _kinds(annotation: Any) -> list[Any]:
-    """Return the types that an annotation is made of."""
+def _types(annotation: Any) -> list[Any]:
+    """Return the types in an annotation, those of nested annotations included."""
     parts = getattr(annotation, "__args__", ())
-    return [kind for part in parts for kind in _kinds(part)] if parts else [annotation]
+    return [kind for part in parts for kind in _types(part)] if parts else [annotation]
 
 
-def _truths(value: object) -> list[bool]:
-    """Return the bools in a value, its lists and its mappings."""
+def _bools(value: object) -> list[bool]:
+    """Return the bools in a value, nested lists and mappings included."""
     if isinstance(value, dict):
         value = list(value.values())
     if isinstance(value, (list, tuple)):
-        return [truth for part in value for truth in _truths(part)]
+        return [inner for part in value for inner in _bools(part)]
     return [value] if isinstance(value, bool) else []

@@ -1,4 +1,4 @@
-"""Buses and ports by name, and what a role on one of them can say: part of RIG.yaml in types."""
+"""Schema of RIG.yaml: CAN buses, serial ports, and the options of roles on them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NodeId = Annotated[int, Field(ge=1, le=127)]
 
 
 class CanBus(Strict):
-    """A CAN bus, classic or, where `data_bitrate` is given, CAN FD."""
+    """A CAN bus: classic, or CAN FD if `data_bitrate` is given."""
 
     interface: Name
     channel: str | int
@@ -25,20 +25,20 @@ class CanBus(Strict):
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
     dbc: str | None = None
     latency_s: NonNegative | None = None
-    """What adapter and host add to a cycle; what is usual for the interface unless given."""
+    """Latency that adapter and host add to a cycle; default: a typical value of the interface."""
     stale_cycles: Cycles = 2
 
     @property
     def fd(self) -> bool:
-        """Whether frames are those of CAN FD."""
+        """Whether the bus uses CAN FD frames."""
         return self.data_bitrate is not None
 
     @property
     def place(self) -> str:
-        """What tells it from other buses: two of one place are one bus."""
+        """Identity of the physical bus: two entries with the same place are one bus."""
         if self.interface == "levid_local":
             return f"{self.interface} {Path(str(self.channel)).resolve()}"
-        if self.interface == "socketcan":  # its options are of the socket, not of the bus
+        if self.interface == "socketcan":  # its options belong to the socket, not to the bus
             return f"{self.interface} {self.channel}"
         options = (f"{key} {value}" for key, value in sorted(self.options.items()))
         return ", ".join((f"{self.interface} {self.channel}", *options))
@@ -54,7 +54,7 @@ class SerialBus(Strict):
 
     @property
     def place(self) -> str:
-        """What tells it from other ports."""
+        """Identity of the port: two entries with the same place are one port."""
         return self.port if "://" in self.port else str(Path(self.port).resolve())
 
 
@@ -111,10 +111,10 @@ _MODELS: Mapping[tuple[str, str], type[RoleOptions]] = {
 
 
 def role_options(backend: str, role: str, keys: Mapping[str, Any]) -> RoleOptions | None:
-    """Return a role's keys on a bus of `backend` in types, None for a backend without buses.
+    """Validate the options of a role on a bus; return None for a backend without buses.
 
     Raises:
-        ConfigError: a key is wrong, or missing.
+        ConfigError: an option is wrong or missing.
     """
     model = _MODELS.get((backend, role))
     return None if model is None else parse(dict(keys), model, role)

@@ -1,10 +1,9 @@
-"""What does not fit a model, as lines for whoever wrote the file."""
+"""Convert validation errors of a YAML file to messages: where, what is expected, what is found."""
 
 from __future__ import annotations
 
 import difflib
 import math
-import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -13,15 +12,42 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 _Location = tuple[int | str, ...]
-_WORDS = {
-    "String should match pattern ": "text like ",
-    "String should have ": "text of ",
-    "Keys should be strings": "a key that is text",
-    "Unable to parse input string as an integer, exceeded maximum size": "fewer digits",
+_EXPECTED = {
+    "int_type": "an integer",
+    "int_parsing": "an integer",
+    "int_from_float": "an integer",
+    "int_parsing_size": "an integer of fewer digits",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "string_type": "text",
+    "tuple_type": "a list",
+    "dict_type": "a mapping (key: value)",
+    "model_type": "a mapping (key: value)",
+    "model_attributes_type": "a mapping (key: value)",
+    "invalid_key": "a key that is text",
+    "greater_than": "a number greater than {gt:.12g}",
+    "greater_than_equal": "a number of at least {ge:.12g}",
+    "less_than": "a number less than {lt}",
+    "less_than_equal": "a number of at most {le:.12g}",
+    "string_too_short": "text that is not empty",
+    "string_too_long": "text of at most {max_length} characters",
+    "string_pattern_mismatch": "{form}",
+    "literal_error": "{expected}",
 }
-"""What the validator says in place of what it expected, and what that is."""
+"""Text for each kind of error, with the values that pydantic gives for it."""
+_FORMS = {
+    r"^[A-Za-z0-9][A-Za-z0-9._-]*$": "letters, digits, '.', '_' and '-', a letter or digit first",
+    r"^[A-Za-z_][A-Za-z0-9_]*$": "letters, digits and '_', no digit first",
+    r"^[a-z][a-z0-9]*(_[a-z0-9]+)*$": "lower-case words of letters and digits, joined by '_'",
+    r"^[^\[\],#\s][^\[\],#\r\n\t]*$": "a unit without brackets, ',' and '#'",
+    r"^coil:\d+$": "'coil:N' with the number N of the coil",
+}
+"""Text for each pattern in the schemas."""
 MOST_MISTAKES = 20
-"""Most mistakes that are listed for one file; the last line is the number of further ones."""
+"""Most mistakes that are listed for one file; the last line counts the rest."""
 _MOST_QUOTED = 60
 """Longest quotation of a key or a value in characters."""
 _MOST_LINE = 500
@@ -29,25 +55,31 @@ _MOST_LINE = 500
 
 
 def mistakes(error: ValidationError, data: object, model: type[BaseModel], where: str) -> list[str]:
-    """Return a line for each mistake in `data`: where, what was expected, and what came.
+    """Return a line for each mistake in `data`: where, what is expected, and what is found.
 
-    At most MOST_MISTAKES are listed, then how many more there are.
+    At most MOST_MISTAKES are listed; the last line counts the rest.
     """
-    items = error.errors(include_url=False)
-    # A file of another kind would be one error a key: that it is another kind says it all.
-    of_kind = [item for item in items if item["loc"] == ("levid",)]
-    grouped = _by_location(of_kind or items, data)
+    items = [item for item in error.errors(include_url=False) if not _follows(item)]
+    # A file of another kind has a mistake in every key: report the wrong kind only.
+    wrong_kind = [item for item in items if item["loc"] == ("levid",)]
+    grouped = _by_location(wrong_kind or items, data)
     lines = []
     for loc, found in grouped[:MOST_MISTAKES]:
-        line = shortened(f"{dotted(loc)}: {_described(loc, found, model)}", _MOST_LINE)
+        place = loc[:-1] if loc[-1:] == ("[key]",) else loc
+        line = shortened(f"{dotted(place)}: {_described(loc, found, model)}", _MOST_LINE)
         lines.append(f"{where}: {line}")
     if more := len(grouped) - len(lines):
         lines.append(f"{where}: {more} more {'mistake' if more == 1 else 'mistakes'}, not listed")
     return lines
 
 
+def _follows(item: ErrorDetails) -> bool:
+    """Return whether a list is only too short because entries with mistakes do not count."""
+    return item["type"] == "too_short" and len(item["input"]) >= item["ctx"]["min_length"]
+
+
 def _described(loc: _Location, found: list[ErrorDetails], model: type[BaseModel]) -> str:
-    """Return what was expected at a location and what came."""
+    """Return what is expected at a location and what is found."""
     item = found[0]
     match item["type"]:
         case "extra_forbidden":
@@ -59,17 +91,23 @@ def _described(loc: _Location, found: list[ErrorDetails], model: type[BaseModel]
         case "too_long":
             most = item["ctx"]["max_length"]
             return f"expected at most {most} entries, found {len(item['input'])}"
-    expected = " or ".join(_expected(one) for one in found[:MOST_MISTAKES])
-    return f"expected {expected}, found {quoted(item['input'])}"
+        case "too_short":
+            least = item["ctx"]["min_length"]
+            entries = "entry" if least == 1 else "entries"
+            return f"expected at least {least} {entries}, found {len(item['input'])}"
+    key = "a key of " if loc[-1:] == ("[key]",) else ""
+    expected = " or ".join(_expected(alternative) for alternative in found[:MOST_MISTAKES])
+    return f"expected {key}{expected}, found {quoted(item['input'])}"
 
 
 def _by_location(
     items: Sequence[ErrorDetails], data: object
 ) -> list[tuple[_Location, list[ErrorDetails]]]:
-    """Return what is wrong at each location, in order; more than one where any of them would do.
+    """Return the errors at each location, in order; several are alternatives.
 
-    Where a key takes this or that, the validator tells what each of them finds wrong, behind the
-    key and its own name of that alternative. A mapping was meant to be the one that is a mapping.
+    If a key accepts several types, pydantic reports an error for each type; its location is the
+    key followed by pydantic's name of the type. For a value that is a mapping, only the errors of
+    the type that is a mapping are kept.
     """
     alternatives: dict[_Location, list[ErrorDetails]] = defaultdict(list)
     named: _Named = {}
@@ -91,11 +129,11 @@ def _by_location(
 
 
 _Named = dict[int, dict[str, Any]]
-"""Values of keys that are not text, by what a location has for such a key; by id of the mapping."""
+"""By id of a mapping: its values by the text that a location has for a key that is not text."""
 
 
 def _depth(loc: _Location, data: Any, named: _Named) -> int:
-    """Return how many parts of a location lead into `data`; fill in `named` where it is needed."""
+    """Return how many parts of a location exist in `data`; `named` caches non-text keys."""
     for depth, part in enumerate(loc):
         if isinstance(data, Mapping):
             if part in data:
@@ -114,10 +152,11 @@ def _depth(loc: _Location, data: Any, named: _Named) -> int:
 
 
 def _expected(item: ErrorDetails) -> str:
-    said = item["msg"].removeprefix("Input should be ")
-    for theirs, ours in _WORDS.items():
-        said = said.replace(theirs, ours)
-    return re.sub(r", (unable to parse|got) .*", "", said)
+    values = item.get("ctx", {})
+    if item["type"] == "string_pattern_mismatch":
+        values = {"form": _FORMS.get(values["pattern"], "text of another form")}
+    text = _EXPECTED.get(item["type"])
+    return item["msg"].removeprefix("Input should be ") if text is None else text.format(**values)
 
 
 def dotted(loc: Sequence[Any]) -> str:
@@ -138,7 +177,7 @@ def shortened(text: str, most: int) -> str:
 
 
 def quoted(value: object) -> str:
-    """Return the start of `value` as Python writes it, however large the value is."""
+    """Return the start of `value` as text; the time does not depend on the size of `value`."""
     text = ""
     for piece in _pieces(value):
         text += piece
@@ -148,7 +187,7 @@ def quoted(value: object) -> str:
 
 
 def _pieces(value: object) -> Iterator[str]:
-    """Yield the text of a value piece by piece; a piece is not much longer than a quotation."""
+    """Yield the text of a value in pieces of about the length of a quotation."""
     if isinstance(value, Mapping):
         for number, (key, inner) in enumerate(value.items()):
             yield ", " if number else "{"
@@ -164,8 +203,10 @@ def _pieces(value: object) -> Iterator[str]:
     elif isinstance(value, (str, bytes)):
         yield repr(value[: _MOST_QUOTED + 1])
     elif isinstance(value, int) and value.bit_length() > 8 * _MOST_QUOTED:
-        # Python refuses to write such a number.
+        # Python raises an error for the text of such a number.
         yield f"an integer of about {int(value.bit_length() * math.log10(2.0)) + 1} digits"
+    elif value is None or isinstance(value, bool):
+        yield "null" if value is None else str(value).lower()
     else:
         yield repr(value)
 
@@ -173,11 +214,11 @@ def _pieces(value: object) -> Iterator[str]:
 def _suggest(key: str, known: list[str]) -> str:
     if not known:
         return ""
-    # The same quantity in another unit (r_mm for r_m) is the likeliest slip: compare without units.
+    # The most likely mistake is the same quantity in another unit (r_mm for r_m).
     stem = key.rsplit("_", 1)[0]
     same_quantity = [k for k in known if k.rsplit("_", 1)[0] == stem]
     if same_quantity:
-        return f"; expected '{same_quantity[0]}' (the ending of a key is its unit)"
+        return f"; expected '{same_quantity[0]}' (a key ends in its unit)"
     close = difflib.get_close_matches(key[:_MOST_QUOTED], known, n=1)
     if close:
         return f"; expected '{close[0]}'"
@@ -185,7 +226,7 @@ def _suggest(key: str, known: list[str]) -> str:
 
 
 def _keys_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Return the keys known at `loc`, following model fields; empty where that cannot be told."""
+    """Return the keys that the schema has at `loc`; empty if `loc` is not in the schema."""
     current: Any = model
     for part in loc:
         if isinstance(part, int):

@@ -1,4 +1,4 @@
-"""Which schema a file has: the first key, `levid: KIND`, says it."""
+"""Read a YAML file with the schema that its key `levid: KIND` names."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ KINDS: dict[str, type[Strict]] = {
 
 
 def load_any(path: Path | str, more: dict[str, type[Strict]] | None = None) -> Strict:
-    """Read a YAML file of any kind in KINDS or `more`; raises ConfigError."""
+    """Read a YAML file of any kind in KINDS or in `more`, which adds kinds; raises ConfigError."""
     kinds = {**KINDS, **(more or {})}
     data = read_mapping(path)
     kind = data.get("levid")
     if not isinstance(kind, str) or kind not in kinds:
-        found = "no such key" if kind is None else quoted(kind)
+        found = "no key 'levid'" if kind is None else quoted(kind)
         raise ConfigError(
             f"{path}: levid: expected one of {', '.join(sorted(kinds))}, found {found}"
         )

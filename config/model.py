@@ -1,4 +1,4 @@
-"""The declared model: named matrices, parameters with units and bounds; MODEL.yaml in types."""
+"""Schema of MODEL.yaml: matrices of a second-order model, parameters, effects."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Matrix = tuple[tuple[Entry, ...], ...]
 
 
 class Axis(Strict):
-    """A named axis of the model with its unit."""
+    """A degree of freedom or an input of the model, with its unit."""
 
     name: Identifier
     unit: str
 
 
 class ModelParameter(Strict):
-    """A parameter in SI units; `fixed` ones are never fitted, `se` is a result of a fit."""
+    """A parameter in SI units; a `fixed` one is not fitted, `se` is the fit's standard error."""
 
     value: Finite
     unit: str
@@ -30,7 +30,7 @@ class ModelParameter(Strict):
     max: Finite | None = None
     fixed: bool = False
     prior_sd: Positive | None = None
-    """Standard deviation of what is known of the value before any record."""
+    """Prior standard deviation of the value, before any record."""
     se: NonNegative | None = None
     about: str = ""
 
@@ -44,12 +44,12 @@ class ModelParameter(Strict):
 
     @property
     def is_fixed(self) -> bool:
-        """Whether no fit may change the value: `fixed`, or bounds that leave no other."""
+        """Whether a fit keeps the value: `fixed` is set, or `min` equals `max`."""
         return self.fixed or (self.min is not None and self.min == self.max)
 
 
 class Scheduling(Strict):
-    """A variable of the matrices, measured by a field of the log or by its derivative."""
+    """A scheduling variable of the matrices: a field of the log or its time derivative."""
 
     unit: str
     signal: str
@@ -60,7 +60,7 @@ class Scheduling(Strict):
 
 
 class EffectParameter(Strict):
-    """A parameter of an effect in SI units; `se` is a result of a trace."""
+    """A parameter of an effect in SI units; `se` is the trace's standard error."""
 
     value: Finite
     unit: str
@@ -68,7 +68,7 @@ class EffectParameter(Strict):
 
 
 class ModelEffect(Strict):
-    """A physical effect beyond the matrices: an entry of the table of effects, with values."""
+    """A physical effect in addition to the matrices: its name in the effects table, with values."""
 
     effect: str
     where: tuple[str, ...] = ()
@@ -76,7 +76,7 @@ class ModelEffect(Strict):
 
 
 class ModelConfig(Strict):
-    """MODEL.yaml: M(p) q'' + D(p) q' + K(p) q = B(p) u + force(p) + effects, in formulas."""
+    """MODEL.yaml: M(p) q'' + D(p) q' + K(p) q = B(p) u + force(p) + effects."""
 
     levid: Literal["model"]
     name: str
@@ -84,7 +84,7 @@ class ModelConfig(Strict):
     dof: Annotated[tuple[Axis, ...], Field(min_length=1)]
     inputs: Annotated[tuple[Axis, ...], Field(min_length=1)]
     input: Literal["zoh", "foh", "band_limited"] = "zoh"
-    """What the input does between samples."""
+    """Input between samples: held (zoh), linear (foh), or without power above half the rate."""
     parameters: dict[Identifier, ModelParameter] = Field(default_factory=dict)
     scheduling: dict[Identifier, Scheduling] = Field(default_factory=dict)
     M: Matrix
@@ -98,5 +98,5 @@ class ModelConfig(Strict):
 
 
 def load_model(path: Path | str) -> ModelConfig:
-    """Read MODEL.yaml; raises ConfigError."""
+    """Read a MODEL.yaml file; raises ConfigError."""
     return load_yaml(path, ModelConfig)

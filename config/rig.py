@@ -1,4 +1,4 @@
-"""The rig: geometry, gains, limits, and which backend plays each role; RIG.yaml in types."""
+"""Schema of RIG.yaml: geometry, controller gains, limits, buses, and the backend of each role."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BusName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 
 
 class Geometry(Strict):
-    """Where coils and sensors sit on the platform; as many as the lists are long."""
+    """Positions of coils and sensors on the platform; the lists' lengths give their numbers."""
 
     coil_x_m: Annotated[tuple[Finite, ...], Field(min_length=3)]
     coil_y_m: Annotated[tuple[Finite, ...], Field(min_length=3)]
@@ -35,24 +35,24 @@ class Geometry(Strict):
 
     @property
     def sensors_x_m(self) -> tuple[float, ...]:
-        """Sensor positions along x in m; under the coils unless given."""
+        """Sensor positions along x in m; default: under the coils."""
         return self.sensor_x_m or self.coil_x_m
 
     @property
     def sensors_y_m(self) -> tuple[float, ...]:
-        """Sensor positions along y in m; under the coils unless given."""
+        """Sensor positions along y in m; default: under the coils."""
         return self.sensor_y_m or self.coil_y_m
 
 
 class TiltGains(Strict):
-    """PI gains of a tilt: C(z) = kp + ki Ts z / (z - 1)."""
+    """PI gains of psi or theta: C(z) = kp + ki Ts z / (z - 1)."""
 
     kp_n_m_rad: NonNegative
     ki_n_m_rad_s: NonNegative
 
 
 class HeightGains(Strict):
-    """PI gains of the height: C(z) = kp + ki Ts z / (z - 1)."""
+    """PI gains of z: C(z) = kp + ki Ts z / (z - 1)."""
 
     kp_n_m: NonNegative
     ki_n_m_s: NonNegative
@@ -77,11 +77,10 @@ class Control(Strict):
 
 
 class FeedForward(Strict):
-    """What a rig without a model carries without waiting for the integrators.
+    """Feed-forward of a rig without a model: weight, torque of the beam's weight, rods in z.
 
-    Weight, the beam's torque, and the rods in z, whose stiffness matters off the working point
-    alone: it takes the platform from the stops and back along its reference instead of letting the
-    rods throw it.
+    The rods' force is zero at the working point. During lift-off and landing its feed-forward
+    keeps the platform on its reference.
     """
 
     mass_kg: NonNegative
@@ -91,7 +90,7 @@ class FeedForward(Strict):
 
 
 class Limits(Strict):
-    """What the loop never exceeds; a coil force is clipped, anything else is a fault."""
+    """Limits of the control loop: coil forces are clipped, any other excess is a fault."""
 
     coil_n: Positive
     coil_rate_n_s: Positive
@@ -102,15 +101,15 @@ class Limits(Strict):
     rotor_velocity_rad_s: Positive = 20.0
     rotor_acceleration_rad_s2: Positive = 200.0
     late_cycles: Annotated[int, Field(ge=1, le=10_000)] = 20
-    """Cycles that may be late by a period or more; every ten in time take one of them back."""
+    """Cycles late by a period or more before the fault LATE; ten punctual cycles cancel one."""
     stall_s: Positive | None = None
-    """For how long the loop may stand still, once, and still go on; unless given, until amplifiers
-    expire or a falling platform would leave `gap_m`."""
+    """Longest single stall of the loop without a fault; default: until amplifiers expire or a
+    falling platform would leave `gap_m`."""
     late_in_window: Annotated[int, Field(ge=1, le=1_000_000)] = 500
-    """Late cycles within `late_window_s`, whether in a row or not."""
+    """Late cycles within `late_window_s`, consecutive or not."""
     late_window_s: Annotated[float, Field(gt=0, le=3600.0)] = 60.0
     total_n: Positive | None = None
-    """Sum of all coils' forces, signs left out; all are scaled down to it."""
+    """Sum of the absolute coil forces; above it all forces are scaled down."""
     tilt_rad: Positive | None = None
     gap_m_s: Positive | None = None
     coil_rms_n: Positive | None = None
@@ -118,7 +117,7 @@ class Limits(Strict):
 
 
 class Role(BaseModel):
-    """Which backend plays a role; further keys belong to that backend and are checked by it."""
+    """Backend of a role; the backend defines and validates all further keys."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -126,12 +125,12 @@ class Role(BaseModel):
 
     @property
     def options(self) -> dict[str, Any]:
-        """The keys that belong to the backend."""
+        """The backend's own keys."""
         return dict(self.model_extra or {})
 
 
 class RigConfig(Strict):
-    """RIG.yaml."""
+    """RIG.yaml: a rig's geometry, control, limits, devices, and how the daemon runs it."""
 
     levid: Literal["rig"]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
@@ -151,13 +150,13 @@ class RigConfig(Strict):
     sensors: Role
     drives: Role
     can: dict[BusName, CanBus] = Field(default_factory=dict)
-    """CAN buses by the names that roles call them."""
+    """CAN buses by the names that roles use."""
     serial: dict[BusName, SerialBus] = Field(default_factory=dict)
-    """Serial ports by the names that roles call them."""
+    """Serial ports by the names that roles use."""
     sim: str | None = None
     """SIM.yaml of the loopback backend and of emulated electronics, relative to this file."""
     socket: str | None = None
-    """Path of the daemon's control socket; a runtime directory of the user's unless given."""
+    """Path of the daemon's control socket; default: in a runtime directory of the user."""
     realtime: Realtime = Realtime()
     service: Service = Service()
     recording: Recording = Recording()
@@ -174,7 +173,7 @@ class RigConfig(Strict):
 
     @model_validator(mode="after")
     def _loop_has_time(self) -> Self:
-        # A loop is silent for a period by its nature: late and still well it may be for two more.
+        # The loop reports once a period; a healthy loop may be late by two more periods.
         least_s = _LEAST_PERIODS / self.rate_hz
         if self.service.loop_s < least_s * (1.0 - 1e-9):
             raise ValueError(
@@ -185,7 +184,7 @@ class RigConfig(Strict):
 
     @model_validator(mode="after")
     def _one_name_each(self) -> Self:
-        """Two names for one wire would each be held to carry as much as the whole of it."""
+        """Reject two names for one bus: each would get the capacity of the whole bus."""
         for backend, buses in (("can", self.can), ("serial", self.serial)):
             roles = (self.amplifiers, self.sensors, self.drives)
             used = [role.options.get("bus") for role in roles if role.backend == backend]
@@ -200,10 +199,10 @@ class RigConfig(Strict):
         return self
 
     def on_bus(self, role: str) -> tuple[str, RoleOptions] | None:
-        """Return backend and options of a role that is on a bus, None where it is on none.
+        """Return backend and options of a role on a bus, None if its backend has no bus.
 
         Raises:
-            ConfigError: an option is wrong, or there is no bus of that name.
+            ConfigError: an option is wrong, or no bus has that name.
         """
         played: Role = getattr(self, role)
         options = role_options(played.backend, role, played.options)
@@ -219,12 +218,12 @@ class RigConfig(Strict):
 
 
 def load_rig(path: Path | str) -> RigConfig:
-    """Read RIG.yaml and the model that it names; raises ConfigError."""
+    """Read a RIG.yaml file and the model that it names; raises ConfigError."""
     return with_model(load_yaml(path, RigConfig), Path(path))
 
 
 def with_model(rig: RigConfig, rig_file: Path) -> RigConfig:
-    """Return a rig read from `rig_file` with the model itself in place of the model's path.
+    """Replace the model's path in a rig read from `rig_file` by the model.
 
     Raises:
         ConfigError: the model cannot be read.

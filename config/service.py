@@ -1,4 +1,4 @@
-"""How the daemon runs unattended: real-time rights, who may ask, what is recorded; of RIG.yaml."""
+"""Schema of RIG.yaml: real-time settings, access rights, recording and self-test of the daemon."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Id = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=0)]
 
 
 class Realtime(Strict):
-    """What the loop's process asks of the kernel; what is not permitted is a warning."""
+    """Real-time settings of the loop's process; a setting without permission is a warning."""
 
     priority: Annotated[int, Field(ge=0, le=95)] = 80
     lock_memory: bool = True
@@ -23,7 +23,7 @@ class Realtime(Strict):
 
 
 class Service(Strict):
-    """The daemon's processes and its control socket."""
+    """Access to the control socket, timeouts of the daemon's processes, metrics port."""
 
     allow_users: tuple[Id, ...] = ()
     allow_groups: tuple[Id, ...] = ()
@@ -35,7 +35,7 @@ class Service(Strict):
 
 
 class Recording(Strict):
-    """When a log goes on in another file, and what is kept of faults."""
+    """Rotation of log files, and flight recordings of faults."""
 
     rotate_mb: Annotated[float, Field(ge=0.1, le=1e6)] = 2000.0
     rotate_s: Annotated[float, Field(ge=1.0, le=86_400.0)] = 3600.0
@@ -45,7 +45,7 @@ class Recording(Strict):
 
 
 class SelfTest(Strict):
-    """What readings at rest may be, before the first lift-off and after each fault."""
+    """Limits of the readings at rest, tested before the first lift-off and after each fault."""
 
     duration_s: Annotated[float, Field(ge=0.01, le=10.0)] = 0.2
     gap_m: Positive = 1.1e-3

@@ -1,4 +1,4 @@
-"""A session: lift off, move the beam, record under excitation, land; SESSION.yaml in types."""
+"""Schema of SESSION.yaml: lift-off, beam moves, records with excitation, landing."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from pydantic import Field, model_validator
 from .base import Finite, NonNegative, Positive, Strict, load_yaml
 from .rig import Rate
 
-# A part of a file name, which has at most 255 characters.
 MOST_STEPS = 1000
-"""Of a session."""
+"""Largest number of steps in a session."""
+# A name is part of a file name, which has at most 255 characters.
 Name = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Duration = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
 Pause = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
-# A drive counts in 1e-7 rad and 32 bits: what is beyond would stop short there, at once.
+# The drive counts 1e-7 rad in 32 bits; a larger angle cannot be commanded.
 RotorAngle = Annotated[float, Field(ge=-214.7, le=214.7, allow_inf_nan=False)]
 Dof = Literal["psi", "theta", "z"]
 
 
 class Excitation(Strict):
-    """A signal for one input of the platform: psi, theta, z, or one coil by its number.
+    """An excitation signal at one input: psi, theta, z, or one coil by its number.
 
-    `rms_n_m` is the level of a torque, `rms_n` that of a force; exactly the one that fits `input`.
-    `band_hz` bounds the spectrum; without it white noise is white up to half the rate.
-    A multisine repeats after `period_s`; its lines are the multiples of 1 / period_s in the band:
-    all, the odd ones, or of every four odd ones in a row three (`odd_random_grid`, the fourth drawn
-    by lot), so that what the plant answers at the lines left out shows how it distorts. They are of
-    one amplitude, or above `rise_hz` in proportion to frequency, as masses answer less and less.
+    The level is `rms_n_m` for a torque (psi, theta), else `rms_n`. `band_hz` limits the spectrum;
+    without it white noise extends to half the rate. A multisine has the period `period_s`; its
+    `lines` are multiples of 1 / period_s in the band: all, odd ones, or odd ones with a random one
+    of every four left out (`odd_random_grid`). The response at unexcited lines measures nonlinear
+    distortion. All lines have the same amplitude; above `rise_hz` it grows in proportion to
+    frequency, because a mass responds less there.
     """
 
     input: Dof | Annotated[str, Field(pattern=r"^coil:\d+$")]
@@ -68,7 +68,7 @@ class Excitation(Strict):
 
 
 class Waypoint(Strict):
-    """Move the beam to `to_m`, then stay for `dwell_s`; a smooth profile within the limits."""
+    """Move the beam to `to_m` on a smooth profile within the limits, then stay for `dwell_s`."""
 
     to_m: Finite
     velocity_m_s: Positive | None = None
@@ -77,7 +77,7 @@ class Waypoint(Strict):
 
 
 class RotorWaypoint(Strict):
-    """Turn the rotor to `to_rad`, then stay for `dwell_s`; a smooth profile within the limits."""
+    """Turn the rotor to `to_rad` on a smooth profile within the limits, then stay for `dwell_s`."""
 
     to_rad: RotorAngle
     velocity_rad_s: Positive | None = None
@@ -86,7 +86,7 @@ class RotorWaypoint(Strict):
 
 
 class CoilCheck(Strict):
-    """A small push of each coil in turn, just after lift-off: forth, back twice, forth."""
+    """Coil check after lift-off: each coil in turn pushes up, down twice, up."""
 
     push_n: Annotated[float, Field(gt=0, le=10.0)] = 1.0
     push_s: Annotated[float, Field(gt=0, le=0.1)] = 0.008
@@ -96,9 +96,9 @@ class CoilCheck(Strict):
 class Levitate(Strict):
     """Take the weight off the stops in `unload_s`, rise in `ramp_s`, settle for `settle_s`.
 
-    With `check_coils` each coil is pushed before the platform settles; one that does not move as
-    the others do is the fault COIL_CHECK. Where nothing is said of it a daemon does so until it
-    knows the coils: at the first lift-off after its start and after a fault.
+    With `check_coils` each coil is pushed before the platform settles; a coil with another response
+    than the others is the fault COIL_CHECK. By default the daemon checks the coils at the first
+    lift-off after its start and after a fault.
     """
 
     unload_s: Duration = 0.5
@@ -108,7 +108,7 @@ class Levitate(Strict):
 
 
 class Move(Strict):
-    """Move the beam (and the rotor), then settle for `settle_s`."""
+    """Move beam, rotor or both, then settle for `settle_s`."""
 
     beam_m: Finite | None = None
     rotor_rad: RotorAngle | None = None
@@ -118,11 +118,11 @@ class Move(Strict):
 
 
 class Orthogonal(Strict):
-    """How the multisines of a record play at once and can still be told apart.
+    """Orthogonal multisines: simultaneous excitation of several inputs.
 
-    Each of the `realisations` draws phases anew and plays as many experiments as there are
-    multisines, the phases of which differ by an orthogonal matrix at every line. An experiment
-    lasts `periods` periods; during the first the transient of the one before dies out.
+    Each realisation draws new random phases and consists of as many experiments as there are
+    multisines; between experiments the phases differ by an orthogonal matrix at every line. An
+    experiment lasts `periods` periods; in the first, the previous experiment's transient decays.
     """
 
     realisations: Annotated[int, Field(ge=1, le=1000)]
@@ -130,13 +130,13 @@ class Orthogonal(Strict):
 
 
 class RecordStep(Strict):
-    """Log `duration_s` for identification while the named excitations play, or in silence.
+    """Log `duration_s` for identification, with the named excitations or without any.
 
     The platform first settles for `settle_s`, in the same log. Excitations fade in and out over
-    `fade_s` at both ends. With `orthogonal` the record is as long as its experiments and the last
-    `fade_s`. With `each_s` the excitations play in turn, each for so long at its full level, and
-    fade into one another. `scale` multiplies their levels. `beam` and `rotor` are trajectories
-    that repeat until the record ends.
+    `fade_s`. With `orthogonal` the record is as long as its experiments plus `fade_s`. With
+    `each_s` the excitations play one after the other, each for `each_s` at full level, with
+    cross-fades. `scale` multiplies their levels. The trajectories `beam` and `rotor` repeat until
+    the record ends.
     """
 
     name: Name
@@ -157,15 +157,18 @@ class RecordStep(Strict):
         ]
         if len(given) != 1:
             raise ValueError(
-                "expected 'duration_s', or 'orthogonal' or 'each_s', which say how long it is; "
-                f"found {' and '.join(given) or 'none of them'}"
+                "expected exactly one of duration_s, orthogonal and each_s, which set the "
+                f"record's length, found {' and '.join(given) or 'none'}"
             )
         if self.orthogonal is not None and not self.excite:
             raise ValueError("expected multisines in 'excite' with 'orthogonal', found none")
         if self.orthogonal is not None and (self.beam or self.rotor):
-            raise ValueError("expected the beam at rest with 'orthogonal', found a trajectory")
+            raise ValueError(
+                "expected no trajectory with 'orthogonal', found "
+                f"{'beam' if self.beam else 'rotor'}: beam and rotor must be at rest"
+            )
         if self.each_s is not None and not self.excite:
-            raise ValueError("expected names in 'excite' that play in turn with 'each_s'")
+            raise ValueError("expected excitations in 'excite' with 'each_s', found none")
         if self.each_s is not None and self.fade_s > self.each_s:
             raise ValueError(
                 f"expected fade_s of at most each_s, found {self.fade_s} s and {self.each_s} s"
@@ -179,7 +182,7 @@ class RecordStep(Strict):
 
 
 class Land(Strict):
-    """Sink onto the stops in `ramp_s`, then let the force fade out over `release_s`."""
+    """Descend onto the stops in `ramp_s`, then reduce the force to zero in `release_s`."""
 
     ramp_s: Duration = 1.5
     release_s: Duration = 0.5
@@ -198,13 +201,14 @@ class Step(Strict):
         given = [k for k in ("levitate", "move", "record", "land") if getattr(self, k) is not None]
         if len(given) != 1:
             raise ValueError(
-                f"expected exactly one of levitate, move, record, land, found {given or 'none'}"
+                "expected exactly one of levitate, move, record, land, found "
+                f"{' and '.join(given) or 'none'}"
             )
         return self
 
     @property
     def kind(self) -> Literal["levitate", "move", "record", "land"]:
-        """Which of the keys is given."""
+        """The key that is given."""
         for kind in ("levitate", "move", "record"):
             if getattr(self, kind) is not None:
                 return kind
@@ -212,12 +216,12 @@ class Step(Strict):
 
 
 class SessionConfig(Strict):
-    """SESSION.yaml."""
+    """SESSION.yaml: a flight's excitations and steps, and the commands after landing."""
 
     levid: Literal["session"]
     name: Name
     rate_hz: Rate | None = None
-    """Rate of the loop; the rig's unless given."""
+    """Rate of the loop; default: the rig's rate."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     excitations: dict[Name, Excitation] = Field(default_factory=dict, max_length=1000)
     steps: Annotated[tuple[Step, ...], Field(min_length=1, max_length=MOST_STEPS)]
@@ -232,13 +236,13 @@ class SessionConfig(Strict):
         names: set[str] = set()
         for number, step in enumerate(self.steps):
             if number and step.kind == "levitate":
-                raise ValueError(f"steps[{number}]: expected levitate as the first step only")
+                raise ValueError(f"steps[{number}]: levitate must be the first step only")
             if step.kind == "land" and number != len(self.steps) - 1:
-                raise ValueError(f"steps[{number}]: expected land as the last step only")
+                raise ValueError(f"steps[{number}]: land must be the last step only")
             if step.record is None:
                 continue
             if step.record.name in names:
-                raise ValueError(f"steps[{number}]: record name '{step.record.name}' stands twice")
+                raise ValueError(f"steps[{number}]: duplicate record name '{step.record.name}'")
             names.add(step.record.name)
             for excitation in step.record.excite:
                 if excitation not in self.excitations:
@@ -264,13 +268,13 @@ class SessionConfig(Strict):
                 first, other = getattr(played[0], key), getattr(excitation, key)
                 if first != other:
                     raise ValueError(
-                        f"{where}.orthogonal: expected one {key} in all its excitations, found "
+                        f"{where}.orthogonal: expected the same {key} in all excitations, found "
                         f"{first} in '{record.excite[0]}' and {other} in '{name}'"
                     )
         inputs = [excitation.input for excitation in played]
         if len(set(inputs)) < len(inputs):
             raise ValueError(
-                f"{where}.orthogonal: expected every excitation at an input of its own, found "
+                f"{where}.orthogonal: expected a different input for each excitation, found "
                 f"{', '.join(inputs)}"
             )
         period_s = played[0].period_s
@@ -282,5 +286,5 @@ class SessionConfig(Strict):
 
 
 def load_session(path: Path | str) -> SessionConfig:
-    """Read SESSION.yaml; raises ConfigError."""
+    """Read a SESSION.yaml file; raises ConfigError."""
     return load_yaml(path, SessionConfig)

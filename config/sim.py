@@ -1,4 +1,4 @@
-"""Schema of SIM.yaml: everything the simulated rig is made of, self-contained, in SI units."""
+"""Schema of SIM.yaml: parameters and effects of the simulated rig, in SI units."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Vector3 = tuple[Finite, Finite, Finite]
 class SimConfig(Strict):
     """A simulated rig.
 
-    `plant: declared` is the declared LPV model with noise and quantisation; `plant: nonlinear` is
-    the full equations of motion plus the imperfections in the section `nonlinear`, which that
-    level needs and the other refuses.
+    `plant: declared` is the declared LPV model with noise and quantisation. `plant: nonlinear` is
+    the full equations of motion with the imperfections in the section `nonlinear`, which is
+    required then and rejected otherwise.
     """
 
     levid: Literal["sim"]
@@ -39,15 +39,18 @@ class SimConfig(Strict):
     @model_validator(mode="after")
     def _level_and_sizes_agree(self) -> Self:
         if self.plant == "declared" and self.nonlinear is not None:
-            raise ValueError("section 'nonlinear' has no meaning with 'plant: declared'; remove it")
+            raise ValueError(
+                "nonlinear: expected no such section with plant: declared; remove it or set "
+                "plant: nonlinear"
+            )
         if self.plant == "nonlinear":
             if self.nonlinear is None:
-                raise ValueError("'plant: nonlinear' needs the section 'nonlinear'; it is missing")
+                raise ValueError("nonlinear: required section is missing with plant: nonlinear")
             widest = self.platform.j_psi_kg_m2 + self.platform.j_theta_kg_m2
             if self.nonlinear.j_z_kg_m2 >= widest:
                 raise ValueError(
                     f"nonlinear.j_z_kg_m2: expected less than j_psi + j_theta = {widest:g}, as for "
-                    f"any body that is not flat, found {self.nonlinear.j_z_kg_m2:g}"
+                    f"every body with a thickness, found {self.nonlinear.j_z_kg_m2:g}"
                 )
             for key, count, what in (
                 ("coil_gain", self.geometry.n_coils, "coils"),
@@ -57,14 +60,14 @@ class SimConfig(Strict):
                 found = len(getattr(self.nonlinear, key))
                 if found not in (0, count):
                     raise ValueError(
-                        f"nonlinear.{key}: expected {count} values, one for each of the {what} "
-                        f"(or none), found {found}"
+                        f"nonlinear.{key}: expected {count} values, one for each of the {what}, "
+                        f"or no values, found {found}"
                     )
         return self
 
 
 class SimGeometry(Strict):
-    """Positions of coils and sensors; sensors sit under the coils unless they are given."""
+    """Positions of coils and sensors; default for sensors: under the coils."""
 
     r_m: Positive  # nominal arm of the grid
     coil_x_m: tuple[Finite, ...]
@@ -105,13 +108,13 @@ class SimGeometry(Strict):
             if not _spans_a_plane(x, y):
                 raise ValueError(
                     f"{what}_x_m and {what}_y_m: expected three or more points that are not on "
-                    "one line, else psi, theta and z cannot be told apart"
+                    "one line, so that they determine psi, theta and z"
                 )
         return self
 
 
 class Platform(Strict):
-    """Rigid platform with the manipulator's static part; inertias about O, without the beam."""
+    """Rigid platform with the manipulator's static part, without the beam; inertias about O."""
 
     m_p_kg: Positive
     j_psi_kg_m2: Positive
@@ -126,7 +129,7 @@ class Platform(Strict):
 
 
 class Beam(Strict):
-    """Beam with rotor, a mass at height z_b over O that moves along the platform's x."""
+    """Beam with rotor: a point mass at height z_b over O that moves along the platform's x."""
 
     m_b_kg: Positive
     z_b_m: Finite
@@ -134,7 +137,7 @@ class Beam(Strict):
 
 
 class Rotor(Strict):
-    """Bar that turns about the platform's normal at the middle of the beam (its mass is in m_b)."""
+    """Bar that turns about the platform's normal at the middle of the beam; m_b has its mass."""
 
     j_kg_m2: Positive
 
@@ -213,16 +216,16 @@ class DriveLoop(Strict):
 
 
 class Nonlinear(Strict):
-    """What the level `nonlinear` knows beyond the declared model; every imperfection is small."""
+    """Small imperfections that `plant: nonlinear` adds to the declared model."""
 
-    j_z_kg_m2: Positive  # about the vertical, with the rotor: enters where the platform tilts
+    j_z_kg_m2: Positive  # about the vertical, with the rotor; acts when the platform is tilted
     com_m: Vector3  # platform's centre of mass
     rotor_imbalance_kg_m: NonNegative
     rotor_z_m: Finite  # height of the bar over O
     rods_cubic_psi_n_m_rad3: Finite
     rods_cubic_theta_n_m_rad3: Finite
     rods_cubic_z_n_m3: Finite
-    coil_gain: tuple[Positive, ...] = ()  # true over nominal force constant, at height zero
+    coil_gain: tuple[Positive, ...] = ()  # true force constant / nominal one, at height zero
     coil_slope_1_m: Finite  # relative change of the force constant per metre of height
     sensor_gain: tuple[Positive, ...] = ()
     sensor_offset_m: tuple[Finite, ...] = ()
@@ -231,7 +234,7 @@ class Nonlinear(Strict):
 
 
 class SimEffect(Strict):
-    """One thing the plant does and the model does not know: a class and its named values."""
+    """An effect of the plant that the model lacks: a class and its keyword arguments."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -250,7 +253,7 @@ class SimEffect(Strict):
 
     @property
     def values(self) -> dict[str, Any]:
-        """Return the named values, the class's keyword arguments."""
+        """Return the class's keyword arguments."""
         return dict(self.model_extra or {})
 
 
@@ -259,7 +262,7 @@ def _spans_a_plane(x: tuple[float, ...], y: tuple[float, ...]) -> bool:
     if len(x) < 3:
         return False
     mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
-    # Products, where a power that overflows would raise.
+    # Products instead of powers: an overflow then gives inf instead of an exception.
     xx = sum((a - mean_x) * (a - mean_x) for a in x)
     yy = sum((b - mean_y) * (b - mean_y) for b in y)
     xy = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))

@@ -104,10 +104,10 @@ def test_beam_and_rotor_go_their_own_ways() -> None:
 @pytest.mark.parametrize(
     ("record", "message"),
     [
-        ({"each_s": 2}, "names in 'excite' that play in turn"),
+        ({"each_s": 2}, "expected excitations in 'excite'"),
         ({"each_s": 2, "duration_s": 4, "excite": ["a"]}, "found duration_s and each_s"),
         ({"each_s": 0.2, "excite": ["a"]}, "fade_s of at most each_s"),
-        ({"excite": ["a"]}, "found none of them"),
+        ({"excite": ["a"]}, "found none"),
         ({"duration_s": 4, "excite": ["a"], "scale": 0}, "greater than 0"),
     ],
 )

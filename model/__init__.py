@@ -1,1 +1,1 @@
-"""The declared model: geometry and LPV equations as pure functions, no files, no devices."""
+"""Geometry, declared LPV model and physical effects as pure functions without I/O."""

@@ -1,4 +1,4 @@
-"""The declared model: M(p) q'' + D(p) q' + K(p) q = B(p) u + f(p), for any number of DOF."""
+"""Evaluate a declared model M(p) q'' + D(p) q' + K(p) q = B(p) u + f(p) with any number of DOF."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ Grid = tuple[tuple[Expression, ...], ...]
 
 
 _SINGULAR = 1e12
-"""An entry of M times its opposite in the inverse, beyond which the inverse is made of rounding."""
+"""Largest M[i, j] inv(M)[j, i] of a regular mass matrix; above it the inverse is rounding error."""
 
 
 class ModelError(ValueError):
-    """A declared model that contradicts itself."""
+    """A declared model is inconsistent: a size, a name, a formula or a value does not fit."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class Matrices:
 class DeclaredModel:
     """Matrices as formulas in parameters and scheduling variables.
 
-    `values` and `scheduling` are in SI units; `force` is f, the part that does not come through
-    the inputs (gravity and reaction of the beam); `lag` and `delay` are the first-order lag and
-    the delay in s between a commanded and an acting input.
+    `values` and `scheduling` are in SI units. `force` is f, the force that does not depend on the
+    inputs (gravity and reaction of the beam). `lag` and `delay` are the first-order lag and the
+    delay in s between a commanded and an acting input.
     """
 
     dof: tuple[str, ...]
@@ -73,14 +73,14 @@ class DeclaredModel:
         """Parse formulas and check that sizes and names agree.
 
         Raises:
-            ModelError: a matrix of the wrong size, a name that is not declared, a formula that is
-                none, a lag below 0 or without a value; the message names the matrix and the place.
+            ModelError: a matrix of the wrong size, an undeclared name, an invalid formula, a lag
+                below 0 or without a value; the message names the matrix and the entry.
         """
         n, p = len(dof), len(inputs)
         known = set(values) | set(scheduling)
         B = matrices.get("B")
         if B is None and n != p:
-            raise ModelError(f"B: needed, since there are {p} inputs for {n} DOF")
+            raise ModelError(f"B: required matrix is missing: the model has {p} inputs and {n} DOF")
         if B is None:
             B = [[float(i == j) for j in range(n)] for i in range(n)]
         grids = {
@@ -104,19 +104,22 @@ class DeclaredModel:
             lag=_formula("lag", lag, known),
             delay=_formula("delay", delay, known),
         )
-        # Below 0 a lag would run ahead of its input. (A delay may: backends bring one of a cycle.)
+        # A negative lag is not causal. A delay may be negative: every backend adds one cycle.
         try:
             lag_s = model.lag({**model.values, **model.scheduling})
         except ExpressionError as error:
             raise ModelError(f"lag: {error}") from None
         if lag_s < 0.0:
-            raise ModelError(f"lag: expected 0 s or more, found {lag_s:g} s by '{model.lag.text}'")
+            raise ModelError(
+                f"lag: expected 0 s or more, found {lag_s:g} s from '{model.lag.text}'"
+            )
         return model
 
     def at(self, scheduling: Mapping[str, float] | None = None) -> SecondOrder:
-        """Return the matrices at one value of the scheduling variables (defaults: as declared).
+        """Return the matrices at one value of the scheduling variables (default: as declared).
 
-        Raises ModelError: an unknown variable, a formula without a value, an M without an inverse.
+        Raises:
+            ModelError: an unknown variable, a formula without a value, a singular M.
         """
         # Here, since scipy.linalg takes half a second to load: the daemon's loop starts without it.
         from .second_order import SecondOrder
@@ -144,13 +147,17 @@ class DeclaredModel:
             raise ModelError(str(error)) from None
 
     def over(self, scheduling: Mapping[str, Array]) -> Matrices:
-        """Return the matrices along scheduling variables (N,), those not given as declared."""
+        """Return the matrices for scheduling variables (N,); variables not given are as declared.
+
+        Raises:
+            ModelError: a formula without a value.
+        """
         grids = (self.M, self.D, self.K, self.B, (self.force,))
         M, D, K, B, force = (self._along(grid, scheduling) for grid in grids)
         return Matrices(M, D, K, B, force[:, 0])
 
     def force_over(self, scheduling: Mapping[str, Array]) -> Array:
-        """Return the model's own force (N, n) alone."""
+        """Return only the force f (N, n) for scheduling variables (N,); raises ModelError."""
         return self._along((self.force,), scheduling)[:, 0]
 
     def _along(self, grid: Grid, scheduling: Mapping[str, Array]) -> Array:
@@ -172,17 +179,18 @@ class DeclaredModel:
 def inverse_mass(M: Array, scheduling: Mapping[str, Array]) -> Array:
     """Return the inverses (R, n, n) of mass matrices at R values of scheduling variables (R,).
 
-    Raises ModelError: a matrix that has none; the message has the matrix and where it is so.
+    Raises:
+        ModelError: a matrix is singular; the message has the matrix and the scheduling variables.
     """
     try:
         inverse = np.asarray(np.linalg.inv(M), np.float64)
-        # These products do not depend on units; of a regular matrix none is large.
-        lost = ~(np.abs(M * inverse.swapaxes(1, 2)).max(axis=(1, 2)) < _SINGULAR)
+        # These products do not depend on units and are small for a regular matrix.
+        singular = ~(np.abs(M * inverse.swapaxes(1, 2)).max(axis=(1, 2)) < _SINGULAR)
     except np.linalg.LinAlgError:
-        inverse, lost = np.zeros_like(M), np.linalg.det(M) == 0.0
-    if not lost.any():
+        inverse, singular = np.zeros_like(M), np.linalg.det(M) == 0.0
+    if not singular.any():
         return inverse
-    row = int(np.argmax(lost))
+    row = int(np.argmax(singular))
     at = ", ".join(f"{name} = {values[row]:g}" for name, values in scheduling.items())
     raise ModelError(
         f"M: expected a mass matrix that has an inverse, found {M[row].tolist()}"

@@ -1,4 +1,4 @@
-"""Arithmetic expressions of a declared model, checked when read and evaluated without `eval`."""
+"""Parse and evaluate arithmetic expressions of a declared model without `eval`."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 
 def _power(base: Any, exponent: Any) -> Any:
-    """Return base ** exponent of real numbers, which Python may make complex."""
+    """Return base ** exponent; raise ArithmeticError where the result would be complex."""
     value = operator.pow(base, exponent)
     if np.iscomplexobj(value):
-        raise ArithmeticError("a negative number has no real power that is no integer")
+        raise ArithmeticError("a negative base needs an integer exponent")
     return value
 
 
@@ -39,7 +39,7 @@ _SHOWN = 60
 
 
 class ExpressionError(ValueError):
-    """An expression that is no arithmetic, or names what is not declared."""
+    """An expression is not arithmetic, uses an undeclared name, or has no finite value."""
 
 
 @dataclass(frozen=True)
@@ -67,20 +67,21 @@ class Expression:
         return cls(text, frozenset(names), tree)
 
     def __call__(self, values: Mapping[str, float]) -> float:
-        """Return the value in SI units; raises ExpressionError where it has none."""
+        """Return the value in SI units; raises ExpressionError if it is not a finite number."""
         return float(self.over(values))
 
     def over(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
-        """Return the values where some of `values` are arrays (N,); raises ExpressionError.
+        """Return the values (N,), or a scalar, for `values` that may be arrays (N,).
 
-        They are real and finite: what is neither has no value.
+        Raises:
+            ExpressionError: an undeclared name, or a value that is not real and finite.
         """
         try:
             with np.errstate(all="raise", under="ignore"):
                 found = np.asarray(_value(self._tree, values), np.float64)
         except OverflowError:
             raise ExpressionError(
-                f"'{_short(self.text)}' has no value: it is larger than any number"
+                f"'{_short(self.text)}' has no value: the result is too large"
             ) from None
         except (ArithmeticError, ValueError, TypeError) as error:
             raise ExpressionError(f"'{_short(self.text)}' has no value: {error}") from None
@@ -101,7 +102,7 @@ def _check(node: ast.expr, names: set[str], text: str, depth: int) -> None:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             if not _is_finite(number):
                 raise ExpressionError(
-                    f"expected numbers of a finite size, found a larger one in '{_short(text)}'"
+                    f"expected finite numbers, found a too large one in '{_short(text)}'"
                 )
         case ast.Name(id=name):
             names.add(name)

@@ -1,4 +1,4 @@
-"""Coil and sensor geometry: from forces to wrench, from gaps to pose (eq. 9 corrected)."""
+"""Geometry of coils and sensors: forces to wrench, gaps to pose (eq. 9, corrected)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class GeometryError(ValueError):
-    """Points that cannot give three degrees of freedom."""
+    """Points do not determine three degrees of freedom."""
 
 
 def shape_matrix(x_m: Sequence[float], y_m: Sequence[float]) -> NDArray[np.float64]:
@@ -33,7 +33,7 @@ def decoupling_matrix(x_m: Sequence[float], y_m: Sequence[float]) -> NDArray[np.
         GeometryError: fewer than three points, or all of them on one line.
     """
     S = shape_matrix(x_m, y_m)
-    # Tilts in rad against metres: compare the columns' own sizes, not the raw singular values.
+    # Tilts are in rad and heights in m: normalise the columns before the rank test.
     scaled = S / np.maximum(np.linalg.norm(S, axis=0), np.finfo(float).tiny)
     if len(S) < 3 or np.linalg.matrix_rank(scaled, tol=1e-6) < 3:
         raise GeometryError(

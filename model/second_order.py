@@ -1,4 +1,4 @@
-"""A second-order model at one operating point: state space (7)-(8), discretisation, response."""
+"""Second-order model at one operating point: state space (7)-(8), discretisation, response."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class StateSpace:
 
 
 def state_space(model: SecondOrder) -> StateSpace:
-    """Return (8): states [q, q'] (2n), input u before lag and delay are applied, output q."""
+    """Return the state space (8): states [q, q'] (2n), output q; without lag and delay of u."""
     n, p = model.B.shape
     zero, eye = np.zeros((n, n)), np.eye(n)
     M_inv = np.linalg.solve(model.M, np.hstack([-model.K, -model.D, model.B]))
@@ -62,7 +62,7 @@ def state_space(model: SecondOrder) -> StateSpace:
 
 
 def lagged(model: SecondOrder) -> StateSpace:
-    """Return state_space with the inputs behind their lag as states (p) after its own, if any."""
+    """Return state_space(model) plus the lagged inputs (p) as states, if there is a lag."""
     plant = state_space(model)
     if model.lag_s <= 0:
         return plant
@@ -73,13 +73,12 @@ def lagged(model: SecondOrder) -> StateSpace:
 
 
 def discretise(model: SecondOrder, Ts_s: float, hold: Literal["zoh", "foh"] = "zoh") -> StateSpace:
-    """Return the model sampled at Ts_s, lag and delay exact.
+    """Return the model discretised with Ts_s; lag and delay are exact.
 
-    The input is held over each period (zoh), or a straight line from sample to sample (foh); then D
-    is not zero, and the states are those of the model less what the present input adds to them.
-    States are [q, q', lagged inputs (when there is a lag), past inputs (for the delay)]. A delay of
-    d periods and a fraction is exact too: the delayed input jumps or bends within the period, so
-    the step is split there.
+    The input is held over each period (zoh) or linear between samples (foh). With foh, D is not
+    zero, and the states exclude the contribution of the present input. The states are [q, q',
+    lagged inputs (if there is a lag), past inputs (for the delay)]. A delay of a fraction of a
+    period is exact too: the step is split where the delayed input changes.
     """
     n, p = model.B.shape
     plant = lagged(model)
@@ -102,7 +101,7 @@ def discretise(model: SecondOrder, Ts_s: float, hold: Literal["zoh", "foh"] = "z
             Ad[:m, tap(d)] = effect
         elif d == 0:
             Bd[:m] += effect
-        elif d == -1:  # of the input to come: counted when it has come, in the output at once
+        elif d == -1:  # effect of the next input: added one row later, and to the output via D
             Bd[:m] += A_step @ effect
             D = effect[:n]
     if depth:
@@ -115,10 +114,10 @@ def discretise(model: SecondOrder, Ts_s: float, hold: Literal["zoh", "foh"] = "z
 def _step(
     A: Array, B: Array, Ts_s: float, late_s: float, hold: Literal["zoh", "foh"]
 ) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Return the flow over a period, and what inputs add to the state in it.
+    """Return the transition matrix over a period and the effects of three inputs on the state.
 
-    The inputs are that of before the last jump or bend, `late_s` into the period, that of there,
-    and the next one.
+    The delayed input changes `late_s` after the begin of the period. The three inputs are the one
+    before this change, the one after it, and the next one.
     """
     rest_s = Ts_s - late_s
     if hold == "zoh":
@@ -126,7 +125,7 @@ def _step(
         return A_second @ A_first, (A_second @ B_first, B_second, np.zeros_like(B))
     A_first, B_first, R_first = ramped_step(A, B, late_s)
     A_second, B_second, R_second = ramped_step(A, B, rest_s)
-    # The line from old to new is this share short of new when the period begins.
+    # At the begin of the period the line from old to new is this share before new.
     share, R_first, R_second = late_s / Ts_s, R_first / Ts_s, R_second / Ts_s
     old = A_second @ (share * B_first - R_first)
     new = A_second @ ((1.0 - share) * B_first + R_first) + B_second - R_second
@@ -143,10 +142,10 @@ def held_step(A: Array, B: Array, step_s: float) -> tuple[Array, Array]:
 
 
 def ramped_step(A: Array, B: Array, step_s: float) -> tuple[Array, Array, Array]:
-    """Return (Ad, Bd, Rd) of x' = A x + B (u + r t) over step_s: held_step's, and what r adds."""
+    """Return (Ad, Bd, Rd) of x' = A x + B (u + r t) over step_s; Rd belongs to the slope r."""
     n, p = B.shape
     block = np.zeros((n + 2 * p, n + 2 * p))
     block[:n, :n], block[:n, n : n + p] = A * step_s, B * step_s
-    block[n : n + p, n + p :] = np.eye(p)  # in units of the step no entry is tiny
+    block[n : n + p, n + p :] = np.eye(p)  # time in units of step_s avoids tiny entries
     Phi = expm(block)
     return Phi[:n, :n], Phi[:n, n : n + p], Phi[:n, n + p :] * step_s

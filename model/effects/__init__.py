@@ -1,1 +1,1 @@
-"""Physical effects that a declared model may lack, as equations; one small file each."""
+"""Equations of physical effects that a declared model may lack; one file per kind of effect."""

@@ -1,9 +1,9 @@
-"""What an effect is: forces and false readings that depend on how a plant moves, with parameters.
+"""Define an effect: forces and reading errors as parametrised functions of a plant's motion.
 
-A declared model is linear in its motion; an effect is what it lacks. Evaluated along a trajectory,
-measured or simulated, an effect gives for each of its amplitudes what one unit of it adds to the
-commands, to the generalised forces, to what the sensors show or to the drives' force. Everything
-else (regression on a residual, a joint fit, a simulation in the loop) follows from these.
+A declared model is linear in its motion; effects add what it lacks. An effect is evaluated along a
+measured or simulated trajectory. For each of its amplitudes it returns the contribution of one unit
+to the commands, the generalised forces, the readings or the drives' force. Regression on a
+residual, joint fits and closed-loop simulations all use these contributions.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Loads:
-    """What single actuators were told in a session: mean squares (K, C) from times_s (K,) on.
+    """Mean squares (K, C) of the actuator commands in a session, each valid from times_s (K,) on.
 
-    Squares are in the actuators' unit squared, times those of Signals.time_s; the last holds on.
+    Squares are in the actuators' unit squared; times_s is on the time axis of Signals.time_s. The
+    last row is valid until the end.
     """
 
     times_s: tuple[float, ...]
@@ -31,12 +32,12 @@ class Loads:
 
 @dataclass(frozen=True)
 class Places:
-    """Where a plant can be acted on and looked at.
+    """DOF, actuators and sensors of a plant: the locations where effects can act.
 
-    dof (n): names. coil_shape (C, p): what one unit of each single actuator adds to the model's
-    inputs. sensor_shape (S, n): what each single sensor shows of the pose. `coil_xy_m` (C, 2) and
-    `sensor_xy_m` (S, 2) are places on the platform, empty where nobody knows of any. The rig alone
-    has a `beam`.
+    dof (n): names. coil_shape (C, p): contribution of one unit of each actuator to the model's
+    inputs. sensor_shape (S, n): reading of each sensor per unit of pose. coil_xy_m (C, 2) and
+    sensor_xy_m (S, 2): positions on the platform, empty if unknown. beam: whether the plant is the
+    rig, with a beam.
     """
 
     dof: tuple[str, ...]
@@ -50,9 +51,9 @@ class Places:
     sensor_xy_m: Array
     beam: bool
     span_s: tuple[float, float] = (0.0, 1.0)
-    """First and last time of all records, in which onsets are looked for."""
+    """First and last time of all records; effects with an onset are searched in between."""
     loads: Loads | None = None
-    """What was carried through the session, where that is known."""
+    """Actuator commands over the session, if known."""
 
     @property
     def coils(self) -> int:
@@ -76,12 +77,11 @@ class Places:
 
 @dataclass(frozen=True)
 class Signals:
-    """A trajectory, row by row, SI units.
+    """A trajectory with N rows, in SI units.
 
-    time_s (N,) since the session began, through all of its records; q, qd, qdd (N, n); coil (N, C)
-    commanded in each row, acting from `delay_cycles` rows later on for one period; x_b_m, v_b_m_s,
-    a_b_m_s2, phi_rad, phi_rad_s, phi_rad_s2 (N,), zeros without a beam. `wrench` (N, p) acting in
-    the middle of the period after each row, in the units of the model's inputs.
+    time_s (N,) since the session's begin, continuous over its records; q, qd, qdd (N, n); coil
+    (N, C) commanded in each row, acting `delay_cycles` rows later for one period; x_b_m, v_b_m_s,
+    a_b_m_s2, phi_rad, phi_rad_s, phi_rad_s2 (N,), zero without a beam.
     """
 
     Ts_s: float
@@ -102,7 +102,7 @@ class Signals:
     """First-order lag between a held command and its force."""
     gravity_m_s2: float = 9.81
     standing: NDArray[np.bool_] | None = None
-    """Where each sensor's reading stands still though it should not (N, S); None for nowhere."""
+    """Rows where a sensor's reading is frozen (N, S); None if there are none."""
 
     @property
     def rows(self) -> int:
@@ -110,28 +110,28 @@ class Signals:
         return len(self.time_s)
 
     def gap(self, sensor: int) -> Array:
-        """Return the true height under one sensor (N,)."""
+        """Return the true height at one sensor (N,) in m."""
         return np.asarray(self.q @ self.places.sensor_shape[sensor])
 
     def when_acting(self, values: Array) -> Array:
-        """Return samples (N, ...) in the middle of the period in which each row's command acts."""
+        """Return samples (N, ...) at the middle of the period in which each row's command acts."""
         first = np.minimum(np.arange(self.rows) + self.delay_cycles, self.rows - 1)
         second = np.minimum(first + 1, self.rows - 1)
         return np.asarray(0.5 * (values[first] + values[second]))
 
     def acting(self, values: Array) -> Array:
-        """Return commands (N, ...) as they act at each row: means of the periods around it."""
+        """Return the commands acting at each row (N, ...): means over the periods around it."""
         now = np.maximum(np.arange(self.rows) - self.delay_cycles, 0)
         return np.asarray(0.5 * (values[now] + values[np.maximum(now - 1, 0)]))
 
 
 @dataclass(frozen=True)
 class Term:
-    """What one unit of an amplitude adds, each (N, .) or None.
+    """Contribution of one unit of an amplitude; each part has N rows or is None.
 
-    held: to the model's inputs (N, p), commanded in a row, so held, delayed and lagged as commands
-    are. force: generalised force (N, n) at the rows, straight in between. gap: to what the sensors
-    show (N, S). drive: to the force of the beam's drives (N,).
+    held: addition to the model's inputs (N, p), held, delayed and lagged like a command. force:
+    generalised force (N, n), linear between rows. gap: addition to the readings (N, S). drive:
+    addition to the force of the beam's drives (N,).
     """
 
     held: Array | None = None
@@ -140,25 +140,25 @@ class Term:
     drive: Array | None = None
 
     def times(self, factor: float) -> Term:
-        """Return the term of another amplitude."""
+        """Return the term multiplied by a factor."""
         return Term(*(None if a is None else factor * a for a in self.parts))
 
     @property
     def parts(self) -> tuple[Array | None, Array | None, Array | None, Array | None]:
-        """held, force, gap, drive."""
+        """The parts held, force, gap, drive, in this order."""
         return self.held, self.force, self.gap, self.drive
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter of an effect: name, SI unit, and where it can lie."""
+    """A parameter of an effect: name, SI unit and bounds."""
 
     name: str
     unit: str
     low: float = -np.inf
     high: float = np.inf
     log: bool = False
-    """Whether it is searched for in ratios rather than differences."""
+    """Whether a search takes steps in the logarithm of the value."""
 
 
 Build = Callable[[Signals, Sequence[float]], "list[Term]"]
@@ -166,12 +166,13 @@ Build = Callable[[Signals, Sequence[float]], "list[Term]"]
 
 @dataclass(frozen=True)
 class Effect:
-    """One physical effect at one place.
+    """One physical effect at one location.
 
-    `amplitudes` multiply the terms that `build(signals, shape)` returns, one each, in order;
-    `shape` are parameters that the terms themselves depend on, tried at the rows of `grid` first.
-    `key` names the equation in the table, `where` the DOF, coils or sensors. `options` are what
-    `build` was bound to. Effects of one `group` explain the same data alike.
+    `amplitudes` multiply the terms that `build(signals, shape)` returns, in this order. `shape` has
+    the nonlinear parameters of the terms; the rows of `grid` are their start values. `key` names
+    the equation in the effects table, `where` the DOF, coils or sensors. `absorbed_by` names the
+    model parameters that can imitate the effect, `told_apart_by` the excitation that distinguishes
+    it from its alternatives.
     """
 
     key: str
@@ -186,26 +187,26 @@ class Effect:
     absorbed_by: str = ""
     told_apart_by: str = ""
     remains: Build | None = None
-    """What is left, row by row, of a unit of force that was there before the first and that nobody
-    knows; None for effects without a memory."""
+    """Terms of the decay of an unknown initial force (1 at row 0); None for effects without
+    memory."""
     plain: Callable[[Sequence[float], Sequence[float]], tuple[float, ...]] | None = None
-    """Of amplitudes and a shape, the shape that does about the same with amplitudes of one, where
-    those are what the equation has in books; None where amplitudes are numbers of their own."""
+    """Function of amplitudes and shape that returns the shape with about the same effect at
+    amplitudes of 1, for effects whose textbook equation has no amplitude; else None."""
 
     @property
     def name(self) -> str:
-        """Title and place, as people say it."""
+        """Title and location in words."""
         return f"{self.title} at {in_words(self.where)}" if self.where else self.title
 
     @property
     def identity(self) -> str:
-        """A name that no other effect at no other place has."""
+        """Unique name of this effect at this location."""
         return f"{self.key}@{'+'.join(self.where)}"
 
 
 @dataclass(frozen=True)
 class Placed:
-    """An effect with values: shape and amplitudes, and their standard errors once known."""
+    """An effect with values of shape and amplitudes, and their standard errors if known."""
 
     effect: Effect
     shape: tuple[float, ...]
@@ -213,19 +214,19 @@ class Placed:
     standard_errors: Mapping[str, float] = field(default_factory=dict)
 
     def term(self, signals: Signals) -> Term:
-        """Return what it adds in all."""
+        """Return the total contribution of the effect."""
         terms = self.effect.build(signals, self.shape)
         return total([t.times(a) for t, a in zip(terms, self.amplitudes, strict=True)])
 
     def with_values(self, shape: Sequence[float], amplitudes: Sequence[float]) -> Placed:
-        """Return it with other values."""
+        """Return a copy with other values."""
         return replace(
             self, shape=tuple(map(float, shape)), amplitudes=tuple(map(float, amplitudes))
         )
 
 
 def in_words(where: Sequence[str]) -> str:
-    """Return places as people say them: coil:0 to coil:8 for a row of more than two."""
+    """Return locations in words; more than two consecutive ones as 'coil:0 to coil:8'."""
     words: list[str] = []
     for _, row in groupby(enumerate(where), key=_in_row):
         names = [name for _, name in row]
@@ -234,7 +235,7 @@ def in_words(where: Sequence[str]) -> str:
 
 
 def _in_row(numbered: tuple[int, str]) -> tuple[str, int | str]:
-    """Return what is the same for places that follow one another in a list."""
+    """Return a key that is equal for consecutive locations in a list."""
     at, name = numbered
     kind, _, number = name.partition(":")
     return (kind, int(number) - at) if number.isdecimal() else (kind, name)
@@ -246,17 +247,17 @@ def total(terms: Sequence[Term]) -> Term:
     for term in terms:
         for i, part in enumerate(term.parts):
             if part is not None:
-                known = sums[i]
-                sums[i] = part if known is None else known + part
+                before = sums[i]
+                sums[i] = part if before is None else before + part
     return Term(*sums)
 
 
 def resolved(effects: Sequence[Effect], fastest_hz: float) -> list[Effect]:
-    """Return effects with their resonances looked for up to a frequency, without those beyond it.
+    """Return the effects with resonance frequencies bounded by `fastest_hz`; drop higher ones.
 
-    Above about half of the rate of sampling a resonance looks like one below.
+    A resonance above about half the sampling rate is aliased.
     """
-    return [one for effect in effects if (one := _resolved(effect, fastest_hz)) is not None]
+    return [limited for effect in effects if (limited := _resolved(effect, fastest_hz)) is not None]
 
 
 def _resolved(effect: Effect, fastest_hz: float) -> Effect | None:
@@ -284,7 +285,7 @@ def on_coil(signals: Signals, coil: int, values: Array) -> Term:
 
 
 def on_sensor(signals: Signals, sensor: int, values: Array) -> Term:
-    """Return a term of what one sensor shows (N,)."""
+    """Return a term of one sensor's reading error (N,)."""
     gap = np.zeros((signals.rows, signals.places.sensors))
     gap[:, sensor] = values
     return Term(gap=gap)

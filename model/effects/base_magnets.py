@@ -1,10 +1,10 @@
-"""Magnets of the base that pull at the moving beam: a force on the platform, periodic in the place.
+"""Magnets of the base that attract the moving beam: a force on the platform, periodic in x_b.
 
-What pulls the beam up does so where it stands: with z it turns theta, by the arm x_b.
-The field over a row of magnets is periodic with their pitch, and its harmonics die away with the
-height (Furlani, *Permanent Magnet and Electromechanical Devices*, 2001, ch. 4). Signature: follows
-the place of the beam alone, at every speed the same; cogging of the drives is internal and moves
-the platform only as far as it moves the beam.
+A vertical force on the beam acts at x_b: it acts on z and, with the arm x_b, on theta. The field
+over a row of magnets is periodic with their pitch; its harmonics decay with the height (Furlani,
+*Permanent Magnet and Electromechanical Devices*, 2001, ch. 4). Signature: depends on the beam's
+position only, not on its speed. Cogging of the drives is internal and moves the platform only
+through the beam's motion.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from .driven_range import Extent
 PERIOD_M = (20e-3, 100e-3)
 _THETA, _Z = 1, 2
 _APART = 1.3
-"""Cycles over the whole travel between two periods of the grid: less could not be told apart."""
+"""Difference of neighbouring grid periods, in cycles over the travel; less is not resolvable."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return a field's force on every DOF; nothing where there is no beam."""
+    """Return the magnets' force on every DOF; empty for a plant without a beam."""
     if not places.beam:
         return []
     return [
         Effect(
             "external_field",
-            "Magnets of the base that pull at the beam",
+            "Magnets of the base that attract the beam",
             "external_field",
             (dof,),
             "force = a cos(2 pi x_b / period) + b sin(2 pi x_b / period)"
@@ -40,28 +40,28 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             (Quantity("period", "m", 0.25 * PERIOD_M[0], 2 * PERIOD_M[1], log=True),),
             tuple((period,) for period in periods_m(extent)),
             absorbed_by="over much less than a period: the beam's weight",
-            told_apart_by="slow sweeps of the beam over its whole length",
+            told_apart_by="slow beam sweeps over the whole travel",
         )
         for i, dof in enumerate(places.dof)
     ]
 
 
 def periods_m(extent: Extent) -> tuple[float, ...]:
-    """Return the periods at which a wave along the beam's way is looked for first."""
+    """Return the start values of the period of a wave along the beam's travel, in m."""
     low, high = 1 / PERIOD_M[1], 1 / PERIOD_M[0]
     steps = round((high - low) * max(extent.beam_m, 0.05) / _APART)
     return tuple(float(1 / k) for k in np.linspace(low, high, 1 + steps))
 
 
 def at_the_beam(dof: int) -> bool:
-    """Return whether a force on this DOF is one where the beam is, which turns theta too."""
+    """Return whether a force on this DOF acts at the beam's position, so on theta too."""
     return dof == _Z
 
 
 def waves_along(
     signals: Signals, period_m: float, dof: int, driven: Array | None = None
 ) -> list[Term]:
-    """Return the terms of a cosine and a sine along x_b, times what they are `driven` by (N,)."""
+    """Return the terms of a cosine and a sine along x_b, multiplied by `driven` (N,) if given."""
     angle = 2 * np.pi / period_m * signals.x_b_m
     waves = np.cos(angle), np.sin(angle)
     if driven is not None:

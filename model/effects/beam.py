@@ -1,10 +1,10 @@
-"""What the moving beam does to the platform beyond what is declared of it.
+"""Undeclared forces of the moving beam on the platform: weight, reaction, Coriolis, cable, chain.
 
-The beam's weight tilts the platform about theta, its acceleration pushes back at the arm z_b, its
-speed turns tilt into lift (Coriolis); a guide that is skew or an encoder of a wrong scale changes
-each by itself (Gajdusek, Damen, Van den Bosch, eqs. (1) to (6)). A cable from the frame pulls by
-where the beam is, a chain by where it goes. Signature: follows x_b, v_b or a_b when nothing else is
-excited; slow sweeps show the place, fast ones speed and acceleration.
+The beam's weight acts on theta, its acceleration reacts at the arm z_b, its speed couples tilt and
+lift (Coriolis). A skew guide or a wrong encoder scale changes each of them separately (Gajdusek,
+Damen, Van den Bosch, eqs. (1) to (6)). The pull of a cable from the frame depends on the beam's
+position, the friction of a chain on its direction of motion. Signature: follows x_b, v_b or a_b
+without other excitation; slow sweeps show position, fast ones speed and acceleration.
 """
 
 from __future__ import annotations
@@ -21,38 +21,40 @@ _SWEEPS = "beam sweeps at several speeds"
 
 
 def effects(places: Places) -> list[Effect]:
-    """Return what the rig's beam may do on every DOF; nothing where there is no beam."""
+    """Return the beam's effects on every DOF; empty for a plant without a beam."""
     if not places.beam:
         return []
     _, theta, z = places.dof
     found = [
-        _one("beam_motion.gravity", "Weight of the beam, declared wrongly", "beam_motion", theta,
-             "torque = -a x_b", ("a", "N"), partial(_on, dof=1, of=_place),
-             "mass of the beam, as far as its inertia allows"),
-        _one("beam_motion.coriolis_tilt", "Coriolis torque, declared wrongly", "beam_motion", theta,
-             "torque = -2 a x_b v_b theta'", ("a", "kg"), partial(_on, dof=1, of=_coriolis_tilt)),
-        _one("beam_motion.coriolis_lift", "Coriolis force, declared wrongly", "beam_motion", z,
-             "force = -2 a v_b theta'", ("a", "kg"), partial(_on, dof=2, of=_coriolis_lift)),
-        _one("beam_motion.euler_lift", "Force of the tilting beam's acceleration, declared wrongly",
-             "beam_motion", z, "force = -a a_b theta", ("a", "kg"),
-             partial(_on, dof=2, of=_euler_lift)),
+        _effect("beam_motion.gravity", "Error in the declared weight of the beam", "beam_motion",
+                theta, "torque = -a x_b", ("a", "N"), partial(_on, dof=1, of=_position),
+                "beam mass, within the limits that its inertia sets"),
+        _effect("beam_motion.coriolis_tilt", "Error in the declared Coriolis torque", "beam_motion",
+                theta, "torque = -2 a x_b v_b theta'", ("a", "kg"),
+                partial(_on, dof=1, of=_coriolis_tilt)),
+        _effect("beam_motion.coriolis_lift", "Error in the declared Coriolis force", "beam_motion",
+                z, "force = -2 a v_b theta'", ("a", "kg"), partial(_on, dof=2, of=_coriolis_lift)),
+        _effect("beam_motion.euler_lift",
+                "Error in the declared force of the beam's acceleration on the tilted platform",
+                "beam_motion", z, "force = -a a_b theta", ("a", "kg"),
+                partial(_on, dof=2, of=_euler_lift)),
     ]  # fmt: skip
     for i, dof in enumerate(places.dof):
         force = places.force_unit(i)
         found.append(
-            _one("beam_motion.reaction", "Reaction of the beam's acceleration, declared wrongly",
-                 "beam_motion", dof, "force = a a_b", ("a", f"{force} s^2/m"),
-                 partial(_on, dof=i, of=_acceleration),
-                 "arm of the beam, as far as its inertia allows" if dof == theta else "")
+            _effect("beam_motion.reaction", "Error in the declared reaction to the beam's "
+                    "acceleration", "beam_motion", dof, "force = a a_b", ("a", f"{force} s^2/m"),
+                    partial(_on, dof=i, of=_acceleration),
+                    "beam height, within the limits that its inertia sets" if dof == theta else "")
         )  # fmt: skip
         found += [
-            # On theta it is what the beam's weight is, too: each is an alternative of the other.
-            _one("cable_pull.linear", "Pull of a cable to the beam", "external_field", dof,
-                 "force = -a x_b", ("a", f"{force}/m"), partial(_on, dof=i, of=_place),
-                 "weight of the beam" if dof == theta else "a guide that is skew"),
-            _one("cable_pull.quadratic", "Pull of a cable that stretches to both sides",
-                 "external_field", dof, "force = -b x_b^2", ("b", f"{force}/m^2"),
-                 partial(_on, dof=i, of=_place_squared)),
+            # On theta the equation equals that of the beam's weight: the two are alternatives.
+            _effect("cable_pull.linear", "Pull of a cable to the beam", "external_field", dof,
+                    "force = -a x_b", ("a", f"{force}/m"), partial(_on, dof=i, of=_position),
+                    "weight of the beam" if dof == theta else "a skew guide"),
+            _effect("cable_pull.quadratic", "Pull of a cable, symmetric about the middle",
+                    "external_field", dof, "force = -b x_b^2", ("b", f"{force}/m^2"),
+                    partial(_on, dof=i, of=_position_squared)),
             Effect(
                 "friction.beam_chain",
                 "Friction of a chain between beam and frame",
@@ -67,7 +69,7 @@ def effects(places: Places) -> list[Effect]:
     return found
 
 
-def _one(
+def _effect(
     key: str,
     title: str,
     effect_class: str,
@@ -89,11 +91,11 @@ def _on(
     return [on_dof(signals, dof, of(signals))]
 
 
-def _place(s: Signals) -> Array:
+def _position(s: Signals) -> Array:
     return -s.x_b_m
 
 
-def _place_squared(s: Signals) -> Array:
+def _position_squared(s: Signals) -> Array:
     return -(s.x_b_m**2)
 
 

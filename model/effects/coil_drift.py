@@ -1,9 +1,9 @@
-"""Coils that change with time: an offset that drifts, a force constant that falls with heat.
+"""Drift of coils: force offset and force constant over time, force constant over heat.
 
-A coil's heat follows the square of its current through a first-order lag, and its magnet weakens as
-it warms (Sebastian, *Temperature effects on torque production of PM motors*, IEEE Trans. Ind. Appl.
-31, 1995); a session begins cold. Signature: with the records' time, not with frequency; thermal
-drift scales what the coil is told and comes back when it rests, an offset does not.
+A coil's heat follows the square of its current through a first-order lag, and its magnet weakens
+with temperature (Sebastian, *Temperature effects on torque production of PM motors*, IEEE Trans.
+Ind. Appl. 31, 1995). A session begins with cold coils. Signature: depends on the session's time,
+not on frequency. Thermal drift scales the command and recovers at rest; an offset does neither.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from .recursions import heat
 
 _WARM_S = 40.0
 _BEFORE_S, _LONGEST_BEFORE_S = 3.0, 60.0
-"""From lift-off to the first record. Coils warm long before have another gain, no more."""
-_LONG = "long records, begin and end of a session with the same excitation"
+"""Time from lift-off to the first record: start value and upper bound."""
+_LONG = "long records with the same excitation at begin and end of a session"
 
 
 def effects(places: Places) -> list[Effect]:
-    """Return drift of offset and gain of every coil, and of the gain of all together."""
+    """Return drift of offset and gain of every coil, and of the common gain of all coils."""
     found = []
     unit = places.coil_unit
     every = tuple(range(places.coils))
     for coils in [*((c,) for c in every), *([every] if len(every) > 1 else [])]:
         where = tuple(f"coil:{c}" for c in coils)
-        alike = ", all coils alike" if len(coils) > 1 else ""
-        if not alike:
+        suffix = ", same for all coils" if len(coils) > 1 else ""
+        if not suffix:
             found.append(
                 Effect(
                     "force_offset.drift",
@@ -41,14 +41,14 @@ def effects(places: Places) -> list[Effect]:
                     "force = F + rate t, t from the session's begin",
                     (Quantity("rate", f"{unit}/s"),),
                     partial(_offset, coil=coils[0]),
-                    absorbed_by="what stays the same through a record: its constant force",
+                    absorbed_by="constant within a record: the record's constant force",
                     told_apart_by="long records",
                 )
             )
         found += [
             Effect(
                 "thermal_drift.time",
-                f"Gain that drifts with time{alike}",
+                f"Gain that drifts with time{suffix}",
                 "thermal_drift",
                 where,
                 "force = (1 - rate t) F, t from the session's begin",
@@ -58,11 +58,11 @@ def effects(places: Places) -> list[Effect]:
             ),
             Effect(
                 "thermal_drift.heat",
-                f"Gain that falls with the coil's heat{alike}",
+                f"Gain that falls with the coil's heat{suffix}",
                 "thermal_drift",
                 where,
-                "force = (1 - a heat) F, heat' = (F^2 - heat) / tau, cold and told F as at first "
-                "since `before` the session's first record",
+                "force = (1 - a heat) F, heat' = (F^2 - heat) / tau; heat = 0 and F as in the "
+                "first row from `before` the session's first record on",
                 (Quantity("a", f"1/{unit}^2"),),
                 partial(_with_heat, coils=coils),
                 (
@@ -70,7 +70,7 @@ def effects(places: Places) -> list[Effect]:
                     Quantity("before", "s", 0.1, _LONGEST_BEFORE_S, log=True),
                 ),
                 ((_WARM_S, _BEFORE_S),),
-                absorbed_by="once warm: the coil's gain",
+                absorbed_by="in thermal equilibrium: the coil's gain",
                 told_apart_by=_LONG,
             ),
         ]
@@ -95,9 +95,9 @@ def _weakened(signals: Signals, coil: int, tau_s: float, before_s: float) -> Arr
 
 
 def carried(signals: Signals, coil: int, tau_s: float, before_s: float) -> float:
-    """Return a coil's heat (its unit squared) where a record begins, of the session before it."""
+    """Return a coil's heat (its unit squared) at the record's begin, from the session before it."""
     begin_s, loads = float(signals.time_s[0]), signals.places.loads
-    if loads is None:  # its share of the weight since the session began
+    if loads is None:  # assume the record's median command since the session's begin
         since_s = max(float(signals.time_s[0]), 0.0) + before_s
         return float(np.median(signals.coil[:, coil])) ** 2 * -math.expm1(-since_s / tau_s)
     squares, begins_s = np.array(loads.squares)[:, coil], np.array(loads.times_s)

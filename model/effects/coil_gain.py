@@ -1,9 +1,9 @@
-"""Coils that do not give what they are told: their own gain, and one that depends on the height.
+"""Coil gain errors: a constant gain, and a force constant that depends on the height.
 
-A voice coil's constant falls off as it leaves the middle of its magnet, evenly to both sides or, in
-a magnet that ends, to one (Furlani, *Permanent Magnet and Electromechanical Devices*, 2001, ch. 5).
-Signature: follows one coil's command; excitation of that coil alone answers too weakly, the ratio
-of the three DOFs is that of its arm. A sensor's gain shows beyond the rigid platform.
+A voice coil's force constant falls with the distance from the magnet's middle, symmetrically or,
+near the end of a magnet, to one side (Furlani, *Permanent Magnet and Electromechanical Devices*,
+2001, ch. 5). Signature: proportional to one coil's command; the responses of the DOFs have the
+ratio of that coil's arms. A sensor's gain error also shows outside the rigid-body directions.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from .points import forces, heights
 
 _ONE_BY_ONE = "excitation of the coils one by one"
 _MOST_GAIN = 3.0
-"""A dead coil has a gain of -1, and one that is wired the wrong way round -2: not at the bound."""
-_ALL = "all coils alike: masses, damping and stiffness, all by the same share"
+"""Bound of the gain error: a dead coil has -1, a coil with reversed polarity -2."""
+_ALL = "same gain for all coils: mass, damping and stiffness by the same factor"
 
 
 def effects(places: Places) -> list[Effect]:
-    """Return gains and position-dependent constants of every coil, the latter of all alike too."""
+    """Return gain and height-dependent force constant of every coil, the latter also for all."""
     found = []
     per = places.sensor_unit
     for c in range(places.coils):
@@ -49,19 +49,19 @@ def effects(places: Places) -> list[Effect]:
 def _constant(where: tuple[str, ...], coils: tuple[int, ...], power: int, unit: str) -> Effect:
     name, title = {
         1: ("linear", "Force constant that changes with the height"),
-        2: ("quadratic", "Force constant that changes to both sides"),
+        2: ("quadratic", "Force constant that changes with the height squared"),
     }[power]
     of_all = not where
     return Effect(
         f"force_constant.{name}",
-        f"{title}, all coils alike" if of_all else title,
+        f"{title}, same for all coils" if of_all else title,
         "force_constant",
         where or tuple(f"coil:{c}" for c in coils),
         "force = (1 + a h) F" if power == 1 else "force = (1 + b h^2) F",
         (Quantity("ab"[power - 1], f"1/{unit}" if power == 1 else f"1/{unit}^2"),),
         partial(_times_height, coils=coils, power=power),
-        absorbed_by="the static force times the height: stiffness" if power == 1 else "",
-        told_apart_by="all DOFs and single coils excited, at two amplitudes",
+        absorbed_by="static force times height: stiffness" if power == 1 else "",
+        told_apart_by="excitation of all DOFs and of single coils, at two amplitudes",
     )
 
 
@@ -75,7 +75,7 @@ def _times_height(
     rows = list(coils)
     F = signals.coil[:, rows]
     if power:
-        # The command is lagged with what it is multiplied by: the height has to be as much ahead.
+        # The term is lagged as a whole, so the height must lead by the lag.
         h = height_when_acting(signals, rows)
         F = F * h if power == 1 else F * h * h
     if len(rows) == 1:
@@ -84,6 +84,6 @@ def _times_height(
 
 
 def height_when_acting(signals: Signals, coils: Sequence[int]) -> Array:
-    """Return the heights (N, len(coils)) of coils when each row's command acts, lag and all."""
+    """Return the coils' heights (N, len(coils)) when each row's command acts, lag included."""
     ahead = signals.q + signals.lag_s * signals.qd
     return signals.when_acting(heights(ahead, signals.places.coil_shape[list(coils)]))

@@ -1,11 +1,11 @@
-"""Amplifiers and coils that give less than they are told, near nothing and near their limit.
+"""Dead zone and saturation of coils and amplifiers.
 
-Around zero a bridge has a dead zone; towards its limit a magnetic circuit saturates softly and an
-amplifier hard (Mohan, Undeland, Robbins, *Power Electronics*, 2003, ch. 8):
-F / (1 + |F/limit|^p)^(1/p) runs from soft (p = 2) to hard (p large). Each coil carries about 8 N of
-weight: a dead zone shows only where a command comes down to it. Signature: depends on one coil's
-command, at every frequency alike; a gain where little is asked, with harmonics where much is.
-What is lost is lost of the force, behind the lag of the coils.
+A bridge amplifier has a dead zone around zero. A magnetic circuit saturates softly, an amplifier
+hard (Mohan, Undeland, Robbins, *Power Electronics*, 2003, ch. 8): F / (1 + |F/limit|^p)^(1/p) is
+soft for p = 2 and hard for large p. Each coil carries about 8 N of weight, so a dead zone shows
+only if a command reaches it. Signature: depends on one coil's command, at all frequencies equally;
+a gain error at small amplitudes, harmonics at large ones. The loss applies to the force, after the
+coils' lag.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ Coils = tuple[int, ...]
 
 _SHARES, _WEIGHTS = ((0.0694318442, 0.3300094782, 0.6699905218, 0.9305681558),
                      (0.1739274226, 0.3260725774, 0.3260725774, 0.1739274226))  # fmt: skip
-"""Of a period: Gauss and Legendre's four points."""
+"""Gauss-Legendre nodes and weights on a period, four points."""
 _TOLD_APART = "excitation of the coils one by one, at two amplitudes"
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return dead zone and saturation of every coil, and of all alike."""
+    """Return dead zone and saturation of every coil, and common ones of all coils."""
     found = []
     unit, largest = places.coil_unit, extent.command
     single = [((c,), "") for c in range(places.coils)]
-    together = [(tuple(range(places.coils)), ", all coils alike")] if places.coils > 1 else []
-    for coils, alike in single + together:
+    together = [(tuple(range(places.coils)), ", same for all coils")] if places.coils > 1 else []
+    for coils, suffix in single + together:
         where = tuple(f"coil:{c}" for c in coils)
         found += [
             Effect(
                 "dead_zone",
-                f"Dead zone of a coil{alike}",
+                f"Dead zone of a coil{suffix}",
                 "dead_zone",
                 where,
                 "force = F - depth clip(F, -width, width)",
@@ -47,13 +47,13 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 partial(_dead_zone, coils=coils),
                 (Quantity("width", unit, 1e-3 * largest, largest, log=True),),
                 ((0.15 * largest,), (0.4 * largest,)),
-                absorbed_by="where no command comes near zero: constant force",
+                absorbed_by="if no command comes near zero: constant force",
                 told_apart_by=_TOLD_APART,
                 plain=_whole_dead_zone,
             ),
             Effect(
                 "saturation",
-                f"Saturation of a coil{alike}",
+                f"Saturation of a coil{suffix}",
                 "saturation",
                 where,
                 "force = F - depth (F - F / (1 + |F/limit|^p)^(1/p)), p = hardness",
@@ -64,7 +64,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     Quantity("hardness", "1", 1.0, 40.0, log=True),
                 ),
                 ((0.85 * largest, 6.0),),
-                absorbed_by="far below the limit nothing is seen",
+                absorbed_by="not visible far below the limit",
                 told_apart_by=_TOLD_APART,
                 plain=_whole_saturation,
             ),
@@ -80,7 +80,7 @@ def _saturation(signals: Signals, shape: Sequence[float], *, coils: Coils) -> li
     limit, hardness = shape
 
     def lost(F: Array) -> Array:
-        # Of logarithms: a high power of a large ratio leaves the range of numbers.
+        # Logarithms avoid the overflow of a large ratio to a high power.
         log_ratio = hardness * np.log(np.maximum(np.abs(F) / limit, 1e-12))
         return np.asarray(-F * np.expm1(-np.logaddexp(0.0, log_ratio) / hardness))
 
@@ -92,15 +92,15 @@ def _whole_dead_zone(_depth: Sequence[float], shape: Sequence[float]) -> tuple[f
 
 
 def _whole_saturation(depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:
-    """Return the shape that loses as much far below the limit: depth F (F / limit)^p / p."""
+    """Return the shape with the same loss far below the limit: depth F (F / limit)^p / p."""
     limit, hardness = shape
     return limit * float(depth[0]) ** (-1.0 / hardness) if depth[0] > 0.0 else limit, hardness
 
 
 def _lost(signals: Signals, coils: Coils, lost: Callable[[Array], Array]) -> Term:
-    """Return the term of coils whose force F lacks lost(F), by its mean over each period.
+    """Return the term of a force loss lost(F), by its mean over each period.
 
-    A term's commands are lagged like all others: these are those that come to that mean.
+    A term is lagged like a command, so the returned commands have this mean after the lag.
     """
     held = signals.coil[:, list(coils)]
     if signals.lag_s > 0.0:

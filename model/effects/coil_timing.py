@@ -1,11 +1,11 @@
-"""Coils and amplifiers that are late: a current loop slower than declared, a command that waits.
+"""Additional lag and delay of single coils: a slower current loop, a delayed command.
 
-A held command through a first-order lag, and one that comes a share of a period later, differ only
+A held command after a first-order lag and one after a delay of a fraction of a period differ only
 in their tail (Franklin, Powell, Workman, *Digital Control of Dynamic Systems*, 1998, ch. 4); both
-are taken by their mean over each period. How much and how far back are numbers of their own: of a
-plain lag or delay they are the same. A coil may be quicker than the others by no more than these
-are late. Signature: follows the change of one coil's command, grows with frequency, nothing at
-rest. A gain does not grow with frequency.
+enter by their mean over each period. Amount and tail are separate parameters, equal for a plain lag
+or delay. A coil can be faster than the others by at most the declared lag and delay. Signature:
+proportional to the change of one coil's command, grows with frequency, zero at rest. A gain error
+does not grow with frequency.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         found += [
             Effect(
                 "actuator_lag",
-                "Lag of a coil beyond the others",
+                "Additional lag of a coil",
                 "actuator_lag",
                 where,
                 "force = F + (F lagged by tail - F) lag / tail",
@@ -39,12 +39,12 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 partial(_lag, coil=c),
                 (Quantity("tail", "s", 1e-4, 0.1, log=True),),
                 ((_LATE_S,),),
-                absorbed_by="all coils alike: the declared lag; shorter than a period: delay",
+                absorbed_by="same for all coils: the declared lag; shorter than a period: delay",
                 told_apart_by=_ONE_BY_ONE,
             ),
             Effect(
                 "delay",
-                "Delay of a coil beyond the others",
+                "Additional delay of a coil",
                 "delay",
                 where,
                 "force = F + (F(t - back) - F) delay / back, by means over each period",
@@ -52,7 +52,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 partial(_delay, coil=c),
                 (Quantity("back", "s", 1e-4, 0.1, log=True),),
                 ((_LATE_S,),),
-                absorbed_by="all coils alike: the declared delay; shorter than a period: lag",
+                absorbed_by="same for all coils: the declared delay; shorter than a period: lag",
                 told_apart_by=_ONE_BY_ONE,
             ),
         ]
@@ -68,7 +68,7 @@ def _lag(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
 def _delay(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
     F = signals.coil[:, coil]
     whole, share = divmod(shape[0] / signals.Ts_s, 1.0)
-    # Of a command held for a period the mean over one is a share of it and one of that before.
+    # The mean of delayed held commands over a period is a weighted sum of two commands.
     before = np.arange(len(F)) - int(whole)
     late = (1 - share) * F[np.maximum(before, 0)] + share * F[np.maximum(before - 1, 0)]
     return [on_coil(signals, coil, (late - F) / shape[0])]

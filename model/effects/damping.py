@@ -1,10 +1,10 @@
-"""Air under and around the platform: damping beyond what the model declares.
+"""Undeclared damping: linear damping of single DOFs, drag, squeeze-film damping.
 
-Drag of a plate in free air grows with the speed squared; a film of air that is squeezed out of a
-narrow gap resists the more, the narrower the gap is, with its cube (Reynolds' equation; Bao and
-Yang, *Squeeze film air damping in MEMS*, Sensors and Actuators A 136, 2007). Signature: nothing
-without speed; drag is odd and answers at odd lines, a film is not and answers at even ones too, at
-two beam positions differently when the pose differs. Friction does not grow with the speed.
+Drag of a plate in free air grows with the speed squared. The damping of a squeezed air film is
+proportional to height^-3 (Reynolds' equation; Bao and Yang, *Squeeze film air damping in MEMS*,
+Sensors and Actuators A 136, 2007). Signature: zero without speed. Drag is an odd function and
+responds at odd lines; a film also responds at even lines and depends on the pose. Friction does not
+grow with the speed.
 """
 
 from __future__ import annotations
@@ -18,40 +18,40 @@ from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .points import forces, heights
 
 _SMALLEST_M = 1e-3
-"""The end stops allow 0.9 mm: a film cannot be thinner at rest."""
+"""The end stops are at 0.9 mm: the film at the working point is at least as thick."""
 
 
 def effects(places: Places) -> list[Effect]:
-    """Return linear damping of a DOF by itself, drag, and squeezed films."""
+    """Return linear damping of single DOFs, drag and squeeze films."""
     effect_class = "air_damping" if places.beam else "damping"
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
         force = places.force_unit(i)
         if places.beam:
-            # Elsewhere each DOF's own damping is declared; the rig's is one number for all coils.
+            # The rig declares one damping for all coils; other models declare it for each DOF.
             found.append(
                 Effect(
                     "air_damping.linear",
-                    "Damping of one DOF by itself",
+                    "Additional damping of one DOF",
                     effect_class,
                     (dof,),
                     "force = -d q'",
                     (Quantity("d", f"{force} s/{unit}"),),
                     partial(_linear, dof=i),
-                    absorbed_by="the part that all coils share is the declared damping",
-                    told_apart_by="every DOF excited around its resonance",
+                    absorbed_by="the part common to all coils: the declared damping",
+                    told_apart_by="excitation of every DOF around its resonance",
                 )
             )
         found.append(
             Effect(
                 f"{effect_class}.quadratic",
-                "Damping that grows with the speed",
+                "Quadratic damping",
                 effect_class,
                 (dof,),
                 "force = -d2 |q'| q'",
                 (Quantity("d2", f"{force} s^2/{unit}^2", 0.0),),
                 partial(_quadratic, dof=i),
-                absorbed_by="what is linear in the speed is the declared damping",
+                absorbed_by="the part linear in the speed: the declared damping",
                 told_apart_by="two amplitudes of excitation",
             )
         )
@@ -71,12 +71,12 @@ def _of_plates(places: Places) -> list[Effect]:
             "force = -d2 sum over coils of s |s^T q'| s^T q', s = [y, x, 1]",
             (Quantity("d2", "N s^2/m^2", 0.0),),
             _drag,
-            absorbed_by="what is linear in the speed is the declared damping",
-            told_apart_by="all DOFs excited at once, at two amplitudes",
+            absorbed_by="the part linear in the speed: the declared damping",
+            told_apart_by="simultaneous excitation of all DOFs, at two amplitudes",
         ),
         Effect(
             "air_damping.squeeze_film",
-            "Air squeezed under the platform",
+            "Squeeze-film damping under the platform",
             "air_damping",
             places.dof,
             "force = -d sum over coils of s ((1 + h/h0)^-3 - 1) h', h = s^T q, s = [y, x, 1]",
@@ -84,12 +84,12 @@ def _of_plates(places: Places) -> list[Effect]:
             _squeeze_under_coils,
             h0,
             grid,
-            absorbed_by="what does not depend on the height is the declared damping",
-            told_apart_by="large slow motions with small fast ones on top",
+            absorbed_by="the part independent of the height: the declared damping",
+            told_apart_by="large slow motions superposed with small fast ones",
         ),
         Effect(
             "air_damping.squeeze_film_lift",
-            "Air squeezed as the platform goes up and down",
+            "Squeeze-film damping of the vertical motion",
             "air_damping",
             (z,),
             "force = -d ((1 + z/h0)^-3 - 1) z'",
@@ -97,8 +97,8 @@ def _of_plates(places: Places) -> list[Effect]:
             _squeeze_lift,
             h0,
             grid,
-            absorbed_by="what does not depend on the height is the declared damping",
-            told_apart_by="large slow motions with small fast ones on top",
+            absorbed_by="the part independent of the height: the declared damping",
+            told_apart_by="large slow motions superposed with small fast ones",
         ),
     ]
 
@@ -113,13 +113,13 @@ def _with_positions(places: Places) -> list[Effect]:
             equation,
             (Quantity("d", f"{places.force_unit(i)} s/{unit}^{power + 1}"),),
             partial(_with_position, dof=i, power=power),
-            absorbed_by="what does not depend on the position is the declared damping",
+            absorbed_by="the part independent of the position: the declared damping",
             told_apart_by="two amplitudes of excitation",
         )
         for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
         for power, name, title, equation in (
-            (1, "one_sided", "Damping that differs between both sides", "force = -d q q'"),
-            (2, "outward", "Damping that changes to both sides", "force = -d q^2 q'"),
+            (1, "one_sided", "Damping linear in the position", "force = -d q q'"),
+            (2, "outward", "Damping quadratic in the position", "force = -d q^2 q'"),
         )
     ]
 
@@ -157,6 +157,6 @@ def _squeeze_lift(signals: Signals, shape: Sequence[float]) -> list[Term]:
 
 
 def _excess(height: Array, h0: float) -> Array:
-    """Return how much more a film resists at a height (...,) than at the working point."""
+    """Return the relative excess of film damping at heights (...,) over the working point's."""
     left = 1.0 / np.maximum(1.0 + height / h0, 0.05)
     return np.asarray(left * left * left - 1.0)

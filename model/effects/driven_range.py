@@ -1,4 +1,4 @@
-"""How far, how fast and how long a plant was driven: where nonlinear parameters are looked for."""
+"""Determine the range of motion, commands and time in records: search range of effects."""
 
 from __future__ import annotations
 
@@ -12,31 +12,29 @@ from .base import Array, Places, Signals
 
 MAINS_HZ = (50.0, 60.0)
 
-# What the platform is meant to do: corners move 0.3 mm rms at about 5 Hz, coils give 12 N at most.
+# Typical operation of the rig: corners move 0.3 mm RMS at about 5 Hz, coils give up to 12 N.
 _TYPICAL_GAP = 3e-4
 _TYPICAL_HZ = 5.0
 _TYPICAL_COMMAND = 12.0
 _TYPICAL_BEAM_M = 0.2
 _TYPICAL_LATE_S = 2e-3
 _RESOLVED = 0.4
-"""Of the rate of sampling."""
+"""Largest resolvable frequency over the sampling rate."""
 
 
 @dataclass(frozen=True)
 class Extent:
-    """What the records of a session cover, in the plant's own units.
+    """Range of motion, commands and time in the records of a session, in the plant's units.
 
-    reach, speed (n,): how far from its middle and how fast each DOF moves, rms, in the liveliest
-    record. gap: how far a single sensor moves. command: the largest of a single actuator. beam_m:
-    the length that the beam travels. spans_s: begin and end of each record, in the session's time.
-    standing: sensors whose readings stand still now and then while the platform moves.
-    tones_hz: frequencies of the lines that are looked for. middle (n,), beam_middle_m: what each
-    DOF and the beam move about, to a tenth of their motion. fastest_hz: up to where the slowest
-    sampling tells resonances from their aliases. late_s: by how much the model has commands come
-    late, delay and lag together. commands: of each actuator mean and standard deviation of what it
-    is told, to three digits. resonances: name of a pattern of bending, frequency in Hz and damping
-    of what the readings show of it. beam_rates: how fast the beam goes and how hard it is sped up,
-    and how fast the rotor turns, at most; 0 where they do not.
+    reach, speed (n,): RMS deviation and speed of each DOF, in the record with the largest ones.
+    gap: RMS motion at a sensor. command: largest actuator command. beam_m: travel of the beam.
+    spans_s: begin and end of each record, in the session's time. standing: sensors with frozen
+    readings while the platform moves. tones_hz: frequencies of the lines to search. middle (n,),
+    beam_middle_m: mean position of each DOF and of the beam, rounded to a tenth of their motion.
+    fastest_hz: highest frequency without aliasing at the lowest sampling rate. late_s: sum of the
+    model's delay and lag. commands: mean and standard deviation of each actuator's command, three
+    digits. resonances: bending pattern, frequency in Hz and damping ratio seen in the readings.
+    beam_rates: largest speed and acceleration of the beam and largest speed of the rotor.
     """
 
     reach: tuple[float, ...]
@@ -56,12 +54,12 @@ class Extent:
     beam_rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def around(self, dof: int) -> float:
-        """Return what a DOF moves about."""
+        """Return the mean position of a DOF."""
         return self.middle[dof] if self.middle else 0.0
 
     @classmethod
     def typical(cls, places: Places) -> Extent:
-        """Return what the rig is built for: good enough to lay out the table without a record."""
+        """Return the rig's typical range, to build the effects table without a record."""
         arms = np.abs(places.sensor_shape).max(axis=0)
         reach = tuple(float(_TYPICAL_GAP / arm) for arm in arms)
         speed = tuple(2 * math.pi * _TYPICAL_HZ * r for r in reach)
@@ -77,7 +75,7 @@ class Extent:
         tones_hz: tuple[float, ...] = MAINS_HZ,
         resonances: tuple[tuple[str, float, float], ...] = (),
     ) -> Extent:
-        """Return what records cover; tones_hz and resonances as found in them."""
+        """Return the range of records; tones_hz and resonances are those found in them."""
         shape = records[0].places.sensor_shape
         reach = _liveliest([r.q for r in records])
         places = np.concatenate([r.q for r in records]).mean(axis=0).tolist()
@@ -86,7 +84,7 @@ class Extent:
             reach,
             _liveliest([r.qd for r in records]),
             max(_liveliest([r.q @ shape.T for r in records])),
-            # Nothing was commanded: any size will do, and is laid out like a rig's.
+            # Without commands any size is valid: use the rig's.
             max(float(np.abs(r.coil).max()) for r in records) or _TYPICAL_COMMAND,
             beam[1] - beam[0],
             tuple((float(r.time_s[0]), float(r.time_s[-1])) for r in records),
@@ -103,9 +101,9 @@ class Extent:
 
 
 def _commands(records: Sequence[Signals]) -> tuple[tuple[float, float], ...]:
-    """Return mean and standard deviation of each command; none where one stands still."""
-    told = np.concatenate([r.coil for r in records])
-    pairs = zip(told.mean(axis=0).tolist(), told.std(axis=0).tolist(), strict=True)
+    """Return mean and standard deviation of each command; () if a command is constant."""
+    commands = np.concatenate([r.coil for r in records])
+    pairs = zip(commands.mean(axis=0).tolist(), commands.std(axis=0).tolist(), strict=True)
     found = tuple((float(f"{mean:.3g}"), float(f"{sd:.3g}")) for mean, sd in pairs)
     return found if all(sd > 0.0 for _, sd in found) else ()
 
@@ -124,14 +122,14 @@ def _beam_rates(records: Sequence[Signals]) -> tuple[float, float, float]:
 
 
 def _rounded(middle: float, size: float) -> float:
-    """Return a middle to a tenth of the motion about it, three digits: as it stands in a key."""
+    """Return a mean rounded to a tenth of the motion about it and three digits, as in a key."""
     if size <= 0.0:
         return 0.0
     return float(f"{round(middle / (0.1 * size)) * 0.1 * size:.3g}")
 
 
 def _standing(records: Sequence[Signals]) -> tuple[int, ...]:
-    """Return the sensors whose readings stand still somewhere."""
+    """Return the sensors with frozen readings in any record."""
     masks = [r.standing.any(axis=0) for r in records if r.standing is not None]
     return tuple(np.flatnonzero(np.any(masks, axis=0)).tolist()) if masks else ()
 

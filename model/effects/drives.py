@@ -1,12 +1,12 @@
-"""What the beam's drives feel: friction, presliding in the bearing, cogging of the linear motors.
+"""Effects in the beam's drives: friction, presliding in the bearing, cogging of the linear motors.
 
-Forces between beam and platform are internal: they show in the drives' force, and on the platform
-only through the motion of the beam, which is measured. Cogging repeats with the pitch of the
-magnets (Zhu and Howe, *Influence of design parameters on cogging torque in permanent magnet
-machines*, IEEE Trans. Energy Conversion 15, 2000). A bearing's balls are elastic before they roll,
-so a beam held on a tilting platform gives way in a loop. Signature: cogging follows the place, the
-same at every speed and both ways; friction turns its sign with the speed; presliding follows the
-tilt while the beam stands.
+Forces between beam and platform are internal: they appear in the drives' force, and act on the
+platform only through the beam's motion, which is measured. Cogging is periodic with the magnets'
+pitch (Zhu and Howe, *Influence of design parameters on cogging torque in permanent magnet
+machines*, IEEE Trans. Energy Conversion 15, 2000). A bearing's balls deform elastically before they
+roll, so a beam held on a tilting platform shifts with hysteresis. Signature: cogging depends on
+position only, not on speed or direction; friction has the sign of the speed; presliding follows
+the tilt while the beam is at rest.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from .recursions import dahl
 
 _PITCH_M = (5e-3, 60e-3)
 _APART = 1.2
-"""Cycles over the whole travel between two pitches of the grid: less could not be told apart."""
+"""Difference of neighbouring grid pitches, in cycles over the travel; less is not resolvable."""
 _BREAK_AWAY_M = (1e-5, 1e-4)
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return friction and cogging of the beam's drives; nothing where there is no beam."""
+    """Return friction and cogging of the beam's drives; empty for a plant without a beam."""
     if not places.beam:
         return []
     sliding = Effect(
@@ -39,7 +39,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         _sliding,
         (Quantity("v_s", "m/s", 1e-5, 0.1, log=True),),
         ((1e-3,),),
-        absorbed_by="in proportion to the speed: a reading of the drives that comes late",
+        absorbed_by="the part proportional to the speed: a delay of the drives' readings",
         told_apart_by="beam sweeps at several speeds",
     )
     presliding = Effect(
@@ -65,15 +65,15 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         _tilting,
         (Quantity("theta_s", "rad", 1e-3 * reach, 10 * reach, log=True),),
         ((0.2 * reach,), (reach,)),
-        absorbed_by="where nothing slips it is stiffness of theta",
-        told_apart_by="tilt excited while the beam stands",
+        absorbed_by="without slip: stiffness of theta",
+        told_apart_by="tilt excitation while the beam is at rest",
     )
     pitches = _grid(max(extent.beam_m, 0.05))
     return [sliding, presliding, tilting, cogging(*pitches)]
 
 
 def cogging(*pitches_m: float) -> Effect:
-    """Return cogging of the beam's drives, looked for at pitches."""
+    """Return the cogging effect with start values of the pitch in m."""
     return Effect(
         "cogging",
         "Cogging of the beam's linear motors",
@@ -84,7 +84,7 @@ def cogging(*pitches_m: float) -> Effect:
         _cogging,
         (Quantity("pitch", "m", 0.5 * _PITCH_M[0], 2 * _PITCH_M[1], log=True),),
         tuple((p,) for p in pitches_m),
-        told_apart_by="slow sweeps of the beam both ways",
+        told_apart_by="slow beam sweeps in both directions",
     )
 
 

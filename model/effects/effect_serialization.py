@@ -1,4 +1,4 @@
-"""Effects as a model file names them, with their values, and back."""
+"""Convert the effects entries of a model file to effects with values."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class DeclaredValue(Protocol):
 
 
 class DeclaredEffect(Protocol):
-    """An effect in a model file: its name in the table, where it sits, its parameters by name."""
+    """An effect in a model file: its name in the table, its location, its parameters by name."""
 
     @property
     def effect(self) -> str: ...  # noqa: D102
@@ -44,18 +44,19 @@ class DeclaredEffect(Protocol):
 def placed_effects(
     declared: Sequence[DeclaredEffect], places: Places, extent: Extent | None = None
 ) -> tuple[Placed, ...]:
-    """Return the effects of a model file at the places of a plant, in order.
+    """Return the effects of a model file for the locations of a plant, in the file's order.
 
-    `extent`: what records cover, by which shapes may be fitted anew; those of the file are within
-    the bounds in any case.
+    `extent` is the range of the records; it sets the bounds for a new fit of shape parameters. The
+    bounds always contain the file's values.
 
-    Raises ModelError: an effect or a place that the table does not have, one given twice, a
-    parameter that is missing, too many, or in another unit. It names the entry.
+    Raises:
+        ModelError: an unknown effect or location, a duplicate effect, a missing, unknown or
+            wrong-unit parameter; the message names the entry.
     """
     if not declared:
         return ()
-    # A file may name a resonance that these records are too slow for, and a sensor that does not
-    # stand still in them.
+    # A file may have a resonance above these records' frequency range, and an effect of a frozen
+    # sensor that is not frozen in them.
     covered = replace(
         extent or Extent.typical(places),
         fastest_hz=math.inf,
@@ -66,16 +67,16 @@ def placed_effects(
         found = _TONE.fullmatch(entry.effect)
         if found is not None:
             table |= {e.identity: e for e in tone(places, float(found[1]))}
-        described = freeform_effect(places, entry.effect, entry.where)
-        if described is not None:
-            table[described.identity] = described
+        freeform = freeform_effect(places, entry.effect, entry.where)
+        if freeform is not None:
+            table[freeform.identity] = freeform
     placed: list[Placed] = []
     for i, entry in enumerate(declared):
         where = f"effects[{i}]"
-        one = _placed(entry, table, where)
-        if any(one.effect.identity == other.effect.identity for other in placed):
-            raise ModelError(f"{where}: expected every effect once, found {one.effect.name} again")
-        placed.append(one)
+        new = _placed(entry, table, where)
+        if any(new.effect.identity == other.effect.identity for other in placed):
+            raise ModelError(f"{where}: duplicate effect {new.effect.name}; remove one of them")
+        placed.append(new)
     return tuple(placed)
 
 
@@ -115,7 +116,7 @@ def _unknown(entry: DeclaredEffect, table: Mapping[str, Effect]) -> str:
     if entry.effect not in keys:
         near = difflib.get_close_matches(entry.effect, keys, 3)
         meant = f"; did you mean {' or '.join(near)}?" if near else ""
-        return f"effect: expected a name of the table of effects, found '{entry.effect}'{meant}"
+        return f"effect: expected a name from the effects table, found '{entry.effect}'{meant}"
     places = ["+".join(e.where) or "[]" for e in table.values() if e.key == entry.effect]
     return (
         f"where: expected one of {', '.join(dict.fromkeys(places))} for {entry.effect}, "

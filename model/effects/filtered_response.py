@@ -1,9 +1,9 @@
-"""What answers a motion with a resonance: linear dynamics of which nobody knows the cause.
+"""Free-form resonant response to a motion: a second-order filter of unknown cause.
 
-What hangs, swings or flows beside the platform takes up its motion and gives it back later, of one
-DOF or between two. What the rig stands on takes up the beam's, as a force on a DOF or, where a
-sensor's holder swings along, as a false reading. A free form as those of `freeform`: it names
-nothing. It says which motion is answered where, at what frequency and how sharply.
+An object that hangs, swings or flows near the platform responds to a DOF's motion with a force on
+the same or another DOF. The rig's base responds to the beam's motion with a force on a DOF or, if a
+sensor's holder moves along, with a reading error. Like the forms in `freeform` it does not name a
+cause: it gives motion, location, frequency and damping.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from .recursions import oscillator
 
 _PREFIX = "unknown.answer."
 _BEAM, _ARM = "x_b", "x_b*x_b"
-"""What the beam moves, and the same with the beam's place for an arm: the beam feels it too."""
+"""Motion x_b, without and with x_b as the arm of the force (a force that acts at the beam)."""
 _FREQUENCIES_HZ = (6.0, 12.0, 24.0, 48.0)
-_OF_BEAM_HZ = tuple(2.0 ** (0.5 * k) for k in range(11))
-"""A rig's table swings slowly, where springs and loops of a DOF are, and rings after every move."""
-_DAMPING, _SHARP = 0.15, 0.04
-"""Broad enough that a resonance between two frequencies of the grid is seen from both, and one that
-rings on where a table is on springs."""
+_BEAM_FREQUENCIES_HZ = tuple(2.0 ** (0.5 * k) for k in range(11))
+"""A rig's base has low resonance frequencies, near those of the DOFs."""
+_DAMPING, _LOW_DAMPING = 0.15, 0.04
+"""Damping ratios to start from: one so large that neighbouring grid frequencies overlap, and one of
+a base on springs."""
 
 
 def answers(places: Places) -> list[Effect]:
-    """Return answers of every DOF to every DOF, and of every DOF and sensor to the beam."""
+    """Return responses of every DOF to every DOF, and of every DOF and sensor to the beam."""
     found = [_answer(places, motion, dof) for motion in places.dof for dof in places.dof]
     if places.beam:
         found += [_answer(places, _BEAM, where) for where in (*places.dof, *_sensors(places))]
@@ -37,7 +37,7 @@ def answers(places: Places) -> list[Effect]:
 
 
 def answer(places: Places, key: str, where: Sequence[str]) -> Effect | None:
-    """Return the answer that a model file names by key and place; None if it is none."""
+    """Return the resonant response with a model file's key and location; None for other keys."""
     motion = key.removeprefix(_PREFIX)
     if motion == key or len(where) != 1:
         return None
@@ -49,7 +49,7 @@ def answer(places: Places, key: str, where: Sequence[str]) -> Effect | None:
 
 
 def answered(effect: Effect) -> str | None:
-    """Return the DOF that an effect answers, or x_b; None if it is no answer."""
+    """Return the motion that causes the response, a DOF or x_b; None for other effects."""
     motion = effect.key.removeprefix(_PREFIX)
     return None if motion == effect.key else motion.partition("*")[0]
 
@@ -70,14 +70,14 @@ def _answer(places: Places, motion: str, where: str) -> Effect:
         build = partial(_readings, motion=motion, sensor=int(where.partition(":")[2]))
     grid = tuple((f, _DAMPING) for f in _FREQUENCIES_HZ)
     if by_beam:
-        grid = tuple((f, zeta) for f in _OF_BEAM_HZ for zeta in (_DAMPING, _SHARP))
+        grid = tuple((f, zeta) for f in _BEAM_FREQUENCIES_HZ for zeta in (_DAMPING, _LOW_DAMPING))
     per_of = f"{of}^2" if arm else of
     unit = "1" if per == per_of else f"{per}/{per_of}"
     swung = f"a (x - {motion}) + b x'/w"
     equation = f"x_b ({swung})" if arm else swung
     return Effect(
         _PREFIX + (_ARM if arm else motion),
-        f"{what} that answers {motion} with a resonance" + (", times x_b" if arm else ""),
+        f"{what} with a resonant response to {motion}" + (", times x_b" if arm else ""),
         "unknown",
         (where,),
         f"{equation}, x'' + 2 zeta w x' + w^2 x = w^2 {motion}; w = 2 pi frequency, zeta = damping",
@@ -96,18 +96,18 @@ def _forces(
     signals: Signals, shape: Sequence[float], *, motion: str, dof: int, arm: bool
 ) -> list[Term]:
     by = signals.x_b_m if arm else 1.0
-    return [on_dof(signals, dof, by * answered) for answered in _swung(signals, shape, motion)]
+    return [on_dof(signals, dof, by * x) for x in _filtered(signals, shape, motion)]
 
 
 def _readings(signals: Signals, shape: Sequence[float], *, motion: str, sensor: int) -> list[Term]:
-    return [on_sensor(signals, sensor, answered) for answered in _swung(signals, shape, motion)]
+    return [on_sensor(signals, sensor, x) for x in _filtered(signals, shape, motion)]
 
 
-def _swung(signals: Signals, shape: Sequence[float], motion: str) -> tuple[Array, Array]:
-    """Return by how much what swings is ahead of what it answers, and its speed over w (N,)."""
+def _filtered(signals: Signals, shape: Sequence[float], motion: str) -> tuple[Array, Array]:
+    """Return the filter's position minus its input, and its speed over w (N,)."""
     w = 2 * np.pi * shape[0]
     q = signals.x_b_m if motion == _BEAM else signals.q[:, signals.places.dof.index(motion)]
-    # Held at the mean of a period's ends, an input comes neither early nor late.
+    # Holding the mean of a period's ends adds no delay.
     x, rate = oscillator(
         0.5 * w * w * (q + np.append(q[1:], q[-1])), shape[0], shape[1], signals.Ts_s
     ).T

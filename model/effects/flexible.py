@@ -1,12 +1,12 @@
-"""A platform that bends: a mode seen beyond the rigid pose, and a mass on a spring seen within it.
+"""Flexible modes: bending modes of the platform, and a mass on a spring on one DOF.
 
-eta'' + 2 zeta w eta' + w^2 eta = phi^T F / m, and the sensors show phi eta besides the pose
+eta'' + 2 zeta w eta' + w^2 eta = phi^T F / m; the readings contain phi eta in addition to the pose
 (Preumont, *Vibration Control of Active Structures*, 2018, ch. 2). A mode is orthogonal to the rigid
-motions, so with coils and sensors at one place only excitation of single coils drives it, and only
-what a rigid platform cannot show betrays it; a pattern with a rigid part acts through the pose too.
-Something loosely fixed to the platform adds m (w^2 x + 2 zeta w x') to one DOF, x its stroke.
-Signature: a resonance, or below it a compliance, with one pattern over all sensors; a false sensor
-has a pattern of its own alone, and no resonance.
+motions. With collocated coils and sensors only single-coil excitation drives it, and it shows only
+outside the rigid-body directions of the readings; a pattern with a rigid part also acts through the
+pose. A mass on a spring adds m (w^2 x + 2 zeta w x') to one DOF, with deflection x. Signature: a
+resonance, or below it a compliance, with one pattern over all sensors. A faulty sensor affects one
+reading and has no resonance.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _RIGID = ("rigid_1", "rigid_2", "rigid_3")
 _MODES_HZ = (25.0, 45.0, 80.0, 140.0, 280.0)
 _HIGHER_HZ = (45.0, 110.0, 280.0)
 _HIGHER = ("wave_x", "wave_y", "egg_box")
-"""Patterns that bend first in hardly any plate."""
+"""Patterns that are rarely the first bending mode of a plate."""
 _LOOSE_HZ = (15.0, 30.0, 60.0)
 _DAMPING = 0.08
-"""Broad enough that a resonance between two frequencies of the grid is seen from both."""
+"""Damping ratio to start from, so large that neighbouring grid frequencies overlap."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return a bending mode near each base pattern, and a loose mass on each DOF."""
+    """Return a bending mode for each base pattern, and a mass on a spring for each DOF."""
     return _modes(places, extent) + [
         Effect(
             "flexible_mode.loose_mass",
@@ -54,7 +54,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 
 def sites(placed: Placed, places: Places) -> tuple[str, ...]:
-    """Return the coils and sensors that move with a bending mode at least half as far as any."""
+    """Return coils and sensors with at least half of a bending mode's largest deflection."""
     names, over_sensors, over_coils = patterns(places)
     name = placed.effect.key.removeprefix("flexible_mode.")
     if name not in names:
@@ -68,10 +68,10 @@ def sites(placed: Placed, places: Places) -> tuple[str, ...]:
 
 
 def patterns(places: Places) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names, and shapes over sensors (S, P) and over coils (C, P), the rigid ones first.
+    """Return names and shapes of patterns at sensors (S, P) and coils (C, P), rigid ones first.
 
-    Polynomials over the plane, each made orthogonal over the sensors to those before it and of
-    length 1 there; as many as there are sensors. None where nobody knows where sensors are.
+    The patterns are polynomials in x and y, orthonormalised over the sensors in this order; their
+    number is at most that of the sensors. Empty if the sensors' positions are unknown.
     """
     if len(places.sensor_xy_m) < 4:
         return (), np.zeros((places.sensors, 0)), np.zeros((places.coils, 0))
@@ -128,18 +128,18 @@ def _modes(places: Places, extent: Extent) -> list[Effect]:
                 (Quantity("per_mass", "1/kg", 0.0),),
                 partial(_mode, base=i),
                 (*_resonance(), *(Quantity(other, "1", -3.0, 3.0) for other in others)),
-                tuple((*at, *(0.0 for _ in others)) for at in _looked_for(name, extent)),
-                absorbed_by="without excitation of single coils nothing is seen",
+                tuple((*start, *(0.0 for _ in others)) for start in _starts(name, extent)),
+                absorbed_by="not visible without excitation of single coils",
                 told_apart_by="excitation of the coils one by one, up to its frequency",
             )
         )
     return found
 
 
-def _looked_for(name: str, extent: Extent) -> list[tuple[float, float]]:
-    """Return frequencies and dampings: some to begin from, and those that the readings show."""
-    shown = [(f_hz, zeta) for pattern, f_hz, zeta in extent.resonances if pattern == name]
-    return [(f_hz, _DAMPING) for f_hz in (_HIGHER_HZ if name in _HIGHER else _MODES_HZ)] + shown
+def _starts(name: str, extent: Extent) -> list[tuple[float, float]]:
+    """Return start values of frequency and damping: a grid, and those seen in the readings."""
+    seen = [(f_hz, zeta) for pattern, f_hz, zeta in extent.resonances if pattern == name]
+    return [(f_hz, _DAMPING) for f_hz in (_HIGHER_HZ if name in _HIGHER else _MODES_HZ)] + seen
 
 
 def _mode(signals: Signals, shape: Sequence[float], *, base: int) -> list[Term]:
@@ -162,7 +162,7 @@ def _loose_mass(signals: Signals, shape: Sequence[float], *, dof: int) -> list[T
     w = 2 * np.pi * shape[0]
     stiff, damp = w * w, 2 * shape[1] * w
     pull = stiff * q + damp * qd
-    # Held at the mean of a period's ends, an input comes neither early nor late.
+    # Holding the mean of a period's ends adds no delay.
     mean = 0.5 * (pull + np.append(pull[1:], pull[-1]))
     p = oscillator(mean, shape[0], shape[1], signals.Ts_s)
     return [on_dof(signals, dof, stiff * (p[:, 0] - q) + damp * (p[:, 1] - qd))]

@@ -1,9 +1,9 @@
-"""A residual that no known effect explains, as a smooth function of what it depends on.
+"""Free-form effects: a residual without a known cause as a smooth function of measured signals.
 
-Each is a force on one DOF or of one coil, or a false reading of one sensor: a function of one
-signal, one signal times a function of another, what answers a motion later or what a signal leaves
-behind. They name nothing. They say where something acts, on what it depends and how it looks, and
-leave a model that is better after than before.
+A free form is a force on one DOF, the force of one coil or the reading error of one sensor. It is a
+function of one signal, a signal times a function of another, a resonant response or a decaying
+response to a signal. It does not name a cause: it gives the location, the signals that the residual
+depends on and the function, and it improves the model.
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ from .travelling_wave import felt_by, wave, waves
 Array = NDArray[np.float64]
 
 DEGREE = 6
-"""Of a polynomial in a signal by itself."""
+"""Degree of a polynomial in one signal."""
 _PRODUCT_DEGREE = 2
 _COMMAND_DEGREE = 3
-"""Of a polynomial in a coil's command: there are as many of these as coils, for each sensor."""
+"""Degree of a polynomial in a coil's command; each sensor has one for each coil."""
 _SPLINES = 12
-"""Cubic pieces along the beam's way or a session: one end says nothing of the other."""
+"""Number of cubic B-splines over the beam's travel or the session; they act locally."""
 _FINE_SPLINES = 20
-"""The same along a DOF, for readings: what they show of a narrow step is as narrow."""
+"""Number of cubic B-splines over a DOF for reading errors, which can have narrow steps."""
 _WIDE = 3.0
-"""Standard deviations that a polynomial covers; beyond, it stays at its end."""
+"""Range of a polynomial in standard deviations; outside, it is constant."""
 _TIME = "time"
-_LONG = ("x_b", _TIME)
-"""Signals that are somewhere for long: functions of them are splines, of all others polynomials."""
-_TURN = "phi"
-"""The rotor's angle: functions of it are its first two harmonics."""
+_SPLINE_SIGNALS = ("x_b", _TIME)
+"""Signals with functions that are splines; functions of other signals are polynomials."""
+_ANGLE = "phi"
+"""The rotor's angle; functions of it are its first two harmonics."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """`factor` times a function of `by`; without a factor, the function alone.
+    """A free form: `factor` times a function of `by`, or only the function.
 
-    Signals are in the words of the key, each with what it is measured by, `middle` +- `scale`; time
-    is always counted from the middle of the records. `pieces`: a curve, as its own force is of a
-    coil's command and a reading of a DOF, and no polynomial.
+    `by` and `factor` are signal names as in the key. `by` is normalised with `middle` and `scale`,
+    `factor` with `unit`. `pieces`: the function is a spline, although the signal's default is a
+    polynomial (a coil's force over its command, a reading error over a DOF).
     """
 
     by: str
@@ -64,13 +64,13 @@ class Form:
 
     @property
     def curve(self) -> bool:
-        """Whether its function is a spline."""
-        return self.by in _LONG or self.pieces
+        """Whether the function is a spline."""
+        return self.by in _SPLINE_SIGNALS or self.pieces
 
     @property
     def key(self) -> str:
-        """The name in a model file, which says all that there is to know."""
-        by = self.by if self.by == _TURN else f"{self.by}[{self.scale:g}]"
+        """The name in a model file; it contains every field of the form."""
+        by = self.by if self.by == _ANGLE else f"{self.by}[{self.scale:g}]"
         if self.by == _TIME or self.middle or self.pieces:
             by = f"{self.by}[{self.middle:g}+-{self.scale:g}]"
         if self.pieces and not self.by.startswith(_COIL):
@@ -79,9 +79,9 @@ class Form:
 
     @classmethod
     def of(cls, key: str) -> Form | None:
-        """Return what a key says; None if it is none."""
+        """Return the form of a key; None if the key is not that of a form."""
         found = _KEY.fullmatch(key)
-        if found is None or (found["scale"] is None) != (found["by"] == _TURN):
+        if found is None or (found["scale"] is None) != (found["by"] == _ANGLE):
             return None
         if found["by"] == _TIME and found["middle"] is None:
             return None
@@ -99,10 +99,11 @@ class Form:
         return cls(found["by"], scale, found["factor"] or "", unit, middle, pieces)
 
     def functions(self, signals: Signals, constant: bool, acting: bool = True) -> Array:
-        """Return what one unit of each amplitude is along a trajectory (N, columns).
+        """Return the contribution of one unit of each amplitude along a trajectory (N, columns).
 
-        `constant`: of functions alone too. Of a force nobody knows it, of one reading it shows.
-        `acting`: of coils the forces that act at a row, else those that are commanded in it.
+        `constant`: include a constant column without a factor; a force's constant is not
+        identifiable, a reading's is. `acting`: use the coil forces acting at a row, not those
+        commanded in it.
         """
         s = (_read(signals, self.by, acting) - self.middle) / self.scale
         if not self.factor:
@@ -117,7 +118,7 @@ class Form:
     def amplitudes(self, constant: bool) -> tuple[str, ...]:
         """Return the names of the amplitudes."""
         first = _constant_is_new(self.factor) if self.factor else constant
-        if self.by == _TURN:
+        if self.by == _ANGLE:
             return (*(("c0",) if first else ()), "sin", "cos", "sin2", "cos2")
         polynomial = _PRODUCT_DEGREE if self.factor else _degree(self.by)
         count = self._splines - 1 if self.curve else polynomial
@@ -127,20 +128,20 @@ class Form:
     def words(self) -> str:
         """The function in words."""
         kind = "a curve" if self.curve else "a polynomial"
-        if self.by == _TURN:
+        if self.by == _ANGLE:
             kind = "two harmonics"
         return f"{self.factor} f({self.by}), f {kind}" if self.factor else f"f({self.by}), {kind}"
 
     def _shapes(self, s: Array, degree: int) -> Array:
-        """Return functions (N, columns) of the signal over its scale, none of them constant."""
-        if self.by == _TURN:
-            return np.column_stack([turn(k * s) for k in (1, 2) for turn in (np.sin, np.cos)])
+        """Return the basis functions (N, columns) of the normalised signal, without a constant."""
+        if self.by == _ANGLE:
+            return np.column_stack([wave(k * s) for k in (1, 2) for wave in (np.sin, np.cos)])
         s = np.clip(s, -1.0, 1.0)
         if not self.curve:
             return np.asarray(chebyshev.chebvander(s, degree)[:, 1:], float)
         knots = np.concatenate([[-1.0] * 3, np.linspace(-1.0, 1.0, self._splines - 2), [1.0] * 3])
         pieces = BSpline.design_matrix(s, knots, 3).toarray()
-        # All of them add up to one: without the one in the middle none of their sums is constant.
+        # The splines sum to one: without the middle one, no combination is constant.
         return np.delete(pieces, self._splines // 2, axis=1)
 
     @property
@@ -150,7 +151,7 @@ class Form:
 
 
 def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return the free forms of a plant: at every DOF, sensor and coil, by every signal there is."""
+    """Return the free forms of every DOF, sensor and coil, for every signal of the plant."""
     n = len(places.dof)
     found = []
     for i in range(n):
@@ -158,7 +159,7 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
         forms += [_form(places, extent, by, factor) for factor, by in _products(places)]
         found += [_effect(places, places.dof[i], form) for form in forms]
     commands = [f"{_COIL}{c}" for c in range(places.coils)]
-    # A reading may depend on all that a force does, and on coils.
+    # A reading error can depend on the signals of a force and on coil commands.
     read = [_form(places, extent, by) for by in (*_signals(places), *commands)]
     read = [replace(form, pieces=True) if form.by in places.dof else form for form in read]
     read += [_form(places, extent, by, factor) for factor, by in _products_read(places)]
@@ -174,7 +175,7 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
 
 
 def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
-    """Return the free form that a model file names by key and place; None if it is none."""
+    """Return the free form with a model file's key and location; None for other keys."""
     form = Form.of(key)
     if form is None:
         return (
@@ -201,7 +202,7 @@ def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | 
 
 
 def depends_on(effect: Effect) -> tuple[str, ...]:
-    """Return the signals that a free form depends on: x_b, theta, theta' for its rate."""
+    """Return the signals that a free form depends on, such as x_b, theta, theta' (its rate)."""
     form = Form.of(effect.key)
     if form is None:
         motion = answered(effect) or hysteretic_command(effect)
@@ -227,27 +228,27 @@ _COIL = "coil_"
 
 def _signals(places: Places) -> list[str]:
     motion = [word for name in places.dof for word in (name, f"{name}_rate")]
-    return [*motion, *((*_BEAM, _TURN) if places.beam else ()), _TIME]
+    return [*motion, *((*_BEAM, _ANGLE) if places.beam else ()), _TIME]
 
 
 def _products(places: Places) -> list[tuple[str, str]]:
-    """Return pairs (factor, what it is multiplied by a function of)."""
+    """Return pairs (factor, signal of the function that multiplies it) for forces."""
     speeds = [f"{name}_rate" for name in places.dof]
     pairs = [(a, b) for k, a in enumerate(places.dof) for b in places.dof[k + 1 :]]
     pairs += [(speed, name) for speed in speeds for name in places.dof]
-    # What warms or wears is stiff, and damps, in another way by the end.
+    # Heat and wear change stiffness and damping over time.
     pairs += [(factor, _TIME) for factor in (*places.dof, *speeds)]
     if places.beam:
         pairs += [(factor, "x_b") for factor in (*places.dof, *speeds, "v_b", "a_b", "phi_speed")]
-        # What pulls along something makes it stiffer, what presses softer: the beam's reaction too.
+        # A tension stiffens and a compression softens, also the beam's reaction.
         pairs += [(factor, name) for factor in ("v_b", "a_b", "phi_speed") for name in places.dof]
-        # Whatever turns or runs meets a velocity with a force across it.
+        # Coriolis and gyroscopic forces.
         pairs += [(speed, by) for speed in speeds for by in ("phi_speed", "v_b")]
     return pairs
 
 
 def _products_read(places: Places) -> list[tuple[str, str]]:
-    """Return those pairs of which a reading may be: how it stands, and what passes it how fast."""
+    """Return pairs (factor, signal of the function that multiplies it) for reading errors."""
     pairs = [(a, b) for k, a in enumerate(places.dof) for b in places.dof[k + 1 :]]
     pairs += [(name, _TIME) for name in places.dof]
     if places.beam:
@@ -256,7 +257,7 @@ def _products_read(places: Places) -> list[tuple[str, str]]:
 
 
 def _constant_is_new(factor: str) -> bool:
-    """Return whether a model may lack the factor by itself: a stiffness it has, between all DOF."""
+    """Return whether the factor alone is new; the model has the stiffness between all DOFs."""
     return factor.endswith("_rate") or factor in _BEAM or factor.startswith(_COIL)
 
 
@@ -276,16 +277,16 @@ def _effect(places: Places, where: str, form: Form) -> Effect:
         sensor = int(where.partition(":")[2])
         what, unit = "Reading", places.sensor_unit
         build = partial(_readings, form=form, sensor=sensor)
-    by = "the rotor's angle" if form.by == _TURN else _told(form.by)
+    by = "the rotor's angle" if form.by == _ANGLE else _in_words(form.by)
     title = f"{what} that depends on {by}"
     if form.factor:
-        title = f"{what} that depends on {_told(form.factor)} times a function of {by}"
+        title = f"{what} that depends on {_in_words(form.factor)} times a function of {by}"
     names = form.amplitudes(constant=where.startswith("sensor:"))
     amplitudes = tuple(Quantity(name, unit) for name in names)
-    on = [_told(word) for word in (form.factor, form.by) if word]
+    on = [_in_words(word) for word in (form.factor, form.by) if word]
     return Effect(
         form.key, title, "unknown", (where,), form.words, amplitudes, build,
-        told_apart_by=f"records in which {' and '.join(on)} change while all else stands still",
+        told_apart_by=f"records in which only {' and '.join(on)} change",
     )  # fmt: skip
 
 
@@ -298,7 +299,7 @@ def _commands(signals: Signals, _shape: Sequence[float], *, form: Form, coil: in
     return [on_coil(signals, coil, column) for column in columns]
 
 
-def _told(word: str) -> str:
+def _in_words(word: str) -> str:
     return f"the command of {_spoken(word)}" if word.startswith(_COIL) else word
 
 
@@ -321,27 +322,27 @@ def _read(signals: Signals, word: str, acting: bool) -> Array:
         "v_b": signals.v_b_m_s,
         "a_b": signals.a_b_m_s2,
         "phi_speed": signals.phi_rad_s,
-        _TURN: signals.phi_rad,
+        _ANGLE: signals.phi_rad,
         _TIME: signals.time_s,
     }[word]
 
 
 def _scale(places: Places, extent: Extent, word: str) -> float:
-    """Return what a signal is measured by, to three digits, as it stands in the key."""
+    """Return the scale that normalises a signal, to three digits, as in the key."""
     if word in places.dof:
         scale = _WIDE * extent.reach[places.dof.index(word)]
     elif word.endswith("_rate"):
         scale = _WIDE * extent.speed[places.dof.index(word.removesuffix("_rate"))]
     elif word == _TIME:
         scale = 0.5 * (places.span_s[1] - places.span_s[0]) or 1.0
-    elif word == _TURN:
+    elif word == _ANGLE:
         scale = 1.0
     elif word.startswith(_COIL):
         scale = extent.command
     else:
         beam = max(0.5 * extent.beam_m, 1e-3)
         v, a, phi = extent.beam_rates
-        # What does not move may have any: it is laid out like a rig's.
+        # Without motion any scale is valid: use the rig's.
         scale = {
             "x_b": beam,
             "v_b": v or 4 * beam,
@@ -352,7 +353,7 @@ def _scale(places: Places, extent: Extent, word: str) -> float:
 
 
 def _middle(places: Places, extent: Extent, word: str) -> float:
-    """Return where a signal is counted from, as it stands in the key."""
+    """Return the middle that a signal is counted from, as in the key."""
     if word in places.dof:
         return extent.around(places.dof.index(word))
     if word == "x_b":
@@ -361,7 +362,7 @@ def _middle(places: Places, extent: Extent, word: str) -> float:
 
 
 def _curve(extent: Extent, coil: int) -> Form:
-    """Return the form of a coil's own command: its amplifier may do anything with that."""
+    """Return the free form of a coil's force over its own command."""
     middle, sd = extent.commands[coil] if extent.commands else (0.0, extent.command / _WIDE)
     return Form(f"{_COIL}{coil}", float(f"{_WIDE * sd:.3g}"), middle=middle, pieces=True)
 

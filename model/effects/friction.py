@@ -1,13 +1,13 @@
 """Friction of a cable chain or a bearing between a DOF and the fixed frame, sliding and presliding.
 
-Coulomb's force has one size and the sign of the speed; Stribeck's is larger near rest; Dahl's and
-Maxwell's elements are elastic before they slip, so that force over displacement runs round a loop
+Coulomb friction has constant size and the sign of the speed; Stribeck friction is larger near rest.
+Dahl and Maxwell elements are elastic before they slip, so force over displacement is a loop
 (Dahl 1968; Wen, *Method for random vibration of hysteretic systems*, J. Eng. Mech. 102, 1976;
 Canudas de Wit et al., *A new model for control of systems with friction*, IEEE TAC 40, 1995;
-Al-Bender, Lampaert, Swevers, *The generalized Maxwell-slip model*, IEEE TAC 50, 2005). Three of
-Maxwell's elements come within about a sixth of the loops of the others, whoever drew them.
-Signature: the loop has the same height at every speed and its width follows the amplitude; damping
-shrinks as the amplitude grows. A lag gives a loop that grows with the speed.
+Al-Bender, Lampaert, Swevers, *The generalized Maxwell-slip model*, IEEE TAC 50, 2005). Three
+Maxwell elements reproduce the loops of the other models within about a sixth. Signature: the loop's
+height does not depend on the speed and its width follows the amplitude; equivalent damping falls
+with the amplitude. The loop of a lag grows with the speed.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from .driven_range import Extent
 from .recursions import bouc_wen, dahl, lugre, slip
 
 _ELEMENTS = (1.0, 4.0, 16.0)
-"""Break-away displacements of Maxwell's elements, over the smallest."""
+"""Break-away displacements of the Maxwell elements, relative to the smallest."""
 _WIDE = 1e3
 _LOOPS = "several amplitudes of a slow excitation"
-_ELASTIC = "where nothing slips it is stiffness, where all slips fast it is an offset"
+_ELASTIC = "without slip: stiffness; with fast full slip: offset"
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return every kind of friction of every DOF."""
+    """Return every friction model for every DOF."""
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
         force, reach, speed = places.force_unit(i), extent.reach[i], extent.speed[i]
@@ -65,7 +65,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             ),
             Effect(
                 "friction.dahl",
-                "Friction that is elastic before it slips",
+                "Dahl friction (elastic before slip)",
                 "friction",
                 (dof,),
                 "force = -friction f, df = (1 - f sign dq) dq / x_s",
@@ -79,7 +79,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             ),
             Effect(
                 "friction.bouc_wen",
-                "Hysteresis of Bouc and Wen",
+                "Bouc-Wen hysteresis",
                 "friction",
                 (dof,),
                 "force = -friction z, dz = (1 - |z|^n (b sign(z dq) + 1 - b)) dq / x_s",
@@ -97,7 +97,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             ),
             Effect(
                 "friction.lugre",
-                "Friction that is elastic, with a Stribeck peak",
+                "LuGre friction (elastic, with a Stribeck peak)",
                 "friction",
                 (dof,),
                 "force = -friction f, df = (1 - f sign dq / g) dq / x_s, "
@@ -112,7 +112,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             ),
             Effect(
                 "friction.maxwell_slip",
-                "Presliding hysteresis",
+                "Maxwell-slip presliding hysteresis",
                 "friction",
                 (dof,),
                 "force = -sum of f_j, df_j = friction_j dq / x_j while |f_j| < friction_j; "
@@ -157,7 +157,7 @@ def _lugre(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
 
 
 def _remains(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    """Return what is left of a force at row 0: exact for Dahl's, while the others slip about."""
+    """Return the decay of an unknown force at row 0; exact for Dahl, approximate for the others."""
     path = np.abs(np.diff(signals.q[:, dof], prepend=signals.q[0, dof])).cumsum()
     return [on_dof(signals, dof, np.exp(-path / shape[0]))]
 

@@ -1,8 +1,8 @@
-"""Hysteresis of a coil's force in its command, as of a core: it remembers where that turned.
+"""Free-form hysteresis of a coil's force over its command, such as that of an iron core.
 
-Stop operators of several widths, each by any amount: Prandtl's model (Brokate and Sprekels,
-*Hysteresis and Phase Transitions*, 1996, ch. 2), which does not depend on how fast the command
-goes. A free form as those of `freeform`: it names nothing. It says at which coil, and how wide.
+The force is a weighted sum of stop operators of several widths: Prandtl's rate-independent model
+(Brokate and Sprekels, *Hysteresis and Phase Transitions*, 1996, ch. 2). Like the forms in
+`freeform` it does not name a cause: it gives the coil and the widths.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from .recursions import slip_range
 
 _KEY = re.compile(r"unknown\.hysteresis\.command\[(?P<scale>[0-9.e+-]+)\]")
 _WIDTHS = (0.05, 0.15, 0.4, 1.0, 2.5)
-"""Of what a command moves about its mean, standard deviation: from what is hardly more than a dead
-zone on turning to what never slips all the way."""
+"""Widths of the stop operators over the command's standard deviation: from a small reversal dead
+zone to an operator that never slips fully."""
 _WIDE = 3.0
 
 
 def hystereses(places: Places, extent: Extent) -> list[Effect]:
-    """Return one of every coil."""
+    """Return the hysteresis effect of every coil."""
     return [_hysteresis(places, coil, _scale(extent, coil)) for coil in range(places.coils)]
 
 
 def hysteresis(places: Places, key: str, where: Sequence[str]) -> Effect | None:
-    """Return the effect that a model file names by key and place; None if it is none."""
+    """Return the hysteresis effect with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
     coils = [f"coil:{c}" for c in range(places.coils)]
     if found is None or len(where) != 1 or where[0] not in coils:
@@ -42,7 +42,7 @@ def hysteresis(places: Places, key: str, where: Sequence[str]) -> Effect | None:
 
 
 def hysteretic_command(effect: Effect) -> str | None:
-    """Return the coil whose command an effect depends on; None if it is no such effect."""
+    """Return the coil of a hysteresis effect; None for other effects."""
     return effect.where[0] if _KEY.fullmatch(effect.key) else None
 
 
@@ -62,7 +62,7 @@ def _hysteresis(places: Places, coil: int, scale: float) -> Effect:
         tuple(Quantity(f"c{k}", places.coil_unit) for k in range(1, len(_WIDTHS) + 1)),
         partial(_forces, coil=coil, scale=scale),
         remains=partial(_remains, coil=coil, scale=scale),
-        told_apart_by="this coil excited alone, in large slow loops with small ones inside",
+        told_apart_by="excitation of this coil alone, with large slow and small minor loops",
     )
 
 
@@ -72,6 +72,6 @@ def _forces(signals: Signals, _: Sequence[float], *, coil: int, scale: float) ->
 
 
 def _remains(signals: Signals, _: Sequence[float], *, coil: int, scale: float) -> list[Term]:
-    """Return what is left of what each stop held at row 0, which nobody knows."""
+    """Return the decay of the stop operators' unknown initial states."""
     stops = (slip_range(signals.coil[:, coil], scale * width) for width in _WIDTHS)
     return [on_coil(signals, coil, half) for _, half in stops]

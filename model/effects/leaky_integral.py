@@ -1,8 +1,8 @@
-"""What builds up with a signal and fades away: charge, heat, air that was set moving.
+"""Free-form leaky integral of a signal: a response that builds up and decays, such as heat.
 
-The sides of the signal, above and below where it rests, each by any amount, behind a first-order
-lag. A free form as those of `freeform`: it names nothing. It says what leaves it behind, where, and
-for how long.
+The positive and negative parts of the signal about its middle, each with its own amplitude, after a
+first-order lag. Like the forms in `freeform` it does not name a cause: it gives the signal, the
+location and the time constant.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from .recursions import lagged
 Array = NDArray[np.float64]
 
 POWER = "a_b_v_b"
-"""Of the beam's drive, but for its mass and friction: what speeds it up takes it, what brakes gives
-it back."""
+"""Mechanical power of the beam's drive over the beam's mass, without friction."""
 _BEAM = ("v_b", "a_b", POWER, "phi_speed")
 _SPOKEN = {POWER: "a_b v_b", "phi_speed": "phi'"}
 _COIL = "coil_"
@@ -31,11 +30,11 @@ _KEY = re.compile(
     r"unknown\.lingering\.(?P<by>\w+)\[(?:(?P<middle>[0-9.e+-]+)\+-)?(?P<scale>[0-9.e+-]+)\]"
 )
 _TIMES_S = (0.1, 0.4, 1.6, 6.4)
-"""What lingers for a time in between is seen from both sides."""
+"""Start values of the time constant; the factor 4 is small enough for values in between."""
 
 
 def lingerings(places: Places, extent: Extent) -> list[Effect]:
-    """Return those of every DOF by the beam and the rotor, and of every sensor by coils as well."""
+    """Return leaky integrals of beam and rotor signals (DOFs, sensors) and commands (sensors)."""
     found = []
     if places.beam:
         at = [*places.dof, *(f"sensor:{s}" for s in range(places.sensors))]
@@ -50,7 +49,7 @@ def lingerings(places: Places, extent: Extent) -> list[Effect]:
 
 
 def lingering(places: Places, key: str, where: Sequence[str]) -> Effect | None:
-    """Return the effect that a model file names by key and place; None if it is none."""
+    """Return the leaky integral with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
     sensors = [f"sensor:{s}" for s in range(places.sensors)]
     if found is None or len(where) != 1 or where[0] not in (*places.dof, *sensors):
@@ -69,7 +68,7 @@ def lingering(places: Places, key: str, where: Sequence[str]) -> Effect | None:
 
 
 def left_behind_by(effect: Effect) -> tuple[str, ...]:
-    """Return the signals that an effect is left behind by, as keys have them; () if it is none."""
+    """Return the signals that a leaky integral integrates, as in keys; () for other effects."""
     found = _KEY.fullmatch(effect.key)
     if found is None:
         return ()
@@ -77,7 +76,7 @@ def left_behind_by(effect: Effect) -> tuple[str, ...]:
 
 
 def _scale(extent: Extent, by: str) -> float:
-    # What does not move may have any: it is laid out like a rig's.
+    # Without motion any scale is valid: use the rig's.
     v, a, phi = (rate or usual for rate, usual in zip(extent.beam_rates, (0.4, 4, 40), strict=True))
     return float(f"{ {'v_b': v, 'a_b': a, POWER: v * a, 'phi_speed': phi}[by]:.3g}")
 
@@ -93,12 +92,12 @@ def _lingering(places: Places, where: str, by: str, middle: float, scale: float)
         sensor = int(where.partition(":")[2])
         what, unit = "Reading", places.sensor_unit
         build = partial(_readings, by=by, middle=middle, scale=scale, sensor=sensor)
-    told = f"the command of {word}" if coiled else word
+    signal = f"the command of {word}" if coiled else word
     measured = f"{middle:g}+-{scale:g}" if coiled else f"{scale:g}"
     u = f"({word} - {middle:g})" if middle else word
     return Effect(
         f"unknown.lingering.{by}[{measured}]",
-        f"{what} that builds up with {told} and fades",
+        f"{what} that builds up with {signal} and decays",
         "unknown",
         (where,),
         f"c1 s1 + c2 s2, tau s1' = max(u, 0) - s1, tau s2' = max(-u, 0) - s2, u = {u} / {scale:g}",
@@ -106,8 +105,7 @@ def _lingering(places: Places, where: str, by: str, middle: float, scale: float)
         build,
         (Quantity("tau", "s", 0.01, 300.0, log=True),),
         tuple((tau,) for tau in _TIMES_S),
-        told_apart_by=f"records in which {told} changes fast and then rests, while all else "
-        "stands still",
+        told_apart_by=f"records in which only {signal} changes, fast, and then stays constant",
     )
 
 
@@ -126,7 +124,7 @@ def _readings(
 def _sides(
     signals: Signals, tau_s: float, by: str, middle: float, scale: float
 ) -> tuple[Array, Array]:
-    """Return what is left (N,) of either side of the signal, settled at the first row."""
+    """Return the lagged positive and negative parts (N,) of the signal, settled at row 0."""
     u = (_signal(signals, by) - middle) / scale
     above, below = (lagged(np.maximum(side, 0.0), tau_s, signals.Ts_s) for side in (u, -u))
     return above, below

@@ -1,10 +1,11 @@
-"""Mass where the model has none: a centre beside the middle, a payload, inertia that changes.
+"""Undeclared mass: offset of the centre of mass, payload, pose-dependent inertia.
 
-A centre of mass at (x, y) couples lift and tilt through the acceleration (Newton and Euler about
-the geometric centre); its weight is a constant torque. A payload does the same from a moment on,
-and its weight steps. Inertia that depends on the pose follows from Lagrange's equation (Goldstein,
-*Classical Mechanics*, ch. 1). Signature: follows accelerations, so it grows with frequency squared;
-the step in force at a payload's time stays. Coupling by rods does not grow with frequency.
+A centre of mass at (x, y) couples lift and tilt through the acceleration (Newton-Euler equations
+about the geometric centre); its weight is a constant torque. A payload adds the same from a point
+in time on, with a step of the weight. Pose-dependent inertia follows from Lagrange's equation
+(Goldstein, *Classical Mechanics*, ch. 1). Signature: proportional to accelerations, so it grows
+with frequency squared; a payload's force step remains. Coupling by rods does not grow with
+frequency.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ from .driven_range import Extent
 _TIMES = 9
 _MOST_TIMES = 48
 _APART_S = 6.0
-"""A first guess farther from the truth is not drawn to it: a weight that steps is felt at once, and
-what a guess seconds away explains is the wrong force for as long."""
+"""Distance of start times. From a start farther away the fit does not converge to the payload's
+time: between the two times the force is wrong."""
 _RISE = 0.5
-"""Of the time between two guesses: how long the first guess takes."""
+"""Rise time of the start values over the distance of start times."""
 _SHORTEST_S = 0.01
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return offsets of the rig's centre of mass and payloads, or inertia that changes."""
+    """Return centre-of-mass offsets and payload for the rig, else pose-dependent inertia."""
     if not places.beam:
         return _inertia(places)
     return [*_offsets(places), payload(places, _cut(extent.spans_s or _parts(places.span_s)))]
 
 
 def payload(places: Places, spans_s: Sequence[tuple[float, float]]) -> Effect:
-    """Return a payload, looked for in the middle of each span of time and of the platform.
+    """Return a payload effect; start values: the middle of each time span and of the platform.
 
-    It comes gently at first, or a first guess seconds away would not be drawn to when it came.
+    The start values have a slow rise, so that a fit converges from seconds away.
     """
     reach = float(np.abs(places.sensor_xy_m).max())
     return Effect(
@@ -56,8 +57,8 @@ def payload(places: Places, spans_s: Sequence[tuple[float, float]]) -> Effect:
             Quantity("y", "m", -2 * reach, 2 * reach),
         ),
         tuple((0.5 * (begin + end), _RISE * (end - begin), 0.0, 0.0) for begin, end in spans_s),
-        absorbed_by="between records: the constant force of each, and masses",
-        told_apart_by="a record in which it changes",
+        absorbed_by="between records: the records' constant forces, and masses",
+        told_apart_by="a record in which the payload changes",
     )
 
 
@@ -66,14 +67,14 @@ def _offsets(places: Places) -> list[Effect]:
     return [
         Effect(
             "centre_of_mass",
-            f"Centre of mass beside the middle, along {axis}",
+            f"Offset of the centre of mass along {axis}",
             "centre_of_mass",
             (places.dof[tilt], z),
             f"torque = -a z'', force = -a {places.dof[tilt]}''; a = mass times {axis}",
             (Quantity("a", "kg m"),),
             partial(_offset, tilt=tilt),
-            absorbed_by="along x: where the beam's zero is; its weight: constant torque",
-            told_apart_by="lift and tilt excited in one record",
+            absorbed_by="along x: the beam's zero position; its weight: constant torque",
+            told_apart_by="excitation of lift and tilt in one record",
         )
         for tilt, axis in ((0, "y"), (1, "x"))
     ]
@@ -85,7 +86,7 @@ def _parts(span_s: tuple[float, float]) -> list[tuple[float, float]]:
 
 
 def _cut(spans_s: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return spans cut into equal parts, short ones while there are not too many."""
+    """Return the spans divided into equal parts of about _APART_S, at most about _MOST_TIMES."""
     apart_s = max(_APART_S, sum(end - begin for begin, end in spans_s) / _MOST_TIMES)
     parts = []
     for begin, end in spans_s:
@@ -105,14 +106,13 @@ def _inertia(places: Places) -> list[Effect]:
             found.append(
                 Effect(
                     ("inertia.linear", "inertia.quadratic")[power - 1],
-                    "Inertia that changes with the position"
-                    + (", both ways" if power == 2 else ""),
+                    f"Inertia {('linear', 'quadratic')[power - 1]} in the position",
                     "inertia",
                     (dof,),
                     equation,
                     (Quantity(f"m{power}", f"{force} s^2/{unit}^{power + 1}"),),
                     partial(_changing, dof=i, power=power),
-                    absorbed_by="what does not depend on the position is the declared mass",
+                    absorbed_by="the part independent of the position: the declared mass",
                     told_apart_by="excitation at low and at high frequencies",
                 )
             )
@@ -129,9 +129,9 @@ def _offset(signals: Signals, _shape: Sequence[float], *, tilt: int) -> list[Ter
 def _payload(signals: Signals, shape: Sequence[float]) -> list[Term]:
     time_s, rise_s, x, y = shape
     s = np.array([y, x, 1.0])
-    there = 0.5 * (1 + np.tanh(2 * (signals.time_s - time_s) / rise_s))
+    share = 0.5 * (1 + np.tanh(2 * (signals.time_s - time_s) / rise_s))
     acceleration = s[0] * signals.qdd[:, 0] + s[1] * signals.qdd[:, 1] + signals.qdd[:, 2]
-    weight: Array = -there * (signals.gravity_m_s2 + acceleration)
+    weight: Array = -share * (signals.gravity_m_s2 + acceleration)
     return [Term(force=weight[:, None] * s)]
 
 

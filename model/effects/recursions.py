@@ -1,4 +1,4 @@
-"""What remembers: lags, hysteresis, play and oscillators along samples, as compiled loops."""
+"""Compiled recursions over samples: lags, hysteresis, play, oscillators."""
 
 from __future__ import annotations
 
@@ -12,69 +12,70 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _BEFORE_S = 4.0
+"""Initial part of a record that a hysteresis is run through first, to set its initial state."""
 _ELEMENTS = 20
-"""Of a spring that yields: as good as a curve."""
+"""Number of elements of a yielding spring, enough for a smooth curve."""
 _RADIANS = 0.15
-"""Of a resonance, in a step: it is off by a 24th of the square of that."""
+"""Largest phase of a resonance per step; the relative frequency error is its square over 24."""
 _STEP = 0.2
-"""Of the break-away displacement: Bouc and Wen's equation is solved in steps no longer."""
+"""Largest step of the Bouc-Wen equation, over the break-away displacement."""
 
 
 def lagged(values: Array, tau_s: float, Ts_s: float) -> Array:
-    """Return samples (N,) behind a first-order lag, exact where they are straight in between.
+    """Return samples (N,) after a first-order lag, exact for inputs linear between samples.
 
-    It starts settled at the first of them.
+    The lag starts in steady state at the first sample.
     """
     return np.asarray(_lagged(np.ascontiguousarray(values), tau_s, Ts_s))
 
 
 def lagged_mean(held: Array, tau_s: float, Ts_s: float) -> Array:
-    """Return means (N,) over each period of commands, each held for a period, behind a lag."""
+    """Return the mean (N,) over each period of held commands after a first-order lag."""
     decay = math.exp(-Ts_s / tau_s)
-    behind = tau_s / Ts_s * (1 - decay)
-    return np.asarray(_lagged_held(np.ascontiguousarray(held), decay, behind))
+    weight = tau_s / Ts_s * (1 - decay)
+    return np.asarray(_lagged_held(np.ascontiguousarray(held), decay, weight))
 
 
 def lagged_within(held: Array, tau_s: float, Ts_s: float, share: float) -> Array:
-    """Return commands (N,), each held for a period, behind a lag, `share` of each period on."""
-    decay, behind = math.exp(-Ts_s / tau_s), math.exp(-share * Ts_s / tau_s)
-    return np.asarray(_lagged_held(np.ascontiguousarray(held), decay, behind))
+    """Return held commands (N,) after a first-order lag, at the fraction `share` of each period."""
+    decay, weight = math.exp(-Ts_s / tau_s), math.exp(-share * Ts_s / tau_s)
+    return np.asarray(_lagged_held(np.ascontiguousarray(held), decay, weight))
 
 
 def held_for(mean: Array, tau_s: float, Ts_s: float) -> Array:
-    """Return the commands (N,) whose means over each period behind a lag are these.
+    """Return the held commands (N,) with the given means over each period after a first-order lag.
 
-    The inverse of lagged_mean. What an error leaves shrinks from period to period.
+    This is the inverse of lagged_mean; errors decay from period to period.
     """
     return np.asarray(_held_for(np.ascontiguousarray(mean), tau_s, Ts_s))
 
 
 def heat(power: Array, tau_s: float, Ts_s: float, start: float) -> Array:
-    """Return power (N,) behind a first-order lag that starts anywhere."""
+    """Return power (N,) after a first-order lag with the initial state `start`."""
     return np.asarray(_heat(np.ascontiguousarray(power), tau_s, Ts_s, start))
 
 
 def dahl(x: Array, break_away: float, Ts_s: float) -> Array:
     """Return Dahl's friction (N,), between -1 and 1: df = (1 - f sign dx) dx / break_away.
 
-    Exact for steps. What was before row 0 nobody knows: it has been through the first seconds once.
+    Exact for steps. The unknown initial state is that after the first seconds.
     """
     return _with_past(_dahl, x, break_away, Ts_s)
 
 
 def slip(x: Array, break_away: float, Ts_s: float) -> Array:
-    """Return a Maxwell-slip element's force (N,): a spring that slips at 1, at `break_away`.
+    """Return a Maxwell-slip element's force (N,): a spring that slips at force 1.
 
-    What was before row 0 nobody knows: it has been through the first seconds once.
+    `break_away` is the displacement at slip. The initial state, which is unknown, is that after the
+    record's first seconds.
     """
     return _with_past(_slip, x, break_away, Ts_s)
 
 
 def slip_range(x: Array, break_away: float) -> tuple[Array, Array]:
-    """Return the middle and half the range (N,) of what such an element may do.
+    """Return the middle and half width (N,) of a slip element's force for all initial states.
 
-    Whatever it held before row 0, within its break-away, it does something in between; where x has
-    gone to and fro by twice that the range is nothing.
+    The range is zero once x has moved by twice `break_away`.
     """
     x = np.ascontiguousarray(x)
     high, low = _slip(x, break_away, 1.0), _slip(x, break_away, -1.0)
@@ -82,10 +83,10 @@ def slip_range(x: Array, break_away: float) -> tuple[Array, Array]:
 
 
 def bouc_wen(x: Array, break_away: float, sharpness: float, shape: float, Ts_s: float) -> Array:
-    """Return Bouc and Wen's hysteresis (N,): dz = (1 - |z|^n (b sign(z dx) + 1 - b)) dx / x_s.
+    """Return Bouc-Wen hysteresis (N,): dz = (1 - |z|^n (b sign(z dx) + 1 - b)) dx / x_s.
 
-    n is `sharpness`, b is `shape`; n = 1, b = 1 is Dahl's. Within a step by the midpoint rule. What
-    was before row 0 nobody knows: it has been through the first seconds once.
+    x_s is `break_away`, n is `sharpness`, b is `shape`; n = 1, b = 1 is Dahl friction. Steps use
+    the midpoint rule. The unknown initial state is that after the first seconds.
     """
     before = _before(x, Ts_s)
     path = np.concatenate([x[:before], x])
@@ -93,10 +94,10 @@ def bouc_wen(x: Array, break_away: float, sharpness: float, shape: float, Ts_s: 
 
 
 def lugre(x: Array, v: Array, break_away: float, peak: float, slow: float, Ts_s: float) -> Array:
-    """Return LuGre's friction (N,) in units of Coulomb's: df = (1 - f sign dx / g) dx / x_s.
+    """Return LuGre friction (N,) in units of Coulomb friction: df = (1 - f sign dx / g) dx / x_s.
 
-    g = 1 + peak exp(-(v / slow)^2) is what it slips at; without damping of the bristles. What was
-    before row 0 nobody knows: it has been through the first seconds once.
+    It slips at g = 1 + peak exp(-(v / slow)^2); the bristles have no damping. The initial state,
+    which is unknown, is that after the record's first seconds.
     """
     before = _before(x, Ts_s)
     level = 1 + peak * np.exp(-((v / slow) ** 2))
@@ -105,17 +106,17 @@ def lugre(x: Array, v: Array, break_away: float, peak: float, slow: float, Ts_s:
 
 
 def play(x: Array, half_width: float, Ts_s: float) -> Array:
-    """Return what is pushed along (N,) by x with play: it moves when x is half_width away."""
+    """Return the output (N,) of a play operator: it follows x at the distance half_width."""
     return _with_past(_play, x, half_width, Ts_s)
 
 
 def jumping(x: Array, width: float, Ts_s: float) -> Array:
-    """Return a reading (N,) that stays until x is further than width away, then catches up."""
+    """Return a reading (N,) that stays until x is more than `width` away, then jumps to x."""
     return _with_past(_jumping, x, width, Ts_s)
 
 
 def held(x: Array, standing: NDArray[np.bool_]) -> Array:
-    """Return x (N,), but where it is standing (N,) its value of the last row where it is not."""
+    """Return x (N,) with rows marked in `standing` (N,) replaced by the last unmarked value."""
     rows = np.arange(len(x))
     return np.asarray(x[np.maximum.accumulate(np.where(standing, 0, rows))])
 
@@ -123,8 +124,8 @@ def held(x: Array, standing: NDArray[np.bool_]) -> Array:
 def oscillator(force: Array, frequency_hz: float, damping: float, Ts_s: float) -> Array:
     """Return (N, 2) position and velocity of eta'' + 2 zeta w eta' + w^2 eta = force.
 
-    Each sample of force (N,) is held from its row to the next: exact. It starts at rest where the
-    first sample would hold it.
+    Exact for a force (N,) that is held from row to row. It starts at rest in the equilibrium of the
+    first sample.
     """
     w = 2 * math.pi * frequency_hz
     wd = w * math.sqrt(max(1 - damping**2, 1e-12))
@@ -138,19 +139,18 @@ def oscillator(force: Array, frequency_hz: float, damping: float, Ts_s: float) -
 def yielding(
     q: Array, qd: Array, pull: Array, w: float, zeta: float, x_s: float, Ts_s: float
 ) -> tuple[Array, Array]:
-    """Return shift x of a unit mass on a yielding spring, and what the spring takes of it (N,).
+    """Return shift x of a unit mass on a yielding spring, and the spring force on it (N,).
 
-    x'' + 2 zeta w x' + w^2 r = pull - q''; taken is w^2 r + 2 zeta w x'. The spring r(x) is Iwan's:
-    elements of one stiffness in parallel, which slip one after the other up to a shift of x_s; for
-    small shifts r is x, and it is never more than half of x_s. The mass begins at rest where the
-    spring carries the pull. Steps leap over each other, and are so short that the resonance is
-    off by a thousandth.
+    x'' + 2 zeta w x' + w^2 r = pull - q''; the spring force is w^2 r + 2 zeta w x'. The spring r(x)
+    is Iwan's: parallel elements of equal stiffness that slip one after the other up to a shift of
+    x_s. For small shifts r equals x; its maximum is half of x_s. The mass starts at rest in
+    equilibrium. Leapfrog integration; the step limits the resonance frequency error to 0.1 %.
     """
     parts = max(math.ceil(w * Ts_s / _RADIANS), 1)
     q, qd, pull = (np.ascontiguousarray(v) for v in (q, qd, pull))
     slips = x_s * (np.arange(_ELEMENTS) + 0.5) / _ELEMENTS
-    shift, taken = _yielding(q, qd, pull, w, zeta, slips, Ts_s / parts, parts)
-    return np.asarray(shift), np.asarray(taken)
+    shift, spring = _yielding(q, qd, pull, w, zeta, slips, Ts_s / parts, parts)
+    return np.asarray(shift), np.asarray(spring)
 
 
 def _before(x: Array, Ts_s: float) -> int:
@@ -176,11 +176,11 @@ def _lagged(x, tau_s, Ts_s):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _lagged_held(held, decay, behind):  # type: ignore[no-untyped-def]
+def _lagged_held(held, decay, weight):  # type: ignore[no-untyped-def]
     out = np.empty_like(held)
     state = held[0]
     for k in range(len(held)):
-        out[k] = held[k] + behind * (state - held[k])
+        out[k] = held[k] + weight * (state - held[k])
         state = held[k] + decay * (state - held[k])
     return out
 
@@ -278,7 +278,7 @@ def _yielding(q, qd, pull, w, zeta, slips, dt_s, parts):  # type: ignore[no-unty
     for k in range(len(q)):
         later = min(k + 1, len(q) - 1)
         for i in range(parts):
-            # The speed is that of half a step before and after, everything else that of now.
+            # Leapfrog: speeds at half steps, everything else at full steps.
             share = i / parts
             carrier = qd[k] + share * (qd[later] - qd[k])
             outer = pull[k] + share * (pull[later] - pull[k])
@@ -290,7 +290,7 @@ def _yielding(q, qd, pull, w, zeta, slips, dt_s, parts):  # type: ignore[no-unty
                 taken[k] = w * w * r + 2 * zeta * w * (0.5 * (before + rate) - carrier)
             p += dt_s * rate
             share = (i + 1) / parts
-            # A cubic through places and speeds: straight lines would have kinks to answer to.
+            # Cubic Hermite interpolation: the kinks of a linear one would excite the resonance.
             rest = 1 - share
             carried_by = rest * rest * ((1 + 2 * share) * q[k] + share * parts * dt_s * qd[k])
             carried_by += (

@@ -1,10 +1,10 @@
-"""The rotor on the beam: an unbalanced mass, its weight, and the torque that its bar takes.
+"""Effects of the rotor on the beam: imbalance, weight of the unbalanced mass, reaction torque.
 
-A mass m at radius e pushes with m e (phi'^2 cos phi + phi'' sin phi) along x and with
-m e (phi'^2 sin phi - phi'' cos phi) along y (Genta, *Dynamics of Rotating Systems*, 2005, ch. 2);
-at a height over the platform's centre these are torques about theta and psi, and its weight turns
-with phi. Signature: follows the rotor; imbalance grows with its speed squared, weight does not
-depend on the speed, the bar's torque follows the acceleration.
+A mass m at radius e exerts m e (phi'^2 cos phi + phi'' sin phi) along x and
+m e (phi'^2 sin phi - phi'' cos phi) along y (Genta, *Dynamics of Rotating Systems*, 2005, ch. 2).
+At a height over the platform's centre these forces are torques on theta and psi; the torque of the
+weight rotates with phi. Signature: follows the rotor. Imbalance grows with the speed squared, the
+weight's torque does not depend on the speed, the reaction torque is proportional to phi''.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _SPEEDS = "the rotor alone at several speeds"
 
 
 def effects(places: Places) -> list[Effect]:
-    """Return what the rotor does to every DOF; nothing where there is none."""
+    """Return the rotor's effects on every DOF; empty for a plant without a beam."""
     if not places.beam:
         return []
     weight = Effect(
         "rotor.weight",
-        "Weight of the rotor beside its axis",
+        "Weight of the rotor's unbalanced mass",
         "rotor",
         ("rotor", *places.dof[:2]),
         "torque on theta = -a cos phi + b sin phi, on psi = -a sin phi - b cos phi",
@@ -49,7 +49,7 @@ def effects(places: Places) -> list[Effect]:
             ),
             Effect(
                 "rotor.bar",
-                "Torque of the rotor's bar",
+                "Reaction torque of the rotor's bar",
                 "rotor",
                 where,
                 "force = -a phi''",
@@ -63,14 +63,12 @@ def effects(places: Places) -> list[Effect]:
 
 def _weight(signals: Signals, _shape: Sequence[float]) -> list[Term]:
     c, s = np.cos(signals.phi_rad), np.sin(signals.phi_rad)
-    nothing = np.zeros_like(c)
-    return [
-        Term(force=np.stack(columns, axis=1)) for columns in ((-s, -c, nothing), (-c, s, nothing))
-    ]
+    zero = np.zeros_like(c)
+    return [Term(force=np.stack(columns, axis=1)) for columns in ((-s, -c, zero), (-c, s, zero))]
 
 
 def _imbalance(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:
-    return [on_dof(signals, dof, push) for push in pushes(signals)]
+    return [on_dof(signals, dof, force) for force in pushes(signals)]
 
 
 def _bar(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:
@@ -78,7 +76,7 @@ def _bar(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:
 
 
 def pushes(signals: Signals) -> tuple[Array, Array]:
-    """Return (N,) forces along x and along y of a unit mass at unit radius."""
+    """Return the inertial forces (N,) along x and y of a unit mass at unit radius."""
     c, s = np.cos(signals.phi_rad), np.sin(signals.phi_rad)
     square, change = signals.phi_rad_s**2, signals.phi_rad_s2
     return square * c + change * s, square * s - change * c

@@ -1,11 +1,11 @@
-"""Sensors that are late or that stick: a filter in one channel, a reading that follows with play.
+"""Dynamic sensor errors: lag, play, stick and jump, temporarily frozen readings.
 
-A first-order filter in one channel; a reading that follows with play; one that stays and then jumps
-(Visintin, *Differential Models of Hysteresis*, 1994, on play and stop); one that stands still for a
-while and is right again, as a probe does whose electronics hang. Signature: all show beyond the
-rigid platform with one sensor's pattern; a lag grows with the speed, play keeps its height at every
-speed and follows the sign of the speed, and both are there in small motions, where what jumps shows
-nothing at all; what stands is off only where its reading stays while the others move.
+A first-order lag in one channel; a reading with play; a reading that sticks and then jumps
+(Visintin, *Differential Models of Hysteresis*, 1994, on play and stop); a reading that freezes for
+a while, for example if the probe's electronics hang. Signature: all show outside the rigid-body
+directions with one sensor's pattern. The error of a lag grows with the speed; that of play has
+constant size and the sign of the speed; both also occur in small motions, where a sticking reading
+does not change at all. A frozen reading is wrong only while it is constant and the others move.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from .recursions import held, jumping, lagged, play
 
 _LAG_S = 2e-3
 _MOST_DEPTH = 2.0
-"""Of what stands still altogether the depth is 1, and an estimate on either side of it."""
+"""Bound of the depth; a fully frozen reading has 1, and its estimate scatters around 1."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return lag and play of every sensor, and stands of those whose readings have any."""
+    """Return lag, play and stick of every sensor, and freezing of sensors with frozen readings."""
     found = []
     for s in range(places.sensors):
         where = (f"sensor:{s}",)
@@ -44,7 +44,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             ),
             Effect(
                 "sensor_stuck.play",
-                "Sensor that follows with play",
+                "Play of a sensor",
                 "sensor_stuck",
                 where,
                 "reading = h + depth (p - h), p within width of h moves only when h pushes it",
@@ -59,7 +59,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "Sensor that sticks and jumps",
                 "sensor_stuck",
                 where,
-                "reading = h + depth (p - h), p stays until h is further than width away",
+                "reading = h + depth (p - h), p stays until h is more than width away",
                 (Quantity("depth", "1", 0.0, _MOST_DEPTH),),
                 partial(_jump, sensor=s),
                 (Quantity("width", places.sensor_unit, 1e-3 * extent.gap, extent.gap, log=True),),
@@ -70,13 +70,13 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     found += [
         Effect(
             "sensor_stuck.stand",
-            "Sensor that stands still",
+            "Frozen reading of a sensor",
             "sensor_stuck",
             (f"sensor:{s}",),
-            "reading = h + depth (p - h), p is h of when the readings came to a stand",
+            "reading = h + depth (p - h), p is h at the time of freezing",
             (Quantity("depth", "1", 0.0, _MOST_DEPTH),),
             partial(_stand, sensor=s),
-            told_apart_by="readings that stay within their noise while the platform moves",
+            told_apart_by="readings constant within their noise while the platform moves",
         )
         for s in extent.standing
     ]

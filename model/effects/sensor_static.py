@@ -1,9 +1,9 @@
-"""Sensors that show something else than the height: gain, offset, nonlinearity, another's gap.
+"""Static sensor errors: gain, offset, drift, nonlinearity, crosstalk.
 
-Inductive sensors are nonlinear in the gap, drift with temperature, and couple where their coils lie
-close (Fleming, *A review of nanometer resolution position sensors*, Sensors and Actuators A 190,
-2013). Signature: nine sensors for three DOFs; what one shows wrongly shows in the directions in
-which a rigid platform shows nothing, with that sensor's pattern. Coils and rods show nothing there.
+Inductive sensors are nonlinear in the gap, drift with temperature, and have crosstalk if their
+coils are close (Fleming, *A review of nanometer resolution position sensors*, Sensors and Actuators
+A 190, 2013). Signature: with nine sensors for three DOFs, a sensor's error shows outside the
+rigid-body directions with that sensor's pattern. Effects of coils and rods are zero there.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from .driven_range import Extent
 
 _WARM_S = 80.0
 _MOST_BENT = 0.4
-"""k h where sensors move, rms; peaks are twice that, and k h stays above -1."""
+"""Largest k h at the sensors' RMS motion; peaks are twice that, and k h stays above -1."""
 _LEAST_LEFT = 0.05
 _MOST_GAIN = 3.0
-"""A dead sensor has a gain of -1, one that is wired the wrong way round -2: not at the bound."""
+"""Bound of the gain error: a dead sensor has -1, a sensor with reversed polarity -2."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return gain, offset, drifts, nonlinearity of every sensor, crosstalk between any two."""
+    """Return gain, offset, drifts and nonlinearity of every sensor, and crosstalk of every pair."""
     unit, spare = places.sensor_unit, places.sensors > len(places.dof)
     found = []
     for s in range(places.sensors):
@@ -33,9 +33,9 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         for key, title, effect_class, equation, quantity, power in (
             ("sensor_gain", "Gain of a sensor", "sensor_gain", "reading = (1 + gain) h",
              Quantity("gain", "1", -_MOST_GAIN, _MOST_GAIN), 1),
-            ("sensor_nonlinearity.quadratic", "Sensor that is not straight", "sensor_nonlinearity",
-             "reading = h + a h^2", Quantity("a", f"1/{unit}"), 2),
-            ("sensor_nonlinearity.cubic", "Sensor with a gain that changes to both sides",
+            ("sensor_nonlinearity.quadratic", "Quadratic nonlinearity of a sensor",
+             "sensor_nonlinearity", "reading = h + a h^2", Quantity("a", f"1/{unit}"), 2),
+            ("sensor_nonlinearity.cubic", "Cubic nonlinearity of a sensor",
              "sensor_nonlinearity", "reading = h + b h^3", Quantity("b", f"1/{unit}^2"), 3),
         ):  # fmt: skip
             found.append(
@@ -48,27 +48,27 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     (quantity,),
                     partial(_power_of_gap, sensor=s, power=power),
                     absorbed_by=_absorbed(spare, power),
-                    told_apart_by="all DOFs excited, at two amplitudes",
+                    told_apart_by="excitation of all DOFs, at two amplitudes",
                 )
             )
         most = _MOST_BENT / extent.gap
         found.append(
             Effect(
                 "sensor_nonlinearity.inverse",
-                "Sensor that is bent more to one side",
+                "Inverse-distance nonlinearity of a sensor",
                 "sensor_nonlinearity",
                 where,
-                "reading = h + a h^2 / (1 + k h): inductance falls as one over the distance",
+                "reading = h + a h^2 / (1 + k h): inductance is proportional to 1 / distance",
                 (Quantity("a", f"1/{unit}"),),
                 partial(_inverse, sensor=s),
                 (Quantity("k", f"1/{unit}", -most, most),),
                 ((0.0,),),
                 absorbed_by=_absorbed(spare, 2),
-                told_apart_by="all DOFs excited, at two amplitudes",
+                told_apart_by="excitation of all DOFs, at two amplitudes",
             )
         )
         if spare:
-            # Without spare sensors a constant one is the free constant force.
+            # Without redundant sensors an offset equals the free constant force.
             found.append(
                 Effect(
                     "sensor_offset.constant",
@@ -78,27 +78,27 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     "reading = h + offset",
                     (Quantity("offset", unit),),
                     partial(_constant, sensor=s),
-                    absorbed_by="offsets that are a pose: constant forces",
-                    told_apart_by="any record: a rigid platform shows no such pose",
+                    absorbed_by="offsets that equal a pose: constant forces",
+                    told_apart_by="any record: no pose of a rigid platform gives these readings",
                 )
             )
         found.append(
             Effect(
                 "sensor_offset.drift",
-                "Offset of a sensor that drifts",
+                "Drifting offset of a sensor",
                 "sensor_offset",
                 where,
                 "reading = h + rate t, t from the session's begin",
                 (Quantity("rate", f"{unit}/s"),),
                 partial(_drift, sensor=s),
-                absorbed_by="drifts that are a pose: drifting forces",
+                absorbed_by="drifts that equal a pose: drifting forces",
                 told_apart_by="long records",
             )
         )
         found.append(
             Effect(
                 "sensor_offset.warm_up",
-                "Sensor that warms up",
+                "Warm-up drift of a sensor",
                 "sensor_offset",
                 where,
                 "reading = h + a (1 - exp(-t / tau)), t from the session's begin",
@@ -106,8 +106,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 partial(_warm_up, sensor=s),
                 (Quantity("tau", "s", 5.0, 3000.0, log=True),),
                 ((_WARM_S,),),
-                absorbed_by="while t is far below tau: a drift; offsets that are a pose: forces",
-                told_apart_by="records from the begin of a session to long after tau",
+                absorbed_by="for t far below tau: a drift; offsets that equal a pose: forces",
+                told_apart_by="records from the begin of a session until long after tau",
             )
         )
     return found + _crosstalk(places)
@@ -115,21 +115,21 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 def _absorbed(spare: bool, power: int) -> str:
     if not spare:
-        return "the model itself" if power == 1 else "as far as a platform may be nonlinear too"
-    return "all sensors alike: all of the model, by the same share" if power == 1 else ""
+        return "the model itself" if power == 1 else "a nonlinearity of the platform"
+    return "same for all sensors: the whole model, by the same factor" if power == 1 else ""
 
 
 def _crosstalk(places: Places) -> list[Effect]:
     return [
         Effect(
             "sensor_crosstalk",
-            "Sensor that shows a part of another's gap",
+            "Crosstalk from another sensor's gap",
             "sensor_crosstalk",
             (f"sensor:{s}", f"sensor:{other}"),
             "reading = h + share h of the second",
             (Quantity("share", "1", -1.0, 1.0),),
             partial(_other, sensor=s, other=other),
-            told_apart_by="all DOFs excited at once",
+            told_apart_by="simultaneous excitation of all DOFs",
         )
         for s in range(places.sensors)
         for other in range(places.sensors)
@@ -146,7 +146,7 @@ def _power_of_gap(
 
 def _inverse(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
     h = signals.gap(sensor)
-    # What is simulated on the way to a fit may go further than what was measured.
+    # During a fit, simulated gaps can exceed the measured range.
     return [on_sensor(signals, sensor, h * h / np.maximum(1.0 + shape[0] * h, _LEAST_LEFT))]
 
 

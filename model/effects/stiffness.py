@@ -1,11 +1,11 @@
-"""Rods that are no linear springs: stiffness that changes with the pose.
+"""Nonlinear stiffness of the rods: cubic, quadratic, one-sided.
 
-Clamped rods in bending stretch as they deflect and harden with the cube of the deflection (Duffing;
-Kovacic and Brennan, *The Duffing Equation*, 2011); buckled ones differ up and down, which the
-square shows; a part that bears on one side only has a kink where it meets (Shaw and Holmes 1983).
-Signature: depends on the pose alone, the same at every speed; odd lines answer to the cube, even
-lines and a shifted mean to the square. A sensor's own nonlinearity shows beyond the rigid platform
-too, and looks like a force that grows with frequency squared.
+Clamped rods in bending stretch as they deflect; their force has a cubic part (Duffing; Kovacic and
+Brennan, *The Duffing Equation*, 2011). Buckled rods differ up and down, which a quadratic part
+describes. A one-sided contact has a kink (Shaw and Holmes 1983). Signature: depends on the pose
+only, not on the speed; the cubic part responds at odd lines, the quadratic part at even lines and
+in the mean. A sensor's nonlinearity also shows outside the rigid-body directions and looks like a
+force that grows with frequency squared.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from .points import forces, heights
 
 _WIDE = 3.0
 _CONTACTS = (-0.4, 0.0, 0.4)
-"""Where a contact is looked for, over three standard deviations of the liveliest record."""
-_LINEAR = "what is linear in the pose is the declared stiffness"
+"""Start positions of a contact over three standard deviations of the record with most motion."""
+_LINEAR = "the part linear in the pose: the declared stiffness"
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return cubic, asymmetric and one-sided stiffness of every DOF, and of rods at the corners."""
+    """Return cubic, quadratic and one-sided stiffness of every DOF, and of the corner rods."""
     effect_class = "rod_stiffness" if places.beam else "stiffness"
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
         force = places.force_unit(i)
         for name, title, power in (
             ("cubic", "Cubic stiffness", 3),
-            ("asymmetric", "Stiffness that differs between both sides", 2),
+            ("asymmetric", "Quadratic stiffness", 2),
         ):
             found.append(
                 Effect(
@@ -45,14 +45,14 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     (Quantity(f"k{power}", f"{force}/{_power(unit, power)}"),),
                     partial(_power_of_pose, dof=i, power=power),
                     absorbed_by=_LINEAR,
-                    told_apart_by="two amplitudes of excitation, and the beam at several places",
+                    told_apart_by="two amplitudes of excitation, several beam positions",
                 )
             )
         reach, middle = _WIDE * extent.reach[i], extent.around(i)
         found.append(
             Effect(
                 f"{effect_class}.one_sided",
-                "Stiffness that bears on one side only",
+                "One-sided stiffness (contact)",
                 effect_class,
                 (dof,),
                 "force = -k (q - q0) where q > q0, else 0",
@@ -61,7 +61,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 (Quantity("q0", unit, middle - reach, middle + reach),),
                 tuple((middle + share * reach,) for share in _CONTACTS),
                 absorbed_by=_LINEAR,
-                told_apart_by="two amplitudes of excitation: the kink stays where it is",
+                told_apart_by="two amplitudes of excitation: the kink does not move",
             )
         )
     if places.beam:

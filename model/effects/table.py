@@ -1,4 +1,4 @@
-"""The table of candidate effects: everything that a plant may do and its model may lack."""
+"""Build the table of candidate effects that a model may lack."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from .driven_range import Extent
 
 
 def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, ...]:
-    """Return every effect at every place, each with an identity of its own.
+    """Return every effect at every location of a plant, each with a unique identity.
 
-    `extent` says where nonlinear parameters are looked for, by what the records cover; without one,
-    by what the rig is built for.
+    `extent` is the range of the records, which sets start values and bounds of nonlinear
+    parameters; default: the rig's typical range.
     """
     covered = Extent.typical(places) if extent is None else extent
     found: list[Effect] = [

@@ -1,8 +1,8 @@
-"""A reading that follows a coil's losses with the time constant of a body that they warm.
+"""Free-form thermal error of a sensor: a reading that follows a coil's losses after a lag.
 
-Heat goes where it finds metal: into the post of a sensor, the core of one, the plate that both
-stand on. A free form as those of `freeform`: it names nothing. It says which sensor, which coil and
-how slowly. What was warm when a record began is known from what the coil carried before.
+The losses heat the sensor's mount, its core or the common base plate. Like the forms in `freeform`
+it does not name a cause: it gives sensor, coil and time constant. The heat at a record's begin
+follows from the coil's commands before it.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from .recursions import heat
 _KEY = re.compile(r"unknown\.warming\.coil_(?P<coil>[0-9]+)")
 _TIMES_S = (3.0, 12.0, 48.0)
 _BEFORE_S, _LONGEST_BEFORE_S = 3.0, 60.0
-"""From lift-off to the first record."""
+"""Time from lift-off to the first record: start value and upper bound."""
 
 
 def warmings(places: Places) -> list[Effect]:
-    """Return those of every sensor by every coil."""
+    """Return the thermal error of every sensor by every coil."""
     return [_warming(places, s, c) for s in range(places.sensors) for c in range(places.coils)]
 
 
 def warming(places: Places, key: str, where: Sequence[str]) -> Effect | None:
-    """Return the effect that a model file names by key and place; None if it is none."""
+    """Return the thermal error with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
     sensors = [f"sensor:{s}" for s in range(places.sensors)]
     if found is None or len(where) != 1 or where[0] not in sensors:
@@ -41,7 +41,7 @@ def warming(places: Places, key: str, where: Sequence[str]) -> Effect | None:
 
 
 def warmed_by(effect: Effect) -> tuple[str, ...]:
-    """Return the coil that an effect is warmed by, as reports have it; () if it is none."""
+    """Return the heating coil of a thermal error, such as coil:3; () for other effects."""
     found = _KEY.fullmatch(effect.key)
     return () if found is None else (f"coil:{found['coil']}",)
 
@@ -49,11 +49,11 @@ def warmed_by(effect: Effect) -> tuple[str, ...]:
 def _warming(places: Places, sensor: int, coil: int) -> Effect:
     return Effect(
         f"unknown.warming.coil_{coil}",
-        f"Reading that follows the losses of coil:{coil} slowly",
+        f"Reading that slowly follows the losses of coil:{coil}",
         "unknown",
         (f"sensor:{sensor}",),
-        "c0 + c1 heat, heat' = (F^2 - heat) / tau, cold and told F as at first since `before` the "
-        "session's first record",
+        "c0 + c1 heat, heat' = (F^2 - heat) / tau; heat = 0 and F as in the first row from "
+        "`before` the session's first record on",
         (
             Quantity("c0", places.sensor_unit),
             Quantity("c1", f"{places.sensor_unit}/{places.coil_unit}^2"),
@@ -64,7 +64,7 @@ def _warming(places: Places, sensor: int, coil: int) -> Effect:
             Quantity("before", "s", 0.1, _LONGEST_BEFORE_S, log=True),
         ),
         tuple((tau, _BEFORE_S) for tau in _TIMES_S),
-        told_apart_by=f"long records in which coil:{coil} carries more, then less, than it does at "
+        told_apart_by=f"long records in which coil:{coil} has first more, then less force than at "
         "rest",
     )
 

@@ -1,8 +1,8 @@
-"""A wave along the beam's way, felt as far as the beam moves: how fast, how it speeds up.
+"""Free-form wave along the beam's travel, multiplied by the beam's speed or acceleration.
 
-What the beam runs on or past repeats itself with a pitch: screws, poles, balls. Where it acts
-through the beam's motion, a function of the place alone shows nothing of it. A free form as those
-of `freeform`: it names nothing. It says where something acts, with which motion, and its period.
+Parts along the travel repeat with a pitch: screws, poles, balls. An effect that also depends on the
+beam's speed or acceleration is not a function of its position. Like the forms in `freeform` it does
+not name a cause: it gives location, factor and period.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _KEY = re.compile(r"unknown\.wave\.(?P<factor>\w+)(?:\[(?P<unit>[0-9.e+-]+)\])?"
 
 
 def waves(places: Places, extent: Extent) -> list[Effect]:
-    """Return those of every DOF and sensor; nothing where there is no beam.
+    """Return the waves of every DOF and sensor; empty for a plant without a beam.
 
-    A force that follows the place alone has a name, and is none of them; a reading has none.
+    A force that depends on x_b only is the effect `external_field` and is not repeated here.
     """
     if not places.beam:
         return []
@@ -44,7 +44,7 @@ def waves(places: Places, extent: Extent) -> list[Effect]:
 
 
 def wave(places: Places, key: str, where: Sequence[str]) -> Effect | None:
-    """Return the effect that a model file names by key and place; None if it is none."""
+    """Return the wave with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
     sensors = [f"sensor:{s}" for s in range(places.sensors)]
     if found is None or not places.beam or len(where) != 1:
@@ -64,7 +64,7 @@ def wave(places: Places, key: str, where: Sequence[str]) -> Effect | None:
 
 
 def felt_by(effect: Effect) -> tuple[str, ...]:
-    """Return the signals that an effect is a wave of; () if it is none."""
+    """Return the signals that a wave depends on; () for other effects."""
     found = _KEY.fullmatch(effect.key)
     if found is None:
         return ()
@@ -73,7 +73,7 @@ def felt_by(effect: Effect) -> tuple[str, ...]:
 
 
 def _unit(extent: Extent, factor: str) -> float:
-    # What does not move may have any: it is laid out like a rig's.
+    # Without motion any unit is valid: use the rig's.
     v, a = (rate or usual for rate, usual in zip(extent.beam_rates[:2], (0.4, 4), strict=True))
     return float(f"{ {'v_b': v, 'a_b': a, _SQUARED: v * v}[factor]:.3g}")
 
@@ -97,7 +97,7 @@ def _wave(places: Places, where: str, factor: str, unit: float, periods: Sequenc
         equation += ", x_b times that at theta"
     return Effect(
         key,
-        f"{what} that is a wave along x_b{by}",
+        f"{what} with a wave along x_b{by}",
         "unknown",
         (where,),
         equation,
@@ -105,7 +105,7 @@ def _wave(places: Places, where: str, factor: str, unit: float, periods: Sequenc
         build,
         (Quantity("period", "m", 0.25 * PERIOD_M[0], 2 * PERIOD_M[1], log=True),),
         tuple((p,) for p in periods),
-        told_apart_by="sweeps of the beam over its whole length at several speeds",
+        told_apart_by="beam sweeps over the whole travel at several speeds",
     )
 
 

@@ -1,10 +1,10 @@
-"""Lines: what the mains, a fan or a pump shake platform or floor by, and put on the readings.
+"""Sinusoidal disturbances (mains, fans, pumps): forces, ground vibration, pick-up in readings.
 
-A line keeps its frequency and its phase over a whole session, whatever is excited. Signature: a
-peak in still records at a frequency that no excitation has; as a force it moves the rigid platform,
-as pick-up it shows beyond it in one sensor, or in all alike (Morrison, *Grounding and Shielding*,
-2016). A floor that goes up and down pulls at all masses in proportion, at the beam's where it
-stands. What shakes at random has no phase, so it is noise here.
+A line keeps frequency and phase over a session, independent of the excitation. Signature: a peak in
+still records at a frequency without excitation. A force moves the rigid platform; pick-up shows
+outside the rigid-body directions in one sensor, or equally in all (Morrison, *Grounding and
+Shielding*, 2016). Vertical ground vibration acts on all masses in proportion, on the beam's mass at
+x_b. Random vibration has no phase and counts as noise.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof, on_sensor
 
 _NEAR = 0.005
-"""A line is looked for within this share of where it is supposed to be."""
+"""Relative search range of a line's frequency."""
 
 
 def tone(places: Places, f_hz: float) -> list[Effect]:
-    """Return a line at f_hz as force on every DOF, in the floor, on every sensor, on all alike."""
+    """Return lines at f_hz: force on every DOF, ground vibration, pick-up of one or all sensors."""
     frequency = (Quantity("frequency", "Hz", (1 - _NEAR) * f_hz, (1 + _NEAR) * f_hz),)
     grid, label = ((f_hz,),), f"{f_hz:.4g} Hz"
     found = [
@@ -35,8 +35,8 @@ def tone(places: Places, f_hz: float) -> list[Effect]:
             partial(_force, dof=i),
             frequency,
             grid,
-            absorbed_by="where no line is: noise of the force",
-            told_apart_by="still records, long beside the line's period",
+            absorbed_by="without a line: force noise",
+            told_apart_by="still records, long compared with the line's period",
         )
         for i, dof in enumerate(places.dof)
     ]
@@ -44,17 +44,17 @@ def tone(places: Places, f_hz: float) -> list[Effect]:
         found.append(
             Effect(
                 f"vibration.floor.{f_hz:.6g}hz",
-                f"Floor that goes up and down at {label}",
+                f"Vertical ground vibration at {label}",
                 "vibration",
                 (places.dof[2],),
                 "force = a cos(2 pi frequency t) + b sin(2 pi frequency t) at z, and share x_b "
                 "times that at theta; share = m_b / m",
                 _both(places.force_unit(2)),
-                _floor,
+                _ground,
                 (*frequency, Quantity("share", "1", 0.0, 1.0)),
                 ((f_hz, 0.2),),
-                absorbed_by="where no line is: noise of the force",
-                told_apart_by="still records at several places of the beam",
+                absorbed_by="without a line: force noise",
+                told_apart_by="still records at several beam positions",
             )
         )
     alone = [((f"sensor:{s}",), s) for s in range(places.sensors)]
@@ -62,7 +62,7 @@ def tone(places: Places, f_hz: float) -> list[Effect]:
     found += [
         Effect(
             f"vibration.reading.{f_hz:.6g}hz",
-            f"Pick-up of {label}" + (", all sensors alike" if s is None else ""),
+            f"Pick-up of {label}" + (", same for all sensors" if s is None else ""),
             "vibration",
             where,
             "reading = h + a cos(2 pi frequency t) + b sin(2 pi frequency t)",
@@ -85,7 +85,7 @@ def _force(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     return [on_dof(signals, dof, wave) for wave in _waves(signals, shape[0])]
 
 
-def _floor(signals: Signals, shape: Sequence[float]) -> list[Term]:
+def _ground(signals: Signals, shape: Sequence[float]) -> list[Term]:
     terms = []
     for wave in _waves(signals, shape[0]):
         force = np.zeros((signals.rows, len(signals.places.dof)))

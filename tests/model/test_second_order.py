@@ -119,11 +119,11 @@ def test_a_number_in_a_formula_is_finite(source: str | float) -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("x**0.5", "no real power"),
-        ("sqrt(x**0.5)", "no real power"),
+        ("x**0.5", "integer exponent"),
+        ("sqrt(x**0.5)", "integer exponent"),
         ("sqrt(x)", "invalid value"),
         ("1e308*x*x", "finite"),
-        ("10**400", "larger than any number"),
+        ("10**400", "the result is too large"),
     ],
 )
 def test_a_formula_has_a_real_and_finite_value_or_none(text: str, why: str) -> None:

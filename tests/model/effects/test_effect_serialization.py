@@ -94,7 +94,7 @@ CUBIC = {"k3": EffectParameter(value=1e8, unit="N/m^3")}
         ),
         (
             2 * [ModelEffect(effect="rod_stiffness.cubic", where=("z",), parameters=CUBIC)],
-            r"effects\[1\]: expected every effect once, found Cubic stiffness at z again",
+            r"effects\[1\]: duplicate effect Cubic stiffness at z",
         ),
     ],
 )

@@ -1,1 +1,1 @@
-"""The rig in software: plant, imperfections and effects, and its true frequency response."""
+"""Simulated rig: plant, imperfections and effects, and its true frequency response."""

@@ -1,4 +1,4 @@
-"""The simulated plant: command in, one period of motion, readings out."""
+"""Simulate the plant: advance it by a control period with a held command, and read its sensors."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from .plant_kernels import Array
 
 
 class Plant:
-    """The rig in software, advanced by whole control periods.
+    """The simulated rig, advanced by whole control periods.
 
     After `sample()`: `gap_m` (S,) m, `coil_readback_n` (C,) N, `beam` (3,) m, m/s, N and `rotor`
-    (3,) rad, rad/s, N m. The arrays stay the same objects and are overwritten by the next sample.
+    (3,) rad, rad/s, N m. The next `sample()` overwrites these arrays in place.
 
     Args:
-        config: what the plant is made of.
-        period_s: control period; it is cut into equal internal steps of at most config.step_s.
-        source: the SIM.yaml, in whose folder files of effects are looked for first, and which
-            errors name.
+        config: parameters of the plant.
+        period_s: control period; it is divided into equal internal steps of at most config.step_s.
+        source: path of the SIM.yaml, for error messages; files of effects are searched in its
+            folder first.
 
     Raises:
-        EffectError: an effect that cannot be loaded or answers wrongly.
-        ValueError: a period that is not a positive number.
+        EffectError: an effect cannot be loaded or returns an invalid result.
+        ValueError: the period is not a positive number.
     """
 
     def __init__(self, config: SimConfig, period_s: float, *, source: Path | None = None) -> None:
         self._a = Arrays.build(config, period_s)
         self._level = LEVELS[config.plant]
-        # Compile now, on arrays of no consequence, and not in the first cycle of a real clock.
+        # Compile now, with separate arrays, instead of in the first real-time cycle.
         self._level.warm_up(Arrays.build(config, period_s), by_steps=bool(config.effects))
         self._period_s, self._periods = period_s, 0
         self._push = np.zeros(3)
@@ -58,7 +58,7 @@ class Plant:
         )
         a = self._a
         self._rng.standard_normal(out=a.noise)
-        self._look(0.0)
+        self._set_gaps(0.0)
         self._level.measure(a.par, a.st, a.coils, a.sensors, a.noise, a.out)
         self.sample()
 
@@ -74,12 +74,12 @@ class Plant:
 
     @property
     def pose(self) -> Array:
-        """Return a copy of the true [psi, theta, z] (3,): for tests and figures, not for a log."""
+        """Return a copy of the true pose [psi, theta, z] (3,); do not log it."""
         return self._a.st[k.Q : k.Q + 3].copy()
 
     @property
     def pose_rate(self) -> Array:
-        """Return a copy of the true rate of the pose (3,), rad/s, rad/s, m/s."""
+        """Return a copy of the true pose rate (3,) in rad/s, rad/s, m/s."""
         return self._a.st[k.V : k.V + 3].copy()
 
     @property
@@ -93,18 +93,18 @@ class Plant:
         """Integrate one period with this command held.
 
         Args:
-            coil_n: force commanded to each coil (C,), N; clipped at the coils' limit.
-            beam_ref: position, speed, acceleration (3,) in m, m/s, m/s^2 that the beam is to have
-                at the end of the period; in between, a quintic leads there from the last setpoint.
-            rotor_ref: the same for the rotor, rad, rad/s, rad/s^2.
+            coil_n: commanded coil forces (C,) in N; clipped at the coils' limit.
+            beam_ref: setpoint of the beam at the end of the period (3,): position, speed,
+                acceleration in m, m/s, m/s^2; a quintic connects it to the previous setpoint.
+            rotor_ref: setpoint of the rotor, likewise, in rad, rad/s, rad/s^2.
 
         Raises:
-            ValueError: a command of the wrong size, or not finite.
-            EffectError: an effect went wrong.
+            ValueError: a command has the wrong size or is not finite.
+            EffectError: an effect fails or returns an invalid result.
         """
         a = self._a
-        # One small draw a period, all noise of its steps: bursts of bulk draws would make late
-        # cycles, and the noise must not depend on how a flight is cut into calls.
+        # Draw the noise of one period at a time: large draws would cause late cycles, and the noise
+        # must not depend on the division of a flight into calls.
         self._rng.standard_normal(out=a.noise)
         if self._effects:
             self._advance_by_steps(coil_n, beam_ref, rotor_ref)
@@ -115,16 +115,16 @@ class Plant:
         self._periods += 1
 
     def push(self, wrench: Array) -> None:
-        """Have this (3,) [N m, N m, N] act on the platform from outside, from here on."""
+        """Apply an external wrench (3,) in N m, N m, N to the platform from now on."""
         self._push[:] = wrench
         self._a.st[k.WRENCH : k.WRENCH + 3] = wrench
 
     def sample(self) -> None:
-        """Publish the readings of this instant; asking twice gives the same numbers."""
+        """Publish the present readings; a second call gives the same values."""
         self._published[:] = self._a.out
 
     def _advance_by_steps(self, coil_n: Array, beam_ref: Array, rotor_ref: Array) -> None:
-        """Integrate one period phase by phase, asking the effects."""
+        """Integrate one period step by step, with the hooks of the effects."""
         a, effects, move = self._a, self._effects, self._level.move
         st, coils, sensors = a.st, a.coils, a.sensors
         coil_force, wrench, mass, beam_force, gap = map(effects.uses, HOOKS[1:])
@@ -149,16 +149,16 @@ class Plant:
                 st[k.BEAM_FORCE] = effects.beam_force(t_s, beam, q, qd)
             if not move(a.par, st, coils, sensors, a.noise, i, n_steps):
                 raise EffectError(
-                    f"{effects.source}: the plant's motion is not finite after {t_s} s: with the "
-                    "effects' mass the mass matrix is not positive definite, or a force grew "
-                    "without bound"
+                    f"{effects.source}: the plant's motion is not finite after {t_s} s: an effect "
+                    "makes the mass matrix not positive definite, or a force diverges; check the "
+                    "effects' values"
                 )
             if gap:
                 sensors[k.GAP] = effects.gap(t_s + dt_s, sensors[k.GAP])
         self._level.measure(a.par, st, coils, sensors, a.noise, a.out)
 
-    def _look(self, t_s: float) -> None:
-        """Set what the sensors see of the platform, through the effects."""
+    def _set_gaps(self, t_s: float) -> None:
+        """Set the sensors' gaps from the pose, changed by the effects."""
         sensors = self._a.sensors
         self._level.gaps(self._a.st, sensors)
         if self._effects.uses("gap"):
@@ -167,7 +167,7 @@ class Plant:
 
 @dataclass(frozen=True)
 class Level:
-    """The compiled functions of one plant level; see kernels."""
+    """Compiled functions of one plant level; see plant_kernels."""
 
     advance: Callable[..., None]
     move: Callable[..., bool]
@@ -176,7 +176,7 @@ class Level:
     measure: Callable[..., None]
 
     def warm_up(self, arrays: Arrays, by_steps: bool) -> None:
-        """Call once what a cycle calls, so that it is compiled (or fetched from the cache)."""
+        """Call the functions of a cycle once, so that they are compiled or read from the cache."""
         a = arrays
         command, ref = np.zeros(a.coils.shape[1]), np.zeros(3)
         if by_steps:

@@ -1,4 +1,4 @@
-"""The plant's constants and state as the flat arrays that the compiled kernels work on."""
+"""Build the flat arrays of the plant's constants and state for the compiled kernels."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ GRAVITY_M_S2 = 9.81
 
 @dataclass(frozen=True)
 class Arrays:
-    """Constants `par`, state `st`, `coils` (rows, C), `sensors` (rows, S); see kernels' indices.
+    """Constants `par`, state `st`, `coils` (rows, C), `sensors` (rows, S).
 
-    `noise` (N C + S,) is one period's standard normal numbers: N steps of C coils, then S sensors.
-    `out` (S + C + 6,) takes the readings: gaps, readback, beam (3), rotor (3).
+    plant_kernels defines the indices. `noise` (N C + S,) has the standard normal numbers of one
+    period: N steps of C coils, then S sensors. `out` (S + C + 6,) has the readings: gaps, readback,
+    beam (3), rotor (3).
     """
 
     par: Array
@@ -34,14 +35,14 @@ class Arrays:
 
     @classmethod
     def build(cls, config: SimConfig, period_s: float) -> Arrays:
-        """Return the arrays of a platform at rest on its lower stops, the beam at its start.
+        """Return the arrays for the platform at rest on its lower stops, the beam at its start.
 
         Raises:
             ValueError: the period is not a positive number.
         """
         if not (math.isfinite(period_s) and period_s > 0):
             raise ValueError(f"period_s: expected a positive number of seconds, found {period_s}")
-        # A hair below the quotient, so that 1e-3 / 1e-4 gives ten steps and not eleven.
+        # The margin avoids eleven steps for 1e-3 / 1e-4 due to rounding.
         n_steps = max(1, math.ceil(period_s / config.step_s - 1e-9))
         geometry = config.geometry
         coils = np.zeros((k.COIL_ROWS, geometry.n_coils))
@@ -65,7 +66,7 @@ class Arrays:
 
 
 def resting_pose(config: SimConfig) -> Array:
-    """Return q (3,) in rad, rad, m of the platform at rest on its lower stops without force."""
+    """Return the pose (3,) in rad, rad, m at rest on the lower stops without coil force."""
     x, y = stops_at(config)
     S = shape_matrix(x, y)
     stiffness = config.end_stops.k_n_m
@@ -96,7 +97,7 @@ def air_damping(config: SimConfig) -> Array:
 
 
 def stops_at(config: SimConfig) -> tuple[Sequence[float], Sequence[float]]:
-    """Return x and y of the end stops in m; by default the corners of the coils' rectangle."""
+    """Return x and y of the end stops in m; default: the corners of the coils' rectangle."""
     stops = config.end_stops
     if stops.x_m is not None and stops.y_m is not None:
         return stops.x_m, stops.y_m
@@ -107,13 +108,13 @@ def stops_at(config: SimConfig) -> tuple[Sequence[float], Sequence[float]]:
 def lag_weights(ratio: float) -> tuple[float, float, float, float]:
     """Return (c0, c_half, c1, mean) for e^(-ratio s) over a step, s from 0 to 1.
 
-    In the place of the exponential's values at 0, 1/2, 1, the c make Runge-Kutta's weights give
-    its integrals m1, m2, m3 with 1, (1 - s), (1 - s)^2 exactly:
+    The c replace the values of the exponential at s = 0, 1/2, 1, so that the Runge-Kutta weights
+    give its integrals m1, m2, m3 with 1, (1 - s), (1 - s)^2 exactly:
     (c0 + 4 c_half + c1) / 6 = m1, (c0 + 2 c_half) / 6 = m2, (c0 + c_half) / 6 = m3.
     """
-    if math.isinf(ratio):  # no lag: the force is the command's at once
+    if math.isinf(ratio):  # without lag the force equals the command
         return 0.0, 0.0, 0.0, 0.0
-    # m_j = integral of (1 - s)^(j-1) e^(-ratio s) as a series: by recursion it would cancel.
+    # m_j = integral of (1 - s)^(j-1) e^(-ratio s), as a series: a recursion would lose digits.
     if ratio < 1.0:
         m1, m2, m3 = (
             sum((-ratio) ** i * math.factorial(j) / math.factorial(i + j + 1) for i in range(20))
@@ -139,7 +140,7 @@ def _constants(config: SimConfig, period_s: float, n_steps: int) -> Array:
     par[k.J_PSITHETA] = platform.j_psitheta_kg_m2
     par[k.LIMIT], par[k.DECAY] = coils.limit_n, math.exp(-ratio)
     par[[k.LAG_0, k.LAG_HALF, k.LAG_1, k.LAG_MEAN]] = lag_weights(ratio)
-    # Another hold keeps the noise's density at low frequency, rms^2 times hold.
+    # Scale the noise to the step so that its low-frequency density rms^2 hold is unchanged.
     par[k.AMPLIFIER_NOISE] = coils.noise_n * math.sqrt(coils.noise_hold_s / step)
     par[k.SENSOR_NOISE] = sensors.noise_m
     par[k.LSB] = 2.0 * sensors.range_m / 2**sensors.bits
@@ -166,7 +167,7 @@ def _constants(config: SimConfig, period_s: float, n_steps: int) -> Array:
 
 
 def _drive(par: Array, at: int, loop: DriveLoop, mass: float, step_s: float) -> None:
-    """Set a drive's gains: poles near its bandwidth, damping 0.9, integrator five times slower."""
+    """Set a drive's gains: configured bandwidth, damping 0.9, integrator 5 times slower."""
     w = 2.0 * math.pi * loop.bandwidth_hz
     par[at + k.DRIVE_KP] = mass * w**2
     par[at + k.DRIVE_KI] = mass * w**3 / 5.0

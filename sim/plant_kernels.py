@@ -1,8 +1,7 @@
-"""The compiled inner loop of both plant levels: N internal Runge-Kutta steps of one control period.
+"""Compiled integration of both plant levels: N internal Runge-Kutta steps of one control period.
 
-Everything that numba compiles stands in this one file, layout of the arrays included: numba's file
-cache knows a kernel by the file it is defined in, and would keep running the old code of a helper
-that changed elsewhere.
+All compiled code and the layout of the arrays are in this one file: numba's file cache depends on
+the file that defines a kernel, and would not notice a change of a helper in another file.
 
 Equations of motion, level `declared`. With small angles the beam, a point at (x_b, 0, z_b) of the
 platform, is at height z + x_b th + z_b (1 - th^2/2 - psi^2/2) and at x = x_b (1 - th^2/2) - z_b th
@@ -20,20 +19,20 @@ f = [0, m_b z_b a_b - m_b g x_b, -(m_p + m_b) g].
 
 Level `nonlinear`: q = [psi, theta, z], the beam's x_b and the rotor's phi are five degrees of
 freedom of one Lagrangian. A point p of the platform is at R p + z e_z, R = R_-y(theta) R_x(psi).
-In platform axes the vertical is n = (sin th, cos th sin psi, cos th cos psi), the platform turns
-with w = e_psi psi' + e_th th', e_psi = (1, 0, 0), e_th = (0, -cos psi, sin psi). With N the sum of
+In platform axes the vertical is n = (sin th, cos th sin psi, cos th cos psi), the angular velocity
+is w = e_psi psi' + e_th th', e_psi = (1, 0, 0), e_th = (0, -cos psi, sin psi). With N the sum of
 p x m (a + g n) and f the sum of m (a + g n) over all masses, Lagrange's equations read
 e_psi . N = Q_psi, e_th . N = Q_th, n . f = Q_z, and e_x . f_b = Q_x for the beam, e_z . N_r = Q_phi
-for the rotor about its axis. The coils push along the vertical, the axis of the part that stands on
-the base; what a tilted coil pushes sideways goes into the rods. Their points of attack, the end
-stops and the air dampers move up and down by h = z + x sin th + y sin psi cos th, so each force f
-gives f dh/dq. A sensor stands on the base under the plane of the platform and reads
+for the rotor about its axis. Coil forces are vertical, along the axis of the part on the base; the
+rods take the horizontal force of a tilted coil. The coils' points of attack, the end stops and the
+air dampers have the height h = z + x sin th + y sin psi cos th, so each force f gives f dh/dq. A
+sensor is fixed to the base under the plane of the platform and reads
 z + x tan th + y tan psi / cos th.
 
-Coil currents lag the command: F(t) = F_c + (F_0 - F_c) e^(-t/lag). Its values at 0, 1/2 and 1 of
-a step of a third of the lag would miss its impulse by 4e-6. The three values used instead make
-the method's weights give its moments, the integrals of F, (1-s) F and (1-s)^2 F over the step,
-exactly, and with them velocity and position.
+Coil currents lag the command: F(t) = F_c + (F_0 - F_c) e^(-t/lag). With its values at 0, 1/2 and 1
+of a step of a third of the lag, the impulse would have an error of 4e-6. The three values used
+instead give its moments, the integrals of F, (1-s) F and (1-s)^2 F over the step, exactly, and with
+them velocity and position.
 """
 
 from __future__ import annotations
@@ -52,11 +51,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def compiled(function: F) -> F:
-    """Return `function` compiled at its first call, or fetched from numba's cache."""
+    """Return `function` compiled by numba at its first call, or read from numba's cache."""
     return cast(F, njit(cache=True, error_model="numpy")(function))
 
 
-# par: constants of one plant and period, flat; a name is the index of its (first) value.
+# par: constants of the plant and the period; a name is the index of the (first) value.
 STEP, PERIOD, G, M_P, M_B, Z_B, J_PSI, J_THETA, J_PSITHETA = range(9)
 LIMIT, DECAY, LAG_0, LAG_HALF, LAG_1, LAG_MEAN, AMPLIFIER_NOISE = range(9, 16)
 SENSOR_NOISE, LSB, CODE_MAX, BEAM_LSB, ROTOR_LSB, J_ROTOR = range(16, 22)
@@ -68,12 +67,12 @@ DRIVE_KP, DRIVE_KI, DRIVE_KD, DRIVE_MASS, DRIVE_LIMIT = range(5)
 DRIVE_FILTER, COULOMB, COULOMB_SPEED, VISCOUS = range(5, 9)
 STOPS = 72  # x, y of each stop to the end of par
 
-# st: what changes. DOF are psi, theta, z, beam, rotor.
+# st: state. DOF are psi, theta, z, beam, rotor.
 Q, V, A = 0, 5, 10  # positions, velocities, accelerations (5) each
 BEAM_FROM, BEAM_TO, ROTOR_FROM, ROTOR_TO = 15, 18, 21, 24  # setpoints: position, speed, accel.
 BEAM_LOOP, ROTOR_LOOP = 27, 31  # see the offsets below
 LOOP_FORCE, LOOP_INTEGRAL, LOOP_SPEED, LOOP_LAST = range(4)
-WRENCH, MASS, BEAM_FORCE = 35, 38, 47  # what effects add in this step: (3), (3, 3), one value
+WRENCH, MASS, BEAM_FORCE = 35, 38, 47  # from effects in this step: (3), (3, 3), one value
 WORK = 48  # positions and velocities of the Runge-Kutta stage, then their change over the step
 MATRIX = WORK + 20  # mass matrix (5, 5), lower triangle
 STATE_SIZE = MATRIX + 25
@@ -117,10 +116,10 @@ def advance_nonlinear(
 def begin(
     par: Array, st: Array, coils: Array, coil_n: Array, beam_ref: Array, rotor_ref: Array
 ) -> int:
-    """Take over the command of a period; return the number of internal steps.
+    """Store the command of a period; return the number of internal steps.
 
     Raises:
-        ValueError: a command of the wrong size, or one that is not finite.
+        ValueError: a command has the wrong size or is not finite.
     """
     n_coils = coils.shape[1]
     if coil_n.size != n_coils or beam_ref.size != 3 or rotor_ref.size != 3:
@@ -143,8 +142,8 @@ def begin(
 def hermite(st: Array, at: int, s: float, T: float) -> tuple[float, float, float]:
     """Return position, speed and acceleration at s in 0..1 between the setpoints `at`, `at + 3`.
 
-    The quintic that meets position, speed and acceleration at both ends: smooth across setpoints,
-    constant where they are.
+    The quintic has the position, speed and acceleration of both setpoints, so the motion is smooth
+    across setpoints.
     """
     p0, v0, a0 = st[at], st[at + 1] * T, st[at + 2] * T * T
     d, v1, a1 = st[at + 3] - p0, st[at + 4] * T, st[at + 5] * T * T
@@ -159,7 +158,7 @@ def hermite(st: Array, at: int, s: float, T: float) -> tuple[float, float, float
 
 @compiled
 def draw_noise(par: Array, coils: Array, noise: Array, i: int) -> None:
-    """Set the noise that each amplifier holds in internal step i."""
+    """Set the amplifier noise of each coil in internal step i."""
     n_coils = coils.shape[1]
     for c in range(n_coils):
         coils[NOISE, c] = par[AMPLIFIER_NOISE] * noise[i * n_coils + c]
@@ -167,7 +166,7 @@ def draw_noise(par: Array, coils: Array, noise: Array, i: int) -> None:
 
 @compiled
 def mean_forces(par: Array, st: Array, coils: Array, noise: Array, i: int) -> None:
-    """Set the mean force of each coil over internal step i, at the height where it begins."""
+    """Set the mean force of each coil over internal step i, at the height at its begin."""
     draw_noise(par, coils, noise, i)
     for c in range(coils.shape[1]):
         command = coils[COMMAND, c]
@@ -178,7 +177,7 @@ def mean_forces(par: Array, st: Array, coils: Array, noise: Array, i: int) -> No
 
 @compiled
 def settle_currents(par: Array, coils: Array) -> None:
-    """Carry the lagging currents to the end of the step."""
+    """Advance the lagged currents to the end of the step."""
     for c in range(coils.shape[1]):
         command = coils[COMMAND, c]
         coils[CURRENT, c] = command + (coils[CURRENT, c] - command) * par[DECAY]
@@ -205,7 +204,7 @@ def move_declared(
 def step_declared(par: Array, st: Array, coils: Array, noise: Array, i: int, n_steps: int) -> None:
     """Advance pose and currents by internal step i of n_steps (classical Runge-Kutta)."""
     draw_noise(par, coils, noise, i)
-    # Wrenches of the commands, of what the currents still lack, and of noise and effects.
+    # Wrenches of the commands, of the currents' lag, and of noise and effects.
     u0 = u1 = u2 = l0 = l1 = l2 = 0.0
     e0, e1, e2 = st[WRENCH], st[WRENCH + 1], st[WRENCH + 2]
     for c in range(coils.shape[1]):
@@ -257,7 +256,7 @@ def step_declared(par: Array, st: Array, coils: Array, noise: Array, i: int, n_s
 
 @compiled
 def accelerations_declared(par: Array, st: Array, coils: Array) -> None:
-    """Set the accelerations at the end of a step; the drives' force needs them."""
+    """Set the accelerations at the end of a step, for the drives' force."""
     t0, t1, t2 = st[WRENCH], st[WRENCH + 1], st[WRENCH + 2]
     for c in range(coils.shape[1]):
         force = coils[CURRENT, c] + coils[NOISE, c] + coils[DELTA, c]
@@ -309,7 +308,7 @@ def _declared(
 
 @compiled
 def gaps_declared(st: Array, sensors: Array) -> None:
-    """Set the true height of the platform over each sensor."""
+    """Set the true height of the platform at each sensor."""
     for j in range(sensors.shape[1]):
         x, y = sensors[SENSOR_X, j], sensors[SENSOR_Y, j]
         sensors[GAP, j] = st[Q + 2] + y * st[Q] + x * st[Q + 1]
@@ -319,7 +318,7 @@ def gaps_declared(st: Array, sensors: Array) -> None:
 def measure_declared(
     par: Array, st: Array, coils: Array, sensors: Array, noise: Array, out: Array
 ) -> None:
-    """Write the readings; the drive force is what the beam's motion takes (inverse dynamics)."""
+    """Write the readings; the drive force follows from the beam's motion (inverse dynamics)."""
     measure(par, coils, sensors, noise, out)
     at = sensors.shape[1] + coils.shape[1]
     out[at] = quantise(st[Q + 3], par[BEAM_LSB])
@@ -423,7 +422,7 @@ def accelerate_nonlinear(par: Array, st: Array, coils: Array, lag: float) -> Non
     for j in range(5):
         rhs[j] = 0.0
 
-    # Platform. At phi = 0 the bar lies along x: the J's are those of platform and bar together.
+    # Platform. At phi = 0 the bar is along x: the J's include platform and bar.
     bar, m_p = par[J_ROTOR], par[M_P]
     ix, iy, iz, ixy = par[J_PSI], par[J_THETA] - bar, par[J_Z] - bar, -par[J_PSITHETA]
     com = (par[COM], par[COM + 1], par[COM + 2])
@@ -447,8 +446,8 @@ def accelerate_nonlinear(par: Array, st: Array, coils: Array, lag: float) -> Non
     M[11] += m_p * dot(e_theta, weight)
     M[12] += m_p
 
-    # Beam and rotor as points: a bar of inertia J and imbalance s is two masses at +-L along it,
-    # and their sum taken off the axis, since the beam's mass counts it already; any L will do.
+    # Beam and rotor as points: a bar of inertia J and imbalance s equals two masses at +-L along it
+    # minus their sum on the axis, which the beam's mass already includes; L is arbitrary.
     L, s, xb, zr = 0.1, par[IMBALANCE], x[3], par[ROTOR_Z]
     heavy, light = 0.5 * (bar / L + s) / L, 0.5 * (bar / L - s) / L
     lx, ly, turn = L * math.cos(x[4]), L * math.sin(x[4]), x[9]
@@ -474,7 +473,7 @@ def _add_point(
     M: Array, rhs: Array, m: float, p: Vector, arm: Vector, vb: float, turn: float, g: float,
     frame: tuple[Vector, Vector, Vector, Vector, Vector],
 ) -> None:  # fmt: skip
-    """Add a point mass that rides on the beam at p and turns about it with d p / d phi = arm."""
+    """Add a point mass on the beam at p that rotates with d p / d phi = arm."""
     e_psi, e_theta, vertical, w, w_bias = frame
     speed = (vb + turn * arm[0], turn * arm[1], 0.0)
     own = (-turn * turn * arm[1], turn * turn * arm[0])  # towards the axis
@@ -542,7 +541,7 @@ def _solve(M: Array, b: Array) -> None:
 
 @compiled
 def gaps_nonlinear(st: Array, sensors: Array) -> None:
-    """Set the true height of the platform's plane over each sensor."""
+    """Set the true height of the platform's plane at each sensor."""
     across, along = math.tan(st[Q]) / math.cos(st[Q + 1]), math.tan(st[Q + 1])
     for j in range(sensors.shape[1]):
         x, y = sensors[SENSOR_X, j], sensors[SENSOR_Y, j]
@@ -585,14 +584,14 @@ def measure(par: Array, coils: Array, sensors: Array, noise: Array, out: Array) 
 
 @compiled
 def quantise(value: float, lsb: float) -> float:
-    """Return `value` on the encoder's grid, or as it is for an lsb of 0."""
+    """Return `value` rounded to the encoder's grid, or unchanged for an lsb of 0."""
     steps: float = np.rint(value / lsb)
     return steps * lsb if lsb > 0.0 else value
 
 
 @compiled
 def stop_force(par: Array, h: float, speed: float) -> float:
-    """Return the vertical force of an end stop on a point at height h: it pushes, never pulls."""
+    """Return the vertical force of an end stop on a point at height h; it is never a pull."""
     depth = abs(h) - par[STOP_TRAVEL]
     if depth <= 0.0:
         return 0.0

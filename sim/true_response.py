@@ -1,4 +1,4 @@
-"""The true response of the simulated plant, for comparing with what identification finds."""
+"""Compute the true frequency response of the simulated plant, as reference for identification."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ def frequency_response(
 ) -> NDArray[np.complex128]:
     """Return P (F, 3, 3) at freq_hz (F,): pose [psi, theta, z] over commanded wrench.
 
-    P is the sampled plant at `rate_hz` as a controller sees it, linearised at pose 0 with the beam
-    at rest at x_b: wrench through T^T to the coils, one cycle of delay, zero-order hold, current
-    lag, plant, sensors, and T back to the pose. Effects are left out.
+    P is the plant sampled at `rate_hz`, linearised at pose 0 with the beam at rest at x_b: wrench,
+    T^T, one cycle of delay, zero-order hold, current lag, plant, sensors, T, pose. Units are rad/(N
+    m), rad/N, m/(N m) and m/N. Effects are not included.
     """
     return state_space(config, x_b_m, rate_hz).response(np.asarray(freq_hz, dtype=np.float64))
 
 
 def state_space(config: SimConfig, x_b_m: float, rate_hz: float) -> StateSpace:
-    """Return the discrete-time plant whose response is `frequency_response`.
+    """Return the discrete-time state space of the plant with the response `frequency_response`.
 
-    The level `declared` is discretised exactly, by a matrix exponential that shares nothing with
-    the simulation; of the level `nonlinear`, one control period of the simulation itself is
-    differentiated numerically (drive loops included, without noise and the encoders' steps).
+    The level `declared` is discretised exactly with a matrix exponential, independent of the
+    simulation code. For the level `nonlinear`, one simulated control period is differentiated
+    numerically, drive loops included, without noise and encoder quantisation.
     """
     if config.plant == "declared":
         return discretise(declared_model(config, x_b_m, rate_hz), 1.0 / rate_hz)
@@ -38,7 +38,7 @@ def state_space(config: SimConfig, x_b_m: float, rate_hz: float) -> StateSpace:
 
 
 def declared_model(config: SimConfig, x_b_m: float, rate_hz: float) -> SecondOrder:
-    """Return eqs. (2) to (6) with the beam at rest at x_b, the lag, and the delay of one cycle."""
+    """Return eqs. (2) to (6) for the beam at rest at x_b, with lag and one cycle of delay."""
     platform, m_b, z_b = config.platform, config.beam.m_b_kg, config.beam.z_b_m
     J_psi = platform.j_psi_kg_m2 + m_b * z_b**2
     J_theta = platform.j_theta_kg_m2 + m_b * (z_b**2 + x_b_m**2)
@@ -53,7 +53,7 @@ def declared_model(config: SimConfig, x_b_m: float, rate_hz: float) -> SecondOrd
 
 def _linearised(config: SimConfig, x_b_m: float, period_s: float) -> StateSpace:
     a = Arrays.build(config, period_s)
-    a.par[[k.BEAM_LSB, k.ROTOR_LSB]] = 0.0  # no derivative exists across an encoder's steps
+    a.par[[k.BEAM_LSB, k.ROTOR_LSB]] = 0.0  # quantisation has no derivative
     geometry = config.geometry
     T = decoupling_matrix(geometry.sensor_x, geometry.sensor_y)
     T_coils = decoupling_matrix(geometry.coil_x_m, geometry.coil_y_m)
@@ -68,7 +68,8 @@ def _linearised(config: SimConfig, x_b_m: float, period_s: float) -> StateSpace:
     loops = [loop + j for loop in (k.BEAM_LOOP, k.ROTOR_LOOP) for j in (1, 2, 3)]
     states = np.array([*range(k.Q, k.Q + 10), *loops])
     n = len(states) + n_coils
-    # Small against the 0.1 mm over which anything bends, large against rounding at 1e-16.
+    # Steps are small compared with the scale of nonlinearities (0.1 mm) and large compared with
+    # rounding errors.
     positions, rates = [1e-5, 1e-5, 1e-6, 1e-7, 1e-5], [1e-4, 1e-4, 1e-5, 1e-6, 1e-4]
     drives = [1e-3, 1e-6, 1e-7, 1e-5, 1e-4, 1e-5]
     size = np.array(positions + rates + drives + [1e-3] * n_coils)
@@ -91,7 +92,7 @@ def _linearised(config: SimConfig, x_b_m: float, period_s: float) -> StateSpace:
     A, B, C = np.zeros((n + 3, n + 3)), np.zeros((n + 3, 3)), np.zeros((3, n + 3))
     for j in range(n):
         A[:n, j], C[:, j] = slope(size[j] * np.eye(n)[j], np.zeros(3), size[j])
-    for j in range(3):  # the wrench waits one cycle in three more states
+    for j in range(3):  # three more states delay the wrench by one cycle
         A[:n, n + j], _ = slope(np.zeros(n), 1e-3 * np.eye(3)[j], 1e-3)
     B[n:] = np.eye(3)
     return StateSpace(A, B, C, np.zeros((3, 3)), period_s)

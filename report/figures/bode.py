@@ -1,4 +1,4 @@
-"""Bode grids of the plant, every input to every output: the paper's Figs. 10 and 12."""
+"""Draw Bode diagrams of every input to every output: the paper's Figs. 10 and 12."""
 
 from __future__ import annotations
 
@@ -29,11 +29,10 @@ def bode_magnitude(
     shown: Range = RIG,
     sheet: Sheet = PAGE,
 ) -> Figure:
-    """Draw |P| of m x p panels in physical units, a line a curve, the truth beneath, wide and grey.
+    """Draw |P| in m x p panels in physical units, the truth as a wide grey line behind the curves.
 
-    All panels span the same number of decades. Of a system with a dominant diagonal the scale of
-    panel (i, j) is placed at sqrt(|P_ii| |P_jj|): as high as the diagonal there means fully
-    coupled, and noise far below that looks as small as it is.
+    All panels span the same number of decades. If the diagonal dominates, panel (i, j) is scaled to
+    sqrt(|P_ii| |P_jj|), the magnitude of full coupling, so that noise far below it looks small.
     """
     curves = [inside(c, shown) for c in curves]
     truth = [inside(c, shown) for c in truth]
@@ -61,10 +60,10 @@ def bode_phase(
     shown: Range = RIG,
     sheet: Sheet = PAGE,
 ) -> Figure:
-    """Draw the phase of the m x p panels in degrees, from −300 to 60 so that a delay does not wrap.
+    """Draw the phase in m x p panels in degrees, from −300 to 60 so that a delay does not wrap.
 
-    Where a curve brings its deviation, it is left out at frequencies whose phase is uncertain by 60
-    degrees or more: a line through noise would say nothing and cover the rest.
+    A curve with a deviation is omitted at frequencies with a phase uncertainty of 60 degrees or
+    more, where it is noise and covers other curves.
     """
     curves = [inside(c, shown) for c in curves]
     truth = [inside(c, shown) for c in truth]
@@ -89,7 +88,7 @@ def _draw_magnitude(ax: Axes, curve: Curve, i: int, j: int) -> None:
     plot_curve(ax, curve, magnitude, faint=i != j)
     if curve.deviation is not None:
         spread = CONFIDENCE * curve.deviation[:, i, j]
-        # What reaches down to nothing ends below the panel's edge.
+        # Zero values end below the panel's edge.
         plot_band(ax, curve, np.maximum(magnitude - spread, 1e-3 * magnitude), magnitude + spread)
 
 
@@ -124,7 +123,7 @@ def _limits(curves: Sequence[Curve], shape: tuple[int, int]) -> list[list[tuple[
     if m == p:
         root = np.sqrt(np.diag(scale))
         energy = np.outer(root, root)
-        # Where a coupling outdoes the diagonal, the diagonal is no measure of it.
+        # A coupling larger than the diagonal needs its own scale.
         if np.nanmax(np.where(np.isfinite(tops), tops, 0.0) / energy) < _DOMINANT:
             scale = energy
     up = np.nanmax(np.append(np.log10(tops / scale), 0.0)) + 0.2

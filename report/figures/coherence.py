@@ -1,4 +1,4 @@
-"""Coherence of the sensitivity: which share of the feedback the excitation explains."""
+"""Draw the coherence of the sensitivity: share of the feedback that the excitation explains."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..plotting.style import PAGE, Sheet, drawing, frequency_axis
 def coherence(
     curves: Sequence[Curve], signals: SignalLabels, *, shown: Range = RIG, sheet: Sheet = PAGE
 ) -> Figure:
-    """Draw the coherence of every path from 0 to 1; the response of each curve is the coherence."""
+    """Draw the coherence of every path from 0 to 1; the curves' responses are coherences."""
     curves = [inside(c, shown) for c in curves]
     with drawing(sheet):
         grid = new_grid(signals.shape, sheet, 1.25, legend_of(curves, shown=shown))

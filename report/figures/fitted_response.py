@@ -1,4 +1,4 @@
-"""The fitted model's frequency response at points of its schedule, with what it is held against."""
+"""Compute the fitted model's frequency response and its uncertainty at scheduling points."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ Complex = NDArray[np.complex128]
 _POINTS = 120
 _BEAM = "beam_m"
 _STILL = 1e-3
-"""A variable that stays within this share of its range counts as still."""
-_NUDGE = 1e-2
-"""Half of a central difference, as a share of a standard error."""
+"""Share of its range within which a scheduling variable counts as constant."""
+_DIFFERENCE = 1e-2
+"""Half of a central difference, over the standard error."""
 _SURE_95 = 1.96
-_SEEN = 0.02
-"""Of a magnitude: a pixel of a panel of some four decades."""
+_VISIBLE = 0.02
+"""Smallest relative band that is drawn: a pixel in a panel of four decades."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """A point of the schedule: its name, its variables, the beam's position if one of them is."""
+    """A scheduling point: label, variables, and the beam's position if that is one of them."""
 
     label: str
     schedule: Mapping[str, float]
@@ -37,9 +37,9 @@ class Place:
 
 
 def places_of(grey: GreyBox, points: Sequence[ClosedLoopPoint]) -> tuple[Place, ...]:
-    """Return the beam positions of the points; without any, least, mean and most of the records.
+    """Return the points' beam positions; without any, the records' minimum, mean and maximum.
 
-    A model without scheduling variables, or one whose records keep them still, has one place.
+    There is one place if the model has no scheduling variables or they are constant.
     """
     sampled = {n: v for n, v in grey.declared.scheduling.items() if not v.derivative}
     name = next((n for n, v in sampled.items() if v.signal == _BEAM), next(iter(sampled), None))
@@ -55,10 +55,10 @@ def places_of(grey: GreyBox, points: Sequence[ClosedLoopPoint]) -> tuple[Place, 
 
 
 def fitted_curve(grey: GreyBox, place: Place, line: LineStyle, shown: Range) -> Curve:
-    """Return the response at a place, with what the parameters' errors make of its magnitude.
+    """Return the response at a place with its uncertainty from the parameters' covariance.
 
-    The band is of first order in them; parameters that were held count as known. Paths
-    where nothing of it would be seen have no band.
+    The band is a first-order approximation; fixed parameters count as exact. Paths with an
+    invisible band have none.
     """
     freq_hz = np.geomspace(shown.low_hz, shown.high_hz, _POINTS)
     H = grey.response(place.schedule, freq_hz)
@@ -71,32 +71,32 @@ def fitted_curve(grey: GreyBox, place: Place, line: LineStyle, shown: Range) -> 
     scaled = _correlation(grey.fit.covariance)
     J = np.array(slopes).reshape(len(slopes), *H.shape)
     variance = np.einsum("a...,ab,b...->...", J, scaled, J) if slopes else np.zeros(H.shape)
-    # A figure's band is CONFIDENCE deviations wide, as is right for errors in two dimensions.
+    # Figures draw CONFIDENCE deviations, which is for complex errors; this error is real.
     deviation = _SURE_95 / CONFIDENCE * np.sqrt(np.maximum(variance, 0.0))
-    seen = np.any(CONFIDENCE * deviation > _SEEN * np.abs(H), axis=0)
+    seen = np.any(CONFIDENCE * deviation > _VISIBLE * np.abs(H), axis=0)
     return Curve(
         place.label, line, freq_hz, H, np.where(seen, deviation, np.nan) if seen.any() else None
     )
 
 
 def fitted_curves(grey: GreyBox, places: Sequence[Place], shown: Range) -> tuple[Curve, ...]:
-    """Return fitted_curve of every place, in the lines of its position."""
+    """Return fitted_curve of every place, in the line style of its position."""
     return tuple(fitted_curve(grey, p, line_of(k), shown) for k, p in enumerate(places))
 
 
 def _slope(grey: GreyBox, place: Place, freq_hz: Array, name: str, error: float) -> Complex:
-    """Return how the response changes with a parameter, a unit being its standard error."""
+    """Return the change of the response per standard error of a parameter."""
     if not error > 0:
         return np.zeros((len(freq_hz), *_shape(grey)), complex)
-    value, step = grey.fit.values[name], _NUDGE * error
+    value, step = grey.fit.values[name], _DIFFERENCE * error
     low, high = (
-        _nudged(grey, name, x).response(place.schedule, freq_hz)
+        _changed(grey, name, x).response(place.schedule, freq_hz)
         for x in (value - step, value + step)
     )
-    return np.asarray((high - low) / (2 * _NUDGE))
+    return np.asarray((high - low) / (2 * _DIFFERENCE))
 
 
-def _nudged(grey: GreyBox, name: str, value: float) -> GreyBox:
+def _changed(grey: GreyBox, name: str, value: float) -> GreyBox:
     return replace(grey, fit=replace(grey.fit, model=grey.fit.model.with_values({name: value})))
 
 

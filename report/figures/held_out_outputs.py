@@ -1,4 +1,4 @@
-"""Outputs on a held-out part of the data: measured, predicted one step ahead, and simulated."""
+"""Draw held-out outputs: measured, predicted one step ahead, simulated."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SIMULATED = LineStyle(colour("vermillion"), (5.0, 1.6), width=1.2, zorder=4)
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Outputs (N, m) at t_s (N,) that were not used to fit, and what the model makes of them.
+    """Held-out outputs (N, m) at t_s (N,), measured, predicted and simulated.
 
     Fits (m,) are in percent, 100 (1 − |y − ŷ| / |y − mean y|).
     """
@@ -39,7 +39,7 @@ class HeldOut:
 
 
 def held_out_outputs(tail: HeldOut, *, sheet: Sheet = PAGE) -> Figure:
-    """Draw one row an output, its fits in percent beside its name."""
+    """Draw one row per output with its fits in percent next to its name."""
     legend = [entry("measured", _MEASURED)]
     if tail.one_step is not None:
         legend.append(entry("one step ahead", _ONE_STEP))

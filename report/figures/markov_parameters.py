@@ -1,4 +1,4 @@
-"""Markov parameters (the impulse response of G from v to y) by each estimator."""
+"""Draw Markov parameters (the impulse response of G from v to y) of each estimator."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _BINS = 400
 
 @dataclass(frozen=True)
 class Markov:
-    """Markov parameters g (L, m, p) at steps of Ts_s; how they are called and drawn."""
+    """Markov parameters g (L, m, p) at steps of Ts_s, with label and line style."""
 
     label: str
     line: LineStyle
@@ -32,10 +32,10 @@ class Markov:
 def markov_parameters(
     estimates: Sequence[Markov], signals: SignalLabels, *, sheet: Sheet = PAGE
 ) -> Figure:
-    """Draw g of every path over time, the first estimate at the bottom.
+    """Draw g of every path over time, the first estimate behind the others.
 
-    In a square system panel (i, j) reaches to sqrt(|g_ii| |g_jj|): couplings, and noise, look as
-    large as they are.
+    In a square system panel (i, j) is scaled to sqrt(|g_ii| |g_jj|), so that couplings and noise
+    appear in proportion.
     """
     m, p = signals.shape
     reach = _reach(estimates, (m, p))

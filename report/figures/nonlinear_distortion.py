@@ -1,4 +1,4 @@
-"""Noise and nonlinear distortion apart: beneath the plant's response, and at its outputs."""
+"""Draw noise and nonlinear distortion separately: with the plant's response, and of its outputs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DECADES_MOST = 7.0
 
 @dataclass(frozen=True)
 class Dots:
-    """How levels at single lines are drawn: colour and shape both tell them apart."""
+    """Marker style of levels at single lines; colour and shape both identify it."""
 
     colour: str
     marker: str
@@ -53,7 +53,7 @@ ALL_ERRORS = Dots(colour("vermillion"), "+", 3.6)
 
 @dataclass(frozen=True)
 class Response:
-    """|P| (F, m, p) at freq_hz (F,), standard deviations of its estimate from noise and in all."""
+    """|P| (F, m, p) at freq_hz (F,), and its standard deviations: from noise, and total."""
 
     freq_hz: Array
     magnitude: Array
@@ -62,7 +62,7 @@ class Response:
 
     @classmethod
     def of(cls, bla: BestLinearApproximation) -> Response:
-        """Return what a best linear approximation gives to draw."""
+        """Return the values to draw of a best linear approximation."""
         return cls(bla.freq_hz, np.abs(bla.H), bla.noise_deviation, bla.standard_deviation)
 
 
@@ -76,7 +76,7 @@ class Levels:
 
 @dataclass(frozen=True)
 class OutputLevels:
-    """Spectra of the outputs at excited lines, at odd and even ones left out, and their noise."""
+    """Output spectra at excited, unexcited odd and unexcited even lines, and noise."""
 
     excited: Levels
     odd: Levels
@@ -85,7 +85,7 @@ class OutputLevels:
 
     @classmethod
     def of(cls, bla: BestLinearApproximation) -> OutputLevels:
-        """Return what a best linear approximation gives to draw."""
+        """Return the values to draw of a best linear approximation."""
         parts = (
             (bla.freq_hz, bla.noise_level),
             (bla.odd.freq_hz, bla.odd.noise),
@@ -102,11 +102,11 @@ class OutputLevels:
 def response_with_distortion(
     response: Response, signals: SignalLabels, *, shown: Range = RIG, sheet: Sheet = PAGE
 ) -> Figure:
-    """Draw |P| of m x p panels above the standard deviations of its estimate.
+    """Draw |P| in m x p panels with the standard deviations of its estimate.
 
-    The grey line is what noise alone gives, the crosses are noise and distortion: where they leave
-    the line, the plant is not linear at this amplitude. Lines that would lie closer than 60 a
-    decade are drawn together, by their rms.
+    The grey line is the deviation from noise, the crosses that from noise and distortion: where
+    they differ, the plant is nonlinear at this amplitude. More than 60 lines per decade are pooled
+    by their RMS.
     """
     plant = inside(Curve("", PLANT, response.freq_hz, response.magnitude.astype(complex)), shown)
     pooled_hz, noise = pooled(response.freq_hz, response.noise, shown)
@@ -134,11 +134,11 @@ def response_with_distortion(
 def detection_levels(
     levels: OutputLevels, signals: SignalLabels, *, shown: Range = RIG, sheet: Sheet = PAGE
 ) -> Figure:
-    """Draw every output's spectrum: at excited lines, and at odd and even ones that were left out.
+    """Draw every output's spectrum at excited, unexcited odd and unexcited even lines.
 
-    A linear plant answers at excited lines only and leaves noise at the others. An odd nonlinearity
-    (a spring that hardens) shows at odd lines, an even one (an asymmetry) at even lines. Lines that
-    would lie closer than 60 a decade are drawn together, by their rms.
+    A linear plant responds at excited lines only; the other lines have noise. An odd nonlinearity
+    (a hardening spring) shows at odd lines, an even one (an asymmetry) at even lines. More than 60
+    lines per decade are pooled by their RMS.
     """
     parts = [
         (label, pooled(part.freq_hz, part.level, shown), dots)
@@ -169,7 +169,7 @@ def detection_levels(
 
 
 def _scale(ax: Axes, drawn: Array, shown: Range) -> None:
-    """Scale the axes to the range and to what is drawn in it."""
+    """Scale the axes to the range and to the values in it."""
     frequency_axis(ax, (shown.low_hz, shown.high_hz))
     values = drawn[np.isfinite(drawn) & (drawn > 0)]
     top = float(values.max()) if values.size else 1.0

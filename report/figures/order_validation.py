@@ -1,4 +1,4 @@
-"""The error of models of every order on rows kept from them, by which an order is chosen."""
+"""Draw the cross-validation error of models over their order."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OrderErrors:
-    """Error of the models of order 1, 2, ... (orders,), NaN where there is none, and the choice."""
+    """Errors of the models of order 1, 2, ... (orders,), NaN if missing, and the chosen order."""
 
     title: str
     line: LineStyle
@@ -27,12 +27,12 @@ class OrderErrors:
 
 
 def validation_errors(kinds: Sequence[OrderErrors], *, sheet: Sheet = PAGE) -> Figure:
-    """Draw one panel a kind of model: error relative to the outputs' rms over the order."""
+    """Draw one panel per kind of model: error relative to the outputs' RMS over the order."""
     with drawing(sheet):
         grid = new_grid((1, max(len(kinds), 1)), sheet, 2.6)
         for ax, kind in zip(grid.axes[0], kinds, strict=False):
             orders = np.arange(1, len(kind.error) + 1)
-            # A model of too high an order may do far worse than the mean: that need not be seen.
+            # Errors far above 1, of models of too high order, need not be visible.
             ax.plot(orders, kind.error, color=kind.line.colour, marker="o", markersize=4.5)
             ax.axvline(kind.chosen, color=colour("ink"), linewidth=0.8, linestyle=(0, (2, 2)))
             known = kind.error[np.isfinite(kind.error)]

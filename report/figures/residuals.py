@@ -1,4 +1,4 @@
-"""What a model leaves of records: its spectrum over the noise's, and whether it is white."""
+"""Draw residuals of a model: spectra compared with the noise, and their autocorrelation."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ class Residuals:
     """Errors of one record, m outputs.
 
     error_psd and floor_psd (F, m): one-sided densities at freq_hz (F,) of simulation error and of
-    noise; correlation (m, L): of one-step-ahead errors at lags 1 to L, `bound` what 99 % of white
-    records stay below at every lag, p_value (m,) the chance that white errors look less white.
+    noise. correlation (m, L): autocorrelation of one-step-ahead prediction errors at lags 1 to L;
+    99 % of white records stay below `bound` at all lags. p_value (m,): p-values of the whiteness
+    test.
     """
 
     record: str
@@ -58,9 +59,9 @@ def residual_spectra(
     *,
     sheet: Sheet = PAGE,
 ) -> Figure:
-    """Draw spectra of error and noise, a row a record and a column an output, as rms per root Hz.
+    """Draw spectra of error and noise as RMS per root Hz, a row per record, a column per output.
 
-    Lines that would lie closer than 60 a decade are drawn together, by their rms.
+    More than 60 lines per decade are pooled by their RMS.
     """
     shown = Range(
         min(_first(r.freq_hz) for r in residuals), max(float(r.freq_hz[-1]) for r in residuals)
@@ -118,7 +119,7 @@ def residual_correlation(
 
 
 def chance(p_value: float) -> str:
-    """Return a probability as read: two digits, tiny ones as a bound, '—' where there is none."""
+    """Return a probability with two digits, a bound for tiny ones, '—' for NaN."""
     if not np.isfinite(p_value):
         return "—"
     return (

@@ -1,4 +1,4 @@
-"""How far responses are from another, in dB and degrees on the diagonal, with the bounds drawn."""
+"""Draw ratios of frequency responses on the diagonal in dB and degrees, with error bounds."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Bounds:
-    """What an error on the diagonal may be, within a range of frequencies."""
+    """Bounds of errors on the diagonal within a frequency range."""
 
     decibel: float
     degree: float
 
 
 _FAR = 0.1
-"""Errors within this share of the bounds are drawn on a scale of their own."""
+"""Errors below this share of the bounds are drawn on their own scale."""
 
 AGREEMENT = Bounds(2.0, 15.0)
-"""Within which both methods must agree with the simulated truth up to 64 Hz."""
+"""Bounds of both methods' errors against the simulated truth up to 64 Hz."""
 ACCURACY = Bounds(0.5, 3.0)
-"""The same for a fitted model, and for periodic records, which have no leakage."""
+"""Bounds for a fitted model, and for periodic records, which have no leakage."""
 
 
 @dataclass(frozen=True)
 class Worst:
-    """Largest error of one path over a range, in dB and degrees, and the frequency of each."""
+    """Largest errors of one path over a range in dB and degrees, and their frequencies."""
 
     decibel: float
     degree: float
@@ -46,14 +46,14 @@ class Worst:
     degree_at_hz: float
 
     def within(self, bounds: Bounds) -> bool:
-        """Whether both errors keep the bounds; an error that is not known does not."""
+        """Return whether both errors are within the bounds; NaN is not."""
         return self.decibel <= bounds.decibel and self.degree <= bounds.degree
 
 
 def worst_on_diagonal(curve: Curve, shown: Range) -> tuple[Worst, ...]:
-    """Return the largest error of each diagonal path of a ratio, up to where the range is valid.
+    """Return the largest error of each diagonal path of a ratio within the valid range.
 
-    NaN where the ratio is missing everywhere.
+    It is NaN if the ratio is missing at all frequencies.
     """
     part = (curve.freq_hz >= shown.low_hz) & (curve.freq_hz <= shown.top_hz)
     out = []
@@ -73,12 +73,12 @@ def worst_on_diagonal(curve: Curve, shown: Range) -> tuple[Worst, ...]:
 def largest(ratios: Sequence[Curve], shown: Range) -> tuple[float, float]:
     """Return the largest error in dB, and in degrees, on the diagonals of all ratios."""
     worst = [w for curve in ratios for w in worst_on_diagonal(curve, shown)]
-    # np.max hands NaN on: an error that is not known must not pass for a small one.
+    # np.max propagates NaN: an unknown error must not count as a small one.
     return float(np.max([w.decibel for w in worst])), float(np.max([w.degree for w in worst]))
 
 
-def told(error: tuple[float, float], joint: str = " and ") -> str:
-    """Return an error in dB and degrees as read, of small ones the first digit."""
+def error_text(error: tuple[float, float], joint: str = " and ") -> str:
+    """Return an error in dB and degrees as text, small ones with one digit."""
     decibel, degree = (
         f"{x:.{digits}f}" if not x < 10.0**-digits else f"{x:.1g}"
         for x, digits in zip(error, (2, 1), strict=True)
@@ -86,8 +86,8 @@ def told(error: tuple[float, float], joint: str = " and ") -> str:
     return f"{decibel} dB{joint}{degree}°"
 
 
-def bounds_told(ratios: Sequence[Curve], bounds: Bounds, shown: Range) -> str:
-    """Return in words where the bounds are in the figure of these ratios."""
+def bounds_text(ratios: Sequence[Curve], bounds: Bounds, shown: Range) -> str:
+    """Return a caption sentence about the bounds in the figure of these ratios."""
     values = f"{bounds.decibel:g} dB and {bounds.degree:g}°"
     if _far_within(ratios, bounds, shown):
         return f"the bounds, {values}, lie far outside of the panels"
@@ -111,9 +111,9 @@ def deviation(
 ) -> Figure:
     """Draw ratios estimate / reference: dB in the upper row, degrees in the lower, a column a DOF.
 
-    The response of each curve is the ratio itself. Panels reach a little beyond the bounds, or as
-    far as the errors within the valid range do, up to four times the bounds. Errors far within
-    them are drawn on a scale of their own, without the bounds.
+    The curves' responses are the ratios. The axes extend to slightly beyond the bounds, or to the
+    errors within the valid range, up to four times the bounds. Errors far below the bounds have
+    their own scale without the bounds.
     """
     columns = min(signals.shape)
     drawn = [inside(curve, shown) for curve in ratios]

@@ -1,4 +1,4 @@
-"""Outputs simulated by a fitted model over the measured ones: the paper's Fig. 14."""
+"""Draw simulated and measured outputs: the paper's Fig. 14."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..plotting.style import PAGE, TRUTH, LineStyle, Sheet, colour, drawing, eng
 Array = NDArray[np.float64]
 
 NOISE_BAND = 1.96
-"""Of Gaussian noise 95 % lie within this many of its rms."""
+"""95 % of Gaussian noise is within this many RMS."""
 _BINS, _POINTS = 500, 1500
 _SCHEDULE_IN, _OUTPUT_IN, _ERROR_IN = 1.1, 1.5, 1.1
 _SCHEDULE = LineStyle(colour("ink"), width=1.1)
@@ -39,9 +39,10 @@ class SimulatedOutput:
 
 @dataclass(frozen=True)
 class Simulated:
-    """Outputs measured and simulated (N, m) at t_s (N,), fit in percent and rms of the noise (m,).
+    """Measured and simulated outputs (N, m) at t_s (N,), fit in percent and noise RMS (m,).
 
-    `schedule` is what moved during the record, and drove the simulation besides the excitation.
+    `schedule` has the scheduling variables that moved in the record; they are inputs of the
+    simulation besides the excitation.
     """
 
     names: tuple[str, ...]
@@ -55,9 +56,9 @@ class Simulated:
 
 
 def simulated_outputs(run: Simulated, *, sheet: Sheet = PAGE) -> Figure:
-    """Draw the schedule, then each output with what the simulation misses of it beneath.
+    """Draw the scheduling variables, then each output with its simulation error below.
 
-    Errors have a scale of their own, that of the noise, whose band is behind them.
+    Errors have their own scale, with the noise band behind them.
     """
     schedules, outputs = len(run.schedule), len(run.names)
     heights = [_SCHEDULE_IN] * schedules + [_OUTPUT_IN, _ERROR_IN] * outputs
@@ -90,7 +91,7 @@ def _draw_output(ax: Axes, run: Simulated, i: int) -> None:
     factor, prefix = _scale(run.measured[:, i], run.units[i])
     measured = envelope(run.t_s, run.measured[:, i], _BINS)
     plot_envelope(ax, measured, _MEASURED, factor)
-    if not measured.is_line:  # a band thinner than the simulation's line would hide behind it
+    if not measured.is_line:  # the simulation's line would hide a thinner band
         ax.plot(measured.t, factor * (measured.low + measured.high) / 2, **_MEASURED.keywords())
     thinned = slice(None, None, -(-len(run.t_s) // _POINTS))
     simulated = factor * run.simulated[thinned, i]
@@ -99,7 +100,7 @@ def _draw_output(ax: Axes, run: Simulated, i: int) -> None:
     ax.set_title(prefix + _shown(run.units[i]), loc="right", fontweight="normal")
     known = factor * run.measured[:, i][np.isfinite(run.measured[:, i])]
     if known.size and np.ptp(known) > 0:
-        margin = 0.15 * np.ptp(known)  # a simulation that runs away must not flatten the data
+        margin = 0.15 * np.ptp(known)  # a diverging simulation must not flatten the data
         ax.set_ylim(known.min() - margin, known.max() + margin)
 
 

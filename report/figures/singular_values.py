@@ -1,4 +1,4 @@
-"""Singular values of the Hankel matrix, by which the order is chosen: the paper's Fig. 9."""
+"""Draw singular values of the Hankel matrix and the chosen order: the paper's Fig. 9."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHOWN = 20
 
 @dataclass(frozen=True)
 class SingularValues:
-    """Singular values (k,) of one beam position, descending, how it is called and drawn."""
+    """Singular values (k,) of one beam position, descending, with label and line style."""
 
     label: str
     line: LineStyle
@@ -35,7 +35,7 @@ class SingularValues:
 class Spectrum:
     """Singular values of every beam position by one estimator, and the order chosen from them.
 
-    None for an order that was chosen otherwise.
+    The order is None if it was chosen by another criterion.
     """
 
     title: str
@@ -44,18 +44,18 @@ class Spectrum:
 
 
 def gap(values: Array, order: int) -> float:
-    """Return s(n) / s(n + 1), by which an order n stands out; NaN where there is no next one."""
+    """Return s(n) / s(n + 1) for the order n; NaN without a next singular value."""
     if not 0 < order < len(values) or not values[order] > 0:
         return float("nan")
     return float(values[order - 1] / values[order])
 
 
 def singular_values(spectra: Sequence[Spectrum], *, sheet: Sheet = PAGE) -> Figure:
-    """Draw one panel an estimator on one common scale, the order and its smallest gap marked."""
+    """Draw one panel per estimator on a common scale; mark the order and its smallest ratio."""
     everything = [s.values[:SHOWN] for spectrum in spectra for s in spectrum.positions]
     finite = np.concatenate([v[np.isfinite(v) & (v > 0)] for v in everything] or [np.ones(1)])
     top = finite.max(initial=1e-12)
-    # Of exact data the values behind the order are rounding: they may lie below the panel.
+    # For exact data the values after the order are rounding errors and need not be visible.
     limits = (max(finite.min(initial=top), 1e-7 * top) / 2.5, top * 2.5)
     first = spectra[0].positions if spectra else ()
     with drawing(sheet):

@@ -1,4 +1,4 @@
-"""What the report says of a plant identified in a loop with a known controller: the paper's rig."""
+"""Summarise the closed-loop identification with a known controller (the paper's method)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 Truth = Callable[[float | None, Array], Complex]
-"""Gives the true P as (F, m, p) for a beam position in m and frequencies in Hz (F,)."""
+"""Function of beam position in m and frequencies in Hz (F,) that returns the true P (F, m, p)."""
 
 TRUTH_NAME = "truth of the simulator"
 
@@ -29,11 +29,11 @@ _TRUTH_POINTS = 240
 
 @dataclass(frozen=True)
 class ClosedLoopReport:
-    """The curves of all beam positions, from which figures, numbers and tables follow.
+    """The curves of all beam positions: data of figures, numbers and tables.
 
-    ratios: by what is compared ('Ho-Kalman / truth'), one curve of ratios (F, m, p) a position.
-    Positions whose model by Ho-Kalman is not to be trusted are drawn as such, and judge nothing
-    unless there is no other.
+    ratios: by comparison ('Ho-Kalman / truth'), one curve of ratios (F, m, p) per position.
+    Positions with an unreliable Ho-Kalman model are drawn as such and not evaluated, unless there
+    are no others.
     """
 
     points: tuple[ClosedLoopPoint, ...]
@@ -47,30 +47,30 @@ class ClosedLoopReport:
     bounds: Bounds = AGREEMENT
 
     @property
-    def doubted(self) -> tuple[tuple[str, str], ...]:
-        """The positions whose model by Ho-Kalman is not to be trusted, and why."""
+    def unreliable(self) -> tuple[tuple[str, str], ...]:
+        """Labels of the positions with an unreliable Ho-Kalman model, and reasons."""
         pairs = zip(self.labels, self.points, strict=True)
         return tuple((label, "; ".join(p.doubts)) for label, p in pairs if not p.trusted)
 
     @property
     def trusted(self) -> bool:
-        """Whether the model by Ho-Kalman is to be trusted at any position."""
-        return len(self.doubted) < len(self.points)
+        """Whether the Ho-Kalman model of any position is reliable."""
+        return len(self.unreliable) < len(self.points)
 
-    def judged(self, name: str) -> tuple[tuple[str, Curve], ...]:
-        """Return label and ratios of the positions that a comparison is judged by."""
+    def evaluated(self, name: str) -> tuple[tuple[str, Curve], ...]:
+        """Return label and ratios of the positions that a comparison evaluates."""
         pairs = tuple(zip(self.labels, self.ratios[name], strict=True))
-        if not rests_on_model(name) or not self.trusted:
+        if not uses_ho_kalman(name) or not self.trusted:
             return pairs
         return tuple(pair for pair, p in zip(pairs, self.points, strict=True) if p.trusted)
 
     def worst(self, name: str) -> tuple[tuple[Worst, ...], ...]:
-        """Return by position and DOF the largest errors of one comparison."""
+        """Return the largest errors of one comparison, by position and DOF."""
         return tuple(worst_on_diagonal(curve, self.shown) for curve in self.ratios[name])
 
     def largest(self, name: str) -> tuple[float, float]:
-        """Return the largest error of the positions judged, in dB, and the largest in degrees."""
-        return largest([curve for _, curve in self.judged(name)], self.shown)
+        """Return the largest errors of the evaluated positions in dB and degrees."""
+        return largest([curve for _, curve in self.evaluated(name)], self.shown)
 
 
 HO_KALMAN, SENSITIVITY = "Ho-Kalman", "sensitivity"
@@ -80,8 +80,8 @@ METHOD = {
 }
 
 
-def rests_on_model(name: str) -> bool:
-    """Say whether a comparison rests on the model by Ho-Kalman."""
+def uses_ho_kalman(name: str) -> bool:
+    """Return whether a comparison uses the Ho-Kalman model."""
     return HO_KALMAN in name.split(" / ")
 
 
@@ -128,7 +128,7 @@ def closed_loop_report(
 
 
 def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
-    """Return what was found, in sentences for the summary."""
+    """Return the sentences of the summary."""
     main = next(iter(report.points[0].markov))
     smallest = min(p.order.gap for p in report.points)
     found = (
@@ -140,9 +140,9 @@ def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
     span = f"From {report.shown.low_hz:g} to {report.shown.top_hz:g} Hz on the diagonal of P"
     agreement = "; ".join(_comparison(report, name) for name in report.ratios)
     texts = [Text(found)]
-    for label, why in report.doubted:
+    for label, why in report.unreliable:
         texts.append(Text(f"The model by Ho-Kalman, beam {label}, is not to be trusted: {why}."))
-    if report.doubted and report.trusted:
+    if report.unreliable and report.trusted:
         texts.append(Text("What follows of this model holds at the other positions."))
     texts.append(Text(f"{span}, {agreement}."))
     fits = _fits(report)
@@ -161,7 +161,7 @@ def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
     orders = _numbers(p.order.order for p in report.points)
     meaning = f"main states, standing out by a factor of {factor(smallest)}"
     numbers = [Number(orders, meaning, "none" if report.trusted else "doubt")]
-    for label, why in report.doubted:
+    for label, why in report.unreliable:
         numbers.append(
             Number("not to be trusted", f"model by Ho-Kalman, beam {label}: {why}", "doubt")
         )
@@ -174,7 +174,7 @@ def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
         against = "the truth" if second == "truth" else second
         meaning = f"{first} against {against} at worst, up to {report.shown.top_hz:g} Hz"
         verdict: Verdict = "good" if kept else "bad"
-        if rests_on_model(name) and report.doubted:
+        if uses_ho_kalman(name) and report.unreliable:
             verdict = verdict if report.trusted else "doubt"
             meaning += ", where it is to be trusted" if report.trusted else "; not to be trusted"
         numbers.append(Number(f"{decibel:.2f} dB, {degree:.1f}°", meaning, verdict))
@@ -214,7 +214,7 @@ def _ratios(estimates: Sequence[Curve], references: Sequence[Curve]) -> tuple[Cu
 
 
 def _fits(report: ClosedLoopReport) -> Array:
-    """Return the fit of every output that a record excites, of all records."""
+    """Return the fits of all records' excited outputs."""
     points = [p for p in report.points if p.trusted] or report.points
     held = [h for point in points for h in point.holdout]
     fits = [h.simulated_fit_percent[h.driven] for h in held if h.driven is not None]

@@ -1,4 +1,4 @@
-"""The sections on a plant identified in its loop: order, plant, agreement, what it rests on."""
+"""Build the sections on a closed-loop identification: order, plant, agreement, basis."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from ..figures.bode import bode_magnitude, bode_phase
 from ..figures.coherence import coherence
 from ..figures.markov_parameters import Markov, markov_parameters
-from ..figures.response_deviation import bounds_told, deviation
+from ..figures.response_deviation import bounds_text, deviation
 from ..figures.singular_values import SingularValues, Spectrum, gap, singular_values
 from ..plotting.curves import Curve
 from ..plotting.page import Part, Section, Table
 from ..plotting.style import LineStyle, colour, line_of
 from ..plotting.svg import Picture, to_svg
-from .closed_loop import ESTIMATOR, METHOD, ClosedLoopReport, factor, rests_on_model
+from .closed_loop import ESTIMATOR, METHOD, ClosedLoopReport, factor, uses_ho_kalman
 
 _MARKOV_SHOWN_S = 2.0
 _SUBSCRIPT = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
@@ -45,13 +45,13 @@ def _order_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
         for method in report.points[0].singular_values
     ]
     gaps = {s.title: min(gap(p.values, order) for p in s.positions) for s in spectra}
-    told = "; ".join(f"by {title} a factor of {factor(g)}" for title, g in gaps.items())
+    ratios = "; ".join(f"by {title} a factor of {factor(g)}" for title, g in gaps.items())
     picture = Picture(
         "singular-values",
         to_svg(singular_values(spectra)),
         f"Singular values of the Hankel matrix, logarithmic; the first {order} stand out.",
         f"Singular values of the Hankel matrix of the loop, known delay and lag taken out. Between "
-        f"number {order} and the next lies {told}. {plant} states are the plant's and "
+        f"number {order} and the next lies {ratios}. {plant} states are the plant's and "
         f"{order - plant} the controller's integrators; what is left is noise, which plain "
         "correlation has far more of, since the rest of the response acts as noise on each of its "
         "taps.",
@@ -85,14 +85,14 @@ def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
         "both diagonals: what lies low there couples little."
     )
     states = len(report.points[0].plant.core.A)
-    doubted = _doubted(report)
+    unreliable = _unreliable(report)
     parts: list[Part] = [
         Picture(
             "plant-ho-kalman",
             _magnitude(report, report.ho_kalman),
             "Bode magnitude of the identified plant, every input to every output.",
             f"Magnitude of P by Ho-Kalman's algorithm and (14), {states} states."
-            f"{moved}{scales}{beneath}{doubted}",
+            f"{moved}{scales}{beneath}{unreliable}",
             "Fig. 10",
         ),
         Picture(
@@ -111,7 +111,7 @@ def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
             ),
             "Phase of the identified plant, every input to every output.",
             "Phase of P by Ho-Kalman's algorithm. Beyond −180° it falls on by the delay of one "
-            f"cycle, the hold and the current loops, which belong to P here.{beneath}{doubted}",
+            f"cycle, the hold and the current loops, which belong to P here.{beneath}{unreliable}",
         ),
         _modes_table(report),
     ]
@@ -136,13 +136,13 @@ def _agreement_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
                 f"Error of {first} against {second} in dB and degrees on the diagonal.",
                 f"{_upper(METHOD[first])} against {against}. Up to {report.shown.top_hz:g} Hz the "
                 f"largest difference is {decibel:.2f} dB and {degree:.1f}°; "
-                f"{bounds_told(curves, report.bounds, report.shown)}."
-                + (_doubted(report) if rests_on_model(name) else ""),
+                f"{bounds_text(curves, report.bounds, report.shown)}."
+                + (_unreliable(report) if uses_ho_kalman(name) else ""),
             )
         )
     rows = []
     for name in report.ratios:
-        labels = _marked(report) if rests_on_model(name) else report.labels
+        labels = _marked(report) if uses_ho_kalman(name) else report.labels
         for label, worst in zip(labels, report.worst(name), strict=True):
             cells = (f"{w.decibel:.2f} dB, {w.degree:.1f}°" for w in worst)
             rows.append((name.replace(" / ", " against "), label, *cells))
@@ -234,16 +234,16 @@ def _controller_table(report: ClosedLoopReport) -> Table:
 
 
 def _marked(report: ClosedLoopReport) -> tuple[str, ...]:
-    """Return the positions' labels, those of models that are not to be trusted marked."""
-    doubted = {label for label, _ in report.doubted}
-    return tuple(f"{x}, not to be trusted" if x in doubted else x for x in report.labels)
+    """Return the positions' labels; those with unreliable models are marked."""
+    unreliable = {label for label, _ in report.unreliable}
+    return tuple(f"{x}, not to be trusted" if x in unreliable else x for x in report.labels)
 
 
-def _doubted(report: ClosedLoopReport) -> str:
-    """Return which curves are not to be trusted, and why, as the end of a caption."""
-    told = "; ".join(f"{label}, since {why}" for label, why in report.doubted)
+def _unreliable(report: ClosedLoopReport) -> str:
+    """Return the end of a caption that names unreliable curves and the reasons."""
+    reasons = "; ".join(f"{label}, since {why}" for label, why in report.unreliable)
     hatched = "" if report.trusted else ", in hatched panels"
-    return f" Not to be trusted, grey and dotted{hatched}: {told}." if told else ""
+    return f" Not to be trusted, grey and dotted{hatched}: {reasons}." if reasons else ""
 
 
 def _digits(value: float) -> str:

@@ -1,4 +1,4 @@
-"""What the report says of a declared model fitted to records: what was told, and how it holds."""
+"""Summarise the fit of a declared model: parameters, errors over noise, whiteness, comparisons."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...identification.greybox.validation import Validation
 from ...identification.results import ClosedLoopPoint
 from ..figures.fitted_response import Place, fitted_curves, places_of
 from ..figures.residuals import chance
-from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, largest, told
+from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, error_text, largest
 from ..plotting.curves import Curve, Range, SignalLabels, ratio, rig_or
 from ..plotting.page import Number, Text, Verdict
 from ..plotting.style import TRUTH, line_of
@@ -21,18 +21,18 @@ from .closed_loop import HO_KALMAN, TRUTH_NAME, Truth
 FITTED = "fitted model"
 
 NOISE_MOST = 2.0
-"""Error over noise above which a model lacks something; noise alone on short rows reaches 1.5."""
+"""Error over noise above which a model lacks something; short records reach 1.5 by chance."""
 NOT_WHITE = 0.01
-"""Chance, over all tests together, below which errors do not count as white."""
+"""Overall p-value of all tests below which prediction errors do not count as white."""
 _STANDS_OUT = 10.0
-"""An output that moves by less than this times the noise tells of the noise, not of the model."""
+"""Ratio to the noise below which an output's motion does not test the model."""
 
 
 @dataclass(frozen=True)
 class GreyBoxReport:
-    """The fit, and its response at places of the schedule beside what it is held against.
+    """The fit, its responses at scheduling points, and the responses to compare with.
 
-    ratios: by what is compared ('fitted model / truth'), one curve of ratios (F, n, p) a place.
+    ratios: by comparison ('fitted model / truth'), one curve of ratios (F, n, p) per place.
     """
 
     grey: GreyBox
@@ -45,29 +45,29 @@ class GreyBoxReport:
     ratios: dict[str, tuple[Curve, ...]]
 
     def bounds(self, name: str) -> Bounds:
-        """Return what a comparison must keep."""
+        """Return the error bounds of a comparison."""
         return ACCURACY if name.endswith("truth") else AGREEMENT
 
     @property
     def moving(self) -> tuple[Validation, ...]:
-        """The validations of records whose schedule moved."""
+        """The validations of records with moving scheduling variables."""
         pairs = zip(self.grey.validations, self.grey.fit.predictions, strict=True)
         return tuple(v for v, prediction in pairs if prediction.experiment.moving)
 
     @property
     def worst(self) -> Cell | None:
-        """Where the error is the most times as large as the noise."""
+        """The cell with the largest ratio of error to noise."""
         return max(self.cells(), key=lambda cell: cell.over_noise, default=None)
 
     def cells(self) -> Iterator[Cell]:
-        """Yield what is known of every output of every record whose error can be told."""
+        """Yield a cell for every output of every record with a known error."""
         for v in self.grey.validations:
             for i, output in enumerate(self.signals.output_symbols):
                 if np.isfinite(v.error_rms[i]) and v.floor_rms[i] > 0:
                     yield Cell(v, output, i)
 
     def fits(self) -> list[Cell]:
-        """Return the cells whose output stands out of the noise."""
+        """Return the cells with an output well above the noise."""
         return [
             cell
             for cell in self.cells()
@@ -85,12 +85,12 @@ class Cell:
 
     @property
     def over_noise(self) -> float:
-        """The simulation's error over what noise alone would leave."""
+        """Simulation error over the noise floor."""
         return float(self.validation.error_rms[self.index] / self.validation.floor_rms[self.index])
 
     @property
     def spread(self) -> float:
-        """Standard deviation of what `over_noise` of a perfect model would be."""
+        """Standard deviation of `over_noise` for a perfect model."""
         return float(self.validation.floor_spread[self.index])
 
     @property
@@ -111,9 +111,9 @@ def grey_box_report(
     signals: SignalLabels,
     truth: Truth | None = None,
 ) -> GreyBoxReport:
-    """Compute the curves that the report on a fit shows, at the beam positions of `points`.
+    """Compute the curves for the report on a fit, at the beam positions of `points`.
 
-    It is held against those of their models by Ho-Kalman that are to be trusted.
+    They are compared with the reliable Ho-Kalman models of `points`.
     """
     places = places_of(grey, points)
     lowest = max((float(v.freq_hz[1]) for v in grey.validations if len(v.freq_hz) > 1), default=0.1)
@@ -135,7 +135,7 @@ def grey_box_report(
         )
         ratios[f"{FITTED} / truth"] = _ratios(fitted, truths)
     if pale:
-        # At Ho-Kalman's own frequencies: between them its sharp resonances cannot be interpolated.
+        # At the frequencies of Ho-Kalman: its sharp resonances cannot be interpolated.
         there = tuple(
             replace(
                 c,
@@ -155,7 +155,7 @@ def grey_box_report(
 
 
 def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
-    """Return what was found, in sentences for the summary."""
+    """Return the sentences of the summary."""
     fit, declared = report.grey.fit, report.grey.declared
     rows = sum(len(p.errors) for p in fit.predictions)
     fixed = sum(p.is_fixed for p in declared.parameters.values())
@@ -166,7 +166,7 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
     )
     if fixed:
         fitted += f"; {fixed} more {_were(fixed)} fixed by the model file"
-    texts = [f"{fitted}. {_told(report)}"]
+    texts = [f"{fitted}. {_identifiability_words(report)}"]
     texts += [f"Model and records contradict each other: {r}." for r in report.grey.remarks]
     if fit.at_bound:
         texts.append(
@@ -176,7 +176,7 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
     if report.grey.validations:
         texts.append(f"{_explained(report)} {_whiteness(report)}".strip())
     for name in report.ratios:
-        error = told(largest(report.ratios[name], report.shown))
+        error = error_text(largest(report.ratios[name], report.shown))
         against = "the simulator's truth" if name.endswith("truth") else "Ho-Kalman's algorithm"
         texts.append(
             f"From {report.shown.low_hz:.3g} to {report.shown.top_hz:.3g} Hz on the diagonal of P "
@@ -225,7 +225,7 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
         against = "the truth" if name.endswith("truth") else HO_KALMAN
         numbers.append(
             Number(
-                told((decibel, degree), ", "),
+                error_text((decibel, degree), ", "),
                 f"fitted model against {against} at worst, up to {report.shown.top_hz:.3g} Hz",
                 _good(decibel <= bounds.decibel and degree <= bounds.degree),
             )
@@ -234,13 +234,13 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
 
 
 def least_chance(report: GreyBoxReport) -> tuple[float, int]:
-    """Return the least p-value of all whiteness tests, and how many there were."""
+    """Return the smallest p-value of all whiteness tests, and their number."""
     p = np.array([x for v in report.grey.validations for x in v.whiteness.p_value])
     p = p[np.isfinite(p)]
     return (float(p.min()), len(p)) if len(p) else (float("nan"), 0)
 
 
-def _told(report: GreyBoxReport) -> str:
+def _identifiability_words(report: GreyBoxReport) -> str:
     held = report.grey.fit.unidentifiable
     if not held:
         return "The records tell all of them apart."

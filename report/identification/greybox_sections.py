@@ -1,4 +1,4 @@
-"""The sections on a fitted model: parameters, response, simulated records, what is left of them."""
+"""Build the sections on a fitted model: parameters, response, simulation, residuals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...identification.greybox.identifiability import Unidentifiable
 from ...identification.greybox.validation import Validation
 from ..figures.bode import bode_magnitude
 from ..figures.residuals import Residuals, chance, residual_correlation, residual_spectra
-from ..figures.response_deviation import bounds_told, deviation, largest, told
+from ..figures.response_deviation import bounds_text, deviation, error_text, largest
 from ..figures.simulated_outputs import Simulated, SimulatedOutput, simulated_outputs
 from ..plotting.curves import Curve
 from ..plotting.page import Part, Section, Table, Text
@@ -70,7 +70,7 @@ def _parameter_parts(report: GreyBoxReport) -> tuple[Part, ...]:
 
 
 def _values(name: str, parameter: ModelParameter, fit: Fit) -> tuple[str, ...]:
-    """Return declared, fitted, standard error, change in percent and in standard errors."""
+    """Return declared and fitted value, standard error, change in percent and standard errors."""
     before = _number(parameter.value)
     error = fit.standard_errors.get(name)
     if error is None:
@@ -87,7 +87,7 @@ def _values(name: str, parameter: ModelParameter, fit: Fit) -> tuple[str, ...]:
 
 
 def _to_error(value: float, error: float) -> str:
-    """Return a value with the digits that its standard error leaves, two of them uncertain."""
+    """Return a value with digits up to the second digit of its standard error."""
     if not (error > 0 and np.isfinite(error) and value):
         return _number(value)
     digits = int(np.floor(np.log10(abs(value))) - np.floor(np.log10(error))) + 2
@@ -135,14 +135,14 @@ def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
     for number, (name, curves) in enumerate(report.ratios.items(), start=1):
         bounds = report.bounds(name)
         against = "the simulator's truth" if name.endswith("truth") else "Ho-Kalman's estimate"
-        error = told(largest(curves, report.shown))
+        error = error_text(largest(curves, report.shown))
         parts.append(
             Picture(
                 f"fitted-agreement-{number}",
                 to_svg(deviation(curves, report.signals, bounds=bounds, shown=report.shown)),
                 f"Difference of the fitted model from {against} in dB and degrees.",
                 f"The fitted model against {against}: up to {report.shown.top_hz:.3g} Hz "
-                f"{error} at most; {bounds_told(curves, bounds, report.shown)}.",
+                f"{error} at most; {bounds_text(curves, bounds, report.shown)}.",
             )
         )
     return tuple(parts)
@@ -201,7 +201,7 @@ def _simulated(report: GreyBoxReport, v: Validation) -> Simulated:
 
 
 def _traces(report: GreyBoxReport, v: Validation) -> tuple[SimulatedOutput, ...]:
-    """Return the scheduling variables that a log has itself; derivatives follow from them."""
+    """Return the scheduling variables that are log fields, without derivatives."""
     return tuple(
         SimulatedOutput(name, variable.unit, v.schedule[name])
         for name, variable in report.grey.declared.scheduling.items()
@@ -233,7 +233,7 @@ def _fits_table(report: GreyBoxReport) -> Table:
 
 
 def _residual_parts(report: GreyBoxReport) -> tuple[Part, ...]:
-    pictured = _pictured(report)
+    drawn = _drawn(report)
     residuals = [
         Residuals(
             v.record,
@@ -244,15 +244,13 @@ def _residual_parts(report: GreyBoxReport) -> tuple[Part, ...]:
             v.whiteness.bound,
             v.whiteness.p_value,
         )
-        for v in pictured
+        for v in drawn
     ]
     s = report.signals
     which = "the record with the largest error over noise"
     if report.moving:
         which += (
-            " and "
-            + ("the record" if len(pictured) <= 2 else "records")
-            + " with a moving schedule"
+            " and " + ("the record" if len(drawn) <= 2 else "records") + " with a moving schedule"
         )
     rows = tuple(
         (v.record, *(chance(p) for p in v.whiteness.p_value)) for v in report.grey.validations
@@ -277,8 +275,8 @@ def _residual_parts(report: GreyBoxReport) -> tuple[Part, ...]:
     )
 
 
-def _pictured(report: GreyBoxReport) -> list[Validation]:
-    """Return the worst record first, then those whose schedule moves, each once."""
+def _drawn(report: GreyBoxReport) -> list[Validation]:
+    """Return the record with the largest error, then those with moving scheduling variables."""
     worst = report.worst
     first = report.grey.validations[0] if worst is None else worst.validation
     others = [v for v in report.moving if v is not first]

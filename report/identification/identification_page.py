@@ -1,4 +1,4 @@
-"""The report on an identification: summary, figures of the paper, agreement, what to do next."""
+"""Write the report on an identification: summary, next steps, sections of each method."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .closed_loop import (
     closed_loop_numbers,
     closed_loop_report,
     closed_loop_words,
-    rests_on_model,
+    uses_ho_kalman,
 )
 from .closed_loop_sections import closed_loop_sections
 from .greybox import (
@@ -63,13 +63,13 @@ def identification_report(
     multisine: Sequence[BestLinearApproximation] = (),
     notes: Sequence[str] = (),
 ) -> Path:
-    """Write the page on an identification into `out_dir` and return its path.
+    """Write the report on an identification to `out_dir` and return the page's path.
 
-    What was not identified is left out: `result` is None without records for it, `grey` without a
-    declared model, `multisine` empty without periodic records. `session` is what
-    flown.read_session makes of the logs, None to leave the flight out. `truth` gives the true P
-    (F, m, p) of a beam position at frequencies in Hz; who calls knows the simulator, this page does
-    not. `notes` say what was left out and why, 'log: reason'.
+    Args without results are omitted from the page: `result` is None without suitable records,
+    `grey` without a declared model, `multisine` is empty without periodic records. `session` is the
+    result of flight_data.read_session, or None to omit the flight. `truth` returns the true P
+    (F, m, p) for a beam position and frequencies in Hz; only the caller has the simulator. `notes`
+    list omitted records, 'log: reason'.
 
     Raises:
         ValueError: nothing was identified.
@@ -103,8 +103,8 @@ def identification_report(
     sections = _numbered_once([section for chapter in chapters for section in chapter.sections])
     details = _record_parts(result, grey, multisine, notes)
     if session is not None:
-        taken = _paper_figures(sections)
-        sections[:0] = _numbered_once(session_sections(session), taken)
+        used = _paper_figures(sections)
+        sections[:0] = _numbered_once(session_sections(session), used)
         details += _versions_parts(session)
     sections.append(Section("Records", details))
     steps = dict.fromkeys(step for chapter in chapters for step in chapter.steps)
@@ -117,12 +117,12 @@ def _paper_figures(sections: Sequence[Section]) -> set[str]:
     return {p.paper for s in sections for p in s.parts if isinstance(p, Picture) and p.paper}
 
 
-def _numbered_once(sections: Sequence[Section], taken: Collection[str] = ()) -> list[Section]:
-    """Return the sections with each figure of the paper claimed by the first picture of it alone.
+def _numbered_once(sections: Sequence[Section], used: Collection[str] = ()) -> list[Section]:
+    """Return the sections with each figure number of the paper at its first picture only.
 
-    None of those that are `taken` already is claimed again.
+    Numbers in `used` are not given again.
     """
-    claimed = set(taken)
+    claimed = set(used)
 
     def once(part: Part) -> Part:
         if not isinstance(part, Picture) or not part.paper:
@@ -137,7 +137,7 @@ def _numbered_once(sections: Sequence[Section], taken: Collection[str] = ()) -> 
 
 @dataclass(frozen=True)
 class _Chapter:
-    """What one way of identification adds to the page."""
+    """The contribution of one identification method to the page."""
 
     words: tuple[Text, ...]
     numbers: tuple[Number, ...]
@@ -220,7 +220,7 @@ def _signals(
     grey: GreyBox | None,
     multisine: Sequence[BestLinearApproximation],
 ) -> SignalLabels:
-    """Return names and units; wrenches that are called like the axes they act on get a tau."""
+    """Return names and units; an input with the name of its DOF gets a tau."""
     if grey is not None:
         inputs, dof = grey.declared.inputs, grey.declared.dof
         return SignalLabels(
@@ -250,7 +250,7 @@ def _name(
 
 
 def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple[str, str]]:
-    """Return what to do next, most urgent first."""
+    """Return the next steps, most urgent first."""
     steps = []
     orders = {point.order.order for point in report.points}
     if len(orders) > 1:
@@ -261,8 +261,8 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
                 "",
             )
         )
-    if report.doubted:
-        where = listed([label for label, _ in report.doubted])
+    if report.unreliable:
+        where = listed([label for label, _ in report.unreliable])
         steps.append(
             (
                 f"Do not use the model by Ho-Kalman, beam {where}: longer records, or stronger "
@@ -271,7 +271,7 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
             )
         )
     for name in report.ratios:
-        if rests_on_model(name) and not report.trusted:
+        if uses_ho_kalman(name) and not report.trusted:
             continue
         decibel, degree = report.largest(name)
         if decibel <= report.bounds.decibel and degree <= report.bounds.degree:
@@ -279,7 +279,7 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
         worst, path, label = max(
             (
                 (w, report.signals.path(i, i), label)
-                for label, curve in report.judged(name)
+                for label, curve in report.evaluated(name)
                 for i, w in enumerate(worst_on_diagonal(curve, report.shown))
             ),
             key=lambda entry: np.nan_to_num(entry[0].decibel, nan=np.inf),
@@ -349,7 +349,7 @@ def _move_the_beam(flight: str) -> tuple[str, str]:
 
 
 def _after_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
-    # An output that is constant there has no fit; one that is no number is no poor one.
+    # A constant output has no fit; NaN does not count as a poor fit.
     poor = [h for h in point.holdout if np.any(h.simulated_fit_percent < _POOR_FIT_PERCENT)]
     if poor:
         return [
@@ -391,9 +391,9 @@ def _record_parts(
         where = "moving" if experiment.moving else "—"
         if experiment.name not in {name for name, _ in rows}:
             rows[experiment.name, where] = list(experiment.remarks)
-    told = tuple((record, where, "; ".join(own) or "—") for (record, where), own in rows.items())
+    cells = tuple((record, where, "; ".join(own) or "—") for (record, where), own in rows.items())
     parts: list[Part] = [
-        Table("Records that were identified", ("record", "beam", "remarks"), told, 3)
+        Table("Records that were identified", ("record", "beam", "remarks"), cells, 3)
     ]
     parts += of_point
     of_all = [

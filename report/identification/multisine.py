@@ -1,4 +1,4 @@
-"""What the report says of multisines: the best linear approximation, noise and distortion apart."""
+"""Summarise multisine records: best linear approximation, noise and nonlinear distortion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..figures.nonlinear_distortion import (
     response_with_distortion,
 )
 from ..figures.residuals import chance
-from ..figures.response_deviation import ACCURACY, bounds_told, deviation, largest, told
+from ..figures.response_deviation import ACCURACY, bounds_text, deviation, error_text, largest
 from ..plotting.curves import CONFIDENCE, Curve, Range, SignalLabels, inside, ratio, rig_or
 from ..plotting.page import Number, Part, Section, Table, Text, Verdict
 from ..plotting.style import TRUTH, line_of, position_label, signed
@@ -29,7 +29,7 @@ from .closed_loop import TRUTH_NAME, Truth
 Array = NDArray[np.float64]
 
 SIGNIFICANT = 0.01
-"""Chance, over all tests of one kind together, below which distortion is called significant."""
+"""Overall p-value of all tests of one kind below which distortion is significant."""
 _TRUTH_POINTS = 240
 _LINES_DRAWN = 140
 
@@ -38,7 +38,7 @@ _LINES_DRAWN = 140
 class MultisineReport:
     """The approximations in ascending order of position, their curves, and the ratios to the truth.
 
-    The curves' deviation is such that a figure's band is the 95 % confidence circle.
+    The curves' deviations make the band in figures the radius of the 95 % confidence circle.
     """
 
     blas: tuple[BestLinearApproximation, ...]
@@ -50,11 +50,11 @@ class MultisineReport:
     ratios: tuple[Curve, ...]
 
     def distorted(self) -> list[tuple[int, int]]:
-        """Return (position, output) wherever distortion stands above the noise."""
+        """Return (position, output) of all significant distortions."""
         return _significant([bla.test() for bla in self.blas])
 
     def kinds(self) -> tuple[str, ...]:
-        """Return what the lines left out show, one realisation or several: odd, even or both."""
+        """Return the kinds of distortion that unexcited lines show: odd, even or both."""
         tests = (
             ("odd", [bla.odd.test() for bla in self.blas]),
             ("even", [bla.even.test() for bla in self.blas]),
@@ -62,7 +62,7 @@ class MultisineReport:
         return tuple(kind for kind, of_kind in tests if _significant(of_kind))
 
     def uncertainty_db(self) -> float:
-        """Return the 95 % confidence radius on the diagonal in dB, the largest up to the top."""
+        """Return the largest 95 % confidence radius on the diagonal in dB, up to top_hz."""
         worst = [0.0]
         for bla in self.blas:
             part = (bla.freq_hz >= self.shown.low_hz) & (bla.freq_hz <= self.shown.top_hz)
@@ -102,7 +102,7 @@ def multisine_report(
 
 
 def _positions(blas: Sequence[BestLinearApproximation]) -> list[float | None]:
-    """Return the position of each (in ascending order): of one within 1 mm, that of the first."""
+    """Return the positions in ascending order; those within 1 mm are set to the first."""
     positions: list[float | None] = []
     last: float | None = None
     for beam in (bla.beam_m for bla in blas):
@@ -113,7 +113,7 @@ def _positions(blas: Sequence[BestLinearApproximation]) -> list[float | None]:
 
 
 def _labels(blas: Sequence[BestLinearApproximation]) -> tuple[str, ...]:
-    """Return the positions' names; where levels of one position follow, with their records."""
+    """Return the positions' labels, with record names if a position has several levels."""
     positions = _positions(blas)
     distinct = list(dict.fromkeys(positions))
     labels = []
@@ -125,7 +125,7 @@ def _labels(blas: Sequence[BestLinearApproximation]) -> tuple[str, ...]:
 
 
 def multisine_words(report: MultisineReport) -> tuple[Text, ...]:
-    """Return what was found, in sentences for the summary."""
+    """Return the sentences of the summary."""
     first = report.blas[0]
     positions = len(set(_positions(report.blas)))
     texts = [
@@ -136,7 +136,7 @@ def multisine_words(report: MultisineReport) -> tuple[Text, ...]:
         f"{_short(report.uncertainty_db())} dB",
     ]
     if report.ratios:
-        error = told(largest(report.ratios, report.shown))
+        error = error_text(largest(report.ratios, report.shown))
         texts[0] += f", and within {error} of the simulator's truth"
     return Text(f"{texts[0]}."), Text(_distortion_words(report))
 
@@ -153,7 +153,7 @@ def multisine_numbers(report: MultisineReport) -> tuple[Number, ...]:
         kept = decibel <= ACCURACY.decibel and degree <= ACCURACY.degree
         verdict: Verdict = "good" if kept else "bad"
         meaning = f"multisines against the truth at worst, {top}"
-        numbers.append(Number(told((decibel, degree), ", "), meaning, verdict))
+        numbers.append(Number(error_text((decibel, degree), ", "), meaning, verdict))
     return tuple(numbers)
 
 
@@ -170,7 +170,7 @@ def _short(value: float) -> str:
 
 
 def level_db(bla: BestLinearApproximation, i: int) -> float:
-    """Return the power of distortion over that of output i, over all excited lines, in dB."""
+    """Return the distortion power over the power of output i at all excited lines, in dB."""
     excess = np.sum(bla.total_level[:, i] ** 2 - bla.noise_level[:, i] ** 2)
     power = np.sum(bla.output_level[:, i] ** 2)
     return float(10 * np.log10(excess / power)) if excess > 0 and power > 0 else float("-inf")
@@ -255,8 +255,8 @@ def _response_parts(report: MultisineReport) -> tuple[Part, ...]:
                 ),
                 "Error of the best linear approximation against the truth in dB and degrees.",
                 f"The best linear approximation against the simulator's truth: up to "
-                f"{report.shown.top_hz:.3g} Hz {told(error)} at most; "
-                f"{bounds_told(report.ratios, ACCURACY, report.shown)}.",
+                f"{report.shown.top_hz:.3g} Hz {error_text(error)} at most; "
+                f"{bounds_text(report.ratios, ACCURACY, report.shown)}.",
             )
         )
     return tuple(parts)

@@ -1,4 +1,4 @@
-"""What the report says of a system identified from input to output, such as imported data."""
+"""Summarise an open-loop identification, such as that of imported data."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ..plotting.style import TRUTH, line_of
 from ..plotting.svg import Picture, to_svg
 from .closed_loop import ESTIMATOR, Truth
 
-_MOST_TOLD = 6
-"""Records that get a sentence, numbers and a figure each; of more only those that fit worst."""
+_MOST_SHOWN = 6
+"""Largest number of records with sentence, numbers and figure; those with the worst fits."""
 
 
 def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, ...]:
-    """Return what was found, in sentences for the summary."""
+    """Return the sentences of the summary."""
     m, p = signals.shape
     texts = [
         Text(
@@ -32,15 +32,15 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
             f"predicts a step ahead {point.predictor_order}.",
         )
     ]
-    for held in _worst_first(point.holdout)[:_MOST_TOLD]:
+    for held in _worst_first(point.holdout)[:_MOST_SHOWN]:
         texts.append(
             Text(
                 f"On the last {len(held.time_s)} rows of record {held.record}, which no estimate "
                 f"has seen: {_fit_words(held, signals)}."
             )
         )
-    if len(point.holdout) > _MOST_TOLD:
-        left = len(point.holdout) - _MOST_TOLD
+    if len(point.holdout) > _MOST_SHOWN:
+        left = len(point.holdout) - _MOST_SHOWN
         texts.append(Text(f"The other {left} records fit better; all are in the table below."))
     return tuple(texts)
 
@@ -48,7 +48,7 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
 def open_loop_numbers(point: OpenLoopPoint) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
     numbers = [Number(str(point.order), "states of the model")]
-    least = ", the least of all records" if len(point.holdout) > _MOST_TOLD else ""
+    least = ", the least of all records" if len(point.holdout) > _MOST_SHOWN else ""
     for held in _worst_first(point.holdout)[: 1 if least else None]:
         fits = " / ".join(map(_percent, held.simulated_fit_percent))
         numbers.append(Number(fits, f"fit simulated, on data kept back{least}"))
@@ -59,8 +59,8 @@ def open_loop_numbers(point: OpenLoopPoint) -> tuple[Number, ...]:
 
 
 def _worst_first(holdout: Sequence[HoldOut]) -> list[HoldOut]:
-    """Return as many as a page can show in the records' order, of more those that fit worst."""
-    if len(holdout) <= _MOST_TOLD:
+    """Return up to _MOST_SHOWN records with the worst fits, in the records' order."""
+    if len(holdout) <= _MOST_SHOWN:
         return list(holdout)
 
     def least(held: HoldOut) -> float:
@@ -77,9 +77,9 @@ def _percent(fit: float) -> str:
 def open_loop_sections(
     point: OpenLoopPoint, signals: SignalLabels, truth: Truth | None = None, number: int = 1
 ) -> tuple[Section, ...]:
-    """Return the sections on outputs kept back, frequency response, and order.
+    """Return the sections on held-out outputs, frequency response and order.
 
-    `number` tells one operating point from the others on the same page.
+    `number` distinguishes the operating points of a page.
     """
     of = f" {number}" if number > 1 else ""
     return (
@@ -93,7 +93,7 @@ def open_loop_sections(
 
 def _held_out_parts(point: OpenLoopPoint, signals: SignalLabels, name: str) -> tuple[Part, ...]:
     pictures: list[Part] = []
-    for number, held in enumerate(_worst_first(point.holdout)[:_MOST_TOLD]):
+    for number, held in enumerate(_worst_first(point.holdout)[:_MOST_SHOWN]):
         tail = HeldOut(
             signals.output_names,
             signals.output_units,
@@ -114,7 +114,7 @@ def _held_out_parts(point: OpenLoopPoint, signals: SignalLabels, name: str) -> t
                 "up to the row before. A fit of 100 % is perfect, 0 % no better than the mean.",
             )
         )
-    if len(point.holdout) > _MOST_TOLD:
+    if len(point.holdout) > _MOST_SHOWN:
         pictures.append(_fits_table(point.holdout, signals))
     return tuple(pictures)
 

@@ -1,4 +1,4 @@
-"""What the report says of the plant by the subspace method: response, modes, and their errors."""
+"""Summarise the plant by the subspace method: response, modes, uncertainties."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ...identification.subspace.response_uncertainty import SURE_95
 from ..figures.bode import bode_magnitude, bode_phase
 from ..figures.response_deviation import (
     ACCURACY,
-    bounds_told,
+    bounds_text,
     deviation,
+    error_text,
     largest,
-    told,
     worst_on_diagonal,
 )
 from ..plotting.curves import CONFIDENCE, Curve, Range, SignalLabels, ratio, rig_or
@@ -34,10 +34,10 @@ _TRUTH_POINTS = 240
 
 @dataclass(frozen=True)
 class SubspaceReport:
-    """The positions that have such a model, their curves, and what these are compared with.
+    """The positions with a subspace model, their curves, and the curves to compare with.
 
-    The curves' bands are the 95 % interval of the magnitude. `ratios` are by what is compared
-    ('subspace / truth'), one curve of ratios (F, m, p) a position.
+    The curves' bands are the 95 % interval of the magnitude. ratios: by comparison ('subspace /
+    truth'), one curve of ratios (F, m, p) per position.
     """
 
     points: tuple[ClosedLoopPoint, ...]
@@ -50,7 +50,7 @@ class SubspaceReport:
     ratios: dict[str, tuple[Curve, ...]]
 
     def uncertainty_db(self) -> float:
-        """Return the 95 % interval on the diagonal, in dB, the largest up to the top."""
+        """Return the largest 95 % interval on the diagonal in dB, up to top_hz."""
         worst = [0.0]
         for model in self.models:
             r = model.response
@@ -64,9 +64,10 @@ class SubspaceReport:
 def subspace_report(
     points: Sequence[ClosedLoopPoint], signals: SignalLabels, truth: Truth | None = None
 ) -> SubspaceReport:
-    """Collect the curves of all positions; those without such a model are left out.
+    """Collect the curves of all positions with a subspace model.
 
-    Raises ValueError when none has one.
+    Raises:
+        ValueError: no position has a subspace model.
     """
     beams = [point.beam_m for point in points]
     chosen = [(k, p, p.subspace) for k, p in enumerate(points) if p.subspace is not None]
@@ -78,7 +79,7 @@ def subspace_report(
     curves, ho_kalman, exact = [], [], []
     for (k, point, model), label in zip(chosen, labels, strict=True):
         r = model.response
-        # A figure's band is CONFIDENCE deviations wide, as is right for errors in two dimensions.
+        # Figures draw CONFIDENCE deviations, which is for complex errors; this error is real.
         wide = SURE_95 / CONFIDENCE
         bands = wide * r.magnitude_deviation, wide * r.phase_deviation_rad
         line = line_of(k) if model.trusted else DOUBTFUL
@@ -108,15 +109,15 @@ def subspace_report(
 
 
 def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
-    """Return what was found, in sentences for the summary."""
+    """Return the sentences of the summary."""
     states = " or ".join(str(n) for n in sorted({m.order.order for m in report.models}))
     gap = factor(min(m.order.gap for m in report.models))
-    doubted = [
+    unreliable = [
         label for label, m in zip(report.labels, report.models, strict=True) if not m.trusted
     ]
     use = (
-        f"It is not to be trusted at {', '.join(doubted)}."
-        if doubted
+        f"It is not to be trusted at {', '.join(unreliable)}."
+        if unreliable
         else "Of the models that assume no physics it is the one to use."
     )
     text = (
@@ -141,12 +142,12 @@ def subspace_numbers(report: SubspaceReport) -> tuple[Number, ...]:
         verdict: Verdict = "good" if kept else "bad"
         if not all(model.trusted for model in report.models):
             meaning, verdict = f"{meaning}; not all to be trusted", "doubt"
-        numbers.append(Number(told(error, ", "), meaning, verdict))
+        numbers.append(Number(error_text(error, ", "), meaning, verdict))
     return tuple(numbers)
 
 
 def subspace_sections(report: SubspaceReport) -> tuple[Section, ...]:
-    """Return the section on this model."""
+    """Return the section on the subspace model."""
     beneath = " The wide grey lines beneath are the simulator's truth." if report.truth else ""
     figure = bode_magnitude(report.curves, report.signals, truth=report.truth, shown=report.shown)
     phase = bode_phase(report.curves, report.signals, truth=report.truth, shown=report.shown)
@@ -171,7 +172,7 @@ def subspace_sections(report: SubspaceReport) -> tuple[Section, ...]:
         first, second = name.split(" / ")
         against = "the simulator's truth" if second == "truth" else _METHODS[second]
         picture = deviation(curves, report.signals, bounds=ACCURACY, shown=report.shown)
-        error = told(largest(curves, report.shown))
+        error = error_text(largest(curves, report.shown))
         parts.append(
             Picture(
                 f"subspace-agreement-{number}",
@@ -179,7 +180,7 @@ def subspace_sections(report: SubspaceReport) -> tuple[Section, ...]:
                 f"Error of {first} against {second} in dB and degrees on the diagonal.",
                 f"{_upper(_METHODS[first])} against {against}: up to "
                 f"{report.shown.top_hz:g} Hz {error} at most; "
-                f"{bounds_told(curves, ACCURACY, report.shown)}.",
+                f"{bounds_text(curves, ACCURACY, report.shown)}.",
             )
         )
     parts += [_differences_table(report), _modes_table(report), _fits_table(report)]
@@ -188,7 +189,7 @@ def subspace_sections(report: SubspaceReport) -> tuple[Section, ...]:
 
 def _comparison(report: SubspaceReport, name: str) -> str:
     first, second = name.split(" / ")
-    error = told(largest(report.ratios[name], report.shown))
+    error = error_text(largest(report.ratios[name], report.shown))
     if second == "truth":
         return f"it is within {error} of the simulator's truth"
     return f"{_METHODS[first]} differs from it by at most {error}"
@@ -199,7 +200,7 @@ def _differences_table(report: SubspaceReport) -> Table:
     for name, curves in report.ratios.items():
         for label, curve in zip(report.labels, curves, strict=True):
             worst = worst_on_diagonal(curve, report.shown)
-            cells = (told((w.decibel, w.degree), ", ") for w in worst)
+            cells = (error_text((w.decibel, w.degree), ", ") for w in worst)
             rows.append((name.replace(" / ", " against "), label, *cells))
     diagonal = [report.signals.path(i, i) for i in range(min(report.signals.shape))]
     span = f"{report.shown.low_hz:g} to {report.shown.top_hz:g} Hz"
@@ -231,7 +232,7 @@ def _fits_table(report: SubspaceReport) -> Table:
 
 
 def _with_error(value: float, se: float) -> str:
-    """Return value ± se, both to the second digit of the error."""
+    """Return 'value ± standard error', both to the second digit of the error."""
     if not (np.isfinite(se) and se > 0):
         return f"{value:.4g}"
     digits = max(1 - int(np.floor(np.log10(se))), 0)

@@ -1,1 +1,1 @@
-"""Draw and write: style, panel grids, SVG, the HTML page."""
+"""Plotting style, panel grids, SVG output and the HTML page."""

@@ -1,4 +1,4 @@
-"""A file that is replaced whole or not at all."""
+"""Replace a text file atomically."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from pathlib import Path
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write text as UTF-8 in place of what is there, which stays if it cannot be written.
+    """Replace a file by `text` in UTF-8; on an error the old file remains.
 
-    What is no text in any encoding, as names of files need not be, is escaped. Raises OSError.
+    Characters without an encoding, which file names can contain, are escaped. Raises OSError.
     """
     part = path.with_name(f".{path.name}.part")
     try:

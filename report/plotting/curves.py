@@ -1,4 +1,4 @@
-"""What the frequency figures are drawn from: responses with names and units, as arrays."""
+"""Frequency responses with names and units, as drawn in figures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class SignalLabels:
-    """Names and SI units of a system's p inputs and m outputs, as a log names them."""
+    """Names and SI units of a system's p inputs and m outputs, as in its log."""
 
     input_names: tuple[str, ...]
     input_units: tuple[str, ...]
@@ -33,11 +33,11 @@ class SignalLabels:
         return len(self.output_names), len(self.input_names)
 
     def path(self, i: int, j: int) -> str:
-        """Return the way from input j to output i, as 'τψ → ψ'."""
+        """Return the label of the path from input j to output i, such as 'τψ → ψ'."""
         return f"{symbol(self.input_names[j])} → {symbol(self.output_names[i])}"
 
     def gain_unit(self, i: int, j: int) -> str:
-        """Return the unit of the gain from input j to output i, as 'rad/(N m)'; '' where none."""
+        """Return the unit of the gain from input j to output i, such as 'rad/(N m)', or ''."""
         output, given = self.output_units[i] or "1", self.input_units[j]
         if given in ("", "1") or given == output:
             return "" if output in ("1", given) else output
@@ -54,11 +54,11 @@ RIG_SIGNALS = SignalLabels(
 
 @dataclass(frozen=True)
 class Curve:
-    """A frequency response (F, m, p) at freq_hz (F,), how it is called and drawn.
+    """A frequency response (F, m, p) at freq_hz (F,) with its label and line style.
 
-    `deviation` (F, m, p), when given, is the standard deviation of the complex entries; CONFIDENCE
-    times it is drawn as a band, also around the phase unless that has a `phase_deviation_rad` of
-    its own. One in the line of what is not to be trusted is `doubtful`.
+    `deviation` (F, m, p), if given, is the standard deviation of the complex entries; CONFIDENCE
+    times it is drawn as a band. The band of the phase uses `phase_deviation_rad` if given. A curve
+    with the line DOUBTFUL is `doubtful`.
     """
 
     label: str
@@ -70,13 +70,13 @@ class Curve:
 
     @property
     def doubtful(self) -> bool:
-        """Whether it is drawn as what is not to be trusted."""
+        """Whether the curve has the line style of unreliable results."""
         return self.line == DOUBTFUL
 
 
 @dataclass(frozen=True)
 class Range:
-    """Frequencies a figure shows, and up to which the rigid plant is expected to hold, in Hz."""
+    """Frequency range of a figure and upper limit of the rigid-body model, in Hz."""
 
     low_hz: float
     high_hz: float
@@ -84,16 +84,16 @@ class Range:
 
     @property
     def top_hz(self) -> float:
-        """Highest frequency that is judged."""
+        """Highest frequency that is evaluated."""
         return self.high_hz if self.valid_to_hz is None else min(self.valid_to_hz, self.high_hz)
 
 
 RIG = Range(1.0, 100.0, 64.0)
-"""The paper's figures; beyond about 400 rad/s its platform is no longer rigid."""
+"""Range of the paper's figures; above about 400 rad/s its platform is not rigid."""
 
 
 def rig_or(low_hz: float, high_hz: float, signals: SignalLabels) -> Range:
-    """Return the paper's range for the rig, else the one given."""
+    """Return the paper's range for the rig's signals, else the given range."""
     return RIG if signals.output_names == ("psi", "theta", "z") else Range(low_hz, high_hz)
 
 
@@ -101,13 +101,13 @@ _MOST_POINTS = 400
 _PER_DECADE = 60
 
 CONFIDENCE = 1.73
-"""Of a circular complex Gaussian error 95 % lie within sqrt(-ln 0.05) of its deviation."""
+"""95 % of circular complex Gaussian errors are within sqrt(-ln 0.05) standard deviations."""
 
 _SYMBOLS = {"psi": "ψ", "theta": "θ", "tau": "τ", "v": "v", "phi": "φ"}
 
 
 def symbol(name: str) -> str:
-    """Return a signal's name in Greek letters if it names them: tau_psi as τψ, others unchanged."""
+    """Return a signal's name with Greek letters, such as τψ for tau_psi; other names unchanged."""
     parts = name.split("_")
     if all(part in _SYMBOLS or len(part) == 1 for part in parts):
         return "".join(_SYMBOLS.get(part, part) for part in parts)
@@ -115,10 +115,10 @@ def symbol(name: str) -> str:
 
 
 def inside(curve: Curve, shown: Range, most: int = _MOST_POINTS) -> Curve:
-    """Return the part of a curve within the range, at up to 400 of its frequencies (or `most`).
+    """Return the part of a curve within the range, at `most` frequencies at most.
 
-    Of more than these the nearest to a logarithmic grid are kept: over two decades the next is then
-    1 % away, closer than any resonance is narrow that could be seen.
+    If there are more, those nearest to a logarithmic grid are kept. With 400 over two decades the
+    spacing is 1 %, finer than any resonance that is visible in a figure.
     """
     f = curve.freq_hz
     part = np.flatnonzero((f >= shown.low_hz) & (f <= shown.high_hz) & (f > 0))
@@ -139,9 +139,9 @@ def inside(curve: Curve, shown: Range, most: int = _MOST_POINTS) -> Curve:
 
 
 def pooled(freq_hz: Array, values: Array, shown: Range) -> tuple[Array, Array]:
-    """Return frequencies and the rms of values (K, ...) over 60 logarithmic bins a decade.
+    """Return frequencies and the RMS of values (K, ...) over 60 logarithmic bins per decade.
 
-    Of the range only, and of bins that hold any line: more could not be told apart in a figure.
+    Only bins within the range that contain a line are returned. More bins would not be visible.
     """
     order = np.argsort(freq_hz)
     order = order[(freq_hz[order] >= shown.low_hz) & (freq_hz[order] <= shown.high_hz)]
@@ -165,8 +165,8 @@ def decibels(response: Complex) -> Array:
 def ratio(estimate: Curve, reference: Curve) -> Complex:
     """Return estimate / reference (F, m, p) at the estimate's frequencies.
 
-    The reference is interpolated, in logarithm of magnitude and unwrapped phase, where its own
-    frequencies differ; outside of them the ratio is NaN.
+    If the reference has other frequencies, its log magnitude and unwrapped phase are interpolated;
+    outside of its range the ratio is NaN.
     """
     if np.array_equal(estimate.freq_hz, reference.freq_hz):
         other = reference.response

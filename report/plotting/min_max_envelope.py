@@ -1,4 +1,4 @@
-"""Long signals as bands of minimum and maximum, so that no peak is lost and no SVG grows large."""
+"""Reduce long signals to minimum-maximum envelopes, which keep every peak in a small SVG."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Envelope:
 def envelope(t: NDArray[np.floating], x: NDArray[np.floating], bins: int) -> Envelope:
     """Return minimum and maximum of x (n,), or of all columns of (n, k), in bins of equal count.
 
-    NaN and infinite samples are left out; a bin of nothing else is NaN. Up to `bins` samples come
-    back as they are.
+    NaN and infinite samples are ignored; a bin without other samples is NaN. A signal of up to
+    `bins` samples is returned unchanged.
     """
     x = np.where(np.isfinite(x), x, np.nan)
     low, high = (np.fmin.reduce(x, 1), np.fmax.reduce(x, 1)) if x.ndim > 1 else (x, x)
@@ -48,10 +48,10 @@ def envelope(t: NDArray[np.floating], x: NDArray[np.floating], bins: int) -> Env
 
 
 def over_time(parts: Sequence[Envelope], bins: int) -> Envelope:
-    """Return envelopes one after the other, in `bins` bins of equal time.
+    """Join envelopes that follow one another, in `bins` bins of equal time.
 
-    Minima and maxima are those of all samples in a bin. Where time is missing between two parts the
-    band is broken by a NaN.
+    A bin has the minimum and maximum of all its samples. A NaN interrupts the band where time is
+    missing between two parts.
     """
     parts = [part for part in parts if len(part.t)]
     if not parts:
@@ -63,7 +63,7 @@ def over_time(parts: Sequence[Envelope], bins: int) -> Envelope:
         starts = np.concatenate([[0], np.flatnonzero(np.diff(number) > 0) + 1])
         low, high = np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
         t = t[starts]
-    # Parts of their own bin width lie side by side: missing is what exceeds the widest of them.
+    # Parts have different bin widths: time is missing if the distance exceeds the widest bin.
     steps = [float(np.median(np.diff(p.t))) for p in parts if len(p.t) > 1]
     breaks = np.flatnonzero(np.diff(t) > 3 * max([width, *steps])) + 1
     nothing = np.full(len(breaks), np.nan)
@@ -77,7 +77,7 @@ def over_time(parts: Sequence[Envelope], bins: int) -> Envelope:
 def plot_envelope(
     ax: Axes, signal: Envelope, line: LineStyle, scale: float = 1.0, label: str = ""
 ) -> None:
-    """Draw a signal: as a line where it is one, else as a band with a hairline around it."""
+    """Draw an envelope: as a line if bins hold single samples, else as a band with thin edges."""
     if signal.is_line:
         ax.plot(signal.t, scale * signal.low, label=label, **line.keywords())
         return

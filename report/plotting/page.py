@@ -1,4 +1,4 @@
-"""One page that opens from disk: figures inline, no network, no script; light, dark and printed."""
+"""Write a self-contained HTML report page: inline figures, no network, no script, dark mode."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .style import COLOURS
 from .svg import Picture
 
 Verdict = Literal["good", "bad", "none", "doubt"]
-"""As it should be, not as it should be, neither, or a number that is not to be trusted."""
+"""Rating of a number: good, bad, neither, or not reliable."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Figures:
-    """Numbers that say how it went: each a value, what it is, and whether that is good."""
+    """The numbers of the summary, each with value, label and rating."""
 
     numbers: tuple[Number, ...]
 
@@ -47,7 +47,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text; columns beyond the first `labels` are numbers and stand to the right."""
+    """A table of text; columns after the first `labels` are numbers, aligned right."""
 
     caption: str
     head: tuple[str, ...]
@@ -57,7 +57,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Steps:
-    """A list of things to do next: what, and the command that does it (or nothing)."""
+    """A list of next steps: text and command, or an empty command."""
 
     items: tuple[tuple[str, str], ...]
 
@@ -67,21 +67,21 @@ Part = Text | Figures | Table | Picture | Steps
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands under it, in order."""
+    """A heading and its content in order."""
 
     title: str
     parts: tuple[Part, ...]
 
     @property
     def anchor(self) -> str:
-        """The section's id in the page's addresses."""
+        """The section's anchor id."""
         return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
 
 
 def write_report(out_dir: Path, title: str, sections: Sequence[Section]) -> Path:
     """Write index.html and figures/NAME.svg of each picture into `out_dir`; return the page's path.
 
-    An older report there is replaced. Equal sections give equal bytes.
+    An older report in the folder is replaced. Equal sections give equal bytes.
 
     Raises:
         OSError: the folder cannot be written.
@@ -102,7 +102,7 @@ def write_report(out_dir: Path, title: str, sections: Sequence[Section]) -> Path
 
 
 def _remove_surplus(figures: Path, names: Sequence[str]) -> None:
-    """Remove figures of an older report that had more of a series: effect-3 where there are two."""
+    """Remove figures of an older report that the new one lacks, such as effect-3.svg of three."""
     for series in {m[1] for name in names if (m := re.fullmatch(r"(.+-)\d+", name))}:
         for old in figures.glob(f"{series}*.svg"):
             if re.fullmatch(r"\d+", old.stem.removeprefix(series)) and old.stem not in names:
@@ -110,7 +110,7 @@ def _remove_surplus(figures: Path, names: Sequence[str]) -> None:
 
 
 def render(title: str, sections: Sequence[Section]) -> str:
-    """Return the page's HTML; every text is escaped, only the pictures' SVG is taken as it is."""
+    """Return the page's HTML; all text is escaped, the pictures' SVG is inserted unchanged."""
     return (
         _environment()
         .get_template("page.html")
@@ -134,7 +134,7 @@ def _environment() -> Environment:
 
 
 def _tied(text: str) -> str:
-    """Return text in which no line ends between a number and its unit."""
+    """Return text with non-breaking spaces between numbers and units."""
     return re.sub(r"(?<=\d) (?=%|dB\b|k?Hz\b|[mµ]?(?:s|m|N|rad)\b)", "\u00a0", text)
 
 

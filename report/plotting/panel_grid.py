@@ -1,4 +1,4 @@
-"""A grid of panels with one legend on top, where it covers no data, and one axis of frequency."""
+"""Grids of panels with a common legend above them and a shared frequency axis."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Grid:
     axes: NDArray[np.object_]
 
     def panels(self) -> Iterator[tuple[tuple[int, int], Axes]]:
-        """Yield ((row, column), axes) from the top left on."""
+        """Yield ((row, column), axes), row by row from the top left."""
         rows, columns = self.axes.shape
         for row in range(rows):
             for column in range(columns):
@@ -37,9 +37,9 @@ class Grid:
                 yield (row, column), ax
 
     def finish_frequency(self, shown: Range, curves: Sequence[Curve] = ()) -> None:
-        """Name the shared axis of frequency and mark where the rigid plant ends.
+        """Label the shared frequency axis and shade frequencies above the rigid-body range.
 
-        Panels of `curves` none of which is to be trusted are hatched.
+        Panels in which all `curves` are unreliable are hatched.
         """
         hatched = bool(curves) and all(curve.doubtful for curve in curves)
         for (row, _), ax in self.panels():
@@ -58,7 +58,7 @@ def new_grid(
     row_in: float | Sequence[float],
     legend: Sequence[Artist] = (),
 ) -> Grid:
-    """Return a grid of (rows, columns) panels, `row_in` inches each row, under its legend."""
+    """Return a grid of (rows, columns) panels below a legend; a row is `row_in` inches high."""
     scale = max(sheet.width_in / PAGE.width_in, 0.8)
     heights = [scale * h for h in np.broadcast_to(row_in, shape[0]).tolist()]
     columns = _legend_columns(legend, sheet)
@@ -87,7 +87,7 @@ def new_grid(
 
 
 def _legend_columns(entries: Sequence[Artist], sheet: Sheet) -> int:
-    """Return into how many columns the entries go without growing wider than the sheet."""
+    """Return the largest number of legend columns that fits the sheet's width."""
     letter, rest = 0.62 * sheet.font_pt / 72, 5.6 * sheet.font_pt / 72
     widths = [letter * len(str(e.get_label())) + rest for e in entries]
     for columns in range(len(entries), 1, -1):
@@ -97,14 +97,14 @@ def _legend_columns(entries: Sequence[Artist], sheet: Sheet) -> int:
 
 
 def _row_by_row(entries: Sequence[Artist], columns: int) -> list[Artist]:
-    """Reorder entries, which matplotlib fills in by columns, to be read row by row."""
+    """Reorder legend entries, which matplotlib fills column by column, for reading by rows."""
     return [e for column in range(columns) for e in entries[column::columns]]
 
 
 def legend_of(
     curves: Sequence[Curve], truth: Sequence[Curve] = (), shown: Range | None = None
 ) -> list[Artist]:
-    """Return the legend's entries of curves that have a label, of their band, truth and range."""
+    """Return the legend entries of labelled curves, their band, the truth and the range."""
     entries: list[Artist] = [entry(c.label, c.line) for c in curves if c.label]
     if any(c.deviation is not None for c in curves):
         entries.append(Patch(color=colour("muted"), alpha=0.3, label="95 % confidence"))
@@ -117,12 +117,12 @@ def legend_of(
 
 
 def entry(label: str, line: LineStyle) -> Line2D:
-    """Return the legend's entry of a line."""
+    """Return the legend entry of a line."""
     return Line2D([], [], label=label, **line.keywords())
 
 
 def plot_curve(ax: Axes, curve: Curve, values: Array, faint: bool = False) -> None:
-    """Draw one value a frequency, thinner where it is `faint`."""
+    """Draw one value per frequency, with a thin line if `faint`."""
     keywords = curve.line.keywords()
     if faint:
         keywords |= {"linewidth": 0.75 * curve.line.width, "alpha": 0.8 * curve.line.alpha}
@@ -130,14 +130,14 @@ def plot_curve(ax: Axes, curve: Curve, values: Array, faint: bool = False) -> No
 
 
 def plot_band(ax: Axes, curve: Curve, low: Array, high: Array) -> None:
-    """Draw the band of a curve beneath all lines."""
+    """Draw the band of a curve behind all lines."""
     ax.fill_between(
         curve.freq_hz, low, high, color=curve.line.colour, alpha=0.16, linewidth=0, zorder=1.5
     )
 
 
 def _hatch(ax: Axes) -> None:
-    """Hatch a panel beneath all that is drawn in it."""
+    """Hatch a panel's background."""
     ax.add_patch(
         Rectangle(
             (0.0, 0.0),
@@ -154,7 +154,7 @@ def _hatch(ax: Axes) -> None:
 
 
 def mark_validity(ax: Axes, shown: Range) -> None:
-    """Shade the frequencies beyond those that the rigid plant is expected to hold for."""
+    """Shade the frequencies above the range of the rigid-body model."""
     if shown.valid_to_hz is not None and shown.low_hz < shown.valid_to_hz < shown.high_hz:
         ax.axvspan(shown.valid_to_hz, shown.high_hz, color=colour("shade"), zorder=0, linewidth=0)
         ax.axvline(shown.valid_to_hz, color=colour("edge"), linewidth=0.8, zorder=1)

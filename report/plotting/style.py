@@ -1,4 +1,4 @@
-"""How every figure looks: a palette for light and dark, lines for beam positions, two sheets."""
+"""Style of all figures: light and dark palette, line styles, sheet sizes."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLoca
 
 @dataclass(frozen=True)
 class Colour:
-    """A colour by its role: as drawn (and on light paper), and on a dark page."""
+    """A colour by role: as drawn and on light pages, and on dark pages."""
 
     role: str
     light: str
     dark: str
 
 
-# The palette of Okabe and Ito, which readers with any colour vision tell apart; its dark variants
-# keep the hue and gain lightness. No two roles share a light value: the page finds them by it.
+# The palette of Okabe and Ito is distinguishable with every colour vision; the dark variants have
+# the same hue and more lightness. Light values are unique: the page finds the roles by them.
 COLOURS: tuple[Colour, ...] = (
     Colour("ink", "#1d2126", "#e8eaed"),
     Colour("muted", "#5b626c", "#a9b1bc"),
@@ -50,7 +50,7 @@ def colour(role: str) -> str:
 
 @dataclass(frozen=True)
 class LineStyle:
-    """How one curve is drawn: colour and dashes both tell it apart, so that grey print does too."""
+    """Line style of a curve; colour and dashes both identify it, also in a grey print."""
 
     colour: str
     dashes: tuple[float, ...] = ()
@@ -83,10 +83,10 @@ DOF = {
     "theta": LineStyle(_LIGHT["orange"]),
     "z": LineStyle(_LIGHT["sky"]),
 }
-"""The platform's axes where they share a panel: other colours than the beam positions'."""
+"""Lines of the platform's DOFs in a common panel; the colours differ from beam positions'."""
 TRUTH = LineStyle(_LIGHT["truth"], width=2.6, alpha=0.55, zorder=2.0)
 DOUBTFUL = LineStyle(_LIGHT["muted"], (1.0, 1.5), width=1.2, zorder=2.8)
-"""What is not to be trusted: grey and dotted, whatever it would else be."""
+"""Line of unreliable results: grey and dotted."""
 BOUND = LineStyle(_LIGHT["ink"], (2.0, 2.0), width=0.8, zorder=2.5)
 
 
@@ -96,13 +96,13 @@ def line_of(index: int) -> LineStyle:
     line = _CYCLE[place]
     if not again:
         return line
-    # The same colours again, thinner and with a dot more in their dashes for every round.
+    # Colours repeat with thinner lines and one more dot in the dashes each time.
     dots = (1.0, 1.2) * again
     return replace(line, dashes=(*(line.dashes or (12.0, 1.2)), *dots), width=0.8 * line.width)
 
 
 def position_label(beam_m: float | None, positions_m: Sequence[float | None]) -> str:
-    """Return the name of a beam position among all of a report: 'left (−100 mm)' of three."""
+    """Return the label of a beam position among a report's, such as 'left (−100 mm)' of three."""
     if beam_m is None:
         return "plant"
     known = sorted(p for p in positions_m if p is not None)
@@ -123,9 +123,9 @@ _TAKE_PREFIX = frozenset(
 
 
 def engineering(largest: float, unit: str = "m") -> tuple[float, str]:
-    """Return factor and prefix that bring a value to 1 .. 1000; none where the unit takes none.
+    """Return factor and SI prefix that scale a value to 1 .. 1000, or 1 and '' for other units.
 
-    What begins with a prefix, or with a power, takes no other.
+    A unit that already has a prefix or a power gets no prefix.
     """
     first = unit.replace("/", " ").replace("*", " ").replace("·", " ").split(" ")[0]
     if first not in _TAKE_PREFIX or not np.isfinite(largest) or largest <= 0:
@@ -136,7 +136,7 @@ def engineering(largest: float, unit: str = "m") -> tuple[float, str]:
 
 @dataclass(frozen=True)
 class Sheet:
-    """What a figure is drawn for: width in inches, size of letters in points, factor on lines."""
+    """Format of a figure: width in inches, font size in points, factor on line widths."""
 
     width_in: float
     font_pt: float
@@ -149,7 +149,7 @@ PAPER = Sheet(width_in=7.16, font_pt=8.0, line=0.8)  # both columns of a two-col
 
 @contextmanager
 def drawing(sheet: Sheet = PAGE) -> Iterator[None]:
-    """Draw in this style while the body runs; pyplot and its global state are never touched."""
+    """Apply this style while the `with` body runs, without pyplot's global state."""
     with mpl.rc_context(_rc(sheet)):
         yield
 
@@ -216,7 +216,7 @@ def power_of_ten(value: float, _position: int | None = None) -> str:
 
 
 def log_ticks(ax: Axes, which: str, limits: tuple[float, float], every: int | None = None) -> None:
-    """Make an axis logarithmic with ticks at powers of ten, every second one when they crowd."""
+    """Make an axis logarithmic with ticks at powers of ten, every second one if too dense."""
     axis = ax.xaxis if which == "x" else ax.yaxis
     (ax.set_xscale if which == "x" else ax.set_yscale)("log")
     (ax.set_xlim if which == "x" else ax.set_ylim)(*limits)
@@ -229,7 +229,7 @@ def log_ticks(ax: Axes, which: str, limits: tuple[float, float], every: int | No
 
 
 def frequency_axis(ax: Axes, limits: tuple[float, float]) -> None:
-    """Make x a logarithmic axis of frequency in Hz, with plain numbers at its ticks."""
+    """Make x a logarithmic frequency axis in Hz with plain numbers as tick labels."""
     ax.set_xscale("log")
     ax.set_xlim(*limits)
     ticks = [t for t in _ONE_TWO_FIVE if limits[0] * 0.999 <= t <= limits[1] * 1.001]

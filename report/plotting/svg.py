@@ -1,4 +1,4 @@
-"""Figures as SVG text: the same bytes for the same input, its colours those of the page's theme."""
+"""Convert figures to reproducible SVG text with the colours of the page's theme."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from matplotlib.figure import Figure
 
 from .style import COLOURS, PAGE, Sheet, drawing
 
-# Metrics are DejaVu Sans's, which is wider than nearly every other font: whatever font the reader
-# has, labels fit where they were laid out.
+# The layout uses the metrics of DejaVu Sans, which is wider than nearly every other font: labels
+# fit with the reader's fonts.
 _FONTS = "'DejaVu Sans', Verdana, system-ui, sans-serif"
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure to be put on the page: file name without ending, SVG, words for it.
+    """A figure of the page: file name without ending, SVG, texts.
 
-    `alt` says what it shows to who cannot see it, `caption` what to see in it, `paper` which figure
-    of the paper it stands for ('Fig. 9'), if any.
+    `alt` is the alternative text, `caption` the caption, `paper` the corresponding figure of the
+    paper ('Fig. 9'), if any.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Picture:
 
     @property
     def inline(self) -> str:
-        """The SVG element alone, colours as CSS variables, ids apart from other pictures'."""
+        """The SVG element with colours as CSS variables and ids unique on the page."""
         body = self.svg[self.svg.index("<svg") :]
         body = re.sub(r'\bid="', f'id="{self.name}-', body)
         body = re.sub(r'(href="#|url\(#)', rf"\g<1>{self.name}-", body)

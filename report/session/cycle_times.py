@@ -1,4 +1,4 @@
-"""Lateness and execution time of the cycles of a flight in real time, as histograms."""
+"""Draw histograms of lateness and execution time of a real-time flight's cycles."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import BOUND, PAGE, LineStyle, Sheet, colour, drawing, log_ticks
 from .flight_data import CycleTimes
 
-_FLOOR_US = 0.05
-"""Where the axis begins: within the first bin, which begins at 0."""
+_AXIS_START_US = 0.05
+"""Begin of the logarithmic axis, within the first bin, which begins at 0."""
 
 
 def timing_histogram(timing: CycleTimes, *, sheet: Sheet = PAGE) -> Figure:
-    """Draw how many cycles were how late and how long, both axes logarithmic, the period marked."""
+    """Draw histograms of lateness and execution time, both axes logarithmic, the period marked."""
     rows = (
         ("lateness", timing.lateness, LineStyle(colour("blue"))),
         ("execution time", timing.execution, LineStyle(colour("green"))),
     )
-    edges = np.maximum(1e6 * timing.edges_s, _FLOOR_US)
+    edges = np.maximum(1e6 * timing.edges_s, _AXIS_START_US)
     most = max(int(timing.lateness.max(initial=1)), int(timing.execution.max(initial=1)))
     used = np.flatnonzero(timing.lateness + timing.execution)
     longest = max(3e6 * timing.period_s, 2 * edges[used[-1] + 1] if used.size else 0.0)
@@ -29,7 +29,7 @@ def timing_histogram(timing: CycleTimes, *, sheet: Sheet = PAGE) -> Figure:
     with drawing(sheet):
         grid = new_grid((1, 2), sheet, 2.2, legend)
         for ax, (title, counts, line) in zip(grid.axes[0], rows, strict=True):
-            log_ticks(ax, "x", (_FLOOR_US, longest))
+            log_ticks(ax, "x", (_AXIS_START_US, longest))
             log_ticks(ax, "y", (0.7, 2.0 * most))
             ax.stairs(counts, edges, fill=True, color=line.colour, linewidth=0)
             ax.axvline(1e6 * timing.period_s, **BOUND.keywords())
@@ -40,7 +40,7 @@ def timing_histogram(timing: CycleTimes, *, sheet: Sheet = PAGE) -> Figure:
 
 
 def quantile_s(counts: NDArray[np.int64], edges_s: NDArray[np.float64], share: float) -> float:
-    """Return the upper edge of the bin that the given share of all cycles lies below."""
+    """Return the quantile of a histogram: the upper edge in s of the bin that contains it."""
     total = np.cumsum(counts)
     if not total.size or not total[-1]:
         return float("nan")

@@ -1,4 +1,4 @@
-"""What a session's logs show, reduced to what figures and tables need, one log at a time."""
+"""Reduce a session's logs to the data of figures and tables, one log at a time."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 
 _FINE_BINS = 1024
 _COILS = "coil_excitation_n"
-_STANDS_M = 1e-3
-"""A beam that moves by less while something else does is not what the record is about."""
+_BEAM_STILL_M = 1e-3
+"""Range below which the beam counts as still if something else moves."""
 _LATENESS_EDGES_S = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, 71)])
 
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of time in one state of the loop; state None where the log has none."""
+    """A time span in one state of the loop; state is None if the log has no states."""
 
     state: State | None
     start_s: float
@@ -39,11 +39,12 @@ class Span:
 
 @dataclass(frozen=True)
 class StepFlown:
-    """One log: what step of the session it holds, and what happened in it.
+    """One log: its step of the session and a summary of the flight in it.
 
-    Levels, peak and beam are those of the working states (exciting, moving), of everything where
-    there are none: peak_gap_m the largest height at any sensor, beam_m where the beam began, ended,
-    and its extremes. saturated counts cycles with a coil at a limit, skipped the periods left out.
+    Levels, peak and beam are those of the working states (exciting, moving), or of the whole log
+    without these: peak_gap_m is the largest height at any sensor, beam_m the beam's position at
+    begin and end and its extremes. saturated counts cycles with a coil at a limit, skipped the
+    skipped periods.
     """
 
     path: Path
@@ -63,7 +64,7 @@ class StepFlown:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader has to know of this log, in words."""
+        """Remarks on the log: truncated, skipped periods, saturation, ..."""
         words = []
         if self.saturated:
             words.append(f"a coil at its limit in {self.saturated} cycles")
@@ -87,12 +88,12 @@ class CycleTimes:
 
 @dataclass(frozen=True)
 class Session:
-    """A session as flown: its steps, its signals over the plant's one continuous time, its states.
+    """A flown session: steps, signals over the plant's continuous time, states.
 
-    gap_limit_m is how far a sensor may read in flight, None where no rig tells.
-    signals are envelopes by the log's field name ('coil_n': over all coils). beam_records are, by
-    name, the records in which nothing but the beam moved. timing is None in virtual time, where
-    both figures are logged as 0.
+    gap_limit_m is the rig's limit of sensor readings in flight, None without a rig in the logs.
+    signals are envelopes by the log's field name ('coil_n': over all coils). beam_records are the
+    records in which only the beam moved, by name. timing is None in virtual time, where lateness
+    and execution time are logged as 0.
     """
 
     name: str
@@ -115,11 +116,11 @@ DRAWN = (
     *("psi_rad", "theta_rad", "z_m", "beam_m", "beam_ref_m", "coil_n"),
     *("v_psi_n_m", "v_theta_n_m", "v_z_n", "coil_excitation_n"),
 )
-"""The fields of the cycle record that the time plots show."""
+"""Fields of the log that the time plots show."""
 
 
 def read_session(paths: Sequence[Path], bins: int = 700) -> Session:
-    """Read the logs of one session in order of time, and reduce each before the next is read.
+    """Read the logs of one session in order of time; reduce each before reading the next.
 
     Raises:
         LogError: a log cannot be read.
@@ -177,7 +178,7 @@ def _assembled(parts: list[_Part], bins: int) -> Session:
 
 
 def _beam_records(parts: Sequence[_Part]) -> dict[str, BeamRecord]:
-    """Return the records of moving beams by name; one that was rotated is one again."""
+    """Return the records with a moving beam by name; parts of a rotated log are joined."""
     found: dict[str, list[BeamRecord]] = {}
     for part in parts:
         if part.beam is not None:
@@ -191,7 +192,7 @@ def _gap_limit(log: Log) -> float | None:
         return None
     try:
         return parse_text(text, RigConfig, "rig.yaml").limits.gap_m
-    except ConfigError:  # whoever identifies it is told
+    except ConfigError:  # the identification reports it
         return None
 
 
@@ -258,8 +259,8 @@ def _beam_record(log: Log, t: Array, step: StepFlown) -> BeamRecord | None:
     needed = {"beam_m", "theta_rad", "z_m"}
     if step.kind != "record" or step.excited or not needed <= set(log.rows.dtype.names or ()):
         return None
-    # A rotor that turns is a motion as well, and shows nothing of the beam's weight.
-    if not moving.any() or np.ptp(_finite(_column(log, "beam_m")[moving])) < _STANDS_M:
+    # A turning rotor is also a motion, but does not show the beam's weight.
+    if not moving.any() or np.ptp(_finite(_column(log, "beam_m")[moving])) < _BEAM_STILL_M:
         return None
     beam, theta, z, reference = (
         np.asarray(_column(log, n)[moving], float)
@@ -278,7 +279,7 @@ def _finite(x: NDArray[np.floating]) -> Array:
 
 
 def _printable(text: str) -> str:
-    """Return text without the control characters that no XML may hold."""
+    """Return text without control characters, which are invalid in XML."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
@@ -306,7 +307,7 @@ def _merged(spans: list[Span]) -> list[Span]:
 
 
 def _column(log: Log, name: str) -> NDArray[Any]:
-    """Return a field, or zeros where the log has none of that name."""
+    """Return a field, or zeros if the log does not have it."""
     if name in (log.rows.dtype.names or ()):
         return np.asarray(log.rows[name])
     return np.zeros(len(log.rows))
@@ -317,7 +318,7 @@ def _counted(log: Log) -> Array:
 
 
 def _versions(log: Log) -> dict[str, str]:
-    """Return the versions at the head of a log; nothing where they are no JSON object."""
+    """Return the versions in a log's metadata; empty if they are not a JSON object."""
     try:
         found = json.loads(log.attachments.get("versions.json", b"{}"))
     except ValueError:

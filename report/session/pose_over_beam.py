@@ -1,4 +1,4 @@
-"""The platform under a moving beam, as measured."""
+"""Draw the measured pose during beam moves."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _REFERENCE = LineStyle(colour("ink"), (2.0, 2.0), width=0.9, zorder=4)
 
 @dataclass(frozen=True)
 class BeamRecord:
-    """A record with a moving beam: all (N,); beam_ref_m None where there is no reference."""
+    """A record with a moving beam, arrays (N,); beam_ref_m is None without a reference."""
 
     t_s: Array
     beam_m: Array
@@ -33,7 +33,7 @@ class BeamRecord:
 
 
 def joined(parts: Sequence[BeamRecord]) -> BeamRecord:
-    """Return the parts of one record, in order of time, as one."""
+    """Join the parts of one record, given in order of time."""
     references = [part.beam_ref_m for part in parts if part.beam_ref_m is not None]
     return BeamRecord(
         np.concatenate([part.t_s for part in parts]),
@@ -45,7 +45,7 @@ def joined(parts: Sequence[BeamRecord]) -> BeamRecord:
 
 
 def beam_trajectory(record: BeamRecord, *, sheet: Sheet = PAGE) -> Figure:
-    """Draw x_b(t), theta(t) and z(t) over one axis of time."""
+    """Draw x_b(t), theta(t) and z(t) over a common time axis."""
     legend: list[Artist] = [entry("measured", _MEASURED)]
     if record.beam_ref_m is not None:
         legend.append(entry("reference", _REFERENCE))

@@ -1,4 +1,4 @@
-"""The report on a session as flown: what the loop did, and how quietly."""
+"""Write the report on a flown session."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from .pose_over_beam import beam_trajectory
 from .time_plot import session_plot
 
 _COIL = "coil:"
-_MOST_PICTURED = 6
-"""Of records with a moving beam so many have a picture each; all are in the table of steps."""
+_MOST_FIGURES = 6
+"""Largest number of records with a figure of the moving beam; the table has all records."""
 _NEAR = 0.8
-"""Share of the allowed gap beyond which the next flight may meet its limit."""
+"""Share of the gap limit above which the next flight may exceed the limit."""
 _TAKING_OFF = (
     " Taking off from the stops and landing on them, some 0.9 mm away, lie outside of the range of "
     "the pose."
@@ -40,7 +40,7 @@ _TAKING_OFF = (
 
 
 def session_report(log_paths: Sequence[Path], out_dir: Path) -> Path:
-    """Write a page on the session that these logs, one a step, were flown in; return its path.
+    """Write the report on a session from its logs, one per step; return the page's path.
 
     Raises:
         LogError: a log cannot be read.
@@ -64,7 +64,7 @@ def session_report(log_paths: Sequence[Path], out_dir: Path) -> Path:
 
 
 def session_words(session: Session) -> str:
-    """Return what was flown, in a sentence or two."""
+    """Return a summary of the flight in one or two sentences."""
     records = [step for step in session.steps if step.kind == "record"]
     if all(span.state is None for span in session.spans):
         return f"{_count(len(session.steps), 'log')} of measured data."
@@ -85,12 +85,12 @@ def session_words(session: Session) -> str:
 
 
 def listed(words: Sequence[str]) -> str:
-    """Return words as a list in a sentence: a, b and c."""
+    """Return words as a list in a sentence, such as 'a, b and c'."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def session_numbers(session: Session) -> tuple[Number, ...]:
-    """Return the numbers that say how a session went."""
+    """Return the numbers of the session's summary."""
     numbers = [Number(f"{session.duration_s:.0f} s", f"flown at {session.rate_hz:g} Hz")]
     peaks = [s.peak_gap_m for s in session.steps if s.kind == "record" and s.peak_gap_m is not None]
     if peaks:
@@ -115,7 +115,7 @@ def _farthest(peak_m: float, limit_m: float | None) -> Number:
 
 
 def session_sections(session: Session) -> tuple[Section, ...]:
-    """Return the sections on a session: what was flown, and moving beam and timing if there are."""
+    """Return the sections of a session: flight; moving beam and timing if logged."""
     flown: list[Part] = []
     if session.signals:
         flown.append(
@@ -158,7 +158,7 @@ def session_sections(session: Session) -> tuple[Section, ...]:
 
 def _beam_pictures(session: Session) -> list[Picture]:
     pictures = []
-    shown = list(session.beam_records.items())[:_MOST_PICTURED]
+    shown = list(session.beam_records.items())[:_MOST_FIGURES]
     for number, (name, record) in enumerate(shown):
         theta, z = (float(np.ptp(x)) for x in (record.theta_rad, record.z_m))
         pictures.append(
@@ -224,7 +224,7 @@ def _beam(step: StepFlown) -> str:
 
 
 def _peak(step: StepFlown) -> str:
-    # On the way to and from the stops it only says where these are.
+    # During lift-off and landing the peak only shows the end stops.
     if step.peak_gap_m is None or step.kind in ("levitate", "land"):
         return "—"
     return f"{1e3 * step.peak_gap_m:.3f}"

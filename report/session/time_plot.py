@@ -1,4 +1,4 @@
-"""The whole session over time: what the loop did, pose, beam, coil forces, excitation."""
+"""Draw a whole session over time: states, pose, beam, coil forces, excitation."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ _PANELS = (
 
 
 def session_plot(session: Session, *, sheet: Sheet = PAGE) -> Figure:
-    """Draw the session's signals over time under a strip of its states and records.
+    """Draw the session's signals over time below a strip of its states and records.
 
     Signals of long sessions are bands from minimum to maximum. Pose panels show the range of the
-    working states (exciting, moving): taking off and landing, some 0.9 mm, leave them below.
-    Signals that the logs do not have, or that stay zero in all of them, have no panel.
+    working states (exciting, moving); lift-off and landing, about 0.9 mm, exceed it. Signals that
+    are missing or zero in all logs have no panel.
     """
     shown = [panel for panel in _PANELS if any(_used(session, t) for t in panel.traces)]
     states = sorted({span.state for span in session.spans if span.state is not None})
@@ -104,7 +104,7 @@ def _draw(ax: Axes, panel: _Panel, session: Session) -> None:
         if span.state in _WORKING:
             ax.axvspan(span.start_s, span.end_s, color=colour("shade"), zorder=0, linewidth=0)
     traces = [t for t in panel.traces if _used(session, t)]
-    # The wider one first, so that it does not cover the other.
+    # Draw the wider band first so that it does not cover the other.
     for trace in sorted(traces, key=lambda t: -_extent(session, t)):
         plot_envelope(ax, session.signals[trace.field], trace.line, panel.factor)
     ax.set_title(panel.title)
@@ -123,7 +123,7 @@ def _draw(ax: Axes, panel: _Panel, session: Session) -> None:
 
 
 def _names_fit(session: Session, sheet: Sheet) -> bool:
-    """Tell whether the records' names have room side by side."""
+    """Return whether the records' names fit side by side."""
     point_s = max(session.duration_s, 1e-9) / (72 * 0.9 * sheet.width_in)
     letter_s = 0.62 * sheet.font_pt * point_s
     return all(
@@ -166,7 +166,7 @@ def _strip(ax: Axes, session: Session, sheet: Sheet, flat: bool) -> None:
 
 
 def _limits(signals: Sequence[Envelope], spans: Sequence[Span]) -> tuple[float, float] | None:
-    """Return the range of the working states with a margin; of everything where there are none."""
+    """Return the range in the working states, or of all rows without these, with a margin."""
     low, high = np.inf, -np.inf
     for signal in signals:
         working = np.zeros(len(signal.t), bool)

@@ -1,4 +1,4 @@
-"""A section for each effect found: its equation, its parameters, its shape measured and fitted."""
+"""Build a report section for each effect: equation, parameters, measured and fitted shape."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from .number_format import (
 Array = NDArray[np.float64]
 
 _ENOUGH = 0.6
-"""Of a part of an effect that one signal explains: below, it is drawn over itself as fitted."""
+"""Share of an effect that one signal must explain; below, it is drawn over its fitted value."""
 _RATHER = 0.1
 _OF_CHANNEL = ("command of", "height at", "speed at")
 _STRETCH_S = 4.0
@@ -37,7 +37,7 @@ _MOST_SHAPES = 3
 
 
 def effect_sections(result: Outcome, views: Views) -> list[Section]:
-    """Return a section for each effect: those found, random forces, those declared before."""
+    """Return a section for each found effect, random force and declared effect."""
     sections: list[Section] = []
     for found in result.effects:
         number = len(sections) + 1
@@ -77,7 +77,7 @@ def _random_parts(force: RandomForce) -> tuple[Part, ...]:
 
 
 def sizes(found: FoundEffect, views: Views) -> tuple[str, str, float, float] | None:
-    """Return place, unit, RMS in the liveliest record and maximum of an effect's largest part."""
+    """Return location, unit, largest record RMS and maximum of an effect's largest part."""
     parts = _aspects(found, views)
     if not parts:
         return None
@@ -112,7 +112,7 @@ class _Everywhere:
 
 
 def _aspects(found: FoundEffect, views: Views) -> list[_Everywhere]:
-    """Return the parts of an effect, that which says most about it first."""
+    """Return the parts of an effect, the clearest first."""
     by_place: dict[str, list[tuple[RecordView, Aspect]]] = {}
     for record in views.records:
         for aspect in record.aspects:
@@ -159,7 +159,7 @@ def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
                 "that keeps what stands out of the noise. The mean over a record, which its "
                 "constant force hides, is as fitted. Intervals come from the spread between blocks "
                 "of 4 s. "
-                f"{_seen(shapes)}",
+                f"{_difference_words(shapes)}",
             )
         )
     parts += [Text(text) for text in _neighbours(found)]
@@ -201,7 +201,7 @@ def _shape(part: _Everywhere, dof: Sequence[str]) -> Shape:
         dependence(part.signal(j), fitted, block).share if np.ptp(part.signal(j)) > 0 else 0.0
         for j in range(len(signals))
     ]
-    # Its own command or height says more of a channel than what happens to go with it.
+    # Prefer a channel's own command or height to signals that are correlated with it.
     own = [s.name.startswith(_OF_CHANNEL) for s in signals]
     best = int(np.argmax(np.array(shares) + _RATHER * np.array(own)))
     if shares[best] >= _ENOUGH:
@@ -220,7 +220,7 @@ def _shape(part: _Everywhere, dof: Sequence[str]) -> Shape:
 
 
 def _liveliest(records: Sequence[tuple[RecordView, Aspect]]) -> tuple[RecordView, slice]:
-    """Return the record, and the seconds of it, in which the effect is largest."""
+    """Return the record and the time span in it where the effect is largest."""
     best: tuple[float, RecordView, slice] | None = None
     for record, aspect in records:
         time_s = next(s.values for s in aspect.signals if s.name == "time")
@@ -236,8 +236,8 @@ def _liveliest(records: Sequence[tuple[RecordView, Aspect]]) -> tuple[RecordView
     return best[1], best[2]
 
 
-def _seen(shapes: Sequence[Shape]) -> str:
-    """Return how far the measured shape is from the fitted one, in words."""
+def _difference_words(shapes: Sequence[Shape]) -> str:
+    """Return a sentence about the difference of measured and fitted shape."""
     shape = shapes[0]
     apart = np.abs(shape.measured - shape.fitted)
     inside = float(np.mean(apart <= CONFIDENCE * shape.error)) if len(apart) else 1.0
@@ -249,7 +249,7 @@ def _seen(shapes: Sequence[Shape]) -> str:
 
 
 def _on(place: str) -> str:
-    """Return a place after a number: 'on z', 'at coil 3'."""
+    """Return a location as it follows a number, such as 'on z' or 'at coil 3'."""
     for head, instead in (
         ("force of the beam", "on the beam"),
         ("force of ", "at "),

@@ -1,4 +1,4 @@
-"""The shape of an effect: measured and fitted, over what it depends on and over time."""
+"""Draw the shape of an effect, measured and fitted, over a signal and over time."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _SHAPE_IN = 2.7
 
 @dataclass(frozen=True)
 class Shape:
-    """A part of an effect over what it depends on: measured (K,) with errors (K,), and fitted (K,).
+    """A part of an effect over a signal (K,): measured with errors, and fitted.
 
-    Beside it a stretch of a record: time_s (L,), measured and fitted (L,).
+    Also a time span of a record: time_s, measured and fitted (L,).
     """
 
     title: str
@@ -48,7 +48,7 @@ class Shape:
 
 
 def effect_shapes(shapes: Sequence[Shape], *, sheet: Sheet = PAGE) -> Figure:
-    """Draw each part of an effect over what it depends on, and beside it over time."""
+    """Draw each part of an effect over the signal that it depends on, and over time."""
     legend: list[Artist] = [
         Line2D(
             [], [], color=colour("blue"), marker="o", markersize=3.5, linestyle="none",

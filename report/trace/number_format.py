@@ -1,4 +1,4 @@
-"""How the page on a trace writes numbers, signals and effects."""
+"""Format numbers, units, signals and locations for the trace report."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from ..plotting.curves import symbol
 from ..plotting.style import engineering
 
 CONFIDENCE = 1.96
-"""Of a Gaussian error 95 % lie within this many standard deviations."""
+"""95 % of Gaussian errors are within this many standard deviations."""
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit with its powers raised, '' where there is none."""
+    """Return a unit with superscript powers, '' for none."""
     if unit in ("", "1"):
         return ""
     return re.sub(r"\^(-?\d+)", lambda m: m[1].translate(_SUPERSCRIPT), unit)
 
 
 def signal_text(name: str) -> str:
-    """Return a signal's name as read: theta' as θ′, 'height at coil 3' as it is."""
+    """Return a signal's name with Greek letters, such as θ′ for theta'; others unchanged."""
     base = name.rstrip("'")
     known = symbol(base) if "_b" not in base else base
     return known + ("", "′", "″")[len(name) - len(base)]
 
 
 def place_text(place: str, dof: Sequence[str]) -> str:
-    """Return a place with its DOF in Greek letters: 'force on θ'."""
+    """Return a location with its DOF in Greek letters, such as 'force on θ'."""
     head, _, last = place.rpartition(" ")
     return f"{head} {symbol(last)}".strip() if last in dof else place
 
 
 def with_interval(parameter: EffectParameter) -> str:
-    """Return '(3.003 ± 0.011)·10⁸ N/m³': a value with half its 95 % interval."""
+    """Return a value with its 95 % interval, such as '(3.003 ± 0.011)·10⁸ N/m³'."""
     value, unit = parameter.value, unit_text(parameter.unit)
     half = None if parameter.se is None else CONFIDENCE * parameter.se
     power = _power(max(abs(value), half or 0.0))
@@ -53,7 +53,7 @@ def with_interval(parameter: EffectParameter) -> str:
 
 
 def amount(value: float, unit: str) -> str:
-    """Return a value with three digits and a prefix: '1.36 µm'; beyond what prefixes do, powers."""
+    """Return a value with three digits and a prefix, such as '1.36 µm', or a power of ten."""
     plain = unit_text(unit)
     if not np.isfinite(value):
         return "—"
@@ -69,12 +69,12 @@ def amount(value: float, unit: str) -> str:
 
 
 def share_text(share: float) -> str:
-    """Return how much of what was left something explains."""
+    """Return the explained share of the remaining error as text."""
     return f"{100 * share:.3g} % of what noise did not explain then"
 
 
 def plain(value: float, digits: int = 6) -> str:
-    """Return a number in SI units with so many digits, powers of ten as 1.5·10⁻⁷."""
+    """Return a number in SI units with `digits` digits, and powers of ten as in 1.5·10⁻⁷."""
     text = f"{value:.{digits}g}"
     head, _, exponent = text.partition("e")
     power = f"·10{str(int(exponent)).translate(_SUPERSCRIPT)}" if exponent else ""
@@ -87,7 +87,7 @@ def times_text(ratio: float) -> str:
 
 
 def change_text(before: float, after: float) -> str:
-    """Return the change in percent, a true minus before it."""
+    """Return the change in percent with a typographic minus."""
     if not (before > 0 and np.isfinite(after)):
         return "—"
     change = 100 * (after / before - 1)
@@ -95,7 +95,7 @@ def change_text(before: float, after: float) -> str:
 
 
 def _power(size: float) -> int:
-    """Return the power of ten to write in front; none from 0.01 to 10 000."""
+    """Return the power of ten of a number; 0 from 0.01 to 10 000."""
     if not (size > 0 and np.isfinite(size)):
         return 0
     exponent = int(np.floor(np.log10(size)))

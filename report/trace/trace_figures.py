@@ -1,4 +1,4 @@
-"""Figures of a trace: errors, spectra, candidates, what depends on what."""
+"""Draw the figures of a trace: errors, spectra, candidates, dependence of the residual."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ _ROW_IN = 0.23
 
 @dataclass(frozen=True)
 class Bar:
-    """A candidate: its name, what it explains, a note, and whether it was fitted, or taken."""
+    """A candidate: name, explained share, note, and whether it was fitted and accepted."""
 
     name: str
     explained: float
     note: str
     fitted: bool
-    taken: bool
+    accepted: bool
 
 
 def errors_by_record(
@@ -58,10 +58,10 @@ def errors_by_record(
     *,
     sheet: Sheet = PAGE,
 ) -> Figure:
-    """Draw errors (R, n) over their floor, a row a record and a panel a DOF."""
+    """Draw errors (R, n) over their noise floor, a row per record and a panel per DOF."""
     both = [after] if before is None else [before, after]
     legend = _dots(before is not None)
-    # A simulation that ran away has no error to draw.
+    # A diverged simulation has no error to draw.
     after = np.where(np.isfinite(after), after, np.nan)
     known = np.concatenate([b[np.isfinite(b)] for b in both])
     largest = max(float(known.max(initial=0.0)), 2.0)
@@ -94,7 +94,7 @@ def error_spectra(
     *,
     sheet: Sheet = PAGE,
 ) -> Figure:
-    """Draw densities (F, n) of the error before, after and of noise alone, as rms per root Hz."""
+    """Draw densities (F, n) of the error before, after, and of noise, as RMS per root Hz."""
     before, after, floor = densities
     shown = Range(float(freq_hz[freq_hz > 0][0]), float(freq_hz[-1]))
     with drawing(sheet):
@@ -122,9 +122,9 @@ def error_spectra(
 def candidates(
     bars: Sequence[Bar], measure: str, *, last_tick: float = math.inf, sheet: Sheet = PAGE
 ) -> Figure:
-    """Draw what candidates of one round explain, each by itself; `measure` says of what.
+    """Draw the share that each candidate of a round explains by itself; `measure` is the label.
 
-    The axis is numbered no further than to `last_tick`: there is no share of 120 %.
+    Tick labels end at `last_tick`, because shares above 100 % have no meaning.
     """
     legend: list[Artist] = [
         Patch(facecolor=colour("blue"), label="taken"),
@@ -137,7 +137,7 @@ def candidates(
         _make_room(grid.figure, [b.name for b in bars], sheet)
         rows = np.arange(len(bars))
         fill = [
-            colour("blue") if b.taken else colour("sky") if b.fitted else colour("edge")
+            colour("blue") if b.accepted else colour("sky") if b.fitted else colour("edge")
             for b in bars
         ]
         values = np.array([max(b.explained, 0.0) for b in bars])
@@ -166,7 +166,7 @@ def dependence_map(
     *,
     sheet: Sheet = PAGE,
 ) -> Figure:
-    """Draw shares (n, m) of the missing force that signals explain, as areas of squares."""
+    """Draw shares (n, m) of the residual force that signals explain, as areas of squares."""
     outline: dict[str, Any] = {
         "facecolor": "none",
         "edgecolor": colour("vermillion"),
@@ -208,7 +208,7 @@ def squares_over_time(
     *,
     sheet: Sheet = PAGE,
 ) -> Figure:
-    """Draw mean squares of blocks over the session's time, a piece of line a record."""
+    """Draw mean squares of blocks over the session's time, one line segment per record."""
     both = [(after, AFTER)] if before is None else [(before, BEFORE), (after, AFTER)]
     with drawing(sheet):
         grid = new_grid((1, 1), sheet, 2.5, _lines(before is not None))
@@ -232,7 +232,7 @@ def squares_over_time(
 
 
 def sensors_alone(before: Array | None, after: Array, *, sheet: Sheet = PAGE) -> Figure:
-    """Draw each sensor's RMS (S,) beyond the rigid platform, over what its noise leaves there."""
+    """Draw each sensor's RMS (S,) outside the rigid-body directions, relative to its noise."""
     both = [after] if before is None else [before, after]
     with drawing(sheet):
         grid = new_grid((1, 1), sheet, 2.3, _dots(before is not None))
@@ -257,7 +257,7 @@ def sensors_alone(before: Array | None, after: Array, *, sheet: Sheet = PAGE) ->
 
 
 def _square(ax: Axes, x: float, y: float, share: float, **keywords: Any) -> None:
-    """Draw a square whose area is a share of the cell's."""
+    """Draw a square with an area of `share` of the cell's."""
     side = 0.84 * float(np.sqrt(np.clip(share, 0.0, 1.0)))
     if side < 0.03:
         return
@@ -265,7 +265,7 @@ def _square(ax: Axes, x: float, y: float, share: float, **keywords: Any) -> None
 
 
 def _dots(two: bool) -> list[Artist]:
-    """Return the legend of dots: of one model, or of one without and one with effects."""
+    """Return the legend of dots for one model, or for the models without and with effects."""
     noise = entry("noise alone", FLOOR)
     if not two:
         return [_dot("the model", AFTER, filled=True), noise]
@@ -277,7 +277,7 @@ def _dots(two: bool) -> list[Artist]:
 
 
 def _lines(two: bool) -> list[Artist]:
-    """Return the legend of lines, likewise."""
+    """Return the legend of lines for one model, or for the models without and with effects."""
     noise = entry("noise alone", FLOOR)
     if not two:
         return [entry("the model", AFTER), noise]
@@ -306,7 +306,7 @@ def _multiples(ax: Axes, limits: tuple[float, float]) -> None:
 
 
 def _multiple_ticks(ax: Axes, which: str, limits: tuple[float, float]) -> None:
-    """Put plain numbers 1, 2, 5, 10, ... at a logarithmic axis, fewer when they crowd."""
+    """Label a logarithmic axis with 1, 2, 5, 10, ..., or fewer numbers if too dense."""
     decades = np.log10(limits[1] / limits[0])
     steps = (1, 2, 5) if decades < 2 else (1,)
     ticks = [float(f"{m}e{e}") for e in range(-1, 7) for m in steps]
@@ -318,7 +318,7 @@ def _multiple_ticks(ax: Axes, which: str, limits: tuple[float, float]) -> None:
 
 
 def _cut(label: str) -> str:
-    """Return a label with its middle left out where it would take more than half of a figure."""
+    """Return a label with its middle omitted if it is wider than half of the figure."""
     if len(label) <= _LABEL_MOST:
         return label
     return f"{label[: _LABEL_MOST // 2].rstrip()} … {label[3 - _LABEL_MOST // 2 :].lstrip()}"

@@ -1,4 +1,4 @@
-"""The page on a trace: how good the model was, what it lacked, how good it is, and the proof."""
+"""Write the report on a trace: error before, effects, error after, evidence."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ _MOST_NAMED = 2
 
 
 def trace_report(found: Trace, views: Views, out_dir: Path) -> Path:
-    """Write the page on a trace into `out_dir` and return its path.
+    """Write the report on a trace to `out_dir` and return the page's path.
 
-    Raises OSError: the page cannot be written.
+    Raises:
+        OSError: the page cannot be written.
     """
     result = outcome(found)
     sections = [
@@ -129,8 +130,8 @@ def _count(number: int) -> str:
 
 def _sentence(found: FoundEffect, views: Views) -> str:
     effect, why = found.effect, found.evidence
-    told = listed([f"{name} = {with_interval(p)}" for name, p in _shown(found)])
-    text = f"{effect.name}: {told} (95 %)."
+    values = listed([f"{name} = {with_interval(p)}" for name, p in _shown(found)])
+    text = f"{effect.name}: {values} (95 %)."
     if found.unknown:
         text = f"No known effect: {effect.name}, described by a free form."
     size = sizes(found, views)
@@ -169,7 +170,7 @@ def _shaken(force: RandomForce) -> str:
 
 
 def _shown(found: FoundEffect) -> list[tuple[str, EffectParameter]]:
-    """Return the parameters that say something: shares of zero do not."""
+    """Return the parameters to show: all but those fixed at zero."""
     return [(n, p) for n, p in found.parameters().items() if p.value != 0.0 or p.se]
 
 

@@ -1,4 +1,4 @@
-"""What is left of the records: on what the missing force depends, over time, sensor by sensor."""
+"""Build the report section on the residual: dependence on signals, over time, by sensor."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .trace_figures import dependence_map, sensors_alone, squares_over_time
 Array = NDArray[np.float64]
 
 _DEPENDS = 0.02
-"""Share of the missing force below which a dependence is not worth a word."""
+"""Share of the residual force above which a dependence is reported."""
 _STANDS_OUT = 5.0
-"""Times the noise in its band that a missing force must have in some record to be spoken of."""
+"""Ratio to the noise in its band above which a residual force is reported, in any record."""
 
 
 def left_section(found: Trace, result: Outcome, views: Views) -> Section:
-    """Return on what the missing force depends, how errors go with time, and each sensor alone."""
+    """Return the section: dependence of the residual force, errors over time, single sensors."""
     records = views.records
     signals = records[0].signals
     block = np.concatenate([r.block for r in records])
@@ -67,7 +67,7 @@ def left_section(found: Trace, result: Outcome, views: Views) -> Section:
 
 
 def _shares(values: Sequence[Array], force: Array, block: NDArray[np.int64]) -> Array:
-    """Return shares (n, m) of forces (K, n) that each of m signals explains, from 0 on."""
+    """Return shares (n, m), at least 0, of forces (K, n) that each of m signals explains."""
     return np.array(
         [
             [max(dependence(v, f, block).share, 0.0) if np.ptp(v) > 0 else 0.0 for v in values]
@@ -77,35 +77,35 @@ def _shares(values: Sequence[Array], force: Array, block: NDArray[np.int64]) -> 
 
 
 def _missing_words(views: Views, before: Array, after: Array, *, two: bool) -> str:
-    said = []
+    parts = []
     for i, (dof, unit) in enumerate(zip(views.dof, views.force_units, strict=True)):
         b, a = (amount(float(np.sqrt(np.mean(f[:, i] ** 2))), unit) for f in (before, after))
-        said.append(f"on {symbol(dof)} {b}" + (f" without and {a} with effects" if two else ""))
-    return f"RMS over all records: {'; '.join(said)}."
+        parts.append(f"on {symbol(dof)} {b}" + (f" without and {a} with effects" if two else ""))
+    return f"RMS over all records: {'; '.join(parts)}."
 
 
 def _strongest(views: Views, shares: Array, values: Sequence[Array], force: Array) -> Text:
-    """Return in words on what each DOF's missing force depends most."""
+    """Return a text on the strongest dependence of each DOF's residual force."""
     signals = views.records[0].signals
     block = np.concatenate([r.block for r in views.records])
     out = np.max([r.stands_out_before for r in views.records], axis=0)
-    told = []
+    strongest = []
     for i, dof in enumerate(views.dof):
         j = int(np.argmax(shares[i]))
         if shares[i, j] < _DEPENDS or out[i] < _STANDS_OUT:
             continue
         shape = dependence(values[j], force[:, i], block)
-        told.append(
+        strongest.append(
             f"on {symbol(dof)} with {signal_text(signals[j].name)} "
             f"({100 * shares[i, j]:.0f} %), {_character(shape)}"
         )
-    if not told:
+    if not strongest:
         return Text("It depends on none of these signals.")
-    return Text(f"Without effects it goes most {'; '.join(told)}.")
+    return Text(f"Without effects it goes most {'; '.join(strongest)}.")
 
 
 def _character(shape: Dependence) -> str:
-    """Return in words whether a dependence is odd, even or neither about the signal's middle."""
+    """Return a text on whether a dependence is odd, even or neither about the signal's middle."""
     if len(shape.at) < 4:
         return "in a shape that few values tell"
     x = shape.at - 0.5 * (shape.at[0] + shape.at[-1])

@@ -1,4 +1,4 @@
-"""Sections on a trace that are not of one effect: errors, search, what is left, the model."""
+"""Build the general sections of a trace report: errors, search, model, records."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _NOISE = 0.01
 
 
 def error_section(found: Trace, result: Outcome, views: Views) -> Section:
-    """Return errors per DOF and record, in physical units, percent and multiples of the noise."""
+    """Return the section on errors by DOF and record: physical units, percent, over noise."""
     names = [symbol(d.name) for d in result.dof]
     floor = np.array([e.pose_floor for e in found.after])
     over_before, over_after = (
@@ -136,7 +136,7 @@ def _record_table(found: Trace, result: Outcome, names: Sequence[str]) -> Table:
 def _pooled_spectra(
     found: Trace, views: Views
 ) -> tuple[Array, tuple[Array, Array, Array], list[str]]:
-    """Return frequencies (F,), densities (F, n) before, after and of noise, and who is left out."""
+    """Return frequencies (F,), densities (F, n) before, after, of noise, and omitted records."""
     floors = {v.name: v.floor for v in views.records}
     freq_hz = max((e.freq_hz for e in found.after), key=len)
     n = found.after[0].psd.shape[1]
@@ -155,7 +155,7 @@ def _pooled_spectra(
 
 
 def search_section(found: Trace) -> Section:
-    """Return the candidates of every round."""
+    """Return the section on the candidates of every round."""
     parts: list[Part] = [
         Text(
             "Every round tries all effects of the table, each beside the model and the effects "
@@ -174,7 +174,7 @@ def search_section(found: Trace) -> Section:
                 f"trace-round-{number}",
                 to_svg(_candidates(r, bars)),
                 f"What the best candidates of round {number} explain of what was left.",
-                f"Round {number}: {_told(r)} Beside each bar how far held-out records agree with "
+                f"Round {number}: {_outcome(r)} Beside each bar how far held-out records agree with "
                 "it, in standard deviations of chance.",
             )
         )
@@ -185,17 +185,17 @@ def search_section(found: Trace) -> Section:
 
 def _bars(r: Round) -> list[Bar]:
     fitted = {t.effect.identity for t in r.survivors}
-    taken = None if r.taken is None else r.taken.effect.identity
-    # What noise does not explain is known no better than the noise: a share may come out above 1.
+    accepted = None if r.taken is None else r.taken.effect.identity
+    # The error above the noise has an uncertainty too, so a share can exceed 1.
     whole, most = (1.0, math.inf) if _is_noise(r) else (0.01 * r.excess, 100.0)
     shown = [t for t in r.ranking if t.gain > 0][:_MOST_BARS]
     bars = []
     for tried in shown:
-        is_taken = tried.effect.identity == taken
-        t = r.taken if is_taken and r.taken is not None else tried
+        is_accepted = tried.effect.identity == accepted
+        t = r.taken if is_accepted and r.taken is not None else tried
         agrees = f"{t.chance:.1f} σ".replace("-", "−")
         share = min(t.gain / whole, most)
-        bars.append(Bar(t.effect.name, share, agrees, t.effect.identity in fitted, is_taken))
+        bars.append(Bar(t.effect.name, share, agrees, t.effect.identity in fitted, is_accepted))
     return bars
 
 
@@ -206,25 +206,25 @@ def _candidates(r: Round, bars: list[Bar]) -> Figure:
 
 
 def _is_noise(r: Round) -> bool:
-    """Return whether so little is left that shares of it mean nothing."""
+    """Return whether the remaining error is too small for shares of it."""
     return r.excess <= _NOISE * r.count
 
 
-def _told(r: Round) -> str:
+def _outcome(r: Round) -> str:
     left = r.excess / r.count
-    said = f"the mean square of the errors is {1 + left:.3f}, 1 being noise."
+    text = f"the mean square of the errors is {1 + left:.3f}, 1 being noise."
     if r.taken is not None:
-        said += f" {r.taken.effect.name} was taken"
+        text += f" {r.taken.effect.name} was taken"
         if r.instead_of is not None:
-            said += f" in the place of {r.instead_of.name}, from which the search had come less far"
+            text += f" in the place of {r.instead_of.name}, from which the search had come less far"
         if r.alternatives:
-            said += ", though " + ", ".join(t.effect.name for t in r.alternatives) + " fit no worse"
-        return said + "."
-    return said + " None was taken: none explains enough, beyond chance."
+            text += ", though " + ", ".join(t.effect.name for t in r.alternatives) + " fit no worse"
+        return text + "."
+    return text + " None was taken: none explains enough, beyond chance."
 
 
 def model_section(found: Trace) -> Section:
-    """Return the model's parameters as declared, fitted without and with effects."""
+    """Return the section on parameters: declared, fitted without and with effects."""
     after = model_after(found)
     without = dict(zip(found.declared.parameters.names, found.declared.values, strict=True))
     rows = tuple(
@@ -258,7 +258,7 @@ def _with_error(parameter: ModelParameter) -> tuple[str, str]:
 
 
 def records_section(found: Trace) -> Section:
-    """Return which records were fitted, which held out, and what was left aside."""
+    """Return the section on fitted, held-out and omitted records."""
     noise = found.found.point.disturbance
     unit = found.places.sensor_unit
     factor, prefix = engineering(noise.sensor_sd, unit)

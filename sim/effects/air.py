@@ -1,4 +1,4 @@
-"""Air that damps otherwise than in proportion to speed."""
+"""Nonlinear air damping: quadratic drag, squeeze film."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class QuadraticDamping(OnDof):
         self.d2_n_s2_m2 = d2_n_s2_m2
 
     def force(self, s: float, v: float) -> float:
-        """Return F, N."""
+        """Return F in N."""
         return -self.d2_n_s2_m2 * abs(v) * v
 
 
@@ -26,8 +26,8 @@ class SqueezeFilm:
 
     g is its thickness at the working point, h_i and v_i the coil's height and speed there, d the
     damping at h = 0: Reynolds' equation of an incompressible film (Stefan 1874; Bao and Yang, Sens.
-    Actuators A 136 (2007) 3). Its constant part adds to the linear damping. Where the film closes
-    to a tenth of g it stays that thin: the faces are rough.
+    Actuators A 136 (2007) 3). Its constant part adds to the linear damping. The smallest thickness
+    is a tenth of g, because the faces are rough.
     """
 
     def __init__(self, d_n_s_m: float, film_m: float) -> None:
@@ -35,12 +35,12 @@ class SqueezeFilm:
         self.d_n_s_m, self.film_m = d_n_s_m, film_m
 
     def reset(self, plant: EffectPlant) -> None:
-        """Take the coils' places."""
+        """Store the coils' positions."""
         self._shapes = coil_shapes(plant.geometry)
         self._to_wrench = -self.d_n_s_m * self._shapes.T
 
     def wrench(self, t_s: float, q: Array, qd: Array, beam: BeamState) -> Array:
-        """Return the sum over the coils, N m, N m, N."""
+        """Return the sum over the coils in N m, N m, N."""
         thickness = np.maximum(1.0 + (self._shapes @ q) / self.film_m, 0.1)
         return np.asarray(
             self._to_wrench @ ((self._shapes @ qd) / (thickness * thickness * thickness))

@@ -1,4 +1,4 @@
-"""The beam sits in its bearings on a hysteretic spring and shifts when the platform tilts."""
+"""Presliding of the beam in its bearings: a yielding hysteretic spring."""
 
 from __future__ import annotations
 
@@ -18,25 +18,24 @@ _SPRINGS = 8
 class BearingPresliding:
     """Presliding of the beam in its bearings, along x (theta) or across, along y (psi).
 
-    The encoders see the carriage; the drives' loops hold that to the platform, and what follows
-    takes place between carriage and beam, where no loop reaches and no encoder looks. The platform
-    alone shows it. With delta the beam's shift against its carriage, R the force of the bearing on
-    the beam, and Y = delta - z_b theta its shift in space, which is free of the platform's angular
-    acceleration,
+    The encoders measure the carriage, and the drives' loops hold it; the beam shifts against the
+    carriage without a measurement, so only the platform's motion shows it. With delta the beam's
+    shift against the carriage, R the force of the bearing on the beam, and Y = delta - z_b theta
+    its shift in space, whose equation does not contain the platform's angular acceleration,
 
         m_b Y'' = R - m_b g theta (- m_b a_b along x),   R = -F(delta) - c delta'
         tau_theta = z_b R - m_b g delta
 
-    (for psi likewise). The plant has the beam rigid in its tilts: m_b z_b^2 in M, m_b g z_b in K
-    and m_b z_b a_b as a reaction are taken off it here, as R brings them. F is a spring of
-    stiffness k for small ways that yields little by little and slips at W: eight springs that slip
-    one after the other, evenly spread over the ways from 0 to 2 W / k (Iwan 1966; measured on ball
-    guides by Al-Bender and Symens 2005). W must be above what the tilts ask for, some newtons, or
-    else the beam walks away.
+    (for psi likewise). The plant includes a rigidly mounted beam: m_b z_b^2 in M, m_b g z_b in K
+    and the reaction m_b z_b a_b are subtracted here, because R contains them. F is a spring of
+    stiffness k for small shifts that yields gradually and slips at W: eight springs with slip
+    displacements evenly spread from 0 to 2 W / k (Iwan 1966; measured on ball guides by Al-Bender
+    and Symens 2005). W must exceed the force that the tilts require, some newtons; otherwise the
+    beam slides away.
 
-    Semi-implicit Euler steps of Y: fine while sqrt(k / m_b) stays well below 1 / dt. Across the
-    rails this holds for both plant levels; along x the level `nonlinear` lets the beam's drive feel
-    the platform's tilt as if the bearing were rigid.
+    Y is integrated with semi-implicit Euler steps, accurate for sqrt(k / m_b) well below 1 / dt.
+    Across the rails the effect is valid for both plant levels. Along x, the level `nonlinear` has
+    the force of the platform's tilt on the beam's drive as for a rigid bearing.
     """
 
     def __init__(
@@ -57,7 +56,7 @@ class BearingPresliding:
         self._springs = Springs([k] * _SPRINGS, (k * yields_m).tolist())
 
     def reset(self, plant: EffectPlant) -> None:
-        """Put the beam where its bearing is not strained."""
+        """Start with an unstrained bearing."""
         self._z_b, self._dt_s = plant.geometry.beam_z_m, plant.dt_s
         self._mass = np.zeros((3, 3))
         self._mass[self._row, self._row] = -self.m_b_kg * self._z_b**2
@@ -66,9 +65,9 @@ class BearingPresliding:
         self._springs.slacken()
 
     def wrench(self, t_s: float, q: Array, qd: Array, beam: BeamState) -> list[float]:
-        """Advance the beam; return what its bearing changes, N m, N m, N."""
+        """Advance the beam by a step; return the change of the wrench in N m, N m, N."""
         m, z_b, dt = self.m_b_kg, self._z_b, self._dt_s
-        # Half a step ahead, since the wrench is held over the step: see OnDof.
+        # Half a step of lead because the wrench is held over the step, see OnDof.
         tilt = float(q[self._row]) + 0.5 * dt * float(qd[self._row])
         if self._shift_m is None:
             self._shift_m, self._speed_m_s = -z_b * tilt, -z_b * float(qd[self._row])
@@ -85,5 +84,5 @@ class BearingPresliding:
         return tau
 
     def mass(self, t_s: float) -> Array:
-        """Return what M loses, kg m^2."""
+        """Return the change of M in kg m^2."""
         return self._mass

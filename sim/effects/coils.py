@@ -1,4 +1,4 @@
-"""Coils that give another force than their amplifier drives, at once and without memory."""
+"""Static errors of coil forces: gain, height dependence, dead zone, offset, saturation."""
 
 from __future__ import annotations
 
@@ -10,45 +10,46 @@ from .places import Channel, chosen, coil_shapes, positive
 
 
 class OnCoils:
-    """What happens at one coil, or alike at all; subclasses say what they give.
+    """Base of an effect on one coil or on all; subclasses define the delivered force.
 
-    Raises ValueError in `reset` for a coil that the rig has not.
+    Raises:
+        ValueError: (in `reset`) the rig has no such coil.
     """
 
     def __init__(self, coil: Channel) -> None:
         self.coil = coil
 
     def reset(self, plant: EffectPlant) -> None:
-        """Look up which coils are meant."""
+        """Select the coils."""
         self._at = chosen(self.coil, len(plant.geometry.coil_x_m), "coil")
         self._dt_s = plant.dt_s
 
     def coil_force(self, t_s: float, q: Array, force_n: Array) -> Array:
-        """Return what the coils really give, N."""
-        force_n[self._at] = self.given(force_n[self._at])
+        """Return the true coil forces in N."""
+        force_n[self._at] = self.delivered(force_n[self._at])
         return force_n
 
-    def given(self, force_n: Array) -> Array:
-        """Return what the coils at hand give for `force_n`, N."""
+    def delivered(self, force_n: Array) -> Array:
+        """Return the delivered forces in N of the affected coils for the driven `force_n`."""
         raise NotImplementedError
 
 
 class CoilGain(OnCoils):
-    """F = (1 + excess) F: turns or magnets that differ from the nominal ones."""
+    """F = (1 + excess) F: windings or magnets differ from the nominal ones."""
 
     def __init__(self, coil: Channel, excess: float) -> None:
         super().__init__(coil)
         self.excess = excess
 
-    def given(self, force_n: Array) -> Array:
-        """Return what the coils at hand give, N."""
+    def delivered(self, force_n: Array) -> Array:
+        """Return the delivered forces in N."""
         return (1.0 + self.excess) * force_n
 
 
 class ForceConstant(OnCoils):
-    """F = (1 + a h + b h^2) F at the coil's height h: it leaves the even part of the field.
+    """F = (1 + a h + b h^2) F at the coil's height h: the magnetic field is not uniform.
 
-    A coil in the middle of its magnets has b < 0 alone; one that sits too high has a < 0.
+    A coil in the middle of its magnet has a = 0 and b < 0; one that is too high has a < 0.
     """
 
     def __init__(self, coil: Channel, slope_1_m: float, curve_1_m2: float = 0.0) -> None:
@@ -56,12 +57,12 @@ class ForceConstant(OnCoils):
         self.slope_1_m, self.curve_1_m2 = slope_1_m, curve_1_m2
 
     def reset(self, plant: EffectPlant) -> None:
-        """Look up which coils are meant, and where they are."""
+        """Select the coils and store their positions."""
         super().reset(plant)
         self._shapes = coil_shapes(plant.geometry)[self._at]
 
     def coil_force(self, t_s: float, q: Array, force_n: Array) -> Array:
-        """Return what the coils really give, N."""
+        """Return the true coil forces in N."""
         h = self._shapes @ q
         force_n[self._at] *= 1.0 + h * (self.slope_1_m + self.curve_1_m2 * h)
         return force_n
@@ -70,34 +71,35 @@ class ForceConstant(OnCoils):
 class DeadZone(OnCoils):
     """F = sgn(F) max(|F| - w, 0): crossover of an amplifier's output stage at zero current.
 
-    A coil that carries weight never gets there unless it is driven hard: before, w is an offset.
+    The command of a coil that carries weight reaches the dead zone only at high excitation;
+    otherwise w is an offset.
     """
 
     def __init__(self, coil: Channel, width_n: float) -> None:
         super().__init__(coil)
         self.width_n = width_n
 
-    def given(self, force_n: Array) -> Array:
-        """Return what the coils at hand give, N."""
+    def delivered(self, force_n: Array) -> Array:
+        """Return the delivered forces in N."""
         return np.asarray(force_n - np.clip(force_n, -self.width_n, self.width_n))
 
 
 class ForceOffset(OnCoils):
-    """F = F + F_0: an amplifier's offset, or a magnet's pull."""
+    """F = F + F_0: offset of an amplifier, or pull of a magnet."""
 
     def __init__(self, coil: Channel, offset_n: float) -> None:
         super().__init__(coil)
         self.offset_n = offset_n
 
-    def given(self, force_n: Array) -> Array:
-        """Return what the coils at hand give, N."""
+    def delivered(self, force_n: Array) -> Array:
+        """Return the delivered forces in N."""
         return force_n + self.offset_n
 
 
 class SoftSaturation(OnCoils):
-    """F = F / (1 + |F / L|^p)^(1/p): iron that saturates; it never gives more than L.
+    """F = F / (1 + |F / L|^p)^(1/p): magnetic saturation with the limit L.
 
-    p says how sharp the knee is. Fröhlich 1881 for p = 1.
+    p is the sharpness of the knee; p = 1 is Fröhlich's equation (1881).
     """
 
     def __init__(self, coil: Channel, limit_n: float, sharpness: float) -> None:
@@ -105,9 +107,9 @@ class SoftSaturation(OnCoils):
         positive(limit_n=limit_n, sharpness=sharpness)
         self.limit_n, self.sharpness = limit_n, sharpness
 
-    def given(self, force_n: Array) -> Array:
-        """Return what the coils at hand give, N."""
-        # In logarithms: a sharp knee's power of a force far beyond it is no number.
+    def delivered(self, force_n: Array) -> Array:
+        """Return the delivered forces in N."""
+        # Logarithms avoid the overflow of a large ratio to a high power.
         share = np.log(np.maximum(np.abs(force_n) / self.limit_n, 1e-300))
         less = np.logaddexp(0.0, self.sharpness * share) / self.sharpness
         return np.asarray(force_n * np.exp(-less))

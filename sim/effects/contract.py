@@ -1,4 +1,4 @@
-"""The contract of effects: what the plant tells them, and what it asks them."""
+"""Types that effects exchange with the plant: hooks, plant data, beam state, error."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ...config.base import ConfigError
 from ..plant_kernels import Array
 
 HOOKS = ("reset", "coil_force", "wrench", "mass", "beam_force", "gap")
-"""Names of the methods, in the order in which they are called; see the package's docstring."""
+"""Names of the hooks in the order of calls; see the package's docstring."""
 
 
 class EffectError(ConfigError):
-    """An effect that cannot be loaded, or that returned what it must not."""
+    """An effect cannot be loaded, fails, or returns an invalid result."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class BeamState:
 
 @dataclass(frozen=True)
 class EffectGeometry:
-    """Nominal arm, positions of coils (C,) and sensors (S,), height of the beam over O; m."""
+    """Nominal arm, positions of coils (C,) and sensors (S,), height of the beam over O, in m."""
 
     r_m: float
     coil_x_m: Array
@@ -43,7 +43,7 @@ class EffectGeometry:
 
 @dataclass(frozen=True)
 class EffectPlant:
-    """What `reset` gets: the internal step, a random generator for this effect, the geometry."""
+    """Argument of `reset`: internal step, random generator of this effect, geometry."""
 
     dt_s: float
     rng: np.random.Generator

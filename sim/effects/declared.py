@@ -1,9 +1,9 @@
-"""The effects of a model file, as a trace writes them, played on the simulated plant.
+"""Apply the effects of a model file, as written by a trace, to the simulated plant.
 
     effects: [{use: "levid.sim.effects.declared:FromModel", model: out/trace/found/model.yaml}]
 
-The same equations as those that were fitted, so that a found model can be flown: for a plant that
-nobody fitted, use the other effects of this package, which are written apart from these.
+These are the equations that the trace fits, so that a traced model can be flown. To test a trace,
+use the other effects of this package, which are implemented independently.
 """
 
 from __future__ import annotations
@@ -25,36 +25,40 @@ _EVERY_S = 1e-3
 _FEWEST_ROWS = 3
 _PROBE_ROWS = 60
 _SIZES = (1e-5, 1e-3, 1.0)
-"""Of the motion that tells whether an effect remembers: within what sticks, and far beyond."""
+"""Sizes of the test motion that detects memory: from below break-away to far above."""
 _SAME = 1e-9
 
 
 class FromModel:
     """All effects of a model file.
 
-    What depends on the present alone is evaluated in every step. What remembers (friction, lags,
-    modes, heat) is evaluated every millisecond along the last 4 s, and held in between.
+    Effects without memory are evaluated in every step. Effects with memory (friction, lags, modes,
+    heat) are evaluated every millisecond over the last 4 s, and held in between.
 
-    Raises ConfigError for a file that is no model, ModelError for an effect that is none.
+    Raises:
+        ConfigError: the file is not a valid model.
+        ModelError: an effect in it is unknown or wrong.
     """
 
     def __init__(self, model: str) -> None:
         self._config = load_model(model)
 
     def reset(self, plant: EffectPlant) -> None:
-        """Lay the effects out on the plant's coils and sensors."""
+        """Build the effects for the plant's coils and sensors."""
         places = _places(self._config, plant)
         placed = placed_effects(self._config.effects, places)
-        present = [p for p in placed if not _remembers(p, places)]
-        # Each hook asks only those that have to say something there.
+        present = [p for p in placed if not _has_memory(p, places)]
+        # Each hook evaluates only the effects that contribute to it.
         self._present = {
             kind: [
-                p for p in present if getattr(p.term(_anywhere(places, 0, 1.0)), kind) is not None
+                p
+                for p in present
+                if getattr(p.term(_random_motion(places, 0, 1.0)), kind) is not None
             ]
             for kind in ("held", "force", "gap", "drive")
         }
         every = max(round(_EVERY_S / plant.dt_s), 1)
-        past = [p for p in placed if _remembers(p, places)]
+        past = [p for p in placed if _has_memory(p, places)]
         self._past = _Past(past, places, every * plant.dt_s)
         self._places, self._dt_s = places, plant.dt_s
         self._row = _at_rest(places)
@@ -62,7 +66,7 @@ class FromModel:
         self._last_t_s: float | None = None
 
     def coil_force(self, t_s: float, q: Array, force_n: Array) -> Array:
-        """Return what the coils give: the least forces (C,) that make the effects' wrench."""
+        """Return the coil forces (C,) in N: the effects' wrench as the least-norm forces."""
         if not self._past and not self._present["held"]:
             return force_n
         self._row = replace(self._row, time_s=np.array([t_s]), q=q[None], coil=force_n[None])
@@ -76,7 +80,7 @@ class FromModel:
             qdd = (qd - self._row.qd[0]) / (t_s - self._last_t_s)
         motion = (beam.x_m, beam.v_m_s, beam.a_m_s2, beam.phi_rad, beam.phi_rad_s, beam.phi_rad_s2)
         x_b, v_b, a_b, phi, phi_rate, phi_rate2 = (np.array([value]) for value in motion)
-        # The force is held over the step: half a step late, a spring would be a negative damper.
+        # The force is held over the step: without half a step of lead a spring damps negatively.
         ahead = q + 0.5 * self._dt_s * qd
         self._row = replace(
             self._row, time_s=np.array([t_s]), q=ahead[None], qd=qd[None], qdd=qdd[None],
@@ -84,21 +88,21 @@ class FromModel:
             phi_rad=phi, phi_rad_s=phi_rate, phi_rad_s2=phi_rate2,
         )  # fmt: skip
         self._last_t_s = t_s
-        # What remembers is held for longer, and has to look as far ahead.
+        # Effects with memory are held longer and need half of that hold time as lead.
         later = q + 0.5 * self._past.step_s * qd
-        self._past.see(replace(self._row, q=later[None]))
+        self._past.append(replace(self._row, q=later[None]))
         force = self._sum("force")
         return np.zeros(len(q)) if force is None else force
 
     def beam_force(self, _t_s: float, _beam: BeamState, _q: Array, _qd: Array) -> float:
-        """Return the force on the beam, N: what its drives have to make up for."""
+        """Return the force on the beam in N, which its drives compensate."""
         if not self._past and not self._present["drive"]:
             return 0.0
         drive = self._sum("drive")
         return 0.0 if drive is None else -float(drive)
 
     def gap(self, t_s: float, gap_m: Array) -> Array:
-        """Return what the sensors show (S,)."""
+        """Return the gaps as the sensors measure them (S,) in m."""
         if not self._past and not self._present["gap"]:
             return gap_m
         pose = self._places.decoupling @ gap_m
@@ -107,7 +111,7 @@ class FromModel:
         return gap_m if added is None else gap_m + added
 
     def _sum(self, kind: str) -> Array | None:
-        """Return what all effects add now to held, force, gap or drive, None for nothing."""
+        """Return the present sum of all effects for held, force, gap or drive; None if none."""
         present = total([p.term(self._row) for p in self._present[kind]])
         both = total([present, self._past.term])
         values: Array | None = getattr(both, kind)
@@ -115,12 +119,12 @@ class FromModel:
 
 
 class _Past:
-    """The last seconds of the motion, a row a millisecond, and what effects make of it."""
+    """The last seconds of the motion, one row per millisecond, and the effects' term at its end."""
 
     def __init__(self, placed: Sequence[Placed], places: Places, step_s: float) -> None:
         self._placed, self._places, self.step_s = placed, places, step_s
         self._most = round(_HISTORY_S / step_s)
-        # Twice as long as needed, so that rows rarely move.
+        # Twice the needed length, so that rows are rarely moved.
         self._table = np.zeros((2 * self._most, len(_flat(_at_rest(places)))))
         self._rows, self._next_s = 0, -np.inf
         self.term = Term()
@@ -128,8 +132,8 @@ class _Past:
     def __bool__(self) -> bool:
         return bool(self._placed)
 
-    def see(self, row: Signals) -> None:
-        """Take a row in, at most one a millisecond, and evaluate the effects at it."""
+    def append(self, row: Signals) -> None:
+        """Append a row, at most one per millisecond, and evaluate the effects at it."""
         t_s = float(row.time_s[0])
         if not self or t_s < self._next_s - 0.1 * self.step_s:
             return
@@ -163,20 +167,20 @@ def _places(config: ModelConfig, plant: EffectPlant) -> Places:
     )
 
 
-def _remembers(placed: Placed, places: Places) -> bool:
-    """Tell whether an effect's present depends on its past: whether another past changes it."""
+def _has_memory(placed: Placed, places: Places) -> bool:
+    """Return whether an effect's present value differs for two different pasts."""
     for size in _SIZES:
-        one, other = (
+        first, second = (
             np.concatenate([part[-1].ravel() for part in parts if part is not None])
-            for parts in (placed.term(_anywhere(places, seed, size)).parts for seed in (1, 2))
+            for parts in (placed.term(_random_motion(places, seed, size)).parts for seed in (1, 2))
         )
-        if np.any(np.abs(one - other) > _SAME * np.abs([one, other]).max()):
+        if np.any(np.abs(first - second) > _SAME * np.abs([first, second]).max()):
             return True
     return False
 
 
-def _anywhere(places: Places, seed: int, size: float) -> Signals:
-    """Return a motion that differs with the seed, but for its last row."""
+def _random_motion(places: Places, seed: int, size: float) -> Signals:
+    """Return a random motion; its last row does not depend on the seed."""
     width = len(_flat(_at_rest(places)))
     table = size * np.random.default_rng(seed).standard_normal((_PROBE_ROWS, width))
     table[-1] = size * np.random.default_rng(0).standard_normal(width)
@@ -185,13 +189,13 @@ def _anywhere(places: Places, seed: int, size: float) -> Signals:
 
 
 def _flat(row: Signals) -> Array:
-    """Return the numbers of a row in one line, its time last."""
+    """Return the values of a row as one vector, time last."""
     beam = (row.x_b_m, row.v_b_m_s, row.a_b_m_s2, row.phi_rad, row.phi_rad_s, row.phi_rad_s2)
     return np.concatenate([row.q[0], row.qd[0], row.qdd[0], row.coil[0], *beam, row.time_s])
 
 
 def _along(table: Array, places: Places) -> Signals:
-    """Return the trajectory of such lines (N, .)."""
+    """Return the trajectory with such vectors as rows (N, .)."""
     n, coils = len(places.dof), places.coils
     q, qd, qdd, coil, beam = np.split(table, np.cumsum([n, n, n, coils]), axis=1)
     x_b, v_b, a_b, phi, phi_rate, phi_rate2, time_s = beam.T

@@ -1,4 +1,4 @@
-"""A flexible mode of the platform: driven by the coils, seen by the sensors."""
+"""Flexible mode of the platform, driven by the coils and measured by the sensors."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ SHAPES: Mapping[str, Callable[[Array, Array], Array]] = {
     "saddle": lambda x, y: x * x - y * y,
     "bowl": lambda x, y: x * x + y * y,
 }
-"""First modes of a free square plate, in x / r and y / r; the bowl's mean is taken off."""
+"""First modes of a free square plate over x / r and y / r; the bowl has zero mean."""
 
 
 class FlexibleMode:
-    """m (eta'' + 2 zeta w eta' + w^2 eta) = sum phi_i F_i; the sensors see psi_j eta on top.
+    """m (eta'' + 2 zeta w eta' + w^2 eta) = sum phi_i F_i; the gaps increase by psi_j eta.
 
-    phi and psi are the shape at coils and sensors, 1 at its largest: a name of SHAPES (Leissa,
-    Vibration of Plates 1969), or a list of C numbers, which then stands for the sensors too unless
-    `sensor_shape` says otherwise. Modes are orthogonal to the rigid body's motions, hence they feel
-    the coils alone and not the weight. Advanced exactly for a force held over the step.
+    phi and psi are the mode shape at coils and sensors with the maximum 1: a name in SHAPES
+    (Leissa, Vibration of Plates 1969) or a list of C numbers. `sensor_shape` gives psi; default: as
+    phi. Modes are orthogonal to rigid-body motions, so the weight does not excite them. The
+    integration is exact for a force held over the step.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class FlexibleMode:
         self.shape, self.sensor_shape = shape, sensor_shape
 
     def reset(self, plant: EffectPlant) -> None:
-        """Put the mode to rest; raises ValueError for a shape of the wrong length."""
+        """Start with the mode at rest; raises ValueError for a shape of the wrong length."""
         g = plant.geometry
         at_coils = _shape(self.shape, g.coil_x_m, g.coil_y_m, g.r_m, "shape")
         seen = self.shape if self.sensor_shape is None else self.sensor_shape
@@ -55,12 +55,12 @@ class FlexibleMode:
         self._static = 1.0 / (w * w)
         decay, turn = self.damping * w, w * math.sqrt(1.0 - self.damping**2)
         fall, c, s = math.exp(-decay * dt), math.cos(turn * dt), math.sin(turn * dt) / turn
-        # Free motion over a step: eta and eta' from eta and eta'.
+        # Transition matrix of eta and eta' over a step.
         self._step = (fall * (c + decay * s), fall * s, -fall * w * w * s, fall * (c - decay * s))
         self._eta, self._rate = 0.0, 0.0
 
     def coil_force(self, t_s: float, q: Array, force_n: Array) -> Array:
-        """Advance the mode; the coils' force on the rigid body is what it is, N."""
+        """Advance the mode by a step; return the coil forces in N unchanged."""
         rest = float(self._drive @ force_n) * self._static
         away, rate = self._eta - rest, self._rate
         a, b, c, d = self._step
@@ -68,13 +68,13 @@ class FlexibleMode:
         return force_n
 
     def gap(self, t_s: float, gap_m: Array) -> Array:
-        """Return the gaps with the mode on top, m."""
+        """Return the gaps plus the mode's deflection in m."""
         gap_m += self._seen * self._eta
         return gap_m
 
 
 def _shape(shape: str | Sequence[float], x_m: Array, y_m: Array, r_m: float, key: str) -> Array:
-    """Return the shape at these points (N,), 1 at its largest."""
+    """Return the mode shape at points (N,), with the maximum 1."""
     if isinstance(shape, str):
         values = SHAPES[shape](x_m / r_m, y_m / r_m)
         values = values - values.mean() if shape == "bowl" else values

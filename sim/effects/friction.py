@@ -1,8 +1,8 @@
-"""Friction of a cable chain to the fixed frame: forces of the speed alone, and such with memory.
+"""Friction of a cable chain to the fixed frame: Coulomb, Stribeck, Dahl, LuGre, Bouc-Wen, Iwan.
 
-All resist the motion s of one DOF (see OnDof): F below is what the platform feels, negated. Those
-with memory are integrated along the way ds that the platform went since the last step, exactly or
-to fourth order, so that they are rate-independent where the model is.
+All resist the motion s of one DOF (see OnDof): the force on the platform is -F. Models with memory
+are integrated over the displacement ds since the last step, exactly or with fourth order, so that a
+rate-independent model stays rate-independent.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from .contract import EffectPlant
 from .places import Dof, OnDof, positive
 
 _LONGEST = 0.5
-"""Of the way on which Bouc and Wen's friction yields: how far one of its steps goes."""
+"""Step of the Bouc-Wen integration over its yield displacement."""
 _FARTHEST = 50.0
-"""In the same ways: by then it has long forgotten where it came from."""
+"""Longest integrated displacement over the yield displacement; memory is lost far earlier."""
 
 
 class Coulomb(OnDof):
@@ -28,12 +28,12 @@ class Coulomb(OnDof):
         self.coulomb_n, self.speed_m_s = coulomb_n, speed_m_s
 
     def force(self, s: float, v: float) -> float:
-        """Return what the platform feels, N."""
+        """Return the force on the platform in N."""
         return -self.coulomb_n * math.tanh(v / self.speed_m_s)
 
 
 class Stribeck(OnDof):
-    """F = (F_c + (F_s - F_c) exp(-(v / v_s)^2)) tanh(v / v_0): it breaks away, then gives way.
+    """F = (F_c + (F_s - F_c) exp(-(v / v_s)^2)) tanh(v / v_0): a peak at low speed.
 
     Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30 (1994) 1083.
     """
@@ -47,33 +47,33 @@ class Stribeck(OnDof):
         self.stribeck_m_s, self.speed_m_s = stribeck_m_s, speed_m_s
 
     def force(self, s: float, v: float) -> float:
-        """Return what the platform feels, N."""
+        """Return the force on the platform in N."""
         slow = math.exp(-((v / self.stribeck_m_s) ** 2))
         level = self.coulomb_n + (self.static_n - self.coulomb_n) * slow
         return -level * math.tanh(v / self.speed_m_s)
 
 
 class WithMemory(OnDof):
-    """Friction that depends on the way gone; at first the platform is where nothing is strained."""
+    """Base of friction that depends on the displacement; it starts unstrained."""
 
     def reset(self, plant: EffectPlant) -> None:
-        """Forget the way."""
+        """Start at an unknown position."""
         super().reset(plant)
         self._last_m: float | None = None
 
     def force(self, s: float, v: float) -> float:
-        """Return what the platform feels, N."""
+        """Return the force on the platform in N."""
         ds = 0.0 if self._last_m is None else s - self._last_m
         self._last_m = s
         return -self.resistance(ds, v)
 
     def resistance(self, ds: float, v: float) -> float:
-        """Return F in N after a further way ds in m, at the speed v in m/s."""
+        """Return F in N after a further displacement ds in m, at the speed v in m/s."""
         raise NotImplementedError
 
 
 class Dahl(WithMemory):
-    """dF/ds = k (1 - F sgn(ds) / F_c): creeps, then slides (Dahl 1968). Exact for any ds."""
+    """dF/ds = k (1 - F sgn(ds) / F_c): elastic, then sliding (Dahl 1968). Exact for any ds."""
 
     def __init__(self, dof: Dof, coulomb_n: float, stiffness_n_m: float) -> None:
         super().__init__(dof)
@@ -81,12 +81,12 @@ class Dahl(WithMemory):
         self.coulomb_n, self.stiffness_n_m = coulomb_n, stiffness_n_m
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin unstrained."""
+        """Start unstrained."""
         super().reset(plant)
         self._force_n = 0.0
 
     def resistance(self, ds: float, v: float) -> float:
-        """Return F, N."""
+        """Return F in N."""
         end = math.copysign(self.coulomb_n, ds)
         self._force_n = end + (self._force_n - end) * math.exp(
             -self.stiffness_n_m * abs(ds) / self.coulomb_n
@@ -117,12 +117,12 @@ class LuGre(WithMemory):
         self.stiffness_n_m, self.damping_n_s_m = stiffness_n_m, damping_n_s_m
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin with straight bristles."""
+        """Start with undeflected bristles."""
         super().reset(plant)
         self._bristle_m = 0.0
 
     def resistance(self, ds: float, v: float) -> float:
-        """Return F, N."""
+        """Return F in N."""
         slow = math.exp(-((v / self.stribeck_m_s) ** 2))
         g = self.coulomb_n + (self.static_n - self.coulomb_n) * slow
         end = math.copysign(g / self.stiffness_n_m, ds)
@@ -135,10 +135,10 @@ class LuGre(WithMemory):
 class BoucWen(WithMemory):
     """F = k (a s + (1 - a) y z), y dz/ds = 1 - |z|^n (g + b sgn(z ds)), g = 1 - b.
 
-    k is the stiffness at first, y the way on which it yields, a what is left of k beyond, n how
-    sharp the corner is, b how much of it is loss (0.5: unloading begins with the stiffness k). s
-    counts from where the platform was at first. Wen, J. Eng. Mech. 102 (1976) 249; Ismail,
-    Ikhouane and Rodellar, Arch. Comput. Methods Eng. 16 (2009) 161.
+    k is the initial stiffness, y the yield displacement, a the remaining share of k after yield, n
+    the sharpness of the knee, b the dissipation (0.5: unloading begins with the stiffness k). s is
+    relative to the first position. Wen, J. Eng. Mech. 102 (1976) 249; Ismail, Ikhouane and
+    Rodellar, Arch. Comput. Methods Eng. 16 (2009) 161.
     """
 
     def __init__(
@@ -155,19 +155,19 @@ class BoucWen(WithMemory):
         if exponent < 1.0:
             raise ValueError(f"exponent: expected 1 or more, found {exponent!r}")
         if not 0.0 <= left <= 1.0:
-            raise ValueError(f"left: expected 0 .. 1, found {left!r}: beyond, it drives")
+            raise ValueError(f"left: expected 0 .. 1, found {left!r}; outside, F is not passive")
         if not 0.5 <= loss <= 1.0:
-            raise ValueError(f"loss: expected 0.5 .. 1, which dissipates, found {loss!r}")
+            raise ValueError(f"loss: expected 0.5 .. 1, found {loss!r}; below, F is not passive")
         self.stiffness_n_m, self.yield_m, self.left = stiffness_n_m, yield_m, left
         self.exponent, self.loss = exponent, loss
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin unstrained."""
+        """Start unstrained."""
         super().reset(plant)
         self._z, self._way_m = 0.0, 0.0
 
     def resistance(self, ds: float, v: float) -> float:
-        """Return F, N, by Runge-Kutta steps of fourth order along ds, short ones."""
+        """Return F in N, by short Runge-Kutta steps of fourth order along ds."""
         whole = min(max(ds / self.yield_m, -_FARTHEST), _FARTHEST)
         steps = 1 + int(abs(whole) / _LONGEST)
         for _ in range(steps):
@@ -191,7 +191,7 @@ class BoucWen(WithMemory):
 
 
 class MaxwellSlip(WithMemory):
-    """F = sum of f_j, df_j = k_j ds with |f_j| held to W_j: springs that slip one by one.
+    """F = sum of f_j, df_j = k_j ds with |f_j| at most W_j: springs that slip one after the other.
 
     Iwan, J. Appl. Mech. 33 (1966) 893; Lampaert, Al-Bender and Swevers 2003. Exact.
     """
@@ -201,19 +201,20 @@ class MaxwellSlip(WithMemory):
         self._springs = Springs(stiffness_n_m, slip_n)
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin with slack springs."""
+        """Start with unstrained springs."""
         super().reset(plant)
         self._springs.slacken()
 
     def resistance(self, ds: float, v: float) -> float:
-        """Return F, N."""
+        """Return F in N."""
         return self._springs.force(ds)
 
 
 class Springs:
-    """Springs k_j in parallel, each of which slips at W_j; also within other effects.
+    """Parallel springs k_j, each of which slips at the force W_j.
 
-    Raises ValueError for lists of different lengths, or empty ones.
+    Raises:
+        ValueError: the lists are empty or have different lengths.
     """
 
     def __init__(self, stiffness_n_m: Sequence[float], slip_n: Sequence[float]) -> None:
@@ -228,11 +229,11 @@ class Springs:
         self.slacken()
 
     def slacken(self) -> None:
-        """Take all strain off."""
+        """Set all spring forces to zero."""
         self._forces = [0.0] * len(self._pairs)
 
     def force(self, ds: float) -> float:
-        """Return F in N after a further way ds in m."""
+        """Return F in N after a further displacement ds in m."""
         total = 0.0
         for j, (k, slip) in enumerate(self._pairs):
             f = min(max(self._forces[j] + k * ds, -slip), slip)

@@ -1,4 +1,4 @@
-"""Coils whose force comes late: a lag, a delay, and the slow loss of a coil that gets warm."""
+"""Dynamic errors of coil forces: lag, delay, thermal drift."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from .places import Channel, positive
 
 
 class ActuatorLag(OnCoils):
-    """tau F' = F_in - F: eddy currents or a slow current loop, on top of the nominal lag.
+    """tau F' = F_in - F: eddy currents or a slow current loop, in addition to the nominal lag.
 
-    Gives the mean over the step, exact for a force that is constant over it.
+    Returns the mean over the step, exact for a force that is constant over it.
     """
 
     def __init__(self, coil: Channel, lag_s: float) -> None:
@@ -25,23 +25,23 @@ class ActuatorLag(OnCoils):
         self.lag_s = lag_s
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin with no force."""
+        """Start with zero force."""
         super().reset(plant)
         ratio = plant.dt_s / self.lag_s
         self._decay, self._mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
         self._force_n = np.zeros(len(self._at))
 
-    def given(self, force_n: Array) -> Array:
-        """Return what the coils at hand give, N."""
+    def delivered(self, force_n: Array) -> Array:
+        """Return the delivered forces in N."""
         lacks = self._force_n - force_n
         self._force_n = force_n + self._decay * lacks
         return force_n + self._mean * lacks
 
 
 class ExtraDelay(OnCoils):
-    """F(t) = F_in(t - delay): a bus or a converter that takes longer.
+    """F(t) = F_in(t - delay): additional delay of a bus or a converter.
 
-    Delays that are no whole number of steps are exact for forces constant over each step.
+    Delays of a fraction of a step are exact for forces that are constant over each step.
     """
 
     def __init__(self, coil: Channel, delay_s: float) -> None:
@@ -51,24 +51,24 @@ class ExtraDelay(OnCoils):
         self.delay_s = delay_s
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin with no force on the way."""
+        """Start with zero delayed forces."""
         super().reset(plant)
         steps = self.delay_s / plant.dt_s
-        # A hair, so that 3e-4 / 1e-4 is three whole steps.
+        # The margin makes 3e-4 / 1e-4 three whole steps despite rounding.
         whole = math.floor(steps + 1e-9)
         self._part = max(steps - whole, 0.0)
         self._way = deque([np.zeros(len(self._at))] * (whole + 2), maxlen=whole + 2)
 
-    def given(self, force_n: Array) -> Array:
-        """Return what the coils at hand give, N."""
+    def delivered(self, force_n: Array) -> Array:
+        """Return the delivered forces in N."""
         self._way.append(force_n)
         return self._part * self._way[0] + (1.0 - self._part) * self._way[1]
 
 
 class ThermalDrift(OnCoils):
-    """F = F (1 - loss w), T w' = (F / F_rated)^2 - w: magnets weaken as the coil's loss warms them.
+    """F = F (1 - loss w), T w' = (F / F_rated)^2 - w: magnets weaken with the coil's temperature.
 
-    The loss in the copper goes with the current squared, so w is 1 after a long time at F_rated.
+    Copper loss is proportional to the current squared; w tends to 1 at constant F_rated.
     """
 
     def __init__(self, coil: Channel, loss: float, rated_n: float, time_constant_s: float) -> None:
@@ -77,13 +77,13 @@ class ThermalDrift(OnCoils):
         self.loss, self.rated_n, self.time_constant_s = loss, rated_n, time_constant_s
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin cold."""
+        """Start with cold coils."""
         super().reset(plant)
         self._rate = -math.expm1(-plant.dt_s / self.time_constant_s)
         self._warmth = np.zeros(len(self._at))
 
-    def given(self, force_n: Array) -> Array:
-        """Return what the coils at hand give, N."""
+    def delivered(self, force_n: Array) -> Array:
+        """Return the delivered forces in N."""
         load = force_n / self.rated_n
         self._warmth += self._rate * (load * load - self._warmth)
         return force_n * (1.0 - self.loss * self._warmth)

@@ -1,4 +1,4 @@
-"""Loads the effects of a SIM.yaml, chains their hooks and checks what they answer."""
+"""Load the effects of a SIM.yaml, call their hooks in order and check the results."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from .contract import HOOKS, BeamState, EffectError, EffectGeometry, EffectPlant
 
 
 class Effects:
-    """The effects of one plant, loaded and chained.
+    """The effects of one plant, called in order.
 
-    Raises (on building, and from every method):
-        EffectError: a class that is missing or does not take the named values; a hook that raises,
-            or returns another shape or numbers that are not finite. It names the SIM.yaml.
+    Raises (constructor and every method):
+        EffectError: a class is missing or does not accept the given values; a hook raises, or
+            returns a wrong shape or numbers that are not finite. The message names the SIM.yaml.
     """
 
     def __init__(self, effects: Sequence[SimEffect], source: Path | None) -> None:
@@ -52,7 +52,7 @@ class Effects:
         geometry: SimGeometry,
         beam_z_m: float,
     ) -> None:
-        """Tell every effect about the plant; `rngs` has one generator for each effect."""
+        """Call `reset` of every effect with the plant's data; `rngs` has a generator for each."""
         for effect, rng in zip(self._loaded, rngs, strict=True):
             if "reset" in effect.hooks:
                 own = EffectGeometry(
@@ -66,13 +66,13 @@ class Effects:
                 effect.call("reset", EffectPlant(dt_s, rng, own))
 
     def coil_force(self, t_s: float, q: Array, force_n: Array) -> Array:
-        """Return what the coils (C,) really give, N."""
+        """Return the true coil forces (C,) in N."""
         for effect in self._with["coil_force"]:
             force_n = effect.array("coil_force", force_n.shape, t_s, q.copy(), force_n.copy())
         return force_n
 
     def wrench(self, t_s: float, q: Array, qd: Array, beam: BeamState) -> Array:
-        """Return the sum of the outer wrenches (3,), N m, N m, N."""
+        """Return the sum of the external wrenches (3,) in N m, N m, N."""
         total = np.zeros(3)
         for effect in self._with["wrench"]:
             total += effect.array("wrench", (3,), t_s, q.copy(), qd.copy(), beam)
@@ -83,10 +83,12 @@ class Effects:
         total = np.zeros((3, 3))
         for effect in self._with["mass"]:
             added = effect.array("mass", (3, 3), t_s)
-            lopsided = abs(added[0, 1] - added[1, 0]) + abs(added[0, 2] - added[2, 0])
-            lopsided += abs(added[1, 2] - added[2, 1])
-            if lopsided > 0.0 and lopsided > 1e-9 * np.abs(added).max():
-                raise EffectError(f"{effect.where}: mass: expected a symmetric matrix")
+            asymmetry = abs(added[0, 1] - added[1, 0]) + abs(added[0, 2] - added[2, 0])
+            asymmetry += abs(added[1, 2] - added[2, 1])
+            if asymmetry > 0.0 and asymmetry > 1e-9 * np.abs(added).max():
+                raise EffectError(
+                    f"{effect.where}: mass: expected a symmetric matrix, found {added.tolist()}"
+                )
             total += added
         return total
 
@@ -98,14 +100,14 @@ class Effects:
         return total
 
     def gap(self, t_s: float, gap_m: Array) -> Array:
-        """Return what the sensors (S,) really see, m."""
+        """Return the gaps as the sensors measure them (S,) in m."""
         for effect in self._with["gap"]:
             gap_m = effect.array("gap", gap_m.shape, t_s, gap_m.copy())
         return gap_m
 
 
 class _Loaded:
-    """One effect: its instance, its hooks, and how errors name it."""
+    """One effect: its instance, its hooks, and its name in errors."""
 
     def __init__(self, where: str, effect: SimEffect, source: Path | None) -> None:
         self.where = where
@@ -113,9 +115,9 @@ class _Loaded:
         try:
             inspect.signature(cls).bind(**effect.values)
         except TypeError as error:
-            raise EffectError(f"{where}: named values do not fit the class: {error}") from None
+            raise EffectError(f"{where}: the values do not fit the class: {error}") from None
         except ValueError:
-            pass  # a class without a signature: its call will tell
+            pass  # the class has no signature: its call raises if the values do not fit
         self.hooks: dict[str, Callable[..., Any]] = {}
         try:
             instance = cls(**effect.values)
@@ -126,7 +128,9 @@ class _Loaded:
             if callable(method):
                 self.hooks[hook] = method
         if not self.hooks:
-            raise EffectError(f"{where}: expected a class with any of {', '.join(HOOKS)}")
+            raise EffectError(
+                f"{where}: expected a class with one or more of {', '.join(HOOKS)}, found none"
+            )
 
     def call(self, hook: str, *arguments: object) -> object:
         try:
@@ -137,7 +141,7 @@ class _Loaded:
             ) from error
 
     def array(self, hook: str, shape: tuple[int, ...], *arguments: object) -> Array:
-        """Call a hook and return its answer (shape), a fresh float64 array."""
+        """Call a hook and return its result (shape) as a new float64 array."""
         answer = self.call(hook, *arguments)
         try:
             array = np.array(answer, dtype=np.float64)
@@ -148,7 +152,7 @@ class _Loaded:
         if answer is None or array.shape != shape:
             found = "None" if answer is None else f"shape {array.shape}"
             raise EffectError(f"{self.where}: {hook}: expected shape {shape}, found {found}")
-        # Three to nine numbers: Python adds them up in a third of numpy's time.
+        # For three to nine numbers Python's sum takes a third of numpy's time.
         if not (math.isfinite(sum(array.ravel().tolist())) or np.isfinite(array).all()):
             raise EffectError(
                 f"{self.where}: {hook}: expected finite numbers, found {array} "
@@ -164,7 +168,7 @@ def _find_class(where: str, use: str, source: Path | None) -> Callable[..., obje
     if not inspect.isclass(found):
         classes = [key for key, value in vars(module).items() if inspect.isclass(value)]
         known = ", ".join(classes) or "none"
-        raise EffectError(f"{where}: no class '{name}' in {place}; classes there: {known}")
+        raise EffectError(f"{where}: {place} has no class '{name}'; its classes: {known}")
     return found
 
 
@@ -182,13 +186,14 @@ def _load_file(where: str, place: str, source: Path | None) -> ModuleType:
     tried = [(folder / Path(place).expanduser()).resolve() for folder in folders]
     path = next((p for p in tried if p.is_file()), None)
     if path is None:
-        raise EffectError(f"{where}: no such file: {' or '.join(map(str, dict.fromkeys(tried)))}")
+        paths = " or ".join(map(str, dict.fromkeys(tried)))
+        raise EffectError(f"{where}: expected a Python file, found no file {paths}")
     name = f"levid_effect_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise EffectError(f"{where}: {path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses and pickle look their module up by name
+    sys.modules[name] = module  # dataclasses and pickle find a module by its name
     try:
         spec.loader.exec_module(module)
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Masses that are not where the model has them."""
+"""Undeclared masses: offset centre of mass, payload."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from .contract import BeamState
 
 
 class CentreOfMass:
-    """The platform's own mass m_p sits at (x, y) instead of above the middle.
+    """The platform's centre of mass (mass m_p) is at (x, y) instead of the middle.
 
-    By Steiner's and Lagrange's rules m_p y and m_p x couple psi and theta with z in the mass
-    matrix, and the weight turns by -m_p g y and -m_p g x. The inertias about O stay: their change
-    m_p x^2 is of second order.
+    m_p y and m_p x couple psi and theta with z in the mass matrix (Steiner, Lagrange); the weight's
+    torques are -m_p g y and -m_p g x. The change m_p x^2 of the inertias about O is of second order
+    and neglected.
     """
 
     def __init__(self, m_p_kg: float, x_m: float, y_m: float) -> None:
@@ -23,18 +23,18 @@ class CentreOfMass:
         self._tau = [-GRAVITY_M_S2 * my, -GRAVITY_M_S2 * mx, 0.0]
 
     def mass(self, t_s: float) -> Array:
-        """Return what M gets more, kg m^2, kg m, kg."""
+        """Return the addition to M in kg m^2, kg m, kg."""
         return self._mass
 
     def wrench(self, t_s: float, q: Array, qd: Array, beam: BeamState) -> list[float]:
-        """Return what the weight turns, N m, N m, N."""
+        """Return the weight's torques in N m, N m, N."""
         return self._tau
 
 
 class Payload:
-    """From `begin_s` on a point mass lies on the platform at (x, y); it comes without a push.
+    """A point mass on the platform at (x, y) from `begin_s` on, added without an impulse.
 
-    M gets m [y, x, 1]^T [y, x, 1], the weight adds -m g [y, x, 1].
+    It adds m [y, x, 1]^T [y, x, 1] to M and the weight -m g [y, x, 1].
     """
 
     def __init__(self, mass_kg: float, x_m: float, y_m: float, begin_s: float) -> None:
@@ -44,9 +44,9 @@ class Payload:
         self.begin_s = begin_s
 
     def mass(self, t_s: float) -> Array:
-        """Return what M gets more, kg m^2, kg m, kg."""
+        """Return the addition to M in kg m^2, kg m, kg."""
         return self._mass if t_s >= self.begin_s else self._none
 
     def wrench(self, t_s: float, q: Array, qd: Array, beam: BeamState) -> Array:
-        """Return its weight, N m, N m, N."""
+        """Return the weight's wrench in N m, N m, N."""
         return self._tau if t_s >= self.begin_s else self._nothing

@@ -1,9 +1,9 @@
-"""The linear motors of the beam: friction and cogging, both between platform and beam.
+"""Friction and cogging of the beam's linear motors.
 
-Such forces are internal. Where the drives hold the beam exactly to its setpoints (a SIM.yaml with
-`plant: declared`) the motors' force makes up for them, and with it they cancel on the platform:
-nothing but the drives' force shows them. With `plant: nonlinear` the beam deviates a little within
-the drives' bandwidth, and the platform feels this through a_b.
+These forces act between platform and beam, so they are internal. With `plant: declared` the beam
+follows its setpoints exactly: the motors' force compensates them, they cancel on the platform, and
+only the drives' force shows them. With `plant: nonlinear` the beam deviates slightly within the
+drives' bandwidth, which acts on the platform through a_b.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class MotorFriction:
         self.viscous_n_s_m = viscous_n_s_m
 
     def beam_force(self, t_s: float, beam: BeamState, q: Array, qd: Array) -> float:
-        """Return F, N."""
+        """Return F in N."""
         v = beam.v_m_s
         return -self.coulomb_n * math.tanh(v / self.speed_m_s) - self.viscous_n_s_m * v
 
@@ -38,5 +38,5 @@ class MotorCogging:
         self._wave_1_m = 2.0 * math.pi / pitch_m
 
     def beam_force(self, t_s: float, beam: BeamState, q: Array, qd: Array) -> float:
-        """Return F, N."""
+        """Return F in N."""
         return self.amplitude_n * math.sin(self._wave_1_m * beam.x_m + self.phase_rad)

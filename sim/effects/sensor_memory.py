@@ -1,4 +1,4 @@
-"""Sensors that depend on time or on what was before: drift, lag, a reading that sticks."""
+"""Dynamic sensor errors: drift, lag, frozen and sticking readings."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from .sensors import OnSensors
 
 
 class SensorDrift(OnSensors):
-    """y = y + y_0 (1 - exp(-t / T)): electronics that warm up, switched on at t = 0."""
+    """y = y + y_0 (1 - exp(-t / T)): warm-up of electronics that are switched on at t = 0."""
 
     def __init__(self, sensor: Channel, offset_m: float, time_constant_s: float) -> None:
         super().__init__(sensor)
         positive(time_constant_s=time_constant_s)
         self.offset_m, self.time_constant_s = offset_m, time_constant_s
 
-    def seen(self, t_s: float, gap_m: Array) -> Array:
-        """Return what the sensors at hand see, m."""
+    def measured(self, t_s: float, gap_m: Array) -> Array:
+        """Return the measured gaps in m."""
         return gap_m - self.offset_m * math.expm1(-t_s / self.time_constant_s)
 
 
 class SensorLag(OnSensors):
-    """tau y' = y_in - y: the demodulator's filter, exact for a gap that goes straight in a step."""
+    """tau y' = y_in - y: the demodulator's filter; exact for a gap that is linear within a step."""
 
     def __init__(self, sensor: Channel, lag_s: float) -> None:
         super().__init__(sensor)
@@ -34,14 +34,14 @@ class SensorLag(OnSensors):
         self.lag_s = lag_s
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin settled."""
+        """Start in steady state."""
         super().reset(plant)
         self._decay = math.exp(-plant.dt_s / self.lag_s)
         self._behind = self.lag_s / plant.dt_s * (1.0 - self._decay)
         self._last_m: Array | None = None
 
-    def seen(self, t_s: float, gap_m: Array) -> Array:
-        """Return what the sensors at hand see, m."""
+    def measured(self, t_s: float, gap_m: Array) -> Array:
+        """Return the measured gaps in m."""
         if self._last_m is None:
             self._last_m, self._lacks = gap_m, np.zeros(len(gap_m))
         self._lacks = self._decay * self._lacks + self._behind * (gap_m - self._last_m)
@@ -50,7 +50,7 @@ class SensorLag(OnSensors):
 
 
 class StuckSensor(OnSensors):
-    """From `begin_s` on: for `stuck_s` what it saw last, for `free_s` the truth, and again."""
+    """From `begin_s` on, alternate: frozen for `stuck_s`, then correct for `free_s`."""
 
     def __init__(self, sensor: Channel, begin_s: float, stuck_s: float, free_s: float) -> None:
         super().__init__(sensor)
@@ -58,12 +58,12 @@ class StuckSensor(OnSensors):
         self.begin_s, self.stuck_s, self.free_s = begin_s, stuck_s, free_s
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin free."""
+        """Start with a correct reading."""
         super().reset(plant)
         self._held_m: Array | None = None
 
-    def seen(self, t_s: float, gap_m: Array) -> Array:
-        """Return what the sensors at hand see, m."""
+    def measured(self, t_s: float, gap_m: Array) -> Array:
+        """Return the measured gaps in m."""
         since = t_s - self.begin_s
         sticks = since >= 0.0 and since % (self.stuck_s + self.free_s) < self.stuck_s
         if not sticks or self._held_m is None:
@@ -72,7 +72,7 @@ class StuckSensor(OnSensors):
 
 
 class StickingSensor(OnSensors):
-    """Shows a new value only when the gap is `step_m` off the one shown: a probe with stiction."""
+    """The reading changes only when the gap differs by `step_m`: a probe with stiction."""
 
     def __init__(self, sensor: Channel, step_m: float) -> None:
         super().__init__(sensor)
@@ -80,12 +80,12 @@ class StickingSensor(OnSensors):
         self.step_m = step_m
 
     def reset(self, plant: EffectPlant) -> None:
-        """Begin with the true value."""
+        """Start with the true value."""
         super().reset(plant)
         self._shown_m: Array | None = None
 
-    def seen(self, t_s: float, gap_m: Array) -> Array:
-        """Return what the sensors at hand see, m."""
+    def measured(self, t_s: float, gap_m: Array) -> Array:
+        """Return the measured gaps in m."""
         if self._shown_m is None:
             self._shown_m = gap_m
         moved = np.abs(gap_m - self._shown_m) >= self.step_m

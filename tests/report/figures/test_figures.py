@@ -15,7 +15,7 @@ from levid.report.figures.order_validation import OrderErrors, validation_errors
 from levid.report.figures.response_deviation import (
     AGREEMENT,
     Bounds,
-    bounds_told,
+    bounds_text,
     deviation,
     worst_on_diagonal,
 )
@@ -158,7 +158,7 @@ def test_deviation_draws_its_bounds_unless_all_errors_are_far_within(factor, nea
     curves = [Curve("left", line_of(0), FREQ_HZ, response)]
     figure = deviation(curves, AXES)
     assert ("±2 dB, ±15°" in drawn(figure)) == near
-    assert ("dotted" in bounds_told(curves, AGREEMENT, RIG)) == near
+    assert ("dotted" in bounds_text(curves, AGREEMENT, RIG)) == near
     assert (figure.axes[0].get_ylim()[1] > 2.0) == near
 
 

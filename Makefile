@@ -1,5 +1,5 @@
-# levid: `make demo` and `make test` need python3 (3.11 or newer), its venv module and make.
-# They install into .venv from the lock files, again only when pyproject.toml or a lock has changed.
+# `make demo` and `make test` need python3 (3.11 or newer), its venv module and make. They install the
+# locked packages to .venv, and again if pyproject.toml or a lock file changes.
 
 PYTHON ?= python3
 PACKAGES := cli report daemon identification drivers sim log wire model config
@@ -14,20 +14,20 @@ DEV := $(VENV)/.installed-dev
 .PHONY: help demo test test-rig bench lint format lock clean
 
 help:
-	@echo "make demo    fly the simulated rig, identify it, say where the report lies"
-	@echo "make test    run the tests"
-	@echo "make test-rig  boot a Linux with vcan, fly on it, also as a service (Debian or Ubuntu, root)"
-	@echo "make bench   run every benchmark, quickly"
-	@echo "make lint    ruff, mypy and the import arrows"
-	@echo "make format  let ruff format and sort"
-	@echo "make lock    write the lock files anew from pyproject.toml (remove them first to upgrade)"
-	@echo "make clean   remove .venv, build/ and the caches"
+	@echo "make demo      fly, identify and trace the simulated rig; print the paths of the reports"
+	@echo "make test      run all tests"
+	@echo "make test-rig  run the daemon on vcan in a virtual machine, also as a service (Debian, Ubuntu; root)"
+	@echo "make bench     run every benchmark with --quick"
+	@echo "make lint      run ruff, mypy and import-linter"
+	@echo "make format    format the code and sort imports with ruff"
+	@echo "make lock      update the lock files from pyproject.toml (delete them first to upgrade packages)"
+	@echo "make clean     remove .venv, build/ and caches"
 
 demo: $(RUNTIME)
 	@$(BIN)/levid demo
 
-# What only computes runs on several processors, with one thread each; what waits for clocks, processes
-# and buses by itself, after it.
+# Computational tests run in parallel, with one thread per process. Tests that depend on clocks,
+# processes or buses (marker `alone`) run afterwards, one at a time.
 test: $(DEV)
 	@failed=0; \
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone" \
@@ -41,7 +41,7 @@ bench: $(DEV)
 	@failed=; for file in $$(grep -l __main__ benchmarks/*/*.py); do \
 	  echo "== $$file"; $(BIN)/python "$$file" --quick || failed="$$failed $$file"; \
 	done; \
-	if [ -n "$$failed" ]; then echo "These did not come to their end:$$failed" >&2; exit 1; fi
+	if [ -n "$$failed" ]; then echo "benchmarks that failed:$$failed" >&2; exit 1; fi
 
 lint: $(DEV) build/typecheck/levid
 	$(BIN)/ruff check
@@ -53,13 +53,13 @@ format: $(DEV)
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-# mypy names modules by folders, and a clone may be called anything: here it is always called levid.
+# mypy names modules by folder: this link is always named levid, whatever the clone's folder is named.
 build/typecheck/levid:
 	@mkdir -p $(@D)
 	@ln -sfn ../.. $@
 
-# --only-binary: a missing wheel is an error that says so, never an attempt to compile it from source.
-# --no-compile: Python writes the bytecode of what is imported; writing all of it takes a third longer.
+# --only-binary: a missing wheel is an error; pip does not compile packages from source.
+# --no-compile: Python writes bytecode at import; compiling everything takes a third longer.
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 FROM_LOCK := $(PIP) install --quiet --no-compile --only-binary :all: --requirement
 EDITABLE := $(PIP) install --quiet --no-deps --no-build-isolation --editable .
@@ -76,26 +76,26 @@ $(DEV): pyproject.toml requirements-dev.lock $(BIN)/python
 	@$(EDITABLE)
 	@touch $(RUNTIME) $@
 
-# A venv holds its absolute path and a link to its Python: one that came along with a copied or moved
-# clone, or whose Python is gone, is made anew.
+# A venv contains its absolute path and a link to its Python. It is created again if the clone was
+# copied or moved, or if its Python is missing.
 ifeq ($(shell test -x $(BIN)/python && grep -F "$(CURDIR)/$(VENV)" $(BIN)/activate),)
 .PHONY: $(BIN)/python
 endif
 
 $(BIN)/python:
 	@command -v $(PYTHON) >/dev/null || { \
-	  echo "levid needs Python 3.11 or newer, and there is no $(PYTHON) here." >&2; \
+	  echo "levid needs Python 3.11 or newer; $(PYTHON) was not found." >&2; \
 	  echo "On Debian and Ubuntu: sudo apt install python3 python3-venv" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "levid needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1)." >&2; \
-	  echo "Name a newer one: make $(MAKECMDGOALS) PYTHON=/path/to/python3" >&2; exit 1; }
+	  echo "To use another one: make $(MAKECMDGOALS) PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { \
 	  echo "$(PYTHON) has no venv module. On Debian and Ubuntu: sudo apt install python3-venv" >&2; \
 	  exit 1; }
-	@if [ -L $(VENV) ]; then rm $(VENV); fi  # a link leads to somebody else's: that one stays
+	@if [ -L $(VENV) ]; then rm $(VENV); fi  # remove a link, not the venv that it points to
 	@$(PYTHON) -m venv --clear $(VENV)
 
-# uv resolves for every Python and platform at once, so that one set of versions serves them all.
+# uv resolves one set of versions for all supported Python versions and platforms.
 UV := build/lock/bin/uv
 COMPILE := $(UV) pip compile --quiet --universal --fork-strategy fewest --no-header
 

@@ -1,3 +1,3 @@
-"""levid flies, excites, logs and identifies a magnetically levitated platform."""
+"""Control, excite, log and identify a magnetically levitated platform."""
 
 __version__ = "0.1.0"

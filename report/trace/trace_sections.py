@@ -174,7 +174,7 @@ def search_section(found: Trace) -> Section:
                 f"trace-round-{number}",
                 to_svg(_candidates(r, bars)),
                 f"What the best candidates of round {number} explain of what was left.",
-                f"Round {number}: {_outcome(r)} Beside each bar how far held-out records agree with "
+                f"Round {number}: {_result(r)} Beside each bar how far held-out records agree with "
                 "it, in standard deviations of chance.",
             )
         )
@@ -210,7 +210,7 @@ def _is_noise(r: Round) -> bool:
     return r.excess <= _NOISE * r.count
 
 
-def _outcome(r: Round) -> str:
+def _result(r: Round) -> str:
     left = r.excess / r.count
     text = f"the mean square of the errors is {1 + left:.3f}, 1 being noise."
     if r.taken is not None:

@@ -1,4 +1,4 @@
-"""The limits of shipped rigs: all are set, in an order that makes sense; sessions keep clear."""
+"""Test the limits of the shipped rigs: complete, in order, with margin to the sessions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from levid.model.geometry import decoupling_matrix
 RIGS = sorted(shipped("rigs/loopback.yaml").parent.glob("*.yaml"))
 G_M_S2 = 9.81
 CLEAR = 1.4
-"""By so much less than what ends a flight, or scales forces down, does a session need at most."""
+"""Smallest ratio of a limit to the largest value in a shipped session."""
 
 
 @pytest.fixture(params=RIGS, ids=lambda path: path.stem)
@@ -30,22 +30,22 @@ def rig(request: pytest.FixtureRequest) -> RigConfig:
 
 
 def at_rest_n(rig: RigConfig, beam_m: float) -> np.ndarray:
-    """Return what each coil carries at the working point."""
+    """Return the coil forces in N at the working point."""
     T = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
-    return carried(rig, beam_m) @ T
+    return feed_forward_wrench(rig, beam_m) @ T
 
 
-def carried(rig: RigConfig, beam_m: float = 0.0) -> np.ndarray:
-    """Return the wrench that the feed-forward carries while the beam rests."""
+def feed_forward_wrench(rig: RigConfig, beam_m: float = 0.0) -> np.ndarray:
+    """Return the wrench of the feed-forward with the beam at rest."""
     return feed_forward(rig, 1 / rig.rate_hz).wrench(np.array([[beam_m, 0.0, 0.0]]))[0]
 
 
-def test_no_limit_is_left_open(rig: RigConfig) -> None:
-    # How long the loop may stand still follows from the others.
+def test_all_limits_are_set(rig: RigConfig) -> None:
+    # The default of stall_s follows from the others.
     assert [key for key in Limits.model_fields if getattr(rig.limits, key) is None] == ["stall_s"]
 
 
-def test_a_lost_loop_leaves_no_force_that_moves_the_platform_out_of_its_range(
+def test_platform_stays_in_range_until_amplifiers_expire_after_a_loop_failure(
     rig: RigConfig,
 ) -> None:
     assert not held_too_long(rig)
@@ -53,7 +53,7 @@ def test_a_lost_loop_leaves_no_force_that_moves_the_platform_out_of_its_range(
     if zero_s is not None:
         assert zero_s <= 3.0 / rig.rate_hz + 1e-9
         # Held or falling, at the acceleration of the larger of weight and force at its limit.
-        weight_n = carried(rig)[2]
+        weight_n = feed_forward_wrench(rig)[2]
         assert rig.limits.total_n is not None
         most_n = max(weight_n, rig.limits.total_n - weight_n)
         moved_m = 0.5 * most_n / weight_n * G_M_S2 * zero_s**2
@@ -61,7 +61,7 @@ def test_a_lost_loop_leaves_no_force_that_moves_the_platform_out_of_its_range(
         assert longest_stall(rig) * CLEAR / rig.rate_hz <= zero_s
 
 
-def test_amplifiers_that_hold_a_force_for_too_long_are_warned_of() -> None:
+def test_amplifiers_that_hold_a_force_too_long_give_a_warning() -> None:
     rig = load_rig(shipped("rigs/serial.yaml"))
     slow = rig.amplifiers.model_copy(update={"expire_cycles": 20})
     warning = held_too_long(rig.model_copy(update={"amplifiers": slow}))
@@ -69,13 +69,13 @@ def test_amplifiers_that_hold_a_force_for_too_long_are_warned_of() -> None:
     assert "expected expire_cycles of at most 12" in warning
 
 
-def test_layers_follow_each_other(rig: RigConfig) -> None:
+def test_limits_are_layered(rig: RigConfig) -> None:
     limits, coils = rig.limits, len(rig.geometry.coil_x_m)
     assert limits.total_n is not None
     assert limits.coil_rms_n is not None
     assert limits.tilt_rad is not None
     assert limits.gap_m_s is not None
-    weight_n = carried(rig)[2]
+    weight_n = feed_forward_wrench(rig)[2]
     # Forces: the weight with as much again to accelerate it by a half, less than all coils at once.
     assert 1.5 * weight_n < limits.total_n < coils * limits.coil_n
     # Heat: a coil may carry its share for ever, the beam at the end of its way, and not its limit.
@@ -89,7 +89,7 @@ def test_layers_follow_each_other(rig: RigConfig) -> None:
 
 
 @pytest.mark.parametrize("name", ["trace-demo", "beam"])
-def test_session_keeps_clear_of_the_limits(name: str, tmp_path: Path) -> None:
+def test_session_has_margin_to_the_limits(name: str, tmp_path: Path) -> None:
     file, session = shipped("rigs/loopback.yaml"), shipped(f"sessions/{name}.yaml")
     rig = load_rig(file)
     limits = rig.limits

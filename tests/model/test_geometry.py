@@ -1,4 +1,4 @@
-"""The geometry of the paper's grid, eq. (9) with its erratum."""
+"""Test the geometry of the paper's grid: eq. (9) with its erratum."""
 
 import numpy as np
 import pytest
@@ -31,6 +31,8 @@ def test_pose_comes_back_from_gaps_and_wrench_from_forces() -> None:
 @pytest.mark.parametrize(
     ("x", "y"), [([0.1, 0.0], [0.0, 0.1]), ([0.1, 0.0, -0.1], [0.2, 0.0, -0.2])]
 )
-def test_points_that_cannot_tell_three_motions_are_refused(x: list[float], y: list[float]) -> None:
+def test_points_that_do_not_determine_three_dof_are_rejected(
+    x: list[float], y: list[float]
+) -> None:
     with pytest.raises(GeometryError, match="not on one line"):
         decoupling_matrix(x, y)

@@ -1,4 +1,4 @@
-"""Discretisation and response of a second-order model, lag and delay included."""
+"""Test discretisation and response of a second-order model with lag and delay."""
 
 from dataclasses import replace
 from typing import Literal
@@ -36,7 +36,7 @@ def test_rig_model_gives_the_papers_matrices() -> None:
     np.testing.assert_allclose(at.force, [0, -m_b * g * x_b, -(m_p + m_b) * g])
 
 
-def test_moving_beam_adds_what_the_accelerating_mass_feels() -> None:
+def test_moving_beam_adds_the_forces_of_its_acceleration() -> None:
     # Lagrangian of a mass at (x_b(t), z_b) on the tilting platform, to second order in the pose:
     # m_b/2 (z_b^2 theta'^2 + (z' + x_b theta')^2 + 2 z' v_b theta - 2 v_b z_b theta').
     x_b, v_b, a_b, m_b = 0.05, 0.3, 2.0, 1.4
@@ -81,7 +81,7 @@ def test_static_gain_is_the_inverse_stiffness() -> None:
 @pytest.mark.parametrize(
     "m", [[["a", "a"], ["a", "a"]], [[0.1, 0.3], [0.1, 0.3]], [[0, 0], [0, 1]]]
 )
-def test_a_mass_matrix_has_an_inverse(m: list[list[str | float]]) -> None:
+def test_singular_mass_matrix_is_rejected(m: list[list[str | float]]) -> None:
     eye = [[1e-9, 0.0], [0.0, 1e9]]  # units may be as they like
     DeclaredModel.build("xy", "fg", {}, {"s": 0.1}, {"M": eye, "D": eye, "K": eye}).at()
     model = DeclaredModel.build("xy", "fg", {"a": 0.3}, {"s": 0.1}, {"M": m, "D": eye, "K": eye})
@@ -113,7 +113,7 @@ def test_formula_is_arithmetic_only(text: str) -> None:
 def test_a_number_in_a_formula_is_finite(source: str | float) -> None:
     with pytest.raises(ExpressionError, match="expected") as caught:
         Expression.parse(source)
-    assert len(str(caught.value)) < 200  # of thousands of digits the first will do
+    assert len(str(caught.value)) < 200  # the message quotes only the first digits
 
 
 @pytest.mark.parametrize(
@@ -145,13 +145,13 @@ def test_a_lag_is_not_negative(lag: str | float) -> None:
     assert ahead.at().delay_s == -1e-4
 
 
-def test_formula_without_a_value_says_so() -> None:
+def test_formula_without_a_value_is_reported() -> None:
     for text in ("1/x", "x**x**x"):
         with pytest.raises(ExpressionError, match="has no value"):
             Expression.parse(text)({"x": 0.0 if text == "1/x" else 1e3})
 
 
-def test_model_errors_name_the_place() -> None:
+def test_model_errors_name_matrix_and_entry() -> None:
     with pytest.raises(ModelError, match=r"K\[0\]\[0\].*\['stiffness'\]"):
         DeclaredModel.build(
             ["x"], ["f"], {"m": 1.0}, {}, {"M": [["m"]], "D": [[0]], "K": [["stiffness"]]}

@@ -1,4 +1,4 @@
-"""SIM.yaml: the shipped files, and errors that name file and key."""
+"""Test SIM.yaml: the shipped files, and errors that name file and key."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from levid.config.base import ConfigError, load_yaml
 from levid.config.sim import SimConfig
 
 
-def test_shipped_files_agree_on_everything_declared() -> None:
-    """The rig is the declared model and more: the two files differ in level and imperfections."""
+def test_shipped_files_have_equal_declared_parameters() -> None:
+    """rig.yaml and nominal.yaml differ only in plant level and imperfections."""
     nominal, rig = (load_yaml(SIMS / f"{name}.yaml", SimConfig) for name in ("nominal", "rig"))
     same = {"plant", "nonlinear"}
     assert nominal.model_dump(exclude=same) == rig.model_dump(exclude=same)
@@ -60,7 +60,7 @@ def test_mistake_in_the_imperfections(tmp_path: Path, old: str, new: str, messag
         load_yaml(tmp_path / "SIM.yaml", SimConfig)
 
 
-def test_three_coils_on_a_line_are_refused(tmp_path: Path) -> None:
+def test_three_coils_on_a_line_are_rejected(tmp_path: Path) -> None:
     text = (SIMS / "nominal.yaml").read_text()
     line = "[0.12, 0.12, 0.12, 0, 0, 0, -0.12, -0.12, -0.12]"
     text = text.replace(f"coil_y_m: {line}", "")

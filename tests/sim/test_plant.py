@@ -1,4 +1,4 @@
-"""The plant as a controller meets it: discretisation, stops, electronics, noise, hovering."""
+"""Test the simulated plant: discretisation, stops, electronics, noise, hovering."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def coils_t(config: SimConfig) -> Array:
 @pytest.mark.parametrize("period_s", [1e-3, 1e-4])
 @pytest.mark.parametrize("x_b", [-0.1, 0.0])
 def test_declared_plant_is_the_exact_discretisation(period_s: float, x_b: float) -> None:
-    """Plant, current lag and held command sampled: the same as one matrix exponential a period."""
+    """The sampled plant with current lag and hold equals one matrix exponential per period."""
     config = load("nominal", coils={"noise_n": 0.0})
     a = Arrays.build(config, period_s)
     m_b, z_b, p, lag = config.beam.m_b_kg, config.beam.z_b_m, config.platform, config.coils.lag_s
@@ -109,14 +109,14 @@ def test_platform_falls_and_rests_on_the_lower_stops(name: str) -> None:
             a.par, a.st, a.coils, a.sensors, a.noise, a.out, np.zeros(9), NONE, NONE
         )
         lowest = min(lowest, a.st[k.Q + 2])
-    assert lowest < -0.905e-3  # it struck
-    # The rest is told from the statics; the rig's centre of mass moves it by some 0.05 um.
+    assert lowest < -0.905e-3  # impact
+    # The rest position follows from statics; the rig's centre of mass shifts it by about 0.05 um.
     np.testing.assert_allclose(a.st[k.Q : k.Q + 3], resting_pose(config), atol=2e-6)
     assert np.abs(a.st[k.V : k.V + 3]).max() < 1e-7
     assert -0.91e-3 < a.st[k.Q + 2] < -0.90e-3  # sags less than 10 um under 69 N
 
 
-def test_end_stops_push_and_never_pull() -> None:
+def test_end_stops_have_no_tensile_force() -> None:
     a = Arrays.build(load("nominal"), 1e-3)
     for h in np.linspace(-1.2e-3, 1.2e-3, 49):
         for speed in (-1.0, 0.0, 1.0):
@@ -152,7 +152,7 @@ def test_sensor_noise_is_white_and_quantised(period_s: float) -> None:
     codes = np.array(gaps) / lsb
     np.testing.assert_allclose(codes, np.rint(codes), atol=1e-6)
     noise = np.array(gaps[2000:]) - np.mean(gaps[2000:], axis=0)
-    # 0.1 um and the converter's step / sqrt 12; 18000 samples know a variance to 1 percent.
+    # 0.1 um and the converter's step / sqrt 12; 18000 samples give the variance to 1 percent.
     assert noise.var() == pytest.approx(1e-14 + lsb**2 / 12, rel=0.05)
     near = np.mean(noise[1:] * noise[:-1]) / noise.var()
     assert abs(near) < 5 / np.sqrt(noise.size)
@@ -178,12 +178,12 @@ def test_amplifier_noise_keeps_its_density_at_any_step(step_s: float) -> None:
         plant.advance(np.zeros(9), NONE, NONE)
         plant.sample()
         seen.append(plant.coil_readback_n.copy())
-    # 36000 values know their variance to 0.8 percent.
+    # 36000 values give the variance to 0.8 percent.
     assert np.var(seen) * step_s == pytest.approx(1e-10, rel=0.04)
 
 
 @pytest.mark.parametrize("name", ["nominal", "rig"])
-def test_same_seed_same_readings_and_no_reading_is_drawn_twice(name: str) -> None:
+def test_same_seed_gives_same_readings_and_a_second_sample_is_equal(name: str) -> None:
     config = load(name)
     other = config.model_copy(update={"seed": config.seed + 1})
     plants = [Plant(config, 1e-3), Plant(config, 1e-3), Plant(other, 1e-3)]
@@ -192,7 +192,7 @@ def test_same_seed_same_readings_and_no_reading_is_drawn_twice(name: str) -> Non
         for plant in plants:
             plant.advance(command, NONE, NONE)
         plants[0].sample()
-        plants[0].sample()  # asking again changes nothing
+        plants[0].sample()  # a second call changes nothing
         if i % 7 == 0:
             plants[1].sample()
     for plant in plants:
@@ -205,7 +205,7 @@ def test_same_seed_same_readings_and_no_reading_is_drawn_twice(name: str) -> Non
 
 
 def hover(config: SimConfig, period_s: float, seconds: float, x_b: float = 0.0) -> Array:
-    """Poses (N, 3) under the starting gains, from the stops, a force acting one cycle late."""
+    """Poses (N, 3) with the starting gains, from the stops, with one cycle of delay."""
     T = decoupling_matrix(config.geometry.sensor_x, config.geometry.sensor_y)
     kp, ki = np.array([20.0, 20.0, 500.0]), np.array([200.0, 200.0, 3000.0]) * period_s
     m_b, total = config.beam.m_b_kg, config.beam.m_b_kg + config.platform.m_p_kg
@@ -235,7 +235,7 @@ def test_starting_gains_hover(name: str, period_s: float) -> None:
 
 
 def test_beam_and_rotor_are_at_their_setpoints_when_the_period_ends() -> None:
-    """A setpoint is reached at the end of its period, of beam and rotor alike."""
+    """Beam and rotor reach a setpoint at the end of its period."""
     config = load("nominal")
     plant = Plant(config, 1e-3)
     for i in range(1, 101):
@@ -268,7 +268,7 @@ def test_nonlinear_drives_track(period_s: float) -> None:
     assert force < 3.0  # friction 1.3 N and the loop's share of it
 
 
-def test_command_of_wrong_size_or_not_finite_is_refused() -> None:
+def test_command_of_wrong_size_or_not_finite_is_rejected() -> None:
     plant = Plant(load("nominal"), 1e-3)
     with pytest.raises(ValueError, match="expected coil_n"):
         plant.advance(np.zeros(8), NONE, NONE)
@@ -278,14 +278,14 @@ def test_command_of_wrong_size_or_not_finite_is_refused() -> None:
         Plant(load("nominal"), 0.0)
 
 
-def test_period_is_cut_into_equal_internal_steps() -> None:
+def test_period_is_divided_into_equal_internal_steps() -> None:
     for period_s, steps in ((1e-3, 10), (1e-4, 1), (1.5e-4, 2), (5e-5, 1), (1 / 3000, 4)):
         plant = Plant(load("nominal"), period_s)
         assert plant.dt_s == pytest.approx(period_s / steps, rel=1e-12)
 
 
-def test_nothing_says_nine() -> None:
-    """Four coils and three sensors fly as well."""
+def test_plant_of_four_coils_and_three_sensors() -> None:
+    """The code does not assume nine coils and sensors."""
     r = 0.1
     geometry = {
         "coil_x_m": (r, r, -r, -r),

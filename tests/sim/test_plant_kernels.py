@@ -1,4 +1,4 @@
-"""Both plant levels against Lagrange's equations of a cloud of points, and conservation laws."""
+"""Test both plant levels against Lagrange's equations of point masses and conservation laws."""
 
 from collections.abc import Callable
 
@@ -34,7 +34,7 @@ def without_imperfections() -> SimConfig:
 
 
 def cloud(config: SimConfig) -> tuple[Array, Callable[[Array], Array]]:
-    """Point masses (P,) with the rig's inertia, and their places in space (P, 3) over x (5,)."""
+    """Point masses (P,) with the rig's inertia, and their positions in space (P, 3) over x (5,)."""
     assert config.nonlinear is not None
     p, more, bar = config.platform, config.nonlinear, config.rotor.j_kg_m2
     ix, iy, iz = p.j_psi_kg_m2, p.j_theta_kg_m2 - bar, more.j_z_kg_m2 - bar
@@ -44,7 +44,7 @@ def cloud(config: SimConfig) -> tuple[Array, Callable[[Array], Array]]:
     com = np.asarray(more.com_m)
     root = np.linalg.cholesky((moments - p.m_p_kg * np.outer(com, com)) * 3.0 / p.m_p_kg)
     body = np.concatenate([com + root.T, com - root.T])
-    # Bar and imbalance as points 5 cm and 12 cm off the axis; no mass in sum, the beam has it.
+    # Bar and imbalance as points 5 cm and 12 cm off the axis with zero total mass.
     s, a, b = more.rotor_imbalance_kg_m, 0.05, -0.12
     m_a, m_b = (bar - s * b) / (a * (a - b)), (bar - s * a) / (b * (b - a))
     masses = np.array([p.m_p_kg / 6] * 6 + [config.beam.m_b_kg, m_a, m_b, -m_a - m_b])
@@ -124,7 +124,7 @@ def test_nonlinear_level_obeys_lagranges_equations_of_a_point_cloud() -> None:
         np.testing.assert_allclose(found, np.linalg.solve(M, Q), rtol=1e-6, atol=1e-5)
 
 
-def test_nonlinear_level_conserves_energy_when_nothing_drives_or_damps() -> None:
+def test_nonlinear_level_conserves_energy_without_drive_and_damping() -> None:
     config = rig(com_m=(0.004, -0.003, -0.01), rotor_imbalance_kg_m=5e-4)
     a = Arrays.build(config, 1e-2)
     a.par[k.AIR_D] = 0.0
@@ -152,7 +152,7 @@ def test_nonlinear_level_conserves_energy_when_nothing_drives_or_damps() -> None
         swing = max(swing, kinetic)
         # Runge-Kutta loses (w h)^5 / 144 a step: with w = 60 rad/s, 5e-13 x 5000 steps in all.
         assert abs(after - before) < 1e-8 * swing
-    assert abs(a.st[k.Q + 3] - 0.02) > 0.01  # the beam did slide
+    assert abs(a.st[k.Q + 3] - 0.02) > 0.01  # the beam slides
 
 
 def test_declared_level_is_the_first_order_of_the_full_equations() -> None:
@@ -180,12 +180,12 @@ def test_declared_level_is_the_first_order_of_the_full_equations() -> None:
             errors.append(
                 max(np.abs(a.st[k.A : k.A + 3] - acceleration).max(), abs(a.out[-4] - drive))
             )
-        # A term of first order that was wrong would leave a ratio of 10; second order gives 100.
+        # A wrong first-order term gives a ratio of 10; second-order errors give 100.
         assert errors[1] < errors[0] / 60
         assert errors[0] < 1e-2  # of accelerations up to 0.1 rad/s^2
 
 
-def test_beam_that_moves_out_keeps_the_angular_momentum() -> None:
+def test_moving_beam_conserves_angular_momentum() -> None:
     """Coriolis and M-dot terms: without outer forces the momenta of the whole are constant."""
     config = load_yaml(SIMS / "nominal.yaml", SimConfig)
     config = config.model_copy(
@@ -201,7 +201,7 @@ def test_beam_that_moves_out_keeps_the_angular_momentum() -> None:
     m, z_b = config.beam.m_b_kg, config.beam.z_b_m
     total = config.platform.m_p_kg + m
     J = config.platform.j_theta_kg_m2 + m * z_b**2
-    a.par[k.J_PSITHETA] = 0.0  # else theta turns psi, which has momentum too
+    a.par[k.J_PSITHETA] = 0.0  # otherwise theta drives psi, which has momentum too
 
     def momenta() -> Array:
         _, th, z, x, _ = a.st[k.Q : k.Q + 5]

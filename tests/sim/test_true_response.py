@@ -1,4 +1,4 @@
-"""The true response against the simulation itself, and the two levels against each other."""
+"""Test the true response against the simulation, and the two plant levels against each other."""
 
 import numpy as np
 import pytest
@@ -20,10 +20,10 @@ def load(name: str) -> SimConfig:
 @pytest.mark.parametrize("rate_hz", [1e3, 1e4])
 @pytest.mark.parametrize(("name", "tolerance"), [("nominal", 1e-9), ("rig", 2e-3)])
 def test_truth_predicts_the_simulation(name: str, tolerance: float, rate_hz: float) -> None:
-    """Random wrenches around hovering at x_b = 0.1: poses as the linear system says.
+    """Random wrenches around hovering at x_b = 0.1: the linear system predicts the poses.
 
     The rig's cubic rods (1 percent of the rods' force at 0.6 mm, by its square at 0.1 mm) and its
-    drive's friction bend a response of some 10 um by less than 2e-3.
+    drive's friction change a response of some 10 um by less than 2e-3.
     """
     config = load(name)
     a = Arrays.build(config, 1.0 / rate_hz)
@@ -39,7 +39,7 @@ def test_truth_predicts_the_simulation(name: str, tolerance: float, rate_hz: flo
         a.st[[k.Q + 3, k.BEAM_TO, k.BEAM_LOOP + k.LOOP_LAST]] = x_b
         a.coils[k.CURRENT] = hover
 
-    # Hovering forces by Newton's method on the rest of the simulation: no share with the truth's.
+    # Hovering forces by Newton's method on the simulation, independent of the true response's code.
     tau = np.array([0.0, 1.4 * 9.81 * x_b, 7.0 * 9.81])
     accelerations = LEVELS[config.plant].accelerations
     for _ in range(4):
@@ -71,7 +71,7 @@ def test_response_has_the_delay_the_hold_and_the_lag() -> None:
     P = frequency_response(load("nominal"), 0.0, freq, rate)[0, 2, 2]
     w = 2 * np.pi * freq[0]
     expected = -np.pi - w * 1.5 / rate - np.arctan(w * 3e-4)
-    # Of what is left, the damping of 36 N s/m gives 36 / (7 w) = 0.008 rad.
+    # The damping of 36 N s/m adds 36 / (7 w) = 0.008 rad.
     assert np.angle(P * np.exp(-1j * expected)) == pytest.approx(0.0, abs=0.01)
     # Stiffness 2600 N/m against 7 w^2: 0.1 percent.
     assert abs(P) == pytest.approx(1 / (7 * w**2 * np.hypot(1, w * 3e-4)), rel=2e-3)

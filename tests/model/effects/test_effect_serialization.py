@@ -1,4 +1,4 @@
-"""Effects in a model file: from the table to the file and back, and what is refused."""
+"""Test effects in a model file: round trip from the table, and errors."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def in_file(effects: list[ModelEffect]) -> ModelConfig:
     return parse_text(to_yaml(model), ModelConfig, "model.yaml")
 
 
-def test_every_effect_of_the_table_goes_to_a_file_and_back(places: Places) -> None:
+def test_every_effect_of_the_table_is_read_back_from_a_file(places: Places) -> None:
     rng = np.random.default_rng(1)
-    listed = [*all_effects(places), *tone(places, 23.4)]  # a line that no table has beforehand
+    listed = [*all_effects(places), *tone(places, 23.4)]  # a frequency that is not in the table
     placed = [
         Placed(
             effect,
@@ -55,7 +55,7 @@ def test_every_effect_of_the_table_goes_to_a_file_and_back(places: Places) -> No
     assert [dict(p.standard_errors) for p in back] == [p.standard_errors for p in placed]
 
 
-def test_a_shape_beyond_what_these_records_allow_is_taken_as_it_stands(places: Places) -> None:
+def test_shape_outside_the_records_range_is_kept(places: Places) -> None:
     effect = next(e for e in all_effects(places) if e.shape and e.amplitudes)
     there = tuple(2.0 * q.high for q in effect.shape)
     placed = Placed(effect, there, tuple(1.0 for _ in effect.amplitudes), {})
@@ -66,7 +66,7 @@ def test_a_shape_beyond_what_these_records_allow_is_taken_as_it_stands(places: P
         assert (ours.low, ours.high) == (of_table.low, value)
 
 
-def test_a_model_without_effects_says_nothing_of_them() -> None:
+def test_model_without_effects_has_no_effects_key() -> None:
     assert "effects" not in to_yaml(load_model(shipped("models/rig.yaml")))
 
 
@@ -98,6 +98,6 @@ CUBIC = {"k3": EffectParameter(value=1e8, unit="N/m^3")}
         ),
     ],
 )
-def test_what_is_wrong_is_named(places: Places, effects: list[ModelEffect], said: str) -> None:
+def test_wrong_entry_is_reported(places: Places, effects: list[ModelEffect], said: str) -> None:
     with pytest.raises(ModelError, match=said):
         placed_effects(effects, places)

@@ -1,4 +1,4 @@
-"""The candidate effects: their equations along known trajectories, and the table as a whole."""
+"""Test the candidate effects: equations along known trajectories, and the whole table."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_effects_go_to_other_processes_and_give_the_same_there(places_of):
 def test_columns_to_screen_stay_few():
     # What the drives' force is screened with is no column of the platform's filter. A line at a
     # frequency is 3 forces, the floor, 9 readings and a common one, a cosine and a sine each: 28.
-    # Sensors that stand are asked only where readings do. 470 take as long as 430 did.
+    # Frozen sensors are included only if readings are frozen. 470 take as long as 430 did.
     s, count = moving(), 0
     usual = replace(Extent.typical(s.places), tones_hz=(), standing=())
     for effect in all_effects(s.places, usual):
@@ -178,7 +178,7 @@ def _slope(effect: Effect, s: Signals, row, i: int, nudge: float) -> np.ndarray:
     return (ends[0] - ends[1]) / (2 * nudge)
 
 
-def test_extent_is_what_records_cover():
+def test_extent_is_the_range_of_the_records():
     s = moving()
     slow = replace(s, q=0.5 * s.q, qd=0.5 * s.qd, time_s=s.time_s + 100)
     extent = Extent.measured([slow, s])
@@ -191,7 +191,7 @@ def test_extent_is_what_records_cover():
 # Energy: what a force does to a platform that comes back to where it was.
 
 
-def test_stiffness_gives_back_what_it_takes():
+def test_stiffness_conserves_energy():
     s = moving()
     for identity, effect in table().items():
         if effect.effect_class == "rod_stiffness":
@@ -203,7 +203,7 @@ def test_stiffness_gives_back_what_it_takes():
 
 
 @BOTH
-def test_damping_and_friction_take_energy(places_of):
+def test_damping_and_friction_dissipate_energy(places_of):
     s = moving(places_of)
     for effect in table(places_of).values():
         if effect.where and effect.where[0] in s.places.dof and effect.key in {
@@ -216,7 +216,7 @@ def test_damping_and_friction_take_energy(places_of):
 
 
 @BOTH
-def test_nothing_that_takes_energy_may_be_found_to_give_it(places_of):
+def test_dissipative_effects_have_bounds_that_keep_them_passive(places_of):
     # Excesses over a damping that is fitted; a chain that the beam drags pulls to either side.
     free = ("air_damping.linear", "damping.outward", "damping.one_sided", "friction.beam_chain")
     for effect in table(places_of).values():
@@ -257,7 +257,7 @@ def test_payload_takes_what_its_kinetic_and_potential_energy_gain():
     _same_as_rate(-power(found.force, s), 0.5 * rise**2 + 9.81 * height)
 
 
-def test_payload_is_not_there_before_its_time():
+def test_payload_has_no_force_before_its_time():
     s = moving()
     force = term("payload@psi+theta+z", (s.time_s[3000], 0.1, 0.0, 0.0)).force
     # Ten rises before it, tanh is 1 to the last digit; so it is after.
@@ -301,7 +301,7 @@ def test_force_constant_takes_the_height_in_the_period_in_which_a_command_acts()
     assert late.held[k, 2] == pytest.approx(s.coil[k, 2] * (ahead[k + 1] + ahead[k + 2]) / 2)
 
 
-def test_all_coils_alike_are_the_sum_of_each():
+def test_effect_of_all_coils_is_the_sum_of_single_coils():
     for key in ("force_constant.linear", "force_constant.quadratic", "thermal_drift.time",
                 "thermal_drift.heat"):  # fmt: skip
         alone = sum(term(f"{key}@coil:{c}").held for c in range(9))
@@ -309,7 +309,7 @@ def test_all_coils_alike_are_the_sum_of_each():
         np.testing.assert_allclose(together, alone, atol=1e-9 * np.abs(alone).max())
 
 
-def test_dead_zone_gives_nothing_inside_and_less_by_its_width_outside():
+def test_dead_zone_is_zero_inside_and_reduced_by_its_width_outside():
     s = moving()
     F = np.linspace(-10, 10, s.rows)
     given = F + term("dead_zone@coil:2", (3.0,), coil_signals(F)).held[:, 2]
@@ -400,7 +400,7 @@ def test_heat_rises_with_the_square_of_the_force_since_the_session_began():
     np.testing.assert_allclose(held, -6.0 * 36.0 * (1 - np.exp(-(s.time_s + before) / tau)))
 
 
-def test_what_was_warmed_in_the_session_is_warm_when_a_record_begins():
+def test_heat_at_a_records_begin_follows_from_the_session():
     # 8 N from 2 s before 0 s, 3 N from 6 s, nothing known from 10 s on; the record begins at 20 s.
     loads = Loads((0.0, 6.0, 10.0), tuple((0.0, 0.0, f * f, *[0.0] * 6) for f in (8.0, 3.0, 3.0)))
     s = coil_signals(np.zeros(moving().rows))
@@ -426,7 +426,7 @@ def test_sensor_s_lag_is_late_by_its_amplitude():
     np.testing.assert_allclose(late[500:], expected[500:], atol=1e-4 * 1e-4)
 
 
-def test_any_sensor_may_show_a_part_of_any_other():
+def test_table_has_crosstalk_of_every_sensor_pair():
     pairs = [e.where for e in all_effects(rig_places()) if e.key == "sensor_crosstalk"]
     assert len(set(pairs)) == 9 * 8
     found = term("sensor_crosstalk@sensor:0+sensor:1").gap
@@ -440,10 +440,12 @@ def test_patterns_are_orthogonal_to_rigid_motion_and_to_each_other():
     assert len(names) == 9
     np.testing.assert_allclose(over_sensors.T @ over_sensors, np.eye(9), atol=1e-12)
     np.testing.assert_allclose(places.sensor_shape.T @ over_sensors[:, 3:], 0, atol=1e-12)
-    np.testing.assert_allclose(over_coils, over_sensors, atol=1e-12)  # they sit at one place
+    np.testing.assert_allclose(
+        over_coils, over_sensors, atol=1e-12
+    )  # coils and sensors are collocated
 
 
-def test_mode_is_deaf_to_a_wrench_and_unseen_in_the_pose():
+def test_mode_has_no_coupling_to_wrench_and_pose():
     s, mode = moving(), table()["flexible_mode.twist@"]
     T = s.places.decoupling
     (bent,) = mode.build(s, mode.grid[0])

@@ -1,4 +1,4 @@
-"""Free-form forces: what they depend on, and that a model file can hold them."""
+"""Test free-form effects: dependence on signals, and round trip through a model file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def effects():
     return freeform_effects(rig_places(), Extent.typical(rig_places()))
 
 
-def test_key_and_place_say_all_that_there_is_to_know():
+def test_key_and_location_define_a_form():
     for effect in effects():
         again = freeform_effect(rig_places(), effect.key, effect.where)
         assert again is not None
@@ -30,13 +30,13 @@ def test_key_and_place_say_all_that_there_is_to_know():
             np.testing.assert_array_equal(acts(ours), acts(theirs))
 
 
-def test_each_has_a_name_of_its_own_and_travels():
+def test_forms_have_unique_names_and_can_be_pickled():
     identities = [e.identity for e in effects()]
     assert len(set(identities)) == len(identities)
     pickle.loads(pickle.dumps(effects()))
 
 
-def test_each_acts_at_its_place_alone():
+def test_form_acts_at_its_location_only():
     for effect in effects():
         kind, _, number = effect.where[0].partition(":")
         for term in effect.build(moving(), effect.grid[0]):
@@ -88,7 +88,7 @@ def test_no_sum_of_functions_is_constant(by: str):
     assert np.mean((1.0 - functions @ best) ** 2) > 1e-3
 
 
-def test_a_coil_may_do_anything_with_what_it_is_told():
+def test_force_of_a_coil_is_any_function_of_its_command():
     """As an amplifier whose second stage comes in beyond a force, and has another offset."""
     s = moving()
     s = replace(s, coil=6.0 + s.coil)
@@ -115,7 +115,7 @@ def test_a_coil_may_do_anything_with_what_it_is_told():
     assert np.var(cube) > 0.3 * np.var(step)
 
 
-def test_a_reading_may_be_false_in_one_place_and_right_everywhere_else():
+def test_reading_error_can_be_local():
     """As near a magnet that passes. A sensor has a zero of its own, which single readings show."""
     s = replace(moving(), x_b_m=np.linspace(-0.1, 0.1, 200))
     effect = freeform_effect(rig_places(), "unknown.x_b[0.1]", ("sensor:4",))
@@ -130,7 +130,7 @@ def test_a_reading_may_be_false_in_one_place_and_right_everywhere_else():
 @pytest.mark.parametrize(
     ("by", "signals"), [("v_b", ("v_b",)), ("a_b_v_b", ("a_b", "v_b")), ("phi_speed", ("phi'",))]
 )
-def test_what_lingers_is_what_a_leaking_store_holds(by: str, signals: tuple[str, ...]):
+def test_leaky_integral_is_a_first_order_lag(by: str, signals: tuple[str, ...]):
     """As of a capacitor that braking charges, or of what friction heats."""
     s, tau_s = moving(), 0.4
     (effect,) = (e for e in effects() if e.where == ("sensor:2",) and f".lingering.{by}[" in e.key)
@@ -209,7 +209,7 @@ def test_what_happens_at_one_end_of_the_beam_says_nothing_of_the_other():
     assert not np.any(np.any(right != 0.0, axis=0)[:3])
 
 
-def test_nonsense_is_no_effect():
+def test_invalid_keys_give_no_effect():
     keys = ("unknown.nobody[1]", "unknown.theta", "unknown.theta[x]", "unknown.theta[0]")
     assert Form.of("unknown.theta[1]~") is Form.of("unknown.coil_1[0+-1]~") is None
     for key in (*keys, "friction.coulomb", "unknown.phi[1]", "unknown.z[1]*nobody[2]"):
@@ -218,7 +218,7 @@ def test_nonsense_is_no_effect():
         assert freeform_effect(rig_places(), "unknown.x_b[0.1]", nowhere) is None
 
 
-def test_answer_is_what_a_mass_on_a_spring_gives_back():
+def test_resonant_response_is_that_of_a_mass_on_a_spring():
     """But for what a model has already: mass, damping and stiffness between the two DOF."""
     Ts_s, rows, w, zeta, m = 1e-3, 8000, 2 * np.pi * 14.0, 0.05, 0.2
     t = np.arange(rows) * Ts_s
@@ -294,7 +294,7 @@ def test_functions_lie_where_the_motion_is():
         np.testing.assert_array_equal(acts(ours), acts(theirs))
 
 
-def test_coil_that_remembers_where_its_command_turned():
+def test_hysteresis_of_a_coil_depends_on_reversals():
     """A loop of the command: there and back give forces apart, and no sum of stops is smooth."""
     s = moving()
     t = np.arange(200) / 100

@@ -1,4 +1,4 @@
-"""Free forms along the beam's way and of a coil's heat: against forces written down by hand."""
+"""Test free forms over the beam's travel and a coil's heat against explicit equations."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_an_uneven_rail_lifts_the_beam_with_its_speed_squared():
         ("place", "sensor:3", ("x_b",)),
     ],
 )
-def test_a_wave_says_what_it_is_felt_with(key: str, where: str, signals: tuple[str, ...]):
+def test_wave_names_its_signals(key: str, where: str, signals: tuple[str, ...]):
     effect = freeform_effect(rig_places(), f"unknown.wave.{key}", (where,))
     assert depends_on(effect) == signals
     s = swept()
@@ -123,11 +123,11 @@ def test_there_is_one_of_every_pair_and_none_of_a_beam_where_there_is_none():
         "warming.v_b", "warming",
     ],
 )  # fmt: skip
-def test_nonsense_is_none(key: str):
+def test_invalid_keys_give_none(key: str):
     assert freeform_effect(rig_places(), f"unknown.{key}", ("sensor:1",)) is None
 
 
-def test_places_that_do_not_come_into_question():
+def test_invalid_locations_give_none():
     for key, where in (
         ("wave.place", "theta"), ("wave.v_b[0.4]", "coil:1"), ("warming.coil_1", "theta"),
         ("warming.coil_1", "sensor:9"), ("answer.x_b*x_b", "sensor:1"), ("answer.x_b", "coil:1"),
@@ -136,7 +136,7 @@ def test_places_that_do_not_come_into_question():
 
 
 @pytest.mark.parametrize("where", ["theta", "sensor:6"])
-def test_what_the_rig_stands_on_answers_the_beam(where: str):
+def test_resonant_response_of_the_base_to_the_beam(where: str):
     """Pushed by a_b and pressed by x_b, with parts of it that a model has: weight and reaction."""
     s, f_hz, zeta = swept(0.15), 1.9, 0.08
     w = 2 * np.pi * f_hz

@@ -1,4 +1,4 @@
-"""Hysteresis, lags and oscillators of the candidate effects, along signals with known answers."""
+"""Test hysteresis, lags and oscillators along signals with known responses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_bouc_and_wen_s_hysteresis_holds_dahl_s_and_lugre_s_too():
     np.testing.assert_allclose(recursions.lugre(x, x, 3e-5, 0.0, 1.0, TS), f, atol=1e-12)
 
 
-def test_maxwell_s_elements_come_near_loops_of_other_shapes():
+def test_maxwell_elements_approximate_other_loops():
     t = np.arange(8000) * TS
     x = 1e-4 * sum(np.sin(2 * np.pi * f * t + f) for f in (0.75, 2.25, 5.5))
     x *= 0.6 + 0.4 * np.sin(2 * np.pi * t / 8)
@@ -49,7 +49,7 @@ def _left(values, columns) -> float:
     return float(np.linalg.norm(values - A @ np.linalg.lstsq(A, values, rcond=None)[0]))
 
 
-def test_slipping_element_runs_round_masing_s_loop():
+def test_slip_element_follows_masing_loop():
     x = 5e-5 * np.sin(2 * np.pi * np.arange(4000) / 1000)
     f = recursions.slip(x, 2e-5, TS)
     assert f.max() == 1
@@ -108,7 +108,7 @@ def test_a_lagged_command_is_its_exponential_anywhere_in_a_period():
         np.testing.assert_allclose(found[5:], 1 - np.exp(-since / tau), atol=1e-12)
 
 
-def test_oscillator_answers_a_step_exactly():
+def test_oscillator_step_response_is_exact():
     f, zeta = 40.0, 0.05
     force = np.repeat([0.0, 1.0], [10, 500])
     eta = recursions.oscillator(force, f, zeta, TS)
@@ -157,7 +157,7 @@ def test_yielding_spring_takes_energy_the_more_the_further_it_is_driven():
     assert lost[0] < lost[1] < lost[2]
 
 
-def test_slipping_element_lies_between_what_it_may_have_held():
+def test_slip_element_lies_within_its_range():
     """Stop operators keep their order: of all starts the ends bound what comes."""
     rng = np.random.default_rng(3)
     x = np.cumsum(rng.normal(0.0, 3e-6, 4000))

@@ -1,4 +1,4 @@
-"""Figures: what they must survive, how large they may grow, and the numbers beside them."""
+"""Test figures: unusual data, file size, printed numbers."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_bode_grids_with_truth_and_band():
 
 
 @pytest.mark.parametrize("broken", [np.nan, 0.0, np.inf])
-def test_bode_grids_leave_out_what_is_no_number(broken):
+def test_bode_grids_omit_nan(broken):
     response = resonances(FREQ_HZ)
     response[40:60] = broken
     response[:, 1, 2] = broken
@@ -128,11 +128,11 @@ def test_ratio_of_a_response_with_itself_is_one_on_any_grid():
     assert np.isnan(outside[0]).all()
 
 
-def test_worst_error_is_the_one_put_in():
+def test_worst_error_is_the_given_one():
     response = np.ones((len(FREQ_HZ), 3, 3), complex)
     at = int(np.argmin(np.abs(FREQ_HZ - 9)))
     response[at, 1, 1] = 10 ** (-1.5 / 20) * np.exp(1j * np.radians(-12))
-    response[FREQ_HZ > 64] = 10.0  # beyond the range, and off the diagonal, nothing is judged
+    response[FREQ_HZ > 64] = 10.0  # beyond the range, and off the diagonal, nothing is evaluated
     response[:, 0, 1] = 10.0
     worst = worst_on_diagonal(Curve("", line_of(0), FREQ_HZ, response), RIG)
     assert worst[1].decibel == pytest.approx(1.5)
@@ -162,7 +162,7 @@ def test_deviation_draws_its_bounds_unless_all_errors_are_far_within(factor, nea
     assert (figure.axes[0].get_ylim()[1] > 2.0) == near
 
 
-def test_panels_without_a_curve_to_be_trusted_are_hatched():
+def test_panels_with_unreliable_curves_only_are_hatched():
     doubtful = Curve("left, not to be trusted", DOUBTFUL, FREQ_HZ, resonances(FREQ_HZ))
     for figure, hatched in (([doubtful], True), ([doubtful, curve()], False)):
         for draw in (bode_magnitude, bode_phase, deviation):
@@ -192,7 +192,7 @@ def test_singular_values_of_exact_or_missing_data(values):
     assert np.isnan(gap(values, 6))
 
 
-def test_markov_parameters_of_a_minute_stay_small():
+def test_figure_of_many_markov_parameters_is_small():
     t = np.arange(60_000) * 1e-3
     g = np.exp(-t)[:, None, None] * np.sin(50 * t)[:, None, None] * np.ones((3, 3))
     noisy = g + np.random.default_rng(1).normal(0, 0.1, g.shape)
@@ -260,7 +260,7 @@ def test_an_envelope_over_columns_spans_them():
     assert set(band.high) == {3.0}
 
 
-def test_an_envelope_leaves_out_what_is_no_number():
+def test_envelope_ignores_nan():
     x = np.ones(1000)
     x[:200], x[300], x[301] = np.nan, np.inf, -np.inf
     band = envelope(np.arange(1000.0), x, 10)
@@ -289,7 +289,7 @@ def test_bins_over_time_are_of_equal_time_though_parts_are_not():
     assert np.count_nonzero(band.t < 5) == pytest.approx(50, abs=1)
 
 
-def test_labels_and_numbers_as_people_write_them():
+def test_labels_and_numbers():
     assert position_label(-0.1, [-0.1, 0.0, 0.1]) == "left (−100 mm)"
     assert position_label(0.0, [-0.1, 0.0, 0.1]) == "middle (0 mm)"
     assert position_label(0.02, [0.02]) == "+20 mm"

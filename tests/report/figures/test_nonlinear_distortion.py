@@ -1,4 +1,4 @@
-"""Figures of noise and distortion: what they must survive, and how large they may grow."""
+"""Test figures of noise and distortion: unusual data, file size."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def drawn(figure):
     return svg
 
 
-def test_both_figures_name_what_they_draw():
+def test_both_figures_have_labels():
     svg = drawn(response_with_distortion(response(), AXES))
     for text in ("best linear approximation", "noise and distortion", "noise alone", "rad/(N m)"):
         assert text in svg
@@ -75,7 +75,7 @@ def test_other_systems(m, p):
 
 
 @pytest.mark.parametrize("broken", [np.nan, 0.0, np.inf])
-def test_what_is_no_number_is_left_out(broken):
+def test_nan_is_omitted(broken):
     r = response()
     nothing = np.full_like(r.magnitude, broken)
     drawn(response_with_distortion(Response(r.freq_hz, r.magnitude, nothing, nothing), AXES))

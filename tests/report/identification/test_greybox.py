@@ -1,4 +1,4 @@
-"""The report on a fitted model: what was told, what was not, and what stands against it."""
+"""Test the report on a fitted model: parameters, unidentifiable ones, comparisons."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_figure_14_is_the_first_moving_record_alone(grey, tmp_path):
     assert (tmp_path / "figures" / "simulated-2.svg").exists()
 
 
-def test_contradictions_of_model_and_records_are_told(grey, tmp_path):
+def test_contradictions_of_model_and_records_are_reported(grey, tmp_path):
     told = replace(grey, remarks=("record 'x': <held>",))
     text = identification_report(None, None, tmp_path, grey=told).read_text(encoding="utf-8")
     assert "contradict each other: record &#39;x&#39;: &lt;held&gt;." in text
@@ -125,7 +125,7 @@ def test_names_from_files_are_escaped(grey, tmp_path):
     assert "it &lt;shook&gt;" in text
 
 
-def test_the_table_tells_fitted_held_and_fixed_apart(grey):
+def test_table_distinguishes_fitted_held_and_fixed_parameters(grey):
     table = grey_box_sections(grey_box_report(grey, (), AXES))[0].parts[0]
     rows = {row[0]: row for row in table.rows}
     held = grey.fit.unidentifiable[0].name
@@ -136,7 +136,7 @@ def test_the_table_tells_fitted_held_and_fixed_apart(grey):
     assert float(rows["c"][6].removeprefix("+")) == pytest.approx(900, rel=0.1)
 
 
-def test_a_parameter_at_its_bound_is_marked_and_warned_of(grey):
+def test_parameter_at_its_bound_is_marked(grey):
     bound = replace(grey, fit=replace(grey.fit, at_bound=("k",)))
     report = grey_box_report(bound, (), AXES)
     assert "k ended at a bound" in " ".join(t.text for t in grey_box_words(report))
@@ -151,7 +151,7 @@ def test_places_are_those_that_the_records_reached(grey):
     assert low < mean < high
 
 
-def test_the_response_is_held_against_the_truth(grey):
+def test_response_is_compared_with_the_truth(grey):
     """At the slide's middle: by definition of the report, the truth's own place."""
     middle = identify_once_still(grey)
     report = grey_box_report(middle, (), AXES, truth)
@@ -186,7 +186,7 @@ def test_a_model_without_schedule_has_one_place(grey):
     assert [p.label for p in places_of(still, ())] == ["<cart>"]
 
 
-def test_errors_that_are_not_white_are_told(grey):
+def test_errors_that_are_not_white_are_reported(grey):
     def coloured(v):
         return replace(v, whiteness=replace(v.whiteness, p_value=np.array([1e-9])))
 
@@ -206,7 +206,7 @@ def test_an_error_far_above_the_noise_is_bad(grey):
 
 
 @pytest.mark.parametrize("broken", [np.nan, 0.0])
-def test_what_is_not_known_has_no_verdict_and_does_not_break(grey, broken, tmp_path):
+def test_nan_has_no_rating(grey, broken, tmp_path):
     def unknown(v):
         nothing = np.full_like(v.floor_rms, broken)
         psd = np.full_like(v.error_psd, broken)

@@ -1,4 +1,4 @@
-"""The report on an identification: the right numbers, with and without truth."""
+"""Test the report on an identification with and without truth."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_every_figure_is_below_300_kb(with_truth):
     assert max(sizes.values()) < 300_000, sizes
 
 
-def test_remarks_and_logs_left_out_are_told_and_escaped(without_truth):
+def test_remarks_and_omitted_logs_are_reported_and_escaped(without_truth):
     text = words(without_truth)
     assert "3 cycles with &lt;coils&gt; at a limit" in text
     assert "<coils>" not in text
@@ -115,7 +115,7 @@ def test_remarks_and_logs_left_out_are_told_and_escaped(without_truth):
     assert "Read the remarks" in text
 
 
-def test_without_truth_nothing_is_said_of_one(without_truth):
+def test_page_without_truth_does_not_mention_it(without_truth):
     text = words(without_truth)
     assert "No truth was given" in text
     assert "truth of the simulator" not in text
@@ -150,7 +150,7 @@ def test_an_error_out_of_bounds_is_marked_and_followed_by_advice(result, tmp_pat
     assert "exceeds the bounds" in text
 
 
-def test_a_truth_that_is_not_known_is_not_taken_for_agreement(result, tmp_path):
+def test_nan_truth_does_not_count_as_agreement(result, tmp_path):
     def unknown(beam_m, freq_hz):
         return np.full((len(freq_hz), 3, 3), np.nan, complex)
 
@@ -168,7 +168,7 @@ def doubtful(result, *positions):
     return replace(result, points=tuple(points))
 
 
-def test_a_model_that_is_not_to_be_trusted_is_marked_and_judges_nothing(result, truth, tmp_path):
+def test_unreliable_model_is_marked_and_not_evaluated(result, truth, tmp_path):
     """Whatever it says: here of the first position 20 dB too much."""
     worse = replace(result.points[0], from_ho_kalman=10.0 * result.points[0].from_ho_kalman)
     one = doubtful(replace(result, points=(worse, *result.points[1:])), 0)
@@ -187,7 +187,7 @@ def test_a_model_that_is_not_to_be_trusted_is_marked_and_judges_nothing(result, 
     assert "left (−100 mm), not to be trusted" in figure
 
 
-def test_numbers_of_models_none_of_which_is_to_be_trusted_are_marked(result, truth):
+def test_numbers_are_marked_if_all_models_are_unreliable(result, truth):
     report = closed_loop_report(doubtful(result, 0, 1, 2).points, AXES, truth)
     by_meaning = {n.meaning: n.verdict for n in closed_loop_numbers(report)}
     for meaning, verdict in by_meaning.items():
@@ -196,7 +196,7 @@ def test_numbers_of_models_none_of_which_is_to_be_trusted_are_marked(result, tru
     assert f"{HO_KALMAN} against the truth at worst, up to 64 Hz; not to be trusted" in by_meaning
 
 
-def test_a_figure_of_the_paper_is_claimed_once(with_truth):
+def test_each_figure_number_of_the_paper_appears_once(with_truth):
     claimed = re.findall(r'class="paper">(Fig\. \d+)', words(with_truth))
     assert len(claimed) == len(set(claimed)) >= 3
 
@@ -207,7 +207,7 @@ def test_one_beam_position(rig, tmp_path):
     assert "+20 mm" in text
 
 
-def test_responses_with_holes_are_drawn(result, truth, tmp_path):
+def test_responses_with_missing_frequencies_are_drawn(result, truth, tmp_path):
     point = result.points[0]
     H = point.from_sensitivity.H.copy()
     H[20:40] = np.nan

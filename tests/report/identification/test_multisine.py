@@ -1,4 +1,4 @@
-"""The report on multisines: distortion told where there is some, and only there."""
+"""Test the report on multisines: distortion is reported if and only if there is any."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def said(texts):
     return " ".join(t.text for t in texts)
 
 
-def test_a_linear_plant_is_called_linear():
+def test_linear_plant_is_reported_as_linear():
     report = multisine_report([approximation(b) for b in (-0.1, 0.0, 0.1)], RIG_SIGNALS)
     assert "No nonlinear distortion" in said(multisine_words(report))
     assert report.labels == ("left (−100 mm)", "middle (0 mm)", "right (+100 mm)")
@@ -84,7 +84,7 @@ def test_a_linear_plant_is_called_linear():
     assert report.uncertainty_db() == pytest.approx(0.0171, rel=0.01)
 
 
-def test_distortion_is_told_with_output_kind_and_place():
+def test_distortion_is_reported_with_output_kind_and_position():
     """Four times the power of noise at 199 lines is far from chance."""
     blas = [approximation(-0.1), approximation(0.1, distorted=4.0)]
     report = multisine_report(blas, RIG_SIGNALS)
@@ -101,7 +101,7 @@ def test_the_order_of_positions_does_not_matter():
     assert beams == [-0.1, 0.0, 0.1]
 
 
-def test_one_realisation_tells_nothing_of_distortion(tmp_path):
+def test_one_realisation_does_not_separate_distortion(tmp_path):
     nothing = np.full((len(FREQ_HZ), 3, 3), np.nan)
     single = replace(approximation(), distortion_variance=nothing)
     report = multisine_report([single], RIG_SIGNALS)
@@ -148,14 +148,14 @@ def test_names_and_units_are_those_of_the_records(tmp_path):
     assert "rad/V" in text
 
 
-def test_notes_tell_what_was_left_out(tmp_path):
+def test_notes_list_omitted_records(tmp_path):
     page = identification_report(
         None, None, tmp_path, multisine=[approximation()], notes=("x.mcap: kind <land>",)
     )
     assert "kind &lt;land&gt;" in page.read_text(encoding="utf-8")
 
 
-def test_levels_of_one_position_are_told_by_their_records():
+def test_levels_of_one_position_are_labelled_by_record():
     whole, half = (replace(approximation(0.1), records=(name,)) for name in ("whole", "half"))
     report = multisine_report([whole, approximation(-0.1), half], RIG_SIGNALS)
     assert report.labels == ("left (−100 mm)", "right (+100 mm), whole", "right (+100 mm), half")

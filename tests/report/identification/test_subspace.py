@@ -1,4 +1,4 @@
-"""The report on the subspace method: its errors, its modes, and what it is held against."""
+"""Test the report on the subspace method: uncertainties, modes, comparisons."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ def test_the_modes_are_those_of_the_rig_within_their_errors(points, rig):
         modes.rows, model.modes.frequency_hz, model.modes.frequency_se_hz, strict=True
     ):
         value, error = (float(x) for x in row[1].split(" ± "))
-        # The error is told with two digits, and the value to the last of these.
+        # The error has two digits, and the value the same last digit.
         assert error == pytest.approx(se, rel=0.06)
         assert value == pytest.approx(f, abs=0.06 * se)
 
 
-def test_with_a_truth_the_error_against_it_is_told(points, truth):
+def test_error_against_the_truth_is_reported(points, truth):
     report = subspace_report(points, RIG_SIGNALS, truth)
     assert list(report.ratios) == [f"{SUBSPACE} / truth", f"{HO_KALMAN} / {SUBSPACE}"]
     values = [number.value for number in subspace_numbers(report)]
@@ -70,19 +70,19 @@ def test_with_a_truth_the_error_against_it_is_told(points, truth):
     assert "the one to use" in words.text
 
 
-def test_without_truth_nothing_is_said_of_one(points):
+def test_report_without_truth_does_not_mention_it(points):
     report = subspace_report(points, RIG_SIGNALS)
     assert list(report.ratios) == [f"{HO_KALMAN} / {SUBSPACE}"]
     assert "truth" not in subspace_words(report)[0].text
     assert len(subspace_numbers(report)) == 1
 
 
-def test_a_model_in_doubt_is_not_recommended(points):
-    doubted = replace(points[0], subspace=replace(points[0].subspace, doubts=("it is odd",)))
-    (words,) = subspace_words(subspace_report([doubted], RIG_SIGNALS))
+def test_unreliable_model_is_not_recommended(points):
+    unreliable = replace(points[0], subspace=replace(points[0].subspace, doubts=("it is odd",)))
+    (words,) = subspace_words(subspace_report([unreliable], RIG_SIGNALS))
     assert "not to be trusted at" in words.text
     assert "the one to use" not in words.text
-    assert doubted.recommended is not doubted.subspace.plant
+    assert unreliable.recommended is not unreliable.subspace.plant
 
 
 def test_positions_without_a_model_are_left_out(points):
@@ -92,7 +92,7 @@ def test_positions_without_a_model_are_left_out(points):
         subspace_report([without], RIG_SIGNALS)
 
 
-def test_phases_have_errors_of_their_own(points):
+def test_phases_have_their_own_uncertainty(points):
     # At a resonance whose frequency is uncertain the response errs along the circle.
     (curve,) = subspace_report(points, RIG_SIGNALS).curves
     r = points[0].subspace.response

@@ -1,4 +1,4 @@
-"""The page: complete, standalone, escaped, and the same bytes for the same input."""
+"""Test the page: complete, standalone, escaped, reproducible."""
 
 from __future__ import annotations
 
@@ -127,13 +127,13 @@ def test_text_from_logs_is_escaped_everywhere():
     assert parsed(page).open == []
 
 
-def test_colours_in_text_are_not_taken_for_colours_of_the_theme():
+def test_colour_codes_in_text_are_not_replaced():
     inline = picture(title=NASTY).inline
     assert "#ffffff" in inline
     assert "stroke: var(--blue)" in inline
 
 
-def test_alternative_text_stands_on_every_figure():
+def test_every_figure_has_an_alternative_text():
     page = render("Title", sections())
     assert page.count('role="img" aria-label="alt of plain"') == 2
 
@@ -163,7 +163,7 @@ def test_a_report_is_written_over_an_older_one(tmp_path):
     assert "New" in page.read_text(encoding="utf-8")
 
 
-def test_two_pictures_of_one_name_are_refused(tmp_path):
+def test_two_pictures_of_one_name_are_rejected(tmp_path):
     twice = (Section("A", (picture("same"),)), Section("B", (picture("same"),)))
     with pytest.raises(ValueError, match="'same' twice"):
         write_report(tmp_path, "Title", twice)
@@ -199,7 +199,7 @@ def test_text_and_lines_stand_out_from_the_page(variant):
         assert contrast(role) > 3
 
 
-def test_an_older_report_leaves_no_figure_of_a_series_that_has_grown_shorter(
+def test_surplus_figures_of_an_older_report_are_removed(
     tmp_path: Path,
 ) -> None:
     def report(count: int) -> set[str]:

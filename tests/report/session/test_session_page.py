@@ -1,4 +1,4 @@
-"""The report on a flight: what its logs say, also when they are cut off or strange."""
+"""Test the report on a flight, also from truncated and unusual logs."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def logs(tmp_path):
     ]
 
 
-def test_a_session_is_told_as_it_was_flown(logs):
+def test_session_is_reported_as_flown(logs):
     session = read_session(logs)
     assert [step.name for step in session.steps] == ["levitate", "left-psi", "sweep", "land"]
     assert session.name == "a-session"
@@ -135,7 +135,7 @@ def test_names_from_logs_are_escaped(tmp_path):
     assert "&lt;b&gt;&amp;" in text
 
 
-def test_what_went_wrong_is_remarked(tmp_path):
+def test_problems_are_remarked(tmp_path):
     rows = rows_of([State.EXCITING] * 300 + [State.FAULT] * 100, 0.0)
     rows["saturated"][10:13] = 2
     rows["skipped"][50] = 7
@@ -150,7 +150,7 @@ def test_what_went_wrong_is_remarked(tmp_path):
     assert text.count('class="bad"') == 2
 
 
-def test_a_log_cut_off_is_drawn_up_to_the_cut(logs, tmp_path):
+def test_truncated_log_is_drawn_up_to_its_end(logs, tmp_path):
     whole = logs[1].read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 2 // 3])
@@ -190,7 +190,7 @@ def test_a_log_of_other_signals_has_no_time_plot_and_no_states(tmp_path):
     session_report([tmp_path / "x.mcap"], tmp_path / "out")
 
 
-def test_no_logs_and_no_log_are_errors_in_words(tmp_path):
+def test_missing_and_invalid_logs_are_errors(tmp_path):
     with pytest.raises(ValueError, match="at least one log"):
         read_session([])
     with pytest.raises(LogError, match=r"nowhere\.mcap"):

@@ -1,4 +1,4 @@
-"""How the page on a trace writes numbers and draws: to the digit, and the same each time."""
+"""Test number formats and reproducible figures of the trace report."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ from levid.report.trace.trace_figures import (
         (1.5e-7, None, "1", "1.5·10⁻⁷"),
     ],
 )
-def test_a_value_has_the_digits_that_its_interval_leaves(
+def test_value_has_the_digits_of_its_interval(
     value: float, se: float | None, unit: str, text: str
 ) -> None:
     assert with_interval(EffectParameter(value=value, unit=unit, se=se)) == text
 
 
-def test_units_names_and_sizes_read_as_people_write_them() -> None:
+def test_units_names_and_sizes() -> None:
     assert unit_text("N m/rad^3") == "N m/rad³"
     assert unit_text("1") == ""
     assert signal_text("theta'") == "θ′"

@@ -1,4 +1,4 @@
-"""Facts about the shipped effects at coils and sensors, and about the flexible mode."""
+"""Test the shipped effects at coils and sensors, and the flexible mode."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ LEVEL = np.zeros(3)
 
 
 def given(effect: Any, force_n: Array, q: Array = LEVEL) -> Array:
-    """Return what the coils give (n, 9) for `force_n` (n,) at every coil alike."""
+    """Return the delivered forces (n, 9) for the same `force_n` (n,) at every coil."""
     return np.array(
         [effect.coil_force(i * DT, q, np.full(9, f)) for i, f in enumerate(np.atleast_1d(force_n))]
     )
 
 
 def seen(effect: Any, gap_m: Array) -> Array:
-    """Return what the sensors see (n, 9) of `gap_m` (n,) at every sensor alike."""
+    """Return the measured gaps (n, 9) for the same `gap_m` (n,) at every sensor."""
     return np.array([effect.gap(i * DT, np.full(9, g)) for i, g in enumerate(np.atleast_1d(gap_m))])
 
 
 def only(channel: int, values: Array, others: Array) -> None:
-    """Assert that the other eight channels are as they were."""
+    """Assert that the other eight channels are unchanged."""
     np.testing.assert_array_equal(
         np.delete(values, channel, axis=1), np.repeat(others[:, None], 8, axis=1)
     )
@@ -56,7 +56,7 @@ FORCES = np.linspace(-20, 20, 41)
         (SoftSaturation(3, 0.9, 2000.0), lambda f: np.clip(f, -0.9, 0.9)),
     ],
 )
-def test_coil_follows_its_curve_and_the_others_theirs(effect, curve) -> None:
+def test_effect_changes_one_coil_only(effect, curve) -> None:
     force = given(fresh(effect), FORCES)
     np.testing.assert_allclose(force[:, 3], curve(FORCES), rtol=1e-12, atol=1e-15)
     only(3, force, FORCES)
@@ -93,7 +93,7 @@ def test_delay_moves_and_splits(delay_s: float, whole: int, part: float) -> None
     np.testing.assert_allclose(force[10:], (1 - part) * early + part * late, atol=1e-12)
 
 
-def test_no_delay_is_none() -> None:
+def test_zero_delay_changes_nothing() -> None:
     np.testing.assert_array_equal(given(fresh(ExtraDelay("all", 0.0)), FORCES)[:, 0], FORCES)
 
 
@@ -117,7 +117,7 @@ GAPS = np.linspace(-6e-4, 6e-4, 25)
         (SensorCrosstalk(2, 7, 0.03), lambda g: 1.03 * g),
     ],
 )
-def test_sensor_follows_its_curve_and_the_others_theirs(effect, curve) -> None:
+def test_effect_changes_one_sensor_only(effect, curve) -> None:
     gap = seen(fresh(effect), GAPS)
     np.testing.assert_allclose(gap[:, 2], curve(GAPS), rtol=1e-12, atol=1e-18)
     only(2, gap, GAPS)
@@ -128,7 +128,7 @@ def test_crosstalk_is_of_the_other_sensor() -> None:
     np.testing.assert_allclose(gap, [0, 1.7, 2, 3, 4, 5, 6, 7, 8])
 
 
-def test_drift_creeps_to_its_offset() -> None:
+def test_drift_tends_to_its_offset() -> None:
     effect = fresh(SensorDrift(5, 2e-6, 100.0))
     for t, share in ((0.0, 0.0), (100.0, 1 - np.exp(-1)), (1e5, 1.0)):
         assert effect.gap(t, np.zeros(9))[5] == pytest.approx(2e-6 * share, abs=1e-18)
@@ -143,7 +143,7 @@ def test_sensor_lag_trails_a_ramp_by_its_time() -> None:
     only(6, gap, ramp)
 
 
-def test_stuck_sensor_holds_and_lets_go() -> None:
+def test_stuck_sensor_freezes_and_recovers() -> None:
     ramp = np.arange(100) * 1e-6
     gap = seen(fresh(StuckSensor(3, begin_s=2e-3, stuck_s=3e-3, free_s=2e-3)), ramp)[:, 3]
     np.testing.assert_array_equal(gap[:20], ramp[:20])
@@ -159,7 +159,7 @@ def test_sticking_sensor_follows_within_its_step() -> None:
     assert len(np.unique(gap)) < 100  # 200 um of way in steps of at least 3 um
 
 
-def test_pickup_is_no_motion() -> None:
+def test_pickup_does_not_move_the_platform() -> None:
     gap = seen(fresh(MainsPickup(4, [1e-6])), np.zeros(10_000))
     assert np.abs(np.fft.rfft(gap[:, 4]))[50] * 2e-4 == pytest.approx(1e-6)
     only(4, gap, np.zeros(10_000))
@@ -181,7 +181,7 @@ def test_shapes_are_no_rigid_motion(name: str) -> None:
         assert abs(shape @ rigid) < 1e-12 * np.abs(shape).max()
 
 
-def test_mode_answers_as_an_oscillator_does() -> None:
+def test_mode_responds_as_an_oscillator() -> None:
     """The exact solution for forces held over each step, by scipy's linear simulation."""
     f, zeta, m = 90.0, 0.02, 4.0
     force_n = np.random.default_rng(6).standard_normal(600)

@@ -1,4 +1,4 @@
-"""A found model on the simulated plant: step by step what its effects are along a whole motion."""
+"""Test effects of a model file on the simulated plant against their terms along a whole motion."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ def test_a_spring_pushes_half_a_step_ahead(tmp_path: Path) -> None:
     # Held over the step, a spring that acts half a step late would feed the motion.
     z = q[2] + 0.5 * DT_S * qd[2]
     np.testing.assert_allclose(force, [0.0, 0.0, -2e8 * z**3], rtol=1e-12)
-    # It does nothing anywhere else.
+    # It has no other contribution.
     np.testing.assert_array_equal(cubic.coil_force(0.1, q, np.arange(9.0)), np.arange(9.0))
     np.testing.assert_array_equal(cubic.gap(0.1, np.arange(9.0)), np.arange(9.0))
     assert cubic.beam_force(0.1, at_rest(), q, qd) == 0.0
 
 
-def test_a_weak_coil_gives_the_wrench_it_would(tmp_path: Path) -> None:
+def test_weak_coil_gives_the_wrench_of_the_effect(tmp_path: Path) -> None:
     weak = played(tmp_path, effect("coil_gain", "coil:6", gain=(-0.1, "1")))
     asked = np.linspace(5.0, 9.0, 9)
     given = weak.coil_force(0.0, np.zeros(3), asked)
     lacking = np.zeros(9)
     lacking[6] = -0.1 * asked[6]
-    # Which coils make it a rigid platform cannot tell: the wrench is what counts.
+    # A rigid platform only depends on the wrench, not on the coils that produce it.
     S = rig_places().coil_shape
     np.testing.assert_allclose(S.T @ (given - asked), S.T @ lacking, atol=1e-12)
 
 
-def test_a_false_sensor_shows_in_its_own_reading(tmp_path: Path) -> None:
+def test_sensor_effect_changes_only_its_reading(tmp_path: Path) -> None:
     false = played(tmp_path, effect("sensor_gain", "sensor:2", gain=(0.05, "1")))
     gap = rig_places().sensor_shape @ np.array([1e-3, -2e-3, 1e-4])
     expected = gap.copy()
@@ -64,7 +64,7 @@ def test_a_false_sensor_shows_in_its_own_reading(tmp_path: Path) -> None:
     np.testing.assert_allclose(false.gap(0.0, gap), expected, rtol=1e-12)
 
 
-def test_drives_make_up_for_friction_on_the_beam(tmp_path: Path) -> None:
+def test_drives_compensate_friction_on_the_beam(tmp_path: Path) -> None:
     friction = effect("friction.beam", "beam", friction=(0.3, "N"), v_s=(1e-3, "m/s"))
     sliding = played(tmp_path, friction)
     beam = at_rest(0.0, 0.1)
@@ -73,7 +73,7 @@ def test_drives_make_up_for_friction_on_the_beam(tmp_path: Path) -> None:
     assert sliding.beam_force(0.0, beam, np.zeros(3), np.zeros(3)) == pytest.approx(-0.3)
 
 
-def test_what_remembers_follows_the_whole_motion(tmp_path: Path) -> None:
+def test_effect_with_memory_follows_the_whole_motion(tmp_path: Path) -> None:
     declared = effect("friction.dahl", "z", friction=(0.2, "N"), x_s=(2e-5, "m"))
     dahl = played(tmp_path, declared)
     t = DT_S * np.arange(20_000)
@@ -105,7 +105,7 @@ def test_what_remembers_follows_the_whole_motion(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(error**2)) < 0.02
 
 
-def test_a_spring_that_is_held_for_a_millisecond_feeds_no_motion(tmp_path: Path) -> None:
+def test_spring_held_for_a_millisecond_does_no_work(tmp_path: Path) -> None:
     """Friction far below its slip is a spring; late by half of what it is held, it would drive."""
     dahl = played(tmp_path, effect("friction.dahl", "z", friction=(0.2, "N"), x_s=(2e-3, "m")))
     t = DT_S * np.arange(20_000)
@@ -124,7 +124,7 @@ def test_a_spring_that_is_held_for_a_millisecond_feeds_no_motion(tmp_path: Path)
     assert work < 0.05 * late_by_half
 
 
-def test_a_model_without_effects_plays_nothing(tmp_path: Path) -> None:
+def test_model_without_effects_changes_nothing(tmp_path: Path) -> None:
     nothing = played(tmp_path)
     q, qd, forces = np.full(3, 1e-4), np.full(3, 1e-2), np.linspace(-1.0, 1.0, 9)
     assert np.all(nothing.coil_force(0.0, q, forces) == forces)

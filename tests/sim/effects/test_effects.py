@@ -1,4 +1,4 @@
-"""Facts about the shipped effects on the platform, the beam and the rotor: their equations."""
+"""Test the equations of the shipped effects on platform, beam and rotor."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def pushed(effect: Any, dof: str, way: Array) -> Array:
     forces = []
     for s, v in zip(way, np.gradient(way, DT), strict=True):
         q, qd = np.zeros(3), np.zeros(3)
-        q[row], qd[row] = (s - 0.5 * DT * v) / arm, v / arm  # it looks half a step ahead
+        q[row], qd[row] = (s - 0.5 * DT * v) / arm, v / arm  # the effect leads by half a step
         tau = np.array(effect.wrench(0.0, q, qd, STILL))
         assert not np.delete(tau, row).any()
         forces.append(tau[row] / arm)
@@ -55,11 +55,11 @@ def swing(amplitude_m: float, freq_hz: float = 5.0, periods: float = 3) -> Array
 
 
 def lost(force: Array, way: Array) -> float:
-    """Return the work in J that goes into the effect on the way, by the trapezoidal rule."""
+    """Return the work in J that the effect absorbs along the path, by the trapezoidal rule."""
     return float(-np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(way)))
 
 
-# --- rods and air: what the force is at a place and a speed ---
+# --- rods and air: force over position and speed ---
 
 
 @pytest.mark.parametrize("dof", ROWS)
@@ -380,7 +380,7 @@ def test_bearing_loses_work_when_it_slips_a_little() -> None:
 # --- environment ---
 
 
-def test_floor_pushes_all_that_flies() -> None:
+def test_ground_acceleration_acts_on_all_levitated_masses() -> None:
     effect = fresh(FloorTone(0.2, 15.0, mass_kg=7.0, m_b_kg=1.4))
     t = 0.0123
     tau = effect.wrench(t, np.zeros(3), np.zeros(3), beam(x=0.05))
@@ -388,7 +388,7 @@ def test_floor_pushes_all_that_flies() -> None:
     np.testing.assert_allclose(tau, [0, -1.4 * 0.05 * rise, -7.0 * rise])
 
 
-def test_floor_noise_keeps_its_level_and_its_band() -> None:
+def test_ground_noise_has_its_level_and_band() -> None:
     effect = fresh(FloorNoise(0.1, (10, 40), mass_kg=7.0, m_b_kg=1.4))
     rise = np.array([effect.acceleration(0.0) for _ in range(200_000)])
     # 20 s at 30 Hz of bandwidth are some 1200 independent values: 2 percent; four of those.
@@ -401,7 +401,7 @@ def test_floor_noise_keeps_its_level_and_its_band() -> None:
     assert power[(freq < 2) | (freq > 200)].sum() < 0.01 * power.sum()
 
 
-def test_mains_hums_at_its_multiples() -> None:
+def test_mains_hum_has_its_harmonics() -> None:
     effect = fresh(MainsForce("z", [0.2, 0.0, 0.1]))
     t = np.arange(10_000) * DT
     z = np.array([effect.wrench(s, np.zeros(3), np.zeros(3), STILL)[2] for s in t])

@@ -1,4 +1,4 @@
-"""The contract of effects: which hooks are called when, what they change, and how they fail."""
+"""Test the hooks of effects: order of calls, results, errors."""
 
 from pathlib import Path
 from typing import Any
@@ -144,7 +144,7 @@ def fly(plant: Plant, periods: int = 40, force_n: float = 8.2) -> list[bytes]:
 
 
 @pytest.mark.parametrize("name", ["nominal", "rig"])
-def test_effect_that_changes_nothing_changes_no_bit(folder: Path, name: str) -> None:
+def test_effect_without_contribution_changes_no_bit(folder: Path, name: str) -> None:
     everything = build(folder, [{"use": "Everything", "calls": []}], name)
     assert fly(everything) == fly(build(folder, [], name))
 

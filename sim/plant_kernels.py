@@ -387,12 +387,14 @@ def drive(
 ) -> None:
     """Close one drive's position loop for a step: PID on the encoder, mass feed-forward, limit."""
     p, v, a = hermite(st, ref, s, par[PERIOD])
-    seen = quantise(st[Q + dof], lsb)
+    encoder = quantise(st[Q + dof], lsb)
     keep = par[at + DRIVE_FILTER]
-    speed = keep * st[loop + LOOP_SPEED] + (1.0 - keep) * (seen - st[loop + LOOP_LAST]) / par[STEP]
-    st[loop + LOOP_SPEED], st[loop + LOOP_LAST] = speed, seen
-    integral = st[loop + LOOP_INTEGRAL] + par[at + DRIVE_KI] * par[STEP] * (p - seen)
-    force = par[at + DRIVE_MASS] * a + par[at + DRIVE_KP] * (p - seen) + integral
+    speed = (
+        keep * st[loop + LOOP_SPEED] + (1.0 - keep) * (encoder - st[loop + LOOP_LAST]) / par[STEP]
+    )
+    st[loop + LOOP_SPEED], st[loop + LOOP_LAST] = speed, encoder
+    integral = st[loop + LOOP_INTEGRAL] + par[at + DRIVE_KI] * par[STEP] * (p - encoder)
+    force = par[at + DRIVE_MASS] * a + par[at + DRIVE_KP] * (p - encoder) + integral
     force += par[at + DRIVE_KD] * (v - speed)
     limit = par[at + DRIVE_LIMIT]
     if -limit < force < limit:
@@ -575,9 +577,9 @@ def measure(par: Array, coils: Array, sensors: Array, noise: Array, out: Array) 
     n_sensors, n_coils = sensors.shape[1], coils.shape[1]
     first, lsb, top = noise.size - n_sensors, par[LSB], par[CODE_MAX]
     for j in range(n_sensors):
-        seen = sensors[SENSOR_GAIN, j] * sensors[GAP, j] + sensors[SENSOR_OFFSET, j]
-        seen += par[SENSOR_NOISE] * noise[first + j]
-        out[j] = min(max(np.rint(seen / lsb), -top - 1.0), top) * lsb
+        reading = sensors[SENSOR_GAIN, j] * sensors[GAP, j] + sensors[SENSOR_OFFSET, j]
+        reading += par[SENSOR_NOISE] * noise[first + j]
+        out[j] = min(max(np.rint(reading / lsb), -top - 1.0), top) * lsb
     for c in range(n_coils):
         out[n_sensors + c] = coils[CURRENT, c] + coils[NOISE, c]
 

@@ -73,9 +73,13 @@ def fitted_curve(grey: GreyBox, place: Place, line: LineStyle, shown: Range) -> 
     variance = np.einsum("a...,ab,b...->...", J, scaled, J) if slopes else np.zeros(H.shape)
     # Figures draw CONFIDENCE deviations, which is for complex errors; this error is real.
     deviation = _SURE_95 / CONFIDENCE * np.sqrt(np.maximum(variance, 0.0))
-    seen = np.any(CONFIDENCE * deviation > _VISIBLE * np.abs(H), axis=0)
+    visible = np.any(CONFIDENCE * deviation > _VISIBLE * np.abs(H), axis=0)
     return Curve(
-        place.label, line, freq_hz, H, np.where(seen, deviation, np.nan) if seen.any() else None
+        place.label,
+        line,
+        freq_hz,
+        H,
+        np.where(visible, deviation, np.nan) if visible.any() else None,
     )
 
 

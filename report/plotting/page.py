@@ -88,8 +88,8 @@ def write_report(out_dir: Path, title: str, sections: Sequence[Section]) -> Path
         ValueError: two pictures have one name, or two sections one title.
     """
     pictures = [part for s in sections for part in s.parts if isinstance(part, Picture)]
-    _refuse_twins("picture", [picture.name for picture in pictures])
-    _refuse_twins("section", [section.anchor for section in sections])
+    _reject_duplicates("picture", [picture.name for picture in pictures])
+    _reject_duplicates("section", [section.anchor for section in sections])
     figures = out_dir / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     text = render(title, sections)
@@ -138,7 +138,7 @@ def _tied(text: str) -> str:
     return re.sub(r"(?<=\d) (?=%|dB\b|k?Hz\b|[mµ]?(?:s|m|N|rad)\b)", "\u00a0", text)
 
 
-def _refuse_twins(what: str, names: Sequence[str]) -> None:
+def _reject_duplicates(what: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"expected every {what} to have its own name, found '{name}' twice")

@@ -105,9 +105,9 @@ def error_spectra(
                 if psd is None:
                     continue
                 f, level = pooled(freq_hz, np.sqrt(psd[:, i]), shown)
-                seen = (level > 0) & np.isfinite(level)
-                ax.plot(f, np.where(seen, level, np.nan), **line.keywords())
-                drawn.append(level[seen])
+                visible = (level > 0) & np.isfinite(level)
+                ax.plot(f, np.where(visible, level, np.nan), **line.keywords())
+                drawn.append(level[visible])
             frequency_axis(ax, (shown.low_hz, shown.high_hz))
             levels = np.concatenate(drawn)
             if levels.size:

@@ -48,8 +48,8 @@ class FlexibleMode:
         """Start with the mode at rest; raises ValueError for a shape of the wrong length."""
         g = plant.geometry
         at_coils = _shape(self.shape, g.coil_x_m, g.coil_y_m, g.r_m, "shape")
-        seen = self.shape if self.sensor_shape is None else self.sensor_shape
-        self._seen = _shape(seen, g.sensor_x_m, g.sensor_y_m, g.r_m, "sensor_shape")
+        at_sensors = self.shape if self.sensor_shape is None else self.sensor_shape
+        self._at_sensors = _shape(at_sensors, g.sensor_x_m, g.sensor_y_m, g.r_m, "sensor_shape")
         self._drive = at_coils / self.mass_kg
         w, dt = 2.0 * math.pi * self.freq_hz, plant.dt_s
         self._static = 1.0 / (w * w)
@@ -69,7 +69,7 @@ class FlexibleMode:
 
     def gap(self, t_s: float, gap_m: Array) -> Array:
         """Return the gaps plus the mode's deflection in m."""
-        gap_m += self._seen * self._eta
+        gap_m += self._at_sensors * self._eta
         return gap_m
 
 

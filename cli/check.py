@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from ..model.effects.base import Places
 
 
-_WORTH_A_WORD = 1e-3
-"""Share of the feed-forward that is not linear in the beam's motion, and is reported."""
+_LEAST_REPORTED = 1e-3
+"""Nonlinear share of the feed-forward above which it is reported."""
 
 
 @click.command("check")
@@ -123,11 +123,13 @@ def _rig(rig: RigConfig, path: Path) -> str:
         click.echo(f"{path}: warning: {warning}", err=True)
     bus_rate = f"; bus rate limit {1 / budget.cycle_s:.0f} Hz" if budget.buses else ""
     coils = f"{len(rig.geometry.coil_x_m)} coils"
-    return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {_feed_forward(with_model(rig, path), path)}"
+    return (
+        f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {_feed_forward(with_model(rig, path), path)}"
+    )
 
 
 def _feed_forward(rig: RigConfig, path: Path) -> str:
-    """Return a summary of the largest coil force of the feed-forward, and of its linear part's error."""
+    """Return the largest coil force of the feed-forward in words, with the linearisation error."""
     from ..config.base import ConfigError
     from ..daemon.control.feed_forward import beam_at_limits, feed_forward, largest_coil_n
 
@@ -138,7 +140,7 @@ def _feed_forward(rig: RigConfig, path: Path) -> str:
     most_n = largest_coil_n(rig, law.wrench(beam_at_limits(rig)))
     text = f"feed-forward up to {most_n:.3g} N a coil"
     left_n = largest_coil_n(rig, law.left_over[None])
-    if left_n > _WORTH_A_WORD * most_n:
+    if left_n > _LEAST_REPORTED * most_n:
         text += f" (linear; it differs from the model's force by up to {left_n:.2g} N)"
     return text
 

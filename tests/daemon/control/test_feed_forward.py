@@ -77,8 +77,8 @@ def test_what_is_not_linear_is_left_and_told(levid: Callable, tmp_path: Path) ->
         text.replace("../sims/nominal.yaml", str(shipped("sims/nominal.yaml")))
     )
     said = levid("check", tmp_path / "rig.yaml").out
-    assert "asks for up to 8.85 N of a coil (its linear part" in said
-    assert "differs from it by up to 0.26 N" in said  # 0.1875 N m at 0.12 m, of 6 coils
+    assert "feed-forward up to 8.85 N a coil (linear" in said
+    assert "by up to 0.26 N" in said  # 0.1875 N m at 0.12 m, of 6 coils
 
 
 @pytest.mark.parametrize(

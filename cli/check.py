@@ -104,7 +104,7 @@ def _periods(rows: NDArray[np.void]) -> int:
 def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.base import ConfigError
     from ..config.rig import with_model
-    from ..daemon.control.detection_times import held_too_long
+    from ..daemon.control.detection_times import expiry_warning
     from ..drivers.base import Context
     from ..drivers.registry import check_backends
     from ..model.geometry import GeometryError, decoupling_matrix
@@ -119,7 +119,7 @@ def _rig(rig: RigConfig, path: Path) -> str:
     except ConfigError as error:
         names_file = str(error).startswith(f"{path}: ")
         raise ConfigError(f"{'' if names_file else f'{path}: '}{error}") from None
-    if warning := held_too_long(rig):
+    if warning := expiry_warning(rig):
         click.echo(f"{path}: warning: {warning}", err=True)
     bus_rate = f"; bus rate limit {1 / budget.cycle_s:.0f} Hz" if budget.buses else ""
     coils = f"{len(rig.geometry.coil_x_m)} coils"

@@ -1,4 +1,4 @@
-"""A client of the control socket."""
+"""Send requests to the daemon over its control socket."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from .recording.session_logs import FlightResult
 __all__ = ["Client", "DaemonError", "NoDaemonError", "socket_path"]
 
 _TIMEOUT_S = 30.0
-_AGAIN_S = 0.01
-_CLEARING_S = 150.0  # opening buses anew and homing drives takes its time
+_RETRY_S = 0.01
+_CLEAR_S = 150.0  # `clear` reopens buses and homes drives
 
 
 class DaemonError(Exception):
-    """The daemon refused a request, or there is none."""
+    """Report that the daemon refused a request, or does not respond."""
 
 
 class NoDaemonError(DaemonError):
-    """Nobody answers at the control socket."""
+    """Report that no daemon listens at the control socket."""
 
 
 class Client:
-    """One connection; a context manager. Requests raise DaemonError when they are refused."""
+    """Connect to a daemon as a context manager; refused requests raise DaemonError."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -39,7 +39,7 @@ class Client:
         self._socket.settimeout(_TIMEOUT_S)
 
     def __enter__(self) -> Self:
-        """Connect; raises NoDaemonError."""
+        """Connect; raises NoDaemonError, or DaemonError if this user has no access."""
         try:
             require_own_folder(self._path)
             self._connect()
@@ -47,13 +47,13 @@ class Client:
             self._socket.close()
             if error.errno != errno.EACCES:
                 raise NoDaemonError(
-                    f"no daemon answers at {self._path} ({error.strerror or error}); start one "
+                    f"no daemon responds at {self._path} ({error.strerror or error}); start one "
                     "with 'levid run RIG.yaml'"
                 ) from None
             raise DaemonError(
-                f"{self._path} ({error.strerror}): a daemon may be there, but this user may not "
-                "ask it; expected a member of its group (usermod --append --groups levid NAME, "
-                "then log in anew) or one of service.allow_users"
+                f"{self._path} ({error.strerror}): this user has no access to the daemon; join its "
+                "group (usermod --append --groups levid NAME, then log in again) or add the user "
+                "to service.allow_users in RIG.yaml"
             ) from None
         self._stream = self._socket.makefile("rwb")
         return self
@@ -64,33 +64,38 @@ class Client:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Disconnect, whoever still holds a part of this: the daemon is to see it at once."""
+        """Disconnect at once, even if other objects still hold the socket or its stream."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
-        with contextlib.suppress(OSError):  # what was not sent is not wanted any more
+        with contextlib.suppress(OSError):  # unsent bytes are discarded
             self._stream.close()
         self._socket.close()
 
     def _connect(self) -> None:
-        give_up_s = time.monotonic() + _TIMEOUT_S
+        deadline_s = time.monotonic() + _TIMEOUT_S
         while True:
             try:
                 self._socket.connect(str(self._path))
-            except BlockingIOError:  # others are in front: with a timeout the kernel does not wait
-                if time.monotonic() > give_up_s:
+            except (
+                BlockingIOError
+            ):  # the queue is full: with a timeout set, the kernel does not wait
+                if time.monotonic() > deadline_s:
                     raise
-                time.sleep(_AGAIN_S)
+                time.sleep(_RETRY_S)
             else:
                 return
 
     def request(
         self, op: str, on_line: Callable[[Mapping[str, Any]], None] | None = None, **more: Any
     ) -> dict[str, Any]:
-        """Send one request; lines before the answer go to `on_line`."""
-        between_s = float(more.get("every_s") or 0.0)  # of a watch
-        self._socket.settimeout(_CLEARING_S if op == "clear" else _TIMEOUT_S + between_s)
+        """Send a request with the keys `more`; return its answer. Raises DaemonError.
+
+        Lines before the answer are passed to `on_line`.
+        """
+        interval_s = float(more.get("every_s") or 0.0)  # of a watch
+        self._socket.settimeout(_CLEAR_S if op == "clear" else _TIMEOUT_S + interval_s)
         try:
-            # Whoever may not ask is told so and hung up on, perhaps before this is sent.
+            # A user without access gets a refusal and is disconnected, perhaps before this is sent.
             with contextlib.suppress(BrokenPipeError):
                 self._stream.write(json.dumps({"op": op, **more}).encode() + b"\n")
                 self._stream.flush()
@@ -101,11 +106,11 @@ class Client:
                         on_line(answer)
                     continue
                 if not answer["ok"]:
-                    raise DaemonError(str(answer.get("error", "refused without a reason")))
+                    raise DaemonError(str(answer.get("error", "the daemon gave no reason")))
                 return answer
         except (OSError, ValueError) as error:
-            raise DaemonError(f"lost the daemon at {self._path}: {error}") from None
-        raise DaemonError(f"the daemon at {self._path} hung up")
+            raise DaemonError(f"lost the connection to {self._path}: {error}") from None
+        raise DaemonError(f"the daemon at {self._path} closed the connection")
 
     def excite(
         self,
@@ -115,10 +120,11 @@ class Client:
         rig: str | None = None,
         client_gone: str | None = None,
     ) -> FlightResult:
-        """Fly the session of this YAML text, logging into `out` on the daemon's machine.
+        """Fly the session given as YAML text, logging into `out` on the daemon's machine.
 
-        With `rig` (YAML text) the daemon refuses unless it runs that very rig. `client_gone` says
-        what the flight does if this client dies: go_on or land; as the rig says unless given.
+        `report` gets the step name and the fraction flown. With `rig` (YAML text) the daemon
+        refuses if it runs another rig. `client_gone`: go_on or land, if this client disconnects;
+        default: service.client_gone of the rig. Raises DaemonError.
         """
         answer = self.request(
             "excite",

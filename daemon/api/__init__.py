@@ -1,1 +1,1 @@
-"""Answer clients on the control socket and publish metrics."""
+"""Answer clients on the control socket; serve Prometheus metrics."""

@@ -1,4 +1,4 @@
-"""Metrics for Prometheus, on this machine alone: what `levid status` says, in its text format."""
+"""Serve the figures of `levid status` to Prometheus, on the loopback interface only."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ if TYPE_CHECKING:
     from prometheus_client.metrics_core import Metric
 
 _ADDRESS = "127.0.0.1"
-_LONGEST_END_S = 1.0
+_SHUTDOWN_S = 1.0
 _REQUEST_S = 2.0
-"""How long a request may take, answer included: whoever drips his holds up the next for as long."""
+"""Time limit of a request with its answer: a slow client delays the next one no longer than this."""
 _QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999", "max": "1"}
 _COUNTERS = {
     "cycle": ("levid_cycles", "periods since the start"),
-    "stale": ("levid_stale_cycles", "cycles with a reading that came too late"),
-    "lost": ("levid_lost_rows", "rows written over untaken, or missing in their log"),
-    "recorder_restarts": ("levid_recorder_restarts", "recorders that died"),
-    "clients_gone": ("levid_clients_gone", "clients that hung up during what they had asked for"),
+    "stale": ("levid_stale_cycles", "cycles with a stale reading"),
+    "lost": ("levid_lost_rows", "rows overwritten before they were recorded, or missing in a log"),
+    "recorder_restarts": ("levid_recorder_restarts", "restarts of the recorder"),
+    "clients_gone": ("levid_clients_gone", "clients that disconnected during their flight"),
     "flooded_s": ("levid_flooded_seconds", "time with too many requests at the control socket"),
-    "memory_stalled_s": ("levid_memory_stalled_seconds", "waits for memory, where it was short"),
-    "stolen_s": ("levid_stolen_seconds", "time for which a host kept the processors"),
+    "memory_stalled_s": ("levid_memory_stalled_seconds", "time processes waited for low memory"),
+    "stolen_s": ("levid_stolen_seconds", "processor time taken by the host of a virtual machine"),
 }
 
 
 class MetricsError(Exception):
-    """Metrics that cannot be served."""
+    """Report that the metrics cannot be served."""
 
 
 def serve_metrics(port: int, status: Callable[[], Mapping[str, Any]]) -> Callable[[], None]:
-    """Answer on this port of the loopback interface; return what ends it. Raises MetricsError.
+    """Serve metrics on a loopback port; return the function that ends it. Raises MetricsError.
 
-    One at a time: whoever asks a thousand times over takes no descriptors and threads from flying.
+    Requests are answered one at a time: a flood takes no descriptors or threads from the daemon.
     """
     from prometheus_client import CollectorRegistry, make_wsgi_app
 
@@ -48,15 +48,17 @@ def serve_metrics(port: int, status: Callable[[], Mapping[str, Any]]) -> Callabl
     try:
         server = make_server(_ADDRESS, port, make_wsgi_app(registry), _Server, _Handler)
     except OSError as error:
-        raise MetricsError(f"service.metrics_port {port}: {error.strerror}") from None
+        raise MetricsError(
+            f"service.metrics_port {port}: cannot serve metrics: {error.strerror}"
+        ) from None
     thread = threading.Thread(target=server.serve_forever, name="levid-metrics", daemon=True)
     thread.start()
 
     def close() -> None:
-        # Whoever drips his request a byte at a time is not waited for.
+        # Do not wait for a client that sends its request byte by byte.
         ending = threading.Thread(target=server.shutdown, name="levid-metrics-end", daemon=True)
         ending.start()
-        ending.join(_LONGEST_END_S)
+        ending.join(_SHUTDOWN_S)
         server.server_close()
 
     return close
@@ -64,14 +66,14 @@ def serve_metrics(port: int, status: Callable[[], Mapping[str, Any]]) -> Callabl
 
 class _Server(WSGIServer):
     def handle_error(self, *_: object) -> None:
-        """Say nothing: who asks and goes is nobody's trouble."""
+        """Log nothing: a client that disconnects is no problem."""
 
 
 class _Handler(WSGIRequestHandler):
     timeout = 1.0
 
     def handle(self) -> None:
-        """Answer one request, in its time: `timeout` is from one byte to the next."""
+        """Answer one request within _REQUEST_S; `timeout` limits only the pause between bytes."""
         deadline = threading.Timer(_REQUEST_S, self._hang_up)
         deadline.daemon = True
         deadline.start()
@@ -81,21 +83,21 @@ class _Handler(WSGIRequestHandler):
             deadline.cancel()
 
     def _hang_up(self) -> None:
-        with contextlib.suppress(OSError):  # it is over
+        with contextlib.suppress(OSError):  # closed already
             self.connection.shutdown(socket.SHUT_RDWR)
 
     def log_message(self, *_: object) -> None:
-        """Say nothing: nobody wants to read of every look."""
+        """Log nothing: requests are frequent."""
 
 
 class _Collector:
-    """Asks for the status when it is asked: nothing is done in between."""
+    """Read the status at each request for metrics, and only then."""
 
     def __init__(self, status: Callable[[], Mapping[str, Any]]) -> None:
         self._status = status
 
     def describe(self) -> list[Metric]:
-        """Return nothing: the registry then does not ask for metrics before they are wanted."""
+        """Return nothing, so that the registry does not collect metrics at registration."""
         return []
 
     def collect(self) -> Iterator[Metric]:
@@ -122,12 +124,12 @@ class _Collector:
             ("state", State, status["state"]),
             ("fault", Fault, status["fault"]),
         ):
-            family = GaugeMetricFamily(f"levid_{kind}", f"1 for the {kind} at hand", labels=[kind])
+            family = GaugeMetricFamily(f"levid_{kind}", f"1 for the current {kind}", labels=[kind])
             for code in codes:
                 family.add_metric([code.name], float(code.name == found))
             yield family
         yield GaugeMetricFamily(
             "levid_recording",
-            "0 where logs cannot be written",
+            "0 if logs cannot be written",
             value=float(not status["recording"]),
         )

@@ -1,4 +1,4 @@
-"""Where control sockets are, and whether a daemon listens there; what `levid stop` has to load."""
+"""Find the control socket. `levid stop` loads this module: it imports nothing slow."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import socket
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # it takes a second to load, and nobody may wait for that to stop a flight
+if TYPE_CHECKING:  # loading it takes a second, which would delay `levid stop`
     from ...config.rig import RigConfig
 
 _SERVICE = Path("/run/levid/levid.sock")
@@ -15,7 +15,7 @@ _OTHERS_WRITE = 0o022
 
 
 def own_socket(rig: RigConfig | None) -> Path:
-    """Return where a daemon that is started here has its control socket."""
+    """Return the control socket path of a daemon that this user starts."""
     if rig is not None and rig.socket:
         return Path(rig.socket)
     runtime = os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR")
@@ -25,10 +25,10 @@ def own_socket(rig: RigConfig | None) -> Path:
 
 
 def socket_path(rig: RigConfig | None) -> Path:
-    """Return the control socket of the daemon that runs `rig`, or of the default one.
+    """Return the control socket path of the daemon that runs `rig`, or of the default one.
 
-    That is this user's, unless nobody listens there, but a service of the machine's exists: what
-    a daemon that was killed left behind is not asked.
+    This user's socket comes first. If no daemon listens there (a killed daemon may leave its socket
+    behind), the socket of the system service is returned if it exists.
     """
     path = own_socket(rig)
     named = rig is not None and rig.socket
@@ -36,22 +36,22 @@ def socket_path(rig: RigConfig | None) -> Path:
 
 
 def listens(path: Path) -> bool:
-    """Return whether somebody listens at a Unix socket."""
+    """Return whether a process listens at a Unix socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         try:
             probe.connect(str(path))
         except (ConnectionRefusedError, FileNotFoundError):
             return False
-        except OSError:  # so many ask it that nobody gets in
+        except OSError:  # its queue is full
             return True
         return True
 
 
 def require_own_folder(path: Path) -> None:
-    """Raise PermissionError where others could put a socket of theirs in the place of this one.
+    """Raise PermissionError if other users could replace this socket.
 
-    In /tmp anybody may have made the folder before.
+    In /tmp another user may have created the folder before.
     """
     folder = path.parent
     if folder.parent != Path("/tmp") or not folder.exists():
@@ -59,5 +59,5 @@ def require_own_folder(path: Path) -> None:
     found = folder.lstat()
     if found.st_uid != os.getuid() or found.st_mode & _OTHERS_WRITE:
         raise PermissionError(
-            0, f"expected {folder} to be this user's and to be written by nobody else"
+            0, f"{folder}: expected a folder that only this user owns and may write to; remove it"
         )

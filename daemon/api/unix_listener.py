@@ -1,4 +1,4 @@
-"""The door of the control socket: a path where it listens, for as long as the daemon runs."""
+"""Open a Unix socket at a path, without replacing the socket of another daemon."""
 
 from __future__ import annotations
 
@@ -13,89 +13,89 @@ from pathlib import Path
 from .socket_paths import listens, require_own_folder
 
 WAITING_CLIENTS = 128
-_ALONE_S = 0.5
-"""How long another daemon may take to open its own door in the same folder; it takes no time."""
+_LOCK_S = 0.5
+"""Longest wait for another daemon that opens its socket in the same folder; it takes no time."""
 _POLL_S = 0.01
 
 
 class ServerError(Exception):
-    """A control socket that cannot be opened."""
+    """Report that the control socket cannot be opened."""
 
 
 class Door:
-    """Opens at a path, never in the place of another's, and takes away nothing but itself."""
+    """Open and close a listening socket at `path`; never remove the socket of another daemon."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._place: tuple[int, int] | None = None
+        self._inode: tuple[int, int] | None = None
 
     @property
     def in_place(self) -> bool:
-        """Whether clients still find it. Folders of a user's session go when he logs out."""
-        return self._place is not None and _place_of(self._path) == self._place
+        """Whether the path still leads to this socket. Session folders are removed at log-out."""
+        return self._inode is not None and _inode_of(self._path) == self._inode
 
     def open(self, mode: int) -> socket.socket:
-        """Return a socket that listens there from now on; raises ServerError."""
+        """Return a socket that listens at the path, with this file mode; raises ServerError."""
         path = self._path
-        door = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o750)
             require_own_folder(path)
-            with _alone_in(path.parent):
-                self._make_room()
-                door.bind(str(path))
+            with _folder_lock(path.parent):
+                self._remove_abandoned()
+                listener.bind(str(path))
                 path.chmod(mode)
-                door.listen(WAITING_CLIENTS)
-                self._place = _place_of(path)
+                listener.listen(WAITING_CLIENTS)
+                self._inode = _inode_of(path)
         except OSError as error:
-            door.close()
+            listener.close()
             raise ServerError(f"{path}: cannot open the control socket: {error}") from None
         except BaseException:
-            door.close()
+            listener.close()
             raise
-        door.setblocking(False)
-        return door
+        listener.setblocking(False)
+        return listener
 
     def close(self) -> None:
-        """Take the path away, unless somebody else has it by now; the socket is its owner's."""
+        """Remove the path unless it is another socket's by now; does not close the socket."""
         if self.in_place:
             self._path.unlink(missing_ok=True)
 
-    def _make_room(self) -> None:
-        """Take away what a daemon that was killed left behind."""
+    def _remove_abandoned(self) -> None:
+        """Remove the socket of a daemon that was killed."""
         path = self._path
         if not path.exists():
             return
         if not path.is_socket():
-            raise ServerError(f"{path}: expected a socket or nothing, found a file")
+            raise ServerError(f"{path}: expected a socket or no file, found another kind of file")
         if listens(path):
-            raise ServerError(f"{path}: another daemon answers here already")
+            raise ServerError(f"{path}: another daemon already uses this socket")
         path.unlink()
 
 
-def _place_of(path: Path) -> tuple[int, int] | None:
+def _inode_of(path: Path) -> tuple[int, int] | None:
     try:
-        found = path.lstat()
+        status = path.lstat()
     except OSError:
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 @contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Have a folder for oneself: of two daemons that start at once the second finds the first.
+def _folder_lock(folder: Path) -> Iterator[None]:
+    """Lock a folder, so that of two daemons that start at once the second detects the first.
 
-    Else each would take the other's socket for one that was left behind. Whoever holds the folder
-    for longer, for reasons of his own, keeps nobody from starting.
+    Otherwise each could take the other's socket for an abandoned one. A process that holds the lock
+    longer than _LOCK_S does not prevent the start.
     """
     try:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    except OSError:  # it may be written to and not be read
+    except OSError:  # the folder may be writable but not readable
         yield
         return
     try:
-        give_up_s = time.monotonic() + _ALONE_S
-        while time.monotonic() < give_up_s:
+        deadline_s = time.monotonic() + _LOCK_S
+        while time.monotonic() < deadline_s:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:

@@ -1,1 +1,1 @@
-"""Compute one cycle: control law, limits, states, faults, checks of coils and readings."""
+"""Compute one control cycle: control law, limits, states, faults, coil check, self-test."""

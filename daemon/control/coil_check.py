@@ -1,4 +1,4 @@
-"""Just after lift-off: does each coil move the sensors that it should? A small push tells."""
+"""Check each coil just after lift-off: push it and compare the measured motion with geometry."""
 
 from __future__ import annotations
 
@@ -16,25 +16,30 @@ from ...model.geometry import shape_matrix
 
 Array = NDArray[np.float64]
 
-_DELAY = 2
-"""Cycles from a force computed to the first reading that it has moved."""
-_OFF = 0.2
-"""Share of what a coil should have moved by which it may be off. Noise and what the template leaves
-out, stiffness and control, make 0.04; a dead coil is off by 1, two that changed places by 0.6."""
+_DELAY_CYCLES = 2
+"""Cycles from a computed force to the first reading that it affects."""
+_MAX_DEVIATION = 0.2
+"""Largest deviation of a coil's motion, as a fraction of the expected motion. Noise and the effects
+that the template neglects (stiffness, control) cause 0.04; a dead coil deviates by 1, swapped coils
+by 0.6."""
 LONGER = 1.1
-"""How much longer than planned a push may take, cycles being late, to be judged: 3 ms. Stiffness
-and control, which the template leaves out, grow with the square of its length."""
-_MOST_TRIPLES = 500
-"""The check is judged between two looks at the loop, in some 50 ms: nine coils make 84."""
-_UNHEARD = Stale.AMPLIFIERS | Stale.SETPOINTS
-"""In such a row nobody knows whether the amplifiers have taken over what they were told before."""
-_FLAT = 1e4
-"""Condition of three coils in a line: they say nothing of one tilt."""
+"""Largest ratio of actual to planned push length, in late cycles, for a valid check: 3 ms longer.
+The neglected effects, stiffness and control, grow with the square of the length."""
+_MAX_TRIPLES = 500
+"""Limits the evaluation, which runs between two polls of the loop, to about 50 ms. Nine coils have
+84 triples."""
+_FORCE_UNCONFIRMED = Stale.AMPLIFIERS | Stale.SETPOINTS
+"""Flags of a row in which the amplifiers did not confirm that they applied the previous command."""
+_COLLINEAR_CONDITION = 1e4
+"""Condition number above which three coils lie in a line and cannot determine both tilts."""
 
 
 @dataclass(frozen=True)
 class Pushes:
-    """When each coil is pushed, in cycles: +, -, -, + of one length, after which all is at rest."""
+    """Schedule the push of each coil, in cycles: +, -, -, + of equal length, then a pause.
+
+    The double integral of this force ends at zero: the platform is at rest again.
+    """
 
     push: int
     pause: int
@@ -43,104 +48,106 @@ class Pushes:
 
     @classmethod
     def of(cls, check: CoilCheck, coils: int, rate_hz: float) -> Pushes:
-        """Return the pushes at a rate."""
+        """Convert the times of `check` to cycles at `rate_hz`."""
         push, pause = (max(round(s * rate_hz), 1) for s in (check.push_s, check.pause_s))
         return cls(push, pause, check.push_n, coils)
 
     @property
     def turn(self) -> int:
-        """Cycles from one coil's push to the next one's."""
+        """Cycles from the start of one coil's push to the start of the next."""
         return 4 * self.push + self.pause
 
     @property
     def shape(self) -> Array:
-        """One turn's force over `force_n`, (turn,)."""
+        """Force of one turn divided by `force_n`, (turn,)."""
         signs = np.repeat([1.0, -1.0, -1.0, 1.0], self.push)
         return np.concatenate([signs, np.zeros(self.pause)])
 
     def excitation(self) -> Array:
-        """Return the excitation of all coils, one after the other, (turns, C) in N."""
-        found = np.zeros((self.coils * self.turn, self.coils))
+        """Return the excitation that pushes the coils one after the other, (cycles, C) in N."""
+        excitation = np.zeros((self.coils * self.turn, self.coils))
         for coil in range(self.coils):
-            found[coil * self.turn : (coil + 1) * self.turn, coil] = self.force_n * self.shape
-        return found
+            excitation[coil * self.turn : (coil + 1) * self.turn, coil] = self.force_n * self.shape
+        return excitation
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a check of coils has found: `wrong` in words, and which coils it could not judge."""
+    """Result of a coil check: an error text, empty if none, and the coils that were not checked."""
 
-    wrong: str = ""
+    error: str = ""
     unjudged: tuple[int, ...] = ()
 
 
 def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Verdict:
-    """Return which coils do not move the platform as the others do.
+    """Find coils that do not move the platform as the other coils do.
 
-    `rows` are the cycle records of the check, and may begin before it. Where cycles were late, a
-    push lasted as much longer, and is judged as it was; by more than `LONGER` it is not judged, nor
-    is what it shakes. Nor are they where the amplifiers said nothing while the force changed.
+    `rows` are the cycle records of the check; they may start before it. Late cycles lengthen a
+    push: it is evaluated at its actual length. A push longer than `LONGER` times its plan is
+    skipped, and so are the coils whose motion it disturbs. The same applies if the amplifiers did
+    not respond while the force changed.
 
-    The platform is a mass: a push moves the pose by G s, s the coil's row of the shape matrix,
-    along the push's double integral. G is what fits the coils that agree with each other, so that
-    nothing but geometry has to be known.
+    The platform is a mass: a push moves the pose by G s along the double integral of the push, s
+    being the coil's row of the shape matrix. G is fitted to the coils that agree with each other:
+    only the geometry has to be known.
     """
-    begun = np.flatnonzero(rows["coil_excitation_n"].any(axis=1))
-    if not len(begun) or len(rows) - begun[0] < pushes.coils * pushes.turn - pushes.pause:
+    pushed = np.flatnonzero(rows["coil_excitation_n"].any(axis=1))
+    if not len(pushed) or len(rows) - pushed[0] < pushes.coils * pushes.turn - pushes.pause:
         return Verdict(unjudged=tuple(range(pushes.coils)))
-    rows = rows[begun[0] :]
+    rows = rows[pushed[0] :]
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     S_sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
-    moved = np.array([_moved(rows, coil, pushes) for coil in range(pushes.coils)])
-    judged = np.isfinite(moved).all(axis=1)
-    # What a push that was held for long has set going shakes the next one; one that was held for
-    # as long again as it should last, or a force of control, all that come after it.
-    judged[1:] &= judged[:-1]
+    motion = np.array([_pose_motion(rows, coil, pushes) for coil in range(pushes.coils)])
+    valid = np.isfinite(motion).all(axis=1)
+    # A push that was too long disturbs the next coil. One that was held for twice its length, or a
+    # control force held as long, disturbs all later coils.
+    valid[1:] &= valid[:-1]
     cycle = rows["cycle"][: pushes.coils * pushes.turn : pushes.turn].astype(np.int64)
-    unheard_of = [_unheard_of(rows, coil, pushes) for coil in range(pushes.coils)]
-    longer = np.maximum(np.append(np.diff(cycle), pushes.turn) - pushes.turn, unheard_of)
-    held = np.flatnonzero(longer > pushes.push)
+    unconfirmed = [_unconfirmed_rows(rows, coil, pushes) for coil in range(pushes.coils)]
+    excess = np.maximum(np.append(np.diff(cycle), pushes.turn) - pushes.turn, unconfirmed)
+    held = np.flatnonzero(excess > pushes.push)
     if len(held):
-        judged[held[0] + 1 :] = False
+        valid[held[0] + 1 :] = False
 
-    def off(among: NDArray[np.int64]) -> Array:
-        """Return by which share each coil is off what these coils say."""
-        G = np.linalg.lstsq(S[among], moved[among], rcond=None)[0]
+    def deviation(reference: NDArray[np.int64]) -> Array:
+        """Return each coil's relative deviation from the motion fitted to the reference coils."""
+        G = np.linalg.lstsq(S[reference], motion[reference], rcond=None)[0]
         expected = S @ G @ S_sensors.T
         size = np.maximum(np.linalg.norm(expected, axis=1), 1e-12)
-        return np.asarray(np.linalg.norm(moved @ S_sensors.T - expected, axis=1) / size)
+        return np.asarray(np.linalg.norm(motion @ S_sensors.T - expected, axis=1) / size)
 
-    # Least median of squares: three coils that most others agree with, then all who do.
-    sound = np.flatnonzero(judged)
-    every = max(-(-comb(len(sound), 3) // _MOST_TRIPLES), 1)
-    chosen = islice(combinations(sound, 3), 0, None, every)
-    triples = [np.array(t) for t in chosen if np.linalg.cond(S[list(t)]) < _FLAT]
+    # Least median of squares: the triple with the smallest median deviation, then all coils that
+    # agree with it.
+    coils = np.flatnonzero(valid)
+    every = max(-(-comb(len(coils), 3) // _MAX_TRIPLES), 1)
+    chosen = islice(combinations(coils, 3), 0, None, every)
+    triples = [np.array(t) for t in chosen if np.linalg.cond(S[list(t)]) < _COLLINEAR_CONDITION]
     if not triples:
         return Verdict(unjudged=tuple(range(pushes.coils)))
-    best = min(triples, key=lambda triple: float(np.median(off(triple)[sound])))
-    found = off(np.flatnonzero(judged & (off(best) <= _OFF)))
-    wrong = np.flatnonzero(judged & (found > _OFF))
-    words = (
-        f"coil {coil} moved the sensors otherwise than it should, by {100 * found[coil]:.0f} %"
-        for coil in wrong
+    best = min(triples, key=lambda triple: float(np.median(deviation(triple)[coils])))
+    deviations = deviation(np.flatnonzero(valid & (deviation(best) <= _MAX_DEVIATION)))
+    errors = (
+        f"coil {coil} moved the platform {100 * deviations[coil]:.0f} % off the expected motion"
+        for coil in np.flatnonzero(valid & (deviations > _MAX_DEVIATION))
     )
-    return Verdict(", ".join(words), tuple(np.flatnonzero(~judged).tolist()))
+    return Verdict(", ".join(errors), tuple(np.flatnonzero(~valid).tolist()))
 
 
-def _moved(rows: NDArray[np.void], coil: int, pushes: Pushes) -> Array:
-    """Return by how much the push of a coil moved the pose (3,), as a multiple of the template."""
+def _pose_motion(rows: NDArray[np.void], coil: int, pushes: Pushes) -> Array:
+    """Fit the motion template to the pose during a push; return factors (3,), nan if invalid."""
     turn = rows[coil * pushes.turn : (coil + 1) * pushes.turn]
-    n = min(4 * pushes.push + _DELAY, len(turn))
+    n = min(4 * pushes.push + _DELAY_CYCLES, len(turn))
     period = turn["cycle"][:n].astype(np.int64) - int(turn["cycle"][0])
-    if n < 4 * pushes.push or period[-1] > LONGER * (n - 1) or _unheard_of(rows, coil, pushes):
+    too_long = period[-1] > LONGER * (n - 1)
+    if n < 4 * pushes.push or too_long or _unconfirmed_rows(rows, coil, pushes):
         return np.full(3, np.nan)
-    # What a cycle computes acts from the next one on, until the one after that, late or not.
-    force = np.repeat(pushes.shape[: n - _DELAY], np.diff(period[1:]))
+    # A force acts from the next cycle to the one after that, late or not.
+    force = np.repeat(pushes.shape[: n - _DELAY_CYCLES], np.diff(period[1:]))
     velocity = np.cumsum(np.concatenate([np.zeros(period[1]), force]))
-    moved = np.concatenate([[0.0], np.cumsum(velocity)])[period]
+    position = np.concatenate([[0.0], np.cumsum(velocity)])[period]
     k = 2.0 * period / period[-1] - 1.0
-    # What the platform does anyway, ringing out from lift-off, is a parabola over so short a time.
-    templates = np.stack([moved, np.ones(n), k, k**2], axis=1)
+    # Over so short a time, the decaying motion after lift-off is a parabola.
+    templates = np.stack([position, np.ones(n), k, k**2], axis=1)
     pose = np.stack([turn[name][:n] for name in ("psi_rad", "theta_rad", "z_m")], axis=1)
     fresh = ~(turn["stale"][:n] & Stale.SENSORS).astype(bool)
     if fresh.sum() <= templates.shape[1]:
@@ -149,14 +156,15 @@ def _moved(rows: NDArray[np.void], coil: int, pushes: Pushes) -> Array:
     return np.asarray(fitted[0][0])
 
 
-def _unheard_of(rows: NDArray[np.void], coil: int, pushes: Pushes) -> int:
-    """Return for how many rows at most the amplifiers said nothing from a change of the push on."""
+def _unconfirmed_rows(rows: NDArray[np.void], coil: int, pushes: Pushes) -> int:
+    """Count the most rows in a row without amplifier confirmation after a change of the push."""
     begin = coil * pushes.turn
-    unheard = (rows["stale"][begin : begin + pushes.turn] & _UNHEARD).astype(bool)
+    unconfirmed = (rows["stale"][begin : begin + pushes.turn] & _FORCE_UNCONFIRMED).astype(bool)
     longest = 0
     for change in np.array([0, 1, 3, 4]) * pushes.push:
-        # A force acts from the next row on: from that or from its own they may be silent.
+        # A force acts from the next row on: confirmation may be missing from that row or its own.
         for first in (change, change + 1):
-            heard = np.flatnonzero(~unheard[first:])
-            longest = max(longest, int(heard[0]) if len(heard) else len(unheard) - first)
+            confirmed = np.flatnonzero(~unconfirmed[first:])
+            missing = int(confirmed[0]) if len(confirmed) else len(unconfirmed) - first
+            longest = max(longest, missing)
     return longest

@@ -1,4 +1,4 @@
-"""One cycle of control, compiled: pose, PI, feed-forward, excitation, limits, record."""
+"""Compute one control cycle, compiled: pose, PI, feed-forward, excitation, limits, log row."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ _COMPUTATION, _BEAM = int(Fault.COMPUTATION), int(Fault.BEAM)
 _POSE_FAULT, _VELOCITY, _HEAT = int(Fault.POSE), int(Fault.VELOCITY), int(Fault.HEAT)
 _FAULT_STATE = int(State.FAULT)
 BEAM_MARGIN_M = 0.002
-"""The beam may overshoot its setpoint range by this much before that is a fault."""
-# And be measured faster than its setpoints may be, by half and by this.
+"""Overshoot of the beam beyond its setpoint range that is not yet a fault."""
+# The measured beam velocity may exceed the setpoint limit by this factor plus this velocity.
 _BEAM_MARGIN, _BEAM_MARGIN_M_S = 1.5, 0.05
-# A readback of more than so many times a coil's limit says nothing about how hot the coil gets.
+# A readback above this multiple of the coil limit is invalid and does not count as heat.
 _MOST_CARRIED = 10.0
 
-# Rows of the memory (ROWS, 4). Every array handed to a compiled function costs some 50 ns a call,
-# and the cycle may not allocate: what it remembers and its scratch share one block. Behind these
-# rows lie, row after row, the coils' heat (C,) in N^2, its cycle, the gaps before (S,), theirs.
+# Rows of the memory (ROWS, 4). Each array argument of a compiled function costs about 50 ns a call,
+# and the cycle must not allocate: state and scratch share one block. After these rows follow, flat:
+# coil heat (C,) in N^2, cycle of the heat, previous gaps (S,), cycle of the previous gaps.
 _POSE, _INTEGRAL, _REST, _GOAL, _LAST, _MODE, _REF, _FF, _TAU, _LOST, _ROWS = range(11)
 
 
 class Controller:
-    """Three SISO PI controllers with feed-forward, limits and anti-windup, and their memory.
+    """Control the platform with three SISO PI controllers, feed-forward, limits and anti-windup.
 
-    `gap_m`, `readback_n`, `beam`, `rotor` are for the drivers to fill, `coil_n`, `beam_ref`,
-    `rotor_ref` for them to send; `step` computes the latter from the former and writes the cycle's
-    row of the log.
+    Drivers write `gap_m`, `readback_n`, `beam`, `rotor` and send `coil_n`, `beam_ref`, `rotor_ref`.
+    `step` computes the outputs from the inputs and writes the log row of the cycle.
 
     Args:
         rig: geometry, gains and limits.
-        period_s: the period of a cycle.
-        memory: of `memory_shape`, zero at first: how hot the coils are outlasts a controller in it.
+        period_s: cycle period in s.
+        memory: array of `memory_shape`, initially zero; it keeps the coil heat for the next
+            controller.
 
     Raises:
         ConfigError: see feed_forward.
@@ -69,7 +69,7 @@ class Controller:
             feed_forward(rig, period_s).numbers,
             [limits.coil_n, limits.coil_rate_n_s * period_s],
             [limits.gap_m, limits.beam_m + BEAM_MARGIN_M],
-            # What the rig does not limit has no limit.
+            # Limits that the rig does not set are infinite.
             [limits.total_n or math.inf, limits.tilt_rad or math.inf, limits.gap_m_s or math.inf],
             [_BEAM_MARGIN * limits.beam_velocity_m_s + _BEAM_MARGIN_M_S],
             [(limits.coil_rms_n or math.inf) ** 2, period_s / limits.coil_time_constant_s],
@@ -86,20 +86,20 @@ class Controller:
 
     @property
     def pose(self) -> Array:
-        """The pose (3,) of the last cycle in rad, rad, m; a view."""
+        """Pose (3,) of the last cycle in rad, rad, m; a view."""
         return self._memory[_POSE, :3]
 
     @property
     def engaged(self) -> bool:
-        """Whether control carries the platform."""
+        """Whether control is on."""
         return self._engaged
 
     def begin(self, segment: Segment) -> None:
         """Prepare for `segment`.
 
-        Engaging control starts from the pose at hand, landing from the reference and the
-        feed-forward at hand: neither makes the force jump. Only a segment that engages brings
-        control in: any other that follows idling, a halt or a fault stays at zero force.
+        Engaging starts from the current pose, landing from the current reference and feed-forward:
+        the force does not jump. Only a segment that engages switches control on: after idling, a
+        halt or a fault, any other segment stays at zero force.
         """
         memory = self._memory
         self._engaged = segment.in_control and (segment.engages or self._engaged)
@@ -115,35 +115,35 @@ class Controller:
         )  # fmt: skip
 
     def latch(self, fault: Fault) -> None:
-        """Log `fault` in every row until it is cleared with Fault.NONE."""
+        """Log `fault` in every row until Fault.NONE is latched."""
         self._memory[_MODE, 3] = fault
 
     def detail(self, fault: Fault) -> str:
-        """Return the reading that led to `fault`, in words; empty where it was none."""
+        """Return the reading that caused `fault` as text; empty if no reading did."""
         gap, heat = np.abs(self.gap_m), self._heat
         if fault is Fault.GAP:
             return f"{1e3 * gap.max():.3f} mm at sensor {gap.argmax()}"
         if fault is Fault.POSE:
             return f"psi {1e3 * self.pose[0]:.3f} mrad, theta {1e3 * self.pose[1]:.3f} mrad"
         if fault is Fault.VELOCITY:
-            return f"beam at {self.beam[1]:.3f} m/s, height {1e3 * self.pose[2]:.3f} mm"
+            return f"beam velocity {self.beam[1]:.3f} m/s, height {1e3 * self.pose[2]:.3f} mm"
         if fault is Fault.HEAT:
-            return f"{heat.max() ** 0.5:.1f} N in the long run in coil {heat.argmax()}"
+            return f"{heat.max() ** 0.5:.1f} N RMS in coil {heat.argmax()}"
         return ""
 
     def halt(self) -> None:
-        """Command zero force from now on."""
+        """Switch control off: command zero force until a segment engages again."""
         self.coil_n[:] = 0.0
         self._memory[_INTEGRAL] = 0.0
         self._engaged = False
         self._memory[_MODE, 1] = 0.0
 
     def cool(self, seconds: float) -> None:
-        """Have the coils been at zero force for so long, in which no cycle was counted."""
+        """Cool the coils for `seconds` at zero force that were not computed as cycles."""
         self._heat *= math.exp(-max(seconds, 0.0) / self._coil_time_constant_s)
 
     def move(self, k: int) -> None:
-        """Set the manipulator's setpoints of cycle `k`, and nothing else, as `step` would."""
+        """Set only the manipulator setpoints of cycle `k`, as `step` would."""
         *_, beam, rotor = self._arrays
         self.beam_ref[:] = beam[min(k, len(beam) - 1)]
         self.rotor_ref[:] = rotor[min(k, len(rotor) - 1)]
@@ -159,7 +159,7 @@ class Controller:
     ) -> int:
         """Compute cycle `k` of the segment and write row `slot`; return the fault, 0 for none.
 
-        `read_s` is how long after the cycle's own time all readings were there.
+        `read_s` is the delay from the cycle's nominal time to the last reading, in s.
         """
         return control_cycle(  # type: ignore[no-any-return]
             rows, slot, cycle, time_s, k, read_s,
@@ -168,17 +168,17 @@ class Controller:
 
 
 def memory_shape(coils: int, sensors: int) -> tuple[int, int]:
-    """Return the shape of a controller's memory."""
+    """Return the shape of the memory array of a controller."""
     return _ROWS + (coils + sensors + 5) // 4, 4
 
 
 def heat_of(memory: Array, coils: int) -> Array:
-    """Return a view (C,) of how hot the coils are in a controller's memory, in N^2."""
+    """Return a view (C,) of the coil heat in a controller's memory: low-pass squared force, N^2."""
     return memory[_ROWS:].ravel()[:coils]
 
 
 def heated_of(memory: Array, coils: int) -> Array:
-    """Return a view (1,) of the cycle that this heat is of."""
+    """Return a view (1,) of the cycle at which the coil heat was computed."""
     return memory[_ROWS:].ravel()[coils : coils + 1]
 
 
@@ -187,9 +187,9 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     rows, slot, cycle, time_s, k, read_s, inputs, outputs, law, memory,
     v_all, coil_excitation_all, blend_all, beam_all, rotor_all,
 ):  # fmt: skip
-    """Compute one cycle; see Controller.step, and Controller for what the packed arrays hold.
+    """Compute one cycle; see Controller.step, and Controller for the packed arrays.
 
-    The segment's arrays have one row a cycle, or a single row that holds for all of them.
+    Segment arrays have one row per cycle, or a single row for all cycles.
     """
     row = rows[slot]
     n_coils, n_sensors = outputs.size - 6, row.gap_m.size
@@ -221,10 +221,10 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
 
     fault = 0
     for j in range(n_sensors):
-        # On the way up and down the stops are beyond the limit; ten times as far nothing is real.
+        # During lift-off and landing the stops lie beyond the limit: apply ten times the limit.
         if abs(gap[j]) > gap_limit * (1.0 if airborne else 10.0) and in_control:
             fault = _GAP
-    # Where a cycle stood still for periods before it read, they have moved for as many more.
+    # If the loop stalled before reading, the gaps changed over these periods too.
     periods = cycle - before[n_sensors] + max(read_s / Ts - 1.0, 0.0)
     fresh = False
     for j in range(n_sensors):
@@ -233,13 +233,13 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
             fault = _VELOCITY
         fresh = fresh or gap[j] != before[j]
         before[j] = gap[j]
-    if fresh:  # else they are stale, and what moves next has had all that time
+    if fresh:  # stale gaps keep their cycle: the next change spans the whole time
         before[n_sensors] = cycle
     if in_control and abs(beam[1]) > beam_speed_limit:
         fault = _VELOCITY
     if in_control and abs(beam[0]) > beam_limit:
         fault = _BEAM
-    # In periods without a step, skipped or without readings, coils had what they were last told.
+    # In periods without a step (skipped, or no readings), coils kept their last commanded force.
     missed = cycle - more[n_coils] - 1.0
     more[n_coils] = cycle
     if missed > 0.0:
@@ -247,10 +247,10 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         for j in range(n_coils):
             heat[j] = coil[j] * coil[j] + kept * (heat[j] - coil[j] * coil[j])
     for j in range(n_coils):
-        # A readback that is stuck tells nothing: what the coil was told counts as well.
-        # Squared, what no coil can carry would stay in there for ever.
-        said = abs(readback[j]) if np.isfinite(readback[j]) else 0.0
-        carried = min(max(said, abs(coil[j])), _MOST_CARRIED * coil_limit)
+        # The readback may be stuck: the commanded force counts as well. The clip keeps an invalid
+        # readback from raising the heat for good.
+        measured = abs(readback[j]) if np.isfinite(readback[j]) else 0.0
+        carried = min(max(measured, abs(coil[j])), _MOST_CARRIED * coil_limit)
         heat[j] += cooling * (carried * carried - heat[j])
         if heat[j] > heat_limit and in_control:
             fault = _HEAT
@@ -318,7 +318,7 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         coil[:] = 0.0
         integral[:] = 0.0
     elif saturated:
-        # Anti-windup: an integrator does not go on in the direction that the coils cannot follow.
+        # Anti-windup: an integrator does not advance in a direction that the coils cannot follow.
         for i in range(3):
             increment = ki_Ts[i] * (ref[i] - pose[i])
             if increment * lost[i] > 0.0:

@@ -1,8 +1,7 @@
-"""Detection times: from the rate, the amplifiers' expiry, and how fast the platform falls.
+"""Compute watchdog times from the cycle rate, the amplifier expiry and the free-fall time.
 
-A loop that is lost leaves the last force on the coils until the amplifiers expire by themselves;
-from then on the platform falls. A supervisor that is lost leaves the loop, which goes on holding
-the platform and watching all limits: it lands.
+If the loop is lost, the coils keep the last force until the amplifiers expire; then the platform
+falls. If the supervisor is lost, the loop still holds the platform, checks all limits, and lands.
 """
 
 from __future__ import annotations
@@ -16,60 +15,60 @@ _G_M_S2 = 9.81
 
 
 def fall_s(rig: RigConfig) -> float:
-    """Return how long the platform takes from the working point to gap_m, falling freely, in s.
+    """Return the free-fall time from the working point to `gap_m`, in s.
 
-    A force that is held leads no further in that time: what `total_n` leaves beside the weight is,
-    on shipped rigs, less than the weight.
+    A held force moves the platform no further in that time: on shipped rigs, `total_n` minus the
+    weight is less than the weight.
     """
     own = rig.feedforward
     return math.sqrt(2.0 * rig.limits.gap_m / (_G_M_S2 if own is None else own.gravity_m_s2))
 
 
 def expiry_cycles(rig: RigConfig) -> int | None:
-    """Return for how many cycles amplifiers hold a force; None where the backend does not say."""
-    found = rig.on_bus("amplifiers")
-    if found is None or not isinstance(found[1], AmplifierOptions):
+    """Return how many cycles amplifiers hold a force; None if the backend has no such option."""
+    amplifiers = rig.on_bus("amplifiers")
+    if amplifiers is None or not isinstance(amplifiers[1], AmplifierOptions):
         return None
-    return found[1].expire_cycles
+    return amplifiers[1].expire_cycles
 
 
 def zero_after_s(rig: RigConfig) -> float | None:
-    """Return how long after its last command a lost loop's force is zero, at most, in s.
+    """Return the longest time from a lost loop's last command to zero force, in s.
 
-    The command acts from the next cycle on for as many as it holds. None where the backend does not
-    say how long that is.
+    The command acts from the next cycle until it expires. None if the backend has no expiry.
     """
     cycles = expiry_cycles(rig)
     return None if cycles is None else (cycles + 1) / rig.rate_hz
 
 
 def longest_stall(rig: RigConfig) -> int:
-    """Return how many periods in a row the loop may skip in flight.
+    """Return how many consecutive periods the loop may skip in flight.
 
-    `limits.stall_s` if it is given. Else until the amplifiers have expired, or a falling platform
-    would have left its range, whichever is first; a single one always.
+    `limits.stall_s` if given. Otherwise the time until the amplifiers expire or a falling platform
+    leaves its range, whichever is shorter; at least one period.
     """
     if rig.limits.stall_s is not None:
         return int(rig.limits.stall_s * rig.rate_hz)
-    most = int(fall_s(rig) * rig.rate_hz)
+    periods = int(fall_s(rig) * rig.rate_hz)
     cycles = expiry_cycles(rig)
     if cycles is not None:
-        most = min(most, cycles - 1)
-    return max(most, 1)
+        periods = min(periods, cycles - 1)
+    return max(periods, 1)
 
 
-def held_too_long(rig: RigConfig) -> str:
-    """Return a warning where amplifiers hold a lost loop's force for too long; empty if not."""
+def expiry_warning(rig: RigConfig) -> str:
+    """Return a warning if amplifiers hold a lost loop's force too long; otherwise empty."""
     after_s, fall = zero_after_s(rig), fall_s(rig)
     if after_s is None or after_s <= fall:
         return ""
     cycles = int(fall * rig.rate_hz) - 1
-    mend = (
-        f"expected expire_cycles of at most {cycles}"
+    remedy = (
+        f"set expire_cycles to at most {cycles}"
         if cycles >= 1
-        else f"expected a rate of at least {2.0 / fall:.0f} Hz"
+        else f"set rate_hz to at least {2.0 / fall:.0f}"
     )
     return (
-        f"amplifiers.expire_cycles: a lost loop's force acts for {1e3 * after_s:.0f} ms, and in "
-        f"{1e3 * fall:.0f} ms the platform may leave gap_m: {mend}"
+        f"amplifiers.expire_cycles: if the loop is lost, its last force acts for "
+        f"{1e3 * after_s:.0f} ms, but the platform may leave gap_m within "
+        f"{1e3 * fall:.0f} ms: {remedy}"
     )

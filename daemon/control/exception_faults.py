@@ -1,4 +1,4 @@
-"""Which fault it is when something under the loop raises."""
+"""Map exceptions of drivers and simulator to faults."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ _FAULT_OF: dict[type[Exception], Fault] = {
     AmplifierError: Fault.AMPLIFIER,
     SensorError: Fault.SENSOR,
     DriveError: Fault.DRIVE,
-    # The simulated plant runs effects that users wrote: what fails there is no bus.
+    # Raised by the simulated plant and its user-written effects.
     ConfigError: Fault.SIMULATION,
 }
 
 
 def fault_of(error: Exception) -> tuple[Fault, str]:
-    """Return the fault that an exception of devices or simulator is, and its cause in words."""
+    """Return the fault for an exception of a driver or the simulator, and its detail text."""
     for kind in type(error).__mro__:
         if kind in _FAULT_OF:
             return _FAULT_OF[kind], str(error)
-    known = type(error).__module__.startswith("levid.")
-    return Fault.DRIVER, str(error) if known else f"{type(error).__name__}: {error}"
+    own = type(error).__module__.startswith("levid.")
+    return Fault.DRIVER, str(error) if own else f"{type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""The table of faults: number in the log, name, cause in words, what to check."""
+"""Table of faults: log number, name, cause, what to check, how to clear."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import IntEnum
 
 
 class Fault(IntEnum):
-    """What stopped the flight; the number is the log's field `fault`."""
+    """Number the faults that end a flight, as in the log field `fault`."""
 
     NONE = 0
     READING = 1
@@ -35,7 +35,7 @@ class Fault(IntEnum):
 
 @dataclass(frozen=True)
 class FaultText:
-    """A fault for people: its cause, what to check, and what makes it go away."""
+    """Describe a fault to the user: cause, what to check, how to clear it."""
 
     cause: str
     check: str
@@ -45,106 +45,106 @@ class FaultText:
 FAULTS: dict[Fault, FaultText] = {
     Fault.NONE: FaultText("no fault", "", ""),
     Fault.READING: FaultText(
-        "a sensor, amplifier or drive gave a reading that is no number",
-        "the sensor's cable and supply, the ADC",
+        "a sensor, amplifier or drive reading is not a finite number",
+        "cable and supply of the sensor, the ADC",
     ),
     Fault.GAP: FaultText(
-        "the platform left the range it may fly in (limits.gap_m)",
-        "excitation level, gains, a stuck sensor, something lying on the platform",
+        "the gap at a sensor exceeded its limit (limits.gap_m)",
+        "excitation level, gains, a stuck sensor, an object on the platform",
     ),
     Fault.COMPUTATION: FaultText(
-        "the control law gave a force that is no number",
-        "gains and references; this should not happen with finite readings",
+        "the control law computed a force that is not a finite number",
+        "gains and references; report it: finite readings should not lead to this",
     ),
     Fault.BEAM: FaultText(
-        "the beam is outside its range (limits.beam_m)",
-        "homing of the linear motors, the drives' own position loops",
+        "the beam left its range (limits.beam_m)",
+        "homing of the linear motors, position loops of the drives",
     ),
     Fault.DRIVER: FaultText(
         "a device or bus failed",
-        "cables, supply and bus of the device that the message names",
+        "cables, supply and bus of the device in the message",
     ),
     Fault.STALE: FaultText(
-        "readings did not come in time, or not as they should, in too many cycles in a row",
-        "load and errors of the bus that the message names, its budget (levid check)",
+        "readings were missing, late or invalid in too many cycles in a row",
+        "load and error counters of the bus in the message, its time budget (levid check)",
     ),
     Fault.LINK: FaultText(
-        "a bus or port is gone, or nobody answers on it",
+        "a bus or port is disconnected, or no device on it responds",
         "plug, adapter and supply",
-        "levid clear, which opens it again",
+        "levid clear, which reopens it",
     ),
     Fault.AMPLIFIER: FaultText(
-        "the coil amplifiers tripped, or switched off while force was asked of them",
-        "the coil that the message names, its current and temperature; late cycles",
-        "levid clear, which resets the trip once its cause is gone",
+        "the coil amplifiers tripped, or switched off while a force was commanded",
+        "current and temperature of the coil in the message; late cycles",
+        "levid clear, which resets the trip once its cause is removed",
     ),
     Fault.SENSOR: FaultText(
         "a sensor channel has no reading, is stuck, or is at the end of its range",
-        "the sensor that the message names, its cable and the ADC",
+        "the sensor in the message, its cable and the ADC",
     ),
     Fault.DRIVE: FaultText(
-        "a drive of the manipulator does not follow",
-        "encoder and motor that the message names, the gantry's skew",
+        "a manipulator drive failed, or does not follow its setpoints",
+        "encoder and motor in the message, gantry skew",
         "levid clear, which homes the drives (on CAN) and enables them",
     ),
     Fault.SIMULATION: FaultText(
         "the simulated plant or one of its effects failed",
-        "SIM.yaml and the effect that the message names",
+        "SIM.yaml and the effect in the message",
     ),
     Fault.LATE: FaultText(
-        "too many cycles were late by a period or more: in a row, within a minute, or all at once "
-        "(limits.late_cycles, late_in_window, stall_s)",
-        "load of the machine, priority of the loop, a rate that the bus cannot carry",
+        "too many cycles were late by a period or more: in a row, within limits.late_window_s, or "
+        "in one stall (limits.late_cycles, late_in_window, stall_s)",
+        "machine load, loop priority, a cycle rate that the bus cannot carry",
     ),
     Fault.STOPPED: FaultText(
-        "somebody stopped it (levid stop)",
-        "why; whoever stopped it knows",
+        "a user stopped the rig (levid stop)",
+        "the reason, with the user who stopped it",
     ),
     Fault.SUPERVISOR: FaultText(
-        "the supervisor died, hung, was stopped or left the loop without its plan (supervisor_s)",
-        "load and memory of the machine, the journal",
-        "levid clear; a dead supervisor takes the loop along, and is started anew",
+        "the supervisor died, hung, was stopped, or did not send the plan in time (supervisor_s)",
+        "machine load and memory, the journal",
+        "levid clear; if the supervisor died, restart the daemon (systemd does so)",
     ),
     Fault.LOOP: FaultText(
-        "the loop's process died, hung or was stopped; the devices went to zero by themselves",
-        "the journal, a driver that blocks, the machine's memory",
-        "levid clear, which starts the loop anew",
+        "the loop process died, hung or was stopped; the devices switched to zero force",
+        "the journal, a driver that blocks, machine memory",
+        "levid clear, which restarts the loop",
     ),
     Fault.SELF_TEST: FaultText(
-        "a channel did not answer, or its reading was not plausible, before lift-off",
-        "the channel that the message names; what lies on the platform",
+        "a channel did not respond before lift-off, or its reading was implausible",
+        "the channel in the message; objects on the platform",
     ),
     Fault.SEQUENCE: FaultText(
-        "a state was to follow that may not follow this one",
-        "this should not happen: report it, with the flight recording",
+        "the loop rejected a state transition that is not allowed",
+        "nothing on the rig: report this software defect with the flight recording",
     ),
     Fault.POSE: FaultText(
-        "the platform tilted further than it may (limits.tilt_rad)",
-        "excitation level, gains, something lying on the platform",
+        "the platform tilt exceeded its limit (limits.tilt_rad)",
+        "excitation level, gains, an object on the platform",
     ),
     Fault.VELOCITY: FaultText(
-        "platform or beam moved faster than they may (limits.gap_m_s, beam_velocity_m_s)",
-        "gains, a loose sensor, the drives' own loops",
+        "the platform or beam velocity exceeded its limit (limits.gap_m_s, beam_velocity_m_s)",
+        "gains, a loose sensor, position loops of the drives",
     ),
     Fault.HEAT: FaultText(
-        "a coil carried more than it may in the long run (limits.coil_rms_n)",
-        "what the platform carries and where; excitation level",
+        "the long-term RMS force of a coil exceeded its limit (limits.coil_rms_n)",
+        "mass and position of the load on the platform; excitation level",
         "levid clear, after the coils have cooled down",
     ),
     Fault.COIL_CHECK: FaultText(
-        "a coil did not move the sensors that it should, just after lift-off",
-        "cables of the coil that the message names: swapped, reversed or open",
+        "a coil did not move the platform as expected in the check after lift-off",
+        "cables of the coil in the message: swapped, reversed or open",
     ),
 }
 
 
-class FlightFault(Exception):  # noqa: N818 - it is a fault, in the field's words
-    """A flight that ended in a fault; forces are zero."""
+class FlightFault(Exception):  # noqa: N818 - "fault" is the field's term
+    """Report that a flight ended in a fault; forces are zero."""
 
     def __init__(self, fault: Fault, time_s: float, step: str, detail: str = "") -> None:
         self.fault, self.time_s, self.step, self.detail = fault, time_s, step, detail
         text = FAULTS[fault]
-        what = f"{text.cause}{f' ({detail})' if detail else ''}"
+        cause = f"{text.cause}{f' ({detail})' if detail else ''}"
         super().__init__(
-            f"fault {fault.name} at {time_s:.3f} s in step '{step}': {what}; check: {text.check}"
+            f"fault {fault.name} at {time_s:.3f} s in step '{step}': {cause}; check: {text.check}"
         )

@@ -1,4 +1,4 @@
-"""A stretch of cycles that the loop flies without thinking: everything it needs is in arrays."""
+"""Segment: consecutive cycles in one state, with the arrays that the loop needs to fly them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Segment:
-    """`cycles` cycles in one state.
+    """Hold `cycles` cycles in one state.
 
-    Arrays have one row a cycle, or a single row that holds throughout: v (n, 3) excitation in N m,
-    N m, N; coil_excitation (n, C) in N; beam and rotor (n, 3) setpoints of position, velocity and
-    acceleration; blend (n, 3): reference from the pose at rest (0) to the working point (1), share
-    of the feed-forward, share of the whole force. A segment that `engages` starts control from the
-    pose at hand; one that `lands` fades out from the reference and feed-forward at hand. Of one
-    that `checks`, the readings are to be judged once it is flown.
+    Arrays have one row per cycle, or a single row for all cycles:
+    v (n, 3): excitation in N m, N m, N; coil_excitation (n, C): in N; beam and rotor (n, 3):
+    setpoints of position, velocity and acceleration; blend (n, 3): reference from the pose at rest
+    (0) to the working point (1), fraction of the feed-forward, fraction of the total force.
+    `engages`: control starts from the current pose. `lands`: reference and feed-forward fade out
+    from their current values. `checks`: the coil check evaluates the readings after the segment.
     """
 
     state: State
@@ -40,7 +40,7 @@ class Segment:
 
 
 def idle_segment(cycles: int, coils: int, beam: Array, rotor: Array) -> Segment:
-    """Return `cycles` of zero force, the manipulator held at its setpoints beam, rotor (3,)."""
+    """Return `cycles` of zero force, the manipulator held at the setpoints beam, rotor (3,)."""
     return Segment(
         State.IDLE,
         cycles,

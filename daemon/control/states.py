@@ -1,4 +1,4 @@
-"""The states of the loop, as logged in every record, and which may follow which."""
+"""States of the loop, as logged in every row, and the allowed transitions."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class State(IntEnum):
-    """What the loop is doing; the number is the log's field `state`."""
+    """Number the states of the loop, as in the log field `state`."""
 
     OFF = 0
     IDLE = 1
@@ -19,23 +19,23 @@ class State(IntEnum):
 
     @property
     def meaning(self) -> str:
-        """What the state means, in words."""
+        """Meaning of the state as text."""
         return _MEANING[self]
 
     def may_become(self, other: State) -> bool:
-        """Return whether `other` may follow; a state may always go on."""
+        """Return whether `other` is this state or an allowed successor."""
         return other is self or other in TRANSITIONS[self]
 
 
 _MEANING = {
     State.OFF: "not running",
-    State.IDLE: "zero force, readings are taken",
+    State.IDLE: "zero force; readings are logged",
     State.LEVITATING: "rising to the working point, or holding it",
-    State.EXCITING: "holding the working point while excitation plays",
+    State.EXCITING: "holding the working point during excitation",
     State.MOVING: "holding the working point while the manipulator moves",
-    State.LANDING: "sinking onto the stops",
+    State.LANDING: "descending onto the stops",
     State.FAULT: "zero force until the fault is cleared",
-    State.SELF_TEST: "zero force, every channel is asked and its reading judged",
+    State.SELF_TEST: "zero force; the readings of all channels are checked",
 }
 
 IN_FLIGHT = frozenset({State.LEVITATING, State.EXCITING, State.MOVING, State.LANDING})
@@ -53,4 +53,4 @@ TRANSITIONS: dict[State, frozenset[State]] = {
     State.LANDING: frozenset({State.IDLE, State.FAULT}),
     State.FAULT: frozenset({State.SELF_TEST, State.OFF}),
 }
-"""What may follow each state. Code, tests and docs read this table; the loop refuses the rest."""
+"""Allowed successors of each state, used by code, tests and docs. The loop rejects all others."""

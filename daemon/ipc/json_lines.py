@@ -1,4 +1,4 @@
-"""JSON objects, one a line, over a socket that never blocks: between processes, and to clients."""
+"""Exchange JSON lines over a non-blocking socket, between processes and with clients."""
 
 from __future__ import annotations
 
@@ -8,51 +8,51 @@ import socket
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-_PIECE = 65_536
+_BLOCK_BYTES = 65_536
 
 
-class Closed(Exception):  # noqa: N818 - the end of a conversation is no error
-    """The other end hung up, or takes too little of what it is sent."""
+class Closed(Exception):  # noqa: N818 - the end of a connection is no error
+    """Report that the peer hung up, or does not read what it is sent."""
 
 
 class TooLong(Exception):  # noqa: N818
-    """A line that is longer than agreed."""
+    """Report a line that exceeds the agreed length."""
 
 
 class Lines:
-    """One end of a conversation, with bounds on what is kept in either direction."""
+    """Buffer lines in both directions of a socket: `max_in` bytes a line, `max_out` unsent bytes."""
 
-    def __init__(self, end: socket.socket, most_in: int, most_out: int) -> None:
+    def __init__(self, end: socket.socket, max_in: int, max_out: int) -> None:
         end.setblocking(False)
         self.socket = end
-        self._most_in, self._most_out = most_in, most_out
+        self._max_in, self._max_out = max_in, max_out
         self._in, self._out = bytearray(), bytearray()
         self._searched = 0
 
     @property
     def wants_to_send(self) -> bool:
-        """Whether something waits to be sent."""
+        """Whether unsent bytes remain."""
         return bool(self._out)
 
     def receive(self) -> bool:
-        """Take in what has come, if anything; raises Closed at the end, TooLong at too much."""
+        """Read available bytes; return whether any came. Raises Closed and TooLong."""
         try:
-            data = self.socket.recv(_PIECE)
+            data = self.socket.recv(_BLOCK_BYTES)
         except (BlockingIOError, InterruptedError):
             return False
         except OSError as error:
             raise Closed(str(error)) from None
         if not data:
-            raise Closed("the other end hung up")
+            raise Closed("the peer hung up")
         self._in += data
-        if len(self._in) > 2 * self._most_in:
+        if len(self._in) > 2 * self._max_in:
             raise TooLong
         return True
 
     def next_line(self) -> bytes | None:
-        """Return the oldest whole line that has come, if there is one; raises TooLong."""
+        """Return the oldest complete line, None if there is none; raises TooLong."""
         end = self._in.find(b"\n", self._searched)
-        if max(end, len(self._in) if end < 0 else 0) > self._most_in:
+        if max(end, len(self._in) if end < 0 else 0) > self._max_in:
             raise TooLong
         if end < 0:
             self._searched = len(self._in)
@@ -62,23 +62,23 @@ class Lines:
         self._searched = 0
         return line
 
-    def forget(self) -> None:
-        """Drop what has come: nobody will take it up."""
+    def discard(self) -> None:
+        """Discard all received bytes."""
         self._in.clear()
         self._searched = 0
 
     def lines(self) -> Iterator[bytes]:
-        """Yield the whole lines that have come; raises TooLong."""
+        """Yield the complete lines received so far; raises TooLong."""
         while (line := self.next_line()) is not None:
             yield line
 
-    def rest(self, words: Iterable[bytes]) -> Iterator[bytes]:
-        """Yield the whole lines that have come and hold one of these words; no others will be read.
+    def lines_with(self, words: Iterable[bytes]) -> Iterator[bytes]:
+        """Yield the complete lines that contain one of `words`; discard all other lines.
 
-        Two million empty ones are passed over at once.
+        The search is fast: two million empty lines are skipped at once.
         """
         data, at = bytes(self._in), 0
-        self.forget()
+        self.discard()
         pattern = re.compile(b"|".join(map(re.escape, words)))
         while found := pattern.search(data, at):
             begin = max(data.rfind(b"\n", at, found.start()) + 1, at)
@@ -88,17 +88,17 @@ class Lines:
             yield data[begin : at - 1]
 
     def put(self, message: Mapping[str, Any]) -> None:
-        """Send a message, or keep it until there is room; raises Closed where too much is kept."""
+        """Send or buffer a message; raises Closed if too many bytes are unsent."""
         self._out += json.dumps(message).encode() + b"\n"
         self.flush()
-        if len(self._out) > self._most_out:
-            raise Closed("the other end takes nothing")
+        if len(self._out) > self._max_out:
+            raise Closed("the peer does not read")
 
     def flush(self) -> None:
-        """Send what can be sent; raises Closed."""
+        """Send as many bytes as the socket accepts; raises Closed."""
         while self._out:
             try:
-                sent = self.socket.send(self._out[:_PIECE])
+                sent = self.socket.send(self._out[:_BLOCK_BYTES])
             except (BlockingIOError, InterruptedError):
                 return
             except OSError as error:
@@ -106,5 +106,5 @@ class Lines:
             del self._out[:sent]
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the socket."""
         self.socket.close()

@@ -100,8 +100,8 @@ class TimedLoop:
             if uncounted == AROUND_CLEAR:  # it took as long as homing does
                 begin = now()
             # Before anything is read: a loop that stood still for too long sends no force any more.
-            if not uncounted and late.too_much(skipped) and control.engaged:
-                course.fail(Fault.LATE, late.why)
+            if not uncounted and late.exceeded(skipped) and control.engaged:
+                course.fail(Fault.LATE, late.reason)
             if not head & _COUNT_EVERY:  # rows, not cycles: periods that are skipped may never hit
                 words[_STALE], words[_LATE] = self._stale_before + devices.stale, late.late
             k = course.advance()

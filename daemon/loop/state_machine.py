@@ -259,7 +259,7 @@ class Course:
             self.fail(Fault.SEQUENCE, f"{segment.state.name} after {self.state.name}")
             return False
         if segment.engages:
-            self._lateness.forget()  # what was late at zero force harmed nobody
+            self._lateness.reset()  # what was late at zero force harmed nobody
         self._controller.begin(segment)
         self.become(segment.state)
         return True
@@ -379,7 +379,7 @@ class Course:
                 self.located = True
                 self.fault = Fault.NONE
                 self._controller.latch(Fault.NONE)
-                self._lateness.forget()
+                self._lateness.reset()
                 words[Word.FAULT] = Fault.NONE
                 self._board.detail = ""
                 self._begin_self_test()

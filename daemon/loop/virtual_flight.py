@@ -178,7 +178,7 @@ class Flight:
         if segment.checks is None or self.loop.stop_requested:
             return Fault.NONE
         rows = self._ring.last(segment.cycles).rows
-        self.loop.detail = coil_check(rows, segment.checks, self._rig.geometry).wrong
+        self.loop.detail = coil_check(rows, segment.checks, self._rig.geometry).error
         if not self.loop.detail:
             return Fault.NONE
         self.loop.zero()

@@ -258,11 +258,11 @@ class Pilot:
         found = self._ring.copy(begin, _MISSING_ROWS + among + cycles)
         rows = found.rows if found.first == begin else found.rows[:0]  # else it begins too late
         job.verdict = verdict = coil_check(rows, pushes, self._rig.geometry)
-        if verdict.wrong:
-            board.stop(Fault.COIL_CHECK, verdict.wrong)
+        if verdict.error:
+            board.stop(Fault.COIL_CHECK, verdict.error)
             # The fault comes in the next cycle, in which this plan may be over already.
             at_s = board[Word.CYCLE] / self._rig.rate_hz
-            job.error = FlightFault(Fault.COIL_CHECK, at_s, self.step_of(job), verdict.wrong)
+            job.error = FlightFault(Fault.COIL_CHECK, at_s, self.step_of(job), verdict.error)
         elif verdict.unjudged:
             self._say(in_doubt(verdict.unjudged))
         else:

@@ -15,7 +15,7 @@ from ...drivers.base import Context
 from ...drivers.registry import check_backends
 from ..api.control_server import Reply, Server, ServerError
 from ..api.prometheus_metrics import serve_metrics
-from ..control.detection_times import held_too_long
+from ..control.detection_times import expiry_warning
 from ..control.faults import Fault
 from ..control.feed_forward import feed_forward
 from ..control.states import IN_FLIGHT, State
@@ -152,7 +152,7 @@ class Supervisor:
         try:
             if self.rig.service.metrics_port is not None:
                 close_metrics = serve_metrics(self.rig.service.metrics_port, self.status)
-            if warning := held_too_long(self.rig):
+            if warning := expiry_warning(self.rig):
                 self._say(f"warning: {warning}")
             self._reader.start()
             self.recorder.watch()
@@ -276,7 +276,7 @@ class Supervisor:
         self._say_faults()
         if step_s := self._clock.look():
             self._say(f"the clock was set by {step_s:+.1f} s; times in logs go on as before")
-        self._burdens.look(time.monotonic(), self._server.asked, self._shared.lost)
+        self._burdens.look(time.monotonic(), self._server.requests, self._shared.lost)
         board = self.board
         resting = board.state not in IN_FLIGHT
         self._silence.look(time.monotonic(), board[Word.CYCLE], board[Word.STALE], resting)

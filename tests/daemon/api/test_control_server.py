@@ -45,7 +45,7 @@ class Bench:
         self.server.start()
 
     def _wait(self, _: object, reply: Reply) -> None:
-        reply.gone = self.gone.set
+        reply.on_hang_up = self.gone.set
         self.waiting.append(reply)
 
     def connect(self) -> socket.socket:
@@ -89,7 +89,7 @@ def test_long_line_is_handed_on_unread(tmp_path: Path, monkeypatch: pytest.Monke
         reply.done(handed=len(line))
 
     handlers: dict[str, Any] = {"echo": lambda request, reply: reply.done(said=request["say"])}
-    server = Server(tmp_path / "test.sock", handlers, Access(Service()), long=long)
+    server = Server(tmp_path / "test.sock", handlers, Access(Service()), on_long=long)
     server.start()
     try:
         with Client(tmp_path / "test.sock") as client:
@@ -235,7 +235,7 @@ def test_what_is_left_of_a_conversation_is_searched_for_words() -> None:
         theirs.sendall(b"one\n\nstop 1\nno\nland stop 2\n\nstop 3 has no end")
         lines.receive()
         assert lines.next_line() == b"one"
-        assert list(lines.rest((b"stop", b"land"))) == [b"stop 1", b"land stop 2"]
+        assert list(lines.lines_with((b"stop", b"land"))) == [b"stop 1", b"land stop 2"]
         assert lines.next_line() is None
 
 
@@ -338,7 +338,7 @@ def test_socket_where_so_many_ask_that_nobody_gets_in_is_not_taken_over(tmp_path
             waiting.append(socket.socket(socket.AF_UNIX))
             waiting[-1].setblocking(False)
             waiting[-1].connect(str(tmp_path / "test.sock"))
-    with pytest.raises(ServerError, match="another daemon answers"):
+    with pytest.raises(ServerError, match="another daemon"):
         Server(tmp_path / "test.sock", {}, Access(Service())).start()
     for end in [*waiting, busy]:
         end.close()

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from levid.config.service import Service
-from levid.daemon.api import unix_listener as door_module
+from levid.daemon.api import unix_listener
 from levid.daemon.api.control_server import Server, ServerError
 from levid.daemon.api.unix_listener import Door
 from levid.daemon.client import Client
@@ -42,7 +42,7 @@ class Running:
 
 @pytest.fixture
 def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
-    monkeypatch.setattr("levid.daemon.api.control_server._LOOK_S", 0.02)
+    monkeypatch.setattr("levid.daemon.api.control_server._POLL_S", 0.02)
     made = Running(tmp_path)
     yield made
     if not made.server._ending:
@@ -57,7 +57,7 @@ def test_socket_whose_path_vanished_is_opened_anew(running: Running, folder: boo
         else:
             running.path.unlink()
         until(lambda: running.said)
-        assert running.said == [f"the control socket was gone: {running.path} is opened anew"]
+        assert running.said == [f"the control socket was removed: {running.path} is open again"]
         assert running.answers()
         assert connected.request("echo")["said"] == 1  # who was there stays
     assert running.path.stat().st_mode & 0o777 == 0o660
@@ -72,7 +72,7 @@ def test_socket_of_somebody_else_stays_in_its_place(running: Running) -> None:
         other.listen()
         until(lambda: running.said)
         assert len(running.said) == 1
-        assert "another daemon answers here already" in running.said[0]
+        assert "another daemon already uses this socket" in running.said[0]
         place = running.path.stat().st_ino
         time.sleep(0.1)
         assert len(running.said) == 1
@@ -90,7 +90,7 @@ def test_of_two_daemons_that_start_at_once_one_is_refused(
     path, ends = tmp_path / "levid.sock", list[object]()
     with socket.socket(socket.AF_UNIX) as killed:
         killed.bind(str(path))
-    listens = door_module.listens
+    listens = unix_listener.listens
 
     def slowly(path: Path) -> bool:
         found = listens(path)
@@ -103,7 +103,7 @@ def test_of_two_daemons_that_start_at_once_one_is_refused(
         except ServerError as error:
             ends.append(error)
 
-    monkeypatch.setattr(door_module, "listens", slowly)
+    monkeypatch.setattr(unix_listener, "listens", slowly)
     threads = [threading.Thread(target=start) for _ in range(2)]
     for thread in threads:
         thread.start()
@@ -111,6 +111,6 @@ def test_of_two_daemons_that_start_at_once_one_is_refused(
         thread.join()
     (opened,) = (end for end in ends if isinstance(end, socket.socket))
     (error,) = (end for end in ends if isinstance(end, ServerError))
-    assert "another daemon answers here already" in str(error)
+    assert "another daemon already uses this socket" in str(error)
     assert listens(path)
     opened.close()

@@ -1,4 +1,4 @@
-"""The push of each coil after lift-off: sound coils pass, whatever the plant; others are named."""
+"""Test the coil check after lift-off: sound coils pass on any plant; faulty coils are named."""
 
 from pathlib import Path
 
@@ -64,7 +64,7 @@ def test_sound_coils_pass(tmp_path: Path, sim: str, rate_hz: float) -> None:
     rows = fly(tmp_path, shipped(f"sims/{sim}.yaml"), rate_hz)
     assert rows["fault"].max() == 0
     assert (np.abs(rows["coil_excitation_n"]).max(axis=0) == 1.0).all()  # each was pushed
-    # It is a small thing: the pose stays within what excitation does.
+    # The push is small: the gap stays within the range of usual excitation.
     pushed = rows[rows["coil_excitation_n"].any(axis=1)]
     assert np.abs(pushed["gap_m"]).max() < 3e-4
 
@@ -109,7 +109,7 @@ def test_check_that_outlasts_the_rows_kept_is_refused(tmp_path: Path) -> None:
             plan_session(config, slow)
 
 
-def test_loop_too_slow_for_its_pushes_is_told_so() -> None:
+def test_push_shorter_than_a_cycle_is_refused() -> None:
     rig = load_rig(RIG_FILE)
     for rate_hz, push_s in ((100.0, 0.008), (50.0, 0.015)):
         steps = f"[{{levitate: {{check_coils: {{push_s: {push_s}}}}}}}, {{land: {{}}}}]"
@@ -119,7 +119,7 @@ def test_loop_too_slow_for_its_pushes_is_told_so() -> None:
             plan_session(config, rig)
 
 
-def test_what_is_not_asked_for_is_done_where_the_caller_wants_it_and_nowhere_else() -> None:
+def test_default_check_applies_only_if_the_session_does_not_decide() -> None:
     rig, found = load_rig(RIG_FILE), []
     for given in ("", "check_coils: false", "check_coils: {push_n: 2}"):
         text = f"{{levid: session, name: x, steps: [{{levitate: {{{given}}}}}, {{land: {{}}}}]}}"
@@ -130,7 +130,7 @@ def test_what_is_not_asked_for_is_done_where_the_caller_wants_it_and_nowhere_els
     assert found == [[], [1.0], [], [], [2.0], [2.0]]
 
 
-def test_long_check_is_judged_by_all_of_its_rows(tmp_path: Path) -> None:
+def test_long_check_is_evaluated_with_all_its_rows(tmp_path: Path) -> None:
     # Nine turns of 0.562 s: 5.1 s, of 23 s that there may be.
     rows = fly(tmp_path, shipped("sims/nominal.yaml"), 4500.0, pause_s=0.53)
     assert rows["fault"].max() == 0

@@ -215,7 +215,7 @@ def test_beam_that_runs_away_is_a_fault() -> None:
     bench = Bench()
     bench.control.beam[1] = 2 * RIG.limits.beam_velocity_m_s
     assert bench.run(flying(1), np.zeros((1, 9)))["fault"][0] == Fault.VELOCITY
-    assert bench.control.detail(Fault.VELOCITY).startswith("beam at 1.000 m/s")
+    assert bench.control.detail(Fault.VELOCITY).startswith("beam velocity 1.000 m/s")
 
 
 def test_coil_that_carries_too_much_for_too_long_is_a_fault() -> None:

@@ -129,14 +129,14 @@ def levitate(
       levid levitate
       levid levitate --check-coils --out out/by-hand
     """
-    from ..daemon.recording.session_logs import in_doubt
+    from ..daemon.recording.session_logs import coil_check_warning
 
     arguments: dict[str, Any] = {"out": str(out.resolve())} if out else {}
     arguments |= _if_gone(if_gone)
     if check_coils is not None:
         arguments["levitate"] = {"check_coils": {} if check_coils else False}
     answer = _request("levitate", rig_path, **arguments)
-    if doubt := in_doubt(answer["unjudged_coils"]):
+    if doubt := coil_check_warning(answer["unjudged_coils"]):
         say(doubt)
     landed = "landed on request before the lift-off was complete"
     _print(answer, as_json, landed if answer["stopped"] else "levitating")

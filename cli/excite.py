@@ -72,7 +72,7 @@ def command(
       levid excite config/sessions/beam.yaml --out /var/lib/levid/today
     """
     from ..config.session import load_session
-    from ..daemon.recording.session_logs import in_doubt
+    from ..daemon.recording.session_logs import coil_check_warning
 
     config = load_session(session)
     refuse_used_folder(out)
@@ -88,7 +88,7 @@ def command(
         f"flew {result.cycles} cycles, {len(result.records)} records{late}{lost}, "
         f"logs in {result.logs[0].parent if result.logs else out}"
     )
-    if doubt := in_doubt(result.unjudged_coils):
+    if doubt := coil_check_warning(result.unjudged_coils):
         say(doubt)
     return _after_landing(config, result, out)
 

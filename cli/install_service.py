@@ -34,10 +34,10 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
     from ..config.rig import load_rig
     from ..daemon.service.service_files import (
         NETWORK,
-        hindrances,
         left_over,
         preview,
         service_files,
+        service_warnings,
         write,
     )
 
@@ -52,7 +52,7 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
             say(f"{root / path}: {change}")
     for old in left_over(files, root):
         say(f"warning: {old} is from an earlier rig and still takes effect: remove it")
-    for hindrance in hindrances(config, rig_file, program):
+    for hindrance in service_warnings(config, rig_file, program):
         say(f"warning: {hindrance}")
     if not dry_run:
         networked = any(path.startswith(NETWORK) for path in files)

@@ -29,17 +29,17 @@ def command(rig: Path) -> int:
     from ..config.base import ConfigError
     from ..config.rig import load_rig
     from ..daemon.api.socket_paths import own_socket
-    from ..daemon.host.real_time_scheduling import leave_to_loop
+    from ..daemon.host.real_time_scheduling import avoid_cpus
     from ..daemon.service.journal import Journal
     from ..daemon.supervision.supervisor import Supervisor
 
     journal = Journal()
-    say = journal.say
+    log = journal.log
     try:
         config = load_rig(rig)
         path = own_socket(config)
-        leave_to_loop(config.realtime.cpus)
-        supervisor = Supervisor(config, rig, path, say)
+        avoid_cpus(config.realtime.cpus)
+        supervisor = Supervisor(config, rig, path, log)
     except ConfigError as error:
         journal.close()
         click.echo(f"error: {error}", err=True)
@@ -50,9 +50,9 @@ def command(rig: Path) -> int:
     signal.signal(signal.SIGHUP, lambda *_: supervisor.reload())
     try:
         supervisor.run(
-            lambda: say(f"{config.name} at {config.rate_hz:g} Hz, socket {path}; Ctrl-C lands")
+            lambda: log(f"{config.name} at {config.rate_hz:g} Hz, socket {path}; Ctrl-C lands")
         )
-        say("stopped, coils at zero force")
+        log("stopped, coils at zero force")
     finally:
         journal.close()
     return 0

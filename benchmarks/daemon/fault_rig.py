@@ -29,7 +29,7 @@ from levid.benchmarks.daemon import fault_electronics
 from levid.benchmarks.harness.real_time import ELECTRONICS, hurry
 from levid.config.shipped import shipped
 from levid.daemon.client import Client, DaemonError
-from levid.daemon.host.real_time_scheduling import die_with
+from levid.daemon.host.real_time_scheduling import signal_at_parent_death
 
 RATE_HZ = 50
 STALE_CYCLES = 2
@@ -98,7 +98,7 @@ class Rig:
                 [sys.executable, "-m", "levid.cli.main", "run", str(self.file)],
                 stderr=log,
                 # Whatever becomes of the benchmark, nothing is left to fly on.
-                preexec_fn=partial(die_with, os.getpid(), signal.SIGTERM),  # noqa: PLW1509
+                preexec_fn=partial(signal_at_parent_death, os.getpid(), signal.SIGTERM),  # noqa: PLW1509
             )
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from levid.daemon.host.real_time_scheduling import die_with
+from levid.daemon.host.real_time_scheduling import signal_at_parent_death
 
 _PATIENCE_S = 60.0
 """A daemon may be landing, and its recorder may have 30 s to bring rows to disk."""
@@ -24,7 +24,7 @@ def started(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen
     The kernel sends it SIGTERM should this thread, which has to be the only one, die without a
     word.
     """
-    tied = partial(die_with, os.getpid(), signal.SIGTERM)
+    tied = partial(signal_at_parent_death, os.getpid(), signal.SIGTERM)
     process = subprocess.Popen(command, preexec_fn=tied, **options)  # noqa: PLW1509 - as above
     try:
         yield process

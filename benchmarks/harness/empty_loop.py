@@ -18,7 +18,7 @@ from typing import NamedTuple
 from levid.benchmarks.harness import real_time
 from levid.benchmarks.harness.child_processes import started
 from levid.config.service import Realtime
-from levid.daemon.host.real_time_scheduling import be_punctual, no_collections
+from levid.daemon.host.real_time_scheduling import apply_realtime, no_collections
 from levid.daemon.loop.clock import RealClock
 
 _WARM_UP = 200
@@ -46,7 +46,7 @@ class Stretch(NamedTuple):
 
 def timed(loop: Callable[[int], bool], rate_hz: float, cycles: int, begin: int) -> Stretch:
     """Run `loop`, which says whether its readings are fresh, from cycle `begin` on."""
-    be_punctual(_PUNCTUAL)
+    apply_realtime(_PUNCTUAL)
     period_s = 1.0 / rate_hz
     clock = RealClock(period_s)
     cycle, begun, ended, stale = begin, 0, 0, 0

@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from levid.daemon.host.real_time_scheduling import die_with
+from levid.daemon.host.real_time_scheduling import signal_at_parent_death
 
 _ENDING_S = 30.0
 
@@ -96,7 +96,7 @@ def _run(
     arguments: tuple[object, ...],
 ) -> None:
     os.setsid()
-    die_with(os.getppid(), signal.SIGKILL)
+    signal_at_parent_death(os.getppid(), signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     sys.stdout = sys.stderr  # what a peer prints must not end up in the JSON
     try:

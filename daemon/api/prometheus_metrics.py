@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _ADDRESS = "127.0.0.1"
 _SHUTDOWN_S = 1.0
 _REQUEST_S = 2.0
-"""Time limit of a request with its answer: a slow client delays the next one no longer than this."""
+"""Time limit of a request with its answer: a slow client delays the next one by this at most."""
 _QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999", "max": "1"}
 _COUNTERS = {
     "cycle": ("levid_cycles", "periods since the start"),

@@ -1,1 +1,1 @@
-"""Use the operating system: scheduling, child processes, rights, clocks, disk, resource limits."""
+"""Use the operating system: scheduling, child processes, access, clocks, disk, resource limits."""

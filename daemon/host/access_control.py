@@ -1,4 +1,4 @@
-"""Who may ask the daemon: users and groups, by what the kernel says of the peer of a socket."""
+"""Control access to the daemon by the user and groups of a socket peer, as the kernel reports."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ...config.base import ConfigError
 from ...config.service import Service
 
 _SO_PEERGROUPS = 59
-_MOST_BYTES = 1024
-"""What Python's getsockopt takes at most: 256 groups."""
+_MAX_BYTES = 1024
+"""Limit of Python's getsockopt: 256 groups."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """The process at the other end of a socket, with all of its groups."""
+    """Identify the process at the other end of a socket, with all its groups."""
 
     pid: int
     uid: int
@@ -27,24 +27,24 @@ class Peer:
 
 
 def peer_of(connection: socket.socket) -> Peer:
-    """Return who connected; raises OSError."""
+    """Return the process that connected; raises OSError."""
     size = struct.calcsize("3i")
     raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
     pid, uid, gid = struct.unpack("3i", raw)
     gids = {gid}
     try:
-        groups = connection.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _MOST_BYTES)
+        groups = connection.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _MAX_BYTES)
         gids |= set(struct.unpack(f"{len(groups) // 4}i", groups))
     except OSError:
-        pass  # an old kernel, or hundreds of groups: the first one has to do
+        pass  # an old kernel, or more than 256 groups: use the primary group only
     return Peer(pid, uid, frozenset(gids))
 
 
 class Access:
-    """Root, the daemon's own user and group, and whom service.allow_users and _groups name.
+    """Allow root, the daemon's own user and group, service.allow_users and service.allow_groups.
 
     Raises:
-        ConfigError: there is no such user or group.
+        ConfigError: a user or group does not exist.
     """
 
     def __init__(self, config: Service) -> None:
@@ -54,16 +54,16 @@ class Access:
 
     @property
     def mode(self) -> int:
-        """Mode of the socket: with others than user and group the kernel cannot tell them apart."""
+        """Mode of the socket file. It cannot list users: any `allow_` key opens it to all."""
         return 0o666 if self.others else 0o660
 
     def refuses(self, peer: Peer) -> str:
-        """Return why this peer may not ask; empty where it may."""
+        """Return why this peer has no access; empty if it has."""
         if peer.uid in self._uids or peer.gids & self._gids:
             return ""
         return (
-            f"user {peer.uid} may not ask this daemon; "
-            "service.allow_users and service.allow_groups of its rig say who may"
+            f"user {peer.uid} has no access to this daemon; "
+            "see service.allow_users and service.allow_groups in its RIG.yaml"
         )
 
 
@@ -73,7 +73,7 @@ def _uid(user: str | int) -> int:
     try:
         return pwd.getpwnam(user).pw_uid
     except KeyError:
-        raise ConfigError(f"service.allow_users: expected a user, found '{user}'") from None
+        raise ConfigError(f"service.allow_users: no such user '{user}'") from None
 
 
 def _gid(group: str | int) -> int:
@@ -82,4 +82,4 @@ def _gid(group: str | int) -> int:
     try:
         return grp.getgrnam(group).gr_gid
     except KeyError:
-        raise ConfigError(f"service.allow_groups: expected a group, found '{group}'") from None
+        raise ConfigError(f"service.allow_groups: no such group '{group}'") from None

@@ -1,4 +1,4 @@
-"""Processes that the supervisor starts, watches, and starts anew."""
+"""Start, monitor and end the child processes of the supervisor."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-_KILLED_S = 5.0
+_KILL_S = 5.0
 _READ_ONLY = fcntl.F_SEAL_WRITE | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SHRINK
-_LOOK_S = 0.5
-"""A silence from which on it is asked what a child does: each question is a file."""
+_CHECK_AFTER_S = 0.5
+"""Silence after which the child's waiting time is read from /proc: each reading opens a file."""
 
 
 class Child:
-    """One process at a time that runs a module of levid, fed with a rig on standard input.
+    """Run one process at a time with a module of levid; it reads the rig from standard input.
 
-    `environment` is what it has beside that of this process.
+    `environment` is added to the environment of this process.
     """
 
     def __init__(
@@ -35,11 +35,11 @@ class Child:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, arguments: Sequence[object], fds: Sequence[int]) -> None:
-        """Start it, in a process group of its own: Ctrl-C is not for it. Raises OSError.
+        """Start the process in its own process group, so that Ctrl-C skips it. Raises OSError.
 
-        The kernel ends it with the thread that calls this: call it from the one that stays.
+        The kernel ends it when the calling thread ends: call this from a thread that stays.
         """
-        # A file and not a pipe: nobody waits until it is read.
+        # A memory file, not a pipe: writing never waits for the reader.
         rig = os.memfd_create("levid-rig", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:
             with open(rig, "wb", closefd=False) as file:
@@ -47,7 +47,7 @@ class Child:
             fcntl.fcntl(rig, fcntl.F_ADD_SEALS, _READ_ONLY)
             os.lseek(rig, 0, os.SEEK_SET)
             self._process = subprocess.Popen(
-                # -P: what lies in the working directory is nobody's module.
+                # -P: do not import modules from the working directory.
                 [sys.executable, "-P", "-m", self._module, *map(str, arguments)],
                 stdin=rig,
                 pass_fds=fds,
@@ -59,49 +59,49 @@ class Child:
 
     @property
     def pid(self) -> int | None:
-        """The process, None where there is none: a number of before may be another's by now."""
+        """Process id; None if the process has ended, since the system may reuse its id."""
         return self._process.pid if self._process is not None and self.running else None
 
     @property
     def running(self) -> bool:
-        """Whether it is there."""
+        """Whether the process runs."""
         return self._process is not None and self._process.poll() is None
 
     @property
     def end(self) -> str:
-        """How it ended, in words."""
+        """How the process ended, as text."""
         code = self._process.poll() if self._process is not None else None
         if code is None:
-            return "it runs"
+            return "still running"
         if code < 0:
             return f"killed by {_name_of(-code)}"
         return f"exit code {code}"
 
     @property
     def waited_s(self) -> float:
-        """For how long it was ready to run and got no processor, in s; 0 where nothing says so."""
+        """Time that the main thread waited for a processor, in s; 0 if the kernel does not say."""
         try:
-            told = Path(f"/proc/{self.pid}/schedstat").read_text().split()
-            return 1e-9 * int(told[1])  # its main thread's
+            fields = Path(f"/proc/{self.pid}/schedstat").read_text().split()
+            return 1e-9 * int(fields[1])
         except (OSError, IndexError, ValueError):
             return 0.0
 
     def terminate(self) -> None:
-        """Ask it to end, as it is able to at the moment."""
+        """Send SIGTERM."""
         if self._process is not None and self.running:
             self._process.terminate()
 
-    def kill(self, wait_s: float = _KILLED_S) -> None:
-        """End it at once, stopped or hung as it may be; wait so long until it is gone.
+    def kill(self, wait_s: float = _KILL_S) -> None:
+        """Send SIGKILL, which also ends a stopped or hung process; wait at most `wait_s` for it.
 
-        One that waits for a disk or a device in the kernel is not gone before that has answered.
+        A process that waits for a disk or device in the kernel ends only when that responds.
         """
         if self._process is not None and self.running:
             self._process.kill()
             self.wait(wait_s)
 
     def wait(self, seconds: float) -> bool:
-        """Wait for its end; return whether it came."""
+        """Wait at most `seconds` for the end of the process; return whether it ended."""
         if self._process is None:
             return True
         try:
@@ -114,36 +114,36 @@ class Child:
 def _name_of(number: int) -> str:
     try:
         return signal.Signals(number).name
-    except ValueError:  # real-time signals have no names but the first and the last
+    except ValueError:  # only the first and the last real-time signal have names
         return f"signal {number}"
 
 
 class ChildSilence:
-    """How long a child gave no sign of life, not counting the time in which it could not.
+    """Measure the time since a child's last heartbeat, without the time it waited for a processor.
 
-    A machine with too much to do keeps it from the processors: that is no reason to end it.
+    A child that gets no processor on a busy machine must not be killed for that.
     """
 
     def __init__(self, child: Child) -> None:
         self._child = child
-        self._since_s = self._looked_s = self._waited_s = 0.0
+        self._since_s = self._checked_s = self._waited_s = 0.0
 
     def begin(self, now_s: float) -> None:
-        """Count from a sign of life on."""
+        """Restart at a heartbeat."""
         self._since_s = now_s
-        self._looked_s = math.inf
+        self._checked_s = math.inf
 
     def passed_s(self, now_s: float) -> float:
-        """Return how long it has been silent, in s."""
+        """Return the time since the last heartbeat, in s."""
         silent_s = now_s - self._since_s
-        if silent_s < _LOOK_S:
+        if silent_s < _CHECK_AFTER_S:
             return silent_s
         waited_s = self._child.waited_s
-        if self._looked_s > now_s:
-            self._looked_s, self._waited_s = now_s, waited_s
-        return silent_s - min(max(waited_s - self._waited_s, 0.0), now_s - self._looked_s)
+        if self._checked_s > now_s:
+            self._checked_s, self._waited_s = now_s, waited_s
+        return silent_s - min(max(waited_s - self._waited_s, 0.0), now_s - self._checked_s)
 
 
 def module_of(name: str) -> str:
-    """Return the full name of a module of the daemon, such as `loop.loop_process`."""
+    """Return the full name of a daemon module such as `loop.loop_process`."""
     return f"{__package__.rpartition('.')[0]}.{name}"

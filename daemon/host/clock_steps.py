@@ -1,23 +1,23 @@
-"""Whether the machine's clock was set while the daemon runs; nothing in a flight depends on it."""
+"""Detect that the machine's clock was set while the daemon runs; flights do not depend on it."""
 
 from __future__ import annotations
 
 import time
 
 _STEP_S = 0.1
-"""Slewing changes the clock by 0.5 ms a second at most; between two looks that is far less."""
+"""Smallest change that counts as a step. Slewing (0.5 ms per second) stays far below it."""
 
 
 class ClockWatch:
-    """Compares the time of day with the monotonic clock, which nobody can set."""
+    """Compare the time of day with the monotonic clock, which cannot be set."""
 
     def __init__(self) -> None:
         self._ahead_s = _ahead_s()
         self.stepped_s = 0.0
-        """By how much the clock was set forward since the start, in s, all steps together."""
+        """Sum of all clock steps since the start, in s."""
 
-    def look(self) -> float:
-        """Return the step since the last look, in s; 0 where there was none."""
+    def poll(self) -> float:
+        """Return the clock step since the last call, in s; 0 if none."""
         ahead_s = _ahead_s()
         step_s, self._ahead_s = ahead_s - self._ahead_s, ahead_s
         if abs(step_s) < _STEP_S:

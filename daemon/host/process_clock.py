@@ -1,24 +1,24 @@
-"""Time as this process lived it: a machine that stood still did so for whom it watches too."""
+"""Clock that excludes the time the whole machine was suspended."""
 
 from __future__ import annotations
 
-_MOST_AT_ONCE_S = 0.1
+_MAX_STEP_S = 0.1
 
 
 class Awake:
-    """Adds up the time between two looks, 0.1 s at most of each.
+    """Sum the times between calls of `update`, at most 0.1 s each.
 
-    Whoever watches others looks much more often than that. Between two looks that are further apart
-    he was not there, and cannot say that they were.
+    A watchdog calls it much more often. If calls are further apart, this process did not run, and
+    the monitored processes may not have run either.
     """
 
     def __init__(self) -> None:
-        self._looked_s: float | None = None
+        self._updated_s: float | None = None
         self._passed_s = 0.0
 
-    def look(self, now_s: float) -> float:
-        """Return how long this process has been awake, s; `now_s` is on the monotonic clock."""
-        if self._looked_s is not None:
-            self._passed_s += min(now_s - self._looked_s, _MOST_AT_ONCE_S)
-        self._looked_s = now_s
+    def update(self, now_s: float) -> float:
+        """Return the running time of this process, s; `now_s` is the monotonic clock."""
+        if self._updated_s is not None:
+            self._passed_s += min(now_s - self._updated_s, _MAX_STEP_S)
+        self._updated_s = now_s
         return self._passed_s

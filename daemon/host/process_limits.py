@@ -1,4 +1,4 @@
-"""Limits of a process that handles what clients send: time, memory, files, rights."""
+"""Limit a process that handles client data: processor time, memory, file size, rights."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _OOM = Path("/proc/self/oom_score_adj")
 
 @dataclass(frozen=True)
 class Confinement:
-    """What a confined process may use.
+    """Set the limits of a confined process.
 
-    cpu_s: processor time, s. memory_bytes: address space beyond what it has. file_bytes: size of a
-    file that it writes, a memory file too. keeps_user: whether root stays root.
+    cpu_s: processor time, s. memory_bytes: additional address space. file_bytes: size of a file
+    that it writes, memory files included. keeps_user: whether root stays root.
     """
 
     cpu_s: int
@@ -31,18 +31,17 @@ class Confinement:
     keeps_user: bool = False
 
 
-def share_of_memory(most_bytes: int) -> int:
-    """Return `most_bytes`, or half of this machine's memory where that is less."""
+def at_most_half_memory(limit_bytes: int) -> int:
+    """Return `limit_bytes` or half of this machine's memory, whichever is less."""
     pages, page = os.sysconf("SC_PHYS_PAGES"), os.sysconf("SC_PAGE_SIZE")
-    return min(most_bytes, pages * page // 2)
+    return min(limit_bytes, pages * page // 2)
 
 
 def confine(limits: Confinement, keep_fds: Collection[int]) -> None:
-    """Confine this process for good, and close all files but `keep_fds`.
+    """Confine this process permanently, and close all files except `keep_fds`.
 
-    It gets less of the processor than others, is the first to go where memory lacks, starts no
-    process, and, where it was root and may change that, is the user nobody. Raises OSError where a
-    limit is refused.
+    It gets a low priority, is killed first if memory runs out, cannot start processes, and changes
+    from root to the user `nobody` if permitted. Raises OSError if a limit is refused.
     """
     _close_all_but(keep_fds)
     with contextlib.suppress(OSError):
@@ -56,7 +55,7 @@ def confine(limits: Confinement, keep_fds: Collection[int]) -> None:
     _limit(resource.RLIMIT_CORE, 0)
     _limit(resource.RLIMIT_RTPRIO, 0)
     if os.geteuid() == 0 and not limits.keeps_user:
-        with contextlib.suppress(OSError):  # root of a container that has no other users
+        with contextlib.suppress(OSError):  # root in a container without other users
             os.setgroups([])
             os.setresgid(_NOBODY, _NOBODY, _NOBODY)
             os.setresuid(_NOBODY, _NOBODY, _NOBODY)
@@ -66,7 +65,7 @@ def confine(limits: Confinement, keep_fds: Collection[int]) -> None:
 
 
 def _limit(what: int, soft: int, hard: int | None = None) -> None:
-    """Set a limit, or the one there is where that is less."""
+    """Set a resource limit, or keep the present hard limit if that is lower."""
     wanted = [soft, soft if hard is None else hard]
     before = resource.getrlimit(what)[1]
     if before != resource.RLIM_INFINITY:
@@ -80,7 +79,7 @@ def _address_space() -> int:
 
 
 def _close_all_but(keep: Collection[int]) -> None:
-    first = 3  # standard input, output and errors stay
+    first = 3  # standard input, output and error stay open
     for fd in sorted(keep):
         if fd >= first:
             os.closerange(first, fd)

@@ -1,4 +1,4 @@
-"""What the loop's process asks of the kernel so that it wakes up on time; each part is optional."""
+"""Configure real-time scheduling of the loop process: priority, affinity, memory lock, timers."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _DEVICE_TREE, _OF_HOSTS = Path("/proc/device-tree"), ("hypervisor", "fw-cfg@*")
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
-def be_punctual(wanted: Realtime) -> list[str]:
-    """Ask for all that `wanted` names; return a warning for each part that is not permitted.
+def apply_realtime(wanted: Realtime) -> list[str]:
+    """Apply the settings of `wanted`; return a warning for each that is not permitted.
 
-    What is asked for holds until the process ends, /dev/cpu_dma_latency among it.
+    The settings last until the process ends, /dev/cpu_dma_latency included.
     """
     parts: list[tuple[str, str, Callable[[], None]]] = [
         (
             f"realtime.timer_slack_ns {wanted.timer_slack_ns}",
-            "the kernel wakes the loop some 50 us late",
+            "the kernel wakes the loop about 50 us late",
             lambda: _prctl(_PR_SET_TIMERSLACK, wanted.timer_slack_ns),
         )
     ]
@@ -46,14 +46,14 @@ def be_punctual(wanted: Realtime) -> list[str]:
         )
     if wanted.lock_memory:
         parts.append(
-            ("realtime.lock_memory", "a page that was swapped out stalls the loop", _lock_memory)
+            ("realtime.lock_memory", "a swapped-out page may stall the loop", _lock_memory)
         )
     latency_us = cpu_latency_us(wanted)
     if latency_us is not None:
         parts.append(
             (
                 f"realtime.cpu_latency_us {latency_us}",
-                "the processor's sleep states delay the loop",
+                "processor sleep states delay the loop",
                 partial(_hold_latency, latency_us),
             )
         )
@@ -66,44 +66,44 @@ def be_punctual(wanted: Realtime) -> list[str]:
             )
         )
     warnings = []
-    for name, so, ask in parts:
+    for name, consequence, apply in parts:
         try:
-            ask()
+            apply()
         except OSError as error:
-            warnings.append(f"{name}: {error.strerror}: {so}")
+            warnings.append(f"{name}: {error.strerror}: {consequence}")
     return warnings
 
 
-def leave_to_loop(cpus: Collection[int]) -> None:
-    """Keep this process, and those that it starts, off the loop's processors if there are others.
+def avoid_cpus(cpus: Collection[int]) -> None:
+    """Keep this process and its children off the loop's processors, if there are other processors.
 
-    What a recorder does within the kernel is not interrupted for whoever has priority: not by a
-    kernel that preempts nothing, and not everywhere by others.
+    A system call of the recorder may delay the loop despite its priority: kernels without
+    preemption do not interrupt it, others not everywhere.
     """
-    others = os.sched_getaffinity(0).difference(cpus)
-    if cpus and others:
-        _bind(others)
+    remaining = os.sched_getaffinity(0).difference(cpus)
+    if cpus and remaining:
+        _bind(remaining)
 
 
-def share_with_others(cpus: Collection[int]) -> None:
-    """Undo that in the loop's process: its helpers run where the others do, and where it does."""
+def allow_cpus(cpus: Collection[int]) -> None:
+    """Undo `avoid_cpus` in the loop process: its helper threads may run on all processors."""
     if cpus:
         _bind(os.sched_getaffinity(0).union(cpus))
 
 
 def _bind(cpus: Collection[int]) -> None:
-    """Let all threads of this process run on these alone; those of them that there are count."""
+    """Bind all threads of this process to those of `cpus` that exist."""
     for thread in Path("/proc/self/task").iterdir():
-        with contextlib.suppress(OSError):  # it has ended, or none of them is there
+        with contextlib.suppress(OSError):  # the thread has ended, or none of the cpus exists
             os.sched_setaffinity(int(thread.name), cpus)
 
 
 def cpu_latency_us(wanted: Realtime) -> int | None:
-    """Return how soon, in us, processors that sleep must be awake; None where it is left alone.
+    """Return the longest permitted wake-up latency of processors, in us; None: do not set it.
 
-    Kept from all sleep, a processor polls while it has nothing to do. In a virtual machine ("auto")
-    its host counts that as use, and one that grants shares of its processors takes them away for
-    ms at a time: at 1 kHz beside a bus in Python, one period in thirty was skipped.
+    With 0, an idle processor polls instead of sleeping. The host of a virtual machine counts that
+    as use, and a host with processor quotas then takes processors away for ms: at 1 kHz beside a
+    bus in Python, one period in thirty was skipped. "auto" therefore sets none there.
     """
     if wanted.cpu_latency_us == "auto":
         return None if virtual_machine() else 0
@@ -111,25 +111,25 @@ def cpu_latency_us(wanted: Realtime) -> int | None:
 
 
 def virtual_machine() -> bool:
-    """Return whether the kernel knows of a hypervisor below it; ARM's tells where it has a tree."""
+    """Return whether the kernel reports a hypervisor; on ARM only through a device tree."""
     try:
         if any(True for name in _OF_HOSTS for _ in _DEVICE_TREE.glob(name)):
             return True
-        told = _CPUINFO.read_text()
+        cpuinfo = _CPUINFO.read_text()
     except OSError:
         return False
-    flags = (line.split() for line in told.splitlines() if line.startswith("flags"))
+    flags = (line.split() for line in cpuinfo.splitlines() if line.startswith("flags"))
     return any("hypervisor" in words for words in flags)
 
 
-def call_me(name: str) -> None:
-    """Give this process a name for `ps` and `top`."""
+def set_process_name(name: str) -> None:
+    """Set the name of this process in `ps` and `top`."""
     with contextlib.suppress(OSError):
         _prctl(_PR_SET_NAME, ctypes.create_string_buffer(name.encode()[:15]))
 
 
-def die_with(parent: int, number: signal.Signals) -> None:
-    """Let the kernel send this signal when the parent process is gone; exit if it is already."""
+def signal_at_parent_death(parent: int, number: signal.Signals) -> None:
+    """Have the kernel send this signal when the parent process ends; exit if it has ended."""
     with contextlib.suppress(OSError):
         _prctl(_PR_SET_PDEATHSIG, number)
     if os.getppid() != parent:
@@ -138,7 +138,7 @@ def die_with(parent: int, number: signal.Signals) -> None:
 
 @contextlib.contextmanager
 def no_collections() -> Iterator[None]:
-    """Keep the garbage collector out: a walk over all that was imported stalls many periods."""
+    """Disable the garbage collector: a full collection stalls the loop for many periods."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -154,14 +154,14 @@ def _lock_memory() -> None:
         _raise()
 
 
-_held: list[int] = []
+_open_fds: list[int] = []
 
 
 def _hold_latency(latency_us: int) -> None:
-    # It holds for as long as the file is open: the descriptor is kept on purpose.
+    # The setting lasts while the file is open: keep the descriptor.
     fd = os.open(_DMA_LATENCY, os.O_WRONLY | os.O_CLOEXEC)
     os.write(fd, struct.pack("=i", latency_us))
-    _held.append(fd)
+    _open_fds.append(fd)
 
 
 def _prctl(option: int, value: object) -> None:

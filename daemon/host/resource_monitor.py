@@ -1,7 +1,7 @@
-"""What weighs on the daemon: a flooded socket, memory or processors that lack, a slow recorder.
+"""Detect resource pressure: socket floods, low memory or CPU, a slow recorder.
 
-None of it disturbs the loop. Whoever looks for the cause of late cycles, or for rows that a log
-does not have, is to find it in the journal.
+These do not disturb the loop directly. The journal lists them as possible causes of late cycles and
+missing rows.
 """
 
 from __future__ import annotations
@@ -11,127 +11,128 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-_LOOK_S = 2.0
-"""The kernel brings its sums up to date that often."""
-_QUIET_S = 60.0
-"""Of each burden one line in that time, at most."""
+_POLL_S = 2.0
+"""Polling interval: the kernel updates its figures that often."""
+_REPEAT_S = 60.0
+"""Shortest time between two journal lines about the same resource."""
 _FLOOD_HZ = 500.0
-"""Requests and connections a second: many times what clients that watch send, and a tenth of what
-the socket answers."""
-_SHORT = 0.1
-"""Share of the time in which some process waited for memory."""
-_TAKEN = 0.01
-"""Share of the time for which a host kept a virtual machine's processors, on average, from running:
-at 1 kHz as many cycles in a hundred may be late by that alone."""
+"""Requests and connections per second: many times the rate of watching clients, and a tenth of the
+rate that the socket can answer."""
+_LOW_MEMORY = 0.1
+"""Fraction of the time in which some process waited for memory."""
+_STOLEN = 0.01
+"""Fraction of the processor time that the host of a virtual machine took, on average: at 1 kHz it
+may by itself make one cycle in a hundred late."""
 _STAT, _STEAL = Path("/proc/stat"), 8
 
 
 class Burdens:
-    """Looks every two seconds, says what it finds, and adds it up; nothing in here waits."""
+    """Check resources every two seconds, log and sum what exceeds its limit; never waits."""
 
     def __init__(
-        self, say: Callable[[str], None], pressure: Path | None = None, stat: Path = _STAT
+        self, log: Callable[[str], None], pressure: Path | None = None, stat: Path = _STAT
     ) -> None:
-        self._say, self._stat = say, stat
+        self._log, self._stat = log, stat
         self._given, self._pressure = pressure, pressure or _pressure_file()
-        self._looked_s: float | None = None
-        self._asked, self._waited_s, self._lost = 0, 0.0, 0
-        self._gone_s: float | None = None
-        self._said_s: dict[str, float] = {}
+        self._polled_s: float | None = None
+        self._requests, self._waited_s, self._lost = 0, 0.0, 0
+        self._steal_s: float | None = None
+        self._logged_s: dict[str, float] = {}
         self.flooded_s = 0.0
-        """For how long there were too many requests, since the start."""
+        """Time with too many requests, since the start."""
         self.memory_stalled_s = 0.0
-        """For how long some process waited for memory, in looks that found the machine short."""
+        """Time that processes waited for memory while it was low, since the start."""
         self.stolen_s = 0.0
-        """For how long a host kept each of this machine's processors, on average, in looks that
-        found it too long."""
+        """Processor time taken by the host while it exceeded the limit, mean of all processors."""
 
-    def look(self, now_s: float, asked: int, lost: int) -> None:
-        """Look, if it is time.
+    def poll(self, now_s: float, requests: int, lost: int) -> None:
+        """Check all resources if the polling interval has passed.
 
-        asked: requests and connections, lost: rows that no log has, both since the start.
+        requests: requests and connections; lost: rows missing in the logs; both since the start.
         """
-        if self._looked_s is None:
-            self._looked_s, self._asked, self._waited_s = now_s, asked, self._waited()
+        if self._polled_s is None:
+            self._polled_s, self._requests, self._waited_s = now_s, requests, self._waited()
             self._stolen()
             return
-        passed_s = now_s - self._looked_s
-        if passed_s < _LOOK_S:
+        passed_s = now_s - self._polled_s
+        if passed_s < _POLL_S:
             return
-        self._follow()
-        rate, waited_s = (asked - self._asked) / passed_s, self._waited()
+        self._update_pressure_file()
+        rate, waited_s = (requests - self._requests) / passed_s, self._waited()
         stalled_s = waited_s - self._waited_s
-        self._looked_s, self._asked, self._waited_s = now_s, asked, waited_s
+        self._polled_s, self._requests, self._waited_s = now_s, requests, waited_s
         if rate > _FLOOD_HZ:
             self.flooded_s += passed_s
-            self._tell("flood", now_s, f"the control socket is flooded: {rate:.0f} requests/s")
-        if stalled_s > _SHORT * passed_s:
+            self._log_rarely(
+                "flood", now_s, f"the control socket is flooded: {rate:.0f} requests/s"
+            )
+        if stalled_s > _LOW_MEMORY * passed_s:
             self.memory_stalled_s += stalled_s
-            self._tell(
+            self._log_rarely(
                 "memory",
                 now_s,
-                f"memory is short: processes waited for it for {stalled_s:.1f} of {passed_s:.1f} s",
+                f"memory is low: processes waited for it for {stalled_s:.1f} of {passed_s:.1f} s",
             )
-        gone_s = self._stolen()
-        if gone_s > _TAKEN * passed_s:
-            self.stolen_s += gone_s
-            self._tell(
+        stolen_s = self._stolen()
+        if stolen_s > _STOLEN * passed_s:
+            self.stolen_s += stolen_s
+            self._log_rarely(
                 "stolen",
                 now_s,
-                f"the host of this virtual machine kept each of its processors for {gone_s:.2f} of "
-                f"{passed_s:.1f} s: no cycle is on time in that",
+                "the host of this virtual machine withheld its processors for "
+                f"{stolen_s:.2f} of {passed_s:.1f} s: cycles in that time are late",
             )
-        # What is lost in a quiet minute is told after it: no row is left out.
-        if lost > self._lost and self._tell("lost", now_s, self._losses(lost)):
+        # Rows lost while logging is suppressed count in the next line.
+        if lost > self._lost and self._log_rarely("lost", now_s, self._lost_rows(lost)):
             self._lost = lost
 
     def end(self, lost: int) -> None:
-        """Say what was not told yet of rows that are lost: nobody looks any more."""
+        """Log lost rows that are not in the journal yet, at the end of the daemon."""
         if lost > self._lost:
-            self._say(self._losses(lost))
+            self._log(self._lost_rows(lost))
             self._lost = lost
 
-    def _losses(self, lost: int) -> str:
+    def _lost_rows(self, lost: int) -> str:
         return (
-            f"rows are lost: {lost - self._lost} that the recorder did not take in time or could "
-            f"not write, {lost} since the start"
+            f"lost {lost - self._lost} rows that the recorder did not read in time or could not "
+            f"write, {lost} since the start"
         )
 
-    def _tell(self, what: str, now_s: float, words: str) -> bool:
-        """Say it, unless that was said less than a minute ago; return whether it was."""
-        if now_s - self._said_s.get(what, -_QUIET_S) < _QUIET_S:
+    def _log_rarely(self, resource: str, now_s: float, message: str) -> bool:
+        """Log the message unless one of this resource was logged within a minute; say if so."""
+        if now_s - self._logged_s.get(resource, -_REPEAT_S) < _REPEAT_S:
             return False
-        self._said_s[what] = now_s
-        self._say(words)
+        self._logged_s[resource] = now_s
+        self._log(message)
         return True
 
-    def _follow(self) -> None:
-        """Look where the process is now: in another group than before, nothing has been waited."""
+    def _update_pressure_file(self) -> None:
+        """Follow the process to another control group; waiting time there counts from now."""
         pressure = self._given or _pressure_file()
         if pressure != self._pressure:
             self._pressure = pressure
             self._waited_s = self._waited()
 
     def _waited(self) -> float:
-        waited_s = None if self._pressure is None else _some_s(self._pressure)
+        waited_s = None if self._pressure is None else _memory_wait_s(self._pressure)
         return self._waited_s if waited_s is None else waited_s
 
     def _stolen(self) -> float:
-        """Return what a host took since the last look that told."""
-        before_s, now_s = self._gone_s, _steal_s(self._stat)
+        """Return the processor time that the host took since the last successful call, in s."""
+        before_s, now_s = self._steal_s, _steal_s(self._stat)
         if now_s is None:
             return 0.0
         if before_s is None:
-            self._gone_s = now_s
+            self._steal_s = now_s
             return 0.0
-        self._gone_s = max(before_s, now_s)  # the kernel's sum may step back
-        return self._gone_s - before_s
+        self._steal_s = max(before_s, now_s)  # the kernel's sum may step back
+        return self._steal_s - before_s
 
 
 def _pressure_file(process: Path = Path("/proc/self"), root: Path = Path("/")) -> Path | None:
-    """Return where the kernel says what waits for memory: of this service, else of the machine.
+    """Return the kernel's memory pressure file of this service, otherwise of the machine.
 
-    None for an old kernel, and where a service does not see it.
+    None on an old kernel, or if the service has no access to it.
     """
     found = [root / "proc/pressure/memory"]
     try:
@@ -140,11 +141,11 @@ def _pressure_file(process: Path = Path("/proc/self"), root: Path = Path("/")) -
         own = None
     if own is not None:
         found.insert(0, root / "sys/fs/cgroup" / own[1] / "memory.pressure")
-    return next((path for path in found if _some_s(path) is not None), None)
+    return next((path for path in found if _memory_wait_s(path) is not None), None)
 
 
-def _some_s(path: Path) -> float | None:
-    """Return for how long some process has waited since the machine started, None if unknown."""
+def _memory_wait_s(path: Path) -> float | None:
+    """Return how long some process waited for memory since boot, in s; None if unknown."""
     try:
         found = _TOTAL.search(path.read_text())
     except OSError:
@@ -153,14 +154,14 @@ def _some_s(path: Path) -> float | None:
 
 
 def _steal_s(path: Path) -> float | None:
-    """Return for how long a host kept a processor that had work, since the start; None if unknown.
+    """Return the processor time taken by the host since boot, in s, as the mean of all processors.
 
-    The first line sums all processors, of which each has one of those behind it.
+    None if unknown. The first line of the file is the sum; one line per processor follows.
     """
     try:
-        of_all, *lines = path.read_text().splitlines()
-        each = sum(line.startswith("cpu") for line in lines)
-        return float(of_all.split()[_STEAL]) / os.sysconf("SC_CLK_TCK") / max(each, 1)
+        total, *lines = path.read_text().splitlines()
+        cpus = sum(line.startswith("cpu") for line in lines)
+        return float(total.split()[_STEAL]) / os.sysconf("SC_CLK_TCK") / max(cpus, 1)
     except (OSError, IndexError, ValueError):
         return None
 

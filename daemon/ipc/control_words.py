@@ -1,8 +1,8 @@
-"""The words that supervisor, loop and recorder share: requests, heartbeats, counters, a cause.
+"""Control words shared by supervisor, loop and recorder: requests, heartbeats, counters, faults.
 
-Each word is an aligned 64-bit integer in shared memory with one writer, named beside it; reading
-or writing one neither waits nor fails. This is the one way into a stop: it needs no log, no socket
-and no answer, and asking twice is asking once.
+Each word is an aligned 64-bit integer in shared memory with one writer. Reading or writing it never
+waits or fails. All stops go through these words: they need no log, socket or answer, and a repeated
+request has no further effect.
 """
 
 from __future__ import annotations
@@ -14,48 +14,48 @@ from ..control.states import State
 
 
 class Word(IntEnum):
-    """Places on the board."""
+    """Index the control words."""
 
     # From the supervisor.
     BEAT = 0  # counts on while the supervisor is alive
     LAND = auto()  # counts requests to land
-    ZERO = auto()  # the fault to stop with at once, 0 for none; any process may set it
+    ZERO = auto()  # fault that requests zero force at once, 0 for none; any process may set it
     CLEAR = auto()  # counts requests to clear a fault
-    CLEAR_STOPS = auto()  # STOPS when the last of them came: later ones are not taken back by it
+    CLEAR_STOPS = auto()  # STOPS at the last request to clear: it does not cancel later stops
     STOPS = auto()  # counts requests to stop
-    END = auto()  # 1: land and end
+    END = auto()  # 1: land, then end the process
     QUEUE_HEAD = auto()  # segments announced
-    ROWS_HEAD = auto()  # rows of the program that are there
-    LAND_RAMP = auto()  # cycles of sinking, should the plan at hand be landed before its end
-    LAND_RELEASE = auto()  # cycles of letting go
-    LAND_LOG = auto()  # tag of the log that takes such a landing
-    HEAT_MONOTONIC_NS = auto()  # when the coils' heat was taken over, before cycle 0
+    ROWS_HEAD = auto()  # program rows written
+    LAND_RAMP = auto()  # cycles for lowering the platform, if the plan is ended early by a landing
+    LAND_RELEASE = auto()  # cycles for fading out the force in such a landing
+    LAND_LOG = auto()  # tag of the log of such a landing
+    HEAT_MONOTONIC_NS = auto()  # time at which the coil heat was loaded, before cycle 0
     # From the loop.
     CYCLE = auto()
     STATE = auto()
     FAULT = auto()
     LATE = auto()  # late cycles since the start
     STALE = auto()  # cycles with stale readings
-    QUEUE_TAIL = auto()  # segments begun or dropped
-    ROWS_TAIL = auto()  # rows of the program that were flown
-    PLAN = auto()  # the plan that is flown, 0 for none
-    PLAN_DONE = auto()  # the last plan that ended
-    PLAN_CUT = auto()  # the last plan that was ended before its end
-    FAULT_CYCLE = auto()  # when the fault came
-    FAULT_PLAN = auto()  # in which plan
-    FAULT_LOG = auto()  # in which log
-    LOG = auto()  # tag of the rows at hand
-    CLEARED = auto()  # the last request to clear that was answered
-    BUSY = auto()  # 1: not in the cycle, devices are being opened or recovered
-    WAITING = auto()  # counts while the loop waits to be told to try again
-    LOOPS = auto()  # how often the loop was started
+    QUEUE_TAIL = auto()  # segments started or dropped
+    ROWS_TAIL = auto()  # program rows flown
+    PLAN = auto()  # number of the current plan, 0 for none
+    PLAN_DONE = auto()  # number of the last plan that ended
+    PLAN_CUT = auto()  # number of the last plan that ended early
+    FAULT_CYCLE = auto()  # cycle of the fault
+    FAULT_PLAN = auto()  # plan of the fault
+    FAULT_LOG = auto()  # log of the fault
+    LOG = auto()  # tag of the current rows
+    CLEARED = auto()  # number of the last request to clear that was answered
+    BUSY = auto()  # 1: no cycles, devices are being opened or recovered
+    WAITING = auto()  # counts while the loop waits for a request to clear
+    LOOPS = auto()  # counts starts of the loop
     EPOCH_NS = auto()  # log time of cycle 0
     EPOCH_MONOTONIC_NS = auto()
     # From the recorder.
     RECORDER_BEAT = auto()
-    DROPPED = auto()  # rows that should be in a log and are not
-    WRITING = auto()  # tag of the log that is being written
-    FAULTS_SEEN = auto()  # rows that were looked through for faults, what was found being on disk
+    DROPPED = auto()  # rows missing in their log
+    WRITING = auto()  # tag of the log being written
+    FAULTS_SEEN = auto()  # rows searched for faults, with their flight recordings on disk
 
 
 _TEXT_BYTES = 512
@@ -63,7 +63,7 @@ _WORDS_BYTES = 8 * len(Word)
 
 
 class Board:
-    """The words in `memory`, and a text that says in words what FAULT is about."""
+    """Access the control words in `memory`, and the detail text of FAULT."""
 
     SIZE = _WORDS_BYTES + _TEXT_BYTES
 
@@ -79,17 +79,17 @@ class Board:
 
     @property
     def state(self) -> State:
-        """What the loop is doing, by its own word."""
+        """State of the loop."""
         return State(self.words[Word.STATE])
 
     @property
     def fault(self) -> Fault:
-        """The fault that the loop is in."""
+        """Current fault of the loop."""
         return Fault(self.words[Word.FAULT])
 
     @property
     def detail(self) -> str:
-        """What the fault is about, in words; written before FAULT is."""
+        """Detail text of the fault; written before FAULT."""
         return bytes(self._text).partition(b"\0")[0].decode(errors="replace")
 
     @detail.setter
@@ -98,7 +98,7 @@ class Board:
         self._text[:] = data.ljust(_TEXT_BYTES, b"\0")
 
     def stop(self, fault: Fault = Fault.STOPPED, detail: str = "") -> None:
-        """Ask for zero force at once, with this fault as the cause unless there is one already."""
+        """Request zero force at once with this fault, unless another one is set already."""
         if not self.words[Word.ZERO]:
             if detail:
                 self.detail = detail
@@ -106,19 +106,19 @@ class Board:
         self.words[Word.STOPS] += 1
 
     def clear(self, stops: int | None = None) -> None:
-        """Ask for the fault to be cleared, and for what stopped the loop to be taken back.
+        """Request that the fault is cleared and the stop cancelled.
 
-        `stops`: STOPS when somebody asked for this, now unless given.
+        `stops`: value of STOPS when the client sent the request; default: the present value.
         """
         words = self.words
         words[Word.CLEAR_STOPS] = words[Word.STOPS] if stops is None else stops
         words[Word.CLEAR] += 1
 
-    def take_back_stop(self) -> None:
-        """Forget a stop, unless one came after the clear that is being answered was asked for."""
+    def cancel_stop(self) -> None:
+        """Cancel a stop, unless another one came after the request to clear."""
         if self.words[Word.STOPS] == self.words[Word.CLEAR_STOPS]:
             self.words[Word.ZERO] = 0
 
     def land(self) -> None:
-        """Ask for a landing, in whatever flight there is."""
+        """Request a landing of the current flight, if any."""
         self.words[Word.LAND] += 1

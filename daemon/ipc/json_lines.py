@@ -20,7 +20,7 @@ class TooLong(Exception):  # noqa: N818
 
 
 class Lines:
-    """Buffer lines in both directions of a socket: `max_in` bytes a line, `max_out` unsent bytes."""
+    """Buffer lines of a socket in both directions: `max_in` bytes a line, `max_out` unsent."""
 
     def __init__(self, end: socket.socket, max_in: int, max_out: int) -> None:
         end.setblocking(False)

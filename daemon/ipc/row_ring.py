@@ -1,4 +1,4 @@
-"""The ring of log rows between the timed loop, which never waits, and the recorder, which may."""
+"""Ring buffer of log rows from the loop, which never waits, to the recorder."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ from numpy.typing import NDArray
 from ...config.service import Recording
 
 NO_LOG = 0
-"""Tag of a row that belongs into no log."""
+"""Tag of a row that belongs to no log."""
 
 _HEAD, _TAIL, _DURABLE, _LOST, _COUNTERS = range(5)
 _ALIGNMENT = 64
 HUNG_S = 10.0
-"""After so long without a sign of life a recorder is killed, and another one started."""
+"""Time without a heartbeat after which the recorder is killed and restarted."""
 _STARTING_S = 5.0
 _BEHIND_S = HUNG_S + _STARTING_S
-"""How far the recorder may fall behind, beside what a flight recording looks back on: a fault that
-comes as it begins to hang is written by the next one, whole. 41 MB at 10 kHz."""
-_LEAST_ROWS = 4096
+"""Delay of the recorder that the ring covers in addition to a flight recording. If a fault occurs
+while the recorder hangs, the next recorder still writes a complete flight recording. 41 MB at
+10 kHz."""
+_MIN_ROWS = 4096
 
 
 @dataclass(frozen=True)
 class RingRows:
-    """Consecutive rows (n,) from number `first` on, and the tag (n,) of the log each goes into."""
+    """Hold consecutive rows (n,), starting at row number `first`, and their log tags (n,)."""
 
     first: int
     rows: NDArray[np.void]
@@ -33,16 +34,15 @@ class RingRows:
 
 
 class Ring:
-    """One writer that never looks at its reader; one reader that notices what it was too slow for.
+    """Pass rows from one writer that never waits to one reader that detects overwritten rows.
 
-    Rows have numbers from 0 on, row n lies in slot n % capacity. The writer fills the slot, then
-    publishes `head` = n + 1; it writes over the oldest row whoever has read it, so that the newest
-    `capacity` rows are always there. The reader publishes `tail`, the rows it took, and `durable`,
-    those that are on disk: where a reader that died is to be followed by another. `lost` counts
-    rows that were written over unread.
+    Rows are numbered from 0; row n is in slot n % capacity. The writer fills the slot, then sets
+    `head` = n + 1. It overwrites the oldest row, read or not: the newest `capacity` rows are always
+    available. The reader sets `tail`, the rows it has read, and `durable`, the rows on disk, from
+    which a restarted reader continues. `lost` counts rows overwritten unread.
 
-    `memory` is shared with other processes, zero at first; without it the ring is this process's
-    own. Counters are aligned words, and a cycle ends in a system call: what was published is seen.
+    `memory` is shared with other processes and initially zero; without it the ring is private.
+    Counters are aligned words and each cycle ends in a system call: other processes get the update.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Ring:
 
     @property
     def tail(self) -> int:
-        """Rows that the reader has taken, or lost."""
+        """Rows that the reader has read or lost."""
         return self.words[_TAIL]
 
     @tail.setter
@@ -82,7 +82,7 @@ class Ring:
 
     @property
     def durable(self) -> int:
-        """Rows that need not be read again."""
+        """Rows that a restarted reader need not read again."""
         return self.words[_DURABLE]
 
     @durable.setter
@@ -91,7 +91,7 @@ class Ring:
 
     @property
     def lost(self) -> int:
-        """Rows that were written over before they were read."""
+        """Rows overwritten before they were read."""
         return self.words[_LOST]
 
     @lost.setter
@@ -100,46 +100,46 @@ class Ring:
 
     @property
     def waiting(self) -> int:
-        """Rows that the reader has not taken yet."""
+        """Rows that the reader has not read yet."""
         return self.head - self.tail
 
     @property
     def room(self) -> int:
-        """Rows that can be written before one is lost; the slot of the oldest is never sure."""
+        """Rows that can be written before one is lost; the oldest slot does not count."""
         return self.capacity - 1 - self.waiting
 
-    def take(self, most: int) -> RingRows:
-        """Return the oldest rows that were not taken, at most `most`, and count those lost."""
-        found = self.copy(self.tail, most)
-        self.lost += found.first - self.tail
-        self.tail = found.first + len(found.rows)
-        return found
+    def take(self, limit: int) -> RingRows:
+        """Read the oldest unread rows, at most `limit`; advance `tail` and count lost rows."""
+        unread = self.copy(self.tail, limit)
+        self.lost += unread.first - self.tail
+        self.tail = unread.first + len(unread.rows)
+        return unread
 
     def last(self, n: int) -> RingRows:
-        """Return the newest rows, at most `n`, taken or not."""
+        """Return the newest rows, at most `n`, read or not."""
         head = self.head
         n = min(n, head, self.capacity - 1)
         return self.copy(head - n, n)
 
-    def copy(self, first: int, most: int) -> RingRows:
-        """Return at most `most` rows from number `first` on; later ones where those are gone."""
+    def copy(self, first: int, limit: int) -> RingRows:
+        """Return at most `limit` rows from row `first`, or from the oldest available row."""
         head = self.head
         first = max(first, head - self.capacity + 1)
-        end = min(first + most, head)
+        end = min(first + limit, head)
         places = np.arange(first, end) % self.capacity
         if end > first and places[0] <= places[-1]:
             run = slice(int(places[0]), int(places[-1]) + 1)
             rows, tags = self.rows[run].copy(), self.tags[run].copy()
         else:
             rows, tags = self.rows[places], self.tags[places]
-        # What the writer may have begun to write over in the meantime does not count.
-        spoilt = min(max(self.head - self.capacity + 1 - first, 0), len(rows))
-        return RingRows(first + spoilt, rows[spoilt:], tags[spoilt:])
+        # Discard rows that the writer may have overwritten during the copy.
+        overwritten = min(max(self.head - self.capacity + 1 - first, 0), len(rows))
+        return RingRows(first + overwritten, rows[overwritten:], tags[overwritten:])
 
 
 def ring_rows(recording: Recording, rate_hz: float) -> int:
-    """Return the capacity of the ring of a loop at this rate."""
-    return max(int((recording.before_fault_s + _BEHIND_S) * rate_hz), _LEAST_ROWS)
+    """Return the capacity of the ring in rows for a loop at `rate_hz`."""
+    return max(int((recording.before_fault_s + _BEHIND_S) * rate_hz), _MIN_ROWS)
 
 
 def _aligned(size: int) -> int:

@@ -1,7 +1,7 @@
-"""The program of a flight in shared memory: segments announced ahead, their rows streamed behind.
+"""Stream the segments of a flight from supervisor to loop through shared memory.
 
-The supervisor keeps a few seconds of it ahead of the loop, which only ever looks: nothing is
-mapped, allocated or waited for in a cycle, however long a session is.
+The supervisor stays a few seconds ahead of the loop. The loop only reads: it maps, allocates and
+waits for nothing in a cycle, however long the session is.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from .control_words import Board, Word
 Array = NDArray[np.float64]
 
 _QUEUE = 64
-_PIECE = 4096
-_PIECES = 16
+_BLOCK_ROWS = 4096
+_BLOCKS = 16
 
 
 class Announced(NamedTuple):
-    """A segment in the queue: its plan, the log of its rows, and where its first row lies.
+    """Describe a queued segment: its plan, the log of its rows, and the index of its first row.
 
-    `last` ends its plan.
+    `last` marks the last segment of its plan.
     """
 
     plan: int
@@ -44,7 +44,7 @@ class Announced(NamedTuple):
 
 
 class Program:
-    """A queue of segments and a ring of rows: excitation v, coils, blend, beam, rotor."""
+    """Access the queue of segments and the ring of rows: v, coil excitation, blend, beam, rotor."""
 
     def __init__(self, coils: int, rows: int, memory: memoryview, board: Board) -> None:
         self.capacity, self._words = rows, board.words
@@ -61,7 +61,7 @@ class Program:
 
     @staticmethod
     def size(coils: int, rows: int) -> int:
-        """Return the bytes that a program of so many rows needs."""
+        """Return the bytes that a program of `rows` rows needs."""
         return 8 * (_QUEUE * len(Announced._fields) + rows * (12 + coils))
 
     def announced(self, number: int) -> Announced:
@@ -69,7 +69,7 @@ class Program:
         return Announced(*self._queue[number % _QUEUE].tolist())
 
     def segment(self, announced: Announced) -> Segment:
-        """Return the segment to fly: row k of it is row (first + k) % capacity of the arrays."""
+        """Return the segment; its row k is row (first + k) % capacity of the arrays."""
         return Segment(
             State(announced.state),
             announced.cycles,
@@ -85,7 +85,7 @@ class Program:
         )
 
     def announce(self, announced: Announced) -> None:
-        """Put a segment into the queue; there must be room."""
+        """Append a segment to the queue; requires `room_in_queue`."""
         head = self._words[Word.QUEUE_HEAD]
         self._queue[head % _QUEUE] = announced
         self._words[Word.QUEUE_HEAD] = head + 1
@@ -96,7 +96,7 @@ class Program:
         return _QUEUE - (self._words[Word.QUEUE_HEAD] - self._words[Word.QUEUE_TAIL])
 
     def write(self, segment: Segment, begin: int, cycles: int) -> None:
-        """Append rows [begin, begin + cycles) of a segment; there must be room."""
+        """Append rows [begin, begin + cycles) of a segment; requires room in the ring."""
         head = self._words[Word.ROWS_HEAD]
         while cycles:
             at = head % self.capacity
@@ -115,55 +115,56 @@ class Program:
 
 @dataclass(frozen=True)
 class Logged:
-    """A segment, and the tag of the log that it goes into."""
+    """Pair a segment with the tag of its log."""
 
     segment: Segment
     log: int
 
 
 class Feeder:
-    """Streams and announces one plan, as far ahead as there is room; `feed` never waits."""
+    """Stream one plan as far ahead as there is room; `feed` never waits."""
 
     def __init__(
         self, program: Program, board: Board, plan: int, segments: Iterable[Logged]
     ) -> None:
         self._program, self._words, self.plan = program, board.words, plan
-        self.wrong = ""
-        """Why nothing more is streamed of a plan that cannot be flown; the loop then lands."""
-        # One ahead of what is being streamed: the last segment is announced as the last.
-        self._coming = (logged for logged in segments if logged.segment.cycles)
-        self._at, self._following = self._next(), self._next()
-        self._written = 0  # rows of the segment at hand
+        self.error = ""
+        """Why streaming of an invalid plan ended; the loop then lands. Empty if valid."""
+        # One segment ahead of the current one, to mark the last segment as the last.
+        self._segments = (logged for logged in segments if logged.segment.cycles)
+        self._current, self._following = self._next(), self._next()
+        self._written = 0  # rows of the current segment
         self.check: tuple[Pushes, int, int] | None = None
-        """A check of coils that is streamed: its pushes, its cycles, and its last row."""
-        # What an earlier plan left unflown is of no use to anyone.
+        """A streamed coil check: its pushes, its cycles, and its last row."""
+        # Rows of an earlier plan that were not flown count as free.
         self.base = self._words[Word.ROWS_HEAD]
 
     def feed(self) -> None:
-        """Do what there is room for, some milliseconds of work at most."""
-        for _ in range(_PIECES):
+        """Write as many rows as there is room for; takes some milliseconds at most."""
+        for _ in range(_BLOCKS):
             if self._words[Word.PLAN_DONE] >= self.plan or not self._stream():
                 return
 
     def _stream(self) -> bool:
-        """Write one piece; return whether there may be more to do."""
+        """Write one block of rows; return whether there may be more."""
         program, words = self._program, self._words
-        logged = self._at
+        logged = self._current
         if logged is None:
             return False
         segment, first = logged.segment, words[Word.ROWS_HEAD]
         flown = max(words[Word.ROWS_TAIL], self.base)
-        n = min(segment.cycles - self._written, program.capacity - 1 - (first - flown), _PIECE)
+        room = program.capacity - 1 - (first - flown)
+        n = min(segment.cycles - self._written, room, _BLOCK_ROWS)
         if n <= 0 or not program.room_in_queue:
             return False
         if not _is_finite(segment, self._written, n):
-            self.wrong = f"it has a setpoint that is no number, in {segment.state.name}"
-        if self.wrong:
+            self.error = f"a setpoint in state {segment.state.name} is not a finite number"
+        if self.error:
             return False
         program.write(segment, self._written, n)
         if segment.checks is not None and not self._written:
             self.check = segment.checks, segment.cycles, first + segment.cycles - 1
-        if not self._written:  # only now: the loop may begin it at once
+        if not self._written:  # after writing: the loop may start the segment at once
             program.announce(
                 Announced(
                     self.plan,
@@ -180,21 +181,21 @@ class Feeder:
             )
         self._written += n
         if self._written == segment.cycles:
-            self._at, self._following = self._following, self._next()
+            self._current, self._following = self._following, self._next()
             self._written = 0
         return True
 
     def _next(self) -> Logged | None:
-        """Return the next segment, None after the last, or where it cannot be had."""
+        """Return the next segment; None after the last one or after an error."""
         try:
-            return next(self._coming, None)
-        except Exception as error:  # noqa: BLE001 - the plan is wrong, and not the daemon
-            self.wrong = str(error) or type(error).__name__
+            return next(self._segments, None)
+        except Exception as error:  # noqa: BLE001 - an invalid plan must not end the daemon
+            self.error = str(error) or type(error).__name__
             return None
 
 
 def _is_finite(segment: Segment, begin: int, n: int) -> bool:
-    """Return whether rows [begin, begin + n) are numbers; a row beyond an array's is its last."""
+    """Return whether rows [begin, begin + n) are finite; a short array repeats its last row."""
     arrays = (
         segment.v, segment.coil_excitation, segment.blend, segment.beam, segment.rotor,
     )  # fmt: skip
@@ -202,7 +203,7 @@ def _is_finite(segment: Segment, begin: int, n: int) -> bool:
 
 
 def _copy(to: Array, source: Array, begin: int) -> None:
-    """Fill `to` with rows of `source` from `begin` on, the last of them again where it ends."""
+    """Copy rows of `source`, starting at `begin`, to `to`; a short source repeats its last row."""
     n = min(max(len(source) - begin, 0), len(to))
     to[:n] = source[begin : begin + n]
     to[n:] = source[-1]

@@ -1,7 +1,7 @@
-"""The memory that the daemon's processes share: board, ring of rows, program of segments.
+"""Shared memory of the daemon's processes: control words, ring of rows, program of segments.
 
-It is anonymous and handed down as a file descriptor: nobody else can open it, and it is gone with
-the last process that holds it, however that one dies.
+The memory is anonymous and inherited as a file descriptor: other processes cannot open it, and the
+kernel frees it when the last process ends.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from .segment_stream import Program
 from .timing_histograms import Timing, WakeUps
 
 _AHEAD_S = 4.0
-"""How far the program is streamed ahead of the loop."""
-_LEAST_ROWS = 4096
+"""Time for which rows are streamed ahead of the loop."""
+_MIN_ROWS = 4096
 _PAGE = 4096
-_ORDERED = ("x86_64", "i686")
-"""Machines that show a process what another one wrote in the order in which it was written."""
+_ORDERED_STORES = ("x86_64", "i686")
+"""Architectures on which other processors observe stores in program order."""
 
 
 class Shared:
-    """Maps the memory of a rig's daemon; the first process makes it, the others get its `fd`.
+    """Map the shared memory of a rig's daemon; the first process creates it, others pass its `fd`.
 
-    Ends the process where the memory was laid out by another levid: every word would be another's.
+    Raises SystemExit if another version of levid created the memory with a different layout.
     """
 
     def __init__(self, rig: RigConfig, fd: int | None = None) -> None:
         coils, sensors = len(rig.geometry.coil_x_m), len(rig.geometry.sensors_x_m)
         self.dtype: np.dtype[np.void] = cycle_dtype(coils, sensors)
         rows = ring_rows(rig.recording, rig.rate_hz)
-        program_rows = max(int(_AHEAD_S * rig.rate_hz), _LEAST_ROWS)
+        program_rows = max(int(_AHEAD_S * rig.rate_hz), _MIN_ROWS)
         control = memory_shape(coils, sensors)
         sizes = (
             Board.SIZE,
@@ -59,7 +59,7 @@ class Shared:
             os.ftruncate(fd, ends[-1])
         elif name not in (found := str(Path(f"/proc/self/fd/{fd}").readlink())):
             raise SystemExit(
-                f"levid was replaced while its daemon ran: expected memory laid out as {name}, "
+                f"levid was upgraded while its daemon ran: expected shared memory {name}, "
                 f"found {found}; restart the daemon"
             )
         self.fd = fd
@@ -72,40 +72,40 @@ class Shared:
             memory, np.float64, control[0] * control[1], ends[3]
         )
         self.control = words.reshape(control)
-        """What a controller remembers: a loop that follows a dead one finds the coils as hot."""
+        """Memory of the controller: a restarted loop continues with the same coil heat."""
         self.heat, self.heated = heat_of(self.control, coils), heated_of(self.control, coils)
         self.wake_ups = WakeUps(memory[ends[4] : ends[5]])
 
     @property
     def lost(self) -> int:
-        """Rows written over before the recorder took them, and rows missing in their log.
+        """Rows overwritten before the recorder read them, and rows missing in their log.
 
-        What a recorder that hangs is too slow for counts at once, not when it looks again.
+        Rows that a hung recorder loses count at once, before it reads again.
         """
         unseen = max(self.ring.waiting - self.ring.capacity + 1, 0)
         return self.ring.lost + unseen + self.board[Word.DROPPED]
 
     def close(self) -> None:
-        """Let go of the descriptor; the mapping goes with the process."""
+        """Close the descriptor; the mapping lasts until the process ends."""
         os.close(self.fd)
 
 
-def doubts_of_order() -> list[str]:
-    """Return a warning where a counter may be seen before what it announces; none on x86.
+def memory_order_warnings() -> list[str]:
+    """Return a warning if the processor may reorder stores; empty on x86.
 
-    A row, a word's detail, a segment are each written before the counter that tells of them, and
-    nothing but the processor keeps them in this order.
+    A row, a detail text or a segment is written before the counter that announces it. Only the
+    processor keeps this order.
     """
     machine = platform.machine()
-    if machine in _ORDERED:
+    if machine in _ORDERED_STORES:
         return []
     return [
-        f"levid was tried on {_ORDERED[0]} alone, this machine is {machine}: where processors show "
-        "writes out of order, a row may reach the log, or a segment the loop, before it is whole"
+        f"levid was tested on {_ORDERED_STORES[0]} only, this machine is {machine}: if the "
+        "processor reorders stores, the log or the loop may get incomplete rows or segments"
     ]
 
 
 def _name_of(dtype: np.dtype[np.void], ends: Sequence[int]) -> str:
-    """Return the name of memory laid out like this, which the kernel keeps with it."""
+    """Return a name of the memory that contains a hash of its layout; the kernel stores it."""
     layout = repr((dtype.descr, list(ends), [word.name for word in Word]))
     return f"levid-{hashlib.sha256(layout.encode()).hexdigest()[:16]}"

@@ -1,4 +1,4 @@
-"""Histograms of the loop's times in shared memory: filled in a cycle without allocating."""
+"""Count cycle times and late cycles in histograms in shared memory, without allocation."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from numpy.typing import NDArray
 
 _POWERS = 40
 _PARTS, _FINE = 4, 32
-"""Bins of one power of two: a quantile is right to a quarter, and mostly to an eighth. Wake-ups are
-held against cyclictest's, in bins of three hundredths at most."""
+"""Bins per power of two: the error of a quantile is at most a quarter, mostly below an eighth.
+Wake-up times are compared with cyclictest: their bins are at most 3 % wide."""
 _BINS, _FINE_BINS = _POWERS * _PARTS, _POWERS * _FINE
 _SHARES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 
 
 class Time(IntEnum):
-    """What is measured of a cycle."""
+    """Number the measured times of a cycle."""
 
-    LATENESS = 0  # from the deadline to the cycle's begin
-    DRIVERS = 1  # sync and readings
-    CONTROL = 2  # choosing what to fly, control, its row of the log
-    WRITING = 3  # setpoints
-    EXECUTION = 4  # all of it
+    LATENESS = 0  # from the deadline to the start of the cycle
+    DRIVERS = 1  # sync and reading
+    CONTROL = 2  # state machine, control law, log row
+    WRITING = 3  # sending forces and setpoints
+    EXECUTION = 4  # sum of the last three
 
 
 class LateBy(IntEnum):
-    """Why a cycle was late by a period or more."""
+    """Number the causes of a cycle that is late by a period or more."""
 
     WAKE_UP = 0  # the kernel woke the loop too late
-    DRIVERS = 1  # devices took too long in the cycle before, read or written
-    CONTROL = 2  # everything else in the cycle before did
+    DRIVERS = 1  # reading and writing devices took most of the previous cycle
+    CONTROL = 2  # all else took most of the previous cycle
 
 
 class Timing:
-    """Counts (times, bins) and a last row: maxima in ns, then late cycles by their cause."""
+    """Hold counts (times, bins) and a last row: maxima in ns, then late cycles by cause."""
 
     SIZE = 8 * (len(Time) + 1) * _BINS
 
@@ -48,7 +48,7 @@ class Timing:
         ).reshape(len(Time) + 1, _BINS)
 
     def figures(self) -> dict[str, Any]:
-        """Return by name p50, p99, p99.9 and max in us, and the number of late cycles by cause."""
+        """Return p50, p99, p99.9 and max of each time in us, and the late cycles by cause."""
         counts = self.counts.copy()
         facts = counts[-1]
         found: dict[str, Any] = {
@@ -59,21 +59,21 @@ class Timing:
         return found
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Reset all counts."""
         self.counts[:] = 0
 
 
 def memory_of(period_ns: float) -> NDArray[np.float64]:
-    """Return what `account` keeps of a cycle, before the first; compiles it."""
+    """Return the initial `before` array of `account`; compiles `account`."""
     before = np.array([0.0, 0.0, period_ns, period_ns])
     account(np.zeros((len(Time) + 1, _BINS), np.int64), 0.0, 0, 0, 0, 0, before)
     return before
 
 
 class WakeUps:
-    """How late the kernel wakes the loop up, before it spins, which lateness hides.
+    """Count how late the kernel wakes the loop, which the lateness hides since the loop then spins.
 
-    Counts (bins + 1,): how often it was so late; the last one is the maximum in ns.
+    Counts (bins + 1,); the last element is the maximum in ns.
     """
 
     SIZE = 8 * (_FINE_BINS + 1)
@@ -82,13 +82,13 @@ class WakeUps:
         self.counts: NDArray[np.int64] = np.frombuffer(memory, np.int64, _FINE_BINS + 1)
 
     def figures(self) -> Mapping[str, float]:
-        """Return p50, p99, p99.9 and max in us; 0 where nothing was counted."""
+        """Return p50, p99, p99.9 and max in us; 0 without counts."""
         counts = self.counts.copy()
         return _quantiles(counts[:-1], int(counts[-1]), _FINE)
 
     @staticmethod
     def edges_us() -> NDArray[np.float64]:
-        """Return the lower edge of each bin in us (bins,)."""
+        """Return the lower edges of the bins in us (bins,)."""
         return np.array([_edge_ns(bin_ - 1, _FINE) for bin_ in range(_FINE_BINS)]) * 1e-3
 
 
@@ -99,7 +99,7 @@ def _quantiles(counts: NDArray[np.int64], largest_ns: int, parts: int) -> Mappin
     reached = np.cumsum(counts)
 
     def quantile_ns(share: float) -> float:
-        """Return the upper edge of the bin, and never more than the largest."""
+        """Return the upper edge of the quantile's bin, at most the maximum."""
         return min(_edge_ns(int(np.searchsorted(reached, share * total)), parts), largest_ns)
 
     found = {name: quantile_ns(share) * 1e-3 for name, share in _SHARES.items()}
@@ -119,7 +119,7 @@ def _bin(ns, parts):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def count_wake_up(counts, ns) -> None:  # type: ignore[no-untyped-def]
-    """Count how late one wake-up was; negative where the loop did not sleep, which counts not."""
+    """Count the delay of a wake-up in ns; ignore negative values (the loop did not sleep)."""
     if ns >= 0:
         counts[_bin(float(ns), _FINE)] += 1
         counts[-1] = max(counts[-1], ns)
@@ -127,12 +127,11 @@ def count_wake_up(counts, ns) -> None:  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def account(counts, late, drivers, control, writing, skipped, before) -> None:  # type: ignore[no-untyped-def]
-    """Count one cycle's times in ns.
+    """Count the times of one cycle in ns.
 
-    late: from its deadline, skipped periods included. `before` (4,) keeps of it what the next one
-    needs: times of drivers and of the rest, what it had left of its period, and the period. A cycle
-    that was late is put down to what the one before it spent its time on, or where that had ended
-    in time, to the wake-up.
+    late: delay from the deadline, skipped periods included. `before` (4,) passes on to the next
+    cycle: driver time, other time, remaining time of the period, period. The cause of a late cycle
+    is the longer part of the previous cycle, or the wake-up if that cycle ended in time.
     """
     facts = counts[-1]
     times = float(late), float(drivers), float(control), float(writing)
@@ -148,4 +147,4 @@ def account(counts, late, drivers, control, writing, skipped, before) -> None:  
         else:
             facts[7] += 1
     before[0], before[1] = drivers + writing, control
-    before[2] = (1 + skipped) * before[3] - late  # it began in the last of the periods it missed
+    before[2] = (1 + skipped) * before[3] - late  # the cycle started in the last skipped period

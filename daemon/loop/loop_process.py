@@ -1,4 +1,4 @@
-"""The loop's process: opens the devices, asks the kernel to be punctual, and flies."""
+"""Loop process: open the devices, set real-time scheduling, run the control loop."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ..control.exception_faults import fault_of
 from ..control.faults import Fault
 from ..control.states import State
 from ..host.real_time_scheduling import (
-    be_punctual,
-    call_me,
-    die_with,
+    allow_cpus,
+    apply_realtime,
     no_collections,
-    share_with_others,
+    set_process_name,
+    signal_at_parent_death,
 )
 from ..ipc.control_words import Board, Word
-from ..ipc.shared_memory import Shared, doubts_of_order
+from ..ipc.shared_memory import Shared, memory_order_warnings
 from ..service.journal import Journal, moment
 from .clock import RealClock
 from .real_time_loop import TimedLoop
@@ -34,23 +34,23 @@ from .warm_up import locate, warm_up
 
 _POLL_S = 0.02
 _OPENING_S = 150
-"""When the kernel ends a process whose driver blocks; the supervisor, if there is one, is first."""
+"""Time after which the kernel ends a blocked process; the supervisor kills it sooner."""
 _CLOSING_S = 5
-"""How long stopping the devices may take where opening them was ended."""
+"""Time limit for closing the devices after their opening was interrupted."""
 
 
 def main(fd: str, parent: str, folder: str) -> None:
-    """Run until the board says to end; the rig comes as JSON on standard input."""
-    # Ctrl-C, and a reload that is sent to every process, are the supervisor's to answer.
+    """Run until the control words request the end; read the rig as JSON from standard input."""
+    # Ctrl-C, and a reload signal sent to all processes, are handled by the supervisor.
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    call_me("levid-loop")
+    set_process_name("levid-loop")
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    # The kernel sends it with the parent's end, too: what was begun with devices is to be stopped.
+    # The kernel also sends SIGTERM when the parent ends: stop opening the devices.
     signal.signal(signal.SIGTERM, _end)
-    die_with(int(parent), signal.SIGTERM)
+    signal_at_parent_death(int(parent), signal.SIGTERM)
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
-    share_with_others(rig.realtime.cpus)
+    allow_cpus(rig.realtime.cpus)
     shared = Shared(rig, int(fd))
     board = shared.board
     board[Word.BUSY] = 1
@@ -64,7 +64,7 @@ def main(fd: str, parent: str, folder: str) -> None:
         warm_up(controller, devices, row, rig, _cycle_now(board, rig.rate_hz))
 
     try:
-        devices = _opened(rig, Path(folder), board, ready, journal.say)
+        devices = _opened(rig, Path(folder), board, ready, journal.log)
         if devices is None:
             journal.close()
             return
@@ -78,23 +78,23 @@ def main(fd: str, parent: str, folder: str) -> None:
 
 
 def _end(*_: object) -> None:
-    """Answer SIGTERM while devices are opened or recovered: end what blocks, and close them.
+    """Handle SIGTERM while devices are opened or recovered: interrupt that and close them.
 
-    Drives that are being homed would go on.
+    Otherwise drives would continue homing.
     """
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once: nothing is to end the closing
-    signal.alarm(_CLOSING_S)  # but the kernel, which asks no driver
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # do not interrupt the closing
+    signal.alarm(_CLOSING_S)  # the kernel ends the process if closing blocks
     raise SystemExit(128 + signal.SIGTERM)
 
 
 @contextlib.contextmanager
 def _bounded() -> Iterator[None]:
-    """Have the kernel end this process where a driver blocks for good, deaf to signals."""
+    """Have the kernel end this process if a driver blocks forever and ignores signals."""
     signal.alarm(_OPENING_S)
     try:
         yield
     finally:
-        # Where it is ended, `_end` has set an alarm of its own.
+        # After SIGTERM, the alarm of `_end` stays.
         if signal.getsignal(signal.SIGTERM) is not signal.SIG_IGN:
             signal.alarm(0)
 
@@ -115,30 +115,30 @@ def _fly(
         try:
             with _bounded():
                 devices.recover()
-                # Drives that were off may have been moved by hand: they stay where they are now.
+                # Drives may have been moved by hand while off: hold them at their present position.
                 locate(controller, devices, rig, loop.cycle)
         finally:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
     loop = TimedLoop(rig, controller, devices, clock, shared, recover, parent)
-    for warning in (*doubts_of_order(), *be_punctual(rig.realtime)):
-        journal.say(f"warning: {warning}")
+    for warning in (*memory_order_warnings(), *apply_realtime(rig.realtime)):
+        journal.log(f"warning: {warning}")
     journal.close()
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it sees for itself that its parent is gone
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the loop itself detects the parent's end
     with no_collections():
         clock.start()
         if not board[Word.EPOCH_NS]:
             board[Word.EPOCH_MONOTONIC_NS] = time.monotonic_ns()
             board[Word.EPOCH_NS] = clock.epoch_ns
             since_ns = board[Word.EPOCH_MONOTONIC_NS] - board[Word.HEAT_MONOTONIC_NS]
-            controller.cool(1e-9 * since_ns)  # while devices were opened there were no cycles
+            controller.cool(1e-9 * since_ns)  # no cycles while devices were opened
         loop.cycle = _cycle_now(board, rig.rate_hz)
         board[Word.BUSY] = 0
         loop.run()
 
 
 def _cycle_now(board: Board, rate_hz: float) -> int:
-    """Return the number of the period at hand; a loop that follows a dead one counts on."""
+    """Return the number of the current period; a restarted loop continues the count."""
     if not board[Word.EPOCH_NS]:
         return -1
     passed_ns = time.monotonic_ns() - board[Word.EPOCH_MONOTONIC_NS]
@@ -150,10 +150,13 @@ def _opened(
     folder: Path,
     board: Board,
     ready: Callable[[Devices], None],
-    say: Callable[[str], None],
+    log: Callable[[str], None],
 ) -> Devices | None:
-    """Open the devices and get `ready`; where that fails, every request to clear tries again."""
-    seen = board[Word.CLEAR]
+    """Open the devices and call `ready`; after a failure, retry at each request to clear.
+
+    Return None if the end is requested first.
+    """
+    request = board[Word.CLEAR]
     while True:
         try:
             with _bounded():
@@ -163,27 +166,27 @@ def _opened(
                 except BaseException:
                     devices.close()
                     raise
-        except Exception as error:  # noqa: BLE001 - the fault is told, and is cleared by the next try
+        except Exception as error:  # noqa: BLE001 - becomes a fault; the next try clears it
             fault, detail = fault_of(error)
             board.detail = detail
             board[Word.FAULT], board[Word.STATE] = fault, State.FAULT
-            say(f"no flight recording of {fault.name}: it came as devices were opened")
-            board[Word.CLEARED] = seen
+            log(f"no flight recording of {fault.name}: it occurred while devices were opened")
+            board[Word.CLEARED] = request
             board[Word.BUSY] = 0
         else:
-            board[Word.STATE] = State.OFF  # whoever cleared is answered after the self-test
+            board[Word.STATE] = State.OFF  # the request to clear is answered after the self-test
             board[Word.FAULT] = Fault.NONE
             board.detail = ""
-            board[Word.CLEARED] = seen
+            board[Word.CLEARED] = request
             return devices
-        while board[Word.CLEAR] == seen:
+        while board[Word.CLEAR] == request:
             if board[Word.END]:
                 board[Word.STATE] = State.OFF
                 return None
             board[Word.WAITING] += 1
             time.sleep(_POLL_S)
-        seen = board[Word.CLEAR]
-        board.take_back_stop()  # of before: what comes from then on ends what is begun here
+        request = board[Word.CLEAR]
+        board.cancel_stop()  # an earlier stop; later ones apply
         board[Word.BUSY] = 1
 
 

@@ -1,8 +1,8 @@
-"""The loop in real time: wait, look, sync, read, control, write, record; alone in its process.
+"""Run the control loop in real time: wait, check requests, sync, read, control, write, record.
 
-What a cycle looks at are words in shared memory. It takes no lock, allocates no memory, writes no
-file and asks nobody: whatever happens to the supervisor, the recorder, the disk or a client, the
-next cycle begins on time, or the coils are at zero.
+A cycle reads control words in shared memory. It takes no lock, allocates no memory, writes no file
+and waits for no process: if the supervisor, the recorder, the disk or a client fails, the next
+cycle still starts on time, or the coils are at zero force.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from .clock import Clock
 from .state_machine import AROUND_CLEAR, Course
 
 _COUNT_EVERY = 63
-"""Cycles between two looks at slow counters, less one; a mask."""
+"""Rows between updates of the stale and late counters, minus one; a mask."""
 # Indexing by an IntEnum costs a call; by a plain integer it does not.
 _CYCLE, _STALE, _LATE = int(Word.CYCLE), int(Word.STALE), int(Word.LATE)
 
 
 class TimedLoop:
-    """Flies a course on open devices until it is told to end.
+    """Run the state machine and the control cycle on open devices until the end is requested.
 
-    `recover` makes devices good after a fault; it may take long.
+    `recover` recovers the devices after a fault; it may take long.
     """
 
     def __init__(
@@ -55,25 +55,25 @@ class TimedLoop:
         self._wake_ups = shared.wake_ups.counts
         count_wake_up(self._wake_ups, -1)  # compiles it
         self._lateness = Lateness(rig.limits, rig.rate_hz, longest_stall(rig))
-        # A loop that follows a dead one counts on.
+        # A restarted loop continues the counts.
         self._lateness.late, self._stale_before = shared.board[Word.LATE], shared.board[Word.STALE]
         self.cycle = shared.board[Word.CYCLE]
-        self.course = Course(rig, controller, shared, self._lateness, self._make_good, parent)
+        self.course = Course(rig, controller, shared, self._lateness, self._recover_devices, parent)
 
     def run(self) -> None:
-        """Begin with a self-test; return when the board says to end, coils at zero force."""
+        """Start with a self-test; return at the requested end, coils at zero force."""
         course = self.course
         course.begin()
         while not course.ended:
             try:
                 self._cycles()
-            except Exception as error:  # noqa: BLE001 - whatever it is, the coils go to zero first
+            except Exception as error:  # noqa: BLE001 - on any error the coils go to zero first
                 self._raised(error)
         self._zero()
         course.become(State.OFF)
 
     def _cycles(self) -> None:  # noqa: PLR0915 - one cycle, in its order
-        """Fly cycle after cycle, until the end or until something raises."""
+        """Run cycles until the end or an exception."""
         control, ring, devices = self._controller, self._ring, self._devices
         amplifiers, sensors, drives = devices.amplifiers, devices.sensors, devices.drives
         syncs, step, rows, capacity = devices.syncs, control.step, ring.rows, ring.capacity
@@ -86,8 +86,8 @@ class TimedLoop:
         )  # fmt: skip
         tags, words, clock, period_s = ring.tags, self._words, self._clock, self._period_s
         wait, now, late, course = clock.wait, time.perf_counter_ns, self._lateness, self.course
-        counts, wake_ups, before, head, look = (
-            self._counts, self._wake_ups, self._before, ring.head, course.look,
+        counts, wake_ups, before, head, check_requests = (
+            self._counts, self._wake_ups, self._before, ring.head, course.check_requests,
         )  # fmt: skip
         longest_ns = self._longest_ns
         while not course.ended:
@@ -95,14 +95,14 @@ class TimedLoop:
             begin, skipped = now(), clock.skipped
             cycle = self.cycle = self.cycle + 1 + skipped
             words[_CYCLE] = cycle
-            look(1 + skipped)
+            check_requests(1 + skipped)
             uncounted = course.uncounted and course.count_down()
-            if uncounted == AROUND_CLEAR:  # it took as long as homing does
+            if uncounted == AROUND_CLEAR:  # clearing may have homed drives
                 begin = now()
-            # Before anything is read: a loop that stood still for too long sends no force any more.
+            # Before reading: after a stall beyond the limit, the loop commands zero force.
             if not uncounted and late.exceeded(skipped) and control.engaged:
                 course.fail(Fault.LATE, late.reason)
-            if not head & _COUNT_EVERY:  # rows, not cycles: periods that are skipped may never hit
+            if not head & _COUNT_EVERY:  # rows, not cycles: skipped periods might miss the mask
                 words[_STALE], words[_LATE] = self._stale_before + devices.stale, late.late
             k = course.advance()
             chosen = now()
@@ -119,7 +119,7 @@ class TimedLoop:
             )  # fmt: skip
             computed = now()
             if computed - begin > longest_ns and control.engaged:
-                self._held_up(slot, 1e-9 * (computed - begin))
+                self._fail_slow_cycle(slot, 1e-9 * (computed - begin))
             amplifiers.write(coil)
             if course.located:
                 drives.write(beam_ref, rotor_ref)
@@ -142,50 +142,50 @@ class TimedLoop:
             if fault:
                 course.fail(Fault(fault), control.detail(Fault(fault)))
 
-    def _held_up(self, slot: int, seconds: float) -> None:
-        """End control in the cycle at hand: its readings are too old to act on."""
-        self.course.fail(Fault.LATE, f"a cycle took {seconds:.3g} s until it could write")
+    def _fail_slow_cycle(self, slot: int, seconds: float) -> None:
+        """End control in the current cycle: its readings are too old."""
+        self.course.fail(Fault.LATE, f"a cycle took {seconds:.3g} s before it wrote the forces")
         rows = self._ring.rows
         rows["coil_n"][slot] = 0.0
         rows["state"][slot], rows["fault"][slot] = State.FAULT, Fault.LATE
 
     def _raised(self, error: Exception) -> None:
-        """Zero force before anyone is told; then a row of the log that names the fault."""
+        """Command zero force first, then write a log row with the fault."""
         fault, detail = fault_of(error)
         course, control = self.course, self._controller
         harmless = not control.engaged and course.state is not State.SELF_TEST
-        # Every time: what was sent before may have been lost, on a bus that loses frames.
+        # At each exception: the bus may have lost an earlier frame.
         self._zero()
-        # The cycle publishes them by the rows that it wrote, and this one writes none.
+        # The cycle updates these with its rows, but this one wrote none.
         self._words[_STALE] = self._stale_before + self._devices.stale
         self._words[_LATE] = self._lateness.late
         if course.fault:
             control.move(0)
-        elif fault is not Fault.STALE or not harmless:  # else they are counted, and harm nobody
+        elif fault is not Fault.STALE or not harmless:  # stale readings at rest are only counted
             course.fail(fault, detail)
             ring, slot = self._ring, self._ring.head % self._ring.capacity
-            k = course.advance()  # this is the first cycle that brakes
+            k = course.advance()  # the first cycle of braking
             control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, k)
             ring.rows["fault"][slot] = fault
             ring.rows["state"][slot] = State.FAULT
             ring.rows["stale"][slot] = self._devices.stale_roles
             ring.tags[slot] = course.tag
             ring.head += 1
-        # Who is silent may be another: drives that are told nothing stop dead, or go on.
+        # Another device may have failed: without setpoints, drives would stop abruptly or go on.
         if course.located:
             with contextlib.suppress(Exception):
                 self._devices.drives.write(control.beam_ref, control.rotor_ref)
 
     def _zero(self) -> None:
-        """Command zero force, as well as the devices still allow."""
+        """Command zero force as far as the devices respond."""
         self._controller.halt()
-        with contextlib.suppress(Exception):  # a bus is gone: the devices' own expiry has to do
+        with contextlib.suppress(Exception):  # bus disconnected: the amplifiers expire
             self._devices.amplifiers.release(self._controller.coil_n)
 
-    def _make_good(self) -> None:
+    def _recover_devices(self) -> None:
         try:
             self._recover()
         except Exception:
             with contextlib.suppress(Exception):
-                self._devices.drives.release()  # some may be on, and nobody knows where
+                self._devices.drives.release()  # some may be enabled at an unknown position
             raise

@@ -1,6 +1,7 @@
-"""What the next cycle flies, and why: a program, a landing, a self-test, or zero force.
+"""State machine of the loop: select a program, a landing, a self-test or zero force each cycle.
 
-What it looks at are words in shared memory. It takes no lock, writes no file and asks nobody.
+Its inputs are control words in shared memory. It takes no lock, writes no file and waits for no
+process.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ from ..ipc.shared_memory import Shared
 from .warm_up import resting_segment
 
 AROUND_CLEAR = 2
-"""Cycles that do not count as late or long: one in which a clear was seen to, and the next."""
+"""Cycles that never count as late: the one that handles a request to clear, and the next one."""
 _AFTER_FAULT_S = 0.5
 _TESTS = 10
-"""How often the self-test is tried before it has failed."""
-_MOST_AT_ONCE = 8
-"""Periods that one look at the supervisor's sign of life counts."""
-_FLYING = np.ones((1, 3))
+"""Tries of the self-test before it fails."""
+_MAX_SILENT_PER_CYCLE = 8
+"""Largest number of skipped periods that count as supervisor silence in one cycle."""
+_FULL_BLEND = np.ones((1, 3))
 _FOREVER = 1 << 62
 # Indexing by an IntEnum costs a call; by a plain integer it does not.
 (
@@ -50,11 +51,11 @@ _FOREVER = 1 << 62
 
 
 class Course:
-    """Chooses what TimedLoop flies, cycle by cycle: `look` at the board, then `advance`.
+    """Select the segment row of each cycle for TimedLoop: `check_requests`, then `advance`.
 
-    Without a segment to fly it stands: at zero force if control is off, else holding the platform
-    where it is. `make_good` makes devices good after a fault; it may take long. `advance` returns
-    which row of control's arrays is next; it is another method as what is flown is another thing.
+    Without a segment it stands: at zero force if control is off, otherwise holding the platform.
+    `recover` recovers the devices after a fault; it may take long. `advance` returns the next row
+    of the segment's arrays; it is bound to the method of the current activity.
     """
 
     def __init__(
@@ -63,55 +64,55 @@ class Course:
         controller: Controller,
         shared: Shared,
         lateness: Lateness,
-        make_good: Callable[[], None],
+        recover: Callable[[], None],
         parent: int,
     ) -> None:
         self._rig, self._controller, self._lateness = rig, controller, lateness
         self._board, self._ring, self._program = shared.board, shared.ring, shared.program
-        self._words, self._make_good, self._parent = shared.board.words, make_good, parent
+        self._words, self._recover, self._parent = shared.board.words, recover, parent
         self._landing = Landing(controller, rig.limits, 1.0 / rig.rate_hz)
         self._test_cycles = max(round(rig.self_test.duration_s * rig.rate_hz), 2)
-        self._most_silent = max(round(rig.service.supervisor_s * rig.rate_hz), 2)
+        self._silence_limit = max(round(rig.service.supervisor_s * rig.rate_hz), 2)
 
         words = self._words
         self.state = State.OFF
         self.fault = Fault.NONE
         self.ended = False
         self.tag = NO_LOG
-        """The log that the row at hand belongs to."""
+        """Tag of the log of the current row."""
         self.located = True
-        """Whether it is known where the manipulator is, so that it may be told where to be."""
+        """Whether the manipulator position is known, so that setpoints may be sent."""
         self.uncounted = 0
-        """Cycles around a clear that are left."""
+        """Remaining cycles that do not count as late."""
         self.advance: Callable[[], int] = self._stand
         self._beat, self._silent = words[_BEAT], 0
-        self._land_seen, self._clear_seen = words[_LAND], words[_CLEAR]
+        self._land_request, self._clear_request = words[_LAND], words[_CLEAR]
         self._after_landing: tuple[Fault, str] | None = None
-        self._ending = self._orphan = False
+        self._ending = self._parent_died = False
         self._tagged_left = _FOREVER
         self._k = self._left = self._tries = self._position = 0
         self._announced: Announced | None = None
 
     def begin(self) -> None:
-        """Begin with a self-test, at zero force."""
-        self._words[Word.CLEARED] = self._clear_seen
+        """Start with a self-test at zero force."""
+        self._words[Word.CLEARED] = self._clear_request
         self._begin_self_test()
 
     def count_down(self) -> int:
-        """Return how many of the cycles around a clear there are, this one included."""
+        """Decrement `uncounted`; return its previous value."""
         self.uncounted -= 1
         return self.uncounted + 1
 
-    def look(self, periods: int) -> None:
-        """Notice what others want, and whether the supervisor is there to want anything."""
+    def check_requests(self, periods: int) -> None:
+        """Handle requests in the control words; check the supervisor's heartbeat."""
         words = self._words
-        self._look_after_supervisor(periods)
+        self._check_supervisor(periods)
         if words[_ZERO] and not self.fault:
-            self.fail(Fault(words[_ZERO]), None)  # who asks has said why
-        if words[_LAND] != self._land_seen:
-            self._land_seen = words[_LAND]
+            self.fail(Fault(words[_ZERO]), None)  # the requesting process has set the detail
+        if words[_LAND] != self._land_request:
+            self._land_request = words[_LAND]
             self._land()
-        if words[_CLEAR] != self._clear_seen:
+        if words[_CLEAR] != self._clear_request:
             self._clear(words[_CLEAR])
         if words[_END] and not self._ending:
             self._ending = True
@@ -120,14 +121,14 @@ class Course:
             self._tagged_left -= periods
             if self._tagged_left <= 0:
                 self._end_plan()
-        if (self._ending or self._orphan) and not self._controller.engaged:
-            # After a fault the rows of the next half second are part of its story.
+        if (self._ending or self._parent_died) and not self._controller.engaged:
+            # The half second after a fault belongs to its recording.
             self.ended = self._tagged_left == _FOREVER
             if self.ended and words[Word.PLAN]:
                 self._end_plan()
 
     def fail(self, fault: Fault, detail: str | None = "") -> None:
-        """Zero force from here on; what came first is the cause."""
+        """Command zero force from now on; the first fault is the one reported."""
         control, words = self._controller, self._words
         control.halt()
         if self.fault:
@@ -146,28 +147,28 @@ class Course:
         self._k, self.advance = 0, self._brake
 
     def become(self, state: State) -> None:
-        """Be in `state`, and let the board tell it."""
+        """Enter `state` and publish it."""
         self.state = state
         self._words[Word.STATE] = state
 
-    def _look_after_supervisor(self, periods: int) -> None:
+    def _check_supervisor(self, periods: int) -> None:
         words = self._words
         beat = words[_BEAT]
         if beat != self._beat:
             self._beat, self._silent = beat, 0
         else:
-            # A machine that stood still did so for the supervisor too: that is no silence.
-            self._silent += min(periods, _MOST_AT_ONCE)
-            if self._silent > self._most_silent:
-                self._abandoned("it gave no sign of life")
-        if os.getppid() != self._parent and not self._orphan:
-            self._orphan = True
-            self._abandoned("it is dead")
+            # If the whole machine stalled, the supervisor could not send a heartbeat either.
+            self._silent += min(periods, _MAX_SILENT_PER_CYCLE)
+            if self._silent > self._silence_limit:
+                self._supervisor_lost("no heartbeat")
+        if os.getppid() != self._parent and not self._parent_died:
+            self._parent_died = True
+            self._supervisor_lost("the process has ended")
 
-    # What row of which arrays the next cycle flies; one of these is `advance`.
+    # Each returns the row of the next cycle; `advance` is one of these methods.
 
     def _stand(self) -> int:
-        """Hold, or rest at zero force; begin the next segment if one is announced."""
+        """Hold, or rest at zero force; start the next announced segment."""
         words = self._words
         if words[_QUEUE_TAIL] < words[_QUEUE_HEAD]:
             self._next_segment()
@@ -176,7 +177,7 @@ class Course:
         return 0
 
     def _fly_program(self) -> int:
-        """Fly the next row of the segment at hand, or the first of the one that follows."""
+        """Fly the next row of the current segment, or the first of the next segment."""
         words = self._words
         if not self._left:
             announced = self._announced
@@ -184,14 +185,14 @@ class Course:
             if announced.last:
                 self._end_plan()
             elif words[_QUEUE_TAIL] >= words[_QUEUE_HEAD]:
-                self._starved("it left the loop without a segment to fly")
+                self._program_ended("it announced no further segment")
             else:
                 self._next_segment()
             if not self._left:
                 return self.advance()
         position = self._position
         if position >= words[_ROWS_HEAD]:
-            self._starved("it left the loop without rows to fly")
+            self._program_ended("it sent no further rows")
             return self.advance()
         self._left -= 1
         self._position = position + 1
@@ -199,7 +200,7 @@ class Course:
         return position % self._program.capacity
 
     def _fly_landing(self) -> int:
-        """Fly the next row of a landing that nobody planned."""
+        """Fly the next row of an unplanned landing."""
         if not self._landing.set_row(self._k):
             self._end_plan()
             return 0
@@ -207,29 +208,29 @@ class Course:
         return 0
 
     def _brake(self) -> int:
-        """Bring the manipulator to rest at zero force, then stand."""
+        """Brake the manipulator at zero force, then stand."""
         if not self._landing.set_motion(self._k):
             self.advance = self._stand
         self._k += 1
         return 0
 
     def _self_test(self) -> int:
-        """Rest for so many cycles, then judge the readings that they gave."""
+        """Rest for the cycles of the test, then check their readings."""
         self._left -= 1
         if self._left > 0:
             return 0
         rows = self._ring.last(self._test_cycles - 1).rows
-        wrong = self_test(rows[rows["state"] == State.SELF_TEST], self._rig)
+        error = self_test(rows[rows["state"] == State.SELF_TEST], self._rig)
         self._tries -= 1
-        if not wrong:
+        if not error:
             self._rest(State.IDLE)
         elif self._tries:
-            self._left = self._test_cycles  # a platform that has just dropped comes to rest
+            self._left = self._test_cycles  # a platform that just dropped needs time to settle
         else:
-            self.fail(Fault.SELF_TEST, wrong)
+            self.fail(Fault.SELF_TEST, error)
         return 0
 
-    # What changes between cycles.
+    # Transitions between cycles.
 
     def _next_segment(self) -> None:
         words = self._words
@@ -237,35 +238,35 @@ class Course:
         announced = self._program.announced(number)
         words[_QUEUE_TAIL] = number + 1
         self._left = 0
-        going_on = announced.plan == words[Word.PLAN]
-        # Who is about to end begins nothing, and goes on with the landing of the plan at hand.
-        unwanted = self.fault or (self._ending and not going_on)
-        if unwanted or announced.plan <= words[Word.PLAN_CUT]:
+        same_plan = announced.plan == words[Word.PLAN]
+        # When ending, start no other plan, but continue the landing of the current plan.
+        rejected = self.fault or (self._ending and not same_plan)
+        if rejected or announced.plan <= words[Word.PLAN_CUT]:
             words[Word.PLAN_CUT] = max(announced.plan, words[Word.PLAN_CUT])
-            if not going_on:  # else its last rows are still to come
+            if not same_plan:  # otherwise its last rows follow
                 words[Word.PLAN_DONE] = max(announced.plan, words[Word.PLAN_DONE])
             self.advance = self._stand
             return
         if self._begin(self._program.segment(announced)):
             words[Word.PLAN] = announced.plan
             self._announced = announced
-            self._label(announced.log)
+            self._set_tag(announced.log)
             self._left, self._position = announced.cycles, announced.first
             self.advance = self._fly_program
 
     def _begin(self, segment: Segment) -> bool:
-        """Hand a segment to control; refuse one that may not follow."""
+        """Pass a segment to the controller; fail if its state must not follow the present one."""
         if not self.state.may_become(segment.state):
             self.fail(Fault.SEQUENCE, f"{segment.state.name} after {self.state.name}")
             return False
         if segment.engages:
-            self._lateness.reset()  # what was late at zero force harmed nobody
+            self._lateness.reset()  # late cycles at zero force do not count
         self._controller.begin(segment)
         self.become(segment.state)
         return True
 
     def _rest(self, state: State, motion: Motion | None = None) -> None:
-        """Stand at zero force in `state`, the manipulator at rest, or in `motion` of its own."""
+        """Stand at zero force in `state`, with the manipulator at rest or in `motion`."""
         resting = resting_segment(self._controller, _FOREVER)
         if motion is not None:
             resting = replace(resting, beam=motion[0], rotor=motion[1])
@@ -273,23 +274,25 @@ class Course:
         self.advance = self._stand
 
     def _hold(self) -> None:
-        """Hold the platform, and the manipulator at rest, until told otherwise."""
+        """Hold the platform and the manipulator until the next segment or request."""
         resting = resting_segment(self._controller, _FOREVER)
         self._begin(
-            replace(resting, state=State.LEVITATING, blend=_FLYING, in_control=True, airborne=True)
+            replace(
+                resting, state=State.LEVITATING, blend=_FULL_BLEND, in_control=True, airborne=True
+            )
         )
         self.advance = self._stand
 
     def _land(self) -> None:
-        """Land from here; without control there is nothing to land, only a plan to drop."""
+        """Land from here; if control is off, only drop the plan."""
         words = self._words
         if self.state is State.LANDING:
-            if not words[Word.PLAN]:  # a move that came as this began is not for the ground
+            if not words[Word.PLAN]:  # drop a move that was announced as the landing started
                 words[Word.PLAN_CUT] = max(words[Word.PLAN_CUT], self._last_announced)
             return
         words[Word.PLAN_CUT] = max(words[Word.PLAN], words[Word.PLAN_CUT], self._last_announced)
         if self.fault:
-            return  # its rows are its story
+            return
         if not self._controller.engaged:
             if words[Word.PLAN]:
                 self._end_plan()
@@ -298,49 +301,49 @@ class Course:
 
     @property
     def _last_announced(self) -> int:
-        """The plan of the last segment that is announced and has not begun; 0 for none."""
+        """Plan of the last announced segment that has not started; 0 if none."""
         words = self._words
         head = words[_QUEUE_HEAD]
         return self._program.announced(head - 1).plan if words[_QUEUE_TAIL] < head else 0
 
     def _land_unplanned(self, after: NDArray[np.float64] | None = None) -> None:
-        """Fly a landing from here, or from where one that was planned has left off, (3,)."""
+        """Fly a landing from here, or continue a planned one from its blend row `after` (3,)."""
         words = self._words
         self._landing.begin(words[Word.LAND_RAMP], words[Word.LAND_RELEASE])
-        # What has begun to sink does so from where it began.
+        # A planned landing that has started keeps its start reference.
         if self._begin(replace(self._landing.segment, lands=after is None)):
-            self._label(words[Word.LAND_LOG])
+            self._set_tag(words[Word.LAND_LOG])
             self._k = 0 if after is None else self._landing.row_after(after)
             self.advance = self._fly_landing
 
     def _end_plan(self) -> None:
-        """The plan at hand is over: its rows end here, or half a second after a fault."""
+        """End the current plan and its rows; called half a second after a fault."""
         words = self._words
         after = self._after_landing
         landed = self.state is State.LANDING or not self._controller.engaged
         if after is not None and not self.fault and landed:
             self._after_landing = None
-            self.fail(*after)  # of this plan, as whoever asked for it is told
+            self.fail(*after)  # while the plan is current: its client gets this fault
             return
-        words[_LATE] = self._lateness.late  # whoever sees the plan's end counts up to it
+        words[_LATE] = self._lateness.late  # final before PLAN_DONE
         words[Word.PLAN_DONE] = max(words[Word.PLAN], words[Word.PLAN_DONE])
         words[Word.PLAN] = 0
         self._tagged_left = _FOREVER
         if self.fault:
-            self._label(NO_LOG)
+            self._set_tag(NO_LOG)
         elif self.state is not State.LANDING and self._controller.engaged:
-            self._hold()  # it goes on flying, and the log with it
+            self._hold()  # flight and log continue
         else:
-            self._label(NO_LOG)
+            self._set_tag(NO_LOG)
             self._rest(State.IDLE)
 
-    def _starved(self, why: str) -> None:
-        """The plan goes on and its rows are not there."""
+    def _program_ended(self, reason: str) -> None:
+        """Handle a plan that continues but whose rows are missing."""
         self._left = 0
-        self._abandoned(why)
+        self._supervisor_lost(reason)
         if self.advance != self._fly_program:
             return
-        # At zero force it is enough to drop the plan; who was about to land anyway goes on landing.
+        # At zero force, drop the plan; a landing in progress continues unplanned.
         words = self._words
         words[Word.PLAN_CUT] = max(words[Word.PLAN], words[Word.PLAN_CUT])
         announced = self._announced
@@ -350,30 +353,30 @@ class Course:
         else:
             self._end_plan()
 
-    def _abandoned(self, why: str) -> None:
-        """The supervisor is gone: land or let go, as configured."""
+    def _supervisor_lost(self, reason: str) -> None:
+        """React to a lost supervisor: land or command zero force, as configured."""
         if self.fault or self._after_landing is not None:
             return
         if self._rig.service.supervisor_gone == "land" and self._controller.engaged:
-            self._after_landing = Fault.SUPERVISOR, why
+            self._after_landing = Fault.SUPERVISOR, reason
             self._land()
-        elif self._controller.engaged or self._orphan:
-            self.fail(Fault.SUPERVISOR, why)
+        elif self._controller.engaged or self._parent_died:
+            self.fail(Fault.SUPERVISOR, reason)
 
     def _clear(self, request: int) -> None:
-        """Make the devices good, then test; may take long, at zero force."""
-        self._clear_seen = request
+        """Recover the devices, then start the self-test; may take long, at zero force."""
+        self._clear_request = request
         words = self._words
         if self.fault:
-            self._board.take_back_stop()  # nobody but who has stopped does that
+            self._board.cancel_stop()
             if self._tagged_left < _FOREVER:
-                self._end_plan()  # its story ends here
+                self._end_plan()
             words[Word.BUSY] = 1
             self.uncounted = AROUND_CLEAR
-            self.located = False  # until it is known where the manipulator is
+            self.located = False  # until the manipulator position is read
             try:
-                self._make_good()
-            except Exception as error:  # noqa: BLE001 - the client is told, the fault stays
+                self._recover()
+            except Exception as error:  # noqa: BLE001 - the client gets the detail; the fault stays
                 self._board.detail = str(error)
             else:
                 self.located = True
@@ -384,7 +387,7 @@ class Course:
                 self._board.detail = ""
                 self._begin_self_test()
             finally:
-                gc.collect()  # what failing left behind: nobody else does, and here is time
+                gc.collect()  # automatic collection is disabled; there is time here
                 words[Word.BUSY] = 0
                 self._silent = 0
         words[Word.CLEARED] = request
@@ -394,6 +397,6 @@ class Course:
         self._rest(State.SELF_TEST)
         self.advance = self._self_test
 
-    def _label(self, log: int) -> None:
+    def _set_tag(self, log: int) -> None:
         self.tag = log
         self._words[Word.LOG] = log

@@ -1,4 +1,4 @@
-"""A flight in virtual time: devices, loop and recorder in one process, from lift-off to landing."""
+"""Fly a plan in virtual time: devices, loop and recorder in one process."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from .clock import VirtualClock
 from .virtual_loop import VirtualLoop
 from .warm_up import resting_segment, warm_up
 
-_RING_AT_LEAST = 16_384
+_MIN_RING_ROWS = 16_384
 _AFTER_FAULT_S = 0.5
 
-# step name, cycles done, cycles of the whole session
+# step name, cycles flown, cycles of the session
 Progress = Callable[[str, int, int], None]
 
 
 class Flight:
-    """The rig in flight: a context manager that always ends in zero force.
+    """Fly plans in virtual time; a context manager that always ends in zero force.
 
-    After a fault it flies no more; the daemon, which does, is Supervisor.
+    It cannot clear a fault: create a new one.
     """
 
     def __init__(self, rig: RigConfig, folder: Path, rate_hz: float, clock: VirtualClock) -> None:
@@ -47,7 +47,7 @@ class Flight:
         self.devices: Devices = open_devices(Context(rig, period_s, folder))
         geometry = rig.geometry
         dtype = cycle_dtype(len(geometry.coil_x_m), len(geometry.sensors_x_m))
-        self._ring = Ring(dtype, max(ring_rows(rig.recording, rate_hz), _RING_AT_LEAST))
+        self._ring = Ring(dtype, max(ring_rows(rig.recording, rate_hz), _MIN_RING_ROWS))
         self._controller = Controller(rig, period_s)
         self._recorder = Recorder(self._ring, rate_hz)
         self.loop = VirtualLoop(
@@ -55,13 +55,13 @@ class Flight:
         )
 
     def __enter__(self) -> Flight:
-        """Compile the cycle, read the manipulator's place once, start the recorder."""
+        """Compile the cycle, read the manipulator position once, start the recorder."""
         warm_up(self._controller, self.devices, self._ring.rows[:1], self._rig)
         self._recorder.start(self._clock.epoch_ns)
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Zero force, close devices, write what is left."""
+        """Command zero force, close the devices, write the remaining rows."""
         self.loop.zero()
         try:
             self.devices.close()
@@ -70,16 +70,16 @@ class Flight:
 
     @property
     def beam_m(self) -> float:
-        """Where the beam is, as last read."""
+        """Last reading of the beam position in m."""
         return float(self._controller.beam[0])
 
     @property
     def rotor_rad(self) -> float:
-        """Where the rotor is, as last read."""
+        """Last reading of the rotor position in rad."""
         return float(self._controller.rotor[0])
 
     def idle(self, cycles: int) -> Fault:
-        """Take readings at zero force for some cycles."""
+        """Run `cycles` cycles at zero force; return the fault."""
         return self.loop.fly(resting_segment(self._controller, cycles))
 
     def fly(
@@ -89,18 +89,18 @@ class Flight:
         attachments: Mapping[str, bytes],
         progress: Progress | None = None,
     ) -> FlightResult:
-        """Fly `plan`; one log a step in `out`, each with `attachments` at its head.
+        """Fly `plan`; write one log per step into `out`, each with `attachments`.
 
-        A stop request (`loop.stop_requested`) goes on to landing at once.
+        A stop request (`loop.stop_requested`) leads to an immediate landing.
 
         Raises:
             FlightFault: the flight ended in a fault; forces are zero, logs are closed.
-            RecordingError: the log could not be written; the session was flown and landed.
+            RecordingError: a log could not be written; the session was flown and landed.
         """
         self._recorder.forget_errors()
         begin, lost = self.loop.cycle + 1, self._ring.lost
 
-        def tell(name: str) -> None:
+        def report(name: str) -> None:
             if progress is not None:
                 progress(name, self.loop.cycle + 1 - begin, plan.cycles)
 
@@ -118,9 +118,9 @@ class Flight:
             if self.loop.stop_requested:
                 segments = self._landing_from_here(segments)
             file = LogFile(path, log_metadata(plan, step), attachments)
-            self._fly_step(step, segments, file, tell)
+            self._fly_step(step, segments, file, report)
             stopped |= self.loop.stop_requested and step.kind != "land"
-        # The files are complete only once the recorder has caught up.
+        # Wait until the recorder has written all rows.
         self._record(None)
         if self._recorder.error is not None:
             raise RecordingError(f"recording failed: {self._recorder.error}")
@@ -134,8 +134,8 @@ class Flight:
         )
 
     def _landing_from_here(self, planned: list[Segment]) -> list[Segment]:
-        """Return a landing that brakes beam and rotor where they are, not where the plan ends."""
-        if not self._controller.engaged:  # there is nothing to land
+        """Return the planned landing, but with beam and rotor braking from their present motion."""
+        if not self._controller.engaged:  # not in flight
             return [segment for segment in planned if not segment.lands]
         beam, rotor = self._brakes()
         first, *others = planned
@@ -145,7 +145,7 @@ class Flight:
         ]
 
     def _brakes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return setpoints (n, 3) that bring beam and rotor to rest from where they are."""
+        """Return setpoints (n, 3) that brake beam and rotor from their present motion."""
         limits, control = self._rig.limits, self._controller
         Ts_s = 1.0 / self._rate_hz
         (beam_m, beam_m_s), (rotor_rad, rotor_rad_s) = control.beam_ref[:2], control.rotor_ref[:2]
@@ -159,12 +159,12 @@ class Flight:
         step: PlannedStep,
         segments: list[Segment],
         file: LogFile,
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
     ) -> None:
         self._record(file)
         for segment in segments:
-            fault = self.loop.fly(segment) or self._check(segment)
-            tell(step.name)
+            fault = self.loop.fly(segment) or self._check_coils(segment)
+            report(step.name)
             if fault:
                 at_s, detail = self.loop.cycle / self._rate_hz, self._detail(fault)
                 self._stay_in_fault(fault)
@@ -173,8 +173,8 @@ class Flight:
             if self.loop.stop_requested and not segment.lands:
                 return
 
-    def _check(self, segment: Segment) -> Fault:
-        """Judge what a segment that checks coils has shown."""
+    def _check_coils(self, segment: Segment) -> Fault:
+        """Evaluate the coil check of a segment, if it has one; return the fault."""
         if segment.checks is None or self.loop.stop_requested:
             return Fault.NONE
         rows = self._ring.last(segment.cycles).rows
@@ -185,7 +185,7 @@ class Flight:
         return Fault.COIL_CHECK
 
     def _record(self, file: LogFile | None) -> None:
-        """Log into `file` from here on; without one, wait until all is in its files."""
+        """Log into `file` from now on; without a file, wait until all rows are written."""
         if file is not None:
             self.loop.tag = self._recorder.define(file)
             return
@@ -196,7 +196,7 @@ class Flight:
         return self._controller.detail(fault) or self.loop.detail
 
     def _stay_in_fault(self, fault: Fault) -> None:
-        """Log what happens after a fault, at zero force, for as long as the devices answer."""
+        """Log half a second after a fault at zero force, as long as the devices respond."""
         self._controller.latch(fault)
         cycles = int(_AFTER_FAULT_S * self._rate_hz)
         resting = resting_segment(self._controller, cycles)

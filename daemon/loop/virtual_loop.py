@@ -1,4 +1,4 @@
-"""The loop in virtual time: sync, read, control, write, record, as fast as the code runs."""
+"""Run the control loop in virtual time: sync, read, control, write, record."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _BLOCK = 4096
 
 
 class VirtualLoop:
-    """Flies segments on open devices, one row of the ring a cycle, tagged with the log it goes to.
+    """Fly segments on open devices as fast as the code runs; write one tagged ring row per cycle.
 
-    `cycle` numbers the periods since the start, so that cycle times the period is the time of the
-    plant. The loop in real time is TimedLoop.
+    `cycle` counts periods since the start: cycle times period is the time of the plant. The
+    counterpart in real time is TimedLoop.
     """
 
     def __init__(
@@ -39,12 +39,12 @@ class VirtualLoop:
         self.detail = ""
 
     def fly(self, segment: Segment) -> Fault:
-        """Fly one segment to its end, a stop request, or a fault, which is returned.
+        """Fly one segment to its end, a stop request, or a fault; return the fault.
 
-        A landing goes on to its end whatever is requested: it is what a stop leads to.
+        A landing ignores stop requests.
         """
         stoppable = not segment.lands
-        self.detail = ""  # what an earlier fault said is no cause of the next
+        self.detail = ""
         if not self._state.may_become(segment.state):
             self.detail = f"{segment.state.name} after {self._state.name}"
             return self._failed(Fault.SEQUENCE)
@@ -54,28 +54,27 @@ class VirtualLoop:
         try:
             for begin in range(0, segment.cycles, _BLOCK):
                 block = min(_BLOCK, segment.cycles - begin)
-                # Virtual time outruns any disk: here, and only here, the loop waits for the
+                # Virtual time is faster than the disk: only here does the loop wait for the
                 # recorder.
                 self._make_room(block)
                 self._label(block)
                 fault = self._block(begin, begin + block, stoppable)
                 if fault or (self.stop_requested and stoppable):
                     break
-        except Exception as error:  # noqa: BLE001 - whatever it is, the coils go to zero first
-            failed, words = fault_of(error)
-            return self._failed(failed, words)
+        except Exception as error:  # noqa: BLE001 - on any error the coils go to zero first
+            return self._failed(*fault_of(error))
         return Fault(fault)
 
     def zero(self) -> None:
-        """Command zero force, as well as the devices still allow."""
+        """Command zero force as far as the devices respond."""
         self._controller.halt()
         try:
             self._devices.amplifiers.release(self._controller.coil_n)
-        except Exception as error:  # noqa: BLE001 - the fault at hand matters more
+        except Exception as error:  # noqa: BLE001 - the present fault is more important
             self.detail = self.detail or f"{type(error).__name__}: {error}"
 
     def _failed(self, fault: Fault, detail: str = "") -> Fault:
-        """Zero force before anyone is told, then a row of the log that names the fault."""
+        """Command zero force first, then write a log row with the fault."""
         self.zero()
         self.detail = detail or self.detail
         ring, control = self._ring, self._controller
@@ -90,7 +89,7 @@ class VirtualLoop:
         return fault
 
     def _label(self, rows: int) -> None:
-        """Tag the next rows, before they are there."""
+        """Tag the next rows before they are written."""
         ring = self._ring
         first = ring.head % ring.capacity
         ring.tags[first : first + rows] = self.tag
@@ -122,6 +121,6 @@ class VirtualLoop:
                 head += 1
                 if fault or (self.stop_requested and stoppable):
                     break
-        finally:  # what was flown before a driver failed is in the log all the same
+        finally:  # rows before a driver failure stay in the log
             self.cycle, ring.head = cycle, head
         return fault

@@ -1,4 +1,4 @@
-"""A session flown in virtual time: in this process, on the simulator, as fast as it runs."""
+"""Fly a session on the simulator in virtual time, in this process."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ def fly_virtually(
     `source` names the session in errors.
 
     Raises:
-        ConfigError: a role is not played by loopback, or the session does not fit the rig.
+        ConfigError: a role has a backend other than loopback, or the session does not fit the rig.
         FlightFault, RecordingError: see Flight.fly.
     """
     for role in ROLES:
         backend = getattr(rig, role).backend
         if backend != "loopback":
             raise ConfigError(
-                f"{rig_file}: {role}.backend: virtual time needs loopback, found {backend}"
+                f"{rig_file}: {role}.backend: expected loopback for virtual time, found {backend}"
             )
     rate_hz = session.rate_hz or rig.rate_hz
     texts = attachments(rig, rig_file.read_bytes(), session_text)
     with Flight(rig, rig_file.parent, rate_hz, VirtualClock()) as flight:
         plan = plan_session(session, rig, flight.beam_m, flight.rotor_rad, source)
-        # Only now: a session that does not fit is refused before any file is made.
+        # After planning: a session that does not fit the rig creates no files.
         out.mkdir(parents=True, exist_ok=True)
         return flight.fly(plan, out, texts, progress)

@@ -1,4 +1,4 @@
-"""Everything that a first cycle would pay for, paid before it: compiling, and where things are."""
+"""Prepare the first cycle: compile the control cycle, read the manipulator position."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...drivers.base import Devices, DriveError, StaleError
 from ..control.control_cycle import BEAM_MARGIN_M, Controller
 from ..control.segment import Segment, idle_segment
 
-_PATIENCE_S = 1.0
+_TIMEOUT_S = 1.0
 
 
 def warm_up(
@@ -23,9 +23,9 @@ def warm_up(
     rig: RigConfig,
     cycle: int = 0,
 ) -> None:
-    """Compile the cycle on made-up readings, writing row (1,), and `locate` the manipulator.
+    """Compile the cycle with dummy readings, writing row (1,), and `locate` the manipulator.
 
-    `cycle` is the one before the first.
+    `cycle` is the number of the cycle before the first. Raises DriverError.
     """
     controller.begin(resting_segment(controller, 1))
     controller.step(row, 0, cycle, 0.0, 0)
@@ -34,13 +34,13 @@ def warm_up(
 
 
 def locate(controller: Controller, devices: Devices, rig: RigConfig, cycle: int) -> None:
-    """Read where the manipulator is, in this cycle, and hold it there from now on.
+    """Read the manipulator position in this cycle and set it as setpoint, to hold it there.
 
-    An answer may be lost, or come too late: it is asked again. Raises DriverError: nothing came, or
-    the beam is where it may not be. It is held where it is, and told to go nowhere.
+    A lost or late answer is requested again. Raises DriveError if no position comes within 1 s or
+    the beam is out of range; then the setpoints stay unchanged.
     """
     beam, rotor = controller.beam, controller.rotor
-    give_up_s = perf_counter() + _PATIENCE_S
+    deadline_s = perf_counter() + _TIMEOUT_S
     while True:
         for sync in devices.syncs:
             sync(cycle)
@@ -48,19 +48,19 @@ def locate(controller: Controller, devices: Devices, rig: RigConfig, cycle: int)
             devices.drives.read(beam, rotor)
         if np.isfinite(beam[0]) and np.isfinite(rotor[0]):
             break
-        if perf_counter() > give_up_s:
-            raise DriveError(f"the manipulator's position did not come within {_PATIENCE_S:g} s")
+        if perf_counter() > deadline_s:
+            raise DriveError(f"the drives reported no position within {_TIMEOUT_S:g} s")
     reach = rig.limits.beam_m + BEAM_MARGIN_M
     if not abs(beam[0]) <= reach:
         raise DriveError(
-            f"the beam is at {beam[0]:.4g} m, expected within {reach:g} m of its middle"
+            f"the beam is at {beam[0]:.4g} m, expected within {reach:g} m of its centre: move it"
         )
     controller.beam_ref[:] = beam[0], 0.0, 0.0
     controller.rotor_ref[:] = rotor[0], 0.0, 0.0
 
 
 def resting_segment(controller: Controller, cycles: int) -> Segment:
-    """Return zero force, the manipulator at rest where it was last told to be."""
+    """Return a segment of zero force with the manipulator at its last setpoints."""
     beam_m, rotor_rad = controller.beam_ref[0], controller.rotor_ref[0]
     return idle_segment(
         cycles,

@@ -1,1 +1,1 @@
-"""Turn a session or a command into segments, in a process of their own, before anything flies."""
+"""Plan a session or command as segments before the flight, in a separate process."""

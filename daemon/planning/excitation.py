@@ -1,4 +1,4 @@
-"""Excitation signals in physical units: Gaussian white noise and random-phase multisine, seeded."""
+"""Generate excitation signals: seeded Gaussian white noise and random-phase multisines."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ...config.session import Excitation
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_GROUP = 4  # of so many odd lines in a row a random grid leaves out one
+_GROUP = 4  # a random grid omits one of each group of consecutive odd lines
 
 
 def signal(excitation: Excitation, cycles: int, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Return `cycles` samples (n,) of the excitation, in N m or N, before any fading.
+    """Return `cycles` samples (n,) of the excitation, in N m or N, without fading.
 
     Raises:
-        ConfigError: the band does not fit under half the rate, or holds no line of the multisine.
+        ConfigError: the band exceeds half the rate, or contains no line of the multisine.
     """
     band = excitation.band_hz
     if band is not None and band[1] > rate_hz / 2:
@@ -32,7 +32,7 @@ def signal(excitation: Excitation, cycles: int, rate_hz: float, rng: np.random.G
 
 
 def fade(cycles: int, fade_s: float, rate_hz: float) -> Array:
-    """Return a window (n,): 0 to 1 over fade_s by half a cosine, 1, and back to 0."""
+    """Return a window (n,): half-cosine from 0 to 1 over fade_s, then 1, then back to 0."""
     window = np.ones(cycles)
     n = min(round(fade_s * rate_hz), cycles // 2)
     if n:
@@ -44,15 +44,14 @@ def fade(cycles: int, fade_s: float, rate_hz: float) -> Array:
 def excited_lines(
     excitation: Excitation, rate_hz: float, rng: np.random.Generator
 ) -> NDArray[np.int_]:
-    """Return the numbers of the multisine's lines, multiples of 1 / period_s, in ascending order.
+    """Return the excited lines of a multisine as multiples of 1 / period_s, ascending.
 
-    `rng` draws which lines of a random grid are left out. Raises ConfigError where the band holds
-    no line.
+    `rng` draws the omitted lines of a random grid. Raises ConfigError if the band contains no line.
     """
     assert excitation.period_s is not None
     assert excitation.band_hz is not None
     n = round(excitation.period_s * rate_hz)
-    lines = np.arange(1, (n + 1) // 2)  # at half the rate a sine has no phase of its own
+    lines = np.arange(1, (n + 1) // 2)  # without the Nyquist line, whose phase is fixed
     freq_hz = lines * rate_hz / max(n, 1)
     lines = lines[(freq_hz >= excitation.band_hz[0]) & (freq_hz <= excitation.band_hz[1])]
     if excitation.lines != "all":
@@ -62,7 +61,7 @@ def excited_lines(
         lines = np.delete(lines, groups + rng.integers(0, _GROUP, len(groups)))
     if not lines.size:
         raise ConfigError(
-            f"band_hz: expected at least one multiple of {rate_hz / max(n, 1):g} Hz, "
+            f"band_hz: expected a band with at least one multiple of {rate_hz / max(n, 1):g} Hz, "
             f"found none in {excitation.band_hz} Hz"
         )
     return lines
@@ -71,7 +70,7 @@ def excited_lines(
 def one_period(
     excitation: Excitation, lines: NDArray[np.int_], phasors: Complex, rate_hz: float
 ) -> Array:
-    """Return one period (n,) of the multisine with these phasors, |phasor| = 1, at its lines."""
+    """Return one period (n,) of the multisine, in N m or N, from unit phasors at its lines."""
     assert excitation.period_s is not None
     n = round(excitation.period_s * rate_hz)
     spectrum = np.zeros(n // 2 + 1, complex)
@@ -89,7 +88,7 @@ def _band_pass(noise: Array, band: tuple[float, float], rate_hz: float, rms: flo
     filtered = np.fft.irfft(spectrum, len(noise))
     size = np.sqrt(np.mean(filtered**2))
     if size == 0.0:
-        raise ConfigError(f"band_hz: {band} Hz holds no frequency of a record this short")
+        raise ConfigError(f"band_hz: the record is too short for a band of {band} Hz")
     return np.asarray(filtered * (rms / size))
 
 

@@ -1,4 +1,4 @@
-"""Orthogonal random-phase multisines: several inputs play at once and can still be told apart."""
+"""Generate orthogonal random-phase multisines: excite several inputs at once, separably."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .excitation import excited_lines, one_period
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_GRID, _PHASES = 1, 2  # streams of random numbers: lines are a session's, phases are a record's
+_GRID, _PHASES = 1, 2  # random streams: lines per session, phases per record
 
 
 def orthogonal_multisines(
@@ -25,19 +25,19 @@ def orthogonal_multisines(
     seed: int,
     record: int,
 ) -> Array:
-    """Return (n, p) samples of p excitations in N m or N, before any fading.
+    """Return (n, p) samples of p excitations in N m or N, without fading.
 
-    Realisation by realisation, and in each experiment by experiment, `plan.periods` periods are
-    played; the last one goes on for `fade_s`. The lines are those of the session's `seed`, alike in
-    all its records; phases are drawn for each `record` and realisation.
+    Each realisation has p experiments of `plan.periods` periods; the last period continues for
+    `fade_s`. All records of a session have the same lines, drawn with `seed`; phases are drawn for
+    each `record` and realisation.
 
-    Over the p experiments the spectra of one realisation are, at every line, a unitary matrix up
-    to the levels: V[j, e] = A_j W[e, j] exp(i phi_j) exp(i psi_e) with W from
-    `orthogonal_matrix` (Dobrowiecki and Schoukens 2007). With psi as random as phi ("full random
-    orthogonal phases", Pintelon and Schoukens 2012, 3.7) nonlinear distortions of the experiments
-    are uncorrelated and fall on all inputs alike, as noise does.
+    At each line, the spectra of the p experiments of a realisation form a unitary matrix up to the
+    levels: V[j, e] = A_j W[e, j] exp(i phi_j) exp(i psi_e) with W from `orthogonal_matrix`
+    (Dobrowiecki and Schoukens 2007). Since psi is random like phi ("full random orthogonal phases",
+    Pintelon and Schoukens 2012, 3.7), the nonlinear distortions of the experiments are uncorrelated
+    and affect all inputs equally, as noise does.
 
-    Raises ConfigError where the band holds no line.
+    Raises ConfigError if the band contains no line.
     """
     p = len(excitations)
     lines = excited_lines(excitations[0], rate_hz, np.random.default_rng([seed, _GRID]))
@@ -60,14 +60,14 @@ def orthogonal_multisines(
 def orthogonal_cycles(
     excitation: Excitation, inputs: int, plan: Orthogonal, fade_s: float, rate_hz: float
 ) -> int:
-    """Return the number of samples of `orthogonal_multisines` for so many inputs."""
+    """Return the number of samples of `orthogonal_multisines` for `inputs` inputs."""
     assert excitation.period_s is not None
     n = round(excitation.period_s * rate_hz)
     return plan.realisations * inputs * plan.periods * n + round(fade_s * rate_hz)
 
 
 def orthogonal_matrix(p: int) -> Complex:
-    """Return W (p, p), |W| = 1, W W^H = p I: Hadamard's for powers of two, else the DFT's."""
+    """Return W (p, p), |W| = 1, W W^H = p I: Hadamard for powers of two, otherwise DFT matrix."""
     if p & (p - 1) == 0:
         return np.asarray(hadamard(p), dtype=np.complex128)
     k = np.arange(p)

@@ -1,4 +1,4 @@
-"""From a session to segments: what the loop will fly, computed before it flies."""
+"""Plan a session as segments for the loop, before the flight."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ Array = NDArray[np.float64]
 
 _IDLE_S = 0.3
 _JUDGED_S = 2.0
-"""How long a check of coils may wait to be judged; its rows are kept for as long."""
+"""Longest delay of the evaluation of a coil check; its rows must stay in the ring until then."""
 MOST_CYCLES = 30_000_000
-"""Of a record, and of a session that a daemon flies: 50 min at 10 kHz, arrays of several GB."""
+"""Longest record, and longest session of a daemon: 50 min at 10 kHz, arrays of several GB."""
 _FLYING = np.array([[1.0, 1.0, 1.0]])
 _AXIS = {"psi": 0, "theta": 1, "z": 2}
 
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """One step of a session; `segments()` computes its arrays, tens of MB for a long record."""
+    """Plan one step of a session; `segments()` computes its arrays, tens of MB for long records."""
 
     index: int
     kind: Literal["levitate", "move", "record", "land"]
@@ -46,7 +46,7 @@ class PlannedStep:
 
 @dataclass(frozen=True)
 class Plan:
-    """All steps of a session at one rate."""
+    """Hold the planned steps of a session at one rate."""
 
     name: str
     rate_hz: float
@@ -54,7 +54,7 @@ class Plan:
 
     @property
     def cycles(self) -> int:
-        """Cycles of the whole session."""
+        """Cycles of all steps."""
         return sum(step.cycles for step in self.steps)
 
 
@@ -66,14 +66,14 @@ def plan_session(
     source: str | None = None,
     check: CoilCheck | None = None,
 ) -> Plan:
-    """Lay out `session` on `rig`, from a manipulator at rest at `beam_m` and `rotor_rad`.
+    """Plan `session` on `rig`, with the manipulator initially at rest at `beam_m`, `rotor_rad`.
 
-    `source` names the session in errors, its file if there is one. `check` is done where a lift-off
-    says nothing of its own about it.
+    `source` names the session in errors, usually its file. `check` is the coil check of a lift-off
+    that does not set `check_coils`.
 
     Raises:
-        ConfigError: a position or speed outside the rig's limits, a coil that the rig has not, a
-            level that would saturate the coils; the message names session, step and key.
+        ConfigError: a position or speed exceeds the rig's limits, a coil does not exist, or a level
+            would saturate the coils; the message names session, step and key.
     """
     return _Planner(session, rig, beam_m, rotor_rad, source, check).plan()
 
@@ -86,7 +86,7 @@ def plan_steps(
     rotor_rad: float,
     check: CoilCheck | None = None,
 ) -> Plan:
-    """Lay out single steps, flown by hand, from a manipulator at rest; see plan_session."""
+    """Plan single steps of a flight by hand; see plan_session."""
     session = SessionConfig.model_construct(
         levid="session",
         name=name,
@@ -243,7 +243,7 @@ class _Planner:
         return ramp + release + idle, segments
 
     def excitation(self, step: RecordStep, index: int, n: int, where: str) -> tuple[Array, Array]:
-        """Return v (n, 3) and coil excitation (n, C); a single row of zeros where nothing plays."""
+        """Return v (n, 3) and coil excitation (n, C); a single row of zeros without excitation."""
         v, coils = self.no_v, self.no_coils
         signals = self.signals(step, index, n)
         for position, name in enumerate(step.excite):
@@ -270,7 +270,7 @@ class _Planner:
         return v, coils
 
     def signals(self, step: RecordStep, index: int, n: int) -> Iterator[Array]:
-        """Yield the samples of each excitation of a record, (n,) or a turn; raises ConfigError."""
+        """Yield the samples of each excitation of a record, in its order; raises ConfigError."""
         played = [self.session.excitations[name] for name in step.excite]
         seed = self.session.seed
         if step.orthogonal is not None:
@@ -278,10 +278,10 @@ class _Planner:
                 played, step.orthogonal, step.fade_s, self.rate_hz, seed, index
             ).T
             return
-        if step.each_s is not None:  # the next one fades in while a turn fades out
+        if step.each_s is not None:  # each excitation fades out while the next one fades in
             n = self.n(step.each_s) + self.n(step.fade_s)
         for position, excitation in enumerate(played):
-            # One stream for each place in the session: adding a record leaves the others alone.
+            # One random stream per record and excitation: a new record does not change the others.
             rng = np.random.default_rng([seed, index, position])
             yield signal(excitation, n, self.rate_hz, rng)
 
@@ -297,9 +297,9 @@ class _Planner:
         return self.n(step.duration_s)
 
     def check_length(self, check: CoilCheck, pushes: Pushes, where: str) -> None:
-        """Raise ConfigError for pushes that would be longer than they should, or not be judged.
+        """Raise ConfigError if a push is shorter than a period or the check exceeds the ring.
 
-        What was judged last has to be there still, and the first one is written over first.
+        All rows of the check must still be in the ring when it is evaluated.
         """
         if pushes.push > LONGER * check.push_s * self.rate_hz:
             raise ConfigError(
@@ -316,12 +316,12 @@ class _Planner:
             )
 
     def check_levels(self, v: Array, coil_excitation: Array, beam: Array, where: str) -> None:
-        """Raise ConfigError where weight and excitation together ask more than a coil can give."""
+        """Raise ConfigError if weight plus excitation exceed the coil force limit."""
         limit = self.rig.limits.coil_n
         weight = self.feed_forward.wrench(np.atleast_2d(beam))
         carried = float(np.max(np.abs(weight @ self.T_coils)))
         played = _peak_force(v, self.T_coils) + float(np.max(np.abs(coil_excitation)))
-        if not carried + played <= limit:  # nor is what is no number
+        if not carried + played <= limit:  # nan is an error too
             raise ConfigError(
                 f"{where}: the excitation would saturate the coils: expected at most {limit:g} N "
                 f"a coil, found {carried:.1f} N of weight and {played:.1f} N of excitation at its "
@@ -330,7 +330,7 @@ class _Planner:
             )
 
     def beam_trajectory(self, step: RecordStep, n: int, where: str) -> Array:
-        """Return the beam's setpoints (n, 3): its waypoints, again and again."""
+        """Return the beam setpoints (n, 3) that repeat its waypoints."""
         legs = [
             self.beam_leg(
                 point.to_m,
@@ -349,7 +349,7 @@ class _Planner:
         return setpoints
 
     def rotor_trajectory(self, step: RecordStep, n: int, where: str) -> Array:
-        """Return the rotor's setpoints (n, 3): its waypoints, again and again."""
+        """Return the rotor setpoints (n, 3) that repeat its waypoints."""
         limits = self.rig.limits
         legs: list[point_to_point.Leg] = []
         for number, point in enumerate(step.rotor):
@@ -428,11 +428,11 @@ class _Planner:
         )
 
     def still(self) -> tuple[Array, Array]:
-        """Return single setpoints (1, 3) that hold beam and rotor where the plan left them."""
+        """Return single setpoints (1, 3) that hold beam and rotor at their last position."""
         return np.array([[self.beam_m, 0.0, 0.0]]), np.array([[self.rotor_rad, 0.0, 0.0]])
 
     def n(self, duration_s: float) -> int:
-        """Return cycles: one at least of what is to take any time, or a lift-off would be none."""
+        """Return the cycles of a duration; at least one if it is positive."""
         return max(round(duration_s * self.rate_hz), 1 if duration_s > 0.0 else 0)
 
 
@@ -448,10 +448,10 @@ def _smooth(n: int) -> Array:
 
 
 def _peak_force(v: Array, T_coils: Array) -> float:
-    """Return the largest force of a coil under the wrench v (n, 3)."""
+    """Return the largest coil force in N caused by the wrench v (n, 3)."""
     used = np.flatnonzero(v.any(axis=0))
     if len(used) == 0:
         return 0.0
-    if len(used) == 1:  # by far the most frequent: one product instead of one a cycle
+    if len(used) == 1:  # the usual case, computed with one product
         return float(np.abs(v[:, used[0]]).max() * np.abs(T_coils[used[0]]).max())
     return float(np.max(np.abs(v @ T_coils)))

@@ -1,7 +1,7 @@
-"""A planned flight in a memory file: the planner's process writes it, the supervisor maps it.
+"""Pass a plan from planner to supervisor in a memory file.
 
-Tables of fixed size and arrays, nothing that has to be parsed. The file is sealed before it is
-read, and every offset is checked: whatever the planner met, the supervisor reads no byte beyond it.
+The file holds tables of fixed size and arrays: nothing has to be parsed. It is sealed before it is
+read, and every offset is checked: the supervisor never reads beyond it, whatever the planner wrote.
 """
 
 from __future__ import annotations
@@ -61,21 +61,21 @@ _STATES = (State.IDLE, State.LEVITATING, State.EXCITING, State.MOVING, State.LAN
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _MOST_SEGMENTS, _MOST_SESSION = 8 * MOST_STEPS, 1 << 20
 MOST_WORDS = 1 << 16
-"""Bytes of a refusal that are read, and of a path or a note."""
+"""Longest refusal, path or note in bytes."""
 
 
 class PlanFileError(Exception):
-    """The planner's answer is not what a planner writes."""
+    """Report an invalid plan file."""
 
 
 @dataclass(frozen=True)
 class PlannedRequest:
-    """What a request comes to: its plan, and what else the supervisor needs to fly it.
+    """Hold the plan of a request and all that the supervisor needs to fly it.
 
-    op: `excite`, `levitate` or `move`. out: the folder for logs, empty for none. landing: cycles of
-    sinking and of letting go, should it be landed before its end; None for that of the flight it
-    is part of. client_gone: `go_on`, `land`, or empty for what the rig says. session: the text of
-    SESSION.yaml. note: what is to be said in the journal, empty for nothing.
+    op: `excite`, `levitate` or `move`. out: the log folder, empty for no log. landing: ramp and
+    release cycles of an early landing; None keeps those of the flight. client_gone: `go_on`,
+    `land`, or empty for the rig's setting. session: text of SESSION.yaml. note: journal line, empty
+    for none.
     """
 
     op: str
@@ -88,7 +88,7 @@ class PlannedRequest:
 
 
 def memory_file(name: str, data: bytes = b"") -> int:
-    """Return a descriptor of a new memory file that can be sealed; raises OSError."""
+    """Create a memory file that can be sealed; return its descriptor. Raises OSError."""
     fd = os.memfd_create(name, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     try:
         _write(fd, memoryview(data))
@@ -106,7 +106,7 @@ def write_plan(fd: int, planned: PlannedRequest) -> None:
     steps, segments = np.zeros(len(plan.steps), _STEPS), []
     coils = 0
     for number, step in enumerate(plan.steps):
-        found = step.segments()  # of one step at a time: a record may have hundreds of MB
+        found = step.segments()  # one step at a time: a record may take hundreds of MB
         for segment in found:
             coils = segment.coil_excitation.shape[1]
             segments.append(_write_segment(fd, segment))
@@ -127,7 +127,7 @@ def write_plan(fd: int, planned: PlannedRequest) -> None:
 
 
 def write_refusal(fd: int, why: str) -> None:
-    """Write why a request is refused, in place of whatever there is, and seal the file."""
+    """Overwrite the file with the reason of a refusal, and seal it."""
     os.ftruncate(fd, 0)
     os.lseek(fd, 0, os.SEEK_SET)
     _write(fd, memoryview(why.encode(errors="replace")[:MOST_WORDS]))
@@ -135,15 +135,15 @@ def write_refusal(fd: int, why: str) -> None:
 
 
 def read_refusal(fd: int) -> str:
-    """Return why a request is refused."""
+    """Return the reason of a refusal."""
     return os.pread(fd, MOST_WORDS, 0).decode(errors="replace")
 
 
 def read_plan(fd: int, coils: int) -> PlannedRequest:
-    """Return what `write_plan` wrote; its arrays stay in the file until they are used.
+    """Read and check a file of `write_plan`; its arrays stay in the file until they are used.
 
     Raises:
-        PlanFileError: the file is not sealed, or something in it leads beyond it.
+        PlanFileError: the file is not sealed, or a value in it is out of range.
     """
     if fcntl.fcntl(fd, fcntl.F_GET_SEALS) & _SEALS != _SEALS:
         raise PlanFileError("it is not sealed")
@@ -192,7 +192,7 @@ def read_plan(fd: int, coils: int) -> PlannedRequest:
 
 
 def _write_segment(fd: int, segment: Segment) -> tuple[object, ...]:
-    """Append the arrays of a segment; return its row of the table."""
+    """Append the arrays of a segment; return its row of the segment table."""
     places = []
     for name in _ARRAYS:
         array = np.ascontiguousarray(getattr(segment, name), np.float64)
@@ -230,7 +230,7 @@ def _read_array(memory: memoryview, place: np.void, columns: int) -> NDArray[np.
 def _check_steps(steps: NDArray[np.void], segments: int) -> None:
     _require(bool(((steps["kind"] >= 0) & (steps["kind"] < len(_KINDS))).all()), "kind")
     _require(bool((steps["index"] >= 0).all() and (steps["cycles"] >= 0).all()), "cycles")
-    # Files are called by them.
+    # Log files are named after steps.
     _require(all(_NAME.fullmatch(_text(name)) for name in steps["name"].tolist()), "name")
     counts = steps["segments"]
     _require(bool((counts >= 0).all() and (counts <= segments).all()), "segments")
@@ -281,7 +281,7 @@ def _text(field: bytes) -> str:
 
 
 def _append(fd: int, data: memoryview) -> int:
-    """Append data where a number may begin; return where it lies."""
+    """Append data at the next aligned offset; return the offset."""
     at = os.lseek(fd, 0, os.SEEK_END)
     at = os.lseek(fd, -(-at // _ALIGNMENT) * _ALIGNMENT, os.SEEK_SET)
     _write(fd, data)

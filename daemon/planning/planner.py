@@ -1,4 +1,4 @@
-"""From a client's request to a planned flight: parse, check against the rig, lay out."""
+"""Plan a client's request: parse it, check it against the rig, compute its plan."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Request = Mapping[str, Any]
 
 
 class RefusedError(Exception):
-    """A request that cannot be carried out now."""
+    """Report that a request is refused, and why."""
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What a plan begins from: the loop's state, last setpoints of beam (m) and rotor (rad).
+    """Describe the start of a plan: loop state, last setpoints of beam (m) and rotor (rad).
 
-    `coils_known`: whether each coil was seen to move what it should.
+    `coils_known`: whether all coils passed the coil check.
     """
 
     state: State
@@ -38,27 +38,26 @@ class Situation:
 
 
 class Planner:
-    """Plans requests on one rig; touches no file and no device."""
+    """Plan requests for one rig, without access to files or devices."""
 
     def __init__(self, rig: RigConfig) -> None:
         self._rig = rig
         self._ops = {"excite": self._session, "levitate": self._lift_off, "move": self._move}
 
     def plan(self, line: bytes, situation: Situation) -> PlannedRequest:
-        """Plan one request, a line of JSON.
+        """Plan one request, given as a line of JSON.
 
         Raises:
-            RefusedError, ConfigError: it cannot be flown; the message says why.
+            RefusedError, ConfigError: the request is invalid or cannot be flown.
         """
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
-            raise RefusedError("expected one JSON object a line") from None
+            raise RefusedError("expected one JSON object per line") from None
         op = request.get("op") if isinstance(request, dict) else None
         if not isinstance(op, str) or op not in self._ops:
             raise RefusedError(
-                f"op: expected one of {', '.join(self._ops)} in a request this long, "
-                f"found {_short(op)}"
+                f"op: expected one of {', '.join(self._ops)} in a long request, found {_short(op)}"
             )
         gone = request.get("client_gone")
         if gone not in (None, "", "go_on", "land"):
@@ -70,7 +69,7 @@ class Planner:
         if not isinstance(text, str) or not isinstance(out, str):
             raise RefusedError("excite: expected 'session' (YAML text) and 'out' (a folder)")
         if not out:
-            raise RefusedError("excite: expected a folder in 'out', found no name")
+            raise RefusedError("excite: 'out': expected a folder, found an empty name")
         _require_rest("excite", situation)
         self._check_rig(request.get("rig"))
         session = parse_text(text, SessionConfig, "session")
@@ -100,7 +99,7 @@ class Planner:
         move = parse(request.get("move") or {}, Move, "move")
         if situation.state is not State.LEVITATING:
             raise RefusedError(
-                f"move: expected a platform that levitates (levid levitate), "
+                f"move: expected the state LEVITATING (levid levitate), "
                 f"found {situation.state.name}"
             )
         plan = self._by_hand(Step(move=move), situation)
@@ -113,9 +112,9 @@ class Planner:
     def _due_check(
         self, levitate: Levitate | None, situation: Situation
     ) -> tuple[CoilCheck | None, str]:
-        """Return how a lift-off that does not say so itself is to check the coils, None if not.
+        """Return the default coil check of a lift-off, None for none, and a note for the journal.
 
-        Nobody asked for it: a rig on which it cannot be done flies without, and a note says so.
+        A rig that cannot perform the default check flies without it; the note says why.
         """
         if levitate is None or levitate.check_coils is not None or situation.coils_known:
             return None, ""
@@ -123,7 +122,7 @@ class Planner:
         try:
             self._by_hand(Step(levitate=levitate), situation, check)
         except ConfigError as error:
-            return None, f"the coils are not checked after lift-off: {error}"
+            return None, f"coil check after lift-off skipped: {error}"
         return check, ""
 
     def _planned(
@@ -149,12 +148,12 @@ class Planner:
         rate_hz = self._rig.rate_hz
         if cycles > MOST_CYCLES:
             raise RefusedError(
-                f"{name}: expected at most {MOST_CYCLES / rate_hz:g} s in all at "
+                f"{name}: expected a total of at most {MOST_CYCLES / rate_hz:g} s at "
                 f"{rate_hz:g} Hz, found {cycles / rate_hz:g} s; fly several sessions"
             )
 
     def _check_rig(self, text: object) -> None:
-        """Refuse a session that was written for another rig than this daemon runs."""
+        """Raise ConfigError if the client's rig differs from the rig of this daemon."""
         if text is None:
             return
         rig = parse_text(str(text), RigConfig, "rig")
@@ -163,14 +162,14 @@ class Planner:
             rig = rig.model_copy(update={"model": self._rig.model})
         if _as_started(rig) != _as_started(self._rig):
             raise ConfigError(
-                f"rig {rig.name}: expected the rig that this daemon runs, found another"
+                f"rig {rig.name}: it differs from the rig of the daemon; restart the daemon with it"
             )
 
 
 def least_cycles(session: SessionConfig, rate_hz: float) -> int:
-    """Return what a session's steps say of their lengths, added up; moves come on top.
+    """Return a lower bound of a session's cycles, without its moves.
 
-    To plan a session that is far too long would take hours.
+    It serves to refuse sessions that are far too long, which would take hours to plan.
     """
 
     def cycles(*parts_s: float | None) -> int:
@@ -194,13 +193,13 @@ def least_cycles(session: SessionConfig, rate_hz: float) -> int:
 
 
 def _require_rest(op: str, situation: Situation) -> None:
-    """Refuse before the work of planning what cannot be flown."""
+    """Raise RefusedError unless the state is IDLE, before the effort of planning."""
     if situation.state is not State.IDLE:
         raise RefusedError(f"{op}: expected the state IDLE, found {situation.state.name}")
 
 
 def _as_started(rig: RigConfig) -> RigConfig:
-    """Return a rig without what may change while its daemon runs."""
+    """Return a rig with defaults for the keys that can be reloaded."""
     plain = type(rig.service)()
     fixed = {key: getattr(plain, key) for key in RELOADED}
     return rig.model_copy(update={"service": rig.service.model_copy(update=fixed)})

@@ -1,4 +1,4 @@
-"""The supervisor's side of the planner: hands requests on, takes plans, starts it anew."""
+"""Pass requests from the supervisor to the planner process; monitor and restart it."""
 
 from __future__ import annotations
 
@@ -17,65 +17,64 @@ from .planner import RefusedError, Situation
 from .planner_process import CPU_S, ENDED, PLANNED, QUESTION, REFUSED, Ended, Question, Work
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 60.0
-_SAID_AGAIN_S = 60.0
-_ENDS_S = 10.0
-"""How long a planner may take to end what is wanted no more, before it is started anew."""
+_REPEAT_S = 60.0
+_CANCEL_S = 10.0
+"""Time limit of the planner to cancel a task before it is restarted."""
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Task:
     job: int
     work: Work
     result: int
 
 
 class PlannerLink:
-    """Keeps a planner running; one question at a time.
+    """Keep a planner running; one task at a time.
 
-    What becomes of the planner is no matter of a flight: who asked is refused, and the next one
-    is started.
+    If the planner fails, its request is refused and a new planner is started; a flight goes on.
     """
 
-    def __init__(self, rig_json: bytes, coils: int, say: Callable[[str], None]) -> None:
-        # One thread: a process of several is not to be forked.
+    def __init__(self, rig_json: bytes, coils: int, log: Callable[[str], None]) -> None:
+        # One thread only: forking a process with several threads is unsafe.
         self._child = Child(
             "planner",
             module_of("planning.planner_process"),
             rig_json,
             {"OPENBLAS_NUM_THREADS": "1"},
         )
-        self._coils, self._say = coils, say
+        self._coils, self._log = coils, log
         self._end: socket.socket | None = None
         self._jobs = 0
-        self._asked: _Asked | None = None
-        self._dropped: tuple[int, float] | None = None  # a question of before, and since when
-        self._pause_s, self._again_s = _FIRST_PAUSE_S, 0.0
-        self._said_s = -math.inf
-        self._begun = False
+        self._task: _Task | None = None
+        self._cancelled: tuple[int, float] | None = None  # job and time of a cancelled task
+        self._pause_s, self._restart_s = _FIRST_PAUSE_S, 0.0
+        self._logged_s = -math.inf
+        self._started = False
 
     @property
     def pid(self) -> int | None:
-        """The planner's process."""
+        """Process id of the planner, None if it does not run."""
         return self._child.pid
 
     def watch(self) -> None:
-        """Start the planner, or start it anew, where it is not there or does not come back."""
+        """Start the planner, or restart it if it ended or does not cancel a task."""
         now_s = time.monotonic()
-        if self._dropped is not None:
-            job, since_s = self._dropped
+        if self._cancelled is not None:
+            job, since_s = self._cancelled
             if self._ended(job) is not None:
-                self._dropped = None
-            elif now_s - since_s > _ENDS_S:
-                self.give_up()
-        # Whoever asked the one that is gone is told first.
-        if self._child.running or self._asked is not None or now_s < self._again_s:
+                self._cancelled = None
+            elif now_s - since_s > _CANCEL_S:
+                self.cancel()
+        # The request of a planner that ended is refused before the restart.
+        if self._child.running or self._task is not None or now_s < self._restart_s:
             return
-        self._dropped = None
-        if self._begun:
-            self._say_seldom(now_s, f"the planner is gone ({self._child.end}): it is started anew")
-        self._again_s = now_s + self._pause_s
+        self._cancelled = None
+        if self._started:
+            self._log_rarely(now_s, f"restarting the planner: it ended ({self._child.end})")
+        self._restart_s = now_s + self._pause_s
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
-        self._begun = True
+        self._started = True
         try:
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             ours.setblocking(False)
@@ -85,14 +84,14 @@ class PlannerLink:
             with theirs:
                 self._child.start((theirs.fileno(), os.getpid()), (theirs.fileno(),))
         except OSError as error:
-            self._say_seldom(now_s, f"the planner cannot be started: {error}")
+            self._log_rarely(now_s, f"cannot start the planner: {error}")
 
-    def ask(self, work: Work, data: bytes, situation: Situation) -> None:
-        """Hand a question on; raises RefusedError where there is no planner to take it."""
-        self.forget()
+    def start(self, work: Work, data: bytes, situation: Situation) -> None:
+        """Start a task in the planner; raises RefusedError if it cannot take one."""
+        self.discard()
         self._jobs += 1
         if self._end is None:
-            raise RefusedError("the planner is being started: ask again")
+            raise RefusedError("the planner is starting: try again")
         question = Question(
             self._jobs,
             work,
@@ -109,75 +108,77 @@ class PlannerLink:
         except OSError as error:
             for fd in fds:
                 os.close(fd)
-            self.give_up()
-            raise RefusedError(f"the planner does not take requests ({error}): ask again") from None
+            self.cancel()
+            raise RefusedError(f"the planner does not respond ({error}): try again") from None
         os.close(fds[0])
-        self._dropped = None
-        self._asked = _Asked(self._jobs, work, fds[1])
+        self._cancelled = None
+        self._task = _Task(self._jobs, work, fds[1])
 
     def answer(self) -> PlannedRequest | bool | None:
-        """Return the plan, or True for a folder that is there; None while it is being worked on.
+        """Return the plan, or True for a folder that was created; None while the task runs.
 
         Raises:
-            RefusedError: it cannot be done, or the planner is gone; the message says why.
+            RefusedError: the task failed, or the planner ended.
         """
-        asked = self._asked
-        if asked is None:
-            raise RefusedError("the planner was not asked")
-        if (ended := self._ended(asked.job)) is None:
+        task = self._task
+        if task is None:
+            raise RefusedError("the planner has no task")
+        if (ended := self._ended(task.job)) is None:
             if self._child.running:
                 return None
-            self.forget()
-            raise RefusedError(f"the planner is gone ({self._child.end}): ask again")
+            self.discard()
+            raise RefusedError(f"the planner ended ({self._child.end}): try again")
         try:
             if ended.signal == signal.SIGXCPU:
-                raise RefusedError(f"planning took more than {CPU_S} s of processor time")
+                raise RefusedError(
+                    f"planning took more than {CPU_S} s of processor time: shorten the session"
+                )
             if ended.signal:
                 raise RefusedError(
                     f"planning was killed by {signal.Signals(ended.signal).name}: the machine may "
                     "lack memory"
                 )
             if ended.code == REFUSED:
-                raise RefusedError(read_refusal(asked.result))
+                raise RefusedError(read_refusal(task.result))
             if ended.code != PLANNED:
                 raise RefusedError(f"planning failed (exit code {ended.code}); see the journal")
             self._pause_s = _FIRST_PAUSE_S
-            if asked.work is Work.FOLDER:
+            if task.work is Work.FOLDER:
                 return True
-            return read_plan(asked.result, self._coils)
+            return read_plan(task.result, self._coils)
         except (PlanFileError, ValueError, OSError) as error:
-            raise RefusedError(f"the planner's answer is not used: {error}") from None
+            raise RefusedError(f"the planner wrote an invalid plan: {error}") from None
         finally:
-            os.close(asked.result)  # a plan keeps its memory without it
-            self._asked = None
+            os.close(task.result)  # the mapping of a plan stays valid
+            self._task = None
 
-    def forget(self) -> None:
-        """Expect no answer any more: what is being worked on is wanted no more."""
-        asked, self._asked = self._asked, None
-        if asked is None:
+    def discard(self) -> None:
+        """Discard the current task, if any: have the planner cancel it."""
+        task, self._task = self._task, None
+        if task is None:
             return
-        os.close(asked.result)
-        self._dropped = asked.job, time.monotonic()
+        os.close(task.result)
+        self._cancelled = task.job, time.monotonic()
         if self._end is not None:
-            with contextlib.suppress(OSError):  # it is gone, and its work with it
-                self._end.send(QUESTION.pack(*Question(asked.job, Work.NOTHING)))
+            with contextlib.suppress(OSError):  # the planner has ended, and the task with it
+                self._end.send(QUESTION.pack(*Question(task.job, Work.NOTHING)))
 
-    def give_up(self) -> None:
-        """End whatever it is working on, and start it anew."""
-        self.forget()
+    def cancel(self) -> None:
+        """Kill the planner with its task; `watch` restarts it at once."""
+        self.discard()
         self._child.kill(0.0)
-        self._again_s, self._dropped = 0.0, None
+        self._restart_s, self._cancelled = 0.0, None
 
     def end(self) -> None:
-        """End it."""
-        self.forget()
+        """Kill the planner for good."""
+        self.discard()
         self._child.kill()
         if self._end is not None:
             self._end.close()
             self._end = None
 
     def _ended(self, job: int) -> Ended | None:
-        """Return how a job ended; None where nothing has come of it."""
+        """Return how a job ended; None if it has not ended."""
         assert self._end is not None
         while True:
             try:
@@ -190,7 +191,7 @@ class PlannerLink:
             if ended.job == job:
                 return ended
 
-    def _say_seldom(self, now_s: float, what: str) -> None:
-        if now_s - self._said_s >= _SAID_AGAIN_S:
-            self._said_s = now_s
-            self._say(what)
+    def _log_rarely(self, now_s: float, line: str) -> None:
+        if now_s - self._logged_s >= _REPEAT_S:
+            self._logged_s = now_s
+            self._log(line)

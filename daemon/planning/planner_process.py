@@ -1,8 +1,7 @@
-"""The planner's process: plans each request in a confined child.
+"""Planner process: plan each request in a confined child process.
 
-The process itself parses nothing that a client sent: it forks a child for each request, which ends
-with its answer. Supervisor and planner exchange messages of fixed size, and memory files for what
-is long.
+The planner itself parses no client data: it forks a child for each request, which ends after its
+answer. Supervisor and planner exchange messages of fixed size, and long data in memory files.
 """
 
 from __future__ import annotations
@@ -22,35 +21,35 @@ from typing import NamedTuple
 
 from ...config.rig import RigConfig
 from ..control.states import State
-from ..host.process_limits import Confinement, confine, share_of_memory
-from ..host.real_time_scheduling import call_me, die_with
+from ..host.process_limits import Confinement, at_most_half_memory, confine
+from ..host.real_time_scheduling import set_process_name, signal_at_parent_death
 from .plan import MOST_CYCLES
 from .plan_file import memory_file, write_plan, write_refusal
 from .planner import Planner, RefusedError, Situation
 
 PLANNED, REFUSED = 0, 3
-"""Exit codes of a child; the result file has the plan, or why there is none."""
+"""Exit codes of a child; the result file holds the plan or the reason of the refusal."""
 CPU_S = 60
-"""Processor time of one request: several times what the longest session takes."""
+"""Processor time limit of one request: several times the need of the longest session."""
 _COLUMNS = 24
-"""Numbers a cycle that planning holds at a time, with those that lie in the result already."""
+"""Numbers per cycle that planning holds in memory, the result file included."""
 _FOLDER_CPU_S, _FOLDER_BYTES = 10, 1 << 28
-_MOST_REQUEST = 1 << 21
+_MAX_REQUEST = 1 << 21
 
 
 class Work(IntEnum):
-    """What a child does."""
+    """Number the tasks of a child."""
 
-    NOTHING = 0  # and what is being done is wanted no more; no files go with it
+    NOTHING = 0  # cancels the current task; sent without files
     PLAN = 1
-    FOLDER = 2  # makes the folder for logs, and looks whether it has none
+    FOLDER = 2  # create the log folder and check that it holds no logs
 
 
 class Question(NamedTuple):
-    """From the supervisor: what to do, and what a plan begins from; two files go with it.
+    """Message from the supervisor: the task and the start of a plan; two files go with it.
 
-    The first file is the request, a line of JSON or the path of a folder; the second is for the
-    result.
+    The first file holds the request (a line of JSON, or the path of a folder), the second one takes
+    the result.
     """
 
     job: int
@@ -62,7 +61,7 @@ class Question(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """From the planner: how a child ended, its exit code or the signal that killed it."""
+    """Message from the planner: the exit code of a child, or the signal that killed it."""
 
     job: int
     code: int
@@ -73,13 +72,13 @@ QUESTION, ENDED = struct.Struct("<4q2d"), struct.Struct("<3q")
 
 
 class PlannerProcess:
-    """Does one thing at a time, in the order asked."""
+    """Execute tasks one at a time, in the order of the messages."""
 
     def __init__(self, planner: Planner, end: socket.socket) -> None:
         self._planner, self._end = planner, end
 
     def run(self) -> None:
-        """Serve until the supervisor hangs up."""
+        """Execute tasks until the supervisor closes the connection."""
         while True:
             data, fds, _, _ = socket.recv_fds(self._end, QUESTION.size, 2)
             if len(data) != QUESTION.size:
@@ -95,14 +94,14 @@ class PlannerProcess:
             self._end.send(ENDED.pack(question.job, code, number))
 
     def _in_child(self, question: Question, fds: Sequence[int]) -> tuple[int, int]:
-        """Return exit code and signal of the child that did it."""
+        """Execute a task in a child; return its exit code and signal."""
         server = os.getpid()
         pid = os.fork()
         if not pid:
             code = 1
             try:
                 code = self._work(question, fds, server)
-            except BaseException:  # noqa: BLE001 - the journal has it, and nothing else runs here
+            except BaseException:  # noqa: BLE001 - the traceback goes to the journal
                 traceback.print_exc()
             finally:
                 os._exit(code)
@@ -110,7 +109,7 @@ class PlannerProcess:
         try:
             poll.register(ended, select.POLLIN)
             poll.register(self._end, select.POLLIN)
-            if ended not in dict(poll.poll()):  # the next question, or the end of all
+            if ended not in dict(poll.poll()):  # a new message or the end of the supervisor
                 os.kill(pid, signal.SIGKILL)
         finally:
             os.close(ended)
@@ -120,45 +119,48 @@ class PlannerProcess:
         return os.WEXITSTATUS(status), 0
 
     def _work(self, question: Question, fds: Sequence[int], server: int) -> int:
-        """In the child: confine it, do it, leave the result in its file; return the exit code."""
+        """Execute a task in the confined child; write the result file, return the exit code."""
         request, result = fds
         planning = question.work == Work.PLAN
         confine(_PLANNING if planning else _FOLDER, fds)
-        # After the user has changed, which undoes it.
-        die_with(server, signal.SIGKILL)
+        # After the change of the user, which resets it.
+        signal_at_parent_death(server, signal.SIGKILL)
         try:
-            data = os.pread(request, _MOST_REQUEST, 0)
+            data = os.pread(request, _MAX_REQUEST, 0)
             if planning:
                 write_plan(result, self._planner.plan(data, _situation(question)))
             else:
                 make_folder(Path(os.fsdecode(data)))
         except MemoryError:
-            write_refusal(result, "planning needs more memory than it may have: fly less at once")
+            write_refusal(result, "planning exceeds its memory limit: fly shorter sessions")
             return REFUSED
-        except Exception as error:  # noqa: BLE001 - the client is told, whatever it is
+        except Exception as error:  # noqa: BLE001 - the client gets the error
             write_refusal(result, str(error) or type(error).__name__)
             return REFUSED
         return PLANNED
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder for the logs of a flight.
+    """Create the folder for the logs of a flight.
 
     Raises:
-        RefusedError: it cannot be made, holds logs, or cannot be written to.
+        RefusedError: it cannot be created, holds logs, or is not writable.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RefusedError(f"{folder}: cannot be made: {error.strerror}") from None
+        raise RefusedError(f"{folder}: cannot create the folder: {error.strerror}") from None
     if any(folder.glob("*.mcap")):
-        raise RefusedError(f"{folder}: expected a folder without logs")
+        raise RefusedError(f"{folder}: expected a folder without logs; name another one")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise RefusedError(f"{folder}: expected a folder that the daemon may write to")
+        raise RefusedError(f"{folder}: the daemon has no write access to this folder")
 
 
 def warm_up(planner: Planner) -> None:
-    """Plan once what can be planned: a child that is nobody may not read what is imported late."""
+    """Plan one request of each kind, so that all modules are imported.
+
+    The user `nobody` of a child may not be able to read them.
+    """
     rest = Situation(State.IDLE)
     session = (
         b"levid: session\nname: warm-up\nexcitations:\n"
@@ -190,21 +192,21 @@ def _quoted(text: bytes) -> bytes:
     return b'"%s"' % text.replace(b"\n", b"\\n")
 
 
-_MOST_BYTES = 8 * _COLUMNS * MOST_CYCLES
-_PLANNING = Confinement(CPU_S, share_of_memory(_MOST_BYTES), share_of_memory(_MOST_BYTES))
+_MAX_BYTES = 8 * _COLUMNS * MOST_CYCLES
+_PLANNING = Confinement(CPU_S, at_most_half_memory(_MAX_BYTES), at_most_half_memory(_MAX_BYTES))
 _FOLDER = Confinement(_FOLDER_CPU_S, _FOLDER_BYTES, _FOLDER_BYTES, keeps_user=True)
 
 
 def main(end: str, parent: str) -> None:
-    """Plan until the supervisor hangs up; the rig comes as JSON on standard input."""
+    """Plan until the supervisor closes the connection; read the rig as JSON from standard input."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    call_me("levid-planner")
-    die_with(int(parent), signal.SIGKILL)
+    set_process_name("levid-planner")
+    signal_at_parent_death(int(parent), signal.SIGKILL)
     planner = Planner(RigConfig.model_validate_json(sys.stdin.buffer.read()))
     warm_up(planner)
     gc.collect()
-    gc.freeze()  # children share these pages as long as nobody writes to them
+    gc.freeze()  # children share these pages until they are written
     PlannerProcess(planner, socket.socket(fileno=int(end))).run()
 
 

@@ -1,4 +1,4 @@
-"""Point-to-point moves of beam and rotor: smooth, within velocity and acceleration limits."""
+"""Compute point-to-point moves of beam and rotor within velocity and acceleration limits."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _LONGEST_S = 3600.0
 
 
 def move(start: float, end: float, velocity: float, acceleration: float, Ts_s: float) -> Array:
-    """Return setpoints (n, 3), position, velocity, acceleration, from rest at start to rest at end.
+    """Return setpoints (n, 3) of position, velocity, acceleration from rest to rest.
 
-    The profile is the minimum-jerk quintic (Flash and Hogan, 1985), as short as the limits on
-    velocity and acceleration allow; the last row is `end` at rest. Units follow the arguments.
+    The profile is the minimum-jerk quintic (Flash and Hogan, 1985), as short as the limits allow;
+    the last row is `end` at rest. Units follow the arguments.
 
-    Raises ValueError for a move that takes more than an hour.
+    Raises ValueError if the move takes more than an hour.
     """
     distance = end - start
     if distance == 0.0:
@@ -34,7 +34,7 @@ def move(start: float, end: float, velocity: float, acceleration: float, Ts_s: f
     )
     if duration > _LONGEST_S:
         raise ValueError(
-            f"expected a move of at most {_LONGEST_S:g} s, found one of {duration:.3g} s"
+            f"expected a move of at most {_LONGEST_S:g} s, found {duration:.3g} s; move faster"
         )
     n = max(math.ceil(duration / Ts_s), 1)
     duration = n * Ts_s
@@ -49,7 +49,7 @@ def move(start: float, end: float, velocity: float, acceleration: float, Ts_s: f
 
 @dataclass(frozen=True)
 class Leg:
-    """A move to `to` within these limits, then `dwell_s` at rest; units as in `move`."""
+    """Define a move to `to` within limits, then `dwell_s` at rest; units as in `move`."""
 
     to: float
     velocity: float
@@ -58,11 +58,11 @@ class Leg:
 
 
 def repeated(start: float, legs: Sequence[Leg], n: int, Ts_s: float) -> Array:
-    """Return setpoints (n, 3) from `start` over the legs, again and again, for n cycles.
+    """Return setpoints (n, 3) that start at `start` and repeat the legs for n cycles.
 
-    A move that the end would cut is not begun: the axis waits instead.
+    A move that would not end within n cycles is not started: the axis holds its position.
 
-    Raises ValueError where not even the first move ends within n cycles.
+    Raises ValueError if the first move takes more than n cycles.
     """
     parts: list[Array] = []
     length, at = 0, start
@@ -73,8 +73,8 @@ def repeated(start: float, legs: Sequence[Leg], n: int, Ts_s: float) -> Array:
             if length + len(part) > n:
                 if not parts:
                     raise ValueError(
-                        f"expected a move that ends within the record's {n * Ts_s:g} s, found one "
-                        f"of {len(part) * Ts_s:g} s; move faster or record longer"
+                        f"expected a move within the record's {n * Ts_s:g} s, found one of "
+                        f"{len(part) * Ts_s:g} s; move faster or record longer"
                     )
                 return np.vstack([*parts, hold(at, n - length)])
             dwell = min(round(leg.dwell_s / Ts_s), n - length - len(part))
@@ -83,12 +83,12 @@ def repeated(start: float, legs: Sequence[Leg], n: int, Ts_s: float) -> Array:
             if length == n:
                 break
         if length - before <= len(legs):
-            break  # waypoints that go nowhere and stay nowhere: hold for the rest
+            break  # moves and dwells of zero length: hold for the rest
     return np.vstack([*parts, hold(at, n - length)])
 
 
 def brake(position: float, velocity: float, acceleration: float, Ts_s: float) -> Array:
-    """Return setpoints (n, 3) that bring a motion to rest at a constant deceleration."""
+    """Return setpoints (n, 3) that brake a motion to rest at constant deceleration."""
     n = max(math.ceil(abs(velocity) / (acceleration * Ts_s)), 1)
     t, duration = np.arange(1, n + 1) * Ts_s, n * Ts_s
     a = -velocity / duration
@@ -101,7 +101,7 @@ def brake(position: float, velocity: float, acceleration: float, Ts_s: float) ->
 
 
 def hold(position: float, n: int) -> Array:
-    """Return n setpoints (n, 3) at rest."""
+    """Return setpoints (n, 3) at rest at `position`."""
     setpoints = np.zeros((n, 3))
     setpoints[:, 0] = position
     return setpoints

@@ -1,4 +1,4 @@
-"""The flight recorder: what the ring holds of the last seconds before a fault goes to disk."""
+"""Flight recorder: write the last seconds before a fault from the ring to a log of its own."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from ..ipc.row_ring import Ring, RingRows
 from .coil_heat import state_folder
 
 _AFTER_S = 0.5
-_PATIENCE_S = 2.0
-_MOST_DUE = 8
-"""Faults that wait for their recording at a time; others are in those of these."""
+_WAIT_S = 2.0
+_MAX_PENDING = 8
+"""Faults that may wait for their recording; the recordings of these contain further faults."""
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
-NO_ROWS = "there were no rows before it"
-"""Why a fault has no recording where nothing failed: the loop had not begun."""
+NO_ROWS = "no rows before the fault"
+"""Reason for a missing recording that is no error: the loop had not started."""
 
 
 class FaultLog:
-    """Sees a fault come in the rows that go by, and writes a log of its own around it.
+    """Detect faults in the rows of the ring and write a flight recording of each.
 
-    `told(fault, path, why)` is called when one was written, or could not be: then path is empty.
-    With a path, `why` says what it lacks, if anything. The newest `keep_faults` of the folder are
-    kept. On a full disk one of more than that goes first; what then fails to be written whole is
-    removed.
+    `report(fault, path, problem)` is called for each recording. `path` is empty if it could not be
+    written; otherwise `problem` says what is missing in it, if anything. The newest `keep_faults`
+    recordings are kept. On a full disk, the oldest one is removed first if the folder holds that
+    many; a recording that then cannot be completed is removed.
     """
 
     def __init__(
@@ -47,80 +47,80 @@ class FaultLog:
         folder: Path,
         config: Recording,
         attachments: Mapping[str, bytes],
-        told: Callable[[Fault, str, str], None],
+        report: Callable[[Fault, str, str], None],
     ) -> None:
         self._ring, self._rate_hz, self._folder = ring, rate_hz, folder
         self._before = int(config.before_fault_s * rate_hz)
         self._after = int(_AFTER_S * rate_hz)
-        self._keep, self._attachments, self._told = config.keep_faults, attachments, told
+        self._keep, self._attachments, self._report = config.keep_faults, attachments, report
         self._fault = Fault.NONE
-        self._due: deque[tuple[Fault, int, float]] = deque()
+        self._pending: deque[tuple[Fault, int, float]] = deque()
         self._written: list[Path] = []
         self.epoch_ns = 0
 
-    def resume(self, seen: int, up_to: int) -> None:
-        """Take over from a recorder that died when it had dealt with the faults of `seen` rows."""
-        before = self._ring.copy(max(seen - 1, 0), 1)
-        if seen and before.first == seen - 1 and len(before.rows):
+    def resume(self, scanned: int, end: int) -> None:
+        """Continue for a dead recorder that scanned `scanned` rows; scan on up to row `end`."""
+        before = self._ring.copy(max(scanned - 1, 0), 1)
+        if scanned and before.first == scanned - 1 and len(before.rows):
             self._fault = Fault(int(before.rows["fault"][0]))
-        self.see(self._ring.copy(seen, up_to - seen))
+        self.scan(self._ring.copy(scanned, end - scanned))
 
     @property
-    def nothing_due(self) -> bool:
-        """Whether all faults seen so far are on disk."""
-        return not self._due
+    def idle(self) -> bool:
+        """Whether all faults found so far are on disk."""
+        return not self._pending
 
-    def see(self, taken: RingRows) -> None:
-        """Look through rows that were taken from the ring; write what is due."""
-        if len(taken.rows):
-            faults = taken.rows["fault"]
-            came = (faults != 0) & (np.concatenate([[self._fault], faults[:-1]]) == 0)
-            give_up_s = time.monotonic() + _PATIENCE_S
-            for at in np.flatnonzero(came)[: _MOST_DUE - len(self._due)].tolist():
-                self._due.append((Fault(int(faults[at])), taken.first + at, give_up_s))
+    def scan(self, read: RingRows) -> None:
+        """Search rows read from the ring for new faults; write recordings that are complete."""
+        if len(read.rows):
+            faults = read.rows["fault"]
+            new = (faults != 0) & (np.concatenate([[self._fault], faults[:-1]]) == 0)
+            deadline_s = time.monotonic() + _WAIT_S
+            for at in np.flatnonzero(new)[: _MAX_PENDING - len(self._pending)].tolist():
+                self._pending.append((Fault(int(faults[at])), read.first + at, deadline_s))
             self._fault = Fault(int(faults[-1]))
-        while self._due:
-            fault, row, give_up_s = self._due[0]
-            # A loop that died with its fault writes no more rows.
-            if self._ring.tail < row + self._after and time.monotonic() <= give_up_s:
+        while self._pending:
+            fault, row, deadline_s = self._pending[0]
+            # A loop that died writes no more rows: stop waiting at the deadline.
+            if self._ring.tail < row + self._after and time.monotonic() <= deadline_s:
                 return
-            self._due.popleft()
+            self._pending.popleft()
             self.write(fault, row + self._after)
 
     def finish(self) -> None:
-        """Write what is due, as far as it goes: no more rows will come."""
-        while self._due:
-            fault, row, _ = self._due.popleft()
+        """Write pending recordings with the rows available: no more rows will come."""
+        while self._pending:
+            fault, row, _ = self._pending.popleft()
             self.write(fault, row + self._after)
 
     def write(self, fault: Fault, end: int | None = None) -> None:
-        """Write the last seconds before row `end`, or before the newest, as those of `fault`."""
+        """Write the last seconds before row `end` (default: the newest) as recording of `fault`."""
         end = self._ring.head if end is None else end
         first = max(end - self._before - self._after, 0)
         found = self._ring.copy(first, end - first)
-        rows = found.rows[: max(end - found.first, 0)]  # later ones stand for those that are gone
-        if not len(rows):  # whoever asked for it waits to hear of it
-            self._told(fault, "", NO_ROWS if not first else "its rows are gone")
+        rows = found.rows[: max(end - found.first, 0)]  # `copy` replaces overwritten rows by later
+        if not len(rows):
+            self._report(fault, "", NO_ROWS if not first else "its rows were overwritten")
             return
-        # Of before the first row there is nothing to tell: this is about rows that there were.
+        # Rows that existed but were overwritten; time before the first row does not count.
         lacking_s = (found.first - first) / self._rate_hz
         try:
             try:
-                path, why = self._write(fault, rows, lacking_s)
+                path, problem = self._write(fault, rows, lacking_s)
             except Exception as error:
                 if not _is_full(error) or not self._prune(max(self._keep - 1, 1)):
                     raise
-                path, why = self._write(fault, rows, lacking_s)
-        except Exception as error:  # noqa: BLE001 - told; a full disk must not end the recorder
-            self._told(fault, "", str(error))
+                path, problem = self._write(fault, rows, lacking_s)
+        except Exception as error:  # noqa: BLE001 - reported; a full disk must not end the recorder
+            self._report(fault, "", str(error))
             return
         self._written.append(path)
         self._prune(self._keep)
         lacks = self._lacks(lacking_s) if lacking_s else ""
-        self._told(fault, str(path), "; ".join(filter(None, (lacks, why))))
+        self._report(fault, str(path), "; ".join(filter(None, (lacks, problem))))
 
     def _write(self, fault: Fault, rows: NDArray[np.void], lacking_s: float) -> tuple[Path, str]:
-        """Write one and return it, and what is wrong with it. Raises LogError, OSError."""
+        """Write a recording; return its path and problem. Raises LogError, OSError."""
         times = self.epoch_ns + np.rint(rows["cycle"] * (1e9 / self._rate_hz)).astype(np.uint64)
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._free_path(int(times[-1]), fault)
@@ -134,7 +134,7 @@ class FaultLog:
             },
             attachments=self._attachments,
         )
-        why, written = "", False
+        problem, written = "", False
         try:
             log.write(rows, times)
             try:
@@ -142,22 +142,21 @@ class FaultLog:
             except LogError as error:
                 if log.buffered:
                     raise
-                why = str(error)  # all rows are in it: it opens, it lacks its summary only
+                problem = str(error)  # all rows are written, only the summary is missing
             written = True
         finally:
-            # The fault is in the last chunk: without it the file tells nothing of the fault, counts
-            # as one that is kept, and takes room that the next one could have.
+            # The last chunk holds the fault: without it the recording is useless and takes space.
             if not written:
                 with suppress(OSError):
                     path.unlink()
-        return path, why
+        return path, problem
 
     def _lacks(self, seconds: float) -> str:
-        promised_s = self._before / self._rate_hz
-        lacking_s = min(seconds, promised_s)
+        nominal_s = self._before / self._rate_hz
+        lacking_s = min(seconds, nominal_s)
         return (
-            f"it lacks the first {lacking_s:.1f} of {promised_s:g} s before the fault, for which "
-            f"the recorder was too late"
+            f"the first {lacking_s:.1f} of {nominal_s:g} s before the fault are missing: the "
+            "recorder was too late"
         )
 
     def _free_path(self, time_ns: int, fault: Fault) -> Path:
@@ -170,22 +169,22 @@ class FaultLog:
         return path
 
     def _prune(self, keep: int) -> int:
-        """Remove all but the newest `keep`; return how many went."""
-        # The time of day stands first in the names: their order is that of the faults, but where
-        # the clock is behind. What this process wrote is newer than all else, whatever it says.
+        """Remove all but the newest `keep` recordings; return how many were removed."""
+        # Names sort by the time of day, which may have been set back: recordings of this process
+        # count as newer than all others.
         found = set(self._folder.glob("fault-*.mcap"))
         self._written = [path for path in self._written if path in found]
         before = sorted(found - set(self._written))
-        gone = 0
+        removed = 0
         for path in [*before, *self._written][: max(len(found) - keep, 0)]:
-            with suppress(OSError):  # the new one is written all the same
+            with suppress(OSError):
                 path.unlink(missing_ok=True)
-                gone += 1
-        return gone
+                removed += 1
+        return removed
 
 
 def _is_full(error: BaseException | None) -> bool:
-    """Return whether the disk had no room; a LogError has the system's error behind it."""
+    """Return whether the disk is full, by this error or an earlier one in its context."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in _FULL:
             return True
@@ -194,7 +193,7 @@ def _is_full(error: BaseException | None) -> bool:
 
 
 def fault_folder(rig: RigConfig, folder: Path) -> Path:
-    """Return where flight recordings go: as the rig says, else among this user's or service's."""
+    """Return the folder of flight recordings: of the rig, otherwise of the service or user."""
     if rig.recording.faults is not None:
         return folder / rig.recording.faults
     return state_folder() / "faults"

@@ -1,4 +1,4 @@
-"""Writes what comes out of the ring: each row into the log that its tag names."""
+"""Write rows from the ring to log files, each row to the log of its tag."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ...log.writer import LogWriter
 from ..ipc.row_ring import NO_LOG, Ring, RingRows
 
 BLOCK = 8192
-"""Rows that are taken from the ring at a time. While there are fewer a reader pauses:
-each turn costs as much as copying some hundred rows."""
+"""Rows read from the ring at a time. With fewer rows waiting, a reader pauses: each turn costs as
+much as copying some hundred rows."""
 
 
 @dataclass(frozen=True)
 class LogFile:
-    """A log to write: where it lies and what stands at its head.
+    """Describe a log to write: path, metadata and attachments.
 
-    A log that is cut into parts, because it grew too large or too long or because its recorder was
-    started anew, goes on in `name.2.mcap` and so on; `part` is the first one that may be written.
+    A log that exceeds its size or length, or whose recorder was restarted, continues in
+    `name.2.mcap` and so on; `part` is the first part to write.
     """
 
     path: Path
@@ -33,20 +33,20 @@ class LogFile:
     part: int = 1
 
     def path_of(self, part: int) -> Path:
-        """Return the file of a part."""
+        """Return the path of a part."""
         return self.path if part == 1 else self.path.with_suffix(f".{part}{self.path.suffix}")
 
 
 @dataclass(frozen=True)
 class Rotation:
-    """What one file may hold before the next part is begun."""
+    """Limit the size of one file; the next part follows."""
 
-    most_bytes: int
-    most_rows: int
+    max_bytes: int
+    max_rows: int
 
 
 class Event(StrEnum):
-    """What a scribe tells: a file was begun, ended whole, or given up."""
+    """Name what happened to a file: opened, closed completely, or failed."""
 
     OPENED = "opened"
     CLOSED = "closed"
@@ -54,14 +54,14 @@ class Event(StrEnum):
 
 
 Tell = Callable[[Event, int, Path, str], None]
-"""Takes the event, the log's tag, its file and, where it failed, why."""
+"""Called with the event, the tag of the log, the file and the reason of a failure."""
 
 
 class Scribe:
-    """Follows a ring as its only reader; `log_of` gives the log of a tag, None for one unknown.
+    """Write the rows of a ring as its only reader; `log_of` returns the log of a tag, or None.
 
-    A failure of the disk stops recording until `forget_errors`, never the flight: it is kept in
-    `error`, and rows that should have been recorded are counted in `dropped`.
+    A disk error stops recording until `forget_errors`, but never the flight: `error` holds it, and
+    `dropped` counts the rows that were not recorded.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class Scribe:
         ring: Ring,
         rate_hz: float,
         log_of: Callable[[int], LogFile | None],
-        tell: Tell = lambda *_: None,
+        report: Tell = lambda *_: None,
         rotation: Rotation | None = None,
     ) -> None:
-        self._ring, self._rate_hz, self._log_of, self._tell = ring, rate_hz, log_of, tell
+        self._ring, self._rate_hz, self._log_of, self._report = ring, rate_hz, log_of, report
         self._rotation = rotation
         self._period_ns = 1e9 / rate_hz
         self.epoch_ns = 0
@@ -87,20 +87,20 @@ class Scribe:
 
     @property
     def tag(self) -> int:
-        """Tag of the log at hand."""
+        """Tag of the current log."""
         return self._tag
 
     @property
     def writer(self) -> LogWriter | None:
-        """The file that is being written, if there is one."""
+        """Writer of the current file, None if no file is open."""
         return self._writer
 
     def forget_errors(self) -> None:
-        """Begin anew after a failure: the next log is written again."""
+        """Resume recording after a failure, from the next log on."""
         self.error = None
 
     def work(self) -> RingRows:
-        """Take a block of rows, write it, and return it; it is empty where there was none."""
+        """Read a block of rows, write it to its logs, and return it; empty if none is waiting."""
         ring = self._ring
         taken = ring.take(BLOCK)
         tags = taken.tags
@@ -111,18 +111,18 @@ class Scribe:
                     self._switch(int(tags[begin]))
                     ring.durable = taken.first + begin
                 self._write(taken.rows[begin:end])
-                # At once: what a recorder that follows a dead one writes again stands twice.
+                # Update at once: a restarted recorder writes rows after this again.
                 buffered = self._writer.buffered if self._writer is not None else 0
                 ring.durable = taken.first + end - buffered
         return taken
 
     def finish(self) -> None:
-        """End the log at hand: no more rows of it will come."""
+        """Close the current log: no more rows of it will come."""
         self._switch(NO_LOG)
         self._ring.durable = self._ring.tail
 
     def _write(self, rows: NDArray[np.void]) -> None:
-        if self._full:  # only now: a log that ends with its part leaves no empty one behind
+        if self._full:  # only when rows follow: no empty last part
             self._full = False
             self._open(self._part + 1)
         if self._writer is None:
@@ -136,7 +136,7 @@ class Scribe:
         if (
             rotation is not None
             and self._writer is not None
-            and (writer.size >= rotation.most_bytes or self._rows >= rotation.most_rows)
+            and (writer.size >= rotation.max_bytes or self._rows >= rotation.max_rows)
         ):
             self._close()
             self._full = True
@@ -146,8 +146,8 @@ class Scribe:
         self._full = False
         self._tag = tag
         self._file = self._log_of(tag) if tag != NO_LOG else None
-        if tag != NO_LOG and self._file is None:  # no failure of the disk: the next log is written
-            self._tell(Event.FAILED, tag, Path(), f"log {tag} is unknown")
+        if tag != NO_LOG and self._file is None:  # no disk error: the next log is written
+            self._report(Event.FAILED, tag, Path(), f"log {tag} is unknown")
         if self._file is not None:
             self._open(self._file.part)
 
@@ -166,7 +166,7 @@ class Scribe:
                 attachments=file.attachments,
             )
             self._part, self._rows = part, 0
-            self._tell(Event.OPENED, self._tag, path, "")
+            self._report(Event.OPENED, self._tag, path, "")
 
         self._guard(begin, 0, path)
 
@@ -178,18 +178,18 @@ class Scribe:
         def end() -> None:
             writer.close()
             self._writer = None
-            self._tell(Event.CLOSED, self._tag, writer.path, "")
+            self._report(Event.CLOSED, self._tag, writer.path, "")
 
         self._guard(end, writer.buffered)
 
     def _guard(self, action: Callable[[], None], rows: int, path: Path | None = None) -> None:
-        """Do it; where it fails, keep the error and give the file up, `rows` not in it."""
+        """Run `action`; on an error, store it, count `rows` as dropped and abandon the file."""
         try:
             action()
-        except Exception as error:  # noqa: BLE001 - kept in `error`, the flight goes on
+        except Exception as error:  # noqa: BLE001 - stored in `error`; the flight goes on
             self.error = self.error or error
             self.dropped += rows
             if path is None and self._writer is not None:
                 path = self._writer.path
             self._writer = None
-            self._tell(Event.FAILED, self._tag, path or Path(), str(error))
+            self._report(Event.FAILED, self._tag, path or Path(), str(error))

@@ -1,4 +1,4 @@
-"""Hands the logs of a session to identification after landing, in a process of its own."""
+"""Run identification or trace on the logs of a session after landing, in a separate process."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ _STDERR = 2
 
 
 class HandoverError(Exception):
-    """Identification did not succeed; the logs are untouched."""
+    """Report that identification failed; the logs are unchanged."""
 
 
 def hand_over(verb: str, records: Sequence[Path], out: Path) -> None:
-    """Run `levid VERB` on `records` at low priority, its report in `out`, and wait for it.
+    """Run `levid VERB` on `records` at low priority with its report in `out`, and wait for it.
 
-    VERB is an entry of a session's `then`. What it says goes to this process's stderr. Raises
-    HandoverError when it fails.
+    VERB is an entry of `then` in a session. Its output goes to stderr of this process. Raises
+    HandoverError if it fails.
     """
     nice = shutil.which("nice")
     done = subprocess.run(

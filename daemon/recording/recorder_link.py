@@ -1,4 +1,4 @@
-"""The supervisor's side of the recorder: says what to write, hears what was, starts it anew."""
+"""Start, command, monitor and restart the recorder process from the supervisor."""
 
 from __future__ import annotations
 
@@ -22,65 +22,63 @@ from ..ipc.row_ring import HUNG_S
 from .fault_recorder import NO_ROWS
 from .log_router import Event, LogFile
 
-_MOST_BYTES = 16 << 20
+_MAX_BYTES = 16 << 20
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 60.0
-"""From one start to the next: a recorder that had lived for a while is started anew at once."""
-_LIVED_S = 10.0
-_SAID_AGAIN_S = 60.0
+"""Pause between two starts; a recorder that ran for `_STABLE_S` is restarted at once."""
+_STABLE_S = 10.0
+_REPEAT_S = 60.0
 _STARTING_S = 60.0
-"""How long a recorder may take to begin, not counting the time for which it got no processor; on an
-idle machine it takes less than one."""
+"""Time limit for the start of a recorder, without the time it waited for a processor. On an idle
+machine it needs less than 1 s."""
 
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 
 
 class RecorderLink:
-    """Keeps a recorder running; whatever becomes of it, the loop flies on.
+    """Keep a recorder running; the loop flies on without it.
 
-    `files` are the files of each log, in order, `failed` what went wrong with it.
+    `files`: the files of each log in order, by tag. `failed`: the reason of each failed log.
     """
 
     def __init__(
-        self, rig_json: bytes, shared_fd: int, board: Board, faults: Path, say: Say
+        self, rig_json: bytes, shared_fd: int, board: Board, faults: Path, log: Log
     ) -> None:
         self._child = Child("recorder", module_of("recording.recorder_process"), rig_json)
-        self._shared_fd, self._board, self._faults, self._say = shared_fd, board, faults, say
+        self._shared_fd, self._board, self._faults, self._log = shared_fd, board, faults, log
         self._lines: Lines | None = None
         self._head: Mapping[str, bytes] | None = None
         self._logs: dict[int, LogFile] = {}
         self._tags = 0
         self.files: dict[int, list[Path]] = {}
         self.failed: dict[int, str] = {}
-        self.last_fault_log = ""  # the last one that was written: later ones may have failed
+        self.last_fault_log = ""  # last flight recording that was written
         self._log_failed = self._fault_failed = ""
-        self._opened: Path | None = None  # the log begun since a flight recording failed
-        self._untold = ""  # the fault that a flight recording was asked for, until there is one
+        self._opened: Path | None = None  # last log opened since a flight recording failed
+        self._unrecorded = ""  # fault whose flight recording was requested and is not confirmed
         self.restarts = -1
-        self._pause_s, self._again_s, self._started_s = _FIRST_PAUSE_S, 0.0, 0.0
-        self._said: dict[str, tuple[float, int]] = {}  # when, and how often it was held back since
-        self._awake, self._beat = Awake(), 0
-        self._silence, self._begun = ChildSilence(self._child), False
-        self._hangs = False  # and was killed, but the kernel does not let go of it
-        self._ready_asked = self._ready_answered = 0
+        self._pause_s, self._restart_s, self._started_s = _FIRST_PAUSE_S, 0.0, 0.0
+        self._logged: dict[str, tuple[float, int]] = {}  # by topic: time, suppressed lines since
+        self._process_clock, self._beat = Awake(), 0
+        self._silence, self._running = ChildSilence(self._child), False
+        self._hung = False  # killed, but the process has not ended yet
+        self._ready_requested = self._ready_answered = 0
 
     @property
     def pid(self) -> int | None:
-        """The recorder's process."""
+        """Process id of the recorder, None if it does not run."""
         return self._child.pid
 
     @property
     def problem(self) -> str:
-        """Why nothing is being recorded, in words; empty where all is well."""
+        """Why nothing is recorded; empty if recording works."""
         if not self._child.running:
-            return f"the recorder is gone ({self._child.end}) and will be started anew"
-        if self._hangs:
-            return (
-                "the recorder hangs, and so does its disk perhaps: it is started anew once it ends"
-            )
+            return f"the recorder ended ({self._child.end}) and will be restarted"
+        if self._hung:
+            return "the recorder hangs, perhaps with its disk: it is restarted once it ends"
         return self._log_failed or self._fault_failed
 
     def define(self, file: LogFile) -> int:
-        """Return the tag of rows that are to go into this log."""
+        """Announce a log to the recorder; return the tag for its rows."""
         self._tags += 1
         self._logs[self._tags] = file
         self.files[self._tags] = []
@@ -88,116 +86,116 @@ class RecorderLink:
         return self._tags
 
     def forget(self) -> None:
-        """Begin anew: earlier logs are closed, and so are their errors.
+        """Forget earlier logs, which are closed, and their errors.
 
-        That a flight recording failed stands until one, or a log, is written.
+        The failure of a flight recording is kept until a recording or log is written.
         """
         self._log_failed = ""
         self._logs.clear()
         self.files.clear()
         self.failed.clear()
-        # What could not be told of an earlier fault by now would be a recording of this flight.
-        self._untold = ""
+        # A recording of an earlier fault would now contain the wrong flight.
+        self._unrecorded = ""
         self._send({"forget": self._tags})
 
-    def ask_ready(self) -> None:
-        """Ask the recorder whether it lives and has taken all rows that there are."""
-        self._ready_asked += 1
-        self._send({"ready": self._ready_asked})
+    def request_ready(self) -> None:
+        """Request that the recorder reports when it has read all rows."""
+        self._ready_requested += 1
+        self._send({"ready": self._ready_requested})
 
     @property
     def is_ready(self) -> bool:
-        """Whether the recorder that runs now has answered that it is."""
-        answered = self._ready_asked == self._ready_answered
-        return answered and self._child.running and not self._hangs
+        """Whether the present recorder answered the last `request_ready`."""
+        answered = self._ready_requested == self._ready_answered
+        return answered and self._child.running and not self._hung
 
     def fault(self, fault: Fault) -> None:
-        """Have a flight recording written for a fault that the loop could not log itself."""
-        self._untold = fault.name  # whatever becomes of the recorder meanwhile
+        """Request a flight recording of a fault that the loop could not log itself."""
+        self._unrecorded = fault.name  # requested again if the recorder is restarted
         self._send({"fault": fault.name})
 
     def watch(self) -> None:
-        """Hear what it has to say; start it, or start it anew, where it is not there."""
-        self.hear()
-        now_s = self._awake.look(time.monotonic())
+        """Process its messages; start or restart the recorder if it does not run."""
+        self.receive()
+        now_s = self._process_clock.update(time.monotonic())
         if not self._child.running:
-            if now_s >= self._again_s:
+            if now_s >= self._restart_s:
                 self._start(now_s)
             return
         beat = self._board[Word.RECORDER_BEAT]
         if beat != self._beat:
-            self._beat, self._begun, self._hangs = beat, True, False
+            self._beat, self._running, self._hung = beat, True, False
             self._silence.begin(now_s)
-            if now_s - self._started_s >= _LIVED_S:  # one beat is no life: it may die of each start
-                self._pause_s, self._again_s = _FIRST_PAUSE_S, now_s
+            if now_s - self._started_s >= _STABLE_S:
+                self._pause_s, self._restart_s = _FIRST_PAUSE_S, now_s
             return
-        most_s = HUNG_S if self._begun else _STARTING_S
-        if self._silence.passed_s(now_s) > most_s:
-            what = "hangs" if self._begun else "does not begin"
-            self._say_seldom(now_s, "hung", f"the recorder {what} for {most_s:g} s: it is killed")
-            self._child.kill(0.0)  # its end is noticed as any is; nothing waits for a disk here
+        limit_s = HUNG_S if self._running else _STARTING_S
+        if self._silence.passed_s(now_s) > limit_s:
+            state = "hung" if self._running else "did not start"
+            self._log_rarely(now_s, "hung", f"killed the recorder: it {state} for {limit_s:g} s")
+            self._child.kill(0.0)  # do not wait: its disk may hang
             self._silence.begin(now_s)
-            self._hangs = True
+            self._hung = True
 
-    def end(self, patience_s: float) -> None:
-        """Let it write what is left and end."""
+    def end(self, timeout_s: float) -> None:
+        """Have the recorder write the remaining rows and end; kill it after `timeout_s`."""
         self._send({"end": True})
-        give_up_s = time.monotonic() + patience_s
-        while self._child.running and time.monotonic() < give_up_s:
-            self.hear()
+        deadline_s = time.monotonic() + timeout_s
+        while self._child.running and time.monotonic() < deadline_s:
+            self.receive()
             self._child.wait(0.02)
-        self.hear()
+        self.receive()
         if self._child.running:
-            self._say(f"the recorder did not end within {patience_s:g} s: it is killed")
+            self._log(f"killed the recorder: it did not end within {timeout_s:g} s")
         self._child.kill()
 
     def _start(self, now_s: float) -> None:
-        gone = f"the recorder is gone ({self._child.end}): it is started anew"
+        restarted = f"the recorder ended ({self._child.end}) and was restarted"
         self.restarts += 1
         self._started_s = now_s
-        self._again_s = now_s + self._pause_s
+        self._restart_s = now_s + self._pause_s
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
         if self._lines is not None:
             self._lines.close()
             self._lines = None
         try:
             ours, theirs = socket.socketpair()
-            self._lines = Lines(ours, _MOST_BYTES, _MOST_BYTES)
+            self._lines = Lines(ours, _MAX_BYTES, _MAX_BYTES)
             with theirs:
                 self._child.start(
                     (self._shared_fd, os.getpid(), theirs.fileno(), self._faults),
                     (self._shared_fd, theirs.fileno()),
                 )
         except OSError as error:
-            self._say_seldom(now_s, "gone", f"the recorder cannot be started: {error}")
+            self._log_rarely(now_s, "ended", f"cannot start the recorder: {error}")
             return
         if self.restarts:
-            self._say_seldom(now_s, "gone", gone)
+            self._log_rarely(now_s, "ended", restarted)
         self._silence.begin(now_s)
-        self._beat = self._board[Word.RECORDER_BEAT]  # the last one's
-        self._begun = self._hangs = False
+        self._beat = self._board[Word.RECORDER_BEAT]  # of the previous recorder
+        self._running = self._hung = False
         self._head = None
         for tag, file in self._logs.items():
-            # A part that was begun is never written over.
+            # Never overwrite a part that exists.
             part = file.part + len(self.files[tag])
             self._define(tag, replace(file, part=part), again=True)
-        if self._untold:
-            self._send({"fault": self._untold})
+        if self._unrecorded:
+            self._send({"fault": self._unrecorded})
         self._ready_answered = 0
-        if self._ready_asked:
-            self._send({"ready": self._ready_asked})
+        if self._ready_requested:
+            self._send({"ready": self._ready_requested})
 
-    def _say_seldom(self, now_s: float, about: str, what: str) -> None:
-        """Say it once a minute at most, and then how often it was not said."""
-        said_s, unsaid = self._said.get(about, (-math.inf, 0))
-        if now_s - said_s < _SAID_AGAIN_S:
-            self._said[about] = said_s, unsaid + 1
+    def _log_rarely(self, now_s: float, topic: str, line: str) -> None:
+        """Log a line once a minute at most, with the number of suppressed lines."""
+        logged_s, suppressed = self._logged.get(topic, (-math.inf, 0))
+        if now_s - logged_s < _REPEAT_S:
+            self._logged[topic] = logged_s, suppressed + 1
             return
-        self._said[about] = now_s, 0
-        self._say(f"{what} ({unsaid} more since this was said last)" if unsaid else what)
+        self._logged[topic] = now_s, 0
+        self._log(f"{line} (and {suppressed} similar events before)" if suppressed else line)
 
     def _define(self, tag: int, file: LogFile, again: bool) -> None:
-        # The logs of a session have their attachments in common: they are sent once.
+        # All logs of a session have the same attachments: send them once.
         if file.attachments is not self._head:
             self._head = file.attachments
             head = {n: base64.b64encode(data).decode() for n, data in file.attachments.items()}
@@ -212,45 +210,45 @@ class RecorderLink:
         try:
             self._lines.put(message)
         except Closed:
-            return  # it is dead: the next one is told all that still matters
+            return  # it ended: `_start` sends the next one all that is needed
 
-    def hear(self) -> None:
-        """Take in what the recorder has told."""
+    def receive(self) -> None:
+        """Process the messages of the recorder."""
         if self._lines is None:
             return
         try:
             self._lines.flush()
             self._lines.receive()
             for line in self._lines.lines():
-                self._take(json.loads(line))
+                self._process(json.loads(line))
         except (Closed, TooLong, ValueError):
             return
 
-    def _take(self, message: Mapping[str, Any]) -> None:
+    def _process(self, message: Mapping[str, Any]) -> None:
         if message["event"] == "ready":
             self._ready_answered = int(message["ready"])
             return
         if message["event"] == "fault":
-            self._untold = "" if message["fault"] == self._untold else self._untold
+            self._unrecorded = "" if message["fault"] == self._unrecorded else self._unrecorded
             path, why = message["path"], message["why"]
             if path:
                 self.last_fault_log, self._log_failed, self._fault_failed = path, "", ""
-            elif why != NO_ROWS:  # then nothing failed: there was nothing to record
+            elif why != NO_ROWS:
                 self._fault_failed = f"flight recording of {message['fault']}: {why}"
                 self._opened = None
-            what = "; ".join(filter(None, (path, why))) if path else f"could not be written: {why}"
-            self._say(f"flight recording of {message['fault']}: {what}")
+            result = "; ".join(filter(None, (path, why))) if path else f"not written: {why}"
+            self._log(f"flight recording of {message['fault']}: {result}")
             return
         tag, path = int(message["log"]), Path(message["path"])
         if message["event"] == Event.OPENED:
             files = self.files.get(tag, [])
-            if path not in files:  # one that held no row was begun anew
+            if path not in files:  # a restarted recorder reopens a file without rows
                 files.append(path)
             self._opened = path
         elif message["event"] == Event.CLOSED:
-            # One that was begun before may need but its end, for which there is room sooner.
+            # Only a log opened since the failure shows that the disk works again.
             if path == self._opened and tag not in self.failed:
                 self._fault_failed = ""
         elif message["event"] == Event.FAILED and tag in self.files:
             self._log_failed = self.failed.setdefault(tag, str(message["why"]))
-            self._say(f"recording stopped, the flight goes on: {message['why']}")
+            self._log(f"recording stopped, the flight goes on: {message['why']}")

@@ -1,4 +1,4 @@
-"""The recorder's process: rows from shared memory into logs; the loop never knows of it."""
+"""Recorder process: write rows from shared memory to logs and flight recordings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ...log.mcap_scan import scan
 from ...log.writer import BEGINNING
 from ..control.faults import Fault
 from ..host.fsync_worker import Syncer
-from ..host.real_time_scheduling import call_me
+from ..host.real_time_scheduling import set_process_name
 from ..ipc.control_words import Word
 from ..ipc.json_lines import Closed, Lines
 from ..ipc.row_ring import NO_LOG
@@ -32,33 +32,33 @@ from .log_router import BLOCK, Event, LogFile, Rotation, Scribe
 from .session_logs import attachments
 
 _POLL_S = 0.01
-_SYNCING_S = 5.0
-_MOST_BYTES = 16 << 20
+_SYNC_S = 5.0
+_MAX_BYTES = 16 << 20
 _WITHOUT_ROWS_S = 1.0
 _UNKNOWN_S = 1.0
 
 
 class RecorderProcess:
-    """Follows the ring until it is told to end, or until supervisor and loop are both gone."""
+    """Record until the supervisor requests the end, or supervisor and loop have both ended."""
 
     def __init__(self, rig: RigConfig, shared: Shared, end: socket.socket, faults: Path) -> None:
         self._board, self._ring = shared.board, shared.ring
-        self._lines = Lines(end, _MOST_BYTES, _MOST_BYTES)
+        self._lines = Lines(end, _MAX_BYTES, _MAX_BYTES)
         self._syncer = Syncer()
         self._logs: dict[int, LogFile] = {}
         self._head: Mapping[str, bytes] = {}
-        self._tags: dict[Path, int] = {}  # of the logs at hand
-        self._fault_logs: dict[Path, str] = {}  # the last one, and its fault
-        self._ready = 0  # the last question whether it is, 0 where it was answered
+        self._tags: dict[Path, int] = {}  # of the current logs
+        self._fault_logs: dict[Path, str] = {}  # fault of the last flight recording
+        self._ready_request = 0  # last unanswered request to report readiness, 0 for none
         self._ending = False
-        self._closed = NO_LOG  # tag of the last log that the supervisor has forgotten
-        self._failed = NO_LOG  # tag of the last log that the scribe failed with
-        self._asked: list[Fault] = []  # whose recordings have to wait for the scribe
-        self._switching = False  # the scribe is in the middle of its work
+        self._closed = NO_LOG  # last tag that the supervisor has forgotten
+        self._failed = NO_LOG  # tag of the last log that could not be written
+        self._requested: list[Fault] = []  # recordings that wait until the scribe is free
+        self._switching = False  # the scribe is switching logs
         rotation = Rotation(
             int(rig.recording.rotate_mb * 1e6), int(rig.recording.rotate_s * rig.rate_hz)
         )
-        self._scribe = Scribe(self._ring, rig.rate_hz, self._log_of, self._tell, rotation)
+        self._scribe = Scribe(self._ring, rig.rate_hz, self._log_of, self._on_log_event, rotation)
         self._faults = FaultLog(
             self._ring,
             rig.rate_hz,
@@ -69,78 +69,79 @@ class RecorderProcess:
                 for name, data in attachments(rig, rig.model_dump_json().encode(), b"").items()
                 if data
             },
-            self._tell_fault,
+            self._on_fault_recording,
         )
-        self._scribe.dropped = self._board[Word.DROPPED]  # of those before this one
-        # A recorder that died left rows behind that were taken and are in no file.
+        self._scribe.dropped = self._board[Word.DROPPED]  # continue the count
+        # Read again the rows that a dead recorder read but did not write.
         self._ring.tail = self._ring.durable
-        # What it is told first may be that the loop is dead, and what is left of its rows to write.
+        # Set before the first message, which may request the recording of a dead loop.
         self._scribe.epoch_ns = self._faults.epoch_ns = self._board[Word.EPOCH_NS]
         self._faults.resume(self._board[Word.FAULTS_SEEN], self._ring.tail)
 
     def run(self, parent: int) -> None:
-        """Record."""
+        """Record; `parent` is the process id of the supervisor."""
         words = self._board.words
         quiet_since_s, cycle = time.monotonic(), words[Word.CYCLE]
         while True:
-            self._hear(0.0 if self._ring.waiting >= BLOCK else _POLL_S)
+            self._receive(0.0 if self._ring.waiting >= BLOCK else _POLL_S)
             self._scribe.epoch_ns = self._faults.epoch_ns = words[Word.EPOCH_NS]
             log = words[Word.LOG]
-            taken = self._scribe.work()
-            if not len(taken.rows) and self._scribe.tag not in (NO_LOG, log):
-                self._scribe.finish()  # its last row is here: on a dead bus no others come
-            self._faults.see(taken)
-            if self._faults.nothing_due:
+            read = self._scribe.work()
+            if not len(read.rows) and self._scribe.tag not in (NO_LOG, log):
+                self._scribe.finish()  # the log is complete; on a dead bus no rows follow
+            self._faults.scan(read)
+            if self._faults.idle:
                 words[Word.FAULTS_SEEN] = self._ring.tail
             self._sync()
             words[Word.DROPPED] = self._scribe.dropped
             words[Word.WRITING] = self._scribe.tag
             words[Word.RECORDER_BEAT] += 1
-            if self._ready and self._ring.waiting < BLOCK:
-                self._say({"event": "ready", "ready": self._ready})
-                self._ready = 0
-            if len(taken.rows):
+            if self._ready_request and self._ring.waiting < BLOCK:
+                self._send({"event": "ready", "ready": self._ready_request})
+                self._ready_request = 0
+            if len(read.rows):
                 continue
             if os.getppid() == parent:
                 if self._ending:
                     break
                 continue
-            # Alone with the loop: it stops by itself, and its last rows are the story.
+            # The supervisor has ended: record the last rows of the loop, until it stops too.
             if words[Word.CYCLE] != cycle:
                 quiet_since_s, cycle = time.monotonic(), words[Word.CYCLE]
             elif time.monotonic() - quiet_since_s > _WITHOUT_ROWS_S:
                 break
         self._scribe.finish()
         self._faults.finish()
-        self._syncer.finish(_SYNCING_S)
+        self._syncer.finish(_SYNC_S)
         self._sync()
         words[Word.WRITING] = self._scribe.tag
 
     def _sync(self) -> None:
-        self._syncer.offer(self._scribe.writer)
+        self._syncer.sync_growing(self._scribe.writer)
         for path, why in self._syncer.failures():
             if path in self._fault_logs:
-                self._say(
+                self._send(
                     {"event": "fault", "fault": self._fault_logs[path], "path": "", "why": why}
                 )
             else:
-                self._tell_log(Event.FAILED, self._tags.get(path, self._scribe.tag), path, why)
+                tag = self._tags.get(path, self._scribe.tag)
+                self._send_log_event(Event.FAILED, tag, path, why)
 
-    def _hear(self, wait_s: float) -> None:
-        """Do what the supervisor says; wait for it for `wait_s` at most."""
-        while self._asked and not self._switching:
-            self._record(self._asked.pop(0))
+    def _receive(self, wait_s: float) -> None:
+        """Execute the supervisor's messages; wait at most `wait_s` for one."""
+        while self._requested and not self._switching:
+            self._record(self._requested.pop(0))
         try:
             ready, _, _ = select.select([self._lines.socket], [], [], wait_s)
             if ready:
                 self._lines.receive()
             for line in self._lines.lines():
-                self._obey(json.loads(line))
+                self._execute(json.loads(line))
         except Closed:
-            # It is dead, or dying: what remains is to see whether rows still come.
+            # The supervisor has ended: go on as long as rows come.
             time.sleep(wait_s)
 
-    def _obey(self, message: Mapping[str, Any]) -> None:
+    def _execute(self, message: Mapping[str, Any]) -> None:
         if "head" in message:
             self._head = {name: base64.b64decode(data) for name, data in message["head"].items()}
         if "log" in message:
@@ -151,8 +152,7 @@ class RecorderProcess:
                 file = without_empty_part(file)
             self._logs[int(message["log"])] = file
         if "forget" in message:
-            # Not those of the flight before: where a recorder was just started, the ring has rows
-            # of theirs still.
+            # Keep the logs of the previous flight: after a restart, the ring still has their rows.
             before, self._closed = self._closed, int(message["forget"])
             self._logs = {tag: log for tag, log in self._logs.items() if tag > before}
             self._tags = {path: tag for path, tag in self._tags.items() if tag > before}
@@ -160,16 +160,16 @@ class RecorderProcess:
         if "fault" in message:
             fault = Fault[message["fault"]]
             if self._switching:
-                self._asked.append(fault)
+                self._requested.append(fault)
             else:
                 self._record(fault)
         if "ready" in message:
-            self._ready = int(message["ready"])
+            self._ready_request = int(message["ready"])
         if "end" in message:
             self._ending = True
 
     def _record(self, fault: Fault) -> None:
-        """Record a fault of a loop that can write no row of it."""
+        """Write the flight recording of a fault that the dead loop could not log."""
         while len(self._scribe.work().rows):
             pass
         self._scribe.finish()
@@ -177,61 +177,61 @@ class RecorderProcess:
         self._faults.write(fault)
 
     def _log_of(self, tag: int) -> LogFile | None:
-        give_up_s = time.monotonic() + _UNKNOWN_S
-        self._switching = True  # what it is told meanwhile must not have the scribe work
+        deadline_s = time.monotonic() + _UNKNOWN_S
+        self._switching = True  # messages must not use the scribe meanwhile
         try:
-            while tag not in self._logs and time.monotonic() < give_up_s:
-                self._hear(_POLL_S)
+            while tag not in self._logs and time.monotonic() < deadline_s:
+                self._receive(_POLL_S)
         finally:
             self._switching = False
         if self._failed <= self._closed < tag:
-            # The last rows of a flight that is over may fail after it was forgotten.
+            # An error of the previous flight must not stop this log.
             self._scribe.forget_errors()
         return self._logs.get(tag)
 
-    def _tell(self, event: Event, tag: int, path: Path, why: str) -> None:
+    def _on_log_event(self, event: Event, tag: int, path: Path, why: str) -> None:
         if event is Event.OPENED:
             self._tags[path] = tag
-            if tag in self._logs:  # should its rows come again after others, they go on in the next
+            if tag in self._logs:  # if the log is opened again, continue in the next part
                 log = self._logs[tag]
                 self._logs[tag] = replace(log, part=log.part + 1)
         elif event is Event.CLOSED:
-            self._syncer.whole(path)
+            self._syncer.sync_closed(path)
         elif event is Event.FAILED:
             self._failed = tag
-        self._tell_log(event, tag, path, why)
+        self._send_log_event(event, tag, path, why)
 
-    def _tell_log(self, event: Event, tag: int, path: Path, why: str) -> None:
-        self._say({"event": event, "log": tag, "path": str(path), "why": why})
+    def _send_log_event(self, event: Event, tag: int, path: Path, why: str) -> None:
+        self._send({"event": event, "log": tag, "path": str(path), "why": why})
 
-    def _tell_fault(self, fault: Fault, path: str, why: str) -> None:
+    def _on_fault_recording(self, fault: Fault, path: str, why: str) -> None:
         if path:
             self._fault_logs = {Path(path): fault.name}
-            self._syncer.whole(Path(path))
-        self._say({"event": "fault", "fault": fault.name, "path": path, "why": why})
+            self._syncer.sync_closed(Path(path))
+        self._send({"event": "fault", "fault": fault.name, "path": path, "why": why})
 
-    def _say(self, message: Mapping[str, Any]) -> None:
+    def _send(self, message: Mapping[str, Any]) -> None:
         with contextlib.suppress(Closed):
             self._lines.put(message)
 
 
 def without_empty_part(file: LogFile) -> LogFile:
-    """Take away parts that a recorder which died has begun and that hold no row: they are no logs.
+    """Remove the last part of a log if a dead recorder left it without rows.
 
-    That is the part before, or one of which it told nobody. What else there is stays: the log goes
-    on in the next part that is free.
+    This may be the previous part, or a part that it did not report. Other files stay: the log
+    continues in the next free part.
     """
-    while file.path_of(file.part).exists() and not _taken_away(file.path_of(file.part)):
+    while file.path_of(file.part).exists() and not _remove_if_empty(file.path_of(file.part)):
         file = replace(file, part=file.part + 1)
-    if file.part > 1 and _taken_away(file.path_of(file.part - 1)):
+    if file.part > 1 and _remove_if_empty(file.path_of(file.part - 1)):
         file = replace(file, part=file.part - 1)
     return file
 
 
-def _taken_away(path: Path) -> bool:
-    """Remove a log of ours without rows, whole or cut off; return whether it was one."""
+def _remove_if_empty(path: Path) -> bool:
+    """Remove a log without rows, complete or truncated; return whether it was removed."""
     try:
-        if path.stat().st_size > _MOST_BYTES or not _is_empty_log(path.read_bytes()):
+        if path.stat().st_size > _MAX_BYTES or not _is_empty_log(path.read_bytes()):
             return False
         path.unlink()
     except OSError:
@@ -240,19 +240,19 @@ def _taken_away(path: Path) -> bool:
 
 
 def _is_empty_log(data: bytes) -> bool:
-    """Return whether this is what our writer begins with, and no row: however short, it is ours."""
+    """Return whether the data start like a levid log and hold no row; they may be truncated."""
     if data[: len(BEGINNING)] != BEGINNING[: len(data)]:
         return False
-    with contextlib.suppress(LogError):  # not all of its head got into the file
+    with contextlib.suppress(LogError):  # truncated within the head
         return not scan(memoryview(data)).chunks
     return True
 
 
 def main(fd: str, parent: str, end: str, faults: str) -> None:
-    """Record until told to end; the rig comes as JSON on standard input."""
+    """Record until the end is requested; read the rig as JSON from standard input."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # the supervisor says when it is over
-    call_me("levid-recorder")
+        signal.signal(number, signal.SIG_IGN)  # the supervisor requests the end
+    set_process_name("levid-recorder")
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
     shared = Shared(rig, int(fd))
     RecorderProcess(rig, shared, socket.socket(fileno=int(end)), Path(faults)).run(int(parent))

@@ -1,4 +1,4 @@
-"""The recorder of a flight in virtual time: a scribe in a thread, which the loop waits for."""
+"""Record a flight in virtual time in a thread, which the loop waits for."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _POLL_S = 0.01
 
 
 class Recorder:
-    """Writes what the loop leaves in `ring`.
+    """Write the rows of `ring` to logs.
 
-    `define` names a log by the tag that its rows carry. A failure of the disk stops recording,
-    never the flight: it is kept in `error`.
+    `define` returns the tag for the rows of a log. A disk error stops recording, never the flight;
+    `error` holds it.
     """
 
     def __init__(self, ring: Ring, rate_hz: float) -> None:
@@ -29,39 +29,39 @@ class Recorder:
 
     @property
     def error(self) -> Exception | None:
-        """What ended the recording."""
+        """Error that ended the recording, None if there was none."""
         return self._scribe.error
 
     def start(self, epoch_ns: int) -> None:
-        """Begin to take rows; `epoch_ns` is the log time of cycle 0."""
+        """Start reading rows; `epoch_ns` is the log time of cycle 0."""
         self._scribe.epoch_ns = epoch_ns
         self._thread.start()
 
     def forget_errors(self) -> None:
-        """Begin anew after a failure: the next session records again."""
+        """Resume recording after a failure, from the next log on."""
         self._scribe.forget_errors()
 
     def define(self, file: LogFile) -> int:
-        """Return the tag of rows that go into this log."""
+        """Return the tag for the rows of this log."""
         tag = len(self._logs) + 1
         self._logs[tag] = file
         return tag
 
     def close(self) -> None:
-        """Write what is left, end the file, stop the thread; safe to call twice."""
+        """Write the remaining rows, close the file, stop the thread; safe to call twice."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
 
     def finish(self) -> None:
-        """Wait until all rows are in their files, and end the file at hand."""
+        """Wait until all rows are written, and close the current file."""
         self._finished.clear()
         self._finish.set()
         while self._thread.is_alive() and not self._finished.wait(_POLL_S):
             pass
 
     def wait_for_room(self, rows: int) -> None:
-        """Wait until the ring has room for `rows`; for virtual time, which outruns any disk."""
+        """Wait until the ring has room for `rows`: virtual time is faster than the disk."""
         while self._ring.room < rows and self._thread.is_alive():
             time.sleep(0.0005)
 

@@ -1,4 +1,4 @@
-"""What a session leaves behind: its logs, and what stands at the head of each."""
+"""Metadata and attachments of a session's logs, and the result of a flight."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # a client that stops a flight does not wait for scipy
+if TYPE_CHECKING:  # `levid stop` must not wait for the import of scipy
     from ...config.rig import RigConfig
     from ..planning.plan import Plan, PlannedStep
 
 
 class RecordingError(Exception):
-    """The flight went well but its log did not."""
+    """Report that a log could not be written although the flight succeeded."""
 
 
 @dataclass(frozen=True)
 class FlightResult:
-    """What a session left behind: its logs in order, its records, and the loop's misses.
+    """List the logs of a session in order, its records, and the counts of the loop.
 
-    `stopped`: it was asked to land before its end. `unjudged_coils`: those that were pushed after
-    lift-off and of which nobody knows what they moved, the loop having been too late.
+    `late`: late cycles. `lost`: rows missing in the logs. `stopped`: a landing was requested before
+    the end. `unjudged_coils`: coils that the check after lift-off skipped.
     """
 
     logs: tuple[Path, ...]
@@ -37,14 +37,19 @@ class FlightResult:
     unjudged_coils: tuple[int, ...] = ()
 
 
-def in_doubt(unjudged_coils: Iterable[int]) -> str:
-    """Return in words which coils the check after lift-off could not judge; empty for none."""
+def coil_check_warning(unjudged_coils: Iterable[int]) -> str:
+    """Return a warning about coils that the check after lift-off skipped; empty if none."""
     coils = ", ".join(map(str, unjudged_coils))
-    return f"the check after lift-off could not judge all coils: not {coils}" if coils else ""
+    if not coils:
+        return ""
+    return (
+        f"coil check skipped for coils {coils}: cycles were late or amplifier readings missing. "
+        "This is not a coil fault; the check is repeated at the next lift-off"
+    )
 
 
 def log_metadata(plan: Plan, step: PlannedStep) -> dict[str, str]:
-    """Return the pairs of the Metadata record `levid` for a step's log."""
+    """Return the key-value pairs of the Metadata record `levid` in a step's log."""
     return {
         "format": "1",
         "kind": step.kind,
@@ -56,9 +61,9 @@ def log_metadata(plan: Plan, step: PlannedStep) -> dict[str, str]:
 
 
 def attachments(rig: RigConfig, rig_text: bytes, session_text: bytes) -> dict[str, bytes]:
-    """Return what goes to the head of every log: the configs, versions and the host.
+    """Return the attachments of every log by name: configuration, versions, host.
 
-    `rig_text` may name the model of `rig` by its path; the model itself goes beside it.
+    `rig_text` may refer to the model of `rig` by its path: the model is attached too.
     """
     model = rig.model
     beside = {}

@@ -1,1 +1,1 @@
-"""Run as a systemd service: its files, its notifications, its journal."""
+"""Run as a systemd service: unit files, notifications, journal."""

@@ -1,4 +1,4 @@
-"""What the daemon says: lines on stderr, or entries of systemd's journal with fields."""
+"""Log lines to stderr, or to the systemd journal with fields."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from ..ipc.control_words import Board
 _SOCKET = "/run/systemd/journal/socket"
 _ERROR, _WARNING, _INFO = 3, 4, 6
 _STDERR = 2
-_MOST_WAITING = 1000
-_LAST_WORDS_S = 1.0
+_MAX_QUEUED = 1000
+_CLOSE_S = 1.0
 
 
 class Journal:
-    """Says a line at a time, from any thread; never waits, and never raises.
+    """Log lines from any thread; never waits and never raises.
 
-    Where stderr is the journal's (`JOURNAL_STREAM`), a line becomes an entry over its native
-    socket, with `fields` at that moment; it is an error as long as `LEVID_FAULT` names a fault.
-    What stderr does not take, a full disk, a terminal that was stopped, waits in a thread of its
-    own and is lost beyond a thousand lines.
+    If stderr leads to the journal (`JOURNAL_STREAM`), a line is sent to its native socket with the
+    current `fields`; its priority is error while `LEVID_FAULT` is set. Otherwise a separate thread
+    writes to stderr, which may block (full disk, stopped terminal); lines beyond a thousand are
+    lost.
     """
 
     def __init__(self, path: str = _SOCKET) -> None:
@@ -36,34 +36,34 @@ class Journal:
         if self._socket is not None:
             self._socket.setblocking(False)
         self.fields: Callable[[], Mapping[str, str]] = dict
-        self._lines: queue.Queue[str | None] = queue.Queue(_MOST_WAITING)
+        self._lines: queue.Queue[str | None] = queue.Queue(_MAX_QUEUED)
         self._thread = threading.Thread(target=self._write, name="levid-journal", daemon=True)
         self._thread.start()
 
-    def say(self, text: str) -> None:
-        """Say one line."""
+    def log(self, text: str) -> None:
+        """Log one line; the prefix `warning:` gives it that priority."""
         if self._socket is not None:
             fields = self.fields()
-            calm = _WARNING if text.startswith("warning:") else _INFO
-            priority = _ERROR if fields.get("LEVID_FAULT") else calm
+            default = _WARNING if text.startswith("warning:") else _INFO
+            priority = _ERROR if fields.get("LEVID_FAULT") else default
             try:
                 self._socket.sendto(entry(text, priority, fields), self._path)
             except OSError:
-                pass  # a journal that is busy or gone gets the bare line
+                pass  # journal busy or stopped: write the plain line to stderr
             else:
                 return
         with contextlib.suppress(queue.Full):
             self._lines.put_nowait(text)
 
     def close(self) -> None:
-        """Give what was said a moment to get out."""
+        """Wait at most a second until queued lines are written."""
         with contextlib.suppress(queue.Full):
             self._lines.put_nowait(None)
-        self._thread.join(_LAST_WORDS_S)
+        self._thread.join(_CLOSE_S)
 
     def _write(self) -> None:
         while (text := self._lines.get()) is not None:
-            # Past sys.stderr: whoever waits in there at the end of the process would hold it up.
+            # Not through sys.stderr: blocked in there, it would delay the end of the process.
             with contextlib.suppress(OSError):
                 data = f"{text}\n".encode(errors="backslashreplace")
                 while data:
@@ -71,7 +71,7 @@ class Journal:
 
 
 def moment(rig: str, board: Board) -> dict[str, str]:
-    """Return the fields that every entry carries; empty where there is nothing."""
+    """Return the fields of every entry; empty values are left out of the entry."""
     fault = board.fault
     return {
         "LEVID_RIG": rig,
@@ -81,7 +81,7 @@ def moment(rig: str, board: Board) -> dict[str, str]:
 
 
 def entry(text: str, priority: int, fields: Mapping[str, str]) -> bytes:
-    """Return an entry of systemd's native journal protocol; fields without a value are left out."""
+    """Encode an entry in systemd's native journal protocol; omit fields without a value."""
     every = {"MESSAGE": text, "PRIORITY": str(priority), "SYSLOG_IDENTIFIER": "levid", **fields}
     parts = []
     for name, value in every.items():
@@ -94,7 +94,7 @@ def entry(text: str, priority: int, fields: Mapping[str, str]) -> bytes:
 
 
 def _is_ours() -> bool:
-    """Return whether stderr leads to the journal: it may have been redirected."""
+    """Return whether stderr leads to the journal and is not redirected."""
     try:
         found = os.fstat(sys.stderr.fileno())
     except (OSError, ValueError):

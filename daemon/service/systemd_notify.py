@@ -1,4 +1,4 @@
-"""Tells systemd how the daemon is: ready, alive, ending. Without systemd it says nothing."""
+"""Notify systemd that the daemon is ready, alive or ending; without systemd do nothing."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import socket
 import time
 from collections import deque
 
-_MOST_UNSENT = 16
+_MAX_UNSENT = 16
 
 
 class Notify:
-    """sd_notify(3) over $NOTIFY_SOCKET; `alive` feeds the watchdog, twice within its time."""
+    """Send sd_notify(3) messages to $NOTIFY_SOCKET; `alive` resets the watchdog twice a period."""
 
     def __init__(self) -> None:
         path = os.environ.get("NOTIFY_SOCKET", "")
@@ -19,33 +19,34 @@ class Notify:
         self._socket: socket.socket | None = None
         if path:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-        self._unsent: deque[str] = deque(maxlen=_MOST_UNSENT)
+        self._unsent: deque[str] = deque(maxlen=_MAX_UNSENT)
         own = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         watchdog_us = os.environ.get("WATCHDOG_USEC", "0") if own else "0"
-        self._every_s = int(watchdog_us) * 0.5e-6 if watchdog_us.isdecimal() else 0.0
-        self._fed_s = 0.0
+        self._interval_s = int(watchdog_us) * 0.5e-6 if watchdog_us.isdecimal() else 0.0
+        self._alive_s = 0.0
         self._status = ""
 
     def ready(self) -> None:
-        """Say that requests are answered."""
+        """Report that requests are answered."""
         self._send("READY=1")
 
     def stopping(self) -> None:
-        """Say that the end has begun."""
+        """Report that the daemon is ending."""
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """Say in a line what it is doing."""
+        """Report the present activity in one line."""
         if text != self._status:
             self._status = text
             self._send(f"STATUS={text}")
 
     def alive(self) -> None:
-        """Feed the watchdog: to be called only while the loop advances, and often."""
+        """Reset the watchdog; call often, but only while the loop advances."""
         self._flush()
         now_s = time.monotonic()
-        if self._every_s and not self._unsent and now_s - self._fed_s >= self._every_s:
-            self._fed_s = now_s
+        due = now_s - self._alive_s >= self._interval_s
+        if self._interval_s and not self._unsent and due:
+            self._alive_s = now_s
             self._send("WATCHDOG=1")
 
     def _send(self, text: str) -> None:
@@ -54,7 +55,7 @@ class Notify:
             self._flush()
 
     def _flush(self) -> None:
-        """Send what waits; a manager that is busy is told later, one that is gone never."""
+        """Send queued messages; retry later if systemd is busy, drop them if it has ended."""
         while self._unsent and self._socket is not None:
             try:
                 self._socket.sendto(self._unsent[0].encode(), self._address)

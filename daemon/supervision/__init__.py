@@ -1,1 +1,1 @@
-"""Start and watch the daemon's processes, and run what clients request."""
+"""Start and monitor the daemon's processes; execute client requests."""

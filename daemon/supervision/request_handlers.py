@@ -1,4 +1,4 @@
-"""What clients may ask, and how it is answered; the supervisor parses short requests alone."""
+"""Handle client requests: stop, land, clear and watch at once; flights after planning."""
 
 from __future__ import annotations
 
@@ -26,49 +26,48 @@ if TYPE_CHECKING:
     from .supervisor import Supervisor
 
 _READY_S = 60.0
-_TELL_S = 5.0
+_PROGRESS_S = 5.0
 _PLANNING_S = 600.0
-"""How long planning may take on a machine that is busy with other things: its processor time is
-limited where it is planned."""
+"""Time limit for planning on a busy machine; the planner limits its processor time."""
 _FOLDER_S = 60.0
-"""How long making a folder may take: one on a mount that is dead is never there."""
+"""Time limit for creating the log folder: a dead mount never responds."""
 _RECORDER_S = 120.0
-"""How long a flight waits for the recorder: on a machine that starves it, it takes its time."""
-_LEAST_WATCH_S, _MOST_WATCHERS = 0.05, 32
+"""Time limit to wait for the recorder before a flight; long enough for a busy machine."""
+_MIN_WATCH_S, _MAX_WATCHERS = 0.05, 32
 
 Request = Mapping[str, Any]
 Moment = tuple[int, int, int]
-"""How often a landing was asked for, a fault was to be cleared, and the loop was started."""
+"""Counts of requests to land, requests to clear, and loop starts."""
 
 
 @dataclass
 class _Turn:
-    """From a request to the end of its flight nobody else has a turn.
+    """Hold the current request, from its arrival to the end of its flight.
 
-    `progress` yields what it waits for, until its flight begins; `now` is what it waits for.
+    `progress` yields the name of each stage before the flight; `now` is the present stage.
     """
 
     line: bytes
     reply: Reply
-    asked: Moment
+    received: Moment
     progress: Generator[str, None, None] | None = None
     now: str = ""
-    told_s: float = 0.0
+    reported_s: float = 0.0
     flying: bool = False
 
 
 class Requests:
-    """Handlers for the server: each returns at once; what takes time goes on in `tick`."""
+    """Handle requests for the server; handlers return at once, `tick` continues slow requests."""
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
-        self._guard = threading.Lock()  # of whose turn it is, for moments
+        self._guard = threading.Lock()  # protects `_turn`, held briefly
         self._turn: _Turn | None = None
         self.watchers: list[Watcher] = []
 
     @property
     def handlers(self) -> Mapping[str, Handler]:
-        """Handlers by the request's `op`."""
+        """Handlers by the key `op` of a request."""
         return {
             "status": lambda _, reply: reply.done(**self._supervisor.status()),
             "stop": self._stop,
@@ -78,17 +77,17 @@ class Requests:
             **dict.fromkeys(("excite", "levitate", "move"), self._plan),
         }
 
-    def long(self, line: bytes, reply: Reply) -> None:
-        """Take a request that is too long to be parsed here: the planner does."""
+    def on_long(self, line: bytes, reply: Reply) -> None:
+        """Handle a request that is too long to parse here: pass it to the planner."""
         try:
             self._begin_turn(line, reply)
         except RefusedError as error:
             raise RefusedError(
-                f"{error} (a request of more than {LONGEST_SHORT} bytes is one to plan)"
+                f"{error} (a request of more than {LONGEST_SHORT} bytes must be a flight)"
             ) from None
 
     def tick(self, now_s: float, status: Callable[[], dict[str, Any]]) -> None:
-        """In the supervisor's thread: send watchers what is due, bring on the request at hand."""
+        """Send status to watchers and advance the current request, in the supervisor's thread."""
         self.watchers[:] = [w for w in self.watchers if w.tick(now_s, status)]
         turn = self._turn
         if turn is None or turn.flying:
@@ -98,44 +97,46 @@ class Requests:
                 turn.progress = self._progress(turn)
             self._check(turn)
             now = next(turn.progress)
-        except StopIteration:  # its flight began, and ends its turn
+        except StopIteration:  # the flight has started; its end ends the turn
             turn.flying = True
             return
-        except Exception as error:  # noqa: BLE001 - the client is told, the daemon goes on
+        except Exception as error:  # noqa: BLE001 - the client gets the error; the daemon goes on
             if turn.progress is not None:
                 turn.progress.close()
             self._over(turn)
             turn.reply.refuse(str(error) or type(error).__name__)
             return
         if now != turn.now:
-            turn.now, turn.told_s = now, now_s
-        elif now_s - turn.told_s > _TELL_S:
-            turn.told_s = now_s
+            turn.now, turn.reported_s = now, now_s
+        elif now_s - turn.reported_s > _PROGRESS_S:
+            turn.reported_s = now_s
             turn.reply.send({"step": now, "share": 0.0})
 
     def _stop(self, _: Request, reply: Reply) -> None:
-        # The word is set before anything else happens: it needs none of the rest of the daemon.
+        # Directly into the control word: a stop does not depend on the supervisor's thread.
         self._supervisor.board.stop()
         reply.done(stopping=True)
 
     def _clear(self, _: Request, reply: Reply) -> None:
-        # In the thread that answers `stop`: a stop that comes after this is one of its own.
+        # Read in the same thread as `stop`: the clear does not cancel a later stop.
         supervisor = self._supervisor
         stops = supervisor.board[Word.STOPS]
         supervisor.post(lambda: supervisor.clear(reply, stops))
 
     def _land(self, _: Request, reply: Reply) -> None:
         pilot = self._supervisor.pilot
-        # Asked for while a flight is planned it means that flight; where there is none, nothing.
+        # Also cancels a flight that is being planned; without a flight it has no effect.
         self._supervisor.board.land()
         reply.done(landing=pilot.job is not None or pilot.airborne)
 
     def _watch(self, request: Request, reply: Reply) -> None:
         every_s = request.get("every_s", 0.5)
-        if not isinstance(every_s, (int, float)) or not every_s >= _LEAST_WATCH_S:
-            raise RefusedError(f"watch: expected every_s of {_LEAST_WATCH_S} or more")
-        if len(self.watchers) >= _MOST_WATCHERS:
-            raise RefusedError(f"watch: expected at most {_MOST_WATCHERS} watchers")
+        if not isinstance(every_s, (int, float)) or not every_s >= _MIN_WATCH_S:
+            raise RefusedError(
+                f"watch: every_s: expected {_MIN_WATCH_S} s or more, found {every_s!r}"
+            )
+        if len(self.watchers) >= _MAX_WATCHERS:
+            raise RefusedError(f"watch: {_MAX_WATCHERS} clients are watching, which is the limit")
         watcher = Watcher(reply, float(every_s))
         self._supervisor.post(lambda: self.watchers.append(watcher))
 
@@ -146,7 +147,7 @@ class Requests:
         board = self._supervisor.board
         if board.fault is not Fault.NONE:
             raise RefusedError(in_fault(board))
-        # One at a time, from its planning to its end: a plan begins where the manipulator is.
+        # One at a time, planning included: a plan starts at the manipulator's present setpoints.
         turn = _Turn(line, reply, self._moment)
         with self._guard:
             if self._turn is not None:
@@ -154,7 +155,7 @@ class Requests:
             self._turn = turn
 
     def _over(self, turn: _Turn) -> None:
-        """Let the next one come, unless that has been done."""
+        """End the turn of a request, so that the next one may come."""
         with self._guard:
             if self._turn is turn:
                 self._turn = None
@@ -162,13 +163,13 @@ class Requests:
     @property
     def _moment(self) -> Moment:
         board = self._supervisor.board
-        # Who asks before the first loop is there waits for it.
+        # The first start of the loop does not cancel a request that came before it.
         return board[Word.LAND], board[Word.CLEAR], max(board[Word.LOOPS], 1)
 
     def _progress(self, turn: _Turn) -> Generator[str, None, None]:
-        """Bring a request on to the beginning of its flight; yields what it waits for.
+        """Advance a request to the start of its flight; yield the name of each stage.
 
-        Raises what it is refused for.
+        Raises RefusedError.
         """
         supervisor, board = self._supervisor, self._supervisor.board
         yield from self._idle()
@@ -178,27 +179,27 @@ class Requests:
         planned = yield from self._work(Work.PLAN, turn.line, situation, _PLANNING_S)
         assert isinstance(planned, PlannedRequest)
         if planned.note:
-            supervisor.tell(planned.note)
+            supervisor.log_soon(planned.note)
         files: dict[int, LogFile] = {}
         if planned.out:
             yield from self._work(Work.FOLDER, planned.out.encode(), situation, _FOLDER_S)
             files = self._files(planned)
-            yield from self._recorder()
+            yield from self._recorder_ready()
         supervisor.pilot.begin(self._job(turn, planned, files))
-        if turn.asked != self._moment:  # between the look and the announcement
+        if turn.received != self._moment:  # a request came after the last check
             board.land()
 
     def _check(self, turn: _Turn) -> None:
-        """Call off what nobody waits for, or wants, any more; raises RefusedError."""
+        """Cancel a request if its client or a later request ends it; raises RefusedError."""
         if not turn.reply.waiting:
-            raise RefusedError("the client is gone")
-        if turn.asked != self._moment:
-            raise RefusedError("landed, stopped or cleared since it was asked for")
+            raise RefusedError("the client disconnected")
+        if turn.received != self._moment:
+            raise RefusedError("cancelled by a request to land, stop or clear")
         if self._supervisor.stopping:
             raise RefusedError("the daemon is ending")
 
     def _idle(self) -> Iterator[str]:
-        """Wait for the self-test."""
+        """Wait for the end of the self-test."""
         board, begin_s = self._supervisor.board, time.monotonic()
         while board.state in (State.OFF, State.SELF_TEST):
             if time.monotonic() - begin_s > _READY_S:
@@ -208,40 +209,39 @@ class Requests:
     def _work(
         self, work: Work, data: bytes, situation: Situation, seconds: float
     ) -> Generator[str, None, PlannedRequest | bool]:
-        """Have the planner do something; return what comes of it."""
+        """Run a task in the planner; return its result."""
         planner = self._supervisor.planner
-        planner.ask(work, data, situation)
+        planner.start(work, data, situation)
         begin_s = time.monotonic()
         try:
             while (answer := planner.answer()) is None:
                 if time.monotonic() - begin_s > seconds:
-                    planner.give_up()
+                    planner.cancel()
                     raise RefusedError(
-                        f"planning took longer than {seconds:g} s and is given up: expected a "
-                        "session that this machine can plan, and an 'out' that answers (a mount "
-                        "may be dead)"
+                        f"planning timed out after {seconds:g} s: shorten the session, and check "
+                        "that the folder 'out' is accessible (a dead mount is not)"
                     )
                 yield "planning"
         finally:
-            planner.forget()
+            planner.discard()
         return answer
 
-    def _recorder(self) -> Iterator[str]:
-        """Wait until the recorder lives and has taken all rows: else the flight leaves no log."""
+    def _recorder_ready(self) -> Iterator[str]:
+        """Wait until the recorder runs and has read all rows, so that the flight is logged."""
         recorder = self._supervisor.recorder
-        recorder.ask_ready()
+        recorder.request_ready()
         begin_s = time.monotonic()
         while not recorder.is_ready:
             if time.monotonic() - begin_s > _RECORDER_S:
                 raise RefusedError(
                     f"the recorder was not ready within {_RECORDER_S:g} s"
-                    f"{f' ({recorder.problem})' if recorder.problem else ''}: a flight that is to "
-                    "be logged does not lift off without it"
+                    f"{f' ({recorder.problem})' if recorder.problem else ''}: a logged flight does "
+                    "not lift off without it"
                 )
             yield "recorder"
 
     def _files(self, planned: PlannedRequest) -> dict[int, LogFile]:
-        """Return the log of each step by its index: of a session one each, by hand one in all."""
+        """Return the log of each step by its index: one per step, or one for a flight by hand."""
         texts = {**self._supervisor.attachments, "session.yaml": planned.session}
         plan, folder = planned.plan, Path(planned.out)
         if planned.op == "excite":
@@ -271,14 +271,14 @@ class Requests:
 
 
 class Watcher:
-    """A client that is sent the status, again and again, until it hangs up."""
+    """Send the status to a client periodically until it disconnects."""
 
     def __init__(self, reply: Reply, every_s: float) -> None:
-        self._reply, self._every_s, self._told_s = reply, every_s, 0.0
+        self._reply, self._interval_s, self._sent_s = reply, every_s, 0.0
 
     def tick(self, now_s: float, status: Callable[[], Mapping[str, Any]]) -> bool:
-        """Send the status if it is time; return whether anybody watches."""
-        if now_s - self._told_s >= self._every_s:
-            self._told_s = now_s
+        """Send the status if the interval has passed; return whether the client is connected."""
+        if now_s - self._sent_s >= self._interval_s:
+            self._sent_s = now_s
             self._reply.send(status())
         return self._reply.waiting

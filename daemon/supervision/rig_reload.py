@@ -1,4 +1,4 @@
-"""Reads RIG.yaml again while the daemon runs, and looks up whom it lets in."""
+"""Reload RIG.yaml and its access rights while the daemon runs."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ Ready = Callable[[RigConfig, Access], None]
 
 
 class RigReader:
-    """Has a thread of its own: names may be asked of another machine, and a mount may hang.
+    """Load the file in a thread: looking up users may use the network, and a mount may hang.
 
-    `ready` or `failed` is called from there, once for each reading. What is asked for during one
-    is one more, after it.
+    The thread calls `ready` or `failed` after each load. A request during a load starts another one
+    after it.
     """
 
     def __init__(self, rig_file: Path, ready: Ready, failed: Callable[[str], None]) -> None:
         self._rig_file, self._ready, self._failed = rig_file, ready, failed
-        self._asked = threading.Event()
+        self._requested = threading.Event()
 
     def start(self) -> None:
-        """Read when asked from now on."""
+        """Start the thread."""
         threading.Thread(target=self._run, name="levid-reload", daemon=True).start()
 
-    def ask(self) -> None:
-        """Have the file read; returns at once. Not for signal handlers: it takes a lock."""
-        self._asked.set()
+    def request(self) -> None:
+        """Request a load; returns at once. Not for signal handlers: it takes a lock."""
+        self._requested.set()
 
     def _run(self) -> None:
         while True:
-            self._asked.wait()
-            self._asked.clear()
+            self._requested.wait()
+            self._requested.clear()
             try:
                 rig = load_rig(self._rig_file)
                 access = Access(rig.service)
-            except Exception as error:  # noqa: BLE001 - whatever it is, the daemon goes on
+            except Exception as error:  # noqa: BLE001 - an invalid file must not end the daemon
                 self._failed(str(error) or type(error).__name__)
             else:
                 self._ready(rig, access)

@@ -1,54 +1,54 @@
-"""Readings that do not come while nothing flies: no fault, so the journal is to say it."""
+"""Log missing readings at zero force, where they are no fault."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-_LOOK_S = 2.0
-_LOOKS = 2
-"""After so many looks in a row that found readings missing it is said."""
+_POLL_S = 2.0
+_POLLS = 2
+"""Consecutive polls with missing readings before they are logged."""
 _MISSING = 0.5
-"""Stale readings a period from which on they are missing; single ones come late on any bus."""
-_QUIET_S = 60.0
-"""One line in that time, at most, and one that they are back."""
+"""Smallest fraction of stale cycles that counts as missing; single ones occur on any bus."""
+_REPEAT_S = 60.0
+"""Shortest time between two lines about missing readings."""
 
 
 class Silence:
-    """Compares how far the counters of periods and of stale readings moved; nothing in here waits.
+    """Compare the counters of cycles and stale cycles; log the start and end of missing readings.
 
-    In flight readings that are missing are a fault, which says more.
+    In flight, missing readings are a fault, which has its own message.
     """
 
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say = say
-        self._looked_s: float | None = None
-        self._cycle = self._stale = self._looks = 0
-        self._since_s, self._said_s = 0.0, -_QUIET_S
-        self._told = False
+    def __init__(self, log: Callable[[str], None]) -> None:
+        self._log = log
+        self._polled_s: float | None = None
+        self._cycle = self._stale = self._polls = 0
+        self._since_s, self._logged_s = 0.0, -_REPEAT_S
+        self._reported = False
 
-    def look(self, now_s: float, cycle: int, stale: int, resting: bool) -> None:
-        """Look, if it is time; `cycle` and `stale` count since the start."""
-        if self._looked_s is not None and now_s - self._looked_s < _LOOK_S:
+    def poll(self, now_s: float, cycle: int, stale: int, resting: bool) -> None:
+        """Compare if the polling interval has passed; `cycle`, `stale` count since the start."""
+        if self._polled_s is not None and now_s - self._polled_s < _POLL_S:
             return
-        before_s, self._looked_s = self._looked_s, now_s
+        before_s, self._polled_s = self._polled_s, now_s
         cycles, stales = cycle - self._cycle, stale - self._stale
         self._cycle, self._stale = cycle, stale
         if before_s is None or cycles <= 0:  # devices are being opened, or the loop is dead
             return
         if stales <= _MISSING * cycles:
-            self._looks = 0
-            if self._told:
-                self._told = False
-                self._say(f"readings are back after {before_s - self._since_s:.0f} s")
+            self._polls = 0
+            if self._reported:
+                self._reported = False
+                self._log(f"readings are back after {before_s - self._since_s:.0f} s")
             return
-        if not self._looks:
+        if not self._polls:
             self._since_s = before_s
-        self._looks += 1
-        if not resting or self._told or self._looks < _LOOKS:
+        self._polls += 1
+        if not resting or self._reported or self._polls < _POLLS:
             return
-        if now_s - self._said_s >= _QUIET_S:
-            self._told, self._said_s = True, now_s
-            self._say(
+        if now_s - self._logged_s >= _REPEAT_S:
+            self._reported, self._logged_s = True, now_s
+            self._log(
                 f"readings have been missing for {now_s - self._since_s:.0f} s, at zero force: "
-                f"{stales} of the last {cycles} periods; electronics without power, or a cable?"
+                f"{stales} of the last {cycles} periods; check power and cables of the electronics"
             )

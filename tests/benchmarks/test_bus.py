@@ -162,7 +162,7 @@ def test_cycle_that_ends_late_counts_though_the_next_begins_in_time(monkeypatch)
     stretch = empty_loop
     monkeypatch.setattr(stretch, "RealClock", Clock)
     monkeypatch.setattr(stretch, "monotonic", lambda: Clock.now_s)
-    monkeypatch.setattr(stretch, "be_punctual", lambda _: [])
+    monkeypatch.setattr(stretch, "apply_realtime", lambda _: [])
     monkeypatch.setattr(stretch, "_WARM_UP", 1)
     Clock.now_s = 0.0
     took_s = {12: 1.2 * MS, 15: 3.5 * MS}

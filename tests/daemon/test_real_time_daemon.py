@@ -88,7 +88,7 @@ def test_land_ends_a_session_and_does_not_touch_the_next(socket_file: Path, tmp_
 
 def test_another_rig_than_the_daemon_runs_is_refused(socket_file: Path, tmp_path: Path) -> None:
     other = RIG_FILE.read_text().replace("coil_n: 20", "coil_n: 10")
-    with Client(socket_file) as client, pytest.raises(DaemonError, match="expected the rig that"):
+    with Client(socket_file) as client, pytest.raises(DaemonError, match="differs from the rig"):
         client.excite(SESSION, tmp_path / "logs", lambda *_: None, other)
 
 
@@ -120,7 +120,7 @@ def test_session_that_would_fill_the_memory_is_refused(socket_file: Path, tmp_pa
     long = SESSION.replace("duration_s: 0.5", "duration_s: 86000").replace(
         "  - land", "  - record: {name: more, duration_s: 86000}\n  - land"
     )
-    expected = "short: expected at most 120000 s in all at 250 Hz, found 17200"
+    expected = "short: expected a total of at most 120000 s at 250 Hz, found 17200"
     with Client(socket_file) as client, pytest.raises(DaemonError, match=expected):
         client.excite(long, tmp_path / "logs", lambda *_: None)
 
@@ -206,14 +206,14 @@ def test_client_that_hangs_up_costs_nothing(socket_file: Path) -> None:
 
 
 def test_second_daemon_on_one_socket_is_refused(socket_file: Path) -> None:
-    with pytest.raises(ServerError, match="another daemon answers"):
+    with pytest.raises(ServerError, match="another daemon"):
         Server(socket_file, {}, Access(Service())).start()
 
 
 def test_file_that_is_no_socket_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "precious.txt"
     path.write_text("mine")
-    with pytest.raises(ServerError, match="found a file"):
+    with pytest.raises(ServerError, match="another kind of file"):
         Server(path, {}, Access(Service())).start()
     assert path.read_text() == "mine"
 

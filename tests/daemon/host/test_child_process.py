@@ -94,7 +94,7 @@ def test_recorder_on_a_starved_machine_is_not_killed(
         link.watch()
     assert bool(killed) is begun  # 20 s are too many for one that has begun
     if begun:
-        assert f"hangs for {HUNG_S:g} s" in said[0]
+        assert f"hung for {HUNG_S:g} s" in said[0]
     killed.clear()
     for n in range(40_000, 50_000):  # it is blocked, or in a loop of its own, for 100 s
         now_s = 0.01 * n

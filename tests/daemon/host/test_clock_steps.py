@@ -16,7 +16,7 @@ def test_steps_are_noticed_once_and_summed(monkeypatch: pytest.MonkeyPatch) -> N
     def passes(seconds: float, step: float = 0.0) -> float:
         now["monotonic"] += seconds
         now["day"] += seconds + step
-        return watch.look()
+        return watch.poll()
 
     assert passes(0.01) == 0.0
     assert passes(10.0, step=0.005) == 0.0  # slewed by ntpd, at its most

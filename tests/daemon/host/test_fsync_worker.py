@@ -44,7 +44,7 @@ def test_a_whole_file_and_its_name_are_brought_to_the_disk(
     monkeypatch.setattr(os, "fsync", fsync)
     syncer, path = Syncer(), tmp_path / "01-z.mcap"
     path.write_bytes(b"x" * 1000)
-    syncer.whole(path)
+    syncer.sync_closed(path)
     syncer.finish(30.0)
     assert synced == [(path, 1000), (tmp_path, 0)]
     assert syncer.failures() == []
@@ -57,14 +57,14 @@ def test_a_disk_that_refuses_is_heard_of_once(
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "fdatasync", refuse)
-    monkeypatch.setattr("levid.daemon.host.fsync_worker._EVERY_S", 0.0)
+    monkeypatch.setattr("levid.daemon.host.fsync_worker._INTERVAL_S", 0.0)
     syncer, rows = Syncer(), np.zeros(20_000, DTYPE)
     with LogWriter(
         tmp_path / "01-z.mcap", DTYPE, rate_hz=1e3, metadata={"kind": "record"}, attachments={}
     ) as writer:
         for _ in range(3):
             writer.write(rows, np.zeros(len(rows), np.uint64))
-            syncer.offer(writer)
+            syncer.sync_growing(writer)
             syncer.finish(30.0)
     found = syncer.failures()
     assert [path.name for path, _ in found] == ["01-z.mcap"]
@@ -193,21 +193,21 @@ def test_every_fault_gets_its_recording_however_fast_they_come(tmp_path: Path) -
         ring.head = head
         taken = ring.take(4000)
         ring.tail = head
-        log.see(taken)
+        log.scan(taken)
     assert [fault for fault, *_ in told] == [Fault.GAP, Fault.STOPPED, Fault.POSE]
     assert not any(error for *_, error in told)
     # Half a second goes on after each.
     assert [int(read_log(Path(path)).rows["cycle"][-1]) for _, path, _ in told] == [
         1499, 1599, 1799
     ]  # fmt: skip
-    assert log.nothing_due
+    assert log.idle
 
 
 def test_a_fault_before_the_first_row_is_told_too(tmp_path: Path) -> None:
     told: list[object] = []
     log = FaultLog(Ring(DTYPE, 4000), 1e3, tmp_path, Recording(), {}, lambda *of: told.append(of))
     log.write(Fault.LOOP)
-    assert told == [(Fault.LOOP, "", "there were no rows before it")]
+    assert told == [(Fault.LOOP, "", NO_ROWS)]
     assert not list(tmp_path.iterdir())
 
 
@@ -228,7 +228,7 @@ def test_a_recorder_that_follows_a_dead_one_writes_what_was_asked_of_that(
     del sent[2:]
     link.fault(Fault.LOOP)
     del sent[2:]
-    link._take({"event": "fault", "fault": "LOOP", "path": str(tmp_path / "a.mcap"), "why": ""})
+    link._process({"event": "fault", "fault": "LOOP", "path": str(tmp_path / "a.mcap"), "why": ""})
     link._start(1.0)
     assert len(sent) == 2
 
@@ -253,7 +253,7 @@ def test_recorder_that_waits_for_a_disk_in_the_kernel_records_nothing(
     for _ in range(1010):
         now_s += 0.01
         link.watch()
-    assert said == ["the recorder hangs for 10 s: it is killed"]
+    assert said == ["killed the recorder: it hung for 10 s"]
     assert "hangs" in link.problem
     board[Word.RECORDER_BEAT] += 1  # its disk answers
     link.watch()
@@ -273,37 +273,37 @@ def fault_of(path: str, why: str = "") -> dict[str, str]:
 
 def test_a_flight_recording_that_failed_shows_until_something_is_written(tmp_path: Path) -> None:
     link = linked(tmp_path, [])
-    link._take(fault_of("/a.mcap"))
-    link._take(fault_of("", NO_ROWS))
+    link._process(fault_of("/a.mcap"))
+    link._process(fault_of("", NO_ROWS))
     assert not link.problem  # nothing failed
     before = link.define(LogFile(tmp_path / "0.mcap", {}, {}))
     of_log = {"log": before, "path": str(tmp_path / "0.mcap"), "why": ""}
-    link._take({"event": Event.OPENED, **of_log})
-    link._take(fault_of("", "No space left on device"))
+    link._process({"event": Event.OPENED, **of_log})
+    link._process(fault_of("", "No space left on device"))
     assert link.problem == "flight recording of GAP: No space left on device"
     assert link.last_fault_log == "/a.mcap"
-    link._take({"event": Event.CLOSED, **of_log})  # for its end there was room
+    link._process({"event": Event.CLOSED, **of_log})  # for its end there was room
     link.forget()
     assert "No space left" in link.problem
     of_log = {"log": link.define(LogFile(tmp_path / "1.mcap", {}, {})), "path": "1", "why": ""}
-    link._take({"event": Event.OPENED, **of_log})
+    link._process({"event": Event.OPENED, **of_log})
     assert link.problem
-    link._take({"event": Event.CLOSED, **of_log})
+    link._process({"event": Event.CLOSED, **of_log})
     assert not link.problem
-    link._take(fault_of("", "No space left on device"))
-    link._take(fault_of("/b.mcap"))
+    link._process(fault_of("", "No space left on device"))
+    link._process(fault_of("/b.mcap"))
     assert (link.problem, link.last_fault_log) == ("", "/b.mcap")
 
 
 def test_a_log_that_failed_shows_until_a_flight_recording_is_written(tmp_path: Path) -> None:
     link = linked(tmp_path, [])
     tag = link.define(LogFile(tmp_path / "1.mcap", {}, {}))
-    link._take({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
+    link._process({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
     assert link.problem == "No space left"
-    link._take(fault_of("/a.mcap"))
+    link._process(fault_of("/a.mcap"))
     assert not link.problem
     assert link.failed == {tag: "No space left"}  # whoever asked for the log hears of it
-    link._take({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
+    link._process({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
     link.forget()
     assert not link.problem
 
@@ -340,8 +340,8 @@ def test_a_recorder_that_dies_of_each_start_is_tried_ever_more_seldom(
     assert 60 < len(starts) < 75
     assert starts[-1] - starts[-2] == pytest.approx(60.0, abs=0.2)
     assert 55 < len(said) <= 62
-    assert "the recorder is gone (exit code 1)" in said[-1]
-    assert "more since" in said[1]
+    assert "the recorder ended (exit code 1)" in said[-1]
+    assert "similar events" in said[1]
     live(75.0, 15.0)  # whatever was wrong is mended, and it dies of something else
     assert 58.0 < starts[-3] - starts[-4] < 62.0
     assert starts[-1] - starts[-2] == pytest.approx(15.0, abs=0.2)
@@ -367,7 +367,7 @@ def test_a_recorder_that_the_kernel_does_not_start_is_told_of_once_a_minute(
     for _ in range(20 * 50):
         now_s += 0.05
         link.watch()
-    assert said == ["the recorder cannot be started: [Errno 12] Cannot allocate memory"]
+    assert said == ["cannot start the recorder: [Errno 12] Cannot allocate memory"]
 
 
 def test_rows_that_a_hung_recorder_has_lost_count_at_once() -> None:

@@ -10,9 +10,9 @@ import pytest
 from levid.config.service import Realtime
 from levid.daemon.host import real_time_scheduling
 from levid.daemon.host.real_time_scheduling import (
-    be_punctual,
+    apply_realtime,
+    avoid_cpus,
     cpu_latency_us,
-    leave_to_loop,
     no_collections,
 )
 
@@ -20,12 +20,12 @@ NOTHING = Realtime(priority=0, lock_memory=False, cpu_latency_us=None)
 
 
 def test_what_is_not_asked_for_is_not_warned_of() -> None:
-    assert be_punctual(NOTHING) == []
+    assert apply_realtime(NOTHING) == []
 
 
 def test_processor_that_is_not_there_is_a_warning() -> None:
     before = os.sched_getaffinity(0)
-    (warning,) = be_punctual(NOTHING.model_copy(update={"cpus": (4000,)}))
+    (warning,) = apply_realtime(NOTHING.model_copy(update={"cpus": (4000,)}))
     assert warning.startswith("realtime.cpus [4000]: ")
     assert warning.endswith("the loop moves between processors")
     assert os.sched_getaffinity(0) == before
@@ -34,14 +34,14 @@ def test_processor_that_is_not_there_is_a_warning() -> None:
 def test_others_keep_off_the_loops_processors_if_there_are_any() -> None:
     before = os.sched_getaffinity(0)
     try:
-        leave_to_loop(())
+        avoid_cpus(())
         assert os.sched_getaffinity(0) == before
-        leave_to_loop((4000,))
+        avoid_cpus((4000,))
         assert os.sched_getaffinity(0) == before
-        leave_to_loop(before)
+        avoid_cpus(before)
         assert os.sched_getaffinity(0) == before
         if len(before) > 1:
-            leave_to_loop((max(before),))
+            avoid_cpus((max(before),))
             assert os.sched_getaffinity(0) == before - {max(before)}
     finally:
         os.sched_setaffinity(0, before)
@@ -52,14 +52,14 @@ def test_process_without_rights_is_warned_of_each_part_it_lacks() -> None:
     program = """
 import os, resource
 from levid.config.service import Realtime
-from levid.daemon.host.real_time_scheduling import be_punctual
+from levid.daemon.host.real_time_scheduling import apply_realtime
 resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
 resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
 if os.geteuid() == 0:
     os.setgroups([])
     os.setgid(54321)
     os.setuid(54321)
-print(*be_punctual(Realtime(cpu_latency_us=0)), sep="\\n")
+print(*apply_realtime(Realtime(cpu_latency_us=0)), sep="\\n")
 """
     told = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True

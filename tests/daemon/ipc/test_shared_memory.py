@@ -151,10 +151,10 @@ def test_a_stop_that_comes_after_a_clear_is_not_taken_back_by_it() -> None:
     asked = board[Word.STOPS]
     board.stop()  # before the clear is acted upon
     board.clear(asked)
-    board.take_back_stop()
+    board.cancel_stop()
     assert board[Word.ZERO] == Fault.STOPPED
     board.clear()
-    board.take_back_stop()
+    board.cancel_stop()
     assert board[Word.ZERO] == 0
 
 

@@ -49,7 +49,7 @@ def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_tes
     said: list[str] = []
     rig = load_rig(RIG_FILE)
     opened = loop_process._opened(rig, Path(), board, lambda _: None, said.append)
-    assert said == ["no flight recording of LINK: it came as devices were opened"]
+    assert said == ["no flight recording of LINK: it occurred while devices were opened"]
     assert opened is devices
     assert signal.alarm(0) == 0  # what bounded it is taken back
     # The supervisor answers a clear once the loop is neither OFF nor in its self-test.
@@ -60,7 +60,7 @@ def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_tes
 # A loop whose devices take long where it is told to, and say what becomes of them.
 LOOP = """
 import sys, time
-from levid.daemon import loop_process
+from levid.daemon.loop import loop_process
 from levid.drivers.registry import open_devices
 
 slow, *arguments = sys.argv[1:]
@@ -94,7 +94,7 @@ def test_process_of_another_levid_touches_nothing(monkeypatch: pytest.MonkeyPatc
     shared = Shared(rig)
     assert Shared(rig, shared.fd).board[Word.LOOPS] == 0
     monkeypatch.setattr(shared_module, "Word", [*Word, SimpleNamespace(name="NEW")])
-    with pytest.raises(SystemExit, match="levid was replaced while its daemon ran"):
+    with pytest.raises(SystemExit, match="levid was upgraded"):
         Shared(rig, shared.fd)
 
 
@@ -103,7 +103,7 @@ def test_machine_that_may_show_writes_out_of_order_is_warned_of(
     machine: str, doubts: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("platform.machine", lambda: machine)
-    found = shared_module.doubts_of_order()
+    found = shared_module.memory_order_warnings()
     assert len(found) == doubts
     assert all(machine in warning for warning in found)
 

@@ -350,7 +350,7 @@ def test_log_that_cannot_be_written_does_not_end_the_flight(tmp_path: Path) -> N
 def test_virtual_time_is_for_loopback_alone(tmp_path: Path) -> None:
     rig = load_rig(RIG_FILE)
     other = rig.model_copy(update={"drives": rig.drives.model_copy(update={"backend": "can"})})
-    with pytest.raises(ConfigError, match=r"drives\.backend: .* needs loopback, found can"):
+    with pytest.raises(ConfigError, match=r"drives\.backend: expected loopback .*, found can"):
         fly(tmp_path / "logs", rig=other)
 
 

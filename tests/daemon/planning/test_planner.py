@@ -63,7 +63,7 @@ class Recorder:
     def __init__(self) -> None:
         self.asked, self.is_ready, self.problem = 0, True, ""
 
-    def ask_ready(self) -> None:
+    def request_ready(self) -> None:
         self.asked += 1
 
 
@@ -80,7 +80,7 @@ class Bench:
         self.manipulator = (0.0, 0.0)
         self.rig, self.attachments = RIG, {}
         self.stopping, self.told = False, []
-        self.tell = self.told.append
+        self.log_soon = self.told.append
         self.requests = Requests(self)  # type: ignore[arg-type]
         self.now_s = 0.0
         self.sent: list[dict[str, Any]] = []
@@ -89,7 +89,7 @@ class Bench:
     def reply(self) -> Any:
         return SimpleNamespace(waiting=True, send=self.sent.append, refuse=self.refused.append)
 
-    def ask(self, work: Work, data: bytes, situation: Situation) -> None:
+    def start(self, work: Work, data: bytes, situation: Situation) -> None:
         self.asked.append((work, data, situation))
 
     def answer(self) -> Any:
@@ -98,10 +98,10 @@ class Bench:
             return None
         return True if work is Work.FOLDER else Planner(RIG).plan(data, situation)
 
-    def forget(self) -> None:
+    def discard(self) -> None:
         return
 
-    def give_up(self) -> None:
+    def cancel(self) -> None:
         self.given_up += 1
 
     def tick(self, seconds: float = 0.01, times: int = 1) -> None:
@@ -137,7 +137,7 @@ def test_planning_that_never_ends_is_given_up_and_the_next_is_planned(bench: Ben
     bench.tick(1.0, 20)
     assert bench.given_up == 1
     assert len(bench.refused) == 1
-    assert "planning took longer than 600 s and is given up" in bench.refused[0]
+    assert "planning timed out after 600 s" in bench.refused[0]
     bench.go_on = True
     bench.requests.handlers["levitate"]({"op": "levitate"}, bench.reply())
     bench.tick(0.01, 5)
@@ -150,10 +150,10 @@ def test_flight_that_is_to_be_logged_waits_for_the_recorder_and_gives_up(bench: 
     bench.requests.handlers["levitate"](line, bench.reply())
     bench.tick(1.0, 100)
     assert bench.sent[-1] == {"step": "recorder", "share": 0.0}
-    bench.recorder.problem = "the recorder is gone"
+    bench.recorder.problem = "no recorder"
     bench.tick(1.0, 30)
     assert not bench.begun
-    assert "the recorder was not ready within 120 s (the recorder is gone)" in bench.refused[0]
+    assert "the recorder was not ready within 120 s (no recorder)" in bench.refused[0]
     assert "does not lift off without it" in bench.refused[0]
     bench.requests.handlers["levitate"](line, bench.reply())
     bench.tick(1.0, 50)
@@ -197,7 +197,7 @@ def test_session_that_is_far_too_long_is_refused_before_it_is_planned(
         "steps": [{"levitate": {}}, *records, {"land": {}}],
     }
     request = {"op": "excite", "session": yaml.safe_dump(session), "out": "x"}
-    with pytest.raises(RefusedError, match=r"expected at most 30000 s in all .* found 1\.50"):
+    with pytest.raises(RefusedError, match=r"expected a total of at most 30000 s .* found 1\.50"):
         Planner(RIG).plan(json.dumps(request).encode(), AT_REST)
 
 
@@ -276,7 +276,7 @@ def planner() -> Iterator[PlannerLink]:
 
 
 def answer_of(link: PlannerLink, data: bytes, work: Work = Work.PLAN) -> Any:
-    link.ask(work, data, AT_REST)
+    link.start(work, data, AT_REST)
     give_up_s = time.monotonic() + _GIVE_UP_S
     while (answer := link.answer()) is None:
         assert time.monotonic() < give_up_s
@@ -330,10 +330,10 @@ def test_a_request_that_is_none_is_refused_in_few_words(planner: PlannerLink, li
 
 def test_what_is_wanted_no_more_ends_and_the_next_is_planned(planner: PlannerLink) -> None:
     pid = planner.pid
-    planner.ask(
+    planner.start(
         Work.PLAN, json.dumps({"op": "excite", "session": SESSION, "out": "x"}).encode(), AT_REST
     )
-    planner.forget()
+    planner.discard()
     assert answer_of(planner, b'{"op": "levitate"}').op == "levitate"
     assert planner.pid == pid
 
@@ -341,7 +341,7 @@ def test_what_is_wanted_no_more_ends_and_the_next_is_planned(planner: PlannerLin
 def test_a_planner_that_dies_is_started_anew(planner: PlannerLink) -> None:
     assert planner.pid is not None
     os.kill(planner.pid, signal.SIGKILL)
-    with pytest.raises(RefusedError, match=r"the planner .*: ask again"):
+    with pytest.raises(RefusedError, match=r"the planner .*: try again"):
         answer_of(planner, b'{"op": "levitate"}')
     give_up_s = time.monotonic() + _GIVE_UP_S
     while True:
@@ -374,7 +374,7 @@ def test_client_of_a_planner_that_dies_is_refused_at_once(tmp_path: Path) -> Non
         client = threading.Thread(target=ask)
         client.start()
         give_up_s = time.monotonic() + _GIVE_UP_S
-        while link._asked is None:
+        while link._task is None:
             assert time.monotonic() < give_up_s
             time.sleep(0.01)
         os.kill(pid, signal.SIGKILL)
@@ -387,12 +387,12 @@ def test_client_of_a_planner_that_dies_is_refused_at_once(tmp_path: Path) -> Non
 def test_planner_that_does_not_come_back_is_started_anew(
     planner: PlannerLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("levid.daemon.planning.planner_link._ENDS_S", 0.2)
+    monkeypatch.setattr("levid.daemon.planning.planner_link._CANCEL_S", 0.2)
     pid = planner.pid
     assert pid is not None
     os.kill(pid, signal.SIGSTOP)
-    planner.ask(Work.PLAN, b'{"op": "levitate"}', AT_REST)
-    planner.forget()
+    planner.start(Work.PLAN, b'{"op": "levitate"}', AT_REST)
+    planner.discard()
     give_up_s = time.monotonic() + _GIVE_UP_S
     while planner.pid in (pid, None):
         assert time.monotonic() < give_up_s
@@ -412,7 +412,7 @@ SERVER = """
 import socket, sys
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
-from levid.daemon import planner_process
+from levid.daemon.planning import planner_process
 from levid.daemon.host.process_limits import Confinement
 from levid.daemon.planning.planner import Planner, RefusedError
 
@@ -437,7 +437,7 @@ planner_process.PlannerProcess(planner, socket.socket(fileno=int(sys.argv[1]))).
     ("limits", "why"),
     [
         ((1, 1 << 34, 1 << 34), "took more than .* s of processor time"),
-        ((60, 1 << 24, 1 << 34), "needs more memory than it may have"),
+        ((60, 1 << 24, 1 << 34), "memory limit"),
         ((60, 1 << 34, 1 << 14), "File too large"),
     ],
     ids=["cpu", "memory", "file"],

@@ -61,10 +61,10 @@ def journal(
 
 def test_a_fault_is_an_error_with_its_name(journal: tuple[socket.socket, Journal]) -> None:
     listening, speaking = journal
-    speaking.say("ready")
-    speaking.say("warning: something")
+    speaking.log("ready")
+    speaking.log("warning: something")
     speaking.fields = lambda: {"LEVID_FAULT": "GAP"}
-    speaking.say("fault GAP")
+    speaking.log("fault GAP")
     found = [fields_of(listening.recv(4096)) for _ in range(3)]
     assert [entry["PRIORITY"] for entry in found] == ["6", "4", "3"]
     assert found[2]["LEVID_FAULT"] == "GAP"
@@ -76,9 +76,9 @@ def test_every_process_says_which_rig_and_in_what_state(
     listening, speaking = journal
     board = Board(memoryview(bytearray(Board.SIZE)))
     speaking.fields = lambda: moment("here", board)
-    speaking.say("warning: realtime.priority 80")
+    speaking.log("warning: realtime.priority 80")
     board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LINK
-    speaking.say("no flight recording")
+    speaking.log("no flight recording")
     calm, faulty = (fields_of(listening.recv(4096)) for _ in range(2))
     assert (calm["LEVID_RIG"], calm["LEVID_STATE"], calm["PRIORITY"]) == ("here", "OFF", "4")
     assert "LEVID_FAULT" not in calm
@@ -89,14 +89,14 @@ def test_without_its_socket_the_line_goes_to_stderr(
     journal: tuple[socket.socket, Journal], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "socket").unlink()
-    journal[1].say("still heard")
+    journal[1].log("still heard")
     journal[1].close()
     assert capfd.readouterr().err == "still heard\n"
 
 
 def test_a_terminal_gets_lines(capfd: pytest.CaptureFixture[str]) -> None:
     journal = Journal()
-    journal.say("a line")
+    journal.log("a line")
     journal.close()
     assert capfd.readouterr().err == "a line\n"
 
@@ -107,7 +107,7 @@ from levid.daemon.service.journal import Journal
 journal = Journal()
 begin_s = time.monotonic()
 for i in range(5000):
-    journal.say("x" * 100)
+    journal.log("x" * 100)
 said_s = time.monotonic() - begin_s
 journal.close()
 print(said_s)
@@ -142,9 +142,9 @@ def test_what_is_no_text_is_said_all_the_same(
 ) -> None:
     """A client may ask for a folder whose name is none: whoever tells of it must not die of it."""
     listening, speaking = journal
-    speaking.say("no folder \ud800")
+    speaking.log("no folder \ud800")
     assert fields_of(listening.recv(4096))["MESSAGE"] == "no folder \\ud800"
     (tmp_path / "socket").unlink()
-    speaking.say("no folder \ud800")
+    speaking.log("no folder \ud800")
     speaking.close()
     assert capfd.readouterr().err == "no folder \\ud800\n"

@@ -19,10 +19,10 @@ from levid.daemon.service.service_files import (
     SYSUSERS,
     UDEV,
     UNIT,
-    _shut,
-    hindrances,
+    _closed_folder,
     left_over,
     service_files,
+    service_warnings,
     write,
 )
 
@@ -137,14 +137,16 @@ def test_the_service_may_use_a_can_adapter_on_a_port() -> None:
     files = service_files(found, RIG_FILE, PROGRAM)
     assert 'KERNEL=="ttyACM[0-9]*"' in files[UDEV]
     assert "DeviceAllow=char-ttyACM rw" in files[DROP_IN]
-    assert not [line for line in hindrances(found, RIG_FILE, PROGRAM) if line.startswith("can.")]
+    assert not [
+        line for line in service_warnings(found, RIG_FILE, PROGRAM) if line.startswith("can.")
+    ]
 
 
 def test_what_a_can_adapter_on_usb_needs_is_told() -> None:
     found = on_slcan("0")
     buses = {n: b.model_copy(update={"interface": "gs_usb"}) for n, b in found.can.items()}
     found = found.model_copy(update={"can": buses})
-    said = [line for line in hindrances(found, RIG_FILE, PROGRAM) if line.startswith("can.")]
+    said = [line for line in service_warnings(found, RIG_FILE, PROGRAM) if line.startswith("can.")]
     assert len(said) == len(buses)
     assert all("DeviceAllow=char-usb_device rw" in line for line in said)
 
@@ -201,7 +203,7 @@ def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
 def test_files_of_another_version_are_written_anew(tmp_path: Path) -> None:
     write(service_files(rig("loopback"), RIG_FILE, PROGRAM), tmp_path, force=False)
     done = write(service_files(on_serial("/dev/ttyS0"), RIG_FILE, PROGRAM), tmp_path, force=False)
-    assert done[DROP_IN] == "written anew"
+    assert done[DROP_IN] == "updated"
     assert "ttyS0" in (tmp_path / UDEV).read_text()
 
 
@@ -226,9 +228,9 @@ def test_a_folder_that_others_may_not_enter_is_found(tmp_path: Path) -> None:
     tmp_path.chmod(0o755)
     tmp_path.parent.chmod(0o755)
     home.chmod(0o750)
-    assert _shut(home / "rig.yaml") in (home, *tmp_path.parents)
+    assert _closed_folder(home / "rig.yaml") in (home, *tmp_path.parents)
     home.chmod(0o751)
-    assert _shut(home / "rig.yaml") != home
+    assert _closed_folder(home / "rig.yaml") != home
 
 
 def test_an_adapter_that_is_plugged_in_already_gets_its_latency() -> None:
@@ -273,7 +275,7 @@ def test_files_of_the_rig_before_are_named(tmp_path: Path) -> None:
 def test_a_rig_that_the_daemon_would_refuse_is_told(tmp_path: Path) -> None:
     text = shipped("rigs/loopback.yaml").read_text()
     found = parse_text(text.replace("../sims/nominal.yaml", "nowhere.yaml"), RigConfig, "rig")
-    said = list(hindrances(found, tmp_path / "rig.yaml", PROGRAM))
+    said = list(service_warnings(found, tmp_path / "rig.yaml", PROGRAM))
     assert any("will not start" in line and "nowhere.yaml" in line for line in said)
 
 
@@ -281,7 +283,7 @@ def test_users_that_are_not_there_are_told() -> None:
     found = load_rig(shipped("rigs/loopback.yaml"))
     service = found.service.model_copy(update={"allow_users": ["nobody-such"]})
     found = found.model_copy(update={"service": service})
-    said = list(hindrances(found, shipped("rigs/loopback.yaml"), PROGRAM))
+    said = list(service_warnings(found, shipped("rigs/loopback.yaml"), PROGRAM))
     assert any("will not start" in line and "nobody-such" in line for line in said)
 
 

@@ -103,12 +103,12 @@ def test_reload_takes_over_what_it_can_and_says_what_it_cannot(tmp_path: Path) -
         plain["limits"]["gap_m"] = 0.0007
         file.write_text(yaml.safe_dump(plain))
         running.supervisor.reload()
-        until_said(running.said, "changes of limits need a new start")
+        until_said(running.said, "changes of limits need a restart")
         assert running.supervisor.rig.service.client_gone == "land"
         assert running.supervisor.rig.limits.gap_m != 0.0007
         file.write_text("levid: rig\nnonsense: 1\n")
         running.supervisor.reload()
-        until_said(running.said, "is not taken over")
+        until_said(running.said, "is not reloaded")
         assert running.ask("status")["state"] == "IDLE"
 
 

@@ -1,4 +1,4 @@
-"""Readings that stay away while nothing flies are said in the journal, once, and their return."""
+"""Test that missing readings at zero force are logged once, and their return."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from levid.daemon.supervision.stale_monitor import Silence
 
 
 class World:
-    """Periods go by, some of them with a stale reading."""
+    """Simulate periods, some of them with a stale reading."""
 
     def __init__(self) -> None:
         self.said: list[str] = []
@@ -18,10 +18,10 @@ class World:
         self.now_s += seconds
         self.cycle += int(seconds * rate)
         self.stale += stale
-        self.silence.look(self.now_s, self.cycle, self.stale, resting)
+        self.silence.poll(self.now_s, self.cycle, self.stale, resting)
 
 
-def test_electronics_that_are_silent_at_rest_are_told_once_and_so_is_their_return() -> None:
+def test_silent_electronics_at_rest_are_logged_once_and_so_is_their_return() -> None:
     world = World()
     world.passes(2.0, 2000)
     assert not world.said
@@ -35,7 +35,7 @@ def test_electronics_that_are_silent_at_rest_are_told_once_and_so_is_their_retur
     assert len(world.said) == 2
 
 
-def test_readings_that_come_and_go_are_told_once_a_minute() -> None:
+def test_intermittent_readings_are_logged_once_a_minute() -> None:
     world = World()
     for _ in range(30):
         for stale in (2000, 2000, 0):
@@ -44,7 +44,7 @@ def test_readings_that_come_and_go_are_told_once_a_minute() -> None:
     assert sum("back" in line for line in world.said) == 3
 
 
-def test_single_stale_readings_a_flight_and_a_loop_that_is_not_there_are_no_silence() -> None:
+def test_single_stale_readings_flight_and_a_missing_loop_are_not_logged() -> None:
     world = World()
     for _ in range(10):
         world.passes(2.0, 900)

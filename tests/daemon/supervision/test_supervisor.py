@@ -80,7 +80,7 @@ def test_stop_while_devices_are_being_opened_ends_their_loop(
     assert "stopped while its devices were being opened; exit code 143" in board.detail
 
 
-def test_machine_that_stood_still_has_not_lost_its_loop(
+def test_suspended_machine_has_not_lost_its_loop(
     supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s, ended = 1000.0, []
@@ -98,12 +98,12 @@ def test_machine_that_stood_still_has_not_lost_its_loop(
     assert "it did not advance for 30.0 s" in ended[0]
 
 
-def test_rows_that_are_lost_are_told_in_the_journal(
+def test_lost_rows_are_logged(
     supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s, said = 1000.0, []
     monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
-    monkeypatch.setattr(supervisor._burdens, "_say", said.append)
+    monkeypatch.setattr(supervisor._resources, "_log", said.append)
     monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
     monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
     supervisor._tick()
@@ -111,7 +111,7 @@ def test_rows_that_are_lost_are_told_in_the_journal(
     ring.head = ring.capacity + 41  # 42 rows more than nobody's having looked leaves room for
     now_s += 2.0
     supervisor._tick()
-    assert any("rows are lost: 42 that" in line for line in said)
+    assert any("lost 42 rows" in line for line in said)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_rows_that_are_lost_are_told_in_the_journal(
 def test_child_that_was_killed_says_by_what(number: int, words: str) -> None:
     child = Child("sleep", "", b"")
     child._process = subprocess.Popen(["sleep", "60"])
-    assert child.end == "it runs"
+    assert child.end == "still running"
     assert child.pid == child._process.pid
     child._process.send_signal(number)
     assert child.wait(60.0)
@@ -128,7 +128,7 @@ def test_child_that_was_killed_says_by_what(number: int, words: str) -> None:
     assert child.pid is None
 
 
-def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(
+def test_failed_loop_start_is_reported_and_can_be_retried(
     supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     board, tries = supervisor.board, 0
@@ -143,9 +143,9 @@ def test_loop_that_cannot_be_started_is_told_and_can_be_tried_again(
     for n in (1, 2):
         reply: Any = Told()
         supervisor.post(lambda reply=reply: supervisor.clear(reply, 0))
-        supervisor._mail.popleft()()
+        supervisor._actions.popleft()()
         assert tries == n
-        assert "cannot be started" in reply.answers[0]
+        assert "cannot start" in reply.answers[0]
         assert "Resource temporarily unavailable" in reply.answers[0]
         assert (board.state, board.fault, board[Word.BUSY]) == (State.FAULT, Fault.LOOP, 0)
     assert not supervisor._clearings
@@ -170,7 +170,7 @@ def test_clear_whose_time_is_over_before_the_self_test_is_not_done(
     assert "still being opened or tested" in reply.answers[0]
 
 
-def test_watchdog_is_fed_while_the_end_is_being_told(
+def test_watchdog_is_fed_while_the_last_client_is_answered(
     supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
@@ -190,12 +190,12 @@ def test_watchdog_is_fed_while_the_end_is_being_told(
     assert done == ["alive", "tick"] * 3
 
 
-def test_daemon_that_nobody_can_ask_any_more_lands_and_ends_in_an_error(
+def test_daemon_without_control_socket_lands_and_ends_in_an_error(
     supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
     monkeypatch.setattr(threading, "excepthook", lambda _: None)
-    monkeypatch.setattr(supervisor, "_say", done.append)
+    monkeypatch.setattr(supervisor, "_log", done.append)
     monkeypatch.setattr(supervisor, "_start_loop", lambda: None)
     monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
     monkeypatch.setattr(supervisor, "_land_and_end", lambda: done.append("landed"))
@@ -203,9 +203,9 @@ def test_daemon_that_nobody_can_ask_any_more_lands_and_ends_in_an_error(
         monkeypatch.setattr(supervisor.recorder, name, lambda *_: None)
     monkeypatch.setattr(supervisor._shared, "close", lambda: None)  # the fixture does
     monkeypatch.setattr(supervisor._server._selector, "select", lambda *_: 1 / 0)
-    with pytest.raises(ServerError, match="nobody answers at the control socket"):
+    with pytest.raises(ServerError, match="control socket failed"):
         supervisor.run()
-    assert done == ["nobody answers at the control socket any more: landing, then ending", "landed"]
+    assert done == ["the control socket failed: landing, then ending the daemon", "landed"]
 
 
 class Opening:
@@ -244,7 +244,7 @@ def test_end_while_devices_are_opened_lets_the_loop_close_them(
     assert board.fault is not Fault.LOOP  # it was asked to
 
 
-def test_users_that_are_long_in_coming_hold_nobody_up(
+def test_slow_look_up_of_users_does_not_block_the_supervisor(
     supervisor: Supervisor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on, looking, said = threading.Event(), [], []
@@ -260,7 +260,7 @@ def test_users_that_are_long_in_coming_hold_nobody_up(
 
     monkeypatch.setattr("levid.daemon.supervision.rig_reload.Access", far_away)
     monkeypatch.setattr(supervisor._reader, "_rig_file", file)
-    monkeypatch.setattr(supervisor, "_say", said.append)
+    monkeypatch.setattr(supervisor, "_log", said.append)
     monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
     monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
 
@@ -282,17 +282,17 @@ def test_users_that_are_long_in_coming_hold_nobody_up(
     assert not said
     go_on.set()
     # What was asked for meanwhile is one reading more.
-    tick_until(lambda: sum("are taken over" in line for line in said) == 2)
+    tick_until(lambda: sum("reloaded" in line for line in said) == 2)
     assert supervisor.rig.service.client_gone == "land"
     assert len(looking) == 2
 
 
-def test_readings_that_stay_away_are_told_in_the_journal(
+def test_missing_readings_are_logged(
     supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s, said, board = 1000.0, [], supervisor.board
     monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
-    monkeypatch.setattr(supervisor._silence, "_say", said.append)
+    monkeypatch.setattr(supervisor._stale_monitor, "_log", said.append)
     monkeypatch.setattr(supervisor, "_watch_loop", lambda: None)
     monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
     board[Word.STATE] = State.IDLE

@@ -98,9 +98,7 @@ def test_suspended_machine_has_not_lost_its_loop(
     assert "it did not advance for 30.0 s" in ended[0]
 
 
-def test_lost_rows_are_logged(
-    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lost_rows_are_logged(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
     now_s, said = 1000.0, []
     monkeypatch.setattr(supervisor_module.time, "monotonic", lambda: now_s)
     monkeypatch.setattr(supervisor._resources, "_log", said.append)

@@ -1,4 +1,4 @@
-"""Feed-forward: the wrench that carries platform and moving beam, as the rig's model has it."""
+"""Compute the feed-forward wrench that carries platform and moving beam, from the rig's model."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ Array = NDArray[np.float64]
 _DOF = (("psi", "rad"), ("theta", "rad"), ("z", "m"))
 _INPUT_UNITS = ("N m", "N m", "N")
 _BEAM = {"beam_m": 0, "beam_m_s": 1, "beam_ref_m": 0, "beam_ref_m_s": 1, "beam_ref_m_s2": 2}
-"""Fields of the log that measure the beam, and which derivative of its position they are."""
+"""Log fields of the beam motion, and the order of the position derivative of each."""
 _ACTS_AFTER = 1.5
 """Periods from a reading to the middle of the period in which the force computed from it acts."""
 _GRID = (-1.0, -0.5, 0.0, 0.5, 1.0)
-"""Shares of the limits at which a model's force is compared with its linear part."""
+"""Fractions of the limits at which the model's force is compared with its linear part."""
 
 
 @dataclass(frozen=True)
 class FeedForwardLaw:
-    """The feed-forward of a rig, linear in references and beam.
+    """Define the feed-forward of a rig, linear in references and beam motion.
 
     With x the measured position of the beam, v and a the planned velocity and acceleration, in SI
     units, the wrench (3,) is
 
         [0, beam_weight x, weight + rods z_ref] + by_model [1, psi_ref, theta_ref, z_ref, x, v, a]
 
-    The first part is zero for a rig with a model, by_model (3, 7) for one without. left_over (3,)
-    is the part of the model's wrench within the rig's limits that is not linear.
+    For a rig with a model the first part is zero, otherwise by_model (3, 7) is zero. left_over (3,)
+    is the largest nonlinear part of the model's wrench within the rig's limits.
     """
 
     weight_n: float = 0.0
@@ -56,28 +56,28 @@ class FeedForwardLaw:
 
     @property
     def numbers(self) -> Array:
-        """All that the compiled cycle needs, (24,)."""
+        """Parameters of the compiled cycle, (24,): by_model row by row, then the three others."""
         own = (self.weight_n, self.beam_weight_n, self.rods_n_m)
         return np.concatenate([self.by_model.ravel(), own])
 
 
 def feed_forward(rig: RigConfig, period_s: float) -> FeedForwardLaw:
-    """Return the feed-forward of `rig`: of its model, or of its own few numbers.
+    """Return the feed-forward of `rig`, from its model or its `feedforward` parameters.
 
-    The model M q'' + D q' + K q = B u + f gives u = B^-1 (K q_ref - f): K with the beam at rest in
-    its middle, f linear in the beam's motion, through its values there and at the rig's limits. It
-    is that of the moment when the force acts: the position is ahead by v times 1.5 periods and the
-    model's lag and delay. D q_ref' and M q_ref'' are left out, see docs/configuration.md.
+    The model M q'' + D q' + K q = B u + f gives u = B^-1 (K q_ref - f). K holds for the beam at
+    rest in the centre. f is linearised in the beam motion between the centre and the rig's limits.
+    The beam position is extrapolated to the time at which the force acts: by 1.5 periods plus the
+    model's lag and delay. D q_ref' and M q_ref'' are neglected, see docs/configuration.md.
 
     Raises:
-        ConfigError: the model does not fit the rig, or takes more force than a coil may give.
+        ConfigError: the model does not fit the rig, or needs more than the coil force limit.
     """
     if rig.feedforward is not None:
         own = rig.feedforward
         g = own.gravity_m_s2
         return FeedForwardLaw(own.mass_kg * g, own.beam_mass_kg * g, own.rods_n_m)
     if not isinstance(rig.model, ModelConfig):
-        raise ConfigError(f"model: expected what load_rig has read, found the path {rig.model}")
+        raise ConfigError(f"model: {rig.model} is not loaded: load the rig with load_rig")
     try:
         return _of_model(rig, rig.model, period_s)
     except (ModelError, ExpressionError, ConfigError) as error:
@@ -85,13 +85,13 @@ def feed_forward(rig: RigConfig, period_s: float) -> FeedForwardLaw:
 
 
 def largest_coil_n(rig: RigConfig, wrench: Array) -> float:
-    """Return the largest force of a coil (N) under wrenches (n, 3)."""
+    """Return the largest coil force in N caused by wrenches (n, 3)."""
     T = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
     return float(np.abs(wrench @ T).max())
 
 
 def beam_at_limits(rig: RigConfig, shares: tuple[float, ...] = (-1.0, 1.0)) -> Array:
-    """Return motions (n, 3) of the beam with these shares of the rig's limits, in all mixtures."""
+    """Return beam motions (n, 3): all combinations of these fractions of the rig's limits."""
     limits = rig.limits
     most = limits.beam_m, limits.beam_velocity_m_s, limits.beam_acceleration_m_s2
     return np.array(list(product(shares, repeat=3))) * most
@@ -110,8 +110,8 @@ def _of_model(rig: RigConfig, config: ModelConfig, period_s: float) -> FeedForwa
     at_rest_n = largest_coil_n(rig, wrench[[0, 1, 4]])
     if not at_rest_n <= limits.coil_n:
         raise ConfigError(
-            f"to carry the platform at rest takes {at_rest_n:.3g} N of a coil, expected at most "
-            f"limits.coil_n, {limits.coil_n:g} N; check the masses and units of its force"
+            f"carrying the platform at rest needs {at_rest_n:.3g} N in a coil, expected at most "
+            f"limits.coil_n, {limits.coil_n:g} N; check the masses and units of the model's force"
         )
     values = {**model.values, **model.scheduling}
     ahead_s = _ACTS_AFTER * period_s + model.lag(values) + model.delay(values)
@@ -121,20 +121,20 @@ def _of_model(rig: RigConfig, config: ModelConfig, period_s: float) -> FeedForwa
 
 
 def _wrench(model: DeclaredModel, derivative: dict[str, int], beam: Array) -> tuple[Array, Array]:
-    """Return B^-1 (-f) (n, 3) along motions (n, 3) of the beam, and B^-1 K (3, 3) at the first."""
+    """Return B^-1 (-f) (n, 3) for beam motions (n, 3), and B^-1 K (3, 3) for the first one."""
     at = model.over({name: beam[:, which] for name, which in derivative.items()})
     try:
         wrench = np.linalg.solve(at.B, -at.force[:, :, None])[:, :, 0]
         return np.broadcast_to(wrench, beam.shape), np.linalg.solve(at.B[0], at.K[0])
     except np.linalg.LinAlgError:
-        raise ConfigError("B: expected a matrix with an inverse, found none") from None
+        raise ConfigError("B: expected an invertible matrix, found a singular one") from None
 
 
 def _derivatives(config: ModelConfig, model: DeclaredModel) -> dict[str, int]:
-    """Return which derivative of the beam's position each scheduling variable is.
+    """Return the order of the beam position derivative of each scheduling variable.
 
     Raises:
-        ConfigError: DOF, inputs or scheduling variables are not those of a rig.
+        ConfigError: DOF, inputs or scheduling variables differ from those of a rig.
     """
     dof = tuple((axis.name, axis.unit) for axis in config.dof)
     if dof != _DOF or tuple(axis.unit for axis in config.inputs) != _INPUT_UNITS:

@@ -56,10 +56,10 @@ class Syncer:
 
     def failures(self) -> list[tuple[Path, str]]:
         """Return the files whose sync failed since the last call, with the reasons."""
-        found = []
+        failures = []
         while self._failures:
-            found.append(self._failures.popleft())
-        return found
+            failures.append(self._failures.popleft())
+        return failures
 
     def finish(self, timeout_s: float) -> None:
         """Wait until all syncs are done, at most `timeout_s`."""

@@ -24,31 +24,31 @@ _DEVICE_TREE, _OF_HOSTS = Path("/proc/device-tree"), ("hypervisor", "fw-cfg@*")
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
-def apply_realtime(wanted: Realtime) -> list[str]:
-    """Apply the settings of `wanted`; return a warning for each that is not permitted.
+def apply_realtime(settings: Realtime) -> list[str]:
+    """Apply real-time settings; return a warning for each that is not permitted.
 
     The settings last until the process ends, /dev/cpu_dma_latency included.
     """
     parts: list[tuple[str, str, Callable[[], None]]] = [
         (
-            f"realtime.timer_slack_ns {wanted.timer_slack_ns}",
+            f"realtime.timer_slack_ns {settings.timer_slack_ns}",
             "the kernel wakes the loop about 50 us late",
-            lambda: _prctl(_PR_SET_TIMERSLACK, wanted.timer_slack_ns),
+            lambda: _prctl(_PR_SET_TIMERSLACK, settings.timer_slack_ns),
         )
     ]
-    if wanted.cpus:
+    if settings.cpus:
         parts.append(
             (
-                f"realtime.cpus {list(wanted.cpus)}",
+                f"realtime.cpus {list(settings.cpus)}",
                 "the loop moves between processors",
-                lambda: os.sched_setaffinity(0, wanted.cpus),
+                lambda: os.sched_setaffinity(0, settings.cpus),
             )
         )
-    if wanted.lock_memory:
+    if settings.lock_memory:
         parts.append(
             ("realtime.lock_memory", "a swapped-out page may stall the loop", _lock_memory)
         )
-    latency_us = cpu_latency_us(wanted)
+    latency_us = cpu_latency_us(settings)
     if latency_us is not None:
         parts.append(
             (
@@ -57,12 +57,12 @@ def apply_realtime(wanted: Realtime) -> list[str]:
                 partial(_hold_latency, latency_us),
             )
         )
-    if wanted.priority:
+    if settings.priority:
         parts.append(
             (
-                f"realtime.priority {wanted.priority}",
+                f"realtime.priority {settings.priority}",
                 "any other process may delay the loop",
-                lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(wanted.priority)),
+                lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(settings.priority)),
             )
         )
     warnings = []
@@ -98,16 +98,16 @@ def _bind(cpus: Collection[int]) -> None:
             os.sched_setaffinity(int(thread.name), cpus)
 
 
-def cpu_latency_us(wanted: Realtime) -> int | None:
+def cpu_latency_us(settings: Realtime) -> int | None:
     """Return the longest permitted wake-up latency of processors, in us; None: do not set it.
 
     With 0, an idle processor polls instead of sleeping. The host of a virtual machine counts that
     as use, and a host with processor quotas then takes processors away for ms: at 1 kHz beside a
     bus in Python, one period in thirty was skipped. "auto" therefore sets none there.
     """
-    if wanted.cpu_latency_us == "auto":
+    if settings.cpu_latency_us == "auto":
         return None if virtual_machine() else 0
-    return wanted.cpu_latency_us
+    return settings.cpu_latency_us
 
 
 def virtual_machine() -> bool:

@@ -43,7 +43,7 @@ class Burdens:
         self.memory_stalled_s = 0.0
         """Time that processes waited for memory while it was low, since the start."""
         self.stolen_s = 0.0
-        """Processor time taken by the host while it exceeded the limit, mean of all processors."""
+        """Processor time withheld by the host, mean of all processors, while above the limit."""
 
     def poll(self, now_s: float, requests: int, lost: int) -> None:
         """Check all resources if the polling interval has passed.
@@ -99,7 +99,7 @@ class Burdens:
         )
 
     def _log_rarely(self, resource: str, now_s: float, message: str) -> bool:
-        """Log the message unless one of this resource was logged within a minute; say if so."""
+        """Log the message, at most once a minute per resource; return whether it was logged."""
         if now_s - self._logged_s.get(resource, -_REPEAT_S) < _REPEAT_S:
             return False
         self._logged_s[resource] = now_s
@@ -134,23 +134,23 @@ def _pressure_file(process: Path = Path("/proc/self"), root: Path = Path("/")) -
 
     None on an old kernel, or if the service has no access to it.
     """
-    found = [root / "proc/pressure/memory"]
+    files = [root / "proc/pressure/memory"]
     try:
         own = re.search(r"^0::/(.+)$", (process / "cgroup").read_text(), re.M)
     except OSError:
         own = None
     if own is not None:
-        found.insert(0, root / "sys/fs/cgroup" / own[1] / "memory.pressure")
-    return next((path for path in found if _memory_wait_s(path) is not None), None)
+        files.insert(0, root / "sys/fs/cgroup" / own[1] / "memory.pressure")
+    return next((path for path in files if _memory_wait_s(path) is not None), None)
 
 
 def _memory_wait_s(path: Path) -> float | None:
     """Return how long some process waited for memory since boot, in s; None if unknown."""
     try:
-        found = _TOTAL.search(path.read_text())
+        total = _TOTAL.search(path.read_text())
     except OSError:
         return None
-    return 1e-6 * int(found[1]) if found else None
+    return 1e-6 * int(total[1]) if total else None
 
 
 def _steal_s(path: Path) -> float | None:

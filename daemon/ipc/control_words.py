@@ -17,7 +17,7 @@ class Word(IntEnum):
     """Index the control words."""
 
     # From the supervisor.
-    BEAT = 0  # counts on while the supervisor is alive
+    BEAT = 0  # heartbeat counter of the supervisor
     LAND = auto()  # counts requests to land
     ZERO = auto()  # fault that requests zero force at once, 0 for none; any process may set it
     CLEAR = auto()  # counts requests to clear a fault
@@ -50,9 +50,9 @@ class Word(IntEnum):
     WAITING = auto()  # counts while the loop waits for a request to clear
     LOOPS = auto()  # counts starts of the loop
     EPOCH_NS = auto()  # log time of cycle 0
-    EPOCH_MONOTONIC_NS = auto()
+    EPOCH_MONOTONIC_NS = auto()  # monotonic time of cycle 0
     # From the recorder.
-    RECORDER_BEAT = auto()
+    RECORDER_BEAT = auto()  # heartbeat counter of the recorder
     DROPPED = auto()  # rows missing in their log
     WRITING = auto()  # tag of the log being written
     FAULTS_SEEN = auto()  # rows searched for faults, with their flight recordings on disk

@@ -53,7 +53,7 @@ _FOREVER = 1 << 62
 class Course:
     """Select the segment row of each cycle for TimedLoop: `check_requests`, then `advance`.
 
-    Without a segment it stands: at zero force if control is off, otherwise holding the platform.
+    Without a segment it idles at zero force if control is off, otherwise it holds the platform.
     `recover` recovers the devices after a fault; it may take long. `advance` returns the next row
     of the segment's arrays; it is bound to the method of the current activity.
     """
@@ -84,7 +84,7 @@ class Course:
         """Whether the manipulator position is known, so that setpoints may be sent."""
         self.uncounted = 0
         """Remaining cycles that do not count as late."""
-        self.advance: Callable[[], int] = self._stand
+        self.advance: Callable[[], int] = self._idle
         self._beat, self._silent = words[_BEAT], 0
         self._land_request, self._clear_request = words[_LAND], words[_CLEAR]
         self._after_landing: tuple[Fault, str] | None = None
@@ -167,12 +167,12 @@ class Course:
 
     # Each returns the row of the next cycle; `advance` is one of these methods.
 
-    def _stand(self) -> int:
+    def _idle(self) -> int:
         """Hold, or rest at zero force; start the next announced segment."""
         words = self._words
         if words[_QUEUE_TAIL] < words[_QUEUE_HEAD]:
             self._next_segment()
-            if self.advance != self._stand:
+            if self.advance != self._idle:
                 return self.advance()
         return 0
 
@@ -208,9 +208,9 @@ class Course:
         return 0
 
     def _brake(self) -> int:
-        """Brake the manipulator at zero force, then stand."""
+        """Brake the manipulator at zero force, then rest."""
         if not self._landing.set_motion(self._k):
-            self.advance = self._stand
+            self.advance = self._idle
         self._k += 1
         return 0
 
@@ -245,7 +245,7 @@ class Course:
             words[Word.PLAN_CUT] = max(announced.plan, words[Word.PLAN_CUT])
             if not same_plan:  # otherwise its last rows follow
                 words[Word.PLAN_DONE] = max(announced.plan, words[Word.PLAN_DONE])
-            self.advance = self._stand
+            self.advance = self._idle
             return
         if self._begin(self._program.segment(announced)):
             words[Word.PLAN] = announced.plan
@@ -266,12 +266,12 @@ class Course:
         return True
 
     def _rest(self, state: State, motion: Motion | None = None) -> None:
-        """Stand at zero force in `state`, with the manipulator at rest or in `motion`."""
+        """Rest at zero force in `state`, with the manipulator at rest or in `motion`."""
         resting = resting_segment(self._controller, _FOREVER)
         if motion is not None:
             resting = replace(resting, beam=motion[0], rotor=motion[1])
         self._begin(replace(resting, state=state))
-        self.advance = self._stand
+        self.advance = self._idle
 
     def _hold(self) -> None:
         """Hold the platform and the manipulator until the next segment or request."""
@@ -281,7 +281,7 @@ class Course:
                 resting, state=State.LEVITATING, blend=_FULL_BLEND, in_control=True, airborne=True
             )
         )
-        self.advance = self._stand
+        self.advance = self._idle
 
     def _land(self) -> None:
         """Land from here; if control is off, only drop the plan."""

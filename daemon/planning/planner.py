@@ -158,7 +158,7 @@ class Planner:
             return
         rig = parse_text(str(text), RigConfig, "rig")
         if isinstance(rig.model, str) and self._rig.model is not None:
-            # The client alone knows what the path is relative to.
+            # A relative path refers to the client's folder, which the daemon does not know.
             rig = rig.model_copy(update={"model": self._rig.model})
         if _as_started(rig) != _as_started(self._rig):
             raise ConfigError(
@@ -175,21 +175,21 @@ def least_cycles(session: SessionConfig, rate_hz: float) -> int:
     def cycles(*parts_s: float | None) -> int:
         return sum(int((part_s or 0.0) * rate_hz) for part_s in parts_s)
 
-    found = 0
+    total = 0
     for step in session.steps:
         if step.levitate is not None:
-            found += cycles(step.levitate.unload_s, step.levitate.ramp_s, step.levitate.settle_s)
+            total += cycles(step.levitate.unload_s, step.levitate.ramp_s, step.levitate.settle_s)
         elif step.move is not None:
-            found += cycles(step.move.settle_s)
+            total += cycles(step.move.settle_s)
         elif step.land is not None:
-            found += cycles(step.land.ramp_s, step.land.release_s)
+            total += cycles(step.land.ramp_s, step.land.release_s)
         elif step.record is not None:
             record, inputs = step.record, len(step.record.excite)
-            found += cycles(record.settle_s, record.duration_s) + inputs * cycles(record.each_s)
+            total += cycles(record.settle_s, record.duration_s) + inputs * cycles(record.each_s)
             if record.orthogonal is not None:
                 periods = record.orthogonal.realisations * inputs * record.orthogonal.periods
-                found += periods * cycles(session.excitations[record.excite[0]].period_s)
-    return found
+                total += periods * cycles(session.excitations[record.excite[0]].period_s)
+    return total
 
 
 def _require_rest(op: str, situation: Situation) -> None:

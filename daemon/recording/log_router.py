@@ -53,7 +53,7 @@ class Event(StrEnum):
     FAILED = "failed"
 
 
-Tell = Callable[[Event, int, Path, str], None]
+Report = Callable[[Event, int, Path, str], None]
 """Called with the event, the tag of the log, the file and the reason of a failure."""
 
 
@@ -69,7 +69,7 @@ class Scribe:
         ring: Ring,
         rate_hz: float,
         log_of: Callable[[int], LogFile | None],
-        report: Tell = lambda *_: None,
+        report: Report = lambda *_: None,
         rotation: Rotation | None = None,
     ) -> None:
         self._ring, self._rate_hz, self._log_of, self._report = ring, rate_hz, log_of, report
@@ -102,19 +102,19 @@ class Scribe:
     def work(self) -> RingRows:
         """Read a block of rows, write it to its logs, and return it; empty if none is waiting."""
         ring = self._ring
-        taken = ring.take(BLOCK)
-        tags = taken.tags
+        read = ring.take(BLOCK)
+        tags = read.tags
         edges = [0, *(np.flatnonzero(np.diff(tags)) + 1).tolist(), len(tags)]
         for begin, end in pairwise(edges):
             if begin < end:
                 if tags[begin] != self._tag:
                     self._switch(int(tags[begin]))
-                    ring.durable = taken.first + begin
-                self._write(taken.rows[begin:end])
+                    ring.durable = read.first + begin
+                self._write(read.rows[begin:end])
                 # Update at once: a restarted recorder writes rows after this again.
                 buffered = self._writer.buffered if self._writer is not None else 0
-                ring.durable = taken.first + end - buffered
-        return taken
+                ring.durable = read.first + end - buffered
+        return read
 
     def finish(self) -> None:
         """Close the current log: no more rows of it will come."""

@@ -79,13 +79,13 @@ def attachments(rig: RigConfig, rig_text: bytes, session_text: bytes) -> dict[st
 
 
 def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     for package in ("levid", "numpy", "scipy", "numba", "mcap"):
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+            versions[package] = "not installed"
+    return versions
 
 
 def _host() -> dict[str, str]:

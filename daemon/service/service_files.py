@@ -278,7 +278,7 @@ def _ports(rig: RigConfig) -> list[PurePosixPath]:
 
 
 def _port_names(rig: RigConfig) -> list[str]:
-    """Return the kernel names of serial ports; a link stands for any USB adapter."""
+    """Return the kernel names of serial ports; a link may lead to any USB adapter."""
     names = [port.name for port in _ports(rig) if not _is_link(port)]
     usb = [name for name in names if name.startswith(_USB)]
     linked = len(names) < len(_ports(rig))

@@ -1,4 +1,4 @@
-"""The daemon on a bus: a session flown, a fault in flight, and on without a new start."""
+"""Test the daemon on a bus: a session, a fault in flight, continuation without restart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each of the daemon's processes killed, stopped or starved: what others do and what is left."""
+"""Test the daemon with each of its processes killed, stopped or without processor time."""
 
 from __future__ import annotations
 

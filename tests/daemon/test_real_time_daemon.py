@@ -1,4 +1,4 @@
-"""The daemon in real time behind its socket: requests, refusals, a session, landing."""
+"""Test the daemon in real time over its socket: requests, refusals, a session, landing."""
 
 import json
 import os

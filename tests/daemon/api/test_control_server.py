@@ -1,4 +1,4 @@
-"""The control socket under clients that flood, dawdle, vanish, or are not allowed."""
+"""Test the control socket with clients that flood, stall, disconnect, or have no access."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Metrics as Prometheus would fetch them, parsed by its own library."""
+"""Test the metrics over HTTP with the parser of Prometheus' own library."""
 
 import contextlib
 import socket

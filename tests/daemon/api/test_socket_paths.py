@@ -1,4 +1,4 @@
-"""Where clients look for a daemon, and what they have to load before they can stop it."""
+"""Test which socket clients use, and which modules `levid stop` imports."""
 
 from __future__ import annotations
 

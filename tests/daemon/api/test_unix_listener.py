@@ -1,4 +1,4 @@
-"""The control socket's path: kept, whoever takes it away, and never taken from anybody."""
+"""Test that the control socket is restored after its removal, and never replaces another one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The cycle's control law, limits and faults, against the equations written out in numpy."""
+"""Test control law, limits and faults of the cycle against the equations in numpy."""
 
 from dataclasses import replace
 

@@ -86,9 +86,9 @@ def test_what_is_not_linear_is_left_and_told(levid: Callable, tmp_path: Path) ->
     [
         ({"dof": [{"name": n, "unit": "m"} for n in "xyz"]}, "found x in m, y in m, z in m"),
         ({"inputs": [{"name": n, "unit": "N"} for n in "xyz"]}, "found psi in rad, .* in N, N, N"),
-        ({"B": np.zeros((3, 3)).tolist()}, "B: expected a matrix with an inverse"),
+        ({"B": np.zeros((3, 3)).tolist()}, "B: expected an invertible matrix"),
         ({"force": [0, 0, "-m_p*g/x_b"]}, "has no value"),
-        ({"force": [0, 0, "-1000*m_p*g"]}, r"takes 6.1e\+03 N of a coil, expected at most"),
+        ({"force": [0, 0, "-1000*m_p*g"]}, r"needs 6.1e\+03 N in a coil, expected at most"),
         (
             {"scheduling": {n: {"unit": "K", "signal": "heat"} for n in ("x_b", "v_b", "a_b")}},
             "force: expected position, velocity or acceleration of the beam .* found 'a_b'",

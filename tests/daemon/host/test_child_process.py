@@ -1,4 +1,4 @@
-"""How long a child is silent: time for which it got no processor does not count."""
+"""Test the silence of a child: time without a processor does not count."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps of the machine's clock are told from its going on."""
+"""Test that clock steps are distinguished from normal progress."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was written is on the disk soon, the end of it too, and a disk that refuses is heard of."""
+"""Test that logs and flight recordings reach the disk, and that disk errors are reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the kernel does not permit is a warning that says what follows; everything else holds."""
+"""Test that a refused real-time setting is a warning and that the others apply."""
 
 import gc
 import os

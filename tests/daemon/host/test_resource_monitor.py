@@ -1,4 +1,4 @@
-"""A flooded socket, a machine short of memory and rows that were lost are told, and added up."""
+"""Test that socket floods, low memory, steal time and lost rows are logged and summed."""
 
 from __future__ import annotations
 

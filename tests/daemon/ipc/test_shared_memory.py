@@ -1,4 +1,4 @@
-"""What the daemon's processes share: the ring that tells what it lost, the program, the landing."""
+"""Test the shared memory: ring with lost rows, program of segments, landing."""
 
 from dataclasses import replace
 

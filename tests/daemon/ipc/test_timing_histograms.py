@@ -1,4 +1,4 @@
-"""Histograms of the loop's times against numpy's quantiles, and causes of late cycles."""
+"""Test the timing histograms against quantiles of numpy, and the causes of late cycles."""
 
 import numpy as np
 import pytest

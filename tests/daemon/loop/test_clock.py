@@ -1,4 +1,4 @@
-"""How late the loop woke up: counted by its clock, in bins narrow enough to compare medians."""
+"""Test the wake-up delay that the clock measures, and its histogram."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a flight ends, cycle by cycle: nothing that is flown jumps, whoever ends it and whenever."""
+"""Test the end of a flight, cycle by cycle: no setpoint or force jumps, whatever ends it."""
 
 from __future__ import annotations
 

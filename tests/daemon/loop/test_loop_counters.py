@@ -1,4 +1,4 @@
-"""What the loop says of its cycles in counters and rows: nothing that was not so."""
+"""Test the counters and rows of the loop after late, failed and skipped cycles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the loop's process does around its cycles: opening devices, and being ended meanwhile."""
+"""Test the loop process outside its cycles: opening devices, ending meanwhile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever comes together in one cycle, who is to stop stops, and who is alone does not fly."""
+"""Test stop requests and a lost supervisor, in combination with other events of a cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole flights in virtual time: what is flown, what is logged, how it ends."""
+"""Test complete flights in virtual time: forces, logs, end."""
 
 import itertools
 from pathlib import Path

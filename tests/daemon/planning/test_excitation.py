@@ -1,4 +1,4 @@
-"""Excitation and trajectories: level, spectrum, smoothness, limits."""
+"""Test excitation and trajectories: level, spectrum, smoothness, limits."""
 
 import numpy as np
 import pytest

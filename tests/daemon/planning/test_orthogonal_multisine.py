@@ -1,4 +1,4 @@
-"""Orthogonal multisines: unitary at every line, periodic, the same lines in a whole session."""
+"""Test orthogonal multisines: unitary at every line, periodic, equal lines in a session."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def test_what_cannot_be_played_is_refused(
 
 def test_a_band_without_lines_is_refused_by_name() -> None:
     session = changed({}, psi={"band_hz": [1.1, 1.2]}, z={"band_hz": [1.1, 1.2]})
-    with pytest.raises(ConfigError, match=r"excitations.psi.band_hz: expected at least one multip"):
+    with pytest.raises(ConfigError, match=r"excitations.psi.band_hz: .* at least one multiple"):
         plan_session(session, load_rig(shipped("rigs/loopback.yaml")))
 
 

@@ -1,4 +1,4 @@
-"""Records that play in turn, scaled, or turn the rotor; and the sessions made for tracing."""
+"""Test plans of records with inputs in turn, scaling or rotor moves, and the trace sessions."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_what_makes_no_sense_is_refused(record: dict[str, Any], message: str) ->
     [
         ({"to_rad": 1, "velocity_rad_s": 1000}, r"rotor\[0\].velocity_rad_s: expected at most 20"),
         ({"to_rad": 1, "acceleration_rad_s2": 1e4}, r"acceleration_rad_s2: expected at most 200"),
-        ({"to_rad": 100, "velocity_rad_s": 1}, r"rotor\[0\].to_rad: expected a move that ends"),
+        ({"to_rad": 100, "velocity_rad_s": 1}, r"rotor\[0\].to_rad: expected a move within"),
     ],
 )
 def test_rotor_beyond_the_rig_is_refused(point: dict[str, Any], message: str) -> None:

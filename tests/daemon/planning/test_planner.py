@@ -1,4 +1,4 @@
-"""A request on its way to a flight: planned elsewhere, called off, or given up."""
+"""Test planning in the planner process: success, cancellation, time-out, limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Coils that are hot stay so in the eyes of the daemon that follows."""
+"""Test that a restarted daemon continues with the saved coil heat."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""After landing the logs go to the verbs that a session names, in a process of its own."""
+"""Test that identification or trace runs on the logs after landing, in its own process."""
 
 from __future__ import annotations
 

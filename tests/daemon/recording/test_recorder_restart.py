@@ -1,4 +1,4 @@
-"""A recorder that follows a dead one: parts that are nobody's, logs that were closed meanwhile."""
+"""Test a recorder that replaces a dead one: empty parts, logs closed in the meantime."""
 
 from __future__ import annotations
 
@@ -254,16 +254,16 @@ def test_recorder_pauses_unless_a_whole_block_waits(
     with ours, theirs:
         recorder = RecorderProcess(rig, shared, theirs, tmp_path)
 
-        def hear(wait_s: float) -> None:
+        def receive(wait_s: float) -> None:
             waits.append(wait_s)
             recorder._ending = not came
 
-        def see(_: object) -> None:
+        def scan(_: object) -> None:
             if came:  # while it works: there is always one more at 10 kHz
                 shared.ring.head += came.pop(0)
 
-        monkeypatch.setattr(recorder, "_receive", hear)
-        monkeypatch.setattr(recorder._faults, "see", see)
+        monkeypatch.setattr(recorder, "_receive", receive)
+        monkeypatch.setattr(recorder._faults, "scan", scan)
         recorder.run(os.getppid())
         assert [wait_s > 0.0 for wait_s in waits] == [True, True, True, False, False, True, True]
         assert shared.ring.tail == shared.ring.head

@@ -1,4 +1,4 @@
-"""What the daemon says reaches a journal with its fields, and a terminal as lines."""
+"""Test journal entries with fields, and plain lines on a terminal."""
 
 from __future__ import annotations
 

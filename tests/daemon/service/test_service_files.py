@@ -1,4 +1,4 @@
-"""What `levid install-service` writes: what systemd says of it, and what is replaced."""
+"""Test the files of `levid install-service`: validity for systemd, replacement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the daemon tells systemd, on a real datagram socket, and what SIGHUP takes over."""
+"""Test notifications to systemd over a datagram socket, and the reload after SIGHUP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Coils are pushed at the first lift-off after a start or a fault unless somebody says no."""
+"""Test the default coil check at the first lift-off after a start or a fault."""
 
 from __future__ import annotations
 

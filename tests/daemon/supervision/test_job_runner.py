@@ -1,4 +1,4 @@
-"""What whoever asked for a flight is told of it in the end."""
+"""Test the answer that a client gets at the end of its flight."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Recorder:
     def forget(self) -> None:
         return
 
-    def hear(self) -> None:
+    def receive(self) -> None:
         return
 
     def define(self, file: LogFile) -> int:

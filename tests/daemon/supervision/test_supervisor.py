@@ -1,4 +1,4 @@
-"""What the supervisor does in moments that processes seldom come to: it alone, without any."""
+"""Test the supervisor in rare situations, without its other processes."""
 
 from __future__ import annotations
 

@@ -379,7 +379,7 @@ def test_client_of_a_planner_that_dies_is_refused_at_once(tmp_path: Path) -> Non
             time.sleep(0.01)
         os.kill(pid, signal.SIGKILL)
         client.join(_GIVE_UP_S)
-        assert ["the planner is gone" in answer for answer in answers] == [True]
+        assert ["the planner ended" in answer for answer in answers] == [True]
         again = running.until(lambda s: s["pids"]["planner"] not in (None, pid))
         assert again["fault"] == "NONE"
 

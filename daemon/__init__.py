@@ -1,1 +1,1 @@
-"""Fly the platform: a timed loop, its recorder, planner and control socket, supervised."""
+"""Run the rig: supervisor, control loop, recorder, planner and control socket."""

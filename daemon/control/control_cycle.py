@@ -282,7 +282,7 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
                 carried += by_model[i, 1 + j] * ref[j]
             for j in range(1, 3):
                 carried += by_model[i, 4 + j] * beam_all[at, j]
-            if carried != 0.0:  # without a model not even the sign of a zero changes
+            if carried != 0.0:  # keep -0.0 in the log of a rig without a model
                 ff[i] += last[3] * carried
             error = ref[i] - pose[i]
             integral[i] += ki_Ts[i] * error

@@ -54,7 +54,7 @@ FAULTS: dict[Fault, FaultText] = {
     ),
     Fault.COMPUTATION: FaultText(
         "the control law computed a force that is not a finite number",
-        "gains and references; report it: finite readings should not lead to this",
+        "gains and references; if they are correct, report this software defect",
     ),
     Fault.BEAM: FaultText(
         "the beam left its range (limits.beam_m)",
@@ -101,7 +101,8 @@ FAULTS: dict[Fault, FaultText] = {
         "the reason, with the user who stopped it",
     ),
     Fault.SUPERVISOR: FaultText(
-        "the supervisor died, hung, was stopped, or did not send the plan in time (supervisor_s)",
+        "the supervisor died, hung, was stopped, or did not send the plan in time "
+        "(service.supervisor_s)",
         "machine load and memory, the journal",
         "levid clear; if the supervisor died, restart the daemon (systemd does so)",
     ),

@@ -23,7 +23,7 @@ _INPUT_UNITS = ("N m", "N m", "N")
 _BEAM = {"beam_m": 0, "beam_m_s": 1, "beam_ref_m": 0, "beam_ref_m_s": 1, "beam_ref_m_s2": 2}
 """Log fields of the beam motion, and the order of the position derivative of each."""
 _ACTS_AFTER = 1.5
-"""Periods from a reading to the middle of the period in which the force computed from it acts."""
+"""Periods from a reading to the middle of the period in which its force acts."""
 _GRID = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Fractions of the limits at which the model's force is compared with its linear part."""
 

@@ -99,7 +99,7 @@ def memory_file(name: str, data: bytes = b"") -> int:
 
 
 def write_plan(fd: int, planned: PlannedRequest) -> None:
-    """Write a planned request, step by step, and seal the file; raises OSError."""
+    """Write a planned request step by step, then seal the file; raises OSError."""
     plan = planned.plan
     header = np.zeros((), _HEADER)
     _write(fd, memoryview(header.tobytes()))

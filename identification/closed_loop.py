@@ -1,4 +1,4 @@
-"""One operating point in a loop with a known controller: the paper's section 4."""
+"""Identify one operating point with a known controller: the paper's section 4."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from .subspace.ho_kalman import (
     OrderChoice,
     Scaling,
     decompose,
-    order_from_gap,
+    order_from_ratio,
     realise,
 )
 from .subspace.model_checks import (
-    HARMS,
     STATES_A_DOF,
-    doubts,
+    VISIBLE_TRUNCATION,
     has_decayed,
     order_doubts,
+    plant_doubts,
     predicted_errors,
     settling_time,
 )
@@ -44,28 +44,27 @@ from .subspace.plant_from_loop import IdentifiedPlant, closed_loop, plant_from_l
 Array = NDArray[np.float64]
 
 LOWEST_HZ, HIGHEST_HZ, POINTS = 0.5, 250.0, 180
-"""The logarithmic grid of responses: from the slowest motion a segment of 10 s shows well."""
+"""The logarithmic frequency grid of responses; a segment of 10 s resolves the lowest well."""
 SETTLED_S = 4.0
-"""After this the rig's resonances (2.5 1/s) of what came before a record are down by 1e-4."""
+"""Initial transients of the rig (decay rate 2.5 1/s) have decayed to 1e-4 after this time."""
 LONGEST_SETTLING_S = 60.0
 LEAST_RESPONSES = 3
-"""Training rows of the shortest record over the longest impulse response."""
+"""Least ratio of the shortest record's training rows to the impulse response."""
 LEAST_SEGMENTS = 4
-"""Settled rows of the shortest record over the longest segment of spectra."""
+"""Least ratio of the shortest record's settled rows to a segment of the spectra."""
 LENGTHEN = 1.5
 
 
 def identify_closed_loop(
     point: OperatingPoint, options: Options, progress: Callable[[float], None]
 ) -> ClosedLoopPoint:
-    """Return everything identified at one operating point; progress is told the share done.
+    """Identify one operating point; `progress` is called with the share of the work done.
 
-    The last part of every record (`options.holdout`) is kept from the model and simulated by the
-    identified plant in its loop. The spectra, which no row checks, use every row once the record
-    has settled. `doubts` says why the model is not to be trusted, if so.
+    The end of every record (`options.holdout`) is held out and simulated with the identified loop.
+    The spectra use all settled rows. `doubts` of the result lists reasons not to use the model.
 
-    Raises PoorExcitationError when the records excite too little for Markov parameters, other
-    IdentificationErrors as its steps do.
+    Raises PoorExcitationError if the excitation does not determine the Markov parameters, and the
+    IdentificationErrors of its steps.
     """
     controller = point.records[0].controller
     assert controller is not None
@@ -138,13 +137,15 @@ def identify_closed_loop(
         ),
         doubts=(
             *(order_doubts(order) if options.order is None else ()),
-            *doubts(plant, full_loop, holdout, predicted_errors(point.records, holdout, first)),
+            *plant_doubts(
+                plant, full_loop, holdout, predicted_errors(point.records, holdout, first)
+            ),
         ),
     )
 
 
 def wanted_rows(options: Options, Ts_s: float) -> int:
-    """Return the rows of a record that shortens neither the impulse response nor the segments."""
+    """Return the length in rows that a record needs for full impulse response and segments."""
     impulse_s = LEAST_RESPONSES * (options.impulse_s or LOOP_IMPULSE_S) / (1.0 - options.holdout)
     segments_s = LEAST_SEGMENTS * (options.segment_s or LOOP_SEGMENT_S)
     return round(max(impulse_s, segments_s) / Ts_s)
@@ -153,8 +154,8 @@ def wanted_rows(options: Options, Ts_s: float) -> int:
 def _lengths(options: Options, training: Sequence[Record]) -> list[int]:
     """Return the numbers of taps to try, ascending.
 
-    Up to a third of the shortest record, and as many as the rows of all records allow: one record
-    with three inputs has to be longer than three with one each.
+    The maximum is a third of the shortest record, and what the rows of all records determine: one
+    record that excites three inputs has to be longer than three that excite one each.
     """
     Ts_s = training[0].Ts_s
     if options.impulse_s is not None:
@@ -167,7 +168,7 @@ def _lengths(options: Options, training: Sequence[Record]) -> list[int]:
 
 
 def _decayed(training: Sequence[Record], ladder: Sequence[int], options: Options) -> MarkovEstimate:
-    """Return the shortest estimate that has decayed at its end, else the longest there is."""
+    """Return the shortest estimate that has decayed at its end, else the longest possible one."""
     found = estimate_markov(training, ladder[0], options.markov)
     for length in ladder[1:]:
         if has_decayed(found):
@@ -187,18 +188,18 @@ def _realise(
     delay: int,
     lag_pole: float,
 ) -> tuple[OrderChoice, StateSpace, IdentifiedPlant]:
-    # Fewer states no motion has: without this, slow integrators pass for noise now and then.
+    # A lower bound on the order: otherwise slow integrators are sometimes taken for noise.
     least = STATES_A_DOF * len(controller.ki) + int(np.sum(controller.ki > 0))
-    order = order_from_gap(decomposition.singular_values, least)
+    order = order_from_ratio(decomposition.singular_values, least)
     if given is not None:
-        gap = order.gaps[given - 1] if 1 <= given <= len(order.gaps) else np.nan
-        order = OrderChoice(given, float(gap), order.gaps)
+        ratio = order.ratios[given - 1] if 1 <= given <= len(order.ratios) else np.nan
+        order = OrderChoice(given, float(ratio), order.ratios)
     loop = realise(decomposition, order.order)
     return order, loop, IdentifiedPlant(plant_from_loop(loop, controller), delay, lag_pole)
 
 
 def _at_most(wanted_s: float, records: Sequence[Record], share: int) -> float:
-    """Return `wanted_s`, or less where the shortest record is not `share` times as long."""
+    """Return `wanted_s`, limited to 1 / `share` of the shortest record."""
     return min(wanted_s, min(len(r.y) for r in records) // share * records[0].Ts_s)
 
 
@@ -208,34 +209,37 @@ def _length_remarks(
     remarks = []
     impulse_s = len(markov.g) * markov.Ts_s
     if options.impulse_s is None and len(markov.g) < round(LOOP_IMPULSE_S / markov.Ts_s):
-        remarks.append(f"short records: impulse response cut to {impulse_s:.3g} s")
+        remarks.append(f"short records: the impulse response is limited to {impulse_s:.3g} s")
     elif options.impulse_s is None and impulse_s > LOOP_IMPULSE_S + markov.Ts_s:
         remarks.append(
-            f"the loop rings for longer than {LOOP_IMPULSE_S:g} s: impulse response of "
-            f"{impulse_s:.3g} s used"
+            f"the loop rings for more than {LOOP_IMPULSE_S:g} s: the impulse response has "
+            f"{impulse_s:.3g} s"
         )
-        if not has_decayed(markov, HARMS):
-            why = "which the records allow at most" if len(markov.g) == longest else "no longer one"
-            remarks.append(f"it has not decayed after {impulse_s:.3g} s, {why}: record longer")
+        if not has_decayed(markov, VISIBLE_TRUNCATION):
+            limit = "record length" if len(markov.g) == longest else "excitation"
+            remarks.append(
+                f"the impulse response has not decayed after {impulse_s:.3g} s, the limit by the "
+                f"{limit}: make longer records"
+            )
     if options.segment_s is None and segment_s < LOOP_SEGMENT_S:
-        remarks.append(f"short records: spectra resolve only {1 / segment_s:.2g} Hz")
+        remarks.append(f"short records: the spectra resolve only {1 / segment_s:.2g} Hz")
     return remarks
 
 
 def _settling_remarks(settled_s: float, starts: Sequence[int], Ts_s: float) -> list[str]:
     if settled_s <= SETTLED_S:
         return []
-    told = f"the loop rings for {settled_s:.3g} s: as much is left out at the begin of records"
-    left_s = [start * Ts_s for start in starts if start]
-    if left_s and min(left_s) < settled_s - Ts_s:
-        told += f", of the shortest {min(left_s):.3g} s, a quarter of it"
-    return [told] if left_s else []
+    remark = f"the loop rings for {settled_s:.3g} s, which are left out at the start of records"
+    left_out_s = [start * Ts_s for start in starts if start]
+    if left_out_s and min(left_out_s) < settled_s - Ts_s:
+        remark += f"; of the shortest only {min(left_out_s):.3g} s, a quarter of it"
+    return [remark] if left_out_s else []
 
 
 def _feedback_remarks(without: Sequence[str]) -> list[str]:
     if not without:
         return []
     return [
-        f"no feedback from {', '.join(without)}, of which the sensitivity tells nothing: the joint "
-        "estimate stands in the place of (15)"
+        f"no feedback from {', '.join(without)}, so (15) cannot be used: the joint estimate "
+        "replaces it"
     ]

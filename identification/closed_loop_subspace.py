@@ -1,4 +1,4 @@
-"""One operating point in its loop by the subspace method, judged as the model by Ho-Kalman is."""
+"""Identify one closed-loop operating point by the subspace method, with the same model checks."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .results import ClosedLoopPoint, SubspacePoint
 from .subspace.held_out_simulation import hold_out, settled_row
 from .subspace.model_checks import (
     STATES_A_DOF,
-    doubts,
     order_doubts,
+    plant_doubts,
     predicted_errors,
     settling_time,
 )
@@ -24,19 +24,19 @@ from .subspace.plant_from_loop import closed_loop
 from .subspace.response_uncertainty import modes, response_with_errors
 
 
-def with_subspace(
+def add_subspace_model(
     point: ClosedLoopPoint, records: Sequence[Record], options: Options
 ) -> ClosedLoopPoint:
-    """Return the point with its plant by the subspace method, or a remark why there is none.
+    """Add the plant by the subspace method to the point, or a remark why it failed.
 
-    `records` are all of the point's; the same rows as from the other methods are kept from the
-    model. The response is at the point's frequencies. With a given `options.order` of the loop, the
-    plant has that without the controller's integrators.
+    `records` are all records of the point; the same rows are held out as for the other methods. The
+    response is at the point's frequencies. `options.order`, if given, is the order of the loop: the
+    plant's order is smaller by the controller's integrators.
     """
     try:
         return replace(point, subspace=_identify(point, records, options))
     except IdentificationError as error:
-        remarks = (*point.remarks, f"no model by subspace: {error}")
+        remarks = (*point.remarks, f"no subspace model: {error}")
         return replace(point, subspace=None, remarks=remarks)
 
 
@@ -68,6 +68,6 @@ def _identify(point: ClosedLoopPoint, records: Sequence[Record], options: Option
         holdout=held,
         doubts=(
             *(order_doubts(found.order) if options.order is None else ()),
-            *doubts(found.plant, loop, held, expected),
+            *plant_doubts(found.plant, loop, held, expected),
         ),
     )

@@ -1,4 +1,4 @@
-"""Models and responses for other tools: python-control, scipy.signal, MATLAB and Octave."""
+"""Export models and responses to python-control, scipy.signal, MATLAB and Octave."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _FIELD_CHARACTERS = 63
-"""Of a field's name MATLAB keeps so many."""
+"""Longest field name in MATLAB."""
 
 
 def control_state_space(
     model: StateSpace | IdentifiedPlant, signals: SignalNames | None = None
 ) -> control.StateSpace:
-    """Return the model for python-control, with its sampling time, named after `signals` if given.
+    """Convert the model to python-control, with its sampling time and the names of `signals`.
 
-    The delay and the lag of a Plant become states. Raises ModuleNotFoundError without
+    Delay and lag of an IdentifiedPlant become states. Raises ModuleNotFoundError without
     python-control.
     """
     module = _python_control()
@@ -44,10 +44,9 @@ def control_state_space(
 
 
 def control_frd(estimate: ResponseEstimate, signals: SignalNames | None = None) -> control.FRD:
-    """Return the response for python-control: (m, p, F) at rad/s, named after `signals` if given.
+    """Convert the response to python-control: (m, p, F) at rad/s, with the names of `signals`.
 
-    What it cannot hold, coherence and covariance, stays behind. Raises ModuleNotFoundError without
-    python-control.
+    Coherence and covariance are lost. Raises ModuleNotFoundError without python-control.
     """
     module = _python_control()
     omega_rad_s = 2 * np.pi * estimate.freq_hz
@@ -56,9 +55,9 @@ def control_frd(estimate: ResponseEstimate, signals: SignalNames | None = None) 
 
 
 def scipy_state_space(model: StateSpace | IdentifiedPlant) -> signal.StateSpace:
-    """Return the model for scipy.signal: a `dlti`, or an `lti` where it is continuous.
+    """Convert the model to scipy.signal: a `dlti`, or an `lti` if it is continuous.
 
-    The delay and the lag of a Plant become states.
+    Delay and lag of an IdentifiedPlant become states.
     """
     full = _state_space(model)
     if full.Ts_s > 0:
@@ -69,18 +68,17 @@ def scipy_state_space(model: StateSpace | IdentifiedPlant) -> signal.StateSpace:
 def write_mat(path: Path, result: IdentificationResult) -> None:
     """Write the identified models and measured responses of all K operating points for MATLAB.
 
-    The plant with delay and lag as states, as `ss(A, B, C, D, Ts)` takes it (as an array of K
-    models): A (n, n, K), B (n, p, K), C (m, n, K), D (m, p, K), Ts in s. It is the one that the
-    identification recommends; where it can recommend none, Ho-Kalman's, and `trusted` (1, K) is 0.
-    `method`: a cell of how each was found. The response measured
-    without a model, a point of which `idfrd(frf, freq, Ts, 'FrequencyUnit', 'Hz')` takes: frf
-    (m, p, F, K) with its standard deviation frf_sd (of the complex entries), freq (F, 1) in Hz.
-    beam_m (1, K) in m, nan without a beam. input_names, input_units, output_names, output_units:
-    cells of text.
+    - A (n, n, K), B (n, p, K), C (m, n, K), D (m, p, K), Ts in s: the plant with delay and lag as
+      states, for `ss(A, B, C, D, Ts)`. It is the recommended model; without one, Ho-Kalman's, and
+      `trusted` (1, K) is 0. `method`: a cell with the method of each.
+    - frf (m, p, F, K), its standard deviation frf_sd (of the complex entries) and freq (F, 1) in
+      Hz: the measured response, for `idfrd(frf, freq, Ts, 'FrequencyUnit', 'Hz')` at each point.
+    - beam_m (1, K) in m, nan without a beam; input_names, input_units, output_names, output_units:
+      cells of text.
 
-    For K = 1 the last dimension is left out. A to D are cells {1, K} where the points differ in
-    order; frf, frf_sd and freq where they differ in freq. The file is MATLAB's format 5, which
-    Octave and scipy.io read too.
+    For K = 1 the last dimension is left out. A to D are cells {1, K} if the orders differ; frf,
+    frf_sd and freq if the frequencies differ. The file has MATLAB's format 5, which Octave and
+    scipy.io read too.
     """
     models = [_model(point) for point in result.points]
     spectra = [_spectra(point) for point in result.points]
@@ -95,10 +93,10 @@ def write_mat(path: Path, result: IdentificationResult) -> None:
 
 
 def write_multisine_mat(path: Path, blas: Sequence[BestLinearApproximation]) -> None:
-    """Write the best linear approximations at K positions as write_mat writes responses.
+    """Write the best linear approximations at K positions in the format of write_mat.
 
-    frf, freq, Ts, beam_m and the names as there; frf_sd from all errors, frf_noise_sd from noise
-    alone, frf_distortion_sd what distortion adds to one realisation, nan where it is not known.
+    frf, freq, Ts, beam_m and names as there; frf_sd covers all errors, frf_noise_sd noise alone,
+    frf_distortion_sd the distortion of one realisation (nan if unknown).
     """
     contents = {
         **_measured(
@@ -116,13 +114,13 @@ def write_multisine_mat(path: Path, blas: Sequence[BestLinearApproximation]) -> 
 
 
 def write_fitted_mat(path: Path, grey: GreyBox) -> None:
-    """Write the fitted model where its scheduling variables are as declared, as write_mat.
+    """Write the fitted model, at the declared scheduling variables, in the format of write_mat.
 
-    A, B, C, D, Ts and the names; parameters: a struct of the fitted values in SI units, and
-    standard_errors: one of theirs, nan where there is none; names that MATLAB does not take for a
-    field as _fields has them. input_hold: what the input does between samples, zoh, foh or
-    band_limited. Of a band-limited one the model is continuous, Ts 0, and input_delay_s in s is the
-    delay before it (0 else: it is in A to D).
+    - A, B, C, D, Ts and names as there.
+    - parameters: a struct of the fitted values in SI units; standard_errors: a struct of their
+      standard errors, nan if unknown. Invalid field names are changed (see `_fields`).
+    - input_hold: the input between samples, zoh, foh or band_limited. For band_limited the model is
+      continuous, with Ts 0 and the input delay input_delay_s in s (0 otherwise: it is in A to D).
     """
     model, delay_s = grey.state_space({})
     parameters = grey.fitted.parameters
@@ -142,7 +140,7 @@ def write_fitted_mat(path: Path, grey: GreyBox) -> None:
 
 
 def fitted_signals(grey: GreyBox) -> SignalNames:
-    """Return names and units of a fitted model's inputs and outputs."""
+    """Return names and units of a fitted model's inputs and outputs, and the sampling time."""
     inputs, dof = grey.declared.inputs, grey.declared.dof
     return SignalNames(
         tuple(q.name for q in inputs),
@@ -165,7 +163,7 @@ def _measured(
     responses: Sequence[tuple[Array, NDArray[np.complex128], Array]],
     beams_m: Sequence[float | None],
 ) -> dict[str, Any]:
-    """Return frequencies, responses (F, m, p) and standard deviations of each point, and beam_m."""
+    """Return frf, frf_sd, freq and beam_m from (freq_hz, H (F, m, p), deviation) of each point."""
     same_grid = _alike([freq_hz for freq_hz, _, _ in responses])
     freq_hz = [f[:, None] for f, _, _ in responses]
     return {
@@ -187,7 +185,7 @@ def _signals(signals: SignalNames) -> dict[str, Any]:
 
 
 def _fields(names: Iterable[str]) -> dict[str, str]:
-    """Return the field of a MATLAB struct by name: p_ before a _, 63 characters, each once."""
+    """Return a valid, unique MATLAB field for each name: at most 63 characters, no leading _."""
     fields: dict[str, str] = {}
     for name in names:
         whole = f"p_{name}" if name.startswith("_") else name
@@ -233,7 +231,7 @@ def _python_control() -> ModuleType:
         if error.name != "control":
             raise
         raise ModuleNotFoundError(
-            "expected the package control (python-control), found none: pip install levid[control]",
+            "expected the package python-control, found none; run: pip install levid[control]",
             name="control",
         ) from None
 
@@ -245,14 +243,14 @@ def _named(signals: SignalNames | None) -> dict[str, list[str]]:
 
 
 def _together(arrays: Sequence[NDArray[Any]], alike: bool) -> NDArray[Any]:
-    """Return the arrays along a new last dimension, one alone as it is; a cell of unlike ones."""
+    """Stack the arrays along a new last dimension (one alone as it is); a cell if not alike."""
     if not alike:
         return _cell(arrays)
     return arrays[0] if len(arrays) == 1 else np.stack(arrays, axis=-1)
 
 
 def _cell(items: Sequence[object]) -> NDArray[np.object_]:
-    """Return items as a row, which savemat writes as a cell."""
+    """Return the items as a MATLAB cell (1, K)."""
     cell = np.empty((1, len(items)), dtype=object)
     for k, item in enumerate(items):
         cell[0, k] = item

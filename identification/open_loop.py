@@ -1,4 +1,4 @@
-"""Identification of a system from input to output when no controller is known: others' data."""
+"""Identify a system from input to output without a known controller, as for imported data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .nonparametric.frequency_response import ResponseEstimate, frequency_respon
 from .nonparametric.markov_parameters import MarkovEstimate, estimate_markov, most_taps
 from .options import Options
 from .records.record import IdentificationError, OperatingPoint, Record
-from .records.record_length import left_out_remarks, long_enough
+from .records.record_length import drop_short_records, left_out_remarks
 from .results import OpenLoopPoint
 from .subspace.fit_percent import nrmse_fit_percent
 from .subspace.held_out_simulation import HoldOut
@@ -35,18 +35,17 @@ ROWS_A_TAP = 4
 MOST_TAPS = 200
 VALIDATION_SHARE = 0.25
 BLOCKS = 8
-"""The standard error of a validation error is that of this many blocks in time."""
+"""Blocks in time from which the standard error of a validation error is estimated."""
 BINS = 180
 SETTLED = 1e-3
-"""Least size by which an output's errors are judged, over that in the whole record."""
-_RUNS_AWAY = 1e12
-"""Squared error, over the output's own, of a model that is no candidate: a predictor that runs
-away."""
+"""Least scale of an output's errors, over its rms in the whole record."""
+_DIVERGED = 1e12
+"""Relative squared error above which a model is rejected: its predictor diverges."""
 
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Models of every order that could be made, from the same training records."""
+    """Models of every possible order from the same training records."""
 
     markov: MarkovEstimate
     singular_values: Array
@@ -57,15 +56,18 @@ class _Candidates:
 def identify_open_loop(
     point: OperatingPoint, options: Options, progress: Callable[[float], None]
 ) -> OpenLoopPoint:
-    """Return everything identified at one operating point; progress is told the share done.
+    """Identify one operating point; `progress` is called with the share of the work done.
 
-    The simulating model: Markov parameters, Ho-Kalman weighted by the inputs, B and D refitted. The
-    predictor: observer Markov parameters. Their orders are chosen on the training rows alone:
-    models of every order from the first three quarters of them are judged on the last. What
-    `options.holdout` keeps back only measures the fit. Raises IdentificationError.
+    The simulation model uses Markov parameters, Ho-Kalman weighted by the inputs, and refitted B
+    and D; the predictor uses observer Markov parameters. Their orders are chosen by validation:
+    models of every order are fitted to the first three quarters of the training rows and compared
+    on the last. The held-out rows (`options.holdout`) only measure the fit.
+
+    Raises IdentificationError for records that are too short, constant outputs, or if no stable
+    model exists.
     """
-    # An impulse response is at most half as long as the shortest record.
-    records, too_short = long_enough(point.records, 2 * MOST_TAPS + 1)
+    # The impulse response is at most half as long as the shortest record.
+    records, too_short = drop_short_records(point.records, 2 * MOST_TAPS + 1)
     stops = [len(r.y) - options.holdout_rows(len(r.y)) for r in records]
     centred = [_centred(r, stop) for r, stop in zip(records, stops, strict=True)]
     training = [r.rows(0, stop) for r, stop in zip(centred, stops, strict=True)]
@@ -88,8 +90,8 @@ def identify_open_loop(
     predictor_order = options.order or _smallest_good(predicted, final.predictors, cost)
     if order not in final.simulators or predictor_order not in final.predictors:
         raise IdentificationError(
-            f"no stable model of order {order} follows from these records; stable ones have order "
-            f"{', '.join(map(str, final.simulators)) or 'none'}"
+            f"order: expected one of a stable model, "
+            f"{', '.join(map(str, final.simulators)) or 'but there is none'}; found {order}"
         )
     model, predictor = final.simulators[order], final.predictors[predictor_order]
     spectra = _spectra(training, options)
@@ -119,7 +121,7 @@ def identify_open_loop(
 
 
 def _centred(record: Record, stop: int) -> Record:
-    """Return the record less the means of its first `stop` rows: the level is not modelled."""
+    """Subtract the means of the first `stop` rows: the level is not modelled."""
     return replace(
         record,
         v=record.v - record.v[:stop].mean(axis=0),
@@ -133,8 +135,8 @@ def _check_outputs(parts: Sequence[Record]) -> None:
         for name, moves in zip(record.output_names, np.ptp(record.y, axis=0) > 0, strict=True):
             if not moves:
                 raise IdentificationError(
-                    f"record '{record.name}': expected outputs that move, found '{name}' constant "
-                    f"over the {len(record.y)} rows that models are made from"
+                    f"record '{record.name}': expected outputs that vary, found '{name}' constant "
+                    f"over the {len(record.y)} training rows"
                 )
 
 
@@ -172,11 +174,11 @@ def _taps(records: Sequence[Record], options: Options) -> int:
 
 
 Run = Callable[[int, Record], Array]
-"""From a record and its number to the output that a model gives it; records may share a name."""
+"""Return a model's output for a record and its number; records may share a name."""
 
 
 def _simulated(model: StateSpace, known: Sequence[Record]) -> Run:
-    """Return a function that simulates a record, its initial state taken from its known rows."""
+    """Return a function that simulates a record; `known` rows determine the initial state."""
     starts = [initial_state(model, r.v, r.y) for r in known]
     return lambda number, record: simulate(model, record.v, starts[number])
 
@@ -189,17 +191,17 @@ def _predicted(model: InnovationModel) -> Run:
 def _errors(
     records: Sequence[Record], starts: Sequence[int], runs: dict[int, Run]
 ) -> dict[int, Array]:
-    """Return by order the squared error relative to the outputs' rms, in BLOCKS blocks of time."""
+    """Return the squared error relative to the outputs' rms, by order, in BLOCKS blocks of time."""
     errors = {}
     for order, run in runs.items():
         blocks = np.zeros(BLOCKS)
         for number, (record, start) in enumerate(zip(records, starts, strict=True)):
-            # An output may come to rest before the rows that judge; not before all of them.
+            # The scale has a lower bound: an output may be at rest in the validation rows.
             size = np.maximum(record.y[start:].std(axis=0), SETTLED * record.y.std(axis=0))
             with np.errstate(over="ignore", invalid="ignore"):
                 error = (record.y - run(number, record))[start:] / size
                 blocks += [np.mean(part**2) for part in np.array_split(error, BLOCKS)]
-        if np.all(blocks < _RUNS_AWAY):  # and is a number
+        if np.all(blocks < _DIVERGED):  # also rejects nan
             errors[order] = blocks / len(records)
     return errors
 
@@ -207,15 +209,15 @@ def _errors(
 def _smallest_good(
     errors: Mapping[int, Array], available: Collection[int], state_cost: float
 ) -> int:
-    """Return the smallest order that the best one does not beat in earnest.
+    """Return the smallest order whose error is not significantly above the best order's.
 
-    That is: its mean error is worse by no more than one standard error of the difference, compared
-    block by block, or the logarithm of the errors' ratio by no more than `state_cost` a state.
+    That is: the mean error is larger by at most one standard error of the difference, compared
+    block by block, or its logarithm by at most `state_cost` for each state less.
     """
     possible = {n: e for n, e in errors.items() if n in available}
     if not possible:
         raise IdentificationError(
-            "expected a stable model of some order from these records, found none"
+            "expected a stable model of at least one order, found none; record more data"
         )
     best = min(possible, key=lambda n: float(possible[n].mean()))
 
@@ -229,9 +231,9 @@ def _smallest_good(
 
 
 def _state_cost(records: Sequence[Record]) -> float:
-    """Return what a state must gain in the logarithm of the mean square error to be worth it.
+    """Return the least gain in log mean square error that justifies one more state.
 
-    It is the price of its parameters, one for each input and output, in Schwarz's criterion (BIC).
+    It is the BIC penalty of the state's parameters, one for each input and output.
     """
     m, p = records[0].y.shape[1], records[0].v.shape[1]
     samples = sum(r.y.size for r in records)
@@ -253,28 +255,30 @@ def _spectra(records: Sequence[Record], options: Options) -> ResponseEstimate:
     if not usable:
         longest_s = max(len(r.y) for r in records) * Ts_s
         raise IdentificationError(
-            f"expected a record with two segments of {segment_s:g} s before what is kept back, "
-            f"found {longest_s:g} s at most"
+            f"segment_s: expected two segments of {segment_s:g} s before the held-out "
+            f"rows, found at most {longest_s:g} s; choose shorter segments"
         )
     grid = np.geomspace(1.0 / segment_s, 0.5 / Ts_s, BINS)
     return frequency_response([r.v for r in usable], [r.y for r in usable], Ts_s, grid, segment_s)
 
 
 def _segment(records: Sequence[Record]) -> int:
-    """Return the rows of an eighth of the longest record, fewer where a record is needed for that.
+    """Return the segment length in rows: an eighth of the longest record, or less.
 
-    Two segments have to fit into every record without which the longer ones leave an input still.
+    Two segments must fit into every record that is needed to excite all inputs.
     """
     ordered = sorted(records, key=lambda r: len(r.y), reverse=True)
     excited = np.logical_or.accumulate([r.excited for r in ordered])
-    needed = ordered[int(np.argmax(excited.sum(axis=1)))]  # the first with which all are
+    needed = ordered[
+        int(np.argmax(excited.sum(axis=1)))
+    ]  # the first with which all inputs are excited
     return min(len(ordered[0].y) // 8, len(needed.y) // 2)
 
 
 def _hold_out(
     original: Record, record: Record, start: int, model: StateSpace, predictor: InnovationModel
 ) -> HoldOut:
-    """Run both models from the record's first row; judge them on the rows from `start` on."""
+    """Run both models over the record, and compare them with the held-out rows from `start` on."""
     level = original.y[start:] - record.y[start:]
     simulated = _simulated(model, [record.rows(0, start)])(0, record)[start:] + level
     predicted = _predicted(predictor)(0, record)[start:] + level

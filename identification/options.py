@@ -1,4 +1,4 @@
-"""What a user may decide about an identification."""
+"""Define the options of an identification."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from dataclasses import dataclass
 from .nonparametric.markov_parameters import ESTIMATORS
 from .records.record import IdentificationError
 
-LOOP_IMPULSE_S = 8.0  # the integrators' mode decays in 1.15 s: after 6 s it still biases by 0.2 %
+LOOP_IMPULSE_S = 8.0  # the integrators' mode decays in 1.15 s: 6 s still gives a bias of 0.2 %
 LOOP_SEGMENT_S = 10.0
 
 
 @dataclass(frozen=True)
 class Options:
-    """Choices of an identification; what is None follows from the data.
+    """Options of an identification; None: chosen from the data.
 
-    markov: estimator of the Markov parameters (markov.ESTIMATORS) that the model is made from.
-    order: states of the realised model; None for the largest gap of the singular values in a loop,
-    and by validation without. impulse_s: length of the impulse response (None: 8 s in a loop, more
-    while it has not decayed, less for short records, else as many taps as leave 4 rows each).
-    segment_s: segments of the spectra (None: 10 s in a loop, less for short records, else an eighth
-    of the longest record). holdout: share of every record, its end, that only checks the model.
-    lag_s: known first-order lag of the inputs (the declared model's current loop), taken out of the
-    loop before it is realised.
+    markov: estimator of the Markov parameters (markov_parameters.ESTIMATORS).
+    order: states of the realised model. None: the largest ratio of neighbouring singular values in
+    closed loop, validation in open loop.
+    impulse_s: length of the impulse response in s. None: 8 s in closed loop (longer until it has
+    decayed, shorter for short records), up to 4 rows for each tap in open loop.
+    segment_s: segments of the spectra in s. None: 10 s in closed loop (shorter for short records),
+    an eighth of the longest record in open loop.
+    holdout: share of every record, at its end, that is held out to check the model.
+    lag_s: known first-order lag of the inputs in s (current loop), removed before the realisation.
     """
 
     markov: str = "least_squares"
@@ -35,16 +36,20 @@ class Options:
     def __post_init__(self) -> None:
         if self.markov not in ESTIMATORS:
             raise IdentificationError(
-                f"expected a Markov estimator out of {', '.join(sorted(ESTIMATORS))}, "
+                f"markov: expected one of the estimators {', '.join(sorted(ESTIMATORS))}, "
                 f"found '{self.markov}'"
             )
         if not 0.0 <= self.holdout <= 0.5:
-            raise IdentificationError(f"expected a holdout of 0 to 0.5, found {self.holdout:g}")
+            raise IdentificationError(
+                f"holdout: expected a share of 0 to 0.5, found {self.holdout:g}"
+            )
         for name in ("impulse_s", "segment_s"):
             value = getattr(self, name)
             if value is not None and not value > 0.0:
-                raise IdentificationError(f"expected a positive {name}, found {value:g}")
+                raise IdentificationError(
+                    f"{name}: expected a positive duration in s, found {value:g}"
+                )
 
     def holdout_rows(self, rows: int) -> int:
-        """Return how many of `rows` rows are kept for checking."""
+        """Return the number of held-out rows in a record of `rows` rows."""
         return round(self.holdout * rows)

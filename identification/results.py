@@ -1,4 +1,4 @@
-"""What identification returns: frozen arrays that carry sampling time, names and units."""
+"""Hold identification results: arrays with sampling time, names and units."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ Complex = NDArray[np.complex128]
 class SubspacePoint:
     """The plant at one operating point by the subspace method, with standard errors.
 
-    `singular_values` are of what the past says of the future, `order` their choice of the core's
-    states. `covariance` (n + m, n + p, n + m, n + p) is of the errors of [A B; C D] of plant.core,
-    `innovation_covariance` (m, m) of the one-step prediction error with a past of `past` samples.
-    `response` is P at the frequencies of the point, `modes` are the core's poles. `doubts` says why
-    none of it is to be trusted.
+    `singular_values` are those of the prediction, `order` the number of core states chosen from
+    them. `covariance` (n + m, n + p, n + m, n + p) is the error covariance of [A B; C D] of
+    plant.core, `innovation_covariance` (m, m) that of the one-step prediction error with a past of
+    `past` samples. `response` is P at the frequencies of the point, `modes` are the core's poles.
+    `doubts` lists reasons not to use the model.
     """
 
     plant: IdentifiedPlant
@@ -47,7 +47,7 @@ class SubspacePoint:
 
     @property
     def trusted(self) -> bool:
-        """Whether nothing speaks against the model."""
+        """Whether there is no reason not to use the model."""
         return not self.doubts
 
 
@@ -55,13 +55,12 @@ class SubspacePoint:
 class ClosedLoopPoint:
     """The plant at one operating point, from records in a loop with a known controller.
 
-    `markov` and `singular_values` have one entry for each estimator, of the loop G from v to y and
+    `markov` and `singular_values` have one entry for each estimator: of the loop G from v to y, and
     of its Hankel matrix without known delay and lag. `loop` is the realised model of that loop,
-    `plant` what (14) leaves of it. The responses of P are all at freq_hz (F,): of `plant`, of (14)
-    applied to the Markov parameters point by point, of (15), and of the joint estimate.
-    `doubts` says why `loop`, `plant` and what is simulated with them are not to be trusted; the
-    other responses need no model and stand. `subspace` is the plant by that method; None where
-    the records do not allow it, for a reason that `remarks` gives.
+    `plant` follows from it by (14). All responses of P are at freq_hz (F,): of `plant`, of (14)
+    applied to the Markov parameters at each frequency, of (15), and of the joint estimate.
+    `doubts` lists reasons not to use `loop`, `plant` and their simulations; the other responses are
+    not affected. `subspace` is the plant by that method; if None, `remarks` gives the reason.
     """
 
     beam_m: float | None
@@ -86,14 +85,14 @@ class ClosedLoopPoint:
 
     @property
     def trusted(self) -> bool:
-        """Whether nothing speaks against the realised model."""
+        """Whether there is no reason not to use the realised model."""
         return not self.doubts
 
     @property
     def recommended(self) -> IdentifiedPlant | None:
-        """The plant to use: by subspace where it can be trusted, else by Ho-Kalman, else None.
+        """The plant to use: the subspace model if trusted, else Ho-Kalman's if trusted, else None.
 
-        From the same records the subspace method errs less, and says by how much.
+        From the same records, the subspace method has smaller errors and states them.
         """
         if self.subspace is not None and self.subspace.trusted:
             return self.subspace.plant
@@ -104,10 +103,10 @@ class ClosedLoopPoint:
 class OpenLoopPoint:
     """A system from its input to its output, from records without a known controller.
 
-    `model` simulates, `predictor` looks one step ahead; both of `order` (the predictor of
-    `predictor_order`), the smallest whose error on the last quarter of the training rows is hardly
-    larger than the least; `validation_error` (orders,) is that error relative to the outputs' rms,
-    nan where the model is unstable.
+    `model` (of `order`) simulates, `predictor` (of `predictor_order`) predicts one step ahead. The
+    orders are the smallest ones whose validation error is not significantly above the minimum.
+    `validation_error` (orders,) is the error on the last quarter of the training rows over the
+    outputs' rms; nan if the model is unstable.
     """
 
     beam_m: float | None
@@ -129,7 +128,7 @@ class OpenLoopPoint:
 
 @dataclass(frozen=True)
 class IdentificationResult:
-    """All operating points of a set of logs, and why some logs were left out."""
+    """All operating points of a set of logs, and the reasons for logs left out."""
 
     signals: SignalNames
     points: tuple[ClosedLoopPoint | OpenLoopPoint, ...]

@@ -1,4 +1,4 @@
-"""All that identification can say of a set of logs, every method on the records that suit it."""
+"""Identify a set of logs by every method that its records allow."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .nonparametric.robust_multisine import (
     by_position_and_level,
 )
 from .options import Options
-from .records.duplicates import Once
+from .records.duplicates import DuplicateCheck
 from .records.from_log import from_log
 from .records.periodic_records import (
     IncompleteError,
@@ -38,12 +38,12 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Study:
-    """What was found.
+    """The results of all methods.
 
-    `points`: Markov parameters, Ho-Kalman and spectra by operating point; None without records that
-    suit them. `multisine`: the best linear approximation by operating point. `grey`: the declared
-    model fitted to all records; None without a model. `notes`: what was left out, and why, and
-    which models are not to be trusted.
+    `points`: Markov parameters, Ho-Kalman, subspace and spectra by operating point; None without
+    suitable records. `multisine`: the best linear approximation by operating point. `grey`: the
+    declared model fitted to all records; None without a model. `notes`: logs left out, with the
+    reason, and models that should not be used.
     """
 
     points: IdentificationResult | None
@@ -53,7 +53,7 @@ class Study:
 
 
 @dataclass
-class _Sorted:
+class _LogContents:
     records: list[Record]
     periodic: list[PeriodicRecord]
     experiments: list[Experiment]
@@ -67,15 +67,15 @@ def study(
     options: Options,
     progress: Progress | None = None,
 ) -> Study:
-    """Read `logs` one by one and identify by every method that their records allow.
+    """Read the logs and identify them by every method that their records allow.
 
-    `model_of` gives the declared model for the first log, None where none is to be fitted. Its lag
-    is taken out of a loop before the loop is realised, instead of options.lag_s.
+    `model_of` returns the declared model for the first log, or None to fit none. The model's lag
+    replaces options.lag_s.
 
-    Raises LogError for a file that is no log, IdentificationError where nothing can be identified.
+    Raises LogError for a file that is not a log, IdentificationError if no method succeeds.
     """
-    tell = progress or (lambda _what, _share: None)
-    found, model = _read(logs, model_of, lambda what, share: tell(what, 0.15 * share))
+    report = progress or (lambda _what, _share: None)
+    found, model = _read(logs, model_of, lambda what, share: report(what, 0.15 * share))
     if model is not None:
         options = replace(options, lag_s=declared_model(model).at().lag_s)
     if not (found.records or found.periodic or found.experiments):
@@ -85,7 +85,7 @@ def study(
             f"expected at least one record to identify, found none: {'; '.join(found.reasons)}"
         )
     points, grey = None, None
-    failed: list[IdentificationError] = []
+    errors: list[IdentificationError] = []
     skipped = tuple(found.reasons)
     notes = list(skipped)
     if found.records:
@@ -93,52 +93,52 @@ def study(
             points = identify(
                 found.records,
                 options,
-                lambda what, share: tell(what, 0.15 + 0.35 * share),
+                lambda what, share: report(what, 0.15 + 0.35 * share),
                 skipped,
             )
-            notes = [*points.skipped, *_distrusted(points)]
+            notes = [*points.skipped, *_doubt_notes(points)]
         except IdentificationError as error:
-            failed.append(error)
+            errors.append(error)
             notes.append(f"no Markov parameters: {error}")
-    multisine, refused = _multisine(found.periodic)
-    failed += refused
-    notes += [f"no best linear approximation: {error}" for error in refused]
+    multisine, errors_found = _multisine(found.periodic)
+    errors += errors_found
+    notes += [f"no best linear approximation: {error}" for error in errors_found]
     if model is not None and found.experiments:
         try:
             grey = identify_grey_box(
                 model,
                 found.experiments,
                 options.holdout,
-                lambda what, share: tell(f"fit, {what}", 0.5 + 0.5 * share),
+                lambda what, share: report(f"fit, {what}", 0.5 + 0.5 * share),
             )
-            notes += _freed(model)
+            notes += _effects_note(model)
         except IdentificationError as error:
             if points is None and not multisine:
-                raise (failed[0] if failed else error) from None
+                raise (errors[0] if errors else error) from None
             notes.append(f"the declared model was not fitted: {error}")
-    if failed and points is None and grey is None and not multisine:
-        raise failed[0]
+    if errors and points is None and grey is None and not multisine:
+        raise errors[0]
     return Study(points, multisine, grey, tuple(notes))
 
 
 def _read(
-    logs: Sequence[Path], model_of: Callable[[Log], ModelConfig | None], tell: Progress
-) -> tuple[_Sorted, ModelConfig | None]:
-    """Return what the logs hold, each used once however often it is given, and the model."""
-    found, model = _Sorted([], [], [], [], []), None
-    once = Once()
+    logs: Sequence[Path], model_of: Callable[[Log], ModelConfig | None], report: Progress
+) -> tuple[_LogContents, ModelConfig | None]:
+    """Read every log once, and return the contents and the declared model."""
+    found, model = _LogContents([], [], [], [], []), None
+    duplicates = DuplicateCheck()
     for number, path in enumerate(logs):
-        tell(path.name, number / len(logs))
-        twice = once.again(path)
-        if twice is None:
+        report(path.name, number / len(logs))
+        duplicate = duplicates.repeated_path(path)
+        if duplicate is None:
             log = read_log(path)
             model = model_of(log) if number == 0 else model
-            twice = once.copied(path, log)
-        if twice is not None:
-            found.reasons.append(twice)
+            duplicate = duplicates.copy_of(path, log)
+        if duplicate is not None:
+            found.reasons.append(duplicate)
             continue
         try:
-            _sort(log, model, found)
+            _sort_log(log, model, found)
         except IdentificationError as error:
             found.reasons.append(str(error))
             found.errors.append(error)
@@ -148,28 +148,28 @@ def _read(
 def _multisine(
     records: Sequence[PeriodicRecord],
 ) -> tuple[tuple[BestLinearApproximation, ...], list[IdentificationError]]:
-    """Return the approximations, and why there is none at other positions and levels."""
+    """Return the approximations, and the errors at other positions and levels."""
     found: list[BestLinearApproximation] = []
-    refused = []
+    errors_found = []
     for group in by_position_and_level(records):
         try:
             found += at_every_position(group)
         except IdentificationError as error:
-            refused.append(error)
-    return tuple(found), refused
+            errors_found.append(error)
+    return tuple(found), errors_found
 
 
-def _freed(model: ModelConfig) -> list[str]:
+def _effects_note(model: ModelConfig) -> list[str]:
     if not model.effects:
         return []
     names = ", ".join(" ".join((e.effect, "at", *e.where)) for e in model.effects)
     return [
-        f"the fit of the declared model: its effects ({names}) were taken out of the records at "
-        "the values of the model file, and are not fitted; a trace fits both"
+        f"declared model: its effects ({names}) keep the values of the model file, only the other "
+        "parameters are fitted; 'levid trace' fits both"
     ]
 
 
-def _distrusted(result: IdentificationResult) -> list[str]:
+def _doubt_notes(result: IdentificationResult) -> list[str]:
     found = []
     for point in result.points:
         if not isinstance(point, ClosedLoopPoint):
@@ -178,19 +178,18 @@ def _distrusted(result: IdentificationResult) -> list[str]:
         if point.subspace is not None:
             by_method["subspace"] = point.subspace.doubts
         found += [
-            f"{describe_position(point.beam_m)}: the model by {method} is not to be trusted: "
-            f"{'; '.join(doubts)}"
+            f"{describe_position(point.beam_m)}: do not use the {method} model: {'; '.join(doubts)}"
             for method, doubts in by_method.items()
             if doubts
         ]
     return found
 
 
-def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:
-    """Give a log to every method that can use it; what none can use is left out with a reason."""
+def _sort_log(log: Log, model: ModelConfig | None, found: _LogContents) -> None:
+    """Add a log to the input of every method that can use it; if there is none, note the reason."""
     reason: NotARecordError | None = None
     try:
-        if not _periodic(log, found):
+        if not _add_periodic(log, found):
             found.records.append(from_log(log))
     except NotARecordError as error:
         reason = error
@@ -200,8 +199,8 @@ def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:
             found.experiments.append(experiment)
             still = np.flatnonzero(np.ptp(experiment.y, axis=0) == 0.0)
             found.reasons += [
-                f"{log.path.name}: {model.dof[i].name} shows one value in every row: it says "
-                "nothing of the noise, and whether it is connected should be looked at"
+                f"{log.path.name}: {model.dof[i].name} is constant over the record, so its noise "
+                "is unknown; check the sensor's connection"
                 for i in still.tolist()
             ]
             return
@@ -215,11 +214,11 @@ def _sort(log: Log, model: ModelConfig | None, found: _Sorted) -> None:
         found.reasons.append(str(reason))
 
 
-def _periodic(log: Log, found: _Sorted) -> bool:
-    """Take a record of orthogonal multisines, as its session tells; say whether it is one.
+def _add_periodic(log: Log, found: _LogContents) -> bool:
+    """Add the log if it is a record of orthogonal multisines; return whether it is one.
 
-    One that was cut off too early is noted: the fit of the declared model may still use it, Markov
-    parameters, for which it repeats, can not.
+    An incomplete one is noted: the fit of the declared model may still use it. Markov parameters
+    cannot, as its excitation repeats.
     """
     if "session.yaml" not in log.attachments:
         return False

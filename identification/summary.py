@@ -1,4 +1,4 @@
-"""The result in plain numbers and words, for JSON."""
+"""Convert identification results to JSON data."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .subspace.held_out_simulation import HoldOut
 from .subspace.plant_from_loop import IdentifiedPlant
 
 _RESPONSES = 30
-"""Frequencies at which a response is told, out of those of the result: 11 a decade."""
+"""Frequencies of a response in JSON: 11 a decade."""
 
 
 def summary(result: IdentificationResult) -> dict[str, Any]:
-    """Return dicts, lists, finite numbers and words; None stands for what is not a number.
+    """Return the result as dicts, lists, finite numbers and text; None replaces nan.
 
-    Models are given in full. Responses are left to the arrays of the result, but for some
-    frequencies of the subspace method's, whose standard errors no matrices tell.
+    Models are complete. Responses are left out, except the subspace method's at some frequencies,
+    because its standard errors do not follow from the matrices.
     """
     s = result.signals
     out = {
@@ -47,7 +47,7 @@ def _closed(point: ClosedLoopPoint) -> dict[str, Any]:
         "beam_m": point.beam_m,
         "records": point.records,
         "order": point.order.order,
-        "order_gap": point.order.gap,
+        "order_gap": point.order.ratio,
         "singular_values": point.singular_values,
         "markov": {name: _markov(m) for name, m in point.markov.items()},
         "loop": _model(point.loop),
@@ -72,7 +72,7 @@ def _subspace(found: SubspacePoint) -> dict[str, Any]:
     some = np.linspace(0, len(response.freq_hz) - 1, _RESPONSES).round().astype(int)
     return {
         "order": found.order.order,
-        "order_gap": found.order.gap,
+        "order_gap": found.order.ratio,
         "past": found.past,
         "singular_values": found.singular_values,
         "plant": _plant(found.plant),
@@ -178,7 +178,7 @@ def _plain(value: Any) -> Any:
 
 
 def study_summary(found: Study) -> dict[str, Any]:
-    """Return everything that was found as `summary` does, with multisine and grey box beside it."""
+    """Return all results of a study as JSON data: `summary`, multisine and grey box."""
     out: dict[str, Any] = summary(found.points) if found.points is not None else {}
     if found.multisine:
         out["multisine"] = [_multisine(bla) for bla in found.multisine]

@@ -21,12 +21,12 @@ from ..records.from_log import (
     columns,
     controller_of,
     imported_record,
-    remarks_of,
+    log_remarks,
     require_finite,
     rig_of,
 )
 from ..records.record import IdentificationError, NotARecordError, PiController
-from ..records.resampling import without_gaps
+from ..records.resampling import resample
 from .covariance import correlation
 from .intersample_input import Hold
 
@@ -105,7 +105,7 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
     if log.metadata.get("kind") == "record":
         known = log.rows.dtype.names or ()
         require_finite(log, [name for name in _USED if name in known])
-    log, gaps = without_gaps(log)  # every column alike, the schedule's too
+    log, gaps = resample(log)  # every column alike, the schedule's too
     base = _imported(log) if "signals.yaml" in log.attachments else _flown(log)
     if (base.u.shape[1], base.y.shape[1]) != (len(model.inputs), len(model.dof)):
         raise IdentificationError(
@@ -177,7 +177,7 @@ def _flown(log: Log) -> Experiment:
         False,
         1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
         loop,
-        tuple(remarks_of(log)),
+        tuple(log_remarks(log)),
         "zoh",
         (correlation(S.T @ S), correlation(T @ T.T)),
     )

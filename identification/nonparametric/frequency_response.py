@@ -1,4 +1,4 @@
-"""Frequency responses by correlating spectra (Welch), and the plant from the sensitivity (15)."""
+"""Estimate frequency responses by Welch's method, and the plant from the sensitivity (15)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 OVERLAP = 1.0 / 6.0
-"""Correlation of what noise gives to two Hann segments that overlap by half (Welch 1967)."""
+"""Correlation of the noise in two Hann segments that overlap by half (Welch 1967)."""
 LEAST_FREEDOM = 0.5
-"""Degrees of freedom that a record has at least; with fewer its circle is wider than any figure."""
+"""Least degrees of freedom of a record; with fewer, its confidence circle exceeds any figure."""
 
 
 @dataclass(frozen=True)
 class ResponseEstimate:
     """Frequency response H (F, m, p) at freq_hz (F,), with its uncertainty.
 
-    `coherence` (F, m, p): share of output i that the inputs explain (multiple coherence), in the
-    records that excite input j. `covariance` (F, m, p, m, p): of the errors, E dH[i,j] dH[k,l]^*,
-    enlarged so that sqrt(-ln 0.05) deviations hold 95 %, as they do with variances that are known,
-    however few segments or periods it was estimated from. (The local polynomial method's is not: it
-    always has its degrees of freedom.)
+    `coherence` (F, m, p): multiple coherence, the share of output i that the inputs explain, in the
+    records that excite input j. `covariance` (F, m, p, m, p): error covariance,
+    E dH[i,j] dH[k,l]^*, enlarged for few segments or periods so that the 95 % circle is always
+    sqrt(-ln 0.05) standard deviations, as with known variances. (The covariance of the local
+    polynomial method is not enlarged: its degrees of freedom are fixed.)
     """
 
     freq_hz: Array
@@ -39,15 +39,16 @@ class ResponseEstimate:
 
     @property
     def standard_deviation(self) -> Array:
-        """Standard deviation (F, m, p) of the complex entries; 95 % lie within 1.73 of it."""
+        """Standard deviation (F, m, p) of the complex entries; the 95 % circle is 1.73 times it."""
         return np.asarray(np.sqrt(np.abs(np.einsum("fijij->fij", self.covariance))))
 
 
 def circle(confidence: float, freedom: Array | float) -> Array:
-    """Return the radius, in estimated deviations, that holds a complex error with this confidence.
+    """Return the radius of a complex error's confidence circle, in estimated standard deviations.
 
-    Its square over the variance, estimated with `freedom` degrees of freedom, is distributed as F
-    with 2 and 2 `freedom` (Pintelon and Schoukens 2012, chapter 2); the quantile has a closed form.
+    The squared error over its variance, estimated with `freedom` degrees of freedom, follows an F
+    distribution with 2 and 2 `freedom` (Pintelon and Schoukens 2012, chapter 2); its quantile has a
+    closed form.
     """
     return np.asarray(np.sqrt(freedom * ((1.0 - confidence) ** (-1.0 / freedom) - 1.0)))
 
@@ -62,12 +63,12 @@ def frequency_response(
     """Estimate H from inputs (N, p) to outputs (N, m) of several records, all inputs at once.
 
     H = (sum Y V^H) (sum V V^H)^-1 over Hann segments of `segment_s` that overlap by half, at the
-    bins (multiples of 1 / segment_s) nearest to freq_hz. The covariance follows from what H V
-    leaves of Y in each record: noise, and the leakage of transients. Neighbouring segments share
-    some of their noise: of inputs that repeat, whose segments are all alike, that is felt sixfold.
+    bins (multiples of 1 / segment_s) nearest to freq_hz (F,). The covariance follows from the
+    residual Y - H V of each record: noise, and the leakage of transients. It includes the noise
+    correlation of neighbouring segments, which matters most for periodic inputs.
 
-    Raises IdentificationError for records shorter than two segments, no more segments than inputs,
-    and inputs that cannot be told apart.
+    Raises IdentificationError for records shorter than two segments, too few segments for the
+    inputs, or linearly dependent inputs.
     """
     length = round(segment_s / Ts_s)
     for v in inputs:
@@ -96,47 +97,54 @@ def frequency_response(
     normal = total / (scale[:, :, None] * scale[:, None, :])
     if np.linalg.cond(normal).max() > 1e10:
         raise IdentificationError(
-            "expected inputs that can be told apart in these records, found two that move as one"
+            "expected independent inputs in these records, found two that are proportional"
         )
     inverse = np.linalg.inv(normal) / (scale[:, :, None] * scale[:, None, :])
     H = across @ inverse
     m = H.shape[1]
     covariance = np.zeros((len(index), m, p, m, p), complex)
-    left, all_of_it, variance, scatter = np.zeros((4, len(index), m, p))
+    residual_power, output_power, variance, variance_square = np.zeros((4, len(index), m, p))
     for x, y, phi, both in zip(V, Y, power, shared, strict=True):
         error = y - np.einsum("fij,kfj->kfi", H, x)
         excited = np.einsum("fii->i", phi).real > 0
         # Sum over segments k and l of x(k) x(l)^H times how their noise is correlated.
         effective = phi + both + both.conj().transpose(0, 2, 1)
-        # Of its segments the fit has used up as many as it has followed this record alone.
-        followed = np.einsum("fij,fji->f", inverse, effective).real
+        # Degrees of freedom that the fit takes from the segments of this record.
+        used = np.einsum("fij,fji->f", inverse, effective).real
         squares = np.einsum("kfi,kfj->fij", error, error.conj())
-        noise = squares / np.maximum(len(x) - followed, LEAST_FREEDOM)[:, None, None]
+        noise = squares / np.maximum(len(x) - used, LEAST_FREEDOM)[:, None, None]
         weight = inverse @ effective @ inverse
         covariance += np.einsum("fik,flj->fijkl", noise, weight)
         part = np.einsum("fii,fjj->fij", noise, weight).real
-        freedom = np.maximum(len(x) / (1.0 + 2.0 * OVERLAP**2) - followed, LEAST_FREEDOM)
+        freedom = np.maximum(len(x) / (1.0 + 2.0 * OVERLAP**2) - used, LEAST_FREEDOM)
         variance += part
-        scatter += part**2 / freedom[:, None, None]
-        left[:, :, excited] += (np.abs(error) ** 2).sum(axis=0)[:, :, None]
-        all_of_it[:, :, excited] += (np.abs(y) ** 2).sum(axis=0)[:, :, None]
-    # The freedom of a sum of estimated variances (Satterthwaite 1946); without noise any will do.
-    freedom = np.divide(variance**2, scatter, out=np.ones_like(scatter), where=scatter > 0)
-    wider = circle(0.95, freedom) / np.sqrt(-np.log(0.05))
-    covariance *= wider[:, :, :, None, None] * wider[:, None, None]
-    share = np.divide(left, all_of_it, out=np.ones_like(left), where=all_of_it > 0)
+        variance_square += part**2 / freedom[:, None, None]
+        residual_power[:, :, excited] += (np.abs(error) ** 2).sum(axis=0)[:, :, None]
+        output_power[:, :, excited] += (np.abs(y) ** 2).sum(axis=0)[:, :, None]
+    # Degrees of freedom of a sum of estimated variances (Satterthwaite 1946); without noise, 1.
+    freedom = np.divide(
+        variance**2, variance_square, out=np.ones_like(variance_square), where=variance_square > 0
+    )
+    widening = circle(0.95, freedom) / np.sqrt(-np.log(0.05))
+    covariance *= widening[:, :, :, None, None] * widening[:, None, None]
+    share = np.divide(
+        residual_power, output_power, out=np.ones_like(output_power), where=output_power > 0
+    )
     coherence = np.clip(1.0 - share, 0.0, 1.0)
     return ResponseEstimate(index / (length * Ts_s), H, coherence, covariance, Ts_s)
 
 
 def sensitivity(records: Sequence[Record], freq_hz: Array, segment_s: float) -> ResponseEstimate:
-    """Return the input sensitivity S from excitation v to the input that is asked for.
+    """Estimate the input sensitivity S from excitation v to the input before the limits.
 
-    It is estimated as I plus the response to asked - v = -C y, the same number without its
-    rounding: what limits take off a wrench is no answer of the controller. Raises
-    IdentificationError when a record lacks the plant input.
+    The estimate is I plus the response from v to u_unlimited - v = -C y, which rounds less. The
+    input before the limits is used because saturation is not a reaction of the controller.
+
+    Raises IdentificationError if a record lacks the plant input.
     """
-    feedback = [(_plant_input(r) if r.asked is None else r.asked) - r.v for r in records]
+    feedback = [
+        (_plant_input(r) if r.u_unlimited is None else r.u_unlimited) - r.v for r in records
+    ]
     estimate = frequency_response(
         [r.v for r in records], feedback, records[0].Ts_s, freq_hz, segment_s
     )
@@ -149,8 +157,8 @@ def sensitivity(records: Sequence[Record], freq_hz: Array, segment_s: float) -> 
 def plant_from_sensitivity(S: ResponseEstimate, controller: PiController) -> ResponseEstimate:
     """Return P = C^-1 (S^-1 - I), (15) corrected, with first-order covariance.
 
-    Written as C^-1 S^-1 (I - S), which keeps its digits where S is close to I; C is the exact
-    discrete controller. From dP = -C^-1 S^-1 dS S^-1 follows the covariance. The coherence is that
+    It is computed as C^-1 S^-1 (I - S), which is accurate where S is close to I; C is the exact
+    discrete controller. The covariance follows from dP = -C^-1 S^-1 dS S^-1. The coherence is that
     of u - v = -C y with v: the share of the feedback that the excitation explains.
     """
     eye = np.eye(S.H.shape[1])
@@ -165,7 +173,7 @@ def plant_from_sensitivity(S: ResponseEstimate, controller: PiController) -> Res
 def plant_from_joint(
     records: Sequence[Record], freq_hz: Array, segment_s: float
 ) -> ResponseEstimate:
-    """Return P = (Y / V) (U / V)^-1, the joint input-output estimate, which needs no controller."""
+    """Return the joint input-output estimate P = (Y / V) (U / V)^-1, which needs no controller."""
     signals = [np.hstack([r.y, _plant_input(r) - r.v]) for r in records]
     both = frequency_response([r.v for r in records], signals, records[0].Ts_s, freq_hz, segment_s)
     m = records[0].y.shape[1]
@@ -180,7 +188,7 @@ def plant_from_joint(
 def plant_from_loop_response(
     G: Complex, controller: PiController, freq_hz: Array, Ts_s: float
 ) -> Complex:
-    """Return P = G (I - C G)^-1 (14) point by point, for G of shape (F, p, p)."""
+    """Return P = G (I - C G)^-1 (14) at each frequency, for G of shape (F, p, p)."""
     C = controller.response(freq_hz, Ts_s)
     return np.asarray(G @ np.linalg.inv(np.eye(G.shape[1]) - C[:, :, None] * G))
 
@@ -188,7 +196,7 @@ def plant_from_loop_response(
 def _plant_input(record: Record) -> Array:
     if record.u is None:
         raise IdentificationError(
-            f"record '{record.name}': expected the plant input u beside the excitation, found none"
+            f"record '{record.name}': expected the plant input u and the excitation, found no u"
         )
     return record.u
 

@@ -1,4 +1,4 @@
-"""From the loop's responses to the plant: the joint input-output approach, with its covariance."""
+"""Estimate the plant from closed-loop responses by the joint input-output approach."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ Complex = NDArray[np.complex128]
 
 
 def joint_signals(record: Record) -> Array:
-    """Return [y, u - v] (N, m + p): what a response from v must be taken to for the plant.
+    """Return the signals [y, u - v] (N, m + p) whose responses to v determine the plant.
 
-    Where the input is not fed back (u is not known) it is y alone, (N, m).
+    In open loop, or if u is unknown, they are y alone, (N, m).
     """
     return record.y if record.u is None else np.hstack([record.y, record.u - record.v])
 
 
 def plant_from_joint_response(loop: ResponseEstimate, outputs: int) -> ResponseEstimate:
-    """Return P = (Y / V) (U / V)^-1 from the response of v to [y, u - v] of so many outputs y.
+    """Return P = (Y / V) (U / V)^-1 from the response of v to [y, u - v], y with m = `outputs`.
 
-    With u - v rather than u nothing is rounded where feedback is weak. From dP = ([I, -P] dG)
-    (U / V)^-1 follows the covariance. Without u - v it is the response as it comes.
+    u - v, unlike u, avoids rounding errors where feedback is weak. The covariance follows from
+    dP = ([I, -P] dG) (U / V)^-1. Without u - v, P is the response itself.
 
-    Raises IdentificationError when v leaves the plant without input somewhere.
+    Raises IdentificationError if v does not reach the plant input at some frequency.
     """
     p = loop.H.shape[2]
     if loop.H.shape[1] == outputs:
@@ -34,7 +34,7 @@ def plant_from_joint_response(loop: ResponseEstimate, outputs: int) -> ResponseE
     S = np.eye(p) + loop.H[:, outputs:]
     if np.linalg.cond(S).max() > 1e12:
         raise IdentificationError(
-            "expected an excitation that reaches the plant at every frequency"
+            "expected excitation of the plant input at every frequency, found none at some"
         )
     inverse = np.asarray(np.linalg.inv(S), dtype=np.complex128)
     P = loop.H[:, :outputs] @ inverse

@@ -1,4 +1,4 @@
-"""Least squares of many rows: reduced block by block to a triangle, which every fit shares."""
+"""Reduce a tall least-squares problem to its triangular factor R by block QR."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BLOCK_ROWS = 1000
-"""Rows that are reduced at once: a few times the columns, so that the work stays in the cache."""
+"""Rows in a block: a few times the columns, so that the work stays in the cache."""
 
 
 def triangle(parts: Iterable[Array]) -> Array:
-    """Return R (c, c), upper triangular, of the QR of all parts (N, c) beneath each other.
+    """Return the upper triangular factor R (c, c) of the stacked parts (N, c).
 
-    For columns [X Y] the leading block of R solves the least squares of Y on the leading columns of
-    X, and what is left of R in Y below that block is the residual: R holds the fits of every nested
-    choice of columns, as accurate as QR of the whole. Fewer than c rows leave zeros at the end.
+    For columns [X Y], the leading block of R solves the least squares of Y on the leading columns
+    of X, and the entries of Y below that block hold the residual. So R contains the fits for every
+    leading subset of columns, as accurate as QR of all rows. With fewer than c rows, the last rows
+    of R are zero.
     """
     R: Array | None = None
     for part in parts:
@@ -31,6 +32,6 @@ def triangle(parts: Iterable[Array]) -> Array:
 
 
 def independent(R: Array, tolerance: float) -> bool:
-    """Say whether no column of X is, within `tolerance` of its size, a sum of those before it."""
+    """Return whether the columns of X = Q R are linearly independent, to a relative tolerance."""
     size = np.maximum(np.linalg.norm(R, axis=0), np.finfo(float).tiny)
     return bool(np.all(np.abs(np.diag(R)) > tolerance * size))

@@ -1,4 +1,4 @@
-"""Frequency responses from arbitrary data without leakage: the local polynomial method."""
+"""Estimate frequency responses by the local polynomial method, which removes leakage."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 TERMS = 3
-"""Of the polynomials, order 2: at the centre of a band the third order would add no accuracy."""
+"""Polynomial terms, order 2: at the centre of a band, order 3 would add no accuracy."""
 FREEDOM = 24
-"""Complex degrees of freedom that are left to the noise: intervals widen by 3 %, no more."""
+"""Complex degrees of freedom of the noise estimate; it widens the intervals by 3 %."""
 
 
 def local_polynomial(
@@ -29,16 +29,16 @@ def local_polynomial(
     freq_hz: Array,
     freedom: int = FREEDOM,
 ) -> ResponseEstimate:
-    """Estimate H from inputs (N, p) to outputs (N, m) of several records, at freq_hz (F,) itself.
+    """Estimate H from inputs (N, p) to outputs (N, m) of several records, exactly at freq_hz (F,).
 
-    The spectrum of a finite record is Y = H V + T + noise, where T, as smooth as H, is what its
-    begin and end leave and other methods see as leakage. In a band around every frequency the
-    columns of H, common to all records, and the T of each record are polynomials of order 2, fitted
-    by least squares (Pintelon and Schoukens 2012, 7.2). The band is the narrowest that leaves
-    `freedom` degrees of freedom to the noise, from which the covariance follows.
+    The spectrum of a finite record is Y = H V + T + noise. T, as smooth as H, is the transient of
+    the record's begin and end, which causes leakage in other methods. In a band around every
+    frequency, the columns of H, common to all records, and the T of each record are polynomials of
+    order 2, fitted by least squares (Pintelon and Schoukens 2012, 7.2). The band is the narrowest
+    with `freedom` degrees of freedom for the noise, which gives the covariance.
 
-    Raises IdentificationError for records too short for such a band, frequencies outside of what
-    they resolve, and inputs that cannot be told apart.
+    Raises IdentificationError for records too short for such a band, frequencies that they do not
+    resolve, or linearly dependent inputs.
     """
     freq_hz = np.asarray(freq_hz, dtype=np.float64)
     F, p = len(freq_hz), inputs[0].shape[1]
@@ -55,13 +55,13 @@ def local_polynomial(
     X, Y = np.concatenate(regressors, axis=1), np.concatenate(targets, axis=1)
     theta, inverse = _least_squares(X, Y, freq_hz)
     H = theta[:, :p].transpose(0, 2, 1)
-    left = Y - X @ theta
-    noise = np.einsum("fwi,fwk->fik", left, left.conj()) / _freedom(halves, p)
+    residual = Y - X @ theta
+    noise = np.einsum("fwi,fwk->fik", residual, residual.conj()) / _freedom(halves, p)
     spread = inverse[:, :p] @ inverse[:, :p].conj().transpose(0, 2, 1)
     return ResponseEstimate(
         freq_hz,
         H,
-        _coherence(inputs, targets, left),
+        _coherence(inputs, targets, residual),
         np.einsum("fik,fjl->fijkl", noise, spread),
         Ts_s,
     )
@@ -72,8 +72,8 @@ def plant_by_local_polynomial(
 ) -> ResponseEstimate:
     """Return P from records of one operating point, in a loop or (without u) from v to y.
 
-    In a loop it is the joint input-output estimate, P = (Y / V) (U / V)^-1 with both responses by
-    the local polynomial method: feedback does not bias it, and no controller need be known.
+    In a loop it is the joint input-output estimate P = (Y / V) (U / V)^-1 with both responses by
+    the local polynomial method: feedback does not bias it, and the controller may be unknown.
     Raises IdentificationError as local_polynomial does.
     """
     loop = local_polynomial(
@@ -88,9 +88,9 @@ def plant_by_local_polynomial(
 
 @dataclass(frozen=True)
 class _Band:
-    """The bins of a record around F frequencies: numbers (F, W), distance from the centre (F, W).
+    """The bins of a record around F frequencies: numbers (F, W), offset from the centre (F, W).
 
-    `smooth` (F, W, TERMS) are orthonormal columns that span the polynomials over the band.
+    `smooth` (F, W, TERMS): orthonormal polynomials over the band.
     """
 
     bins: NDArray[np.int_]
@@ -99,7 +99,7 @@ class _Band:
 
     @classmethod
     def around(cls, freq_hz: Array, length: int, Ts_s: float, half: int) -> _Band:
-        """Return the 2 half + 1 bins nearest to each frequency, without 0 and half the rate."""
+        """Return the 2 half + 1 bins nearest to each frequency, without 0 Hz and half the rate."""
         centre = freq_hz * length * Ts_s
         middle = np.clip(np.rint(centre).astype(int), 1 + half, (length - 1) // 2 - half)
         bins = middle[:, None] + np.arange(-half, half + 1)
@@ -115,7 +115,7 @@ class _Band:
         return out
 
     def without_transient(self, x: Complex) -> Complex:
-        """Return x (F, W, n) less the polynomial nearest to it."""
+        """Return x (F, W, n) without its polynomial part."""
         return np.asarray(x - self.smooth @ (self.smooth.transpose(0, 2, 1) @ x))
 
 
@@ -128,21 +128,21 @@ def _least_squares(X: Complex, Y: Complex, freq_hz: Array) -> tuple[Complex, Com
     condition = np.linalg.cond(R)
     if condition.max() > 1e8:
         raise IdentificationError(
-            f"expected inputs that can be told apart around {freq_hz[condition.argmax()]:.4g} Hz, "
-            "found two that move as one, or none there"
+            f"expected independent inputs around {freq_hz[condition.argmax()]:.4g} Hz, "
+            "found two that are proportional, or one without excitation"
         )
     inverse = np.linalg.inv(R) / scale[:, :, None]
     theta = inverse @ (Q.conj().transpose(0, 2, 1) @ Y)
     return np.asarray(theta), np.asarray(inverse)
 
 
-def _coherence(inputs: Sequence[Array], targets: Sequence[Complex], left: Complex) -> Array:
-    """Return (F, m, p): the share of each output explained, in the records that excite input j."""
-    shape = (len(left), left.shape[2], inputs[0].shape[1])
+def _coherence(inputs: Sequence[Array], targets: Sequence[Complex], residual: Complex) -> Array:
+    """Return the explained share (F, m, p) of each output, in the records that excite input j."""
+    shape = (len(residual), residual.shape[2], inputs[0].shape[1])
     unexplained, power, begin = np.zeros(shape), np.zeros(shape), 0
     for v, y in zip(inputs, targets, strict=True):
         excited = np.ptp(v, axis=0) > 0
-        error = left[:, begin : begin + y.shape[1]]
+        error = residual[:, begin : begin + y.shape[1]]
         unexplained[:, :, excited] += np.sum(np.abs(error) ** 2, axis=1)[:, :, None]
         power[:, :, excited] += np.sum(np.abs(y) ** 2, axis=1)[:, :, None]
         begin += y.shape[1]
@@ -151,7 +151,7 @@ def _coherence(inputs: Sequence[Array], targets: Sequence[Complex], left: Comple
 
 
 def _half_widths(lengths: Sequence[int], p: int, freedom: int) -> list[int]:
-    """Return n of the 2 n + 1 bins of each record: the same band in Hz, as narrow as can be."""
+    """Return n for the 2 n + 1 bins of each record: the narrowest band in Hz, the same for all."""
     shortest = min(lengths)
     half = TERMS  # fewer bins than terms on a side fit any transient
     while True:
@@ -162,7 +162,7 @@ def _half_widths(lengths: Sequence[int], p: int, freedom: int) -> list[int]:
 
 
 def _freedom(halves: Sequence[int], p: int) -> int:
-    """Return bins less unknowns: a transient a record, p columns of H in all, TERMS each."""
+    """Return bins minus unknowns: one transient for each record and p columns of H, TERMS each."""
     return sum(2 * half + 1 - TERMS for half in halves) - TERMS * p
 
 
@@ -178,6 +178,6 @@ def _check_range(
         low, high = 1 / (length * Ts_s), ((length - 1) // 2) / (length * Ts_s)
         if freq_hz.min() < low or freq_hz.max() > high:
             raise IdentificationError(
-                f"expected frequencies within {low:.4g} and {high:.4g} Hz, which a record of "
-                f"{length * Ts_s:g} s resolves, found {freq_hz.min():.4g} to {freq_hz.max():.4g} Hz"
+                f"expected frequencies from {low:.4g} to {high:.4g} Hz for a record of "
+                f"{length * Ts_s:g} s, found {freq_hz.min():.4g} to {freq_hz.max():.4g} Hz"
             )

@@ -1,4 +1,4 @@
-"""Markov parameters from excitation to output: by correlation, or by least squares."""
+"""Estimate Markov parameters from excitation to output, by correlation or by least squares."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from .toeplitz_least_squares import ToeplitzGram, solve
 Array = NDArray[np.float64]
 
 DENSE_ELEMENTS = 15_000_000
-"""Up to this size (120 MB) the matrix of a least-squares problem is formed."""
+"""Largest least-squares matrix (120 MB) that is formed explicitly, in elements."""
 
 _NOTHING = 1e-12
-"""Share of an excitation's power that rounding leaves where there is none."""
+"""Relative excitation power below which it is rounding."""
 ROWS_A_TAP = 2
-"""Least rows for each unknown of a least-squares problem: with fewer, errors grow like noise."""
+"""Least number of rows for each unknown: with fewer, the noise is amplified."""
 
 
 @dataclass(frozen=True)
 class MarkovEstimate:
     """Markov parameters g (L, m, p): y(k) = sum_t g(t) v(k - t), with their standard error.
 
-    `standard_error` (m, p) is that of a tap on average, `residual_rms` (m,) in units of the output.
+    `standard_error` (m, p) is the average over the taps; `residual_rms` (m,) is in output units.
     """
 
     method: str
@@ -41,13 +41,14 @@ class MarkovEstimate:
 
 
 def estimate_markov(records: Sequence[Record], length: int, method: str) -> MarkovEstimate:
-    """Estimate `length` Markov parameters from all records at once by the named method.
+    """Estimate `length` Markov parameters from all records together, by a method in ESTIMATORS.
 
-    Raises IdentificationError for a name that is not in ESTIMATORS, or records too short.
+    Raises IdentificationError for an unknown method or records that are too short.
     """
     if method not in ESTIMATORS:
         raise IdentificationError(
-            f"expected a Markov estimator out of {', '.join(sorted(ESTIMATORS))}, found '{method}'"
+            f"expected one of the Markov estimators {', '.join(sorted(ESTIMATORS))}, "
+            f"found '{method}'"
         )
     for record in records:
         needed = length if record.at_rest else 2 * length
@@ -62,21 +63,20 @@ def estimate_markov(records: Sequence[Record], length: int, method: str) -> Mark
 
 
 def most_taps(records: Sequence[Record]) -> int:
-    """Return how many Markov parameters the rows of all records together allow at most."""
+    """Return the largest number of Markov parameters that the rows of all records determine."""
     rows, moving = sum(len(r.y) for r in records), sum(not r.at_rest for r in records)
-    # Each has an offset; those that move have length - 1 rows before the first whose past is known.
+    # Each record has an offset; one that is not at rest loses its first length - 1 rows.
     per_tap = ROWS_A_TAP * records[0].v.shape[1] + moving
     return int((rows - (len(records) - moving)) // per_tap)
 
 
 def by_correlation(records: Sequence[Record], length: int) -> MarkovEstimate:
-    """Cross-correlate output and excitation, as the paper does; right for white excitation only.
+    """Estimate Markov parameters by cross-correlation, as the paper does; needs white excitation.
 
     g(t) = sum_k y(k + t) v(k) / sum_k v(k)^2, each input from the records that excite it; both sums
-    are over the N - t rows whose answer is in the record. What the other taps add to y acts as
-    noise here ("self-noise"), so the standard error is that of the whole output, rms(y) /
-    sqrt(sum v^2), both of the same rows, its mean square over the taps, white excitation assumed.
-    Of a tap that no excitation tells of, g is zero.
+    are over the N - t rows with k + t in the record. The contributions of other taps to y act as
+    noise ("self-noise"): the standard error is rms(y) / sqrt(sum v^2) of the same rows, as a root
+    mean square over the taps. g is zero for taps without excitation.
     """
     m, p = records[0].y.shape[1], records[0].v.shape[1]
     correlation = np.zeros((length, m, p))
@@ -89,9 +89,9 @@ def by_correlation(records: Sequence[Record], length: int) -> MarkovEstimate:
             v = record.v[:, j]
             for i in range(m):
                 correlation[:, i, j] += _cross_correlation(y[:, i], v, length)
-            told = np.cumsum(v**2)[-1 : -length - 1 : -1]
-            power[:, j] += told
-            variance[:, :, j] += told[:, None] * later
+            excitation = np.cumsum(v**2)[-1 : -length - 1 : -1]
+            power[:, j] += excitation
+            variance[:, :, j] += excitation[:, None] * later
     residual = np.sqrt(np.mean([(r.y - r.y.mean(axis=0)).var(axis=0) for r in records], axis=0))
     power = np.where(power > _NOTHING * power[0], power, np.inf)[:, None]
     error = np.sqrt(np.mean(variance / power**2, axis=0))
@@ -99,12 +99,13 @@ def by_correlation(records: Sequence[Record], length: int) -> MarkovEstimate:
 
 
 def by_least_squares(records: Sequence[Record], length: int) -> MarkovEstimate:
-    """Solve min ||y - conv(v, g) - offset||, one constant offset for each record and output.
+    """Estimate Markov parameters by least squares: min ||y - conv(v, g) - offset||.
 
-    Records at rest use every row (v = 0 before them); the others begin once the past that the taps
-    reach into is known. No noise but the output's own is left, whatever the excitation's colour.
-    Problems that fit into memory are solved by QR, which badly conditioned (coloured) excitation
-    needs; large ones by FFT, with conjugate gradients.
+    Each record and output has a constant offset. Records that start at rest use every row (v = 0
+    before them); the others start at the first row whose last `length` inputs are known. The
+    residual is the output noise, for any colour of the excitation. Problems that fit into memory
+    are solved by QR, which ill-conditioned (coloured) excitation needs; larger ones by conjugate
+    gradients with FFT.
     """
     rows = sum(len(r.y) for r in records)
     p = records[0].v.shape[1]
@@ -124,13 +125,13 @@ def by_least_squares(records: Sequence[Record], length: int) -> MarkovEstimate:
 
 
 def _check_rows(records: Sequence[Record], length: int) -> None:
-    # A large problem is solved by iteration, which finds an answer whether there is one or many.
+    # Conjugate gradients converge even if the problem is underdetermined.
     unknown = length * records[0].v.shape[1]
     rows = sum(len(r.y) - r.first_row(length) - 1 for r in records)
     if rows < ROWS_A_TAP * unknown:
         raise IdentificationError(
-            f"expected at least {ROWS_A_TAP * unknown} rows whose past is known, for {unknown} "
-            f"Markov parameters an output, found {rows}: longer records, or a shorter impulse "
+            f"expected at least {ROWS_A_TAP * unknown} usable rows for {unknown} Markov parameters "
+            f"of each output, found {rows}; make longer records or choose a shorter impulse "
             "response"
         )
 
@@ -138,14 +139,14 @@ def _check_rows(records: Sequence[Record], length: int) -> None:
 def solve_dense(records: Sequence[Record], length: int) -> tuple[Array, Array]:
     """Return g (L, m, p) by QR of the explicit matrix, and (p,) root mean diagonal of (T^T T)^-1.
 
-    Raises IdentificationError when the excitation cannot tell the taps apart.
+    Raises IdentificationError if the excitation does not determine all taps.
     """
     p, m = records[0].v.shape[1], records[0].y.shape[1]
     R = triangle(_dense_rows(records, length))
     taps = R[: p * length, : p * length]
     if not independent(taps, 1e-12):
         raise IdentificationError(
-            f"expected excitation that tells {length} Markov parameters apart, found one that "
+            f"expected excitation that determines {length} Markov parameters, found one that "
             "leaves a combination of them undetermined"
         )
     g = solve_triangular(taps, R[: p * length, -m:])
@@ -155,7 +156,7 @@ def solve_dense(records: Sequence[Record], length: int) -> tuple[Array, Array]:
 
 
 def _dense_rows(records: Sequence[Record], length: int) -> Iterator[Array]:
-    """Yield the rows [v of the last taps, y] of every record, each less its mean."""
+    """Yield the rows [v of the last taps, y] of every record, without their means."""
     for record in records:
         first = record.first_row(length)
         p = record.v.shape[1]
@@ -172,7 +173,7 @@ ESTIMATORS: Mapping[str, Callable[[Sequence[Record], int], MarkovEstimate]] = Ma
 
 
 def convolve(v: Array, g: Array) -> Array:
-    """Return y (N, m), the response of Markov parameters g (L, m, p) to v (N, p) from rest."""
+    """Return the response y (N, m) of Markov parameters g (L, m, p) to v (N, p), from rest."""
     y = np.zeros((len(v), g.shape[1]))
     for j in range(g.shape[2]):
         if np.any(v[:, j]):
@@ -181,7 +182,7 @@ def convolve(v: Array, g: Array) -> Array:
 
 
 def markov_response(g: Array, freq_hz: Array, Ts_s: float) -> NDArray[np.complex128]:
-    """Return the transform sum_t g(t) z^-t of g (L, m, p) as (F, m, p) at any freq_hz (F,)."""
+    """Return the frequency response sum_t g(t) z^-t (F, m, p) of g (L, m, p) at freq_hz (F,)."""
     flat = g.reshape(len(g), -1)
     out = np.empty((len(freq_hz), flat.shape[1]), complex)
     t = np.arange(len(g)) * Ts_s

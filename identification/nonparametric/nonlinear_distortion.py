@@ -1,4 +1,4 @@
-"""Nonlinear distortion at lines that were not excited, and whether it is more than chance."""
+"""Measure nonlinear distortion at unexcited lines, and test it against noise."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class ExcessTest:
-    """Whether a level exceeds what noise alone would give, for each of m outputs.
+    """A test of measured power against noise power, for each of m outputs.
 
-    `ratio` (m,) is the mean over all lines of the measured power over the noise's, 1 without
-    distortion; `p_value` (m,) the probability of so large a ratio by chance. nan where nothing
-    can be told.
+    `ratio` (m,): measured over noise power, mean over all lines; 1 without distortion. `p_value`
+    (m,): probability of such a ratio by chance. Both are nan if the noise is unknown.
     """
 
     ratio: Array
@@ -28,11 +27,11 @@ class ExcessTest:
 
 @dataclass(frozen=True)
 class DetectionLines:
-    """Output at lines that were not excited, less what the plant's input brings there.
+    """Output at K unexcited lines, without the linear response to the plant input there.
 
-    `level` and `noise` (K, m) in the outputs' units: rms of the line's rms over `experiments` that
-    differ, and what noise alone leaves of it on average. Without distortion level^2 / noise^2 is
-    distributed as F with 2 `experiments` and 2 `noise_freedom` degrees of freedom.
+    `level` and `noise` (K, m) in output units: rms of the line over the `experiments` that differ,
+    and the rms that noise alone would give. Without distortion, level^2 / noise^2 follows an F
+    distribution with 2 `experiments` and 2 `noise_freedom` degrees of freedom.
     """
 
     freq_hz: Array
@@ -42,37 +41,37 @@ class DetectionLines:
     noise_freedom: int
 
     def test(self) -> ExcessTest:
-        """Return whether the output is distorted at these lines."""
+        """Test whether the output is distorted at these lines."""
         return excess(self.level**2, self.noise**2, self.experiments, self.noise_freedom)
 
 
 def detection_lines(
     freq_hz: Array, excited_hz: Array, H: Complex, U: Complex, Y: Complex, same: Index
 ) -> DetectionLines:
-    """Return the levels at freq_hz (K,), between lines excited_hz (F,) where the plant is H.
+    """Return the levels at freq_hz (K,), between the lines excited_hz (F,) where the plant is H.
 
-    U (E, P, K, p) and Y (E, P, K, m) are the spectra of every period there, `same` (E,) as in
-    mean_over_periods. Feedback turns a distorted output into an input of the plant, the answer to
-    which, by H interpolated, is taken off again (Pintelon and Schoukens 2012, chapter 4).
+    U (E, P, K, p) and Y (E, P, K, m) are the spectra of every period there; `same` (E,) as in
+    mean_over_periods. Feedback turns a distorted output into a plant input; the response to it, by
+    interpolated H, is subtracted (Pintelon and Schoukens 2012, chapter 4).
     """
     m = H.shape[1]
     if not freq_hz.size:
-        nothing = np.zeros((0, m))
-        return DetectionLines(freq_hz, nothing, nothing, len(np.unique(same)), 0)
+        empty = np.zeros((0, m))
+        return DetectionLines(freq_hz, empty, empty, len(np.unique(same)), 0)
     between = interpolate.make_interp_spline(excited_hz, H, k=min(3, len(excited_hz) - 1))
-    left = Y - np.einsum("kij,epkj->epki", between(freq_hz), U)
-    means = mean_over_periods(left, same)
+    residual = Y - np.einsum("kij,epkj->epki", between(freq_hz), U)
+    means = mean_over_periods(residual, same)
     level = np.mean(np.abs(means) ** 2, axis=0)
-    noise = np.einsum("kii->ki", noise_of_mean(left, same)).real
+    noise = np.einsum("kii->ki", noise_of_mean(residual, same)).real
     freedom = Y.shape[0] * Y.shape[1] - len(means)
     return DetectionLines(freq_hz, np.sqrt(level), np.sqrt(noise), len(means), freedom)
 
 
 def mean_over_periods(X: Complex, same: Index) -> Complex:
-    """Return the means (D, ...) over all periods of X (E, P, ...) that played the same.
+    """Return the means (D, ...) of X (E, P, ...) over all periods with the same excitation.
 
-    `same` (E,) numbers the D experiments that differ from 0 on: those of one number repeat one
-    another, and all their periods are periods of one experiment.
+    `same` (E,) numbers the D different excitations from 0. Experiments with one number are
+    repetitions; all their periods are averaged.
     """
     means = np.zeros((int(same.max()) + 1, *X.shape[2:]), complex)
     np.add.at(means, same, X.mean(axis=1))
@@ -80,10 +79,10 @@ def mean_over_periods(X: Complex, same: Index) -> Complex:
 
 
 def noise_of_mean(X: Complex, same: Index) -> Complex:
-    """Return the covariance (K, m, m) of mean_over_periods of X (E, P, K, m), from X's scatter.
+    """Return the noise covariance (K, m, m) of mean_over_periods of X (E, P, K, m), by its scatter.
 
-    It has E P - D complex degrees of freedom. Where some experiments were repeated more often than
-    others it is the average over the D means.
+    It has E P - D complex degrees of freedom. If the numbers of repetitions differ, it is the
+    average over the D means.
     """
     E, P = X.shape[:2]
     repeats = np.bincount(same)
@@ -93,10 +92,10 @@ def noise_of_mean(X: Complex, same: Index) -> Complex:
 
 
 def transient_test(X: Complex) -> ExcessTest:
-    """Return whether the first of P periods of X (E, P, K, m) differs more than the others do."""
+    """Test whether the first of P periods of X (E, P, K, m) differs from the others."""
     E, P = X.shape[:2]
     first = X[:, 0] - X[:, 1:].mean(axis=1)
-    power = np.mean(np.abs(first) ** 2, axis=0) / P  # of noise alone: as much as a mean of P - 1
+    power = np.mean(np.abs(first) ** 2, axis=0) / P  # noise alone: the variance of a mean of P - 1
     if P < 3:
         return excess(power, power, E, 0)
     noise = np.einsum("kii->ki", noise_of_mean(X[:, 1:], np.arange(E))).real
@@ -104,13 +103,13 @@ def transient_test(X: Complex) -> ExcessTest:
 
 
 def excess(power: Array, noise: Array, freedom: int, noise_freedom: int) -> ExcessTest:
-    """Test power (K, m) of K independent lines against that of the noise, both estimated.
+    """Test the power (K, m) of K independent lines against the noise power, both estimated.
 
-    Each ratio follows F with twice as many degrees of freedom as are complex, exactly; the lines'
-    probabilities are pooled as Fisher does: -2 sum log p is distributed as chi^2 with 2 K degrees
-    of freedom. The mean ratio is not: with 3 complex degrees of freedom it has no third moment,
-    and is far from normal with any number of lines. Fisher's sum loses little to a sum of normal
-    scores where distortion is the same at all lines, and sees a few strong ones far better.
+    Each ratio follows an F distribution with twice the complex degrees of freedom. Fisher's method
+    pools the lines: -2 sum log p follows chi^2 with 2 K degrees of freedom. The mean ratio cannot
+    serve: with 3 complex degrees of freedom it has no third moment and is far from normal. Fisher's
+    sum has nearly the power of a sum of normal scores if all lines are distorted alike, and far
+    more if only a few are.
     """
     K, m = power.shape
     a, b = 2.0 * freedom, 2.0 * noise_freedom

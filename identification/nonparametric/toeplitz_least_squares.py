@@ -1,4 +1,4 @@
-"""The normal equations of a convolution, by FFT: least squares that are never written out."""
+"""Solve the normal equations of a convolution by FFT, without forming the matrix."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ..records.record import IdentificationError, Record
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-TOLERANCE = 1e-10  # noise leaves errors of 1e-3 and more
+TOLERANCE = 1e-10  # errors from noise are 1e-3 and more
 ACCEPTED = 1e-8
 MAX_ITERATIONS = 400
 
 
 @dataclass(frozen=True)
 class _Edge:
-    """Rows of the full convolution that the data do not have: to be taken out of the Gram matrix.
+    """Rows of the full convolution outside the data, to be subtracted from the Gram matrix.
 
-    spectrum (F,) of the samples that reach these rows, of every input that moves there, rows
-    first..last of their convolution.
+    `spectrum` (F,): of the samples that affect these rows, for every input that moves there. The
+    rows are `first` to `last` of their convolution.
     """
 
     spectrum: dict[int, Complex]
@@ -33,25 +33,25 @@ class _Edge:
 
     @classmethod
     def of(cls, v: Array, size: int, first: int, last: int) -> _Edge:
-        """Transform the samples v (p, n)."""
+        """Return the edge of samples v (p, n)."""
         moving = np.flatnonzero(np.any(v, axis=1))
         return cls({int(j): fft.rfft(v[j], size) for j in moving}, first, last)
 
 
 @dataclass(frozen=True)
 class _Blocks:
-    """A matrix (p, p) for each of F frequencies, by those of its entries that are not zero.
+    """A matrix (p, p) at each of F frequencies, stored by its non-zero entries.
 
-    Where every record drives one input only the diagonal is there.
+    If every record excites one input, only the diagonal is stored.
     """
 
     entries: dict[tuple[int, int], Complex]
 
     @classmethod
     def of(cls, matrices: Complex) -> _Blocks:
-        """Take the entries from matrices (F, p, p)."""
-        there = np.argwhere(np.any(matrices, axis=0))
-        return cls({(int(i), int(j)): matrices[:, i, j].copy() for i, j in there})
+        """Return the non-zero entries of matrices (F, p, p)."""
+        nonzero = np.argwhere(np.any(matrices, axis=0))
+        return cls({(int(i), int(j)): matrices[:, i, j].copy() for i, j in nonzero})
 
     def __matmul__(self, spectrum: Complex) -> Complex:
         """Return the product with spectrum (m, p, F)."""
@@ -63,12 +63,12 @@ class _Blocks:
 
 @dataclass(frozen=True)
 class ToeplitzGram:
-    """T^T T of y = T g + offset over all records, for g of `length` taps and p inputs.
+    """The Gram matrix T^T T of y = T g + offset over all records, for g of `length` taps, p inputs.
 
-    The full convolution of each record gives a block Toeplitz matrix of the autocorrelation, known
-    by its lags; the few rows before the past is known and after the end of the record are taken
-    out, and the constant offsets are projected out. One product costs FFTs of twice `length`,
-    whatever the number of rows.
+    The full convolution of each record gives a block Toeplitz matrix of autocorrelation lags. The
+    rows before the first usable row and after the end of the record are subtracted, and the
+    constant offsets are projected out. One product costs FFTs of twice `length`, for any number of
+    rows.
     """
 
     length: int
@@ -127,13 +127,13 @@ class ToeplitzGram:
             for j, driven in edge.spectrum.items():
                 total[:, j] -= driven.conj() * back
         out = np.asarray(fft.irfft(total, self.size)[..., : self.length])
-        for one, (first, last) in zip(self.ones, self.rows, strict=True):
-            weight = np.einsum("jl,mjl->m", one, g) / (last - first)
-            out -= weight[:, None, None] * one
+        for ones, (first, last) in zip(self.ones, self.rows, strict=True):
+            weight = np.einsum("jl,mjl->m", ones, g) / (last - first)
+            out -= weight[:, None, None] * ones
         return out
 
     def project(self, record: int, y: Array) -> Array:
-        """Return the rows of y (N, m) that enter the fit of this record, less their mean."""
+        """Return the rows of y (N, m) used in the fit of this record, without their mean."""
         first, last = self.rows[record]
         return np.asarray(y[first:last] - y[first:last].mean(axis=0))
 
@@ -153,9 +153,9 @@ class ToeplitzGram:
         return out
 
     def preconditioner(self) -> Complex:
-        """Return the inverse (F, p, p) of T. Chan's circulant, the nearest to the Toeplitz part.
+        """Return the inverse (F, p, p) of T. Chan's circulant approximation of the Toeplitz part.
 
-        Raises IdentificationError where the excitation leaves a band of frequencies empty.
+        Raises IdentificationError if a frequency band is not excited.
         """
         L = self.length
         fade = (np.arange(L) / L)[:, None, None]
@@ -173,10 +173,10 @@ class ToeplitzGram:
         return np.asarray(np.linalg.inv(symbol))
 
     def inverse_scale(self) -> Array:
-        """Return (p,): square root of the mean diagonal of (T^T T)^-1, from its circulant.
+        """Return the root mean diagonal (p,) of (T^T T)^-1, from its circulant approximation.
 
-        The circulant stands for the full convolution; the share of its rows that the data have
-        corrects for the others.
+        The circulant approximates the full convolution; the share of its rows that are in the data
+        corrects it.
         """
         inverse = self.preconditioner()
         weight = np.full(len(inverse), 2.0)
@@ -187,7 +187,7 @@ class ToeplitzGram:
         return np.asarray(np.sqrt(diagonal / self._share_of_rows()))
 
     def _share_of_rows(self) -> Array:
-        """Return (p,): trace of T^T T by input over that of the full convolution's."""
+        """Return the trace of T^T T over that of the full convolution, by input (p,)."""
         kept = np.zeros(len(self.lags[0]))
         for v, (first, last) in zip(self.inputs, self.rows, strict=True):
             kept += _sums(v[:last].T ** 2, first, self.length).sum(axis=1)
@@ -195,10 +195,10 @@ class ToeplitzGram:
 
 
 def solve(gram: ToeplitzGram, right: Array) -> Array:
-    """Return g (L, m, p) with gram g = right, each output by preconditioned conjugate gradients.
+    """Solve gram g = right for g (L, m, p), by preconditioned conjugate gradients.
 
-    Raises IdentificationError when the iteration does not converge: the excitation is too poor for
-    this number of taps.
+    Raises IdentificationError if the iteration does not converge: the excitation does not determine
+    so many taps.
     """
     inverse = _Blocks.of(gram.preconditioner())
 
@@ -222,11 +222,10 @@ def solve(gram: ToeplitzGram, right: Array) -> Array:
         rho, previous = _dots(r, z), rho
         d = z + _ratio(rho, previous) * d
     if np.any(rho > (ACCEPTED / TOLERANCE) ** 2 * target):
-        left = np.sqrt(np.max(rho / target)) * TOLERANCE
+        residual = np.sqrt(np.max(rho / target)) * TOLERANCE
         raise IdentificationError(
             f"least squares for {gram.length} Markov parameters did not converge (relative "
-            f"residual {left:.1e}): expected excitation that is rich enough for so many, as white "
-            "noise is"
+            f"residual {residual:.1e}): the excitation does not determine so many; use white noise"
         )
     return np.ascontiguousarray(g.transpose(2, 0, 1))
 
@@ -240,7 +239,7 @@ def _ratio(a: Array, b: Array) -> Array:
 
 
 def _autocorrelation(v: Array, length: int) -> Array:
-    """Return (L, p, p): sum_k v_i(k) v_j(k + t) over the whole record v (p, N)."""
+    """Return the autocorrelation (L, p, p) sum_k v_i(k) v_j(k + t) of the record v (p, N)."""
     size = fft.next_fast_len(v.shape[1] + length, real=True)
     out = np.zeros((length, len(v), len(v)))
     active = np.flatnonzero(np.any(v, axis=1))
@@ -252,7 +251,7 @@ def _autocorrelation(v: Array, length: int) -> Array:
 
 
 def _sums(v: Array, first: int, length: int) -> Array:
-    """Return (p, L): sum over rows k = first..N-1 of v(k - t), for t = 0..L-1 and v = 0 before."""
+    """Return the sums (p, L) of v(k - t) over k = first..N-1, for t = 0..L-1, with v = 0 before."""
     n = v.shape[1]
     total = np.concatenate([np.zeros((len(v), 1)), np.cumsum(v, axis=1)], axis=1)
     t = np.arange(length)

@@ -1,1 +1,1 @@
-"""Read logs into records: aligned, resampled, checked for enough excitation."""
+"""Read logs into records: resample, align commands, check the excitation."""

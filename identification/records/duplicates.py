@@ -1,4 +1,4 @@
-"""Logs that are given more than once, by name or as a copy, and are used once."""
+"""Detect a log that is given twice, under one path or as a copy, so that it is used once."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import numpy as np
 from ...log.reader import Log
 
 
-class Once:
-    """What was read already: a copy among other records would be held out against itself."""
+class DuplicateCheck:
+    """Remember the logs read so far: a copy would be held-out data for its own original."""
 
     def __init__(self) -> None:
-        self._seen: dict[object, Path] = {}
+        self._known: dict[object, Path] = {}
 
-    def again(self, path: Path) -> str | None:
-        """Return in words that this path was given before; else None."""
-        if path.resolve() in self._seen:
+    def repeated_path(self, path: Path) -> str | None:
+        """Return a remark if this path was given before, else None."""
+        if path.resolve() in self._known:
             return f"{path}: given twice, used once"
-        self._seen[path.resolve()] = path
+        self._known[path.resolve()] = path
         return None
 
-    def copied(self, path: Path, log: Log) -> str | None:
-        """Return in words of which log this one is a copy; None if of none."""
-        same = self._seen.setdefault(_identity(log), path)
-        return None if same == path else f"{path}: the same record as {same}, used once"
+    def copy_of(self, path: Path, log: Log) -> str | None:
+        """Return a remark if the log is a copy of an earlier one, else None."""
+        original = self._known.setdefault(_identity(log), path)
+        return None if original == path else f"{path}: the same record as {original}, used once"
 
 
 def _identity(log: Log) -> object:
-    """Return what two copies of one log share: record, session and rows, cycle and all."""
+    """Return a key that copies of a log share: record, session and a hash of its rows."""
     rows = hashlib.sha256(np.ascontiguousarray(log.rows).view(np.uint8).data).digest()
     return log.metadata.get("name"), log.metadata.get("session"), rows

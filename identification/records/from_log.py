@@ -1,4 +1,4 @@
-"""Records from logs: which fields are excitation, input and output, and what happened meanwhile."""
+"""Convert logs into records: choose excitation, input and output, and collect remarks."""
 
 from __future__ import annotations
 
@@ -16,8 +16,14 @@ from ...config.shipped import shipped
 from ...log.reader import Log
 from ...log.signals_file import SignalsFile
 from ...model.geometry import shape_matrix
-from .record import SAME_BEAM_M, IdentificationError, NotARecordError, PiController, Record
-from .resampling import without_gaps
+from .record import (
+    BEAM_POSITION_TOLERANCE_M,
+    IdentificationError,
+    NotARecordError,
+    PiController,
+    Record,
+)
+from .resampling import resample
 
 Array = NDArray[np.float64]
 
@@ -33,19 +39,18 @@ _COILS = "coil_n"
 _CYCLE = (*EXCITATION, *_WRENCH, *FEED_FORWARD, *POSE, *REFERENCE, "beam_m")
 
 
-_SHORTEST_ROWS = 50
-_AROUND = 25
-"""Rows of each side of a step in the log times that say whether it stays."""
-_SAME_RATE = 0.01
-"""Share by which the rate of a log may differ from its log times: clocks of others drift."""
+_MIN_ROWS = 50
+_MEDIAN_ROWS = 25
+"""Window of the median filter that separates missing samples from late messages."""
+_RATE_TOLERANCE = 0.01
+"""Relative difference allowed between the stated rate and the log times: foreign clocks drift."""
 
 
 def from_log(log: Log) -> Record:
-    """Return the record that a log holds: of the rig's cycles, or of imported signals.
+    """Return the record of a rig log or of an imported log.
 
-    Raises NotARecordError for a log that belongs to another step of a session, excites nothing or
-    has no operating point, IdentificationError (with file and field) for one that lacks what
-    identification needs.
+    Raises NotARecordError for a log of another session step, without excitation, or without one
+    beam position; IdentificationError (with file and field) if data are missing or invalid.
     """
     kind = log.metadata.get("kind")
     if kind == "import" or "signals.yaml" in log.attachments:
@@ -54,13 +59,13 @@ def from_log(log: Log) -> Record:
         _require_cycles(log)
     if kind != "record":
         raise NotARecordError(
-            f"{log.path.name}: kind '{kind or 'none'}', only records are identified"
+            f"{log.path.name}: skipped, its kind is '{kind or 'none'}'; expected 'record'"
         )
     return _from_cycles(log)
 
 
 def records_from_logs(logs: Sequence[Log]) -> tuple[tuple[Record, ...], tuple[str, ...]]:
-    """Return the records among the logs, and a reason for each log that is none."""
+    """Return the records of the logs, and a reason for each log that is skipped."""
     records, skipped = [], []
     for log in logs:
         try:
@@ -72,19 +77,19 @@ def records_from_logs(logs: Sequence[Log]) -> tuple[tuple[Record, ...], tuple[st
 
 def _from_cycles(log: Log) -> Record:
     _require_cycles(log)
-    log, gaps = without_gaps(log)
+    log, resampling_remarks = resample(log)
     v = columns(log, EXCITATION)
     beam = log.rows["beam_m"].astype(float)
     if not np.any(v):
-        raise NotARecordError(f"{log.path.name}: no wrench excitation in it")
-    _check_still(log, "the beam", beam)
-    asked, sent, told = _inputs(log)
+        raise NotARecordError(f"{log.path.name}: skipped, it has no wrench excitation")
+    _check_one_position(log, "the beam", beam)
+    unlimited, sent, input_remarks = _inputs(log)
     return Record(
         name=log.metadata.get("name") or log.path.stem,
         Ts_s=1.0 / log.rate_hz,
         v=v,
         u=sent,
-        asked=asked,
+        u_unlimited=unlimited,
         y=columns(log, POSE),
         input_names=DOF,
         input_units=INPUT_UNITS,
@@ -94,20 +99,21 @@ def _from_cycles(log: Log) -> Record:
         controller=controller_of(log),
         delay_cycles=1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
         at_rest=False,  # the platform may still ring from the record before
-        remarks=(*remarks_of(log), *told, *gaps),
+        remarks=(*log_remarks(log), *input_remarks, *resampling_remarks),
     )
 
 
 def _inputs(log: Log) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return the wrench that was asked for and the one sent (N, 3), less feed-forward; remarks.
+    """Return the wrench before the limits, the wrench sent (both (N, 3)), and remarks.
 
-    Sent is what the coils were told behind all limits, with what excites single coils.
+    Both are without feed-forward. The wrench sent follows from the coil commands after all limits,
+    and includes the excitation of single coils.
     """
     feed_forward = columns(log, FEED_FORWARD)
-    asked = columns(log, _WRENCH) - feed_forward
+    unlimited = columns(log, _WRENCH) - feed_forward
     if _COILS not in (log.rows.dtype.names or ()):
-        remark = f"without {_COILS}: coils are taken to have got what was asked for, at no limit"
-        return asked, asked, (remark,)
+        remark = f"no field {_COILS}: coil forces are assumed to equal the demand, without limits"
+        return unlimited, unlimited, (remark,)
     require_finite(log, [_COILS])
     coils, geometry = log.field(_COILS).astype(float), rig_of(log).geometry
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
@@ -116,17 +122,17 @@ def _inputs(log: Log) -> tuple[Array, Array, tuple[str, ...]]:
             f"{log.path}: {_COILS}: expected the {len(S)} coils of rig.yaml, found "
             f"{' x '.join(map(str, coils.shape[1:])) or 'one value a row'}"
         )
-    return asked, coils @ S - feed_forward, ()
+    return unlimited, coils @ S - feed_forward, ()
 
 
 def controller_of(log: Log) -> PiController:
-    """Return the controller that rig.yaml at the head of the log names; IdentificationError."""
+    """Return the controller in the log's rig.yaml; raises IdentificationError without one."""
     control = rig_of(log).control
     return PiController(np.array(control.kp), np.array(control.ki))
 
 
 def rig_of(log: Log) -> RigConfig:
-    """Return the rig.yaml at the head of the log; raises IdentificationError without one."""
+    """Return the log's rig.yaml, parsed; raises IdentificationError if missing or invalid."""
     text = log.attachments.get("rig.yaml")
     if text is None:
         raise IdentificationError(f"{log.path}: expected the attachment rig.yaml, found none")
@@ -153,38 +159,38 @@ def rig_model(log: Log) -> ModelConfig | None:
         raise IdentificationError(str(error)) from None
 
 
-def remarks_of(log: Log) -> list[str]:
-    """Return in words what happened in a log of the rig that a linear model does not know of."""
+def log_remarks(log: Log) -> list[str]:
+    """Return remarks on events in a rig log that a linear model does not include."""
     found = []
     if np.any(columns(log, REFERENCE)):
-        found.append("references are not zero; only their constant part does no harm")
+        found.append("references are not zero; changes of a reference bias the estimate")
     at_limit = cycles_at_limit(log)
     if at_limit:
-        found.append(f"{at_limit} cycles with coils at a limit")
+        found.append(f"{at_limit} cycles with saturated coils")
     names = log.rows.dtype.names or ()
     if "coil_excitation_n" in names and np.any(log.rows["coil_excitation_n"]):
-        found.append("coils were excited one by one besides, which counts as noise here")
-    return [*found, *cut_off(log)]
+        found.append("single coils were also excited, which counts as noise here")
+    return [*found, *truncation_remarks(log)]
 
 
 def cycles_at_limit(log: Log) -> int:
-    """Return in how many cycles a coil was at a limit."""
+    """Count the cycles with a saturated coil."""
     if "saturated" not in (log.rows.dtype.names or ()):
         return 0
     return int(np.count_nonzero(log.rows["saturated"]))
 
 
-def cut_off(log: Log) -> list[str]:
-    """Return in words that a log has no end; nothing if it has one."""
+def truncation_remarks(log: Log) -> list[str]:
+    """Return a remark if the log is truncated."""
     if log.complete:
         return []
-    return [f"the log is not complete ({log.problem}); what is left of it is used"]
+    return [f"the log is truncated ({log.problem}); its readable part is used"]
 
 
 def imported_record(log: Log) -> Record:
-    """Return the inputs and outputs of an imported log, without its operating point.
+    """Return inputs and outputs of an imported log, without its operating point.
 
-    Raises IdentificationError for a signals.yaml or columns that do not do.
+    Raises IdentificationError for an invalid signals.yaml or missing columns.
     """
     signals = _signals(log)
     inputs, outputs = signals.with_role("input"), signals.with_role("output")
@@ -203,7 +209,7 @@ def imported_record(log: Log) -> Record:
         input_units=tuple(c.unit for c in inputs),
         output_names=tuple(c.name for c in outputs),
         output_units=tuple(c.unit for c in outputs),
-        remarks=tuple(cut_off(log)),
+        remarks=tuple(truncation_remarks(log)),
     )
 
 
@@ -218,10 +224,10 @@ def _signals(log: Log) -> SignalsFile:
 
 
 def _position(log: Log) -> float | None:
-    """Return the mean (m) of the scheduling column of an imported log, None without one.
+    """Return the mean (m) of an imported log's scheduling column; None without one.
 
-    Raises NotARecordError for columns that are no position (grouped within 1 mm as one, and named
-    so, a temperature would only mislead) and for one that moves.
+    Raises NotARecordError if the column is not a position in m (records are grouped within 1 mm),
+    or if the position moves.
     """
     scheduling = _signals(log).with_role("scheduling")
     if not scheduling:
@@ -229,20 +235,20 @@ def _position(log: Log) -> float | None:
     if len(scheduling) > 1 or scheduling[0].unit != "m":
         found = ", ".join(f"{c.name} in {c.unit}" for c in scheduling)
         raise NotARecordError(
-            f"{log.path.name}: expected one column of role scheduling, a position in m, that tells "
-            f"the operating point, found {found}; only the fit of a declared model (--model) takes "
-            "others, and a column that plays no part has the role other"
+            f"{log.path.name}: expected one column of role scheduling, a position in m, found "
+            f"{found}; give an unused column the role other; other scheduling columns serve only "
+            "the fit of a declared model (--model)"
         )
     position = log.rows[scheduling[0].name].astype(float)
-    _check_still(log, scheduling[0].name, position)
+    _check_one_position(log, scheduling[0].name, position)
     return float(position.mean())
 
 
-def _check_still(log: Log, what: str, position: Array) -> None:
-    if np.ptp(position) > SAME_BEAM_M:
+def _check_one_position(log: Log, what: str, position: Array) -> None:
+    if np.ptp(position) > BEAM_POSITION_TOLERANCE_M:
         raise NotARecordError(
-            f"{log.path.name}: {what} moves by {1e3 * np.ptp(position):.1f} mm; a response is "
-            "identified at one position"
+            f"{log.path.name}: {what}: expected one position, found movement of "
+            f"{1e3 * np.ptp(position):.1f} mm"
         )
 
 
@@ -252,9 +258,9 @@ def _require_cycles(log: Log) -> None:
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise IdentificationError(
-            f"{log.path}: no log of the rig, it lacks {missing[0]}{more} of its fields; bring "
-            "other data in by 'levid import FILE --signals SIGNALS.yaml -o LOG.mcap', which says "
-            "what is input and output (docs/log-format.md)"
+            f"{log.path}: expected a rig log, found no field {missing[0]}{more}; import "
+            "other data by 'levid import FILE --signals SIGNALS.yaml -o LOG.mcap', where "
+            "SIGNALS.yaml names inputs and outputs (docs/log-format.md)"
         )
     _require(log, _CYCLE)
 
@@ -272,51 +278,51 @@ def _require(log: Log, names: Sequence[str]) -> None:
                 f"{log.path}: {name}: expected one value a row, found several"
             )
     require_finite(log, names)
-    if len(log.rows) < _SHORTEST_ROWS:
+    if len(log.rows) < _MIN_ROWS:
         raise NotARecordError(
-            f"{log.path}: expected at least {_SHORTEST_ROWS} rows, found {len(log.rows)}"
+            f"{log.path}: expected at least {_MIN_ROWS} rows, found {len(log.rows)}"
         )
     time_ns, half = log.log_time_ns.astype(np.int64), len(log.rows) // 2
     time_s = 1e-9 * (time_ns - time_ns[0])
-    # The second is that of times that scatter: the usual step of those, sorted, is none.
+    # The second value serves log times that scatter: their median step is not the period.
     steps_s = (
         np.median(np.diff(time_s)),
         np.median(time_s[-half:] - time_s[:half]) / (len(time_s) - half),
     )
     period_s = min(map(float, steps_s), key=lambda step_s: abs(step_s * log.rate_hz - 1.0))
-    if abs(period_s * log.rate_hz - 1.0) > _SAME_RATE:
+    if abs(period_s * log.rate_hz - 1.0) > _RATE_TOLERANCE:
         raise IdentificationError(
-            f"{log.path}: rate_hz: expected what the log times say, a row every {steps_s[0]:g} s, "
-            f"found {log.rate_hz:g} Hz"
+            f"{log.path}: rate_hz: expected the rate of the log times, one row every "
+            f"{steps_s[0]:g} s, found {log.rate_hz:g} Hz"
         )
     if "signals.yaml" in log.attachments or "cycle" not in present:
-        _require_even(log, time_s, period_s)
+        _require_no_missing_samples(log, time_s, period_s)
 
 
-def _require_even(log: Log, time_s: Array, period_s: float) -> None:
-    """Raise IdentificationError where samples are missing, by the log times: nothing else tells.
+def _require_no_missing_samples(log: Log, time_s: Array, period_s: float) -> None:
+    """Raise IdentificationError if the log times show missing samples.
 
-    A message that came late, and those behind it in a bunch, is none that is missing: after one
-    that is, all are late by as much.
+    A late message delays only itself and the few behind it; a missing sample delays all rows after
+    it by the same time.
     """
-    late = time_s - period_s * np.arange(len(time_s))
-    rows = np.flatnonzero(np.diff(late) > 0.5 * period_s) + 1
+    delay_s = time_s - period_s * np.arange(len(time_s))
+    rows = np.flatnonzero(np.diff(delay_s) > 0.5 * period_s) + 1
     if not len(rows):
         return
-    usual, half = median_filter(late, _AROUND, mode="nearest"), _AROUND // 2
-    after = usual[np.minimum(rows + half, len(late) - 1)]
-    stays_s = after - usual[np.maximum(rows - 1 - half, 0)]
-    lost = np.flatnonzero(stays_s > 0.5 * period_s)
-    if len(lost):
-        row, gap_s = rows[lost[0]], stays_s[lost[0]] + period_s
+    median_s, half = median_filter(delay_s, _MEDIAN_ROWS, mode="nearest"), _MEDIAN_ROWS // 2
+    after = median_s[np.minimum(rows + half, len(delay_s) - 1)]
+    jump_s = after - median_s[np.maximum(rows - 1 - half, 0)]
+    missing = np.flatnonzero(jump_s > 0.5 * period_s)
+    if len(missing):
+        row, step_s = rows[missing[0]], jump_s[missing[0]] + period_s
         raise IdentificationError(
-            f"{log.path}: expected a row every {period_s:g} s, found {gap_s:.3g} s before row "
-            f"{row}: samples are missing, which nothing fills in; cut the log there"
+            f"{log.path}: missing samples: expected a row every {period_s:g} s, found "
+            f"{step_s:.3g} s before row {row}; split the log there"
         )
 
 
 def require_finite(log: Log, names: Sequence[str]) -> None:
-    """Raise IdentificationError for values that are none, with file, field, row and record."""
+    """Raise IdentificationError, with file, field, row and record, for values not finite."""
     for name in names:
         values = log.rows[name].astype(float)
         wrong = np.argwhere(~np.isfinite(values))
@@ -332,5 +338,5 @@ def require_finite(log: Log, names: Sequence[str]) -> None:
 
 
 def columns(log: Log, names: Sequence[str]) -> Array:
-    """Return fields of a log side by side (N, fields)."""
+    """Return fields of a log as columns (N, fields)."""
     return np.stack([log.rows[n].astype(float) for n in names], axis=1)

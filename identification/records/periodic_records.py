@@ -1,4 +1,4 @@
-"""Records of orthogonal multisines: whole periods of a known length, cut out of a log."""
+"""Extract the whole periods of orthogonal multisine records from logs."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ...config.session import RecordStep, SessionConfig
 from ...log.reader import Log
 from .from_log import from_log
 from .record import IdentificationError, NotARecordError, PiController
-from .resampling import without_gaps
+from .resampling import resample
 
 Array = NDArray[np.float64]
 
 TRANSIENT_PERIODS = 1
-"""Periods at the begin of every experiment that are left to the transient of the one before."""
-REPEATS_WITHIN = 1e-2
-"""Largest rms by which the excitation of two periods may differ, relative to its own."""
+"""Periods left out at the start of every experiment: the transient after the one before."""
+REPETITION_TOLERANCE = 1e-2
+"""Largest rms difference between the excitation of two periods, over its rms."""
 
 
 class NotPeriodicError(IdentificationError):
-    """A record without orthogonal multisines: for other methods, no failure."""
+    """A record without orthogonal multisines: other methods use it. Not a failure."""
 
 
 class IncompleteError(NotARecordError):
-    """A record of orthogonal multisines without one complete realisation; other records may do."""
+    """A record of orthogonal multisines without a complete realisation; other records may do."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PeriodicRecord:
     """E experiments of P whole periods of N samples in steady state at one operating point.
 
     Excitation v (E, P, N, p), plant input u of the same shape (None where v is the plant's input),
-    output y (E, P, N, m). `realisations` says how many times phases were drawn anew.
+    output y (E, P, N, m). `realisations` is the number of independent draws of the phases.
     """
 
     name: str
@@ -55,50 +55,50 @@ class PeriodicRecord:
 
 
 def periodic_record(log: Log) -> PeriodicRecord:
-    """Return the periods of a record that played orthogonal multisines.
+    """Return the periods of a record of orthogonal multisines.
 
-    Their length and number come from session.yaml at the head of the log. Of every experiment the
-    first period is left out. A log that was cut off gives its complete realisations, and one with
-    skipped periods those in which none was skipped but in what is left out: the plan waits then.
+    Their length and number come from the log's session.yaml. The first period of every experiment
+    is left out. Only complete realisations are returned: a truncated log has fewer, and so has one
+    with control cycles skipped in the periods used.
 
     Raises:
         NotARecordError: the log holds no record (see from_log).
-        NotPeriodicError: the record played something else, or on some of the inputs alone.
-        IncompleteError: there is not one complete realisation.
-        IdentificationError: a session.yaml that is none or lacks the record, or an excitation that
-            does not repeat as the session says.
+        NotPeriodicError: the record has another excitation, or excites some of the inputs only.
+        IncompleteError: no realisation is complete.
+        IdentificationError: session.yaml is invalid or lacks the record, or the excitation does
+            not repeat with the session's period.
     """
     record = from_log(log)
     step, period_s = _orthogonal_step(log, record.name)
     if "part" in log.metadata:
         raise IncompleteError(
-            f"{log.path.name}: part {log.metadata['part']} of record '{record.name}', of which "
-            "nobody knows where its periods begin: only the first part is used"
+            f"{log.path.name}: part {log.metadata['part']} of record '{record.name}' skipped: the "
+            "start of its periods is unknown, only the first part is used"
         )
     plan = step.orthogonal
     assert plan is not None
     N, p, P = round(period_s / record.Ts_s), len(step.excite), plan.periods
     if p < record.v.shape[1]:
         raise NotPeriodicError(
-            f"{log.path.name}: record '{record.name}' excites {', '.join(step.excite)} alone: "
-            f"orthogonal multisines need all of {', '.join(record.input_names)}"
+            f"{log.path.name}: record '{record.name}': expected orthogonal multisines at all of "
+            f"{', '.join(record.input_names)}, found only {', '.join(step.excite)}"
         )
     per_realisation = p * P * N
     settled, rows = round(step.settle_s / record.Ts_s), len(record.y)
-    at = _flown_in(log, rows)
-    begins = settled + per_realisation * np.arange(plan.realisations)
+    row = _record_row(log, rows)
+    starts = settled + per_realisation * np.arange(plan.realisations)
     within = N * (P * np.arange(p)[:, None] + np.arange(TRANSIENT_PERIODS, P))
     kept = [
-        at[begin + within]
-        for begin in begins[begins + per_realisation <= len(at)]
-        if at[begin] >= 0 and _whole(at, begin + within, N, rows)
+        row[start + within]
+        for start in starts[starts + per_realisation <= len(row)]
+        if row[start] >= 0 and _complete(row, start + within, N, rows)
     ]
     if not kept:
-        flown = np.count_nonzero((at[settled:] >= 0) & (at[settled:] < rows))
+        rows_found = np.count_nonzero((row[settled:] >= 0) & (row[settled:] < rows))
         raise IncompleteError(
             f"{log.path.name}: expected at least one complete realisation of "
-            f"{per_realisation * record.Ts_s:g} s, found {flown * record.Ts_s:g} s"
-            + (f", in which {_skipped(at)} periods were skipped" if _skipped(at) else "")
+            f"{per_realisation * record.Ts_s:g} s, found {rows_found * record.Ts_s:g} s"
+            + (f", in which {_skipped(row)} periods were skipped" if _skipped(row) else "")
         )
     chosen = np.concatenate(kept)[:, :, None] + np.arange(N)
 
@@ -107,8 +107,8 @@ def periodic_record(log: Log) -> PeriodicRecord:
 
     remarks = list(record.remarks)
     if len(kept) < plan.realisations:
-        told = ", none of its periods skipped" if _skipped(at) else ""
-        remarks.append(f"{len(kept)} of {plan.realisations} realisations are complete{told}")
+        reason = ", none of its periods skipped" if _skipped(row) else ""
+        remarks.append(f"{len(kept)} of {plan.realisations} realisations are complete{reason}")
     periodic = PeriodicRecord(
         name=record.name,
         Ts_s=record.Ts_s,
@@ -129,7 +129,7 @@ def periodic_record(log: Log) -> PeriodicRecord:
 
 
 def periodic_records(logs: Sequence[Log]) -> tuple[tuple[PeriodicRecord, ...], tuple[str, ...]]:
-    """Return the records of orthogonal multisines among the logs, and why the others are none."""
+    """Return the orthogonal multisine records among the logs, and why the others are skipped."""
     records, skipped = [], []
     for log in logs:
         try:
@@ -139,33 +139,33 @@ def periodic_records(logs: Sequence[Log]) -> tuple[tuple[PeriodicRecord, ...], t
     return tuple(records), tuple(skipped)
 
 
-def _flown_in(log: Log, rows: int) -> NDArray[np.int64]:
-    """Return in which row of the record each row of the plan was flown (K,).
+def _record_row(log: Log, rows: int) -> NDArray[np.int64]:
+    """Return the record's row for each row of the planned excitation (K,).
 
-    The plan waits while periods are skipped: a row of it is a row of the log, at its cycle. Where
-    stalls have cut the record it is before row 0 or behind the last.
+    The plan waits while periods are skipped, so each of its rows is a row of the log. Rows that
+    resampling cut off are below 0 or beyond the last row.
     """
     if "cycle" not in (log.rows.dtype.names or ()):
         return np.arange(rows)
-    first = int(without_gaps(log)[0].rows["cycle"][0])
+    first = int(resample(log)[0].rows["cycle"][0])
     return np.asarray(log.rows["cycle"].astype(np.int64) - first)
 
 
-def _whole(at: NDArray[np.int64], begins: NDArray[np.int64], N: int, rows: int) -> bool:
-    """Return whether N rows of the plan from each of `begins` on were flown without a skip."""
-    first, last = at[begins], at[begins + N - 1]
+def _complete(row: NDArray[np.int64], starts: NDArray[np.int64], N: int, rows: int) -> bool:
+    """Return whether N rows of the plan from each start are in the record, without skips."""
+    first, last = row[starts], row[starts + N - 1]
     return bool(np.all(last - first == N - 1) and np.all(last < rows))
 
 
-def _skipped(at: NDArray[np.int64]) -> int:
-    return int(np.sum(np.diff(at) - 1))
+def _skipped(row: NDArray[np.int64]) -> int:
+    return int(np.sum(np.diff(row) - 1))
 
 
 def _orthogonal_step(log: Log, name: str) -> tuple[RecordStep, float]:
-    """Return the step of the session that flew the record, and the period of its multisines."""
+    """Return the session step of the record, and the period of its multisines in s."""
     text = log.attachments.get("session.yaml")
     if text is None:
-        raise NotPeriodicError(f"{log.path.name}: record '{name}' has no session.yaml with it")
+        raise NotPeriodicError(f"{log.path.name}: record '{name}' has no session.yaml")
     try:
         session = parse_text(text, SessionConfig, f"{log.path}: session.yaml")
     except ConfigError as error:
@@ -177,20 +177,20 @@ def _orthogonal_step(log: Log, name: str) -> tuple[RecordStep, float]:
         )
     if steps[0].orthogonal is None:
         raise NotPeriodicError(
-            f"{log.path.name}: record '{name}' plays no orthogonal multisines (key 'orthogonal')"
+            f"{log.path.name}: record '{name}' has no orthogonal multisines (key 'orthogonal')"
         )
     period_s = session.excitations[steps[0].excite[0]].period_s
-    assert period_s is not None  # the session's own check
+    assert period_s is not None  # checked by the session schema
     return steps[0], period_s
 
 
 def _check_repeats(periodic: PeriodicRecord, log: Log) -> None:
     v = periodic.v
-    # Each input by its own size: torques and forces have no common one.
+    # Relative to each input's rms: torques and forces have different units.
     difference = np.sqrt(np.mean((v - v[:, :1]) ** 2, axis=(0, 1, 2)))
     share = difference / np.sqrt(np.mean(v**2, axis=(0, 1, 2)))
-    if not np.all(share < REPEATS_WITHIN):
+    if not np.all(share < REPETITION_TOLERANCE):
         raise IdentificationError(
             f"{log.path}: expected v to repeat every {v.shape[2] * periodic.Ts_s:g} s, found "
-            f"periods that differ by {np.nanmax(share):.1%} of their rms"
+            f"periods that differ by {np.nanmax(share):.1%} of the rms"
         )

@@ -1,4 +1,4 @@
-"""What identification works on: records of excitation, plant input and output."""
+"""Hold one experiment's excitation, plant input and output, and group records by beam position."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SAME_BEAM_M = 1e-3
-"""Records whose mean beam positions are within so much belong to one operating point."""
+BEAM_POSITION_TOLERANCE_M = 1e-3
+"""Records within this distance of beam position belong to one operating point."""
 
 
 class IdentificationError(Exception):
-    """Records that cannot be identified; the message says which, what was expected and found."""
+    """Records that cannot be identified; the message names them, the expected and the found."""
 
 
 class NotARecordError(IdentificationError):
-    """A log that is not to be identified, with the reason: part of a session, no failure."""
+    """A log to skip, with the reason: another step of a session, for example. Not a failure."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class PiController:
     ki: Array
 
     def response(self, freq_hz: Array, Ts_s: float) -> NDArray[np.complex128]:
-        """Return the diagonal of C as (F, p) at freq_hz (F,); it is infinite at 0 Hz."""
+        """Return the diagonal of C (F, p) at freq_hz (F,); it is infinite at 0 Hz."""
         z = np.exp(2j * np.pi * np.asarray(freq_hz) * Ts_s)[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             integral = np.where(self.ki > 0, self.ki * Ts_s * z / (z - 1), 0.0)
@@ -42,13 +42,13 @@ class PiController:
 class Record:
     """One experiment: excitation v (N, p), plant input u (N, p), output y (N, m).
 
-    u is what was sent to the plant, behind all limits, without feed-forward; None where it is not
-    known. `asked` (N, p) is what controller and excitation asked for, v - C y; None where it is u.
-    `controller` is the one that closed the loop, None in open loop or when it is not known.
-    `delay_cycles` are whole cycles between an input and its first action; None when not known (the
-    output may then react in the cycle of its input). `at_rest` says that v = 0 before the first row
-    and that y had settled to a constant. `remarks` say in words what happened during the record
-    that a linear model does not know of. `input_units` are those of v and u.
+    `u` is the plant input after all limits, without feed-forward; None if unknown.
+    `u_unlimited` (N, p) is the plant input before the limits, v - C y; None if it equals u.
+    `controller` is the controller of the loop; None in open loop or if unknown.
+    `delay_cycles` is the number of whole cycles between an input and its first effect; None if
+    unknown (the output may then react in the cycle of its input). `at_rest`: v = 0 before the
+    first row, and y had settled to a constant. `remarks` describe events in the record that a
+    linear model does not include. `input_units` are the units of v and u.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Record:
     output_names: tuple[str, ...]
     output_units: tuple[str, ...]
     u: Array | None = None
-    asked: Array | None = None
+    u_unlimited: Array | None = None
     beam_m: float | None = None
     controller: PiController | None = None
     delay_cycles: int | None = None
@@ -69,33 +69,33 @@ class Record:
 
     @property
     def leading_zeros(self) -> int:
-        """Number of Markov parameters that are zero for certain: the hold and the whole cycles."""
+        """Number of Markov parameters that the hold and the delay make zero."""
         return 0 if self.delay_cycles is None else self.delay_cycles + 1
 
     @property
     def excited(self) -> NDArray[np.bool_]:
-        """Inputs (p,) that carry any excitation."""
+        """Which inputs (p,) are excited."""
         return np.asarray(np.ptp(self.v, axis=0) > 0)
 
     def first_row(self, taps: int) -> int:
-        """Return the first row whose past over `taps` samples is known."""
+        """Return the first row whose last `taps` samples are known."""
         return 0 if self.at_rest else taps - 1
 
     def rows(self, start: int, stop: int) -> Record:
-        """Return the record cut to rows start..stop; at rest only if it still begins at row 0."""
+        """Return rows start to stop (exclusive); at_rest only if they begin at row 0."""
         return replace(
             self,
             v=self.v[start:stop],
             y=self.y[start:stop],
             u=None if self.u is None else self.u[start:stop],
-            asked=None if self.asked is None else self.asked[start:stop],
+            u_unlimited=None if self.u_unlimited is None else self.u_unlimited[start:stop],
             at_rest=self.at_rest and start == 0,
         )
 
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Records of one beam position (m; None where there is no beam)."""
+    """Records of one beam position in m; None without a beam."""
 
     beam_m: float | None
     records: tuple[Record, ...]
@@ -104,8 +104,8 @@ class OperatingPoint:
 def operating_points(records: Sequence[Record]) -> tuple[OperatingPoint, ...]:
     """Group records by beam position (within 1 mm), in ascending order.
 
-    Raises IdentificationError when there is no record, or when records of one position differ in
-    sampling time, signals, controller or delay.
+    Raises IdentificationError without records, or if records of one position differ in sampling
+    time, signals, controller or delay.
     """
     if not records:
         raise IdentificationError("expected at least one record to identify, found none")
@@ -117,26 +117,26 @@ def operating_points(records: Sequence[Record]) -> tuple[OperatingPoint, ...]:
     return points
 
 
-class AtBeam(Protocol):
-    """A record of any sort: `beam_m` is None where there is no beam."""
+class HasBeamPosition(Protocol):
+    """A record with a mean beam position; `beam_m` is None without a beam."""
 
     @property
     def beam_m(self) -> float | None: ...  # noqa: D102
 
 
-Some = TypeVar("Some", bound=AtBeam)
+RecordT = TypeVar("RecordT", bound=HasBeamPosition)
 
 
-def by_position(records: Iterable[Some]) -> list[list[Some]]:
-    """Return records in groups of one beam position, ascending; those of none come first.
+def by_position(records: Iterable[RecordT]) -> list[list[RecordT]]:
+    """Group records by beam position, ascending; records without a beam come first.
 
-    A group spans 1 mm from its first record on, however many lie a little further each.
+    A group spans at most 1 mm from its first record.
     """
-    groups: list[list[Some]] = []
+    groups: list[list[RecordT]] = []
     first: float | None = None
     for record in sorted(records, key=lambda r: -np.inf if r.beam_m is None else r.beam_m):
         here = record.beam_m
-        near = here is None or (first is not None and here - first <= SAME_BEAM_M)
+        near = here is None or (first is not None and here - first <= BEAM_POSITION_TOLERANCE_M)
         if not groups or not near:
             groups.append([])
             first = here
@@ -145,7 +145,7 @@ def by_position(records: Iterable[Some]) -> list[list[Some]]:
 
 
 def describe_position(beam_m: float | None) -> str:
-    """Return the position in words, for messages and labels."""
+    """Return the beam position as text for messages and labels."""
     return "no beam position" if beam_m is None else f"beam at {1e3 * beam_m:+.1f} mm"
 
 
@@ -154,17 +154,24 @@ def _mean_beam(group: list[Record]) -> float | None:
     return float(np.mean(beams)) if beams else None
 
 
+COMPARED_FIELDS = {
+    "Ts_s": "sampling time in s",
+    "input_names": "set of inputs",
+    "input_units": "set of input units",
+    "output_names": "set of outputs",
+    "output_units": "set of output units",
+}
+"""Fields that must agree in all records, with their names in messages."""
+
+
 def _check_consistent(point: OperatingPoint) -> None:
     first = point.records[0]
     for record in point.records[1:]:
-        for field in (
-            *("Ts_s", "input_names", "input_units", "output_names", "output_units"),
-            "delay_cycles",
-        ):
+        for field, name in (*COMPARED_FIELDS.items(), ("delay_cycles", "delay in cycles")):
             ours, theirs = getattr(first, field), getattr(record, field)
             if ours != theirs:
                 raise IdentificationError(
-                    f"{describe_position(point.beam_m)}: expected one {field} in all records, "
+                    f"{describe_position(point.beam_m)}: expected one {name} in all records, "
                     f"found {ours} in '{first.name}' and {theirs} in '{record.name}'"
                 )
         if not _same_controller(first.controller, record.controller):

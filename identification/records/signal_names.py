@@ -1,4 +1,4 @@
-"""Names and units of a plant's inputs and outputs."""
+"""Name the inputs and outputs of a plant, with units and sampling time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SignalNames:
-    """Names and units of inputs and outputs, and their sampling time."""
+    """Names and units of inputs and outputs, and the sampling time."""
 
     input_names: tuple[str, ...]
     input_units: tuple[str, ...]

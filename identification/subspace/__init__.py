@@ -1,1 +1,1 @@
-"""Estimate state-space models: Ho-Kalman and predictor-based subspace identification."""
+"""Estimate state-space models by Ho-Kalman and predictor-based subspace identification."""

@@ -1,6 +1,6 @@
-"""The identified loop with the known delay and lag taken out of it, so that they take no order.
+"""Remove the known delay and lag from a loop's Markov parameters, so that they add no states.
 
-All steps are exact algebra of power series in z^-1 (Markov parameters), truncated at their length.
+All steps are exact algebra on power series in z^-1 (Markov parameters), truncated at their length.
 """
 
 from __future__ import annotations
@@ -17,15 +17,13 @@ Array = NDArray[np.float64]
 def without_delay(
     g: Array, leading_zeros: int, lag_pole: float, controller: PiController | None, Ts_s: float
 ) -> Array:
-    """Return the Markov parameters the loop would have without its known delay and lag.
+    """Return the Markov parameters (L - d, m, p) of the loop g (L, m, p) without delay and lag.
 
     With P = E Q, E(z) = z^-d (1 - a) / (1 - a z^-1) for d = `leading_zeros` and a = `lag_pole`, the
-    measured loop is G = P (I + C P)^-1; returned is Q (I + C Q)^-1 = F (I + (1 - E) C F)^-1 with
-    F = G / E. As 1 - E is zero at z = 1 the integrators drop out of (1 - E) C, and since delay and
-    lag are short, the inverse is close to I: nothing is amplified. Without controller (open loop)
-    it is F.
-
-    g is (L, m, p), the result (L - d, m, p).
+    measured loop is G = P (I + C P)^-1. The result is Q (I + C Q)^-1 = F (I + (1 - E) C F)^-1 with
+    F = G / E. As 1 - E is zero at z = 1, the integrators cancel in (1 - E) C. Delay and lag are
+    short, so the inverse is close to I and does not amplify noise. Without controller (open loop)
+    the result is F.
     """
     forward = g[leading_zeros:]
     if lag_pole:
@@ -33,10 +31,10 @@ def without_delay(
     if controller is None:
         return np.asarray(forward)
     length, _, p = forward.shape
-    step = np.ones(length)  # of 1 - E: what E has not passed on yet
+    step = np.ones(length)  # step response of 1 - E
     step[leading_zeros:] -= 1.0 - lag_pole ** np.arange(1, length - leading_zeros + 1)
     impulse = np.diff(step, prepend=0.0)
-    # (1 - E) C = kp (1 - E) + ki Ts (1 - E) / (1 - z^-1), the latter being the step response.
+    # (1 - E) C = kp (1 - E) + ki Ts (1 - E) / (1 - z^-1); the latter is the step response.
     feedback = impulse[:, None] * controller.kp + step[:, None] * controller.ki * Ts_s
     loop = product(_diagonal(feedback), forward)
     loop[0] += np.eye(p)
@@ -51,7 +49,7 @@ def product(a: Array, b: Array) -> Array:
 
 
 def inverse(a: Array) -> Array:
-    """Return the series (L, p, p) inverse to a (L, p, p), a(0) regular, by Newton's doubling."""
+    """Return the inverse (L, p, p) of the series a (L, p, p), a(0) regular, by Newton's method."""
     x = np.linalg.inv(a[:1])
     while len(x) < len(a):
         n = min(2 * len(x), len(a))

@@ -1,4 +1,4 @@
-"""How well a model explains an output, in percent."""
+"""Compute the fit of a model to measured outputs, in percent (NRMSE)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ Array = NDArray[np.float64]
 
 
 def nrmse_fit_percent(measured: Array, modelled: Array) -> Array:
-    """Return 100 (1 - ||y - yhat|| / ||y - mean(y)||) of each output (m,), for (N, m) arrays.
+    """Return 100 (1 - ||y - yhat|| / ||y - mean(y)||) for each output (m,) of (N, m) arrays.
 
-    100 is a perfect model, 0 no better than the mean, negative worse; nothing is capped. An output
-    that never moves gives nan.
+    100 is a perfect model, 0 is as good as the mean, negative is worse. A constant output gives
+    nan.
     """
     spread = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
     error = np.linalg.norm(measured - modelled, axis=0)

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 Array = NDArray[np.float64]
 
 DENSE_SIDE = 400
-"""Up to this side the matrix is formed: a dense SVD is quicker and gives every singular value."""
+"""Up to this size the matrix is formed: a dense SVD is faster and gives all singular values."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class HankelOperator(LinearOperator):
     def _matmat(self, X: Array) -> Array:
         x = X.reshape(self.block_columns, self.p, -1)
         product = np.einsum("fij,fjc->fic", self._spectrum.conj(), fft.rfft(x, self._size, axis=0))
-        # sum_b h(a + b) x(b) is a correlation: the conjugate transform runs it backwards in a.
+        # sum_b h(a + b) x(b) is a correlation: the conjugate spectrum gives it in reverse order.
         y = fft.irfft(product, self._size, axis=0)
         index = -np.arange(self.block_rows) % self._size
         return np.asarray(y[index].reshape(self.shape[0], -1))
@@ -57,24 +57,24 @@ class HankelOperator(LinearOperator):
         return HankelOperator(self._h.transpose(0, 2, 1), self.block_columns, self.block_rows)
 
     def dense(self) -> Array:
-        """Return the matrix itself, for small ones."""
+        """Return the explicit matrix; for small ones only."""
         index = np.arange(self.block_rows)[:, None] + np.arange(self.block_columns)
         return np.asarray(self._h[index].transpose(0, 2, 1, 3).reshape(self.shape))
 
 
 def leading_svd(operator: HankelOperator, count: int) -> HankelSvd:
-    """Return the `count` largest singular triplets, the same ones on every call.
+    """Return the `count` largest singular triplets; repeated calls give the same result.
 
-    Small matrices are decomposed densely, others by PROPACK's Lanczos bidiagonalisation, which
-    keeps the accuracy of small singular values; should it fail, by ARPACK on H^T H, which does not
-    below 1e-8 of the largest.
+    Small matrices use a dense SVD, others PROPACK's Lanczos bidiagonalisation, which is accurate
+    for small singular values. If that fails, ARPACK on H^T H is used, which is inaccurate below
+    1e-8 of the largest.
     """
     count = min(count, *operator.shape)
     if max(operator.shape) <= DENSE_SIDE:
         U, s, Vt = np.linalg.svd(operator.dense(), full_matrices=False)
         return HankelSvd(U[:, :count], s[:count], Vt[:count])
     start = np.random.default_rng(0).normal(size=operator.shape[0])
-    # Lanczos vectors are long and few: several threads of BLAS only wait for each other there.
+    # Lanczos vectors are long and few: several BLAS threads would only wait for each other.
     with threadpool_limits(1, "blas"):
         try:
             U, s, Vt = svds(operator, count, solver="propack", v0=start)

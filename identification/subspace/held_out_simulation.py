@@ -1,4 +1,4 @@
-"""Rows that were kept back, simulated by an identified loop from its excitation alone."""
+"""Simulate held-out rows with an identified loop, from the excitation alone."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HoldOut:
-    """Rows that no estimate has seen: measured (N, m), simulated from the input alone, predicted.
+    """Held-out rows of a record: measured (N, m), simulated from the input alone, predicted.
 
-    Fits are in percent, one for each output (m,). `predicted` (one step ahead) is None where no
-    predictor was identified. `driven` (m,) says which outputs the record moves by excitation at
-    their own inputs; None where outputs have no inputs of their own.
+    Fits are in percent, one for each output (m,). `predicted` (one step ahead) is None without an
+    identified predictor. `driven` (m,): outputs that are excited at their own input; None if
+    outputs have no inputs of their own.
     """
 
     record: str
@@ -35,15 +35,15 @@ class HoldOut:
 
 
 def settled_row(record: Record, settled_s: float) -> int:
-    """Return the row from which on nothing rings from before; in a short record, a quarter in."""
+    """Return the first row after the initial transient, at most a quarter into the record."""
     return 0 if record.at_rest else min(round(settled_s / record.Ts_s), len(record.y) // 4)
 
 
 def hold_out(record: Record, loop: StateSpace, rows: int, settled: int) -> HoldOut:
-    """Return the last `rows` of the record beside what the loop from v to y makes of v.
+    """Simulate the last `rows` rows of the record with the loop from v to y.
 
-    The level is not the model's to know, as the loop rests at whatever offset the record has: it is
-    taken from row `settled` up to the rows kept back. An unstable loop simulates nothing (nan).
+    The model has no constant offset: it is the mean error from row `settled` to the held-out rows.
+    An unstable loop gives nan.
     """
     stable = spectral_radius(loop.A) < 1.0
     simulated = simulate(loop, record.v) if stable else np.full_like(record.y, np.nan)

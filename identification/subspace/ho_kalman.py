@@ -1,4 +1,4 @@
-"""State space from Markov parameters by Ho and Kalman, eqs. (10) to (13), errata applied."""
+"""Realise a state-space model from Markov parameters by Ho-Kalman, eqs. (10) to (13) corrected."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from .hankel_operator import HankelOperator, HankelSvd, leading_svd
 Array = NDArray[np.float64]
 
 SINGULAR_VALUES = 24
-"""How many singular values are computed: the figure's, and the candidates for the order."""
+"""Number of singular values computed: plotted, and candidates for the order."""
 _ROUNDING = 1e-13
-"""Singular values, over the largest, of which nothing but rounding is known."""
+"""Singular values below this share of the largest are rounding."""
 
 
 @dataclass(frozen=True)
 class Scaling:
-    """Units in which signals weigh alike: outputs (m,) and inputs (p,) are divided by these."""
+    """Scales that give signals equal weight: outputs (m,) and inputs (p,) are divided by them."""
 
     outputs: Array
     inputs: Array
 
     @classmethod
     def of(cls, records: Sequence[Record]) -> Scaling:
-        """Return units in which every signal has rms 1 in the record that moves it most."""
+        """Return scales with which every signal has rms 1 in the record that moves it most."""
         outputs = np.max([r.y.std(axis=0) for r in records], axis=0)
         inputs = np.max([r.v.std(axis=0) for r in records], axis=0)
         return cls(np.where(outputs > 0, outputs, 1.0), np.where(inputs > 0, inputs, 1.0))
@@ -38,10 +38,10 @@ class Scaling:
 
 @dataclass(frozen=True)
 class Decomposition:
-    """The SVD (12) of a Hankel matrix with what (13) further needs of it; k triplets are kept.
+    """The truncated SVD (12) of a Hankel matrix, k triplets, and the other matrices of (13).
 
-    `first_columns` (k, p) is U^T times the first block column of H, `shifted` (k, k) is U^T H' V
-    with H' one block column further, `D` (m, p) is g(0). All in scaled units.
+    `first_columns` (k, p) is U^T times the first block column of H; `shifted` (k, k) is U^T H' V
+    with H' shifted by one block column; `D` (m, p) is g(0). All are in scaled units.
     """
 
     singular_values: Array
@@ -54,25 +54,26 @@ class Decomposition:
 
     @property
     def orders(self) -> int:
-        """The highest order that the singular values reach: what is below rounding is no state."""
+        """The highest possible order: the number of singular values above rounding."""
         return int(np.sum(self.singular_values > _ROUNDING * self.singular_values[0]))
 
 
 @dataclass(frozen=True)
 class OrderChoice:
-    """The order and the ratio s(n) / s(n + 1) by which it stands out; `gaps` has it for every n."""
+    """The order n and its ratio s(n) / s(n + 1); `ratios` has the ratio of every order."""
 
     order: int
-    gap: float
-    gaps: Array
+    ratio: float
+    ratios: Array
 
 
 def decompose(
     g: Array, Ts_s: float, scaling: Scaling, count: int = SINGULAR_VALUES
 ) -> Decomposition:
-    """Decompose the largest Hankel matrix (10) that Markov parameters g (L, m, p) fill.
+    """Decompose the largest Hankel matrix (10) of Markov parameters g (L, m, p).
 
-    For white excitation: all taps are then known alike. The matrix is an operator, never formed.
+    For white excitation, with which all taps are equally accurate. The matrix is an operator and
+    is never formed.
     """
     scaled = g * (scaling.inputs / scaling.outputs[:, None])
     blocks = _blocks(g)
@@ -86,9 +87,9 @@ def decompose_coloured(
 ) -> Decomposition:
     """Decompose H R^1/2 with R the covariance of the past inputs, for coloured excitation.
 
-    What the inputs (N, p) of the records hardly drive is badly known, and its errors would swamp
-    the plain Hankel matrix; weighted by the inputs they shrink to the size that the outputs saw.
-    For white inputs this is `decompose`. The matrix is formed: for short Markov parameters.
+    Directions that the inputs (N, p) hardly excite have large errors, which would dominate the
+    unweighted Hankel matrix; the weight scales them to their effect on the outputs. For white
+    inputs this equals `decompose`. The matrix is formed: use it for short impulse responses.
     """
     scaled = g * (scaling.inputs / scaling.outputs[:, None])
     blocks = _blocks(g)
@@ -100,24 +101,24 @@ def decompose_coloured(
     return _decomposition(scaled, H, svd, root @ svd.Vt.T, scaling, Ts_s)
 
 
-def order_from_gap(singular_values: Array, least: int = 1) -> OrderChoice:
-    """Return the order of at least `least` with the largest s(n) / s(n + 1).
+def order_from_ratio(singular_values: Array, least: int = 1) -> OrderChoice:
+    """Return the order n >= `least` with the largest ratio s(n) / s(n + 1).
 
-    What is below rounding counts as equal.
+    Singular values below rounding count as equal.
     """
     s = np.maximum(singular_values, _ROUNDING * singular_values[0])
-    gaps = s[:-1] / s[1:]
-    first = min(least, len(gaps)) - 1
-    order = first + int(np.argmax(gaps[first:])) + 1
-    return OrderChoice(order, float(gaps[order - 1]), gaps)
+    ratios = s[:-1] / s[1:]
+    first = min(least, len(ratios)) - 1
+    order = first + int(np.argmax(ratios[first:])) + 1
+    return OrderChoice(order, float(ratios[order - 1]), ratios)
 
 
 def realise(decomposition: Decomposition, order: int) -> StateSpace:
     """Return the model (11) of `order` states by (13).
 
-    A = S^-1/2 U^T H' V S^-1/2 with H' one block column further, B the first p columns of S^1/2 V^T
-    (as S^-1/2 U^T H, the same), C the first m rows of U S^1/2, D = g(0). Raises IdentificationError
-    for an order that the singular values do not reach.
+    A = S^-1/2 U^T H' V S^-1/2 with H' shifted by one block column, B the first p columns of
+    S^1/2 V^T (computed as S^-1/2 U^T H), C the first m rows of U S^1/2, D = g(0). Raises
+    IdentificationError for an order above `Decomposition.orders`.
     """
     s, available = decomposition.singular_values, decomposition.orders
     if not 1 <= order <= available:
@@ -134,7 +135,7 @@ def realise(decomposition: Decomposition, order: int) -> StateSpace:
 
 
 def _blocks(g: Array) -> int:
-    # g(0) is D and stays outside; one block is left for the shifted matrix of (13).
+    # g(0) is D and not in H; the shifted matrix of (13) needs one more block.
     blocks = (len(g) - 1) // 2
     if blocks < 1:
         raise IdentificationError(f"expected at least 3 Markov parameters, found {len(g)}")

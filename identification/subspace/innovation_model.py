@@ -1,4 +1,4 @@
-"""An innovation model from input and output: observer Markov parameters, weighted SVD, Riccati."""
+"""Identify an innovation model from input and output: OKID, weighted SVD, Riccati equation."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from .simulation import InnovationModel
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-7
-"""Rows of this size relative to each column's are put beneath the data.
+"""Relative size of regularisation rows: noise of 1e-7 of each signal.
 
-They stand for noise of 1e-7 of each signal, so that data without any can be solved too (subspace
-adds as much to its Gram matrices).
+They make data without noise solvable (PBSID adds as much to its Gram matrices).
 """
 
 
@@ -37,11 +36,11 @@ class ObserverMarkov:
 
 @dataclass(frozen=True)
 class StateSequence:
-    """States estimated from the records, by how much of the future they hold.
+    """States estimated from the records, sorted by their share in the prediction.
 
-    `singular_values` (k,) say how much that is, descending. `triangle` is the R of the QR of
-    [v(k) x(k) | x(k+1) y(k)] over all `rows` rows, for `inputs` inputs: what every model is fitted
-    from.
+    `singular_values` (k,) measure that share, descending. `triangle` is the R of the QR of
+    [v(k) x(k) | x(k+1) y(k)] over all `rows` rows with `inputs` inputs; every model is fitted from
+    it.
     """
 
     singular_values: Array
@@ -51,18 +50,20 @@ class StateSequence:
 
 
 def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> ObserverMarkov:
-    """Return the observer (OKID; a high-order ARX) whose past has the least Akaike criterion.
+    """Estimate the observer (OKID, a high-order ARX model) with the least Akaike criterion.
 
-    That is log det of the error's covariance plus twice the parameters a row. All lengths are
-    judged on the same rows, as the likelihoods of different rows do not compare, and so follow from
-    one QR; records shorter than the past have none. Raises IdentificationError for fewer than two
-    rows a parameter.
+    The criterion is log det of the error covariance plus twice the number of parameters per row.
+    All candidate pasts use the same rows, so that their likelihoods are comparable, and follow from
+    one QR; records shorter than the longest past are not used. Raises IdentificationError for fewer
+    than two rows per parameter.
     """
     p, m = records[0].v.shape[1], records[0].y.shape[1]
     possible = [s for s in candidates if 2 * (s * (p + m) + p) < _rows_with(records, s)]
     if not possible:
         total = sum(len(r.y) for r in records)
-        raise IdentificationError(f"expected longer records for a predictor, found {total} rows")
+        raise IdentificationError(
+            f"expected longer records for a predictor, found {total} rows in all"
+        )
     longest = max(possible)
     R = _observer_triangle(records, longest)
     rows = _rows_with(records, longest)
@@ -83,11 +84,11 @@ def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> Observe
 def state_sequence(
     observer: ObserverMarkov, records: Sequence[Record], count: int
 ) -> StateSequence:
-    """Return the states that the past leaves for the future, by the SVD of H Z.
+    """Estimate the states by the SVD of H Z.
 
     H is the Hankel matrix of the observer's Markov parameters (zero beyond its length), Z the past
-    inputs and outputs: data-weighted Ho-Kalman (PBSID; Chiuso, Automatica 2007). Weighting by the
-    data keeps what coloured inputs never drove from deciding the states.
+    inputs and outputs: data-weighted Ho-Kalman (PBSID; Chiuso, Automatica 2007). The weight keeps
+    directions that coloured inputs do not excite out of the states.
     """
     past, m, width = observer.blocks.shape
     inputs = width - m
@@ -97,7 +98,7 @@ def state_sequence(
     flat = H.reshape(past * m, -1)
     blocks = [(r, k) for r in records for k in _blocks(past, len(r.y))]
     Z = (_past(r, past, k) for r, k in blocks)
-    # H Z = H R^T Q^T: the triangle has the singular values and left vectors of the whole.
+    # H Z = H R^T Q^T: H R^T has the same singular values and left vectors.
     U, s, _ = np.linalg.svd(flat @ triangle(Z).T, full_matrices=False)
     count = int(min(count, np.sum(s > np.finfo(float).eps * s[0])))
     states = flat.T @ (U[:, :count] / np.sqrt(s[:count]))
@@ -112,16 +113,16 @@ def state_sequence(
 
 
 def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> InnovationModel:
-    """Fit A, B, C, D to the first `order` states and take K from the residuals' covariance.
+    """Fit A, B, C, D to the first `order` states, and compute K from the residual covariance.
 
-    K solves the discrete Riccati equation, so the predictor is stable whatever the data. Raises
-    IdentificationError when that has no solution or the order exceeds the states.
+    K solves the discrete Riccati equation, so the predictor is always stable. Raises
+    IdentificationError if the equation has no solution or the order exceeds the states.
     """
     available = len(sequence.singular_values)
     if not 1 <= order <= available:
         raise IdentificationError(f"expected an order of 1 to {available}, found {order}")
     n, p = order, sequence.inputs
-    # Columns v, the first n states | the same states one step on, the outputs.
+    # Columns: v, the first n states | the same states one step later, the outputs.
     chosen = [*range(p + n), *range(p + available, p + available + n)]
     chosen += range(p + 2 * available, sequence.triangle.shape[1])
     R = sequence.triangle[:, chosen]
@@ -135,34 +136,36 @@ def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> Innova
     try:
         P = solve_discrete_are(A.T, C.T, Q, R, s=S)
     except (np.linalg.LinAlgError, ValueError) as cause:
-        raise IdentificationError(f"no steady-state predictor of order {order}: {cause}") from None
+        raise IdentificationError(
+            f"order {order}: no steady-state predictor exists ({cause}); choose another order"
+        ) from None
     e_covariance = C @ P @ C.T + R
     K = np.asarray(np.linalg.solve(e_covariance, (A @ P @ C.T + S).T).T, dtype=np.float64)
     return InnovationModel(StateSpace(A, B, C, D, Ts_s), K, e_covariance)
 
 
 def _rows_with(records: Sequence[Record], past: int) -> int:
-    """Return how many rows of all records have so many rows before them."""
+    """Return the number of rows, over all records, with at least `past` rows before them."""
     return sum(max(len(r.y) - past, 0) for r in records)
 
 
 def _blocks(first: int, last: int) -> list[slice]:
-    """Return the rows first..last-1 in parts, for matrices that are never formed as a whole."""
+    """Return rows first to last - 1 in blocks, to save memory."""
     return [slice(k, min(k + BLOCK_ROWS, last)) for k in range(first, last, BLOCK_ROWS)]
 
 
 def _past(record: Record, past: int, k: slice) -> Array:
-    """Return rows [v(k-1) y(k-1) ... v(k-past) y(k-past)] for rows k, which have such a past."""
+    """Return [v(k-1) y(k-1) ... v(k-past) y(k-past)] for rows k."""
     z = np.hstack([record.v[k.start - past : k.stop], record.y[k.start - past : k.stop]])
     return np.hstack([z[past - i : len(z) - i] for i in range(1, past + 1)])
 
 
 def _observer_triangle(records: Sequence[Record], past: int) -> Array:
-    """Return R of the QR of [v(k) z(k-1) ... z(k-past) | y(k)], shorter pasts in front."""
+    """Return R of the QR of [v(k) z(k-1) ... z(k-past) | y(k)], recent samples first."""
     blocks = ((r, k) for r in records for k in _blocks(past, len(r.y)))
     R = triangle(np.hstack([r.v[k], _past(r, past, k), r.y[k]]) for r, k in blocks)
     p = records[0].v.shape[1]
-    # Outputs without noise follow from others, and rounding stands for it; inputs may not.
+    # Dependent outputs (no noise) are regularised; dependent inputs are an error.
     if not independent(R[:p, :p], 1e-13):
         raise _not_independent("inputs")
     return _rounded(R)
@@ -173,9 +176,9 @@ def _rounded(R: Array) -> Array:
 
 
 def _solve(R: Array, columns: int, targets: int) -> Array:
-    """Return the least-squares solution (columns, targets) of the last columns of R on the first.
+    """Solve the least squares of the last `targets` columns of R on the first `columns`.
 
-    Raises IdentificationError where those are not independent.
+    Returns (columns, targets). Raises IdentificationError if the first columns are dependent.
     """
     square = R[:columns, :columns]
     if not independent(square, 1e-13):
@@ -185,5 +188,5 @@ def _solve(R: Array, columns: int, targets: int) -> Array:
 
 def _not_independent(what: str) -> IdentificationError:
     return IdentificationError(
-        f"expected {what} that are independent, found some that follow from others"
+        f"expected linearly independent {what}, found some that depend on others"
     )

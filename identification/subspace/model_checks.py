@@ -1,4 +1,4 @@
-"""Whether a model realised from a loop can be true: decay, stability, states, data kept back."""
+"""Check an identified plant: order, stability, held-out data, decay of the impulse response."""
 
 from __future__ import annotations
 
@@ -18,65 +18,69 @@ from .simulation import free_response, spectral_radius
 Array = NDArray[np.float64]
 
 PARTS = 6
-"""The end of an impulse response is its last sixth."""
-HARMS = 1e-2
-"""Relative rms of what is cut off from which on a model suffers visibly, by 0.1 dB."""
+"""Parts of an impulse response; the last of them is its end."""
+VISIBLE_TRUNCATION = 1e-2
+"""Relative rms of the truncated response above which the model errs visibly, by 0.1 dB."""
 SETTLED = 3e-3
-"""Share of the response to what came before that a settled record may still show."""
-NOISE = 4.0
-"""Mean square of the end over its standard error's from which on it counts as signal."""
-CUT_OFF = 1e-3
-"""Relative rms that does no harm: what is cut off of a response makes its resonances err by it."""
+"""Largest share of the initial transient in a settled record."""
+MIN_SIGNAL_POWER = 4.0
+"""Mean square of the response's end over its error variance, above which it is signal."""
+MAX_TRUNCATION = 1e-3
+"""Largest relative rms of the truncated response: its resonances err by as much."""
 STATES_A_DOF = 2
-MATTERS = 0.05
-"""Share of an output's motion that may be missed without a doubt."""
-LEAST_GAP = 1.5
-"""Least ratio of singular values that tells an order; the largest of noise alone is 1.02 to 1.1."""
-WORSE = 2.0
-"""Rms error of a true model over that of its Markov parameters, whose noise alone is larger."""
+MIN_ERROR_SHARE = 0.05
+"""Simulation error, as a share of an output's motion, below which it is ignored."""
+MIN_ORDER_RATIO = 1.5
+"""Least ratio of singular values that determines an order; noise alone gives 1.02 to 1.1."""
+MAX_ERROR_RATIO = 2.0
+"""Largest rms error of a valid model over that of its Markov parameters, which are noisier."""
 
 
-def has_decayed(markov: MarkovEstimate, cut_off: float = CUT_OFF) -> bool:
-    """Say whether the end of the impulse response is noise, or less than `cut_off` of it.
+def has_decayed(markov: MarkovEstimate, tolerance: float = MAX_TRUNCATION) -> bool:
+    """Return whether the end of the impulse response is noise, or below a relative tolerance.
 
-    For every input and output: the rms of the last sixth of g against its standard error, and
-    against the largest sixth on the way, of couplings that of both axes they couple.
+    For every input and output, the rms of the last sixth of g is compared with its standard error
+    and with the largest sixth; for couplings, with that of the two axes they couple.
     """
     rows = len(markov.g) // PARTS
     if rows < 1:
         return True
     sixths = markov.g[: PARTS * rows].reshape(PARTS, rows, *markov.g.shape[1:])
     power = np.mean(sixths**2, axis=1)
-    end = np.sqrt(power[-1])
-    signal = end > np.sqrt(NOISE) * markov.standard_error
-    return not bool(np.any(signal & (end > cut_off * _of_axes(np.sqrt(power.max(axis=0))))))
+    last_rms = np.sqrt(power[-1])
+    signal = last_rms > np.sqrt(MIN_SIGNAL_POWER) * markov.standard_error
+    return not bool(
+        np.any(signal & (last_rms > tolerance * _coupling_scale(np.sqrt(power.max(axis=0)))))
+    )
 
 
 def settling_time(loop: StateSpace, least_s: float, most_s: float) -> float:
-    """Return how long the loop rings: until SETTLED of its impulse response is left, in s.
+    """Return the settling time of the loop in s: until SETTLED of its impulse response remains.
 
-    At least `least_s`; of a loop that is not stable, `most_s`.
+    The result is at least `least_s`; `most_s` for an unstable loop.
     """
     if spectral_radius(loop.A) >= 1.0:
         return most_s
     rows = round(most_s / loop.Ts_s)
     step = max(round(0.01 / loop.Ts_s), 1)
-    # Every 10 ms will do: resonances are slower than 50 Hz where they ring for seconds.
+    # Steps of 10 ms suffice: resonances that ring for seconds are below 50 Hz.
     power = np.linalg.matrix_power(loop.A, step)
     thinned = StateSpace(power, loop.B, loop.C, loop.D, step * loop.Ts_s)
     g = free_response(thinned, max(rows // step, 1)) @ loop.B
-    left = np.sqrt(np.cumsum(g[::-1] ** 2, axis=0)[::-1])
-    ringing = np.flatnonzero(np.any(left > SETTLED * _of_axes(left[0]), axis=(1, 2)))
-    last = ringing[-1] + 1 if len(ringing) else 0
-    return float(np.clip(last * step * loop.Ts_s, least_s, most_s))
+    remaining = np.sqrt(np.cumsum(g[::-1] ** 2, axis=0)[::-1])
+    ringing = np.flatnonzero(
+        np.any(remaining > SETTLED * _coupling_scale(remaining[0]), axis=(1, 2))
+    )
+    end = ringing[-1] + 1 if len(ringing) else 0
+    return float(np.clip(end * step * loop.Ts_s, least_s, most_s))
 
 
 def predicted_errors(
     records: Sequence[Record], holdout: Sequence[HoldOut], markov: MarkovEstimate
 ) -> tuple[Array, ...]:
-    """Return for each record the rms (m,) by which the Markov parameters miss the rows kept back.
+    """Return for each record the rms error (m,) of the Markov parameters on the held-out rows.
 
-    The level is not theirs to know; only scatter counts.
+    The mean error is left out: the level is not modelled.
     """
     errors = []
     for record, held in zip(records, holdout, strict=True):
@@ -86,47 +90,48 @@ def predicted_errors(
     return tuple(errors)
 
 
-def doubts(
+def plant_doubts(
     plant: IdentifiedPlant, loop: StateSpace, holdout: Sequence[HoldOut], predicted: Sequence[Array]
 ) -> tuple[str, ...]:
-    """Return in words why the plant, in its loop, cannot be true; empty where nothing says so."""
+    """Return the reasons, as text, not to use the identified plant; empty if there is none."""
     found = []
     states, p = plant.core.B.shape
     if states < STATES_A_DOF * p:
         found.append(
-            f"the plant has {states} states, {p} degrees of freedom need {STATES_A_DOF * p} at "
-            "least"
+            f"{p} degrees of freedom need at least {STATES_A_DOF * p} states, "
+            f"the plant has {states}"
         )
     if spectral_radius(loop.A) >= 1.0:
-        found.append("the identified loop is unstable, the one that flew was not")
+        found.append("the identified loop is unstable, but the measured loop was stable")
         return tuple(found)
-    judged = [(h, e) for h, e in zip(holdout, predicted, strict=True) if len(h.measured)]
-    # What an output does where it is excited: small errors of what hardly moves are no matter.
-    motion = np.max([held.measured.std(axis=0) for held, _ in judged], axis=0, initial=0.0)
-    for held, expected in judged:
+    checked = [(h, e) for h, e in zip(holdout, predicted, strict=True) if len(h.measured)]
+    # Scale by the motion when excited: small errors of an output that hardly moves are ignored.
+    motion = np.max([held.measured.std(axis=0) for held, _ in checked], axis=0, initial=0.0)
+    for held, expected in checked:
         error = (held.measured - held.simulated).std(axis=0)
-        worse = (error > WORSE * expected) & (error > MATTERS * motion)
+        worse = (error > MAX_ERROR_RATIO * expected) & (error > MIN_ERROR_SHARE * motion)
         if np.any(worse) or not np.all(np.isfinite(error)):
-            times = np.nan_to_num(error / np.maximum(expected, 1e-300), nan=np.inf)
-            worst = int(np.argmax(np.where(worse | ~np.isfinite(error), times, 0.0)))
+            error_ratio = np.nan_to_num(error / np.maximum(expected, 1e-300), nan=np.inf)
+            worst = int(np.argmax(np.where(worse | ~np.isfinite(error), error_ratio, 0.0)))
             found.append(
-                f"on rows kept back of '{held.record}' output {worst + 1} is missed by "
-                f"{error[worst] / expected[worst]:.1f} times the error of the impulse response"
+                f"held-out data of '{held.record}': the error of output {worst + 1} is "
+                f"{error[worst] / expected[worst]:.1f} times that of the impulse response"
             )
     return tuple(found)
 
 
 def order_doubts(choice: OrderChoice) -> tuple[str, ...]:
-    """Return in words that no gap of the singular values tells the order; empty where one does."""
-    if choice.gap >= LEAST_GAP:
+    """Return a reason, as text, if the singular values do not determine the order; else empty."""
+    if choice.ratio >= MIN_ORDER_RATIO:
         return ()
     return (
-        f"the singular values leave no gap: s({choice.order}) / s({choice.order + 1}) is the "
-        f"largest with {choice.gap:.2g}, so that {choice.order} states are a guess",
+        f"the singular values do not determine the order: the largest ratio, "
+        f"s({choice.order}) / s({choice.order + 1}), is {choice.ratio:.2g}; "
+        f"{MIN_ORDER_RATIO:g} is required",
     )
 
 
-def _of_axes(size: Array) -> Array:
-    """Return by output and input the geometric mean of their two axes' own responses (p, p)."""
+def _coupling_scale(size: Array) -> Array:
+    """Return the geometric mean (p, p) of the two axes' own responses, by output and input."""
     own = np.sqrt(np.diag(size))
     return np.asarray(own[:, None] * own)

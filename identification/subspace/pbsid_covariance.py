@@ -1,8 +1,8 @@
-"""What a subspace estimate's matrices may be off by: the predictor's errors, carried through.
+"""Compute the covariance of a subspace estimate by propagating the predictor's errors.
 
-The predictor is a regression, whose errors the records tell; all that follows depends on them
-smoothly, and is taken to first order. Compare Chiuso and Picci, "The asymptotic variance of
-subspace estimates", Journal of Econometrics 118 (2004) 257.
+The predictor is a regression, whose errors follow from the records; the later steps are linearised.
+Compare Chiuso and Picci, "The asymptotic variance of subspace estimates", Journal of Econometrics
+118 (2004) 257.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from scipy.linalg import cho_factor, cho_solve
 Array = NDArray[np.float64]
 
 BLOCKS = 40
-"""Blocks a record is cut into, none shorter than the predictor's past."""
-_JITTER = 1e-13
-"""Of the scaled Gram matrix's diagonal, so that data without noise have a factor too."""
+"""Blocks of a record, none shorter than the predictor's past."""
+_REGULARISATION = 1e-13
+"""Added to the diagonal of the scaled Gram matrix, so that noise-free data can be factorised."""
 
 
 @dataclass(frozen=True)
 class States:
-    """States of the past, x(k) = of_past [z(k-1) ... z(k-s)], and how the predictor makes them.
+    """States x(k) = of_past [z(k-1) ... z(k-s)], and how they follow from the predictor.
 
     `of_past` (n, s w) is sum_r of_predictor[:, r] B[r], where B[r] are the predictor's Markov
-    parameters (m, w) of the lags r + 1 to s moved to the front; `of_predictor` is (n, s, m).
+    parameters (m, w) of lags r + 1 to s, moved to the front; `of_predictor` is (n, s, m).
     """
 
     of_past: Array
     of_predictor: Array
 
     def first(self, count: int) -> States:
-        """Return the first `count` of the states."""
+        """Return the first `count` states."""
         return States(self.of_past[:count], self.of_predictor[:count])
 
 
@@ -46,13 +46,13 @@ def covariance_of_equations(
 
     `signals` z = [u, y] (N, w) of each record; `gram` of [z(k), ..., z(k-s)], summed over them;
     `theta` (m, s w + p) predicts y(k) from the past and u(k); `ABCD` is the regression of
-    [x(k+1), y(k)] on [x(k), u(k)]. The basis of the states is held: errors that only turn it are
-    left out, and no response or pole misses them.
+    [x(k+1), y(k)] on [x(k), u(k)]. The basis of the states is fixed: errors that only rotate it are
+    left out, as they do not affect responses and poles.
 
-    theta errs by S normal^-1, S the sum over k of the innovation times what it is regressed on. How
-    much S scatters is seen from its parts over blocks of rows, which are as good as independent
-    (clustered covariance; Liang and Zeger, Biometrika 73 (1986) 13): the innovation need not be
-    white, as with too short a past it is not, nor of one size.
+    The error of theta is S normal^-1, with S the sum over k of the innovation times the regressors.
+    The scatter of S is estimated from its parts over blocks of rows, which are nearly independent
+    (clustered covariance; Liang and Zeger, Biometrika 73 (1986) 13). So the innovation may be
+    coloured (as with a short past) and its variance may change.
     """
     slope = _slope(gram, theta, states, ABCD)  # (n + m, n + p, m, s w + p)
     m = len(theta)
@@ -62,21 +62,21 @@ def covariance_of_equations(
     normal = gram[np.ix_(past, past)]
     size = np.sqrt(np.diag(normal))
     scaled = normal / size / size[:, None]
-    scaled[np.diag_indices_from(scaled)] += len(scaled) * _JITTER
+    scaled[np.diag_indices_from(scaled)] += len(scaled) * _REGULARISATION
     flat = (slope / size).reshape(-1, len(size))
-    by_products = (cho_solve(cho_factor(scaled), flat.T).T / size).reshape(ABCD.size, -1)
+    by_product = (cho_solve(cho_factor(scaled), flat.T).T / size).reshape(ABCD.size, -1)
     products = np.concatenate([_products_by_block(z, theta, p) for z in signals])
-    errors = products.reshape(len(products), -1) @ by_products.T
-    # So many parameters make the innovation look smaller than it is, and that of a block that is
-    # left out, which the jackknife would scatter by, as much larger (HC3; MacKinnon and White,
-    # Journal of Econometrics 29 (1985) 305). Of short records the first alone is too little.
+    errors = products.reshape(len(products), -1) @ by_product.T
+    # The fit of many parameters makes the innovation too small. Without a block in the fit its
+    # innovation would be as much larger, so the factor applies twice (jackknife, HC3; MacKinnon and
+    # White, Journal of Econometrics 29 (1985) 305). Short records need both.
     rows = sum(len(z) - len(gram) // width + 1 for z in signals)
-    left_out = 1.0 / (1.0 - len(size) / rows) ** 2
-    return np.asarray(left_out * errors.T @ errors).reshape(*ABCD.shape, *ABCD.shape)
+    correction = 1.0 / (1.0 - len(size) / rows) ** 2
+    return np.asarray(correction * errors.T @ errors).reshape(*ABCD.shape, *ABCD.shape)
 
 
 def _products_by_block(z: Array, theta: Array, p: int) -> Array:
-    """Return (blocks, m, s w + p): sums over k of e(k) [z(k-1), ..., z(k-s), u(k)]."""
+    """Return the sums (blocks, m, s w + p) over k of e(k) [z(k-1), ..., z(k-s), u(k)]."""
     width = z.shape[1]
     m, steps = len(theta), (theta.shape[1] - p) // width
     z = z - z[steps:].mean(axis=0)
@@ -94,11 +94,11 @@ def _products_by_block(z: Array, theta: Array, p: int) -> Array:
     out = np.empty((len(starts), m, steps * width + p))
     for number, start in enumerate(starts):
         end = len(e) if number == len(starts) - 1 else start + rows
-        late = fft.rfft(e[start:end], length, axis=0)
-        early = fft.rfft(z[start : end + steps], length, axis=0)
-        # Lag l stands where z is `steps - l` rows from the begin of its part.
-        across = fft.irfft(late.conj()[:, :, None] * early[:, None, :], length, axis=0)
-        lags = across[steps::-1]
+        e_spectrum = fft.rfft(e[start:end], length, axis=0)
+        z_spectrum = fft.rfft(z[start : end + steps], length, axis=0)
+        # Lag l is at index `steps - l`: z starts `steps` rows before e.
+        cross = fft.irfft(e_spectrum.conj()[:, :, None] * z_spectrum[:, None, :], length, axis=0)
+        lags = cross[steps::-1]
         out[number, :, : steps * width] = lags[1:].transpose(1, 0, 2).reshape(m, -1)
         out[number, :, steps * width :] = lags[0][:, :p]
     return out
@@ -107,9 +107,9 @@ def _products_by_block(z: Array, theta: Array, p: int) -> Array:
 def _slope(gram: Array, theta: Array, states: States, ABCD: Array) -> Array:
     """Return d[A B; C D] / d theta, (n + m, n + p, m, s w + p).
 
-    d[A B; C D] R = (dM - [A; C] dT_1) G N^T + M_y d(y z^T) N^T, where N makes [x(k), u(k)] and M
-    makes [x(k+1), y(k)] of the lags, R = N G N^T, and dT_1 is what the states at k change by. What
-    x(k+1) leaves over is the innovation, which the past does not know: no further term.
+    d[A B; C D] R = (dM - [A; C] dT_1) G N^T + M_y d(y z^T) N^T, where N maps the lags to
+    [x(k), u(k)], M maps them to [x(k+1), y(k)], R = N G N^T, and dT_1 is the change of the states
+    at k. The residual of x(k+1) is the innovation, uncorrelated with the past: no further term.
     """
     n, steps, m = states.of_predictor.shape
     length = states.of_past.shape[1]
@@ -118,25 +118,25 @@ def _slope(gram: Array, theta: Array, states: States, ABCD: Array) -> Array:
     N = np.zeros((n + p, len(gram)))
     N[:n, width:] = states.of_past
     N[n:, :p] = np.eye(p)
-    across = gram @ N.T
-    X = np.asarray(np.linalg.solve(N @ across, across.T).T, dtype=np.float64)  # (lags w, n + p)
+    cross = gram @ N.T
+    X = np.asarray(np.linalg.solve(N @ cross, cross.T).T, dtype=np.float64)  # (lags w, n + p)
 
     late = _by_predictor(states, X[:length].reshape(steps, width, -1))
     early = _by_predictor(states, X[width:].reshape(steps, width, -1))
     slope = np.zeros((n + m, n + p, m, length + p))
     slope[:n, :, :, :length] = late
     slope[:, :, :, :length] -= np.tensordot(ABCD[:, :n], early, axes=1)
-    of_outputs = np.vstack([states.of_past[:, p:width], np.eye(m)])  # y(k) in x(k+1) and y(k)
+    of_outputs = np.vstack([states.of_past[:, p:width], np.eye(m)])  # of y(k) on x(k+1) and y(k)
     regressors = np.vstack([X[width:], X[:p]])
     slope += np.einsum("ai,qb->abiq", of_outputs, regressors)
     return slope
 
 
 def _by_predictor(states: States, X: Array) -> Array:
-    """Return (n, b, m, s w): the slope of of_past X by the past of theta, X being (s, w, b)."""
+    """Return the slope (n, b, m, s w) of of_past X by the past of theta, for X (s, w, b)."""
     n, steps, m = states.of_predictor.shape
     width, b = X.shape[1:]
-    moved = np.zeros((steps, steps, n, m))  # from theta's lag to that of the past it is used for
+    moved = np.zeros((steps, steps, n, m))  # from theta's lag to the lag of the past
     for lag in range(steps):
         moved[lag:, lag] = states.of_predictor[:, : steps - lag].transpose(1, 0, 2)
     flat = moved.reshape(steps, steps, -1).transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""The plant from the identified loop, eq. (14), with the controller cancelled exactly."""
+"""Compute the plant from the identified loop, eq. (14), with the controller cancelled exactly."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class IdentifiedPlant:
-    """P(z) = z^-d (1 - a) / (1 - a z^-1) Q(z): known delay d and lag a around the identified Q.
+    """P(z) = z^-d (1 - a) / (1 - a z^-1) Q(z): known delay d and lag a, identified core Q.
 
-    `core` is Q in state space (six states for the rig), `delay_steps` d counts the hold's own step,
-    `lag_pole` a is 0 where no lag is known.
+    `core` is Q in state space (six states for the rig); `delay_steps` d includes the hold's step;
+    `lag_pole` a is 0 without a known lag.
     """
 
     core: StateSpace
@@ -33,7 +33,7 @@ class IdentifiedPlant:
         return np.asarray(known[:, None, None] * self.core.response(freq_hz))
 
     def state_space(self) -> StateSpace:
-        """Return P with the delay and the lag as states behind those of Q."""
+        """Return P in state space, with delay and lag as states."""
         model = self.core
         if self.lag_pole:
             model = series(_lag(len(model.B[0]), self.lag_pole, model.Ts_s), model)
@@ -43,23 +43,22 @@ class IdentifiedPlant:
 
 
 def plant_from_loop(loop: StateSpace, controller: PiController) -> StateSpace:
-    """Return P = G (I - C G)^-1 (14) without the modes that G and C share.
+    """Return P = G (I - C G)^-1 (14) without the modes that cancel between G and C.
 
-    Closing the loop again with +C leaves n + 3 states, of which 3 + 3 are integrators of C: three
-    that u cannot reach and three that y does not show, all at z = 1. They are found there, by the
-    Popov-Belevitch-Hautus test, not by looking for poles that happen to be close, and split off.
-    Noise leaves them next to z = 1 only; to force them there first, by giving G the zeros that
-    integral action makes certain, errs up to 25 times more: what the slow modes lack is then asked
-    of the resonances. The result has n - 3 states for three integrators. Nothing is assumed on the
-    plant's stability.
+    Closing the loop again with +C gives n + 3 states, of which 3 + 3 are integrators of C: three
+    unreachable from u and three unobservable in y, all at z = 1. The Popov-Belevitch-Hautus test
+    finds them there, without a search for nearby poles, and they are removed. With noise they are
+    only near z = 1; forcing them to z = 1 first, by the zeros that integral action gives G, makes
+    errors up to 25 times larger. The result has n - 3 states for three integrators. The plant may
+    be unstable.
 
-    Raises IdentificationError when G has fewer states than cancel.
+    Raises IdentificationError if G has no more states than cancel.
     """
     integrators = int(np.sum(controller.ki > 0))
     n = len(loop.A)
     if n <= integrators:
         raise IdentificationError(
-            f"expected a loop of more than {integrators} states, which its controller brings, "
+            f"expected a loop of more states than its controller's {integrators} integrators, "
             f"found order {n}"
         )
     return _without_integrators(_closed_with(loop, controller), integrators)
@@ -71,7 +70,7 @@ def closed_loop(plant: StateSpace, controller: PiController) -> StateSpace:
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """Return second * first: the input passes `first`, its output drives `second`."""
+    """Return second * first: the output of `first` drives `second`."""
     n = len(first.A)
     A = np.block([[first.A, np.zeros((n, len(second.A)))], [second.B @ first.C, second.A]])
     return StateSpace(
@@ -84,7 +83,7 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def _closed_with(model: StateSpace, controller: PiController) -> StateSpace:
-    """Close u + C y onto the input of `model`, whose states come first."""
+    """Return the loop of `model` with the input u + C y; the model's states come first."""
     active = np.flatnonzero(controller.ki)
     m = len(model.C)
     pick = np.eye(m)[active]  # integrators' inputs
@@ -104,20 +103,20 @@ def _closed_with(model: StateSpace, controller: PiController) -> StateSpace:
 
 
 def _without_integrators(model: StateSpace, count: int) -> StateSpace:
-    """Split off `count` unreachable and `count` invisible modes at z = 1."""
+    """Remove `count` unreachable and `count` unobservable modes at z = 1."""
     if count == 0:
         return model
-    visible = _without_invisible(model, count)
-    return _transposed(_without_invisible(_transposed(visible), count))
+    observable = _without_unobservable(model, count)
+    return _transposed(_without_unobservable(_transposed(observable), count))
 
 
-def _without_invisible(model: StateSpace, count: int) -> StateSpace:
-    """Divide out the `count` directions x with (A - I) x = 0 and C x = 0 (in least squares)."""
+def _without_unobservable(model: StateSpace, count: int) -> StateSpace:
+    """Remove the `count` directions x with (A - I) x = 0 and C x = 0 (in least squares)."""
     n = len(model.A)
     stack = np.vstack(
         [(model.A - np.eye(n)) / _size(model.A - np.eye(n)), model.C / _size(model.C)]
     )
-    keep = np.linalg.svd(stack)[2][: n - count]  # orthonormal rows, invisible directions last
+    keep = np.linalg.svd(stack)[2][: n - count]  # orthonormal rows, unobservable directions last
     return StateSpace(
         keep @ model.A @ keep.T, keep @ model.B, model.C @ keep.T, model.D, model.Ts_s
     )

@@ -1,4 +1,4 @@
-"""What errors of a state-space model's matrices make of its frequency response and of its modes."""
+"""Propagate the covariance of a state-space model to its frequency response and modes."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 SURE_95 = 1.96
-"""Standard deviations of a real Gaussian error within which 95 % lie."""
+"""Half width of a Gaussian 95 % confidence interval, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class ModelResponse:
     """Frequency response H (F, m, p) of a model at freq_hz (F,), with its uncertainty.
 
-    `covariance` (F, m, p, m, p) is E dH[i,j] dH[k,l]^*; `relation` (F, m, p), E dH[i,j]^2. The
-    errors of a model are few, and so its response errs in some directions of the complex plane
-    more than in others: no circle, of which `covariance` alone would tell.
+    `covariance` (F, m, p, m, p) is E dH[i,j] dH[k,l]^*; `relation` (F, m, p) is E dH[i,j]^2. The
+    few parameters of a model make its confidence regions ellipses in the complex plane, not
+    circles, which `covariance` alone would describe.
     """
 
     freq_hz: Array
@@ -34,33 +34,34 @@ class ModelResponse:
 
     @property
     def standard_deviation(self) -> Array:
-        """Root mean square (F, m, p) of the complex entries' errors."""
+        """Root mean square error (F, m, p) of the complex entries."""
         return np.asarray(np.sqrt(np.abs(np.einsum("fijij->fij", self.covariance))))
 
     @property
     def magnitude_deviation(self) -> Array:
-        """Standard deviation (F, m, p) of |H|; 95 % lie within 1.96 of it."""
+        """Standard deviation (F, m, p) of |H|; the 95 % interval is 1.96 times it."""
         return self._along(1.0)
 
     @property
     def phase_deviation_rad(self) -> Array:
-        """Standard deviation (F, m, p) of H's phase; 95 % lie within 1.96 of it."""
+        """Standard deviation (F, m, p) of H's phase; the 95 % interval is 1.96 times it."""
         return np.asarray(self._along(-1.0) / np.abs(self.H))
 
     def _along(self, sign: float) -> Array:
-        """Return the deviation along H (sign 1), or across it (sign -1)."""
+        """Return the standard deviation along H (sign 1), or perpendicular to it (sign -1)."""
         power = np.einsum("fijij->fij", self.covariance).real
         with np.errstate(divide="ignore", invalid="ignore"):
-            turned = np.real(self.relation * (self.H.conj() / np.abs(self.H)) ** 2)
-        return np.asarray(np.sqrt(np.maximum(power + sign * turned, 0.0) / 2))
+            relation = np.real(self.relation * (self.H.conj() / np.abs(self.H)) ** 2)
+        return np.asarray(np.sqrt(np.maximum(power + sign * relation, 0.0) / 2))
 
 
 @dataclass(frozen=True)
 class Modes:
     """Poles (k,) of a model as natural frequency in Hz and damping, with standard errors.
 
-    Slowest first, one of each complex pair. A real pole has damping 1 (unstable: -1) and the
-    frequency |s| / 2 pi. Real poles z <= 0 have no continuous counterpart and are not listed.
+    They are sorted by frequency, with one of each complex pair. A real pole has damping 1
+    (unstable: -1) and frequency |s| / 2 pi. Real poles z <= 0 have no continuous counterpart and
+    are left out.
     """
 
     frequency_hz: Array
@@ -72,7 +73,7 @@ class Modes:
 def response_with_errors(
     plant: IdentifiedPlant, covariance: Array, freq_hz: Array
 ) -> ModelResponse:
-    """Return the response of P, and its errors from those of its core's [A B; C D].
+    """Return the response of P with errors, from the covariance of its core's [A B; C D].
 
     `covariance` is (n + m, n + p, n + m, n + p). dP = z^-d lag(z) [C (zI - A)^-1, I] d[A B; C D]
     [(zI - A)^-1 B; I].
@@ -98,10 +99,10 @@ def response_with_errors(
 
 
 def modes(model: StateSpace, covariance: Array) -> Modes:
-    """Return the modes of the model, with errors from those of [A B; C D] to first order.
+    """Return the modes of the model, with errors to first order in those of [A B; C D].
 
-    A pole's derivative is w^H dA v / (w^H v), of s = ln(pole) / Ts that over pole Ts. Where two
-    poles are one there is none, and the standard errors are nan.
+    The derivative of a pole is w^H dA v / (w^H v); that of s = ln(pole) / Ts is this over pole Ts.
+    For double poles it does not exist, and the standard errors are nan.
     """
     n = len(model.A)
     poles, v = np.linalg.eig(model.A)
@@ -116,10 +117,10 @@ def modes(model: StateSpace, covariance: Array) -> Modes:
     for k, (pole, right) in enumerate(zip(poles, v.T, strict=True)):
         # The left eigenvector, as the null vector of (A - pole I)^T.
         left = np.linalg.svd((model.A - pole * np.eye(n)).T)[2][-1].conj()
-        across = left @ right
-        if abs(across) < _ALIKE:
+        product = left @ right
+        if abs(product) < _MIN_EIGENVECTOR_PRODUCT:
             continue
-        ds = (np.outer(left, right) / (across * pole * model.Ts_s)).ravel()
+        ds = (np.outer(left, right) / (product * pole * model.Ts_s)).ravel()
         size = abs(s[k])
         along = np.real(np.conj(s[k]) * ds) / size  # d|s|
         frequency_se[k] = np.sqrt(along @ cov @ along) / (2 * np.pi)
@@ -128,5 +129,5 @@ def modes(model: StateSpace, covariance: Array) -> Modes:
     return Modes(np.abs(s) / (2 * np.pi), frequency_se, -s.real / np.abs(s), damping_se)
 
 
-_ALIKE = 1e-10
-"""Left and right eigenvector of a pole that is not one of several alike are less orthogonal."""
+_MIN_EIGENVECTOR_PRODUCT = 1e-10
+"""Least product of left and right eigenvector; below, the pole counts as double."""

@@ -1,4 +1,4 @@
-"""Running identified models: simulation, one-step prediction, and what their states start from."""
+"""Simulate identified models, predict one step ahead, and estimate initial states."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..records.record import Record
 Array = NDArray[np.float64]
 
 BLOCK = 64
-"""Samples simulated in one matrix product; the state is carried from block to block."""
+"""Samples simulated in one matrix product; the state passes from block to block."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class InnovationModel:
     def predictor(self) -> StateSpace:
         """Return the model from [u, y] to the one-step prediction of y."""
         m = self.model
-        none = np.zeros((len(m.C), len(m.C)))
+        zeros = np.zeros((len(m.C), len(m.C)))
         return StateSpace(
             m.A - self.K @ m.C,
             np.hstack([m.B - self.K @ m.D, self.K]),
             m.C,
-            np.hstack([m.D, none]),
+            np.hstack([m.D, zeros]),
             m.Ts_s,
         )
 
@@ -51,7 +51,7 @@ def simulate(model: StateSpace, u: Array, x0: Array | None = None) -> Array:
     padded = np.zeros((rows, p))
     padded[: len(u)] = u
     blocks = padded.reshape(-1, BLOCK * p)
-    # Powers of A give what a block's state and inputs do inside and at the end of the block.
+    # Powers of A: the effect of a block's initial state and inputs within and after the block.
     powers = np.empty((BLOCK + 1, n, n))
     powers[0] = np.eye(n)
     for k in range(BLOCK):
@@ -73,7 +73,7 @@ def simulate(model: StateSpace, u: Array, x0: Array | None = None) -> Array:
 
 
 def free_response(model: StateSpace, rows: int) -> Array:
-    """Return (rows, m, n): the output that each initial state alone causes."""
+    """Return the output (rows, m, n) caused by each unit initial state."""
     n = len(model.A)
     powers = np.empty((BLOCK + 1, n, n))
     powers[0] = np.eye(n)
@@ -89,18 +89,18 @@ def free_response(model: StateSpace, rows: int) -> Array:
 
 
 def initial_state(model: StateSpace, u: Array, y: Array) -> Array:
-    """Return the state (n,) whose simulation is nearest to y (N, m) in least squares.
+    """Estimate the initial state (n,) by least squares of the simulation error of y (N, m).
 
-    Outputs count relative to their rms.
+    Outputs are divided by their rms.
     """
     n = len(model.A)
     weight = 1.0 / np.maximum(y.std(axis=0), np.finfo(float).tiny)
-    missing = (y - simulate(model, u)) * weight
+    residual = (y - simulate(model, u)) * weight
 
     def rows() -> Iterator[Array]:
         for k, free in _free_responses(model, len(u)):
             response = (free * weight[:, None]).reshape(-1, n)
-            yield np.hstack([response, missing[k].reshape(-1, 1)])
+            yield np.hstack([response, residual[k].reshape(-1, 1)])
 
     R = triangle(rows())
     return np.asarray(np.linalg.lstsq(R[:, :n], R[:, n], rcond=None)[0])
@@ -112,10 +112,10 @@ def spectral_radius(A: Array) -> float:
 
 
 def fit_input_matrices(model: StateSpace, records: Sequence[Record]) -> StateSpace:
-    """Return the model with B and D that simulate the records' y from v best, A and C kept.
+    """Fit B and D to the records by least squares of the simulation error; A and C are kept.
 
-    Linear least squares on the simulation's error, outputs relative to their rms; the initial state
-    of every record is fitted along. Needs a stable A: the caller sees to that.
+    Outputs are divided by their rms; the initial state of every record is fitted too. A must be
+    stable.
     """
     n, p = model.B.shape
     m = len(model.C)
@@ -127,7 +127,7 @@ def fit_input_matrices(model: StateSpace, records: Sequence[Record]) -> StateSpa
             columns = [(x * weight[:, None]).reshape(-1, x.shape[2]) for x in (free, by_input)]
             yield np.hstack([*columns, (record.y[k] * weight).reshape(-1, 1)])
 
-    # Below the rows of the initial state, a triangle is that of the rest without it.
+    # The rows of the triangle below the initial state's are free of it.
     reduced = [triangle(rows(record))[n:, n:] for record in records]
     stacked = np.vstack(reduced)
     scale = np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), np.finfo(float).tiny)
@@ -142,37 +142,36 @@ def _blocks(rows: int) -> Iterator[slice]:
 
 
 def _free_responses(model: StateSpace, rows: int) -> Iterator[tuple[slice, Array]]:
-    """Yield the rows of `free_response` block by block: all at once they may be larger than y."""
+    """Yield the rows of `free_response` block by block, to save memory."""
     response = free_response(model, min(rows, BLOCK_ROWS))
-    later = np.linalg.matrix_power(model.A, BLOCK_ROWS)
+    block_power = np.linalg.matrix_power(model.A, BLOCK_ROWS)
     state = np.eye(len(model.A))
     for k in _blocks(rows):
         yield k, response[: k.stop - k.start] @ state
-        state = later @ state
+        state = block_power @ state
 
 
 def _input_regressors(model: StateSpace, u: Array) -> Iterator[Array]:
-    """Yield (N, m, n p + m p), block by block: the output that each entry of B and D alone causes.
+    """Yield the output (N, m, n p + m p) caused by each unit entry of B and D, block by block.
 
-    The state of entry B[i, j] obeys x(k + 1) = A x(k) + e_i u_j(k); it is carried from one block to
-    the next.
+    The state of entry B[i, j] obeys x(k + 1) = A x(k) + e_i u_j(k); it passes from block to block.
     """
     m, n = model.C.shape
     states = free_response(replace(model, C=np.eye(n), D=np.zeros((n, 0))), BLOCK_ROWS)
-    later = states[-1] @ model.A
+    block_power = states[-1] @ model.A
     outputs = model.C @ states
-    begin = np.zeros((u.shape[1], n, n))
+    state = np.zeros((u.shape[1], n, n))
     for k in _blocks(len(u)):
         rows = k.stop - k.start
         columns = []
         for j, u_j in enumerate(u[k].T):
-            driven = outputs[:rows] @ begin[j]
+            driven = outputs[:rows] @ state[j]
             flat = outputs[:rows].reshape(rows, m * n)
             convolved = signal.fftconvolve(flat, u_j[:, None], axes=0)[: rows - 1]
             driven[1:] += convolved.reshape(-1, m, n)
             columns.append(driven)
             if rows == BLOCK_ROWS:
-                begin[j] = later @ begin[j] + np.tensordot(u_j, states[::-1], 1)
+                state[j] = block_power @ state[j] + np.tensordot(u_j, states[::-1], 1)
         columns += [u_j[:, None, None] * np.eye(m) for u_j in u[k].T]
         yield np.concatenate(columns, axis=2)
 

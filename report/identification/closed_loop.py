@@ -130,7 +130,7 @@ def closed_loop_report(
 def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
     """Return the sentences of the summary."""
     main = next(iter(report.points[0].markov))
-    smallest = min(p.order.gap for p in report.points)
+    smallest = min(p.order.ratio for p in report.points)
     found = (
         f"The loop shows {_numbers(p.order.order for p in report.points)} main states: in the "
         f"singular values by {ESTIMATOR.get(main, main)} they stand out by a factor of "
@@ -157,7 +157,7 @@ def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
 
 def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
-    smallest = min(p.order.gap for p in report.points)
+    smallest = min(p.order.ratio for p in report.points)
     orders = _numbers(p.order.order for p in report.points)
     meaning = f"main states, standing out by a factor of {factor(smallest)}"
     numbers = [Number(orders, meaning, "none" if report.trusted else "doubt")]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...identification.nonparametric.nonlinear_distortion import ExcessTest
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
-from ...identification.records.record import SAME_BEAM_M
+from ...identification.records.record import BEAM_POSITION_TOLERANCE_M
 from ..figures.bode import bode_magnitude, bode_phase
 from ..figures.nonlinear_distortion import (
     OutputLevels,
@@ -106,7 +106,7 @@ def _positions(blas: Sequence[BestLinearApproximation]) -> list[float | None]:
     positions: list[float | None] = []
     last: float | None = None
     for beam in (bla.beam_m for bla in blas):
-        if beam is None or last is None or beam - last > SAME_BEAM_M:
+        if beam is None or last is None or beam - last > BEAM_POSITION_TOLERANCE_M:
             last = beam
         positions.append(last)
     return positions

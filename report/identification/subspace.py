@@ -111,7 +111,7 @@ def subspace_report(
 def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
     """Return the sentences of the summary."""
     states = " or ".join(str(n) for n in sorted({m.order.order for m in report.models}))
-    gap = factor(min(m.order.gap for m in report.models))
+    gap = factor(min(m.order.ratio for m in report.models))
     unreliable = [
         label for label, m in zip(report.labels, report.models, strict=True) if not m.trusted
     ]

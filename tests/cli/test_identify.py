@@ -118,7 +118,7 @@ def test_truncated_log_is_identified_with_a_remark(
     cut.write_bytes(data[: len(data) * 9 // 10])
     code, out, _ = levid("identify", cut, *flown[3:], "--out", tmp_path / "out", "--json")
     assert code == 0
-    assert any("not complete" in remark for remark in json.loads(out)["points"][0]["remarks"])
+    assert any("truncated" in remark for remark in json.loads(out)["points"][0]["remarks"])
 
 
 def test_measured_data_are_imported_and_identified(tmp_path: Path, levid: Command) -> None:

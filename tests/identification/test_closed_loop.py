@@ -160,7 +160,7 @@ def test_short_records_give_less_and_say_so(rig):
     (point,) = identify(records, Options(lag_s=rig.LAG_S)).points
     assert isinstance(point, ClosedLoopPoint)
     assert len(point.remarks) == 2
-    assert "impulse response cut to 2.5 s" in point.remarks[0]
+    assert "impulse response is limited to 2.5 s" in point.remarks[0]
     true = rig.sampled_plant(0.0, 1e-3).frequency_response(point.freq_hz)
     # A sixth of the data, and slow states cut off after 2.5 s: 0.1 dB, 1 to 2.5 degrees.
     dB, degrees = _worst(point.from_ho_kalman, true, point.freq_hz)
@@ -185,5 +185,5 @@ def test_wrong_options_are_errors():
         Options(markov="welch")
     with pytest.raises(IdentificationError, match=r"holdout of 0 to 0\.5"):
         Options(holdout=0.9)
-    with pytest.raises(IdentificationError, match="positive segment_s"):
+    with pytest.raises(IdentificationError, match="segment_s: expected a positive"):
         Options(segment_s=0.0)

@@ -1,4 +1,4 @@
-"""Without a known controller: a known system is found, measured data of others are fitted."""
+"""Identification without a known controller, on a known system and on measured data."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_an_output_that_stands_still_is_named():
     (record,) = _records(1)
     y = record.y.copy()
     y[:, 1] = 0.1
-    with pytest.raises(IdentificationError, match=r"'r0': expected outputs that move, found 'd'"):
+    with pytest.raises(IdentificationError, match=r"'r0': expected outputs that vary, found 'd'"):
         identify([replace(record, y=y)])
     settled = record.y.copy()
     settled[1200:, 1] = settled[1199, 1]
@@ -195,7 +195,7 @@ def test_a_short_record_that_alone_excites_an_input_counts_in_the_spectra():
 
 
 def test_segments_that_fit_into_no_record_are_an_error():
-    with pytest.raises(IdentificationError, match=r"two segments of 40 s .*, found 30 s at most"):
+    with pytest.raises(IdentificationError, match=r"two segments of 40 s .*, found at most 30 s"):
         identify(_records(1, rows=2000), Options(segment_s=40.0))
 
 

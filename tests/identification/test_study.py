@@ -115,4 +115,4 @@ def test_an_output_of_one_value_is_told(logs, monkeypatch):
     found = studies.study([dead, logs[1]], lambda _log: model, Options())
     told = [note for note in found.notes if "one value" in note]
     assert len(told) == 1
-    assert told[0].startswith("altered-0.mcap: psi shows one value in every row")
+    assert told[0].startswith("altered-0.mcap: psi is constant")

@@ -12,7 +12,7 @@ import numpy as np
 
 from ....config.model import ModelConfig
 from ....log.reader import read_log
-from ...records.duplicates import Once
+from ...records.duplicates import DuplicateCheck
 from ...records.record import IdentificationError, NotARecordError
 from .trace_record import SHORTEST_S, TraceRecord, trace_record
 
@@ -29,11 +29,11 @@ def read_records(
     Raises IdentificationError: there are none, or what trace_record raises.
     """
     records: dict[Path, TraceRecord] = {}
-    notes, once = [], Once()
+    notes, duplicates = [], DuplicateCheck()
     for path in logs:
-        twice = once.again(path)
-        if twice is not None:
-            notes.append(twice)
+        duplicate = duplicates.repeated_path(path)
+        if duplicate is not None:
+            notes.append(duplicate)
             continue
         log = read_log(path)
         try:
@@ -43,9 +43,9 @@ def read_records(
         except NotARecordError as reason:
             notes.append(str(reason))
             continue
-        copied = once.copied(path, log)
-        if copied is not None:
-            notes.append(copied)
+        copy = duplicates.copy_of(path, log)
+        if copy is not None:
+            notes.append(copy)
             continue
         records[path] = record
     if not records:

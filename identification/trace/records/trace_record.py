@@ -16,8 +16,8 @@ from ....model.effects.base import Places
 from ....model.geometry import shape_matrix
 from ...greybox.experiment import Experiment, experiment_from_log
 from ...greybox.noise_model import Filter
-from ...records.from_log import cut_off, cycles_at_limit
-from ...records.resampling import without_gaps
+from ...records.from_log import cycles_at_limit, truncation_remarks
+from ...records.resampling import resample
 from .stuck_sensors import standing
 
 Array = NDArray[np.float64]
@@ -105,8 +105,8 @@ class TraceRecord:
 def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
     """Return the record of a log; raises as experiment_from_log does."""
     experiment = experiment_from_log(log, model)
-    happened = tuple(cut_off(log))
-    log, gaps = without_gaps(log)
+    happened = tuple(truncation_remarks(log))
+    log, gaps = resample(log)
     if "signals.yaml" in log.attachments:
         return replace(_imported(experiment, model), remarks=happened)
     at_limit = cycles_at_limit(log)

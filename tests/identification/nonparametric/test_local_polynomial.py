@@ -149,5 +149,5 @@ def test_what_cannot_be_estimated_is_an_error() -> None:
     with pytest.raises(IdentificationError, match="every input to be excited"):
         local_polynomial([inputs[0]], [outputs[0]], TS, FREQ)
     alike = [v[:, [j, j]] for j, v in enumerate(inputs)]
-    with pytest.raises(IdentificationError, match="told apart around"):
+    with pytest.raises(IdentificationError, match="independent inputs around"):
         local_polynomial(alike, outputs, TS, FREQ)

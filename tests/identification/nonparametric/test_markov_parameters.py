@@ -155,7 +155,7 @@ def test_more_unknowns_than_rows_have_no_answer(monkeypatch, dense):
     assert markov_parameters.most_taps([record]) == 60
     markov_parameters.estimate_markov([record], 60, "least_squares")
     # Iteration would find a response that fits the noise, and a standard error of next to nothing.
-    with pytest.raises(IdentificationError, match="expected at least 840 rows whose past is known"):
+    with pytest.raises(IdentificationError, match="expected at least 840 usable rows"):
         markov_parameters.estimate_markov([record], 140, "least_squares")
     alone = [_record(v * (np.arange(3) == j), v, at_rest=False) for j in range(3)]
     assert markov_parameters.most_taps(alone) == 140  # a third of each, if each excites one
@@ -171,7 +171,7 @@ def test_an_empty_band_of_the_excitation_is_an_error():
 
 
 def test_taps_that_cannot_be_told_apart_are_an_error():
-    v = np.sin(2 * np.pi * 0.1 * np.arange(4000))[:, None]  # one line tells two taps apart, not 50
+    v = np.sin(2 * np.pi * 0.1 * np.arange(4000))[:, None]  # one line determines two taps, not 50
     with pytest.raises(IdentificationError, match="expected excitation that tells 50"):
         markov_parameters.solve_dense([_record(v, v, at_rest=False)], 50)
 

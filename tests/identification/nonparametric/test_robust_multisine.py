@@ -29,7 +29,7 @@ from levid.identification.records.periodic_records import (
     IncompleteError,
     NotPeriodicError,
     PeriodicRecord,
-    _whole,
+    _complete,
     periodic_record,
     periodic_records,
 )
@@ -204,7 +204,7 @@ def test_a_session_flown_twice_is_no_further_realisation() -> None:
     assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
     # As many: a variance with 2 degrees of freedom scatters by 1 / sqrt(1000) and its own 2 %.
     assert np.mean(squares) / np.mean(stated) == pytest.approx(1.0, abs=0.2)
-    assert "3 of 6 experiments play what others have played" in found.remarks[0]
+    assert "3 of 6 experiments repeat the excitation of others" in found.remarks[0]
 
 
 def test_one_realisation_flown_twice_leaves_distortion_unknown() -> None:
@@ -336,10 +336,10 @@ def test_records_that_do_not_fit_are_errors() -> None:
         best_linear_approximation([good, replace(good, Ts_s=0.02)])
     with pytest.raises(IdentificationError, match=r"of one position, found .*0.0 mm .*50.0 mm"):
         best_linear_approximation([replace(good, beam_m=0.0), replace(good, beam_m=0.05)])
-    with pytest.raises(IdentificationError, match="two periods or more in steady state, found 1"):
+    with pytest.raises(IdentificationError, match="at least two periods in steady state, found 1"):
         best_linear_approximation([periodic(v, v, 2, drop=3)])
     alike = replace(good, v=good.v[..., [0, 0]])
-    with pytest.raises(IdentificationError, match="found inputs that play alike in all 2"):
+    with pytest.raises(IdentificationError, match="proportional in all 2"):
         best_linear_approximation([alike])
     silent = replace(good, v=good.v * [1.0, 0.0])
     with pytest.raises(IdentificationError, match="every input to be excited"):
@@ -447,8 +447,8 @@ def test_records_come_from_logs_and_others_are_refused_by_name(nominal: list[Log
     assert [r.name for r in records] == ["whole", "half"]
     assert records[0].v.shape == (6, 2, 8000, 3)
     assert records[0].beam_m == pytest.approx(0.1, abs=1e-6)
-    assert any("04-white.mcap: record 'white' plays no orthogonal multisines" in s for s in skipped)
-    with pytest.raises(NotPeriodicError, match="'white' plays no orthogonal multisines"):
+    assert any("04-white.mcap: record 'white' has no orthogonal multisines" in s for s in skipped)
+    with pytest.raises(NotPeriodicError, match="'white' has no orthogonal multisines"):
         periodic_record(nominal[4])
 
 
@@ -540,14 +540,14 @@ def test_a_skip_between_periods_that_count_costs_nothing() -> None:
     at = np.arange(rows)
     at[350:] += 1  # in the midst of the fourth hundred
     begins = np.array([100, 200, 400])
-    assert _whole(at, begins, N, rows + 1)
-    assert not _whole(at, np.array([300]), N, rows + 1)
-    assert not _whole(at, np.array([900]), N, rows - 5)  # cut off before its end
+    assert _complete(at, begins, N, rows + 1)
+    assert not _complete(at, np.array([300]), N, rows + 1)
+    assert not _complete(at, np.array([900]), N, rows - 5)  # cut off before its end
 
 
 def test_later_parts_of_a_record_are_left_out(nominal: list[Log]) -> None:
     log = nominal[2]
-    with pytest.raises(IncompleteError, match=r"part 2 of record .* only the first part is used"):
+    with pytest.raises(IncompleteError, match=r"part 2 of record .* is unknown"):
         periodic_record(replace(log, metadata={**log.metadata, "part": "2"}))
 
 
@@ -563,5 +563,5 @@ def test_multisines_on_some_of_the_inputs_are_another_methods(nominal: list[Log]
     log = nominal[2]
     text = re.sub(rb"excite: \[[^]]*\]", b"excite: [z]", log.attachments["session.yaml"])
     alone = replace(log, attachments={**log.attachments, "session.yaml": text})
-    with pytest.raises(NotPeriodicError, match=r"excites z alone: .* need all of psi, theta, z"):
+    with pytest.raises(NotPeriodicError, match=r"at all of psi, theta, z, found only z"):
         periodic_record(alone)

@@ -1,4 +1,4 @@
-"""A record that is shorter than the others is left out where it costs more than it tells."""
+"""Short records are left out if they would shorten the impulse response."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.identification.records.record import Record
-from levid.identification.records.record_length import long_enough
+from levid.identification.records.record_length import drop_short_records
 from levid.identification.results import ClosedLoopPoint
 
 RATE_HZ = 200.0
@@ -28,7 +28,7 @@ def records(rows: Sequence[int], axes: Sequence[int] | None = None) -> list[Reco
 
 
 def left_out(some: Sequence[Record], wanted_rows: int) -> list[str]:
-    used, out = long_enough(some, wanted_rows)
+    used, out = drop_short_records(some, wanted_rows)
     assert [r.name for r in some if r in used] == [r.name for r in used]
     assert len(used) + len(out) == len(some)
     return [r.name for r in out]
@@ -47,11 +47,11 @@ def left_out(some: Sequence[Record], wanted_rows: int) -> list[str]:
         ([100], []),
     ],
 )
-def test_few_short_ones_are_left_out(rows, expected):
+def test_few_short_records_are_left_out(rows, expected):
     assert left_out(records(rows), 400) == expected
 
 
-def test_what_none_of_the_others_excites_is_kept():
+def test_short_record_with_the_only_excitation_of_an_input_is_kept():
     assert left_out(records([1000, 1000, 90], [0, 1, 1]), 400) == ["r2"]
     assert left_out(records([1000, 1000, 90], [0, 0, 1]), 400) == []
     # The shortest can be spared, the next cannot: with it both stay, for nothing would be gained.
@@ -69,7 +69,7 @@ def closed(some: list[Record], options: Options) -> ClosedLoopPoint:
     return point
 
 
-def test_one_short_record_shortens_nothing_in_a_loop(rig, flown):
+def test_short_record_does_not_shorten_the_impulse_response_in_a_loop(rig, flown):
     options = Options(lag_s=rig.LAG_S)
     short = Record(**{**flown[0].rows(0, 1200).__dict__, "name": "short"})
     alone, both = closed(flown, options), closed([*flown, short], options)
@@ -80,6 +80,6 @@ def test_one_short_record_shortens_nothing_in_a_loop(rig, flown):
     assert both.remarks[1:] == alone.remarks
     np.testing.assert_array_equal(both.markov["least_squares"].g, alone.markov["least_squares"].g)
     assert both.subspace is not None
-    # Asked for an impulse response that it allows, it is used.
+    # It is used if options.impulse_s is short enough.
     of_1_s = Options(lag_s=rig.LAG_S, impulse_s=1.0, segment_s=1.0)
     assert "short" in closed([*flown, short], of_1_s).records

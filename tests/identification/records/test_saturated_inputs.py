@@ -1,4 +1,4 @@
-"""Wrenches that limits have cut: the plant's input is what was sent, not what was asked for."""
+"""Saturated coils: the plant input is the wrench sent, not the wrench before the limits."""
 
 from __future__ import annotations
 
@@ -65,18 +65,20 @@ def without(logs: list[Log], name: str) -> list[Log]:
     return [cycle_log(str(log.path), log.rows[kept].copy()) for log in logs]
 
 
-def test_limits_of_coils_do_no_harm(rig: ModuleType) -> None:
+def test_saturated_coils_do_not_bias_the_plant(rig: ModuleType) -> None:
     logs, limited = flown(rig, LIMIT_N)
     assert 0.03 < limited < 0.07
-    sent, asked = (errors(rig, list(map(from_log, ls))) for ls in (logs, without(logs, "coil_n")))
-    # As without limits, 1.1e-4 and 0.2 % (noise, and leakage of spectra); with what was asked for
-    # 2.9 and 2.6 %: the share of the wrench that the limit takes off.
+    sent, unlimited = (
+        errors(rig, list(map(from_log, ls))) for ls in (logs, without(logs, "coil_n"))
+    )
+    # As without limits, 1.1e-4 and 0.2 % (noise, and leakage of spectra); with the wrench before
+    # the limits 2.9 and 2.6 %: the share of the wrench that the limits remove.
     assert sent[0] < 5e-4
     assert sent[1] < 0.005
-    assert min(asked) > 0.02
+    assert min(unlimited) > 0.02
 
 
-def test_the_controllers_answer_is_what_was_asked_for(rig: ModuleType) -> None:
+def test_sensitivity_uses_the_wrench_before_the_limits(rig: ModuleType) -> None:
     logs, _ = flown(rig, LIMIT_N)
     S, without_coils = (
         sensitivity(list(map(from_log, ls)), FREQ_HZ, 4.0) for ls in (logs, without(logs, "coil_n"))
@@ -84,31 +86,31 @@ def test_the_controllers_answer_is_what_was_asked_for(rig: ModuleType) -> None:
     np.testing.assert_array_equal(S.H, without_coils.H)
     P = plant_from_sensitivity(S, PiController(rig.KP, rig.KI))
     true = rig.sampled_plant(X_B, TS).frequency_response(P.freq_hz)
-    # What the limit takes off is missing in the input: 3 %. Were it taken for an answer of the
-    # controller, which is small at high frequencies, the mean error would be 380 %.
+    # The limit removes 3 % of the input. Counted as controller output, which is small at high
+    # frequencies, it would make a mean error of 380 %.
     assert abs(np.mean(np.einsum("fii->fi", P.H / true) - 1)) < 0.05
 
 
-def test_nothing_changes_where_nothing_is_limited(rig: ModuleType) -> None:
+def test_input_is_the_same_without_saturation(rig: ModuleType) -> None:
     logs, limited = flown(rig, NOTHING_LIMITED_N)
     assert limited == 0.0
     for log, less in zip(logs, without(logs, "coil_n"), strict=True):
-        sent, asked = from_log(log), from_log(less)
+        sent, without_coils = from_log(log), from_log(less)
         assert sent.u is not None
-        assert asked.u is not None
+        assert without_coils.u is not None
         # float32 of 9 coils of 8 N and of 69 N: some 1e-6 N, against excitations of 0.1 and more.
-        np.testing.assert_allclose(sent.u, asked.u, atol=1e-5)
-        np.testing.assert_array_equal(sent.asked, asked.u)
+        np.testing.assert_allclose(sent.u, without_coils.u, atol=1e-5)
+        np.testing.assert_array_equal(sent.u_unlimited, without_coils.u)
 
 
-def test_a_log_without_coils_says_that_limits_are_not_known(rig: ModuleType) -> None:
+def test_log_without_coil_forces_gives_a_remark(rig: ModuleType) -> None:
     logs, _ = flown(rig, LIMIT_N)
     record = from_log(without(logs, "coil_n")[0])
     assert any("coil_n" in text for text in record.remarks)
     assert not any("coil_n" in text for text in from_log(logs[0]).remarks)
 
 
-def test_coils_that_are_not_those_of_the_rig_are_an_error(rig: ModuleType) -> None:
+def test_number_of_coils_other_than_the_rigs_is_an_error(rig: ModuleType) -> None:
     log = flown(rig, LIMIT_N)[0][0]
     rows = np.zeros(ROWS, cycle_dtype(8, 9))
     for name in rows.dtype.names or ():

@@ -11,7 +11,7 @@ from levid.identification.subspace.ho_kalman import (
     Scaling,
     decompose,
     decompose_coloured,
-    order_from_gap,
+    order_from_ratio,
     realise,
 )
 
@@ -39,7 +39,7 @@ def test_exact_markov_parameters_give_back_the_system(n, m, p):
     # Units far apart: the scaling must undo itself.
     scaling = Scaling(np.logspace(-4, 2, m), np.logspace(1, -1, p))
     decomposition = decompose(g, 0.01, scaling)
-    choice = order_from_gap(decomposition.singular_values)
+    choice = order_from_ratio(decomposition.singular_values)
     assert choice.order == n
     model = realise(decomposition, n)
     found = _markov(model.A, model.B, model.C, model.D, 61)
@@ -71,9 +71,9 @@ def test_leading_triplets_equal_those_of_the_dense_matrix():
     U, s, _ = np.linalg.svd(operator.dense())
     np.testing.assert_allclose(found.s, s[:12], rtol=1e-10)
     # Singular vectors up to sign, where the values stand apart.
-    gap = (s[:11] - s[1:12]) / s[0] > 1e-3
+    ratio = (s[:11] - s[1:12]) / s[0] > 1e-3
     overlap = np.abs(np.sum(found.U[:, :11] * U[:, :11], axis=0))
-    np.testing.assert_allclose(overlap[gap], 1.0, atol=1e-9)
+    np.testing.assert_allclose(overlap[ratio], 1.0, atol=1e-9)
     np.testing.assert_allclose(leading_svd(operator, 12).s, found.s, rtol=0, atol=0)
 
 
@@ -88,9 +88,9 @@ def test_weighting_by_coloured_inputs_leaves_exact_data_exact():
 
 def test_the_gap_below_rounding_does_not_count():
     s = np.array([1.0, 0.5, 1e-3, 1e-16, 1e-22, 1e-30])
-    choice = order_from_gap(s)
+    choice = order_from_ratio(s)
     assert choice.order == 3
-    assert choice.gaps[0] == 2.0
+    assert choice.ratios[0] == 2.0
 
 
 def test_an_order_that_is_not_there_is_an_error():

@@ -97,10 +97,10 @@ def test_what_it_needs_is_said(rig):
         plant_by_subspace([replace(r, u=None) for r in records])
     with pytest.raises(IdentificationError, match=r"'psi-0': expected a known delay"):
         plant_by_subspace([replace(r, delay_cycles=None) for r in records])
-    with pytest.raises(IdentificationError, match=r"at least 1932 rows in all .* found 398, 398"):
+    with pytest.raises(IdentificationError, match=r"1932 in all, found 398, 398"):
         plant_by_subspace([r.rows(0, 400) for r in records[:2]], past=160)
     with pytest.raises(IdentificationError, match="order of 1 to 24, found 99"):
         plant_by_subspace(records, order=99)
     still = [replace(r, u=np.zeros_like(r.v)) for r in records]
-    with pytest.raises(IdentificationError, match="one that does not"):
+    with pytest.raises(IdentificationError, match="found a constant one"):
         plant_by_subspace(still)

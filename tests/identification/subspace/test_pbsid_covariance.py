@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from levid.identification.closed_loop_subspace import with_subspace
+from levid.identification.closed_loop_subspace import add_subspace_model
 from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.identification.records.record import PiController, Record
@@ -213,6 +213,6 @@ def test_identify_gives_it_beside_ho_kalman_and_recommends_it(point):
 
 def test_records_that_do_not_allow_it_leave_a_remark(point):
     short = [r.rows(0, 60) for r in flown(5, 4000, 0.02)]
-    without = with_subspace(point, short, Options())
+    without = add_subspace_model(point, short, Options())
     assert without.subspace is None
-    assert any(r.startswith("no model by subspace: expected records of") for r in without.remarks)
+    assert any(r.startswith("no subspace model: a predictor with") for r in without.remarks)

@@ -8,7 +8,7 @@ import pytest
 from levid.identification.nonparametric.frequency_response import plant_from_loop_response
 from levid.identification.records.record import IdentificationError, PiController
 from levid.identification.subspace import delay_removal, plant_from_loop
-from levid.identification.subspace.ho_kalman import Scaling, decompose, order_from_gap, realise
+from levid.identification.subspace.ho_kalman import Scaling, decompose, order_from_ratio, realise
 from levid.identification.subspace.simulation import simulate
 from levid.model.second_order import StateSpace
 
@@ -44,7 +44,7 @@ def test_without_delay_and_lag_the_loop_has_nine_states_to_rounding(rig, exact, 
     pole = np.exp(-TS / rig.LAG_S)
     core = delay_removal.without_delay(g, 2, pole, controller, TS)
     s = decompose(core, TS, SCALING).singular_values
-    choice = order_from_gap(s)
+    choice = order_from_ratio(s)
     assert choice.order == 9  # six of the platform, three of the controller
     assert s[9] < 1e-12 * s[0]
     # With the lag left in, three fast states stay, five orders below; with the delay left in too,

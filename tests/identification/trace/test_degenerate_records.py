@@ -152,7 +152,7 @@ def test_a_log_without_its_end_is_told(tmp_path: Path) -> None:
     (path,) = logs(tmp_path, [waves(0, 8.0, NOISE_M)])
     path.write_bytes(path.read_bytes()[:-2000])
     _, (note,) = read_records([path], CONFIG)
-    assert note.startswith("made-0: the log is not complete (")
+    assert note.startswith("made-0: the log is truncated (")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Sizes and correlations of a covariance, apart."""
+"""Scale a covariance, or convert it to correlations."""
 
 from __future__ import annotations
 
@@ -16,9 +16,6 @@ def correlation(covariance: Array) -> Array:
 
 
 def scaled(covariance: Array, by: Array | float) -> Array:
-    """Return a covariance (n, n) of `by` times the variances, (n,) or all alike.
-
-    Correlations stay as they are.
-    """
+    """Scale the variances of a covariance (n, n) by `by`, (n,) or scalar; correlations stay."""
     root = np.sqrt(np.broadcast_to(by, len(covariance)))
     return np.asarray(covariance * np.outer(root, root))

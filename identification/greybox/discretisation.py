@@ -1,4 +1,4 @@
-"""The declared model along one record, ready to be stepped: fixed matrices, or one set a period."""
+"""Discretise the declared model along a record: fixed matrices, or one set for each period."""
 
 from __future__ import annotations
 
@@ -19,21 +19,20 @@ from .intersample_input import Hold, moments
 Array = NDArray[np.float64]
 
 _FASTEST = 8.0
-"""Largest product of a model's fastest rate and the sampling time: beyond, samples tell nothing."""
-_FORGOTTEN = 12.0
-"""Time constants after which a lag has forgotten its input to 6e-6."""
+"""Largest product of the model's fastest rate and the sampling time."""
+_DECAY_TIME_CONSTANTS = 12.0
+"""Time constants after which the effect of an input through the lag has decayed to 6e-6."""
 _ACCURACY = 1e-12
-"""What the Taylor series of a period's flow may leave out, relative to the state."""
+"""Largest truncation error of the Taylor series over a period, relative to the state."""
 
 
 @dataclass(frozen=True)
 class Motion:
     """A model along an experiment: K, D (R, n, n), B (R, n, p) divided by M, R = 1 or N.
 
-    `mobility` (R, n, n) is the inverse of M. In the first `blind` rows inputs from before the
-    record still act, which nobody knows. `drift` (R, J, n): moments of the model's own force over
-    each period, divided by M; `scale` (J + 1,) is Ts^j / j!; `inputs` (N, J, p) the moments of the
-    input.
+    `mobility` (R, n, n) is the inverse of M. In the first `blind` rows, unknown inputs from before
+    the record still act. `drift` (R, J, n): moments of the model's own force over each period,
+    divided by M; `scale` (J + 1,) is Ts^j / j!; `inputs` (N, J, p): moments of the input.
     """
 
     K: Array
@@ -48,19 +47,19 @@ class Motion:
 
     @property
     def fixed(self) -> bool:
-        """Whether one set of matrices holds throughout."""
+        """Whether the matrices are constant over the record."""
         return len(self.K) == 1
 
     @cached_property
     def flow(self) -> Array:
-        """Flow over one period (2n, 2n) of a fixed motion."""
+        """State transition matrix (2n, 2n) of one period, for a fixed motion."""
         return np.asarray(expm(self.continuous()[0] * self.Ts_s))
 
     @cached_property
     def forcing(self) -> Array:
-        """What inputs and drift add to the state in each period (N, 2n), a fixed motion's.
+        """Change of the state (N, 2n) by inputs and drift in each period, for a fixed motion.
 
-        With moments m_j of the input and g_j of the drift it is sum_j A^j (B m_j + [0, g_j]).
+        It is sum_j A^j (B m_j + [0, g_j]) with moments m_j of the input and g_j of the drift.
         """
         A, B = self.continuous()
         n, p = len(self.K[0]), B.shape[1]
@@ -75,7 +74,7 @@ class Motion:
 
     @property
     def steady(self) -> Array:
-        """What a unit of each constant generalised force adds in each period (2n, n)."""
+        """Change of the state (2n, n) in a period by a unit of each constant generalised force."""
         A, _ = self.continuous()
         n = len(self.K[0])
         power = np.vstack([np.zeros((n, n)), self.mobility[0]])
@@ -86,9 +85,9 @@ class Motion:
         return total
 
     def rows(self, start: int, stop: int) -> Motion:
-        """Return rows `start` up to `stop`; inputs keep what they do between them.
+        """Return rows start to stop (exclusive), with the inputs interpolated before the cut.
 
-        Cut before they are interpolated, they would ring at the cut.
+        Interpolated after the cut, they would ring at its ends.
         """
         cut = slice(start, stop)
         drift = self.drift if len(self.drift) == 1 else self.drift[cut]
@@ -114,14 +113,14 @@ class Motion:
 def motion(
     model: DeclaredModel, experiment: Experiment, hold: Hold, inputs: Array | None = None
 ) -> Motion:
-    """Return `model` along `experiment`; `inputs` saves their moments where they are known already.
+    """Discretise `model` along `experiment`; `inputs` are their moments, if known already.
 
-    A schedule that stands still gives one set of matrices and no drift (a constant force is part of
-    the record's unknown offset); one that moves gives matrices in the middle of each period and the
-    model's force as a straight line over it, without DOF where it is constant: a weight, say.
+    A constant schedule gives one set of matrices and no drift (a constant force is part of the
+    record's unknown offset). A moving one gives matrices in the middle of each period, with the
+    model's force linear over the period; a component that never changes (the weight) is left out.
 
-    Raises ModelError: a formula without a value, an M without an inverse; IdentificationError: a
-    model too fast for the sampling time.
+    Raises ModelError for a formula without a value or a singular M, IdentificationError for a model
+    too fast for the sampling time.
     """
     Ts_s = experiment.Ts_s
     if experiment.moving:
@@ -153,7 +152,7 @@ def motion(
 
 
 def input_moments(model: DeclaredModel, experiment: Experiment, hold: Hold, order: int) -> Array:
-    """Return the moments (N, order, p) of what the experiment's input does behind delay and lag."""
+    """Return the moments (N, order, p) of the experiment's input after delay and lag."""
     values = {**model.values, **model.scheduling}
     delay_s = experiment.delay_cycles * experiment.Ts_s + model.delay(values)
     return moments(
@@ -163,20 +162,21 @@ def input_moments(model: DeclaredModel, experiment: Experiment, hold: Hold, orde
 
 def _blind_rows(model: DeclaredModel, experiment: Experiment) -> int:
     values = {**model.values, **model.scheduling}
-    memory_s = max(model.delay(values), 0.0) + _FORGOTTEN * max(model.lag(values), 0.0)
+    memory_s = max(model.delay(values), 0.0) + _DECAY_TIME_CONSTANTS * max(model.lag(values), 0.0)
     rows = experiment.delay_cycles + math.ceil(memory_s / experiment.Ts_s) + 1
     return min(rows, len(experiment.y) // 4)
 
 
 def taylor_scale(K: Array, D: Array, Ts_s: float) -> Array:
-    """Return Ts^j / j! (J + 1,) with J large enough for a period's flow to be exact to 1e-12."""
-    # |A Ts| in units where the fastest motion has position and velocity of the same size.
+    """Return Ts^j / j! (J + 1,), with J for a relative truncation error below 1e-12."""
+    # |A Ts| in units in which position and velocity of the fastest motion are equal.
     fastest = math.sqrt(float(np.abs(K).sum(axis=2).max())) + float(np.abs(D).sum(axis=2).max())
     reach, term, order = fastest * Ts_s, 1.0, 0
     if not reach < _FASTEST:
         raise IdentificationError(
-            f"expected a model that samples {Ts_s:g} s apart can follow, found one whose fastest "
-            f"motion has {fastest:.3g} rad/s: check rate_hz of the records and values of the model"
+            f"the model is too fast for a sampling time of {Ts_s:g} s: expected at most "
+            f"{_FASTEST / Ts_s:.3g} rad/s, found {fastest:.3g} rad/s; check rate_hz of the records "
+            "and the values of the model"
         )
     while term > _ACCURACY or order < 3:
         order += 1
@@ -185,12 +185,12 @@ def taylor_scale(K: Array, D: Array, Ts_s: float) -> Array:
 
 
 def innovations(model: Motion, gain: Array, y: Array, x0: Array) -> Array:
-    """Return y minus its one-step-ahead prediction (N, n); gain (1 or N, 2n, n), x0 (2n,)."""
+    """Return the innovations (N, n) of y; gain (1 or N, 2n, n), initial state x0 (2n,)."""
     return run_filter(model, gain, y, x0)[0]
 
 
 def run_filter(model: Motion, gain: Array, y: Array, x0: Array) -> tuple[Array, Array]:
-    """Return the innovations (N, n), and the state (2n,) predicted for the row after the last."""
+    """Return the innovations (N, n) and the predicted state (2n,) after the last row."""
     out, x = np.empty_like(y), np.array(x0, float)
     if model.fixed:
         filter_kernels.innovations_fixed(model.flow, gain[0], model.forcing[: len(y)], y, x, out)
@@ -202,10 +202,10 @@ def run_filter(model: Motion, gain: Array, y: Array, x0: Array) -> tuple[Array, 
 
 
 def process_covariance(model: Motion, density: Array) -> Array:
-    """Return Q (R, 2n, 2n) of white generalised forces of a two-sided density (n, n), N^2/Hz.
+    """Return Q (R, 2n, 2n) of white generalised forces with two-sided density (n, n) in N^2/Hz.
 
-    A period's Q is the integral of its flow times the noise (Van Loan 1978); along a schedule the
-    flow over one period is taken to second order, which noise is never known better than.
+    Q is computed by Van Loan's method (1978); along a schedule to second order in the sampling
+    time, which is more accurate than the noise is known.
     """
     Ts_s, n = model.Ts_s, model.K.shape[1]
     if model.fixed:
@@ -224,7 +224,7 @@ def process_covariance(model: Motion, density: Array) -> Array:
 
 
 def _drift(force: Array, Ts_s: float, order: int) -> Array:
-    """Return moments (N, J, n) of a force (N, n, 2), straight from [..., 0] to [..., 1]."""
+    """Return the moments (N, J, n) of a force (N, n, 2), linear from [..., 0] to [..., 1]."""
     drift = np.empty((len(force), order, force.shape[1]))
     for j in range(order):
         whole = Ts_s ** (j + 1) / math.factorial(j + 1)

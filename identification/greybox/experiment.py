@@ -1,4 +1,4 @@
-"""One record as the declared model sees it: inputs, outputs, schedule, and the loop around."""
+"""Convert a log into an experiment: inputs, outputs, schedule and loop for the declared model."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ _USED = (
     *("time_s", "gap_m", "coil_n", "coil_excitation_n", "beam_m", "beam_m_s", "beam_force_n"),
     *("rotor_rad", "rotor_rad_s"),
 )
-"""Fields of a flight that a fit or a trace reads."""
+"""Fields of a rig log that a fit or a trace reads."""
 _STILL = 1e-3
-"""A scheduling variable whose spread is below this share of its range counts as constant."""
+"""A scheduling variable that varies by less than this share of its range counts as constant."""
 _SMOOTH = 0.1
-"""Squares of a derivative's steps over its own, of white jitter 3; a motion has less, up to a
-twentieth of the rate, where jitter is less than a 30th of it."""
+"""Largest ratio of a derivative's squared steps to its squares for a motion. White jitter has 3;
+motion up to a twentieth of the sampling rate has less than this."""
 
 
 @dataclass(frozen=True)
 class ControlLoop:
-    """What closed the loop: v (N, p), reference (N, n), feed-forward (N, p), controller."""
+    """The control loop: v (N, p), reference (N, n), feed-forward (N, p), controller."""
 
     v: Array
     reference: Array
@@ -59,13 +59,12 @@ class ControlLoop:
 class Experiment:
     """Rows of one record: input u (N, p) as commanded, output y (N, n), schedule by name (N,).
 
-    Schedule variables in `rates` are means over the period that follows a row, others are samples.
-    The input acts `delay_cycles` whole periods after its row, beyond any delay of the model.
-    `moving` says that the schedule changes during the record, be it by a derivative alone. `loop`
-    is None where no controller is known. `hold` is what the input does between samples as the log
-    says it, None where it does not. `correlations` (p, p) of the noise of the inputs and (n, n) of
-    the outputs, as independent coils and sensors at their places make them; None where nobody knows
-    of such.
+    Schedule variables in `rates` are means over the period after a row, others are samples. The
+    input acts `delay_cycles` whole periods after its row, in addition to the model's delay.
+    `moving`: the schedule (or only a derivative in it) changes during the record. `loop` is None
+    without a known controller. `hold` is the input between samples according to the log; None if
+    not stated. `correlations`: noise correlations of the inputs (p, p) and outputs (n, n), which
+    follow from independent coils and sensors; None if unknown.
     """
 
     name: str
@@ -82,7 +81,7 @@ class Experiment:
     correlations: tuple[Array, Array] | None = None
 
     def rows(self, start: int, stop: int) -> Experiment:
-        """Return the experiment cut to rows start .. stop."""
+        """Return rows start to stop (exclusive)."""
         cut = slice(start, stop)
         loop = self.loop and ControlLoop(
             self.loop.v[cut],
@@ -95,27 +94,29 @@ class Experiment:
 
 
 def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
-    """Return the record of a log for `model`: what the coils were told to do, what the pose did.
+    """Convert a log to the experiment for `model`: commanded wrench, pose and schedule.
 
     Raises:
-        NotARecordError: the log is of a step that is not to be identified.
-        IdentificationError: signals that the model names are not in the log, or do not fit it; or
-            a value is not finite.
+        NotARecordError: the log is of another session step.
+        IdentificationError: the log lacks signals of the model, their number differs from the
+            model's, or a value is not finite.
     """
     if log.metadata.get("kind") == "record":
         known = log.rows.dtype.names or ()
         require_finite(log, [name for name in _USED if name in known])
-    log, gaps = resample(log)  # every column alike, the schedule's too
+    log, resampling_remarks = resample(log)  # all columns, including the schedule
     base = _imported(log) if "signals.yaml" in log.attachments else _flown(log)
     if (base.u.shape[1], base.y.shape[1]) != (len(model.inputs), len(model.dof)):
         raise IdentificationError(
-            f"{log.path}: expected {len(model.inputs)} inputs and {len(model.dof)} outputs, as "
-            f"model '{model.name}' has, found {base.u.shape[1]} and {base.y.shape[1]}"
+            f"{log.path}: expected the {len(model.inputs)} inputs and {len(model.dof)} outputs of "
+            f"model '{model.name}', found {base.u.shape[1]} and {base.y.shape[1]}"
         )
     names = log.rows.dtype.names or ()
     missing = [v.signal for v in model.scheduling.values() if v.signal not in names]
     if missing:
-        raise IdentificationError(f"{log.path}: expected the model's signals {missing} in the log")
+        raise IdentificationError(
+            f"{log.path}: expected the model's signals, found no {', '.join(missing)}"
+        )
     schedule = {
         name: _schedule(log, variable.signal, variable.derivative, base.Ts_s)
         for name, variable in model.scheduling.items()
@@ -129,15 +130,15 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
         for name, variable in model.scheduling.items()
     )
     rates = frozenset(name for name, variable in model.scheduling.items() if variable.derivative)
-    remarks = (*base.remarks, *gaps)
+    remarks = (*base.remarks, *resampling_remarks)
     return replace(base, schedule=schedule, rates=rates, moving=moving, remarks=remarks)
 
 
 def _imported(log: Log) -> Experiment:
     record = imported_record(log)
     signals = parse_text(log.attachments["signals.yaml"], SignalsFile, "signals.yaml")
-    # A default says nothing of the measurement: only what was written down counts.
-    said = "input_hold" in signals.model_fields_set
+    # A schema default does not describe the measurement: only a stated value counts.
+    stated = "input_hold" in signals.model_fields_set
     return Experiment(
         record.name,
         record.Ts_s,
@@ -146,16 +147,16 @@ def _imported(log: Log) -> Experiment:
         {},
         frozenset(),
         False,
-        hold=signals.input_hold if said else None,
+        hold=signals.input_hold if stated else None,
     )
 
 
 def _flown(log: Log) -> Experiment:
-    """Return a record of the rig: the input is the wrench the coils were told to give."""
+    """Return the experiment of a rig log; its input is the wrench of the commanded coil forces."""
     kind = log.metadata.get("kind")
     if kind != "record":
         raise NotARecordError(
-            f"{log.path.name}: kind '{kind or 'none'}', only records are identified"
+            f"{log.path.name}: skipped, its kind is '{kind or 'none'}'; expected 'record'"
         )
     controller = controller_of(log)
     geometry = rig_of(log).geometry
@@ -187,16 +188,16 @@ def _schedule(log: Log, signal: str, derivative: bool, Ts_s: float) -> Array:
     values = log.field(signal).astype(float)
     if not derivative:
         return np.asarray(values)
-    # The mean over the period that follows: exact, whatever the drive does within it.
+    # The mean over the following period, which is exact for any motion within it.
     return np.append(np.diff(values), 0.0) / Ts_s
 
 
 def _moves(values: Array, span: float, derivative: bool) -> bool:
     if derivative:
-        values = values[:-1]  # the last row has no period after it
+        values = values[:-1]  # no period follows the last row
     if len(values) < 2 or np.ptp(values) <= _STILL * span:
         return False
-    # Differences of readings make much of the jitter of a beam that stands: only a course counts.
+    # Differences amplify the jitter of a resting beam: only smooth changes count as motion.
     rest = values - values.mean()
     return not derivative or bool(np.sum(np.diff(values) ** 2) < _SMOOTH * np.sum(rest**2))
 

@@ -1,9 +1,9 @@
-"""Compiled passes over a record: the innovations filter, fixed and along a schedule, and the loop.
+"""Compiled filters over a record: innovations filter, gains along a schedule, closed loop.
 
-All of them step a second-order model by a Taylor series of its exact flow: over one period the
-state [q, q'] becomes sum_j A^j (Ts^j / j! x + B m_j + g_j), with m_j the moments of the input over
-the period (inputs.py) and g_j those of the force that comes with the schedule. They stand in one
-file because the compiler's cache follows a function's own file only.
+All step a second-order model by the Taylor series of its exact solution: over one period the
+state x = [q, q'] becomes sum_j A^j (Ts^j / j! x + B m_j + g_j), with m_j the moments of the input
+over the period (intersample_input.py) and g_j those of the schedule's force. They are in one file
+because the compiler's cache depends on a function's own file only.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 STILL, STILL_ROWS = 1e-14, 64
-"""What changes by that share of itself in so many rows stands still."""
+"""A column that changes by less than this share in so many rows is stationary."""
 TINY = 1e-150
-"""What is left of a start that was forgotten: processors take long over smaller numbers."""
+"""Smaller states are set to zero: processors are slow with denormal numbers."""
 
 
 @njit(cache=True, nogil=True)
@@ -26,8 +26,8 @@ def innovations_fixed(  # type: ignore[no-untyped-def]
 ):
     """Fill `out` (N, m) with y - C x of the filter x(k+1) = Phi (x + gain e) + forcing(k).
 
-    Phi (2n, 2n), gain (2n, m), forcing (N, 2n), y (N, m); C takes the first m states. `x` (2n,) is
-    the state at row 0, and afterwards the one predicted for the row after the last.
+    Phi (2n, 2n), gain (2n, m), forcing (N, 2n), y (N, m); C selects the first m states. `x` (2n,)
+    is the state at row 0 on entry, and the predicted state after the last row on return.
     """
     size, m = len(x), y.shape[1]
     updated = np.empty(size)
@@ -48,11 +48,11 @@ def innovations_fixed(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def errors_and_unknowns(Phi, gain, forcing, steady, y, out):  # type: ignore[no-untyped-def]  # noqa: PLR0912
-    """Fill `out` (N, m, 1 + c + 2n): errors from a state of zero, and what unknowns add to them.
+    """Fill `out` (N, m, 1 + c + 2n): errors from a zero state, and the effects of unknowns.
 
-    The filter of innovations_fixed, for many columns in one pass: first the record's errors, then c
-    constant inputs that add steady (2n, c) in each period, then a unit of each state at row 0. What
-    unknowns add soon stands still; from there on only the errors are filtered.
+    The filter of innovations_fixed for many columns in one pass: the record's errors, then c
+    constant inputs that add steady (2n, c) in each period, then a unit of each state at row 0. Once
+    the effects of the unknowns are stationary, only the errors are filtered.
     """
     rows, m = y.shape
     size, constants = steady.shape
@@ -89,7 +89,7 @@ def errors_and_unknowns(Phi, gain, forcing, steady, y, out):  # type: ignore[no-
             still = True
             for i in range(size):
                 for c in range(1, columns):
-                    # A start is forgotten: what is left of a unit is no share of anything.
+                    # The effect of an initial state decays to zero: compare it with its unit.
                     whole = max(abs(x[i, c]), STILL) if c > constants else abs(x[i, c])
                     if not abs(x[i, c] - before[i, c]) <= STILL * whole:
                         still = False
@@ -102,9 +102,9 @@ def errors_and_unknowns(Phi, gain, forcing, steady, y, out):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def flow(K, D, B, x, moments, drift, scale, work, top):  # type: ignore[no-untyped-def]
-    """Put the state after one period into `x` (2n,): Horner's scheme over the Taylor series.
+    """Advance the state `x` (2n,) by one period, by Horner's scheme on the Taylor series.
 
-    K, D (n, n) and B (n, p) already divided by M; moments (J, p); drift (J, n) moments of the
+    K, D (n, n) and B (n, p) are divided by M; moments (J, p); drift (J, n) moments of the
     force; scale (J + 1,) is Ts^j / j!; work, top (2n,) are scratch.
     """
     n, p, order = len(K), B.shape[1], len(moments)
@@ -130,9 +130,9 @@ def flow(K, D, B, x, moments, drift, scale, work, top):  # type: ignore[no-untyp
 
 @njit(cache=True, nogil=True)
 def innovations_along(K, D, B, drift, gain, moments, scale, y, x, out):  # type: ignore[no-untyped-def]
-    """Fill `out` (N, m) like innovations_fixed for a model that changes from period to period.
+    """Fill `out` (N, m) as innovations_fixed does, for a model that changes between periods.
 
-    K, D (N, n, n), B (N, n, p), already divided by M, hold in the middle of each period; drift
+    K, D (N, n, n), B (N, n, p), divided by M, are those in the middle of each period; drift
     (N, J, n); gain (N, 2n, m); moments (N, J, p); scale (J + 1,).
     """
     size, m = len(x), y.shape[1]
@@ -152,10 +152,10 @@ def innovations_along(K, D, B, drift, gain, moments, scale, y, x, out):  # type:
 
 @njit(cache=True, nogil=True)
 def gains_along(K, D, scale, Q, R, P0, gain, S_out):  # type: ignore[no-untyped-def]
-    """Fill gains (N, 2n, m) and innovation covariances (N, m, m) of a Kalman filter on a schedule.
+    """Fill gains (N, 2n, m) and innovation covariances (N, m, m) of a time-varying Kalman filter.
 
-    Q (N, 2n, 2n) process and R (m, m) measurement covariance, P0 (2n, 2n) of the state at the
-    start.
+    Q (N, 2n, 2n): process covariance; R (m, m): measurement covariance; P0 (2n, 2n): covariance of
+    the initial state.
     """
     size, m = len(P0), len(R)
     n = size // 2
@@ -186,13 +186,13 @@ def closed_loop_along(  # type: ignore[no-untyped-def]
     K, D, B, drift, scale, v, ref, known, kp, ki_Ts, first, whole,
     from_old, from_new, from_lag, end, x, integral, lag, y, u,
 ):  # fmt: skip
-    """Simulate the model in its loop from row `first` on, free of any measurement.
+    """Simulate the closed loop from row `first` on, without measurements.
 
-    Command u = v + known + PI(ref - y) at every row, acting `whole` periods and a fraction later
-    behind the lag (inputs.HeldStep: from_*, end = [old, new, lag]). v, ref, known (N, n or p).
-    State x (2n,), integral and lag (p,) are those at row `first`, and change. K, D, B, drift have
-    one row a period or a single one. y (N, n) and u (N, p) hold what was before, and get what
-    follows.
+    The command u = v + known + PI(ref - y) of every row acts `whole` periods and a fraction later,
+    after the lag (intersample_input.HeldStep: from_*, end = [old, new, lag]). v, ref, known (N, n
+    or p). x (2n,), integral and lag (p,) are the states at row `first`, and are changed. K, D, B,
+    drift have one row for each period or a single one. y (N, n) and u (N, p) contain the rows
+    before `first`; the others are filled.
     """
     n, p = K.shape[1], B.shape[2]
     work, top = np.empty(2 * n), np.empty(2 * n)

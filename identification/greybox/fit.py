@@ -1,4 +1,4 @@
-"""The declared model fitted by maximum likelihood of one-step-ahead prediction errors."""
+"""Fit the declared model by maximum likelihood of one-step-ahead prediction errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..records.record import IdentificationError
 from .discretisation import motion
 from .experiment import Experiment
 from .free_parameters import free_parameters
-from .identifiability import Unidentifiable, judge
+from .identifiability import Unidentifiable, find_unidentifiable
 from .model_file import declared_model
 from .noise_estimate import estimate_noise
 from .noise_model import Filter, Noise
@@ -25,19 +25,19 @@ from .prediction_errors import Prediction, errors_of, predict, settled
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-_MOST_STEPS = 15
-_MOST_TRIES = 12
+_MAX_STEPS = 15
+_MAX_TRIES = 12
 _SINGULAR = 1e-8
 _CONVERGED = 0.5
-"""A step of less than this many standard errors ends the search: it leaves less than a hundredth of
-one, since so close to the end the errors are linear in the parameters."""
-_NUDGE = 1e-4
-"""Half of a central difference, as a share of a parameter's scale."""
+"""A step below this many standard errors ends the search. The next one would be below a hundredth,
+since the errors are nearly linear in the parameters near the optimum."""
+_HALF_STEP = 1e-4
+"""Half step of the central differences, as a share of a parameter's scale."""
 _NOISE_ROUNDS = 6
 _NOISE_SETTLED = 0.1
-"""Change of any noise's variance, as a share, below which it is found."""
+"""Largest relative change of a noise variance at convergence."""
 _FIRST_FORCE_SHARE = 0.3
-"""Unknown forces are first taken to be this part of the input's."""
+"""Initial guess of unknown forces, as a share of the input."""
 _NOISE_ROWS = 24_000
 _NOISE_RECORDS = 3
 _SHORTEST_ROWS = 50
@@ -48,10 +48,10 @@ _FIRST_ROWS = 8_000
 class Fit:
     """A fitted model.
 
-    `free`: the fitted parameters, with `covariance` (F, F) in SI units. `unidentifiable`: those
-    that these records say nothing of, held at their declared values. `predictions`: the records,
-    with whitened errors of unit variance where the model holds. `at_bound`: fitted parameters that
-    ended at a bound of the model file, whose standard errors mean little.
+    `free`: the fitted parameters, with `covariance` (F, F) in SI units. `unidentifiable`:
+    parameters that the records do not determine, held at their declared values. `predictions`: the
+    records, with whitened errors (of unit variance for a correct model). `at_bound`: fitted
+    parameters at a bound of the model file, whose standard errors are unreliable.
     """
 
     model: DeclaredModel
@@ -65,33 +65,33 @@ class Fit:
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Values of all parameters, SI."""
+        """Values of all parameters in SI units."""
         return self.model.values
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Standard errors of the fitted parameters, SI."""
+        """Standard errors of the fitted parameters in SI units."""
         return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
     def cost(self) -> float:
-        """Minus twice the log-likelihood of all records, but for a constant."""
+        """Minus twice the log-likelihood of all records, up to a constant."""
         return sum(p.cost for p in self.predictions)
 
 
 def fit_model(
     config: ModelConfig, experiments: Sequence[Experiment], progress: Progress | None = None
 ) -> Fit:
-    """Fit every parameter of `config` that is not fixed to all experiments together.
+    """Fit all free parameters of `config` to all experiments together.
 
-    The errors are those of the Kalman filter of the declared model under white forces and white
-    measurement noise, whose sizes are estimated too: the exact likelihood of a record in a loop,
-    since the input is known as it was commanded. Constant forces and the state at the start are
-    fitted for each record by itself. Gauss-Newton on QR factors, damped where it must be, within
-    the bounds of the model file; priors are further rows. Standard errors are those of maximum
-    likelihood.
+    The prediction errors are those of the declared model's Kalman filter under white forces and
+    white measurement noise, whose variances are estimated too. This is the exact likelihood also in
+    closed loop, since the commanded input is known. A constant force and the initial state are
+    fitted for each record. The solver is damped Gauss-Newton on QR factors, within the bounds of
+    the model file; priors are additional rows. Standard errors are those of maximum likelihood.
 
-    Raises IdentificationError: no experiment, a record too short, a model that has no values.
+    Raises IdentificationError without experiments, for a record that is too short, or for a model
+    without values.
     """
     if not experiments:
         raise IdentificationError("expected at least one record to fit, found none")
@@ -101,7 +101,7 @@ def fit_model(
                 f"record '{e.name}': expected at least {_SHORTEST_ROWS} rows, found {len(e.y)}"
             )
     try:
-        # Records go to threads; BLAS threads inside those would only fight for the same cores.
+        # Each record has a thread; BLAS threads inside would compete for the same cores.
         with threadpool_limits(1):
             return _Search(config, experiments, progress or (lambda _what, _share: None)).run()
     except ModelError as error:
@@ -119,26 +119,26 @@ class _Search:
         self.held: list[Unidentifiable] = []
         self.steps, self.damping = 0, 0.0
         self.last = np.zeros((0, 0))
-        self.leashed = True
+        self.near_declared = True
 
     def run(self) -> Fit:
-        # With much force noise the filter follows the record whatever the parameters are, and the
-        # errors are nearly linear in them; with little it hardly differs from a simulation, whose
-        # errors have many minima. So the noise comes down in steps, and the parameters with it.
-        # The way there needs a part of each record only.
+        # With large force noise the filter follows the record for any parameters, and the errors
+        # are nearly linear in them; with small force noise it is close to a simulation, whose error
+        # has many local minima. So the noise is reduced in steps, and the parameters are refitted.
+        # These steps use only a part of each record.
         whole, self.experiments = self.experiments, tuple(map(_shortened, self.experiments))
-        predictions = self.descend(settle=0.1)
+        predictions = self.fit_parameters(tolerance=0.1)
         for _ in range(_NOISE_ROUNDS):
             before, self.noise = self.noise, self.refined_noise(predictions)
-            predictions = self.descend(settle=0.1)
+            predictions = self.fit_parameters(tolerance=0.1)
             if self.noise.distance(before) < _NOISE_SETTLED:
                 break
-        self.experiments, self.leashed = whole, False
+        self.experiments, self.near_declared = whole, False
         predictions = self.predict_all(self.model)
         if self.hold_unidentifiable(predictions):
-            predictions = self.descend(settle=0.1)
+            predictions = self.fit_parameters(tolerance=0.1)
         self.noise = self.refined_noise(predictions)
-        predictions = self.descend(settle=_CONVERGED)
+        predictions = self.fit_parameters(tolerance=_CONVERGED)
         inverse = np.linalg.inv(self.last[:-1, :-1])
         scale, values = self.parameters.scale, self.values()
         edge = 1e-9 * scale
@@ -154,46 +154,46 @@ class _Search:
             self.steps,
         )
 
-    def descend(self, settle: float) -> list[Prediction]:
-        """Take Gauss-Newton steps until one is below `settle` standard errors."""
+    def fit_parameters(self, tolerance: float) -> list[Prediction]:
+        """Take Gauss-Newton steps until one is below `tolerance` standard errors."""
         predictions = self.predict_all(self.model)
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             self.progress(f"step {self.steps + 1}", self.share())
             self.last = self.factor(predictions)
             moved, predictions = self.step(self.last, predictions)
             self.steps += 1
-            if moved < settle:
+            if moved < tolerance:
                 break
         return predictions
 
     def hold_unidentifiable(self, predictions: list[Prediction]) -> bool:
-        """Put parameters that the records say nothing of back to what was declared, if any."""
+        """Hold unidentifiable parameters at their declared values; return whether there are any."""
         p = self.parameters
         R = self.factor(predictions)[:-1, :-1]
-        self.held = judge(R, p.names, p.worth, p.scale)
-        gone = {u.name for u in self.held}
+        self.held = find_unidentifiable(R, p.names, p.worth, p.scale)
+        held_names = {u.name for u in self.held}
         declared = dict(zip(p.names, p.prior_mean.tolist(), strict=True))
-        self.model = self.model.with_values({name: declared[name] for name in gone})
-        self.parameters = p.only([i for i, name in enumerate(p.names) if name not in gone])
-        return bool(gone)
+        self.model = self.model.with_values({name: declared[name] for name in held_names})
+        self.parameters = p.only([i for i, name in enumerate(p.names) if name not in held_names])
+        return bool(held_names)
 
     def step(self, R: Array, predictions: list[Prediction]) -> tuple[float, list[Prediction]]:
-        """Take one step that lowers the squared errors; return its size in standard errors.
+        """Take one step that reduces the squared errors; return its size in standard errors.
 
-        The filters stay as they are during the step, in the Jacobian as in the errors that judge
-        it: what a parameter does through the filter says nothing on average. They follow after it.
+        The filters are constant during the step, in the Jacobian and in the errors compared: the
+        effect of a parameter through the filter has zero mean. They are updated after the step.
         """
         p = self.parameters
         J, r = R[:-1, :-1], R[:-1, -1]
-        if self.leashed:
-            # Until it is known what the records can tell, nothing strays beyond its worth.
+        if self.near_declared:
+            # Until identifiability is checked, parameters stay near their declared values.
             J = np.vstack([J, np.diag(p.scale / p.worth)])
             r = np.append(r, (self.values() - p.prior_mean) / p.worth)
         start, before = self.model, self.squares(predictions)
-        # Directions that nothing depends on stay where they are: least squares of least norm.
+        # Minimum-norm least squares: unidentifiable directions do not move.
         by_worth = p.worth / p.scale
         errors = np.linalg.norm(np.linalg.pinv(J * by_worth, rcond=_SINGULAR), axis=1) * by_worth
-        for _ in range(_MOST_TRIES):
+        for _ in range(_MAX_TRIES):
             damped = np.vstack([J, np.diag(np.sqrt(self.damping) * np.linalg.norm(J, axis=0))])
             right = np.append(r, np.zeros(J.shape[1]))
             move = -by_worth * np.linalg.lstsq(damped * by_worth, right, rcond=_SINGULAR)[0]
@@ -208,7 +208,7 @@ class _Search:
                         self.model
                     )
             except (ModelError, IdentificationError, np.linalg.LinAlgError):
-                pass  # values that give no model: a shorter step
+                pass  # invalid values: try a shorter step
             self.damping = max(10 * self.damping, 1e-4)
         self.model = start
         return 0.0, predictions
@@ -223,28 +223,28 @@ class _Search:
             )
 
     def factor(self, predictions: Sequence[Prediction]) -> Array:
-        """Return R (F + 1, F + 1) of [Jacobian over scale, errors], unknowns taken out."""
-        nudged = [self.nudged(i) for i in range(len(self.parameters.names))]
+        """Return R (F + 1, F + 1) of [scaled Jacobian, errors], with the unknowns eliminated."""
+        perturbed = [self.perturbed(i) for i in range(len(self.parameters.names))]
 
-        def one(p: Prediction) -> Array:
-            columns = [self.sensitivity(p, *models) for models in nudged]
+        def factor_one(p: Prediction) -> Array:
+            columns = [self.sensitivity(p, *models) for models in perturbed]
             parts = [p.unknowns, *(c[:, :, None] for c in columns), p.errors[:, :, None]]
             stacked = np.concatenate(parts, axis=2)
-            taken = p.unknowns.shape[2]
+            unknowns = p.unknowns.shape[2]
             R = np.asarray(np.linalg.qr(stacked.reshape(-1, stacked.shape[2]), mode="r"))
-            return R[taken:, taken:]
+            return R[unknowns:, unknowns:]
 
         with ThreadPoolExecutor() as pool:
-            rows = list(pool.map(one, predictions))
+            rows = list(pool.map(factor_one, predictions))
         rows.append(self.parameters.prior_rows(self.values()))
         return np.asarray(np.linalg.qr(np.vstack(rows), mode="r"))
 
-    def nudged(self, index: int) -> tuple[DeclaredModel, DeclaredModel, float, bool]:
-        """Return the model with one parameter lower and higher, their distance over scale, and
-        whether it changes what the inputs do between samples."""
+    def perturbed(self, index: int) -> tuple[DeclaredModel, DeclaredModel, float, bool]:
+        """Return the model with one parameter lower and higher, their scaled distance, and whether
+        the parameter is in lag or delay, so that the input moments change."""
         p, name = self.parameters, self.parameters.names[index]
-        value, nudge = self.model.values[name], _NUDGE * self.parameters.scale[index]
-        low, high = max(value - nudge, p.low[index]), min(value + nudge, p.high[index])
+        value, half_step = self.model.values[name], _HALF_STEP * self.parameters.scale[index]
+        low, high = max(value - half_step, p.low[index]), min(value + half_step, p.high[index])
         return (
             self.model.with_values({name: low}),
             self.model.with_values({name: high}),
@@ -261,7 +261,7 @@ class _Search:
         on_inputs: bool,
     ) -> Array:
         inputs, e = None if on_inputs else p.motion.inputs, p.experiment
-        # Around the offset and start at hand: the weight alone bends the rods by millimetres.
+        # Linearised at the current offset and start: the weight deflects the rods by millimetres.
         low_errors, high_errors = (
             errors_of(settled(motion(model, e, self.hold, inputs), p.offset), p.filter, e, p.start)
             for model in (low, high)
@@ -271,10 +271,10 @@ class _Search:
     def refined_noise(self, predictions: Sequence[Prediction]) -> Noise:
         self.progress("noise", self.share())
         chosen = [p.experiment for p in predictions if p.motion.fixed] or list(self.experiments)
-        # Some records, spread over all of them: noise is what they have in common.
+        # A few records, evenly spread: the noise is common to all.
         places = np.linspace(0, len(chosen) - 1, min(_NOISE_RECORDS, len(chosen)))
-        some = [chosen[round(place)] for place in places.tolist()]
-        short = [e.rows(0, max(_NOISE_ROWS // len(some), _SHORTEST_ROWS)) for e in some]
+        subset = [chosen[round(place)] for place in places.tolist()]
+        short = [e.rows(0, max(_NOISE_ROWS // len(subset), _SHORTEST_ROWS)) for e in subset]
         return estimate_noise([motion(self.model, e, self.hold) for e in short], short, self.noise)
 
     def values(self, model: DeclaredModel | None = None) -> Array:
@@ -284,7 +284,7 @@ class _Search:
     def squares(self, predictions: Sequence[Prediction]) -> float:
         prior = self.parameters.prior_rows(self.values())[:, -1]
         total = sum(p.squares for p in predictions) + float(prior @ prior)
-        if self.leashed:
+        if self.near_declared:
             p = self.parameters
             total += float(np.sum(((self.values() - p.prior_mean) / p.worth) ** 2))
         return total
@@ -299,17 +299,19 @@ def _shortened(e: Experiment) -> Experiment:
 
 
 def first_noise(experiments: Sequence[Experiment]) -> Noise:
-    """Return a guess: measurement noise from the outputs' roughness, forces from the inputs.
+    """Guess the noise: measurement noise from the outputs' roughness, forces from the inputs.
 
-    It is correlated as the first record says: records of one fit are of one rig.
+    Its correlations are those of the first record: all records of a fit are of one rig.
     """
-    # A third difference of white noise has 20 times its variance; smooth motion has next to none.
-    rough = np.array([np.var(np.diff(e.y, 3, axis=0), axis=0) / 20.0 for e in experiments])
-    # One that stands at one value says nothing of noise.
-    rough = np.min(np.where(rough > 0.0, rough, np.inf), axis=0)
-    rough = np.where(np.isfinite(rough), rough, 0.0)
-    push = np.max([np.var(e.u, axis=0) * e.Ts_s for e in experiments], axis=0)
-    n = len(rough)
-    psd = _FIRST_FORCE_SHARE**2 * (push if len(push) == n else np.full(n, push.mean()))
+    # The third difference of white noise has 20 times its variance; that of smooth motion is small.
+    variance = np.array([np.var(np.diff(e.y, 3, axis=0), axis=0) / 20.0 for e in experiments])
+    # A constant output gives no information on noise.
+    variance = np.min(np.where(variance > 0.0, variance, np.inf), axis=0)
+    variance = np.where(np.isfinite(variance), variance, 0.0)
+    force_psd = np.max([np.var(e.u, axis=0) * e.Ts_s for e in experiments], axis=0)
+    n = len(variance)
+    psd = _FIRST_FORCE_SHARE**2 * (
+        force_psd if len(force_psd) == n else np.full(n, force_psd.mean())
+    )
     unit = experiments[0].correlations or (np.eye(n), np.eye(n))
-    return Noise(*unit).scaled(np.maximum(psd, 1e-300), np.maximum(rough, 1e-300))
+    return Noise(*unit).scaled(np.maximum(psd, 1e-300), np.maximum(variance, 1e-300))

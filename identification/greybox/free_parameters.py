@@ -1,4 +1,4 @@
-"""The free parameters of a declared model: scale, bounds, priors, and what they are worth."""
+"""List the free parameters of a declared model: scale, bounds, priors, largest useful error."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ Array = NDArray[np.float64]
 class FreeParameters:
     """Parameters to fit, all arrays (F,) in SI units.
 
-    scale: size of a sensible change. low, high: bounds. worth: a standard error beyond which a
-    parameter is better held as declared: half its value where it cannot change sign, else what a
-    uniform spread over its bounds has. prior_mean, prior_sd: infinite sd where nothing is known.
+    scale: size of a typical change. low, high: bounds. worth: standard error above which a
+    parameter is held at its declared value: half the value if it cannot change sign, else the
+    standard deviation of a uniform distribution between its bounds. prior_mean, prior_sd: the sd is
+    infinite without a prior.
     """
 
     names: tuple[str, ...]
@@ -32,7 +33,7 @@ class FreeParameters:
     prior_sd: Array
 
     def only(self, indices: Sequence[int]) -> FreeParameters:
-        """Return some of them, in this order."""
+        """Return the parameters at `indices`, in this order."""
         pick = list(indices)
         return FreeParameters(
             tuple(self.names[i] for i in pick),
@@ -43,7 +44,7 @@ class FreeParameters:
         )
 
     def prior_rows(self, values: Array) -> Array:
-        """Return rows (., F + 1) that priors add to [Jacobian by value over scale, errors]."""
+        """Return the rows (., F + 1) of the priors for [scaled Jacobian, errors]."""
         rows = []
         for i in np.flatnonzero(np.isfinite(self.prior_sd)):
             row = np.zeros(len(values) + 1)
@@ -54,7 +55,7 @@ class FreeParameters:
 
 
 def free_parameters(config: ModelConfig) -> FreeParameters:
-    """Return the parameters of a model file that are not fixed."""
+    """Return the free parameters of a model file."""
     chosen = {name: p for name, p in config.parameters.items() if not p.is_fixed}
     listed = list(chosen.values())
     return FreeParameters(

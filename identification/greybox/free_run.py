@@ -1,4 +1,4 @@
-"""Free-run simulation of a record: the model in its loop, told nothing of what was measured."""
+"""Simulate a record in free run: the model in its control loop, without measurements."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .prediction_errors import predict_along, settled
 Array = NDArray[np.float64]
 
 START_S = 5.0
-"""The beginning of a record that may tell its state, its constant force, and nothing else."""
+"""Start of a record from which its state and constant force are estimated."""
 _START_ROWS = 50
-"""Of slow records so many rows at least: each DOF has three unknowns, in as much noise."""
+"""Least rows of that start: each DOF has three unknowns."""
 
 
 @dataclass(frozen=True)
 class FreeRun:
-    """Outputs (N, n), commands (N, p); rows before `counts_from` are as recorded."""
+    """Simulated outputs (N, n) and commands (N, p); rows before `counts_from` are as recorded."""
 
     y: Array
     u: Array
@@ -35,7 +35,7 @@ class FreeRun:
 
 @dataclass(frozen=True)
 class Start:
-    """Where a run begins: the row, the state (2n,) there, the integrators (p,) before it."""
+    """Start of a run: the row, its state (2n,), and the integrators (p,) before it."""
 
     row: int
     state: Array
@@ -43,14 +43,14 @@ class Start:
 
 
 def free_run(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> FreeRun:
-    """Simulate a record from its excitation, its feed-forward and its schedule alone.
+    """Simulate a record from its excitation, feed-forward and schedule alone.
 
-    In a loop the simulated outputs go through the controller; without one the input is as recorded.
-    State and constant force come from the rows before first_row, by the Kalman filter; from there
-    on nothing measured is used.
+    In closed loop the controller acts on the simulated outputs; in open loop the input is as
+    recorded. The Kalman filter estimates state and constant force from the rows before first_row;
+    later measurements are not used.
 
-    Raises IdentificationError: a loop whose input is not held from sample to sample; fewer than
-    nine rows.
+    Raises IdentificationError for a closed loop without a zero-order hold, and for fewer than nine
+    rows.
     """
     require_held(experiment, hold)
     first = first_row(experiment)
@@ -68,17 +68,17 @@ def free_run(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: No
 
 
 def require_held(experiment: Experiment, hold: Hold) -> None:
-    """Raise IdentificationError for a loop whose input is not held from sample to sample."""
+    """Raise IdentificationError for a closed loop without a zero-order hold at the input."""
     if experiment.loop is not None and hold != "zoh":
         raise IdentificationError(
-            f"record '{experiment.name}': expected a held input in a loop, found '{hold}'"
+            f"record '{experiment.name}': expected input: zoh in a closed loop, found '{hold}'"
         )
 
 
 def first_row(experiment: Experiment) -> int:
-    """Return the first row that counts: 5 s in, 50 rows at least, a third of a short record.
+    """Return the first row compared: after 5 s, at least 50 rows, at most a third of the record.
 
-    Raises IdentificationError: fewer than nine rows, a third of which does not tell the state.
+    Raises IdentificationError for fewer than nine rows, which do not determine the state.
     """
     rows = len(experiment.y)
     if rows < 9:
@@ -89,12 +89,12 @@ def first_row(experiment: Experiment) -> int:
 
 
 def beginning(at: Motion, first: int) -> Motion:
-    """Return the rows before `first`, at least three quarters of them not blind."""
+    """Return the rows before `first`, with at most a quarter of them blind."""
     return replace(at.rows(0, first), blind=min(at.blind, first // 4))
 
 
 def known_after(begin: Motion, experiment: Experiment, kalman: Filter) -> tuple[Array, Array]:
-    """Return what a beginning tells: the constant force (n,), and the state (2n,) after it."""
+    """Estimate the constant force (n,) and the state (2n,) after the start of a record."""
     known = predict_along(begin, experiment, kalman)
     settled_in = settled(begin, known.offset)
     _, state = run_filter(settled_in, kalman.gain, experiment.y, known.start)
@@ -102,9 +102,9 @@ def known_after(begin: Motion, experiment: Experiment, kalman: Filter) -> tuple[
 
 
 def integral_before(experiment: Experiment, row: int) -> Array:
-    """Return the integrators (p,) before a row of a loop, which the record implies.
+    """Return the controller's integrators (p,) before a row, from the record.
 
-    u = v + feed-forward + kp e + I holds of what was recorded in the row before.
+    They follow from u = v + feed-forward + kp e + I in the row before.
     """
     loop = experiment.loop
     assert loop is not None
@@ -114,24 +114,24 @@ def integral_before(experiment: Experiment, row: int) -> Array:
 
 
 def input_step(model: DeclaredModel, experiment: Experiment, at: Motion) -> HeldStep:
-    """Return how a held command acts within a period, behind the model's delay and lag."""
+    """Return the effect of a held command within a period, after the model's delay and lag."""
     values = {**model.values, **model.scheduling}
     delay_s = max(experiment.delay_cycles * at.Ts_s + model.delay(values), 0.0)
     return held_step(at.Ts_s, len(at.scale) - 1, delay_s, max(model.lag(values), 0.0))
 
 
 def run_open(at: Motion, state: Array) -> Array:
-    """Return the pose (N, n) of a motion from `state` (2n,) at its row 0, without a loop.
+    """Simulate the outputs (N, n) in open loop from `state` (2n,) at row 0.
 
-    Forces in `drift` may have a row a period where the matrices are fixed.
+    `drift` may change between periods even if the matrices are fixed.
     """
     rows, n = len(at.inputs), at.K.shape[1]
     if at.fixed and len(at.drift) > 1:
-        # The kernel for a fixed motion takes one drift: what changes goes in as an input.
+        # The kernel for a fixed motion has a constant drift: a changing one becomes an input.
         B = np.concatenate([at.B, np.eye(n)[None]], axis=2)
         inputs = np.concatenate([at.inputs, at.drift], axis=2)
         at = replace(at, B=B, inputs=inputs, drift=np.zeros_like(at.drift[:1]))
-    # What a filter without gain leaves of a pose of nothing is minus the pose.
+    # With zero gain and y = 0, the innovations are minus the simulated outputs.
     gain = np.zeros((len(at.K), 2 * n, n))
     return -innovations(at, gain, np.zeros((rows, n)), state)
 
@@ -139,9 +139,9 @@ def run_open(at: Motion, state: Array) -> Array:
 def run_loop(
     at: Motion, step: HeldStep, loop: ControlLoop, start: Start, y: Array, u: Array
 ) -> None:
-    """Fill pose y (N, n) and command u (N, p) from the start's row on; rows before are as given.
+    """Fill outputs y (N, n) and commands u (N, p) from the start's row on; earlier rows are given.
 
-    Matrices and drift of the motion have a row a period or a single one, each by itself.
+    Matrices and drift of the motion have one row for each period or a single one, independently.
     """
     kp, ki_Ts = loop.controller.kp, loop.controller.ki * at.Ts_s
     K, D, B, drift = (np.ascontiguousarray(x) for x in (at.K, at.D, at.B, at.drift))

@@ -1,4 +1,4 @@
-"""Grey-box identification from end to end: fit on the records' beginnings, check on their ends."""
+"""Fit the declared model (grey box) to the start of each record and validate it on the end."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class GreyBox:
-    """The declared model as it was and as fitted, with the checks on rows that the fit never saw.
+    """The declared model, the fitted model, and the validation on held-out rows.
 
-    `fitted` is a model file again, with values and standard errors. `validations` has one entry a
-    record, of its held-out end. `remarks` say where model and records contradict each other.
+    `fitted` is a model file with fitted values and standard errors. `validations` has one entry for
+    each record. `remarks` list contradictions between model and records.
     """
 
     declared: ModelConfig
@@ -38,20 +38,20 @@ class GreyBox:
     remarks: tuple[str, ...] = ()
 
     def response(self, schedule: Mapping[str, float], freq_hz: Array) -> Complex:
-        """Return the plant (F, n, p) from command to output at freq_hz (F,) in Hz, delay included.
+        """Return the response (F, n, p) from command to output at freq_hz (F,) in Hz, with delay.
 
-        With what the input does between samples, as the model's `input` says it; of a band-limited
-        one nothing is above half the rate, and the response is the continuous one.
+        It includes the hold of the model's `input`; for a band-limited input it is the continuous
+        response.
         """
         model, delay_s = self.state_space(schedule)
         late = np.exp(-2j * np.pi * np.asarray(freq_hz) * delay_s)
         return np.asarray(model.response(freq_hz) * late[:, None, None])
 
     def state_space(self, schedule: Mapping[str, float]) -> tuple[StateSpace, float]:
-        """Return the plant from command to output, and the delay of its input in s beside it.
+        """Return the plant from command to output, and its separate input delay in s.
 
-        Sampled, with the delay as states and none beside it, where the input is held or goes in
-        straight lines. For a band-limited input no states are exact: then it is continuous.
+        For zoh and foh inputs the plant is discrete, with the delay as states and 0 s separate. For
+        a band-limited input no discrete model is exact: the plant is continuous.
         """
         at = self.fit.model.at(schedule)
         delay_s = max(at.delay_s + self.delay_cycles * self.Ts_s, 0.0)
@@ -67,9 +67,10 @@ def identify_grey_box(
     holdout: float,
     progress: Callable[[str, float], None] | None = None,
 ) -> GreyBox:
-    """Fit `config` to the first 1 - holdout of every record and validate on the rest.
+    """Fit `config` to the first 1 - holdout of every record and validate it on the rest.
 
-    Raises IdentificationError: a loop whose input is not held by the model; see fit_model.
+    Raises IdentificationError for a closed-loop record if the model's input is not zoh, and as
+    fit_model does.
     """
     remarks = _compare_holds(config, experiments)
     stops = [len(e.y) - round(holdout * len(e.y)) for e in experiments]
@@ -93,24 +94,23 @@ def identify_grey_box(
 
 
 def _compare_holds(config: ModelConfig, experiments: Sequence[Experiment]) -> tuple[str, ...]:
-    """Return where logs and model differ on what the input does between samples."""
+    """Return remarks on logs and model that state different inputs between samples."""
     looped = next((e for e in experiments if e.loop is not None), None)
     if looped is not None and config.input != "zoh":
         raise IdentificationError(
-            f"model '{config.name}': input: expected zoh, since record '{looped.name}' was flown "
-            f"by a controller, which holds its output between samples, found {config.input}"
+            f"model '{config.name}': input: expected zoh, found {config.input}: record "
+            f"'{looped.name}' has a digital controller, which holds its output between samples"
         )
     return tuple(
-        f"record '{e.name}': its signals file says input_hold: {e.hold}, model '{config.name}' "
-        f"input: {config.input}; the fit follows the model, and its parameters are bent where it "
-        "is the model that is wrong"
+        f"record '{e.name}': input_hold: {e.hold} in its signals file, but input: {config.input} "
+        f"in model '{config.name}'; the fit uses the model's, and is biased if that is wrong"
         for e in experiments
         if e.hold not in (None, config.input)
     )
 
 
 def fitted_model(config: ModelConfig, fit: Fit) -> ModelConfig:
-    """Return the model file with fitted values, and standard errors where there are any."""
+    """Return the model file with fitted values and their standard errors."""
     errors = fit.standard_errors
     parameters = {
         name: parameter.model_copy(update={"value": fit.values[name], "se": errors.get(name)})
@@ -120,9 +120,9 @@ def fitted_model(config: ModelConfig, fit: Fit) -> ModelConfig:
 
 
 def to_yaml(config: ModelConfig) -> str:
-    """Return a model file's text; reading it gives the same model."""
+    """Return a model as the text of a model file."""
     plain = config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    # What the input does between samples is never left to a default: the parameters hang on it.
+    # `input` is always written, even the default: the parameters depend on it.
     kept = {key for key in plain if key != "levid"} | {"input"}
     whole = {key: plain.get(key, config.input) for key in type(config).model_fields if key in kept}
     return yaml.dump(
@@ -131,12 +131,12 @@ def to_yaml(config: ModelConfig) -> str:
 
 
 class _Flow(yaml.SafeDumper):
-    """Block style for what is long, flow style for rows and parameters, as in the shipped files."""
+    """YAML in block style, with rows and parameters in flow style, as in the shipped files."""
 
     def represent_sequence(
         self, tag: str, sequence: Iterable[Any], flow_style: bool | None = None
     ) -> yaml.SequenceNode:
-        """Write a row of scalars in one line."""
+        """Write a list of scalars in one line."""
         sequence = list(sequence)
         flat = all(not isinstance(item, (list, dict)) for item in sequence)
         return super().represent_sequence(tag, sequence, flow_style=flat or flow_style)
@@ -144,7 +144,7 @@ class _Flow(yaml.SafeDumper):
     def represent_mapping(
         self, tag: str, mapping: Any, flow_style: bool | None = None
     ) -> yaml.MappingNode:
-        """Write a mapping of scalars in one line, but not the file itself."""
+        """Write a mapping of scalars in one line, except the file itself."""
         flat = "levid" not in mapping and all(
             not isinstance(item, (list, dict)) for item in mapping.values()
         )

@@ -1,4 +1,4 @@
-"""What an input does between samples, as moments over each period: hold, delay and lag, exactly."""
+"""Compute the moments of an input over each period, exact for hold, delay and lag."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Hold = Literal["zoh", "foh", "band_limited"]
 _OVERSAMPLING = 8
 _EDGE_S_ROWS = 256
 _SMOOTH = 10.0
-"""Time constants that a stretch may last for Gauss's rule to take the exponential for a polynomial.
+"""Longest interval, in time constants, that is integrated by Gauss's rule.
 
-What is left of exp(-10 x) times a polynomial of degree 40 (motion.taylor_scale asks for no more) is
-below rounding with 32 points. Beyond, the exponential is gone before the stretch ends, and by parts
-nothing cancels.
+With 32 points the error for exp(-10 x) times a polynomial of degree 40 (the highest of
+discretisation.taylor_scale) is below rounding. For longer intervals the exponential decays within
+the interval, and integration by parts does not cancel.
 """
 _GAUSS = np.polynomial.legendre.leggauss(32)
 _NODES, _WEIGHTS = 0.5 + 0.5 * _GAUSS[0], 0.5 * _GAUSS[1]
@@ -29,12 +29,12 @@ _NODES, _WEIGHTS = 0.5 + 0.5 * _GAUSS[0], 0.5 * _GAUSS[1]
 
 @dataclass(frozen=True)
 class HeldStep:
-    """One period of a held input behind a delay and a first-order lag, as numbers.
+    """The effect of a held input in one period, after a delay and a first-order lag.
 
-    In period k the input jumps from `old` to `new` late by `split_s`; the lagged input begins at l.
-    moments: m_j = integral of (Ts - s)^j / j! of the lagged input over the period, which is
-    from_old[j] old + from_new[j] new + from_lag[j] l, j = 0 .. order - 1; the lagged input at the
-    end is end_old old + end_new new + end_lag l. `whole` periods of delay come before.
+    In period k the input jumps from `old` to `new` after `split_s`; the lagged input starts at l.
+    Its moments m_j, the integrals of (Ts - s)^j / j! times the lagged input over the period, are
+    from_old[j] old + from_new[j] new + from_lag[j] l, j = 0 .. order - 1. The lagged input at the
+    end is end_old old + end_new new + end_lag l. The delay has `whole` more periods.
     """
 
     whole: int
@@ -47,12 +47,11 @@ class HeldStep:
 
 
 def moments(u: Array, Ts_s: float, order: int, hold: Hold, delay_s: float, lag_s: float) -> Array:
-    """Return m (N, order, p): integrals of (Ts - s)^j / j! times the acting input over each period.
+    """Return the moments (N, order, p): integrals of (Ts - s)^j / j! times the input over a period.
 
-    With x' = A x + B l(t), a step of length Ts adds sum_j A^j B m_j to the state: the input's whole
-    effect, whatever it does between samples. `u` (N, p) is commanded at the samples; it acts
-    delay_s later behind a first-order lag of lag_s. Before the record the first row is taken to
-    have acted.
+    With x' = A x + B l(t), a period adds sum_j A^j B m_j to the state, exactly for any input
+    between samples. `u` (N, p) is commanded at the samples; it acts delay_s later, after a
+    first-order lag of lag_s. The first row is assumed to have acted before the record.
     """
     if hold == "zoh":
         return _held(u, held_step(Ts_s, order, delay_s, lag_s))
@@ -63,7 +62,7 @@ def moments(u: Array, Ts_s: float, order: int, hold: Hold, delay_s: float, lag_s
 
 
 def held_step(Ts_s: float, order: int, delay_s: float, lag_s: float) -> HeldStep:
-    """Return how a zero-order-held input acts within one period."""
+    """Return the effect of a zero-order-held input within one period."""
     whole, split_s = _split(delay_s, Ts_s)
     j = np.arange(order)
     factorial = np.array([math.factorial(i) for i in range(order)], float)
@@ -71,12 +70,12 @@ def held_step(Ts_s: float, order: int, delay_s: float, lag_s: float) -> HeldStep
     after = (Ts_s - split_s) ** (j + 1) / (factorial * (j + 1))
     if lag_s <= 0.0:
         return HeldStep(whole, before, after, np.zeros(order), 0.0, 1.0, 0.0)
-    # The lagged input is c + (l - c) exp(-s / lag) on each side of the jump. What rises there is
-    # integrated as it is: as a difference of integrals it would be lost to rounding in a long lag.
+    # The lagged input is c + (l - c) exp(-s / lag) on each side of the jump. The rise is integrated
+    # directly: as a difference of integrals it would be lost to rounding for a long lag.
     first, rising_first, _ = _lagged_moments(Ts_s, 0.0, split_s, lag_s, order)
     second, rising_second, _ = _lagged_moments(Ts_s, split_s, Ts_s, lag_s, order)
     decay_split, decay_rest = math.exp(-split_s / lag_s), math.exp(-(Ts_s - split_s) / lag_s)
-    at_split = -math.expm1(-split_s / lag_s)  # of old, in the lagged input at the jump
+    at_split = -math.expm1(-split_s / lag_s)  # share of old in the lagged input at the jump
     return HeldStep(
         whole,
         from_old=rising_first + at_split * second,
@@ -89,7 +88,7 @@ def held_step(Ts_s: float, order: int, delay_s: float, lag_s: float) -> HeldStep
 
 
 def _split(delay_s: float, Ts_s: float) -> tuple[int, float]:
-    """Return the whole periods of a delay, and the rest of it in s."""
+    """Return the whole periods of a delay, and the remainder in s."""
     whole = math.floor(delay_s / Ts_s + 1e-9)
     return whole, min(max(delay_s - whole * Ts_s, 0.0), Ts_s)
 
@@ -105,7 +104,7 @@ def _held(u: Array, step: HeldStep) -> Array:
 
 
 def lagged_input(u: Array, step: HeldStep) -> Array:
-    """Return the lagged input (N, p) at the beginning of each period, at rest before the record."""
+    """Return the lagged input (N, p) at the start of each period, constant before the record."""
     old, new = _around_jump(u, step)
     lagged = np.empty_like(u)
     lagged[0] = u[0]
@@ -115,21 +114,21 @@ def lagged_input(u: Array, step: HeldStep) -> Array:
 
 
 def _around_jump(u: Array, step: HeldStep) -> tuple[Array, Array]:
-    """Return what acts in each period before and after the jump within it, both (N, p)."""
+    """Return the input in each period before and after the jump within it, both (N, p)."""
     rows = np.arange(len(u))
     return u[np.maximum(rows - step.whole - 1, 0)], u[np.maximum(rows - step.whole, 0)]
 
 
 def _ramped(u: Array, Ts_s: float, order: int, delay_s: float, lag_s: float) -> Array:
-    """Return the moments of straight lines between the samples, behind delay and lag, exactly.
+    """Return the moments of an input linear between samples, after delay and lag, exactly.
 
-    After the last sample the last line goes on.
+    After the last sample the input continues linearly.
     """
     whole, split_s = _split(delay_s, Ts_s)
     rows = np.arange(len(u))
     more = np.vstack([u, 2 * u[-1] - u[-2]])
     old, new, coming = (more[np.maximum(rows - whole + i, 0)] for i in (-1, 0, 1))
-    # Within a period the delayed input goes from `first` to `new`, and on towards `coming`.
+    # Within a period the delayed input is linear from `first` to `new`, then towards `coming`.
     first = new + split_s / Ts_s * (old - new)
     slopes = (new - old) / Ts_s, (coming - new) / Ts_s
     decay_1, rise_1, ramp_1 = _lagged_line(split_s, lag_s)
@@ -153,13 +152,13 @@ def _ramped(u: Array, Ts_s: float, order: int, delay_s: float, lag_s: float) -> 
 
 
 def _lagged_line(s: float | Array, lag_s: float) -> tuple[Array, Array, Array]:
-    """Return what a lag makes, s seconds on, of its state, a unit step and a ramp of 1/s."""
+    """Return the response of a lag after s seconds to its state, a unit step and a ramp of 1/s."""
     x = np.asarray(s, float)
     if lag_s <= 0.0:
         return np.zeros_like(x), np.ones_like(x), x
     x = x / lag_s
     rise = -np.expm1(-x)
-    # The ramp is lag (x - rise), which in a long lag is all rounding: there the mean of the rise.
+    # The ramp is lag (x - rise), which is rounding for a long lag: there, use the rise's mean.
     slow = np.minimum(x, _SMOOTH)
     mean = -np.expm1(-np.multiply.outer(slow, _NODES)) @ _WEIGHTS
     return np.exp(-x), rise, lag_s * np.where(x < _SMOOTH, slow * mean, x - rise)
@@ -170,8 +169,8 @@ def _lagged_moments(
 ) -> tuple[Array, Array, Array]:
     """Return the integrals of (Ts - s)^j / j! from start to end times _lagged_line, each (order,).
 
-    By parts each integral follows from the one before times the lag, rounding included; in a lag
-    longer than the period the integrals shrink while that grows.
+    Integration by parts multiplies the rounding error of each integral by the lag, which fails if
+    the lag is longer than the period: there, Gauss's rule is used.
     """
     length = end - start
     s = length * _NODES
@@ -200,9 +199,9 @@ def _decaying(Ts_s: float, start: float, end: float, lag_s: float, order: int) -
 
 
 def _between(u: Array, Ts_s: float, delay_s: float, lag_s: float) -> Array:
-    """Return the acting input, band limited, at _OVERSAMPLING points a period."""
+    """Return the band-limited input after delay and lag, at _OVERSAMPLING points a period."""
     n, fine = len(u), _OVERSAMPLING
-    # Odd reflection at both ends keeps value and slope: what a Fourier interpolation would ring at.
+    # Odd reflection at both ends keeps value and slope, so that the interpolation does not ring.
     edge = min(_EDGE_S_ROWS, n - 1)
     long = np.vstack([2 * u[0] - u[edge:0:-1], u, 2 * u[-1] - u[-2 : -edge - 2 : -1]])
     length = next_fast_len(2 * len(long), real=True)
@@ -220,7 +219,7 @@ def _between(u: Array, Ts_s: float, delay_s: float, lag_s: float) -> Array:
 def _piecewise_linear(fine: Array, Ts_s: float, order: int, n: int) -> Array:
     pieces, step_s = _OVERSAMPLING, Ts_s / _OVERSAMPLING
     result = np.zeros((n, order, fine.shape[1]))
-    # As many Gauss points as a straight line times a polynomial of degree order - 1 needs.
+    # Enough Gauss points for a straight line times a polynomial of degree order - 1.
     nodes, weights = np.polynomial.legendre.leggauss(order // 2 + 2)
     for piece in range(pieces):
         left = fine[piece : piece + pieces * n : pieces][:n]

@@ -1,4 +1,4 @@
-"""From MODEL.yaml to the declared model that the mathematics works on."""
+"""Build the declared model from MODEL.yaml."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ...model.declared_model import DeclaredModel
 
 
 def declared_model(config: ModelConfig) -> DeclaredModel:
-    """Return the model that `config` describes; raises ModelError where it contradicts itself."""
+    """Return the model that `config` describes; raises ModelError for contradictions in it."""
     matrices = {name: getattr(config, name) for name in ("M", "D", "K", "B")}
     return DeclaredModel.build(
         [axis.name for axis in config.dof],

@@ -1,4 +1,4 @@
-"""The size of the noise by maximum likelihood, the model held as it is."""
+"""Estimate noise variances by maximum likelihood, for a given model."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from .prediction_errors import predict_along
 
 Array = NDArray[np.float64]
 
-_HOPELESS = 1e9
+_INVALID_COST = 1e9
 
 
 def estimate_noise(
     motions: Sequence[Motion], experiments: Sequence[Experiment], first: Noise
 ) -> Noise:
-    """Return the noise of largest likelihood of the records' innovations, as correlated as `first`.
+    """Estimate the noise by maximum likelihood of the innovations; `first` gives the correlations.
 
-    Constant forces and starts are fitted anew for every noise that is tried: those found under much
-    noise are poor, and under little noise their errors would pass for noise.
+    Constant forces and initial states are refitted for every noise: those fitted with large noise
+    are inaccurate, and their errors would count as noise when the noise is small.
     """
     n = len(first.output_variance)
 
@@ -37,7 +37,7 @@ def estimate_noise(
                 for at, e in zip(motions, experiments, strict=True)
             )
         except IdentificationError:
-            return _HOPELESS
+            return _INVALID_COST
         return total / sum(len(e.y) for e in experiments)
 
     found = minimize(

@@ -1,7 +1,7 @@
-"""What noise alone leaves of a perfect model's free run: its covariance, and its spectrum.
+"""Compute the noise floor: the free-run error of a perfect model, as covariance and spectrum.
 
-The error of such a run obeys the model's own equations, in the loop of the record, driven by the
-noise alone. Its covariance follows from row to row exactly; nothing is drawn by chance.
+This error obeys the model's equations in the record's loop, driven by noise alone. Its covariance
+is computed exactly from row to row, without random draws.
 """
 
 from __future__ import annotations
@@ -22,23 +22,22 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _BLOCKS = 1024
-"""Into so many blocks at least a record is cut: over one of them the covariance hardly changes."""
+"""Least number of blocks of a record; the covariance hardly changes within one."""
 _LINES = 8192
-"""Frequencies, 0.15 % apart over five decades, that a spectrum is integrated over."""
+"""Frequencies of an integrated spectrum, 0.15 % apart over five decades."""
 _PLACES = 8
-"""Of a moving schedule the spectrum is the mean of this many places, evenly spread in time."""
+"""Points in time over which the spectrum of a moving schedule is averaged."""
 _LARGEST_SPREAD = np.sqrt(0.5)
-"""Relative sd of the rms of a single value: no record tells less."""
+"""Relative standard deviation of the rms of a single value, the upper limit."""
 
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """What noise leaves on the rows of a record that a free run counts, in the outputs' units.
+    """The free-run error of a perfect model on the rows compared, in output units.
 
-    rms (n,) of the errors a perfect model leaves, expected over all noises. motion (n, n): the part
-    of their covariance that is motion; the rest is the measurement's, independent of the motion of
-    the same row. spread (n,): standard deviation of one such record's rms, relative to `rms`: a
-    perfect model's error is 1 +- spread times the floor.
+    rms (n,): expected rms error. motion (n, n): the part of the error covariance that is motion;
+    the rest is measurement noise, independent of the motion of the same row. spread (n,): standard
+    deviation of one record's rms, relative to `rms`.
     """
 
     rms: Array
@@ -47,17 +46,17 @@ class NoiseFloor:
 
 
 def floor_rms(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Array:
-    """Return Floor.rms (n,) alone."""
+    """Return only NoiseFloor.rms (n,)."""
     return _rms(motion_covariance(model, experiment, hold, noise), noise)
 
 
 def motion_covariance(
     model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise
 ) -> Array:
-    """Return Floor.motion (n, n) alone: the mean over the rows that a free run counts."""
+    """Return only NoiseFloor.motion (n, n): the mean over the rows compared."""
     n = experiment.y.shape[1]
     counted = experiment.rows(first_row(experiment), len(experiment.y))
-    # Blocks of 2^d rows: A^(2^d) by squaring, the covariance only from block to block.
+    # Blocks of 2^d rows: A^(2^d) by squaring; the covariance advances block by block.
     doublings = max(int(np.log2(len(counted.y) / _BLOCKS)), 0) if len(counted.y) > _BLOCKS else 0
     at = _thinned(model, counted, hold, 2**doublings)
     A, W = _error_system(model, counted, at, noise)
@@ -77,18 +76,18 @@ def motion_covariance(
 def noise_floor(
     model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise
 ) -> NoiseFloor:
-    """Return what `noise` leaves of a perfect `model` on the rows that simulate.free_run counts.
+    """Compute the noise floor of a perfect `model` on the rows that free_run compares.
 
-    Noise acts as `predict` has it: white generalised forces, and white errors of what is measured,
-    which the controller sees too. At the first row that counts the state is taken as known. Rows
-    along a moving schedule each have their own matrices. The spread follows from the spectrum,
+    The noise is that of `predict`: white generalised forces and white measurement noise, which also
+    enters the controller. The state at the first row compared is assumed known. Along a moving
+    schedule each row has its own matrices. The spread follows from the spectrum:
     var(rms^2) = integral of S(f)^2 df / T for a one-sided S (Bendat and Piersol 2010, 8.2).
     """
     covariance = motion_covariance(model, experiment, hold, noise)
     duration_s = (len(experiment.y) - first_row(experiment)) * experiment.Ts_s
     freq_hz = np.geomspace(0.5 / duration_s, 0.5 / experiment.Ts_s, _LINES)
     psd = _spectra(model, experiment, hold, noise, freq_hz)
-    # Along a schedule a record is as many short ones, one after the other.
+    # A record along a schedule is treated as a series of short records.
     power = np.trapezoid(psd, freq_hz, axis=1).mean(axis=0)
     square = np.trapezoid(psd**2, freq_hz, axis=1).mean(axis=0) / duration_s
     spread = np.minimum(0.5 * np.sqrt(square) / power, _LARGEST_SPREAD)
@@ -98,9 +97,9 @@ def noise_floor(
 def floor_psd(
     model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise, freq_hz: Array
 ) -> Array:
-    """Return the one-sided spectrum (F, n) that Welch's method with Hann windows expects.
+    """Return the expected one-sided spectrum (F, n) of the floor by Welch's method, Hann windows.
 
-    freq_hz (F,) from 0 on, evenly spaced: a window smears what is narrower than its own lines.
+    freq_hz (F,) is evenly spaced from 0 on; the window smears narrow peaks.
     """
     step_hz = float(freq_hz[1] - freq_hz[0]) if len(freq_hz) > 1 else 1.0
     offsets = np.array([-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5])
@@ -110,14 +109,14 @@ def floor_psd(
     weights = np.where(beside, 0.25, (np.sinc(safe) / (1 - safe**2)) ** 2)
     half = np.arange(-3, 2 * len(freq_hz) + 2)
     fine = np.abs(freq_hz[0] + 0.5 * step_hz * half)
-    fine = np.maximum(fine, 1e-3 * step_hz)  # at 0 Hz a controller that integrates is infinite
+    fine = np.maximum(fine, 1e-3 * step_hz)  # an integrating controller is infinite at 0 Hz
     psd = _spectra(model, experiment, hold, noise, fine).mean(axis=0)
     smeared = [weights @ psd[2 * k : 2 * k + 7] / weights.sum() for k in range(len(freq_hz))]
     return np.array(smeared)
 
 
 def powers_of(response: Complex, covariance: Array) -> Array:
-    """Return the powers (F, n) of what responses (F, n, s) make of inputs of covariance (s, s)."""
+    """Return the output powers (F, n) of responses (F, n, s) to inputs with covariance (s, s)."""
     return np.asarray(np.einsum("fia,ab,fib->fi", response, covariance, response.conj()).real)
 
 
@@ -126,7 +125,7 @@ def _rms(covariance: Array, noise: Noise) -> Array:
 
 
 def _thinned(model: DeclaredModel, experiment: Experiment, hold: Hold, step: int) -> Motion:
-    """Return the matrices in the middle of every `step` rows; inputs and drift mean nothing."""
+    """Return the matrices in the middle of every `step` rows; inputs and drift are not valid."""
     thin = replace(
         experiment,
         u=np.zeros_like(experiment.u[::step]),
@@ -139,10 +138,10 @@ def _thinned(model: DeclaredModel, experiment: Experiment, hold: Hold, step: int
 def _error_system(
     model: DeclaredModel, experiment: Experiment, at: Motion, noise: Noise
 ) -> tuple[Array, Array]:
-    """Return A and W (R, s, s) of e(k+1) = A e(k) + w(k), cov w = W, whose first states are q.
+    """Return A and W (R, s, s) of the error's equation e(k+1) = A e(k) + w(k), cov w = W.
 
-    States: [q, q'], and in a loop the lagged input, the integrators, and the commands of the
-    `whole` + 1 periods before.
+    States: [q, q'], and in closed loop the lagged input, the integrators, and the commands of the
+    last `whole` + 1 periods.
     """
     Q = process_covariance(at, noise.force_density)
     Phi, powers = _flow(at)
@@ -154,10 +153,10 @@ def _error_system(
     lag, integral, before = 2 * n, 2 * n + p, 2 * n + 2 * p
     size = before + (step.whole + 1) * p
     one = np.eye(p)
-    # u(k) = -(kp + ki Ts) (q + noise) + integral, in states and in noise.
-    answer = -np.diag(controller.kp + controller.ki * experiment.Ts_s)
+    # u(k) = -(kp + ki Ts) (q + noise) + integral, by states and by noise.
+    feedback = -np.diag(controller.kp + controller.ki * experiment.Ts_s)
     command = np.zeros((p, size))
-    command[:, :n], command[:, integral:before] = answer, one
+    command[:, :n], command[:, integral:before] = feedback, one
     acting = [command] + [np.eye(size)[before + i * p :][:p] for i in range(step.whole + 1)]
     new, old = acting[step.whole], acting[step.whole + 1]
     lagged = np.eye(size)[lag:integral]
@@ -172,10 +171,10 @@ def _error_system(
     A[:, before : before + p] = command
     A[:, before + p :, before:-p] = np.eye(step.whole * p)
     by_noise[:, integral:before] = -np.diag(controller.ki * experiment.Ts_s)
-    by_noise[:, before : before + p] = answer
+    by_noise[:, before : before + p] = feedback
     if step.whole == 0:
-        by_noise[:, : 2 * n] = G_new @ answer
-        by_noise[:, lag:integral] = step.end_new * answer
+        by_noise[:, : 2 * n] = G_new @ feedback
+        by_noise[:, lag:integral] = step.end_new * feedback
     W = by_noise @ noise.output_covariance @ np.swapaxes(by_noise, 1, 2)
     W[:, : 2 * n, : 2 * n] += Q
     return A, W
@@ -184,7 +183,7 @@ def _error_system(
 def _spectra(
     model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise, freq_hz: Array
 ) -> Array:
-    """Return the one-sided spectra (R, F, n) of the errors that noise leaves, R places' each."""
+    """Return the one-sided spectra (R, F, n) of the error by noise, at R points in time."""
     counted = experiment.rows(first_row(experiment), len(experiment.y))
     at = _thinned(model, counted, hold, max(len(counted.y) // _PLACES, 1))
     Q, (Phi, powers) = process_covariance(at, noise.force_density), _flow(at)
@@ -208,7 +207,7 @@ def _spectra(
 
 
 def _input_effect(powers: Array, step: HeldStep, z: Complex) -> Complex:
-    """Return what a command adds to the state over a period (F, 2n, p), as a function of z."""
+    """Return the transfer (F, 2n, p) from a command to the change of the state over a period."""
     old, new = z ** -(step.whole + 1.0), z ** -float(step.whole)
     lagged = (step.end_old * old + step.end_new * new) / (z - step.end_lag)
     by_old, by_new, by_lag = (powers @ c for c in (step.from_old, step.from_new, step.from_lag))

@@ -1,4 +1,4 @@
-"""What disturbs a record: white forces and white measurement noise, their size and their filter."""
+"""Model white force noise and white measurement noise, and compute their Kalman filter."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise: `force_density` (n, n), two-sided, of generalised forces, N^2/Hz where forces
-    are in N; `output_covariance` (n, n) of what is measured.
+    """White noise of forces and outputs.
 
-    Noise of single coils and sensors is independent from one to the next; of the wrench and the
-    pose that they make up it is not, unless their places are balanced around the middle.
+    `force_density` (n, n): two-sided density of generalised forces, N^2/Hz for forces in N.
+    `output_covariance` (n, n): of the measurement. The noise of coils and sensors is independent;
+    that of wrench and pose is correlated, unless coils and sensors are placed symmetrically.
     """
 
     force_density: Array
@@ -30,7 +30,7 @@ class Noise:
 
     @classmethod
     def independent(cls, force_psd: Array, output_variance: Array) -> Noise:
-        """Return noise of densities and variances (n,) that has nothing in common between DOF."""
+        """Return uncorrelated noise of densities and variances (n,)."""
         return cls(np.diag(force_psd), np.diag(output_variance))
 
     @property
@@ -44,14 +44,11 @@ class Noise:
         return np.diag(self.output_covariance)
 
     def scaled(self, force: Array | float = 1.0, output: Array | float = 1.0) -> Noise:
-        """Return noise of so many times the densities and variances, (n,) or all alike.
-
-        Correlations stay as they are.
-        """
+        """Scale densities and variances by factors, (n,) or scalar; correlations stay."""
         return Noise(scaled(self.force_density, force), scaled(self.output_covariance, output))
 
     def distance(self, other: Noise) -> float:
-        """Return the largest change of a variance between two, as a logarithm."""
+        """Return the largest difference of log variances."""
         ours, theirs = (
             np.log(np.concatenate([n.force_psd, n.output_variance])) for n in (self, other)
         )
@@ -66,7 +63,7 @@ class Filter:
     covariance: Array
 
     def whiten(self, errors: Array) -> Array:
-        """Return errors (N, n, ...) with unit covariance, uncorrelated from sample to sample."""
+        """Whiten errors (N, n, ...): unit covariance, uncorrelated between samples."""
         whitener = np.linalg.inv(np.linalg.cholesky(self.covariance))
         flat = errors.reshape(len(errors), errors.shape[1], -1)
         if len(whitener) == 1 and flat.shape[2] == 1:
@@ -74,22 +71,22 @@ class Filter:
         return np.asarray(whitener @ flat).reshape(errors.shape)
 
     def log_determinant(self, first: int = 0) -> float:
-        """Return the mean from row `first` on of ln of the innovation covariance's determinant."""
+        """Return the mean log determinant of the innovation covariance from row `first` on."""
         rows = self.covariance if len(self.covariance) == 1 else self.covariance[first:]
         return float(np.mean(np.linalg.slogdet(rows)[1]))
 
 
 def kalman_filter(model: Motion, noise: Noise) -> Filter:
-    """Return the stationary filter of a fixed motion, the running one of a motion on a schedule.
+    """Return the stationary Kalman filter of a fixed motion, or the time-varying one of a schedule.
 
-    Raises IdentificationError where the noise leaves no stationary filter.
+    Raises IdentificationError if no stationary filter exists for this noise.
     """
     Q = process_covariance(model, noise.force_density)
     R = np.ascontiguousarray(noise.output_covariance)
     n = len(R)
     A, _ = model.continuous()
     Phi = expm(A * model.Ts_s)
-    # Metres and radians differ by orders: the Riccati equation is solved in units of the noise.
+    # Solved in units of the noise: metres and radians differ by orders of magnitude.
     unit = np.concatenate([np.sqrt(noise.output_variance)] * 2)
     unit[n:] /= model.Ts_s
     C = np.hstack([np.eye(n), np.zeros((n, n))])
@@ -101,7 +98,9 @@ def kalman_filter(model: Motion, noise: Noise) -> Filter:
             correlation(R),
         )
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise IdentificationError(f"no Kalman filter for this noise: {error}") from None
+        raise IdentificationError(
+            f"no stationary Kalman filter exists for this noise ({error})"
+        ) from None
     P = P * unit[:, None] * unit
     if model.fixed:
         S = P[:n, :n] + R

@@ -1,4 +1,4 @@
-"""Prediction errors of one record: whitened, with its constant forces and its start fitted."""
+"""Compute whitened prediction errors of a record, with constant force and start fitted."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from .noise_model import Filter, Noise, kalman_filter
 
 Array = NDArray[np.float64]
 
-_FORGOTTEN = 1e-14
-"""Of what a start adds to all rows, what it adds to those that count, at which it tells nothing."""
+_DECAYED = 1e-14
+"""Share of an initial state's effect in the rows that count below which it is not fitted."""
 
 
 @dataclass(frozen=True)
 class Prediction:
     """One experiment predicted one step ahead.
 
-    errors (N, n): whitened, of unit variance where model and noise hold. offset (n,): constant
-    generalised force that the model does not account for; start (2n,): the state at row 0.
-    unknowns (N, n, 3n): what a unit of each of these adds to the errors. A start that the filter
-    has forgotten before errors count adds nothing, and is zero.
+    errors (N, n): whitened, of unit variance if model and noise are correct. offset (n,): constant
+    generalised force not in the model; start (2n,): the state at row 0. unknowns (N, n, 3n): effect
+    of a unit of each of these on the errors. A start whose effect has decayed before the errors
+    count is zero.
     """
 
     experiment: Experiment
@@ -46,61 +46,63 @@ class Prediction:
 
     @property
     def cost(self) -> float:
-        """Minus twice the log-likelihood, but for a constant."""
-        blind = self.motion.blind  # rows without errors say nothing of their size either
+        """Minus twice the log-likelihood, up to a constant."""
+        blind = self.motion.blind  # blind rows have no errors
         return self.squares + (len(self.errors) - blind) * self.filter.log_determinant(blind)
 
 
 def predict(
     model: DeclaredModel, experiment: Experiment, hold: Hold, by: Noise | Filter
 ) -> Prediction:
-    """Return the experiment predicted by `model`, its offset and start by least squares.
+    """Predict the experiment by `model`, with offset and start by least squares.
 
-    `by`: the noise, whose Kalman filter predicts, or a filter as it is.
+    `by`: the noise, for its Kalman filter, or a filter.
     """
     at = motion(model, experiment, hold)
     return predict_along(at, experiment, by if isinstance(by, Filter) else kalman_filter(at, by))
 
 
 def predict_along(at: Motion, experiment: Experiment, kalman: Filter) -> Prediction:
-    """Return the experiment predicted by a filter along a motion, offset and start fitted."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away is told apart below
+    """Predict the experiment by a filter along a motion, with offset and start fitted."""
+    with np.errstate(over="ignore", invalid="ignore"):  # divergence is checked below
         both = kalman.whiten(_errors_and_unknowns(at, kalman, experiment))
     n = both.shape[1]
-    unseen = np.linalg.norm(both[: at.blind, :, 1:].reshape(-1, 3 * n), axis=0)
+    in_blind_rows = np.linalg.norm(both[: at.blind, :, 1:].reshape(-1, 3 * n), axis=0)
     both[: at.blind] = 0.0
     errors, unknowns = np.ascontiguousarray(both[:, :, 0]), both[:, :, 1:]
     flat = unknowns.reshape(-1, 3 * n)
-    # Offsets and start differ by orders in what they move: scale before deciding what is singular.
+    # Effects of offset and start differ by orders of magnitude: scale them before the rank test.
     size = np.linalg.norm(flat, axis=0)
     if not (np.all(np.isfinite(errors)) and np.all(np.isfinite(size))):
-        raise IdentificationError(f"record '{experiment.name}': this model runs away")
-    # Of a start that the filter has forgotten when errors begin nothing is left but rounding.
-    seen = size > _FORGOTTEN * unseen
-    unknowns[:, :, ~seen] = 0.0
+        raise IdentificationError(
+            f"record '{experiment.name}': the prediction of this model diverges; check its values"
+        )
+    # The effect of a start that has decayed before the errors count is rounding.
+    visible = size > _DECAYED * in_blind_rows
+    unknowns[:, :, ~visible] = 0.0
     solution = np.zeros(3 * n)
-    fitted = np.linalg.lstsq(flat[:, seen] / size[seen], errors.reshape(-1), rcond=1e-12)[0]
-    solution[seen] = -fitted / size[seen]
+    fitted = np.linalg.lstsq(flat[:, visible] / size[visible], errors.reshape(-1), rcond=1e-12)[0]
+    solution[visible] = -fitted / size[visible]
     return Prediction(
         experiment, at, kalman, errors + unknowns @ solution, unknowns, solution[:n], solution[n:]
     )
 
 
 def errors_of(at: Motion, kalman: Filter, experiment: Experiment, start: Array) -> Array:
-    """Return whitened errors (N, n) of a motion from `start` (2n,), none in blind rows."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away is told apart later
+    """Return whitened errors (N, n) of a motion from `start` (2n,); zero in blind rows."""
+    with np.errstate(over="ignore", invalid="ignore"):  # divergence is checked later
         errors = kalman.whiten(innovations(at, kalman.gain, experiment.y, start))
     errors[: at.blind] = 0.0
     return errors
 
 
 def settled(at: Motion, offset: Array) -> Motion:
-    """Return a motion with a constant generalised force `offset` (n,) among its forces."""
+    """Return the motion with a constant generalised force `offset` (n,) added."""
     return replace(at, drift=at.drift + _steady(at, offset))
 
 
 def _errors_and_unknowns(at: Motion, kalman: Filter, experiment: Experiment) -> Array:
-    """Return errors (N, n, 1 + 3n) from a state of zero, not whitened, then what unknowns add."""
+    """Return errors from a zero state and the effects of unknowns (N, n, 1 + 3n), not whitened."""
     n, rows = at.K.shape[1], len(experiment.y)
     out = np.empty((rows, n, 1 + 3 * n))
     if at.fixed:
@@ -121,5 +123,5 @@ def _errors_and_unknowns(at: Motion, kalman: Filter, experiment: Experiment) -> 
 
 
 def _steady(at: Motion, force: Array) -> Array:
-    """Return moments (R, J, n) of a constant force (n,) over each period, divided by M."""
+    """Return the moments (R, J, n) of a constant force (n,) over each period, divided by M."""
     return np.asarray(at.scale[1:, None] * (at.mobility @ force)[:, None, :])

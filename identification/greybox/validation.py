@@ -1,4 +1,4 @@
-"""How well a model explains records: simulated fit, residual spectrum, whiteness, noise floor."""
+"""Validate a model on records: simulation fit, residual spectrum, whiteness, noise floor."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ Array = NDArray[np.float64]
 _LAGS = 25
 _SEGMENT_S = 4.0
 _SEGMENT_ROWS = 64
-"""Of slow records so many rows at least: 32 lines, of which a Hann window smears three into one."""
+"""Least rows of a segment: 32 lines, of which a Hann window averages three."""
 
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Ljung and Box's test of one-step-ahead errors, one value an output (n,).
+    """The Ljung-Box test of one-step-ahead errors, one value for each output (n,).
 
-    correlation (n, lags): autocorrelation from lag 1 on; bound: what 99 % of white records stay
-    below at every lag; p_value: of a white record being less white than this one.
+    correlation (n, lags): autocorrelation from lag 1 on; bound: limit that 99 % of white records do
+    not exceed at any lag; p_value: probability that a white record has a larger statistic.
     """
 
     correlation: Array
@@ -45,10 +45,10 @@ class Validation:
     """One record against its free-run simulation, rows from `time_s` on.
 
     measured, simulated (N, n); fit_percent (n,); error_rms (n,) of measured minus simulated;
-    floor_rms (n,): what the fitted noise alone is expected to leave of a perfect model in this
-    record's loop, and floor_spread (n,) the standard deviation, relative to it, with which one
-    record of this length scatters around it; freq_hz (F,), error_psd and floor_psd (F, n) one-sided
-    spectra of error and floor; schedule: the scheduling variables of the same rows (N,), SI.
+    floor_rms (n,): noise floor of a perfect model in this record's loop; floor_spread (n,): its
+    relative standard deviation for one record of this length; freq_hz (F,), error_psd and floor_psd
+    (F, n): one-sided spectra of error and noise floor; schedule: scheduling variables of the same
+    rows (N,), in SI units.
     """
 
     record: str
@@ -67,7 +67,7 @@ class Validation:
 
 
 def validate(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Validation:
-    """Simulate a record and compare it with what was measured, and with what noise would leave."""
+    """Simulate a record, and compare the error with the noise floor."""
     run = free_run(model, experiment, hold, noise)
     rows = slice(run.counts_from, None)
     measured, simulated = experiment.y[rows], run.y[rows]
@@ -95,19 +95,19 @@ def validate(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: No
 
 
 def whiteness(errors: Array, lags: int = _LAGS) -> Whiteness:
-    """Return the Ljung-Box test of whitened errors (N, n), of `lags` or N / 4 lags, the fewer."""
+    """Apply the Ljung-Box test to whitened errors (N, n), with `lags` lags, at most N / 4."""
     n, centred = len(errors), errors - errors.mean(axis=0)
-    lags = min(lags, n // 4)  # of as many lags as rows, the last ones are sums of hardly a term
+    lags = min(lags, n // 4)  # larger lags are sums of few terms
     power = np.sum(centred**2, axis=0)
     rho = np.array([np.sum(centred[k:] * centred[:-k], axis=0) / power for k in range(1, lags + 1)])
     Q = n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1))[:, None], axis=0)
-    # Of so many lags, nearly independent ones, each may be beyond with its share of 1 %.
+    # The lags are nearly independent: each may exceed the bound with its share of 1 %.
     bound = float(norm.isf(0.005 / max(lags, 1))) / np.sqrt(n)
     return Whiteness(rho.T, bound, np.asarray(chi2.sf(Q, lags)))
 
 
 def summary_lines(validations: Sequence[Validation], names: Sequence[str]) -> list[str]:
-    """Return a line a record: fit in percent and error over floor, by output."""
+    """Return a line for each record: fit in percent and error over noise floor, by output."""
     lines = []
     for v in validations:
         parts = [

@@ -197,7 +197,7 @@ def test_what_cannot_be_told_apart_is_held_and_said() -> None:
     assert len(fit.unidentifiable) == 1
     (lost,) = fit.unidentifiable
     assert {lost.name, *lost.together_with} == {"m", "m2"}
-    assert "cannot be told from" in str(lost)
+    assert "cannot be identified apart from" in str(lost)
     assert fit.values[lost.name] == config.parameters[lost.name].value
     assert fit.values["m"] + fit.values["m2"] == pytest.approx(2.0, rel=1e-3)
 

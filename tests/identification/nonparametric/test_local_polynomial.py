@@ -144,7 +144,7 @@ def test_what_cannot_be_estimated_is_an_error() -> None:
     inputs, outputs = records(5)
     with pytest.raises(IdentificationError, match=r"at least \d+ samples, found a record of 25"):
         local_polynomial([v[:25] for v in inputs], [y[:25] for y in outputs], TS, FREQ)
-    with pytest.raises(IdentificationError, match=r"within 0\.01667 and 49\.98 Hz"):
+    with pytest.raises(IdentificationError, match=r"from 0\.01667 to 49\.98 Hz"):
         local_polynomial(inputs, outputs, TS, np.array([1.0, 60.0]))
     with pytest.raises(IdentificationError, match="every input to be excited"):
         local_polynomial([inputs[0]], [outputs[0]], TS, FREQ)

@@ -348,7 +348,9 @@ def test_records_that_do_not_fit_are_errors() -> None:
     turned[..., 1] *= np.cos(2 * np.pi * np.arange(N) / N)  # moves its lines by one
     with pytest.raises(IdentificationError, match="same lines"):
         best_linear_approximation([replace(good, v=turned)])
-    with pytest.raises(IdentificationError, match=r"beam at \+0\.0 mm: expected experiments that"):
+    with pytest.raises(
+        IdentificationError, match=r"beam at \+0\.0 mm: expected independent inputs"
+    ):
         at_every_position([replace(alike, beam_m=0.0)])
 
 

@@ -209,7 +209,7 @@ def test_too_many_missing_rows_are_an_error() -> None:
     rng = np.random.default_rng(2)
     sparse = flown(2000)
     sparse.rows["stale"][rng.uniform(size=2000) < 0.15] = Stale.SENSORS
-    with pytest.raises(IdentificationError, match=r"02-z\.mcap: .*no heights in \d+ of 2000 rows"):
+    with pytest.raises(IdentificationError, match=r"02-z\.mcap: .*no heights in \d+ of \d+ rows"):
         from_log(sparse)
     stalls = [k for k in range(20, 1980) if k % 100 < 15]
     with pytest.raises(IdentificationError, match=r"100 of 2000 rows between two stalls"):

@@ -47,7 +47,7 @@ def test_a_loop_that_rings_for_long_gets_a_longer_impulse_response(rig, ringing)
     point = _point(ringing, Options(lag_s=rig.LAG_S))
     assert len(point.markov["least_squares"].g) > 10_000
     assert any("rings for more than" in text for text in point.remarks)
-    assert any("as much is left out at the begin of records" in text for text in point.remarks)
+    assert any("are left out at the start of records" in text for text in point.remarks)
     assert point.order.order == 9
     assert point.trusted
     for axis, holdout in enumerate(point.holdout):

@@ -118,7 +118,7 @@ def test_standard_errors_fall_with_the_root_of_the_length():
 
 def test_the_slope_is_the_derivative_by_what_the_predictor_regresses_on():
     """Products of innovation and past are nudged in the Gram matrix, and all is done anew."""
-    seen = [pbsid._as_core_sees_it(r, 0.0) for r in flown(2, 20_000, 0.01)]
+    seen = [pbsid._core_signals(r, 0.0) for r in flown(2, 20_000, 0.01)]
     z = [np.hstack([r.v, r.y]) for r in seen]
     past, p = 12, 2
     gram = np.sum(pbsid.grams_of_lags(z, past), axis=0)

@@ -153,5 +153,5 @@ def test_equation_14_holds_point_by_point(rig, exact, controller):
 
 def test_a_loop_smaller_than_its_controller_is_an_error(controller):
     small = StateSpace(np.eye(2) * 0.5, np.ones((2, 3)), np.ones((3, 2)), np.zeros((3, 3)), TS)
-    with pytest.raises(IdentificationError, match="more than 3 states"):
+    with pytest.raises(IdentificationError, match="3 integrators"):
         plant_from_loop.plant_from_loop(small, controller)

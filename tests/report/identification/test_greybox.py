@@ -87,7 +87,7 @@ def test_a_report_of_a_fitted_model_alone(grey, tmp_path):
         "4 parameters of the declared model",
         "fitted to 2 records together, 7 s in all",  # the first 60 % of 6 s each
         "1 more was fixed by the model file",
-        "cannot be told from",
+        "cannot be identified apart from",
         "Fig. 13 of the paper",
         "Fig. 14 of the paper",
         "4 of 5",

@@ -222,5 +222,5 @@ def test_error_of_the_truth_is_the_floor_and_of_a_wrong_model_its_bias() -> None
 
 def test_a_loop_whose_input_is_not_held_is_refused() -> None:
     record = made("none", 2.0, loop=True)
-    with pytest.raises(IdentificationError, match="'made': expected a held input in a loop, found"):
+    with pytest.raises(IdentificationError, match="'made': expected input: zoh in a closed loop"):
         free_run(point("band_limited"), record)

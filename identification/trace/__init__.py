@@ -1,1 +1,1 @@
-"""Find the physical effects that a model lacks."""
+"""Trace the residual of a model to physical effects."""

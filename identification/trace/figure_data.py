@@ -1,4 +1,4 @@
-"""What a report shows of a trace beyond its result: each record, reduced to what figures need."""
+"""Reduce the records of a trace to the data of the report's figures."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ Array = NDArray[np.float64]
 _SAMPLE_HZ = 100.0
 _MOST_SAMPLES = 4000
 _SEEN = 0.05
-"""A part of an effect is shown if it has this share of its largest part, in units of the noise."""
+"""Least size of a plotted part of an effect, over its largest part."""
 _MOST_ASPECTS = 3
 
 
 @dataclass(frozen=True)
 class PlottedSignal:
-    """Samples (K,) of something that an effect may depend on."""
+    """Samples (K,) of a signal that an effect may depend on."""
 
     name: str
     unit: str
@@ -47,12 +47,12 @@ class PlottedSignal:
 
 @dataclass(frozen=True)
 class Aspect:
-    """One part of an effect in one record, sampled: where it acts, fitted (K,) and measured (K,).
+    """One part of an effect in one record, sampled: place, fitted (K,) and measured (K,) values.
 
-    measured: fitted, and what the model with all effects leaves there; the mean over the record,
-    which a constant force hides, is as fitted. Both went through the same filter, which keeps
-    frequencies at which the effect stands out. block (K,) numbers blocks of
-    time. `signals` are what it may depend on.
+    measured: fitted plus the residual of the model with all effects; its mean over the record is
+    the fitted one, as a constant force is unknown. Both pass the same filter, which keeps the
+    frequencies at which the effect exceeds the residual. block (K,): number of the time block.
+    `signals`: signals that the effect may depend on.
     """
 
     identity: str
@@ -66,15 +66,14 @@ class Aspect:
 
 @dataclass(frozen=True)
 class RecordView:
-    """One record.
+    """The figure data of one record, before and after the trace.
 
-    time_s (B,): middle of blocks; before, after (B,): mean squares of one-step-ahead errors and of
-    what is beyond the rigid platform, in variances of the noise. sensor_before, sensor_after (S,):
-    RMS beyond the rigid platform, each sensor, over what its noise leaves there; NaN where that is
-    nothing. signals (K,) each, with force_before, force_after (K, n): the generalised force that is
-    lacking, where it stands out of the noise; stands_out_before, stands_out_after (n,): its RMS
-    over that of the noise in the same band. freq_hz (F,), floor (F, n): density of the noise in the
-    pose's free-running error.
+    time_s (B,): middle of time blocks; before, after (B,): mean squares of the one-step-ahead
+    errors and of the readings' non-rigid part, in noise variances. sensor_before, sensor_after
+    (S,): RMS of each sensor's non-rigid part over its noise there; NaN if the sensors are not
+    redundant. signals (K,) each; force_before, force_after (K, n): residual generalised force,
+    filtered to exceed the noise; stands_out_before, stands_out_after (n,): its RMS over that of the
+    noise in the same band. floor (F, n): noise floor density of the pose's free-run error.
     """
 
     name: str
@@ -96,7 +95,7 @@ class RecordView:
 
 @dataclass(frozen=True)
 class Views:
-    """All records, in the order of time, and units of the generalised forces."""
+    """All records in time order, and the units of the generalised forces."""
 
     records: tuple[RecordView, ...]
     dof: tuple[str, ...]
@@ -104,7 +103,7 @@ class Views:
 
 
 def views(found: Trace, workers: Workers) -> Views:
-    """Return what figures show of the records of a trace."""
+    """Return the figure data of all records of a trace."""
     held = {e.name: e.freq_hz for e in found.after}
     seen = workers.map(partial(_view, found.declared, found.found.point, held), found.records)
     places = found.places
@@ -148,7 +147,7 @@ def _thinning(record: TraceRecord) -> int:
 
 
 def _blocks(record: TraceRecord) -> NDArray[np.int64]:
-    """Return the number of the block of the session's time that each row lies in."""
+    """Return the number of the time block of each row (N,)."""
     return np.floor(record.time_s / BLOCK_S).astype(np.int64)
 
 
@@ -158,7 +157,7 @@ def _thinned(signals: Iterator[PlottedSignal], every: int) -> Iterator[PlottedSi
 
 
 def _signals(point: WorkingPoint, s: Signals) -> Iterator[PlottedSignal]:
-    """Yield what a residual may depend on."""
+    """Yield the signals that a residual may depend on."""
     places = s.places
     for order, values in enumerate((s.q, s.qd, s.qdd)):
         per = ("", "/s", "/s²")[order]
@@ -178,7 +177,7 @@ def _signals(point: WorkingPoint, s: Signals) -> Iterator[PlottedSignal]:
 
 
 def _standing_out(point: WorkingPoint, left: Missing) -> tuple[Array, Array]:
-    """Return the missing force (N, n) where it stands out of the noise, and by how much (n,)."""
+    """Return the residual force (N, n), filtered to exceed the noise, and its RMS over noise."""
     Ts_s = left.here.at.Ts_s
     freq_hz, psd = density(left.force, Ts_s)
     noise = noise_density(point, left.here, freq_hz)
@@ -192,7 +191,7 @@ def _standing_out(point: WorkingPoint, left: Missing) -> tuple[Array, Array]:
 
 
 def _block_squares(point: WorkingPoint, left: Missing) -> tuple[Array, Array]:
-    """Return times and mean squares (B,) over blocks of time, of all that should be noise."""
+    """Return times and mean squares (B,) of all residuals, over blocks of time."""
     here = left.here
     rows, n = here.errors.shape[:2]
     shape = here.record.places.sensor_shape
@@ -210,7 +209,7 @@ def _block_squares(point: WorkingPoint, left: Missing) -> tuple[Array, Array]:
 
 
 def _sensor_rms(disturbance: Disturbance, left: Missing) -> Array:
-    """Return the RMS (S,) beyond the rigid platform over what white noise leaves there."""
+    """Return the RMS (S,) of the readings' non-rigid part, over that of white sensor noise."""
     shape = left.here.record.places.sensor_shape
     own = 1 - np.einsum("si,is->s", shape, np.linalg.pinv(shape))
     noise = disturbance.sensor_sd * np.sqrt(np.maximum(own, 0.0))
@@ -234,7 +233,7 @@ def _aspects(
 
 @dataclass(frozen=True)
 class _Part:
-    """A part of an effect along a record: fitted and left (N,), its size over the noise."""
+    """A part of an effect along a record: fitted and residual (N,), and its size over the noise."""
 
     place: str
     unit: str
@@ -245,7 +244,7 @@ class _Part:
 
 
 def _parts(point: WorkingPoint, left: Missing, placed: Placed) -> Iterator[_Part]:
-    """Yield the parts of an effect: by coil, by DOF, by sensors, and on the drives."""
+    """Yield the parts of an effect: by coil, DOF, sensors and drives."""
     here = left.here
     own, places, s = share(point, here, placed), here.record.places, here.signals
     coils, sensors = (
@@ -253,7 +252,7 @@ def _parts(point: WorkingPoint, left: Missing, placed: Placed) -> Iterator[_Part
         for kind in ("coil", "sensor")
     )
     if own.force is not None and len(coils) == 1:
-        # One coil's force shows in all DOFs in the ratio of its arms.
+        # The force of one coil acts on all DOF in the ratio of its arms.
         arm = places.coil_shape[coils[0]]
         weight = arm / float(arm @ arm)
         driven = (

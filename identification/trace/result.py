@@ -1,4 +1,4 @@
-"""What a trace found, in numbers and words: for JSON, for the report, and as a model file."""
+"""Summarise a trace: effects and errors as JSON, for the report, and as a model file."""
 
 from __future__ import annotations
 
@@ -22,41 +22,40 @@ from .study import Trace
 Array = NDArray[np.float64]
 
 METRIC = (
-    "RMS over rows and sensors of the free-running simulation's error, in standard deviations of "
-    "the sensor noise, on records that were not fitted, from 5 s on (of records under 15 s: from "
-    "a third on)"
+    "RMS of the free-run simulation error over rows and sensors, in standard deviations of the "
+    "sensor noise, on held-out records; the first 5 s do not count (the first third of records "
+    "under 15 s)"
 )
 NOISE_MOST = 1.15
-"""Error over its floor up to which nothing is left: the floor itself is known to some percent."""
+"""Largest error over noise floor that counts as noise: the floor has errors of a few percent."""
 SQUARE_MOST = 1.05
 _FAR_BELOW = 0.5
-"""Mean square of one-step errors, 1 for noise, below which something else was taken for noise."""
+"""Mean square of one-step errors (1 for noise) below which the noise was overestimated."""
 NO_STILL = (
-    "No record is still: the noise is what the fit leaves, undeclared effects and all. What is "
-    "left may be more than noise, and free forms and random vibrations were not looked for."
+    "No record is still: the noise is estimated from the fit's residual, which includes undeclared "
+    "effects. The residual may be above noise; free forms and vibration were not searched."
 )
 _IN_DOUBT, _EXPLAINED = 2.0, 2.0 / 3.0
-"""Names are doubted where the error stays above this multiple of its floor, and they explain less
-than this share of the squares that there were to explain."""
+"""Named effects are uncertain if the error stays above this multiple of the noise floor and they
+explain less than this share of the squared error above it."""
 _MANY = 2
-"""Coils that push alike, if there are more, push as a force on the DOF does."""
+"""More coils than this with equal forces act like a force on the DOF."""
 PERHAPS_A_PART = "perhaps a part of what is described freely there"
-_NEXT_TO_NOTHING = 0.01
-_TOLD = 0.5
-"""Of what was known before: a standard error above says that the records told nothing."""
+_MIN_EXCESS_SHARE = 0.01
+_MAX_ERROR_SHARE = 0.5
+"""Largest standard error of an identified parameter, over its uncertainty before."""
 _BAND = (0.1, 0.9)
 _MOST_RIVALS = 3
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Why an effect was added.
+    """The evidence for an effect.
 
-    statistic: on held-out records, what the effect predicted from the others, against the errors,
-    in standard deviations of chance; where it does nothing in them (not `held`), between blocks of
-    time of the others. explained: squared errors that it took on blocks of time that
-    did not fit it, `share` of all that noise did not explain then, None where that was next to
-    nothing. `alternatives` fit no worse.
+    statistic: agreement of the effect's prediction with the errors of held-out records (if `held`),
+    else between time blocks of the training records, in standard deviations of chance. explained:
+    reduction of the cross-validated squared error; `share`: the same over the squared error above
+    noise at that time, None if that was negligible. `alternatives` fit as well.
     """
 
     statistic: float
@@ -69,7 +68,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class RandomForce:
-    """What shakes a DOF: noise that no model foretells, and so no part of one."""
+    """A random force on a DOF, which a model cannot predict."""
 
     shaking: Shaking
     dof: str
@@ -79,36 +78,36 @@ class RandomForce:
 
     @property
     def name(self) -> str:
-        """What it is and where, as people say it."""
+        """Name and place of the force, for display."""
         low, high = self.shaking.band_hz
         return f"Random vibration at {self.dof}, {low:.3g} to {high:.3g} Hz"
 
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect in the model: `evidence` where this trace added it, None where it was declared."""
+    """An effect in the model; `evidence` is None for a declared effect."""
 
     placed: Placed
     evidence: Evidence | None
 
     @property
     def effect(self) -> Effect:
-        """The effect without values."""
+        """The effect, without parameter values."""
         return self.placed.effect
 
     @property
     def unknown(self) -> bool:
-        """Whether it is no known effect, but a free-form force that describes what there is."""
+        """Whether it is a free form, not a known effect."""
         return self.effect.effect_class == "unknown"
 
     def parameters(self) -> dict[str, EffectParameter]:
-        """Return values, standard errors and units, amplitudes before shape."""
+        """Return values, standard errors and units by name, amplitudes first."""
         return _parameters(self.placed)
 
 
 @dataclass(frozen=True)
 class DofError:
-    """Free-running error of one DOF, SI units; band_hz holds the middle 80 % of its power after."""
+    """Free-run error of one DOF in SI units; band_hz: middle 80 % of its power after the trace."""
 
     name: str
     unit: str
@@ -120,15 +119,14 @@ class DofError:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A trace in numbers.
+    """The result of a trace in numbers.
 
-    before, after, floor: METRIC, of the declared model refitted, of the model with effects, and
-    what noise alone leaves. mean_square: of one-step-ahead errors after, on records that were held
-    out, in variances of the noise; `beyond` the free-running error that a rigid platform cannot
-    show, likewise, None where every sensor has a DOF of its own. `nearest` are the candidates of
-    the last round that explain most, none of them beyond chance. gone: effects that were taken, or
-    declared, and given up since others explain the same; followed: since they followed what is
-    random. noise_measured: still records told the noise, and not the fit.
+    before, after, floor: METRIC of the refitted declared model, of the model with effects, and of
+    noise alone. mean_square: of the one-step-ahead errors after the trace on held-out records, in
+    noise variances; `beyond`: the same of the readings' non-rigid free-run error, None without
+    redundant sensors. `nearest`: candidates of the last round that explain most, none significant.
+    gone: accepted or declared effects removed because others explain the same; followed: removed
+    because they followed random forces. noise_measured: the noise comes from still records.
     """
 
     effects: tuple[FoundEffect, ...]
@@ -148,34 +146,33 @@ class Outcome:
 
     @property
     def overrated(self) -> bool:
-        """Whether the errors are far below what was taken for the sensors' noise."""
+        """Whether the errors are far below the estimated sensor noise."""
         return self.mean_square < _FAR_BELOW
 
     @property
     def significant(self) -> bool:
-        """Whether more is left than noise."""
+        """Whether the residual is significantly above noise."""
         return self.mean_square > SQUARE_MOST or not self.after <= NOISE_MOST * self.floor
 
     @property
     def explained(self) -> float:
-        """Share of the squared error beyond the floor that the effects take; nan of nothing."""
+        """Share of the squared error above noise that the effects explain; nan if none."""
         there = self.before**2 - self.floor**2
         return 1.0 - (self.after**2 - self.floor**2) / there if there > 0.0 else math.nan
 
     @property
     def doubtful(self) -> bool:
-        """Whether named effects may stand for something else: much is left, and they took little.
+        """Whether named effects are uncertain: the residual is large, and they explain little.
 
-        The best of a table that lacks what is there takes something too, and far beyond chance.
+        If the true effect is not in the table, the best candidate still explains a part of it.
         """
         named = any(not f.unknown for f in self.effects)
         return named and self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED
 
     def perhaps_part_of(self, found: FoundEffect) -> tuple[str, ...]:
-        """Return the free forms at the place of a known effect, of which it may be a part.
+        """Return the free forms at the same place as a known effect.
 
-        The table lacks what they describe, and what it has may be named for as much of that as
-        looks like it.
+        The effect may then be a part of what they describe, which is not in the table.
         """
         if found.unknown:
             return ()
@@ -187,7 +184,7 @@ class Outcome:
 
     @property
     def verdict(self) -> str:
-        """What was found, in a sentence."""
+        """The result in a sentence."""
         known = [
             f.effect.name + (f" ({PERHAPS_A_PART})" if self.perhaps_part_of(f) else "")
             for f in self.effects
@@ -198,46 +195,46 @@ class Outcome:
         if self.effects or self.shaken:
             parts = [f"{'perhaps' if self.doubtful else 'found'}: {names}"] if names else []
             if forms:
-                parts.append(f"unexplained by any known effect, and described freely: {forms}")
+                parts.append(f"not explained by a known effect, described by free forms: {forms}")
             return "; ".join([*parts, self.rest])
         if self.significant:
             return (
-                "nothing found: more than noise is left, and no known effect explains it beyond "
-                "chance"
+                "nothing found: the residual is above noise, and no known effect explains it "
+                "significantly"
             )
         if self.overrated:
-            return f"nothing can be told: {self._too_loud}"
+            return f"no conclusion: {self._too_loud}"
         if not self.noise_measured:
-            return "nothing found beyond what the fit takes for noise, since no record is still"
+            return "nothing found above the fit's noise estimate; no record is still"
         return "nothing found: the model explains the records down to the noise"
 
     @property
     def rest(self) -> str:
-        """What is left, in a clause."""
+        """The residual, described in a clause."""
         if self.significant:
-            return "more than noise is left"
+            return "the residual is above noise"
         if self.overrated:
-            return f"of what is left nothing can be told: {self._too_loud}"
-        return "what is left is noise" if self.noise_measured else "what is left passes for noise"
+            return f"no conclusion on the residual: {self._too_loud}"
+        return "the residual is noise" + ("" if self.noise_measured else " by the fit's estimate")
 
     @property
     def _too_loud(self) -> str:
         return (
-            f"one step ahead the errors have {self.mean_square:.2g} of the variance that was read "
-            "at the readings' highest frequencies and taken for the sensors' noise; sample faster, "
-            "or excite less up there"
+            f"the one-step errors have only {self.mean_square:.2g} of the sensor noise variance, "
+            "which was estimated at the readings' highest frequencies; sample faster, or excite "
+            "less at these frequencies"
         )
 
 
 def _acts_at(where: Sequence[str], place: str) -> bool:
-    """Return whether what is at `where` acts at a place: many coils alike push at every DOF."""
+    """Return whether an effect at `where` acts at a place; many equal coils act at every DOF."""
     if len(where) > _MANY and where[0].startswith("coil:"):
         return ":" not in place or place in where
     return place in where
 
 
 def outcome(trace: Trace) -> Outcome:
-    """Return what a trace found, in numbers."""
+    """Return the result of a trace in numbers."""
     placed = {p.effect.identity: p for p in trace.found.point.placed}
     started = {p.effect.identity: p.effect.name for p in trace.declared.placed}
     evidence = _evidence(trace.found.rounds)
@@ -270,12 +267,11 @@ def outcome(trace: Trace) -> Outcome:
 
 
 def summary(trace: Trace) -> dict[str, Any]:
-    """Return the result in plain dicts, lists, finite numbers and words, for JSON.
+    """Return the result as dicts, lists, finite numbers and text, for JSON.
 
-    effects: each a name, class, where, parameters with value, standard error and unit, evidence;
-    those that the model declared already are not among them. validation: metric, before, after,
-    noise_floor, noise_measured, per_dof, per_record. unexplained: what is left. None stands for
-    what is not a number.
+    effects: name, class, where, parameters with value, standard error and unit, and evidence of
+    each; declared effects are not included. validation: metric, before, after, noise_floor,
+    noise_measured, per_dof, per_record. unexplained: the residual. None replaces nan.
     """
     found = outcome(trace)
     plain: dict[str, Any] = _plain(
@@ -325,7 +321,7 @@ def summary(trace: Trace) -> dict[str, Any]:
 
 
 def telling(found: FoundEffect) -> str:
-    """Return which excitation would tell an effect from its alternatives; '' where nobody knows."""
+    """Return the excitation that distinguishes an effect from its alternatives; '' if unknown."""
     if found.evidence is None:
         return found.effect.told_apart_by
     both = (found.effect, *found.evidence.alternatives)
@@ -333,7 +329,7 @@ def telling(found: FoundEffect) -> str:
 
 
 def _per_record(trace: Trace) -> list[dict[str, Any]]:
-    """Return the errors of each record that was held out, by DOF, SI units."""
+    """Return the errors of each held-out record by DOF, in SI units."""
     return [
         {
             "record": a.name,
@@ -352,16 +348,16 @@ def _per_record(trace: Trace) -> list[dict[str, Any]]:
 
 
 def model_after(trace: Trace) -> ModelConfig:
-    """Return the model with its effects, refitted, values with standard errors."""
+    """Return the refitted model with its effects, values with standard errors."""
     point, config = trace.found.point, trace.config
     free, values = point.parameters, point.values
     sd = trace.found.errors[: len(values)] * free.scale
     known = np.minimum(free.worth, free.prior_sd)
     parameters = dict(config.parameters)
     for name, value, error, before in zip(free.names, values, sd, known, strict=True):
-        told = error < _TOLD * before
+        identified = error < _MAX_ERROR_SHARE * before
         parameters[name] = parameters[name].model_copy(
-            update={"value": float(value), "se": float(error) if told else None}
+            update={"value": float(value), "se": float(error) if identified else None}
         )
     return config.model_copy(
         update={"parameters": parameters, "effects": tuple(model_effect(p) for p in point.placed)}
@@ -390,13 +386,13 @@ def _finite(value: float | None) -> float | None:
 
 
 def _evidence(rounds: Sequence[Round]) -> dict[str, Evidence]:
-    """Return by identity why effects were taken."""
+    """Return the evidence of accepted effects, by identity."""
     return {
         r.taken.effect.identity: Evidence(
             r.taken.chance,
             r.taken.held,
             r.taken.gain,
-            min(r.taken.gain / r.excess, 1.0) if r.excess > _NEXT_TO_NOTHING * r.count else None,
+            min(r.taken.gain / r.excess, 1.0) if r.excess > _MIN_EXCESS_SHARE * r.count else None,
             number,
             tuple(t.effect for t in r.alternatives),
         )
@@ -418,7 +414,7 @@ def _dof_errors(trace: Trace) -> tuple[DofError, ...]:
 
 
 def _band(errors: Sequence[RecordError], dof: int) -> tuple[float, float]:
-    """Return between which frequencies the middle 80 % of the power of a DOF's error lie."""
+    """Return the band of the middle 80 % of the power of a DOF's error, in Hz."""
     freq_hz = max((e.freq_hz for e in errors), key=len)
     power = np.zeros(len(freq_hz))
     for e in errors:
@@ -429,12 +425,12 @@ def _band(errors: Sequence[RecordError], dof: int) -> tuple[float, float]:
 
 
 def _beyond(trace: Trace) -> float | None:
-    """Return the mean square beyond the rigid platform, from what the pose's errors leave of it."""
+    """Return the mean square non-rigid error: the readings' error without the pose's."""
     shape = trace.places.sensor_shape
     sensors, n = shape.shape
     inner = shape.T @ shape
     own = np.diag(inner)
-    # Where the sensors' pattern mixes the DOFs, squares of the pose alone do not tell.
+    # If the sensor geometry couples the DOF, the squares of the pose are not sufficient.
     mixed = float(np.abs(inner - np.diag(own)).max()) > 1e-9 * float(own.max())
     if sensors <= n or mixed:
         return None

@@ -1,4 +1,4 @@
-"""A trace from end to end: logs to a model with effects, judged on records that fitted nothing."""
+"""Run a trace: from logs to a model with effects, validated on held-out records."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from .records.initial_guesses import extent
 from .records.noise_sources import disturbance, require_noise
 from .records.read_records import read_records
 from .records.session_time import overlap, require_timeless, timeless
-from .records.trace_record import TraceRecord, split
+from .records.trace_record import SHORTEST_S, TraceRecord, split
 from .residual.error_metric import RecordError, pooled, record_error
 from .residual.random_vibration import Shaking, force_spectrum, shaking
 from .search.candidate_screening import HeldError
@@ -45,18 +45,18 @@ Progress = Callable[[str, float], None]
 _FIRST_ROWS = 8000
 _FIRST_RECORDS = 8
 _LOUDER = (1e9, 1e7, 1e5)
-"""Times the force noise that there is: loud enough to begin from a model far off, and then less."""
+"""Factors on the force noise: large for a poor initial model, then smaller."""
 _UNEXPLAINED = 1.1
-"""Error over the floor from which on it is asked whether something shakes the platform."""
+"""Error over noise floor above which random vibration is looked for."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """What was found.
+    """The result of a trace.
 
-    `declared`: the model refitted with no effects but its own; `found`: the end of the search.
-    before, after: errors of the held-out records, free-running, in the order of `held`. shaken:
-    random forces among what is left.
+    `declared`: the refitted model with only its declared effects; `found`: the result of the
+    search. before, after: free-run errors of the held-out records, in the order of `held`. shaken:
+    random forces found in the residual.
     """
 
     config: ModelConfig
@@ -70,7 +70,7 @@ class Trace:
     notes: tuple[str, ...]
     shaken: tuple[Shaking, ...] = ()
     records: tuple[RecordSource, ...] = ()
-    """Every record whole, fitted and held out."""
+    """All complete records, fitted and held out."""
 
 
 def trace(
@@ -80,12 +80,12 @@ def trace(
     workers: Workers,
     progress: Progress,
 ) -> Trace:
-    """Return what records lack in the model of `config`, and the model with it.
+    """Find the effects that the model of `config` lacks, and fit the model with them.
 
-    Raises IdentificationError: no records, too little of them, without noise, or records that the
-    model does not fit.
+    Raises IdentificationError without records, for too little data, readings without noise, or
+    records that the model does not fit.
     """
-    # Every worker is one core, this process too: threads of the linear algebra would only fight.
+    # Each process uses one core: BLAS threads would compete for the same cores.
     with threadpool_limits(1):
         return _trace(logs, config, effects, workers, progress)
 
@@ -93,9 +93,9 @@ def trace(
 def refit(
     logs: Sequence[Path], config: ModelConfig, workers: Workers, progress: Progress
 ) -> tuple[WorkingPoint, tuple[RecordError, ...]]:
-    """Return the declared model refitted, and its errors on the records held out.
+    """Refit the declared model, and return it with its errors on the held-out records.
 
-    It is where a trace begins: how much there is to explain. Raises IdentificationError.
+    This is the first step of a trace. Raises IdentificationError as trace does.
     """
     with threadpool_limits(1):
         begun = _begin(logs, config, workers, progress)
@@ -105,7 +105,7 @@ def refit(
 
 @dataclass(frozen=True)
 class _Begun:
-    """Records split, and the declared model fitted to those that are not held out."""
+    """The split records, and the declared model fitted to the training records."""
 
     logged: _Logged
     declared: WorkingPoint
@@ -136,11 +136,11 @@ def _trace(
         unknown, _ = timeless(unknown, places, begun.covered)
         if timed:
             kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
-            told = f"{begun.overlapping} overlap: effects that depend on a session's time"
-            notes = (*notes, f"{told} are not looked for ({kinds})")
+            note = f"{begun.overlapping} overlap: effects that depend on session time"
+            notes = (*notes, f"{note} are not searched ({kinds})")
     found = search(declared, others, unknown, logged, progress)
     if {p.effect.identity for p in found.point.placed} == known:
-        declared = found.point  # nothing was found: it is fitted to the end
+        declared = found.point  # no effect was found: use the converged fit
     progress("simulating held-out records", 0.9)
     before = workers.map(partial(record_error, declared), logged.kept)
     after = workers.map(partial(record_error, found.point), logged.kept)
@@ -182,7 +182,7 @@ def _begin(
     train, held = split(list(records.values()))
     if not held:
         raise IdentificationError(
-            "expected records long enough to hold a part of them out, found "
+            f"expected records with a part of at least {SHORTEST_S:g} s to hold out, found "
             f"{', '.join(f'{r.rows} rows of {r.name}' for r in records.values())}"
         )
     require_noise(train)
@@ -209,9 +209,9 @@ def _begin(
     point = _start(config, parts, list(records.values()), covered)
     logged = _Logged(workers, sources(train), sources(held), tuple(parts))
     names = tuple(r.name for r in train), tuple(r.name for r in held)
-    del records, train, held  # workers read them anew
+    del records, train, held  # the workers read the logs themselves
 
-    start = logged.believed(replace(point, reference=point.model))
+    start = logged.with_estimated_noise(replace(point, reference=point.model))
     declared, _ = refine(start, logged, within=NEARLY)
     return _Begun(
         logged, declared, places, covered, *names, overlapping, notes, tuple(whole.values())
@@ -220,7 +220,7 @@ def _begin(
 
 @dataclass(frozen=True)
 class _Logged:
-    """Records that workers read from logs."""
+    """Records that the workers read from logs."""
 
     workers: Workers
     fitted: tuple[RecordSource, ...]
@@ -231,7 +231,7 @@ class _Logged:
     def sensor_shape(self) -> Array:
         return self.parts[0].places.sensor_shape
 
-    def believed(self, point: WorkingPoint) -> WorkingPoint:
+    def with_estimated_noise(self, point: WorkingPoint) -> WorkingPoint:
         return with_likely_noise(point, self.parts)
 
     def held_error(self, point: WorkingPoint) -> HeldError:
@@ -248,8 +248,8 @@ class _Logged:
         return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), chosen)
 
     def shown(self, point: WorkingPoint, candidates: Sequence[Candidate]) -> list[Linearised]:
-        asked = tuple(candidates)
-        return self.workers.map(partial(shown_beyond, point, candidates=asked), self.fitted)
+        chosen = tuple(candidates)
+        return self.workers.map(partial(shown_beyond, point, candidates=chosen), self.fitted)
 
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
         return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), self.kept)
@@ -257,7 +257,7 @@ class _Logged:
 
 @dataclass(frozen=True)
 class _Loaded:
-    """Records at hand, to fit to."""
+    """Records in memory, to fit to."""
 
     records: Sequence[TraceRecord]
 
@@ -284,10 +284,10 @@ def _require_enough(train: Sequence[TraceRecord]) -> None:
 
 
 def _visible(effects: Sequence[Effect], places: Places) -> list[Effect]:
-    """Return the effects that records of a plant can show at all.
+    """Return the effects that are identifiable with the plant's sensors.
 
-    Without more sensors than DOF a reading that is false in proportion to itself is a change of
-    units: a fit would shrink the readings, and the errors with them.
+    Sensor effects need more sensors than DOF: otherwise a gain error is a change of units, and the
+    fit would shrink readings and errors together.
     """
     if places.sensors > len(places.dof):
         return list(effects)
@@ -300,10 +300,10 @@ def _start(
     records: Sequence[TraceRecord],
     covered: Extent,
 ) -> WorkingPoint:
-    """Return a working point near the declared model's best, from parts of some records.
+    """Return an initial working point, fitted to parts of some records.
 
-    With much force noise the filter follows a record whatever the parameters are, and the errors
-    are nearly linear in them; so it is taken to be loud first, and comes down to what it is.
+    With large force noise the filter follows the records for any parameters, and the errors are
+    nearly linear in them. So the force noise starts large and is reduced in steps.
     """
     parameters, model = free_parameters(config), declared_model(config)
     if any(r.still and r.experiment.loop is not None for r in records):
@@ -331,6 +331,6 @@ def _parts(records: Sequence[TraceRecord]) -> list[TraceRecord]:
     parts = []
     for record in chosen[:_FIRST_RECORDS]:
         first = max((record.rows - _FIRST_ROWS) // 2, 0)
-        # A view would keep the whole record.
+        # A copy, as a view would keep the whole record in memory.
         parts.append(deepcopy(record.cut(first, min(first + _FIRST_ROWS, record.rows))))
     return parts

@@ -1,8 +1,8 @@
-"""Records freed of the effects that a model declares, so that its matrices alone can be fitted.
+"""Subtract a model's declared effects from a record, so that only its matrices are fitted.
 
-Effects are evaluated along the measured motion, at the values in the model file. What they add to
-the readings is taken out of them; what they add to commands and forces becomes part of the known
-input, and in a loop part of its reference and its feed-forward: the loop stays the one that flew.
+Effects are evaluated along the measured motion, at the values in the model file. Their contribution
+to readings is subtracted. Their contribution to commands and forces becomes part of the known
+input, and in closed loop of reference and feed-forward, so that the loop is unchanged.
 """
 
 from __future__ import annotations
@@ -28,15 +28,14 @@ from .records.trace_record import trace_record
 
 Array = NDArray[np.float64]
 
-_SAME = 1e-9
+_RANK_TOLERANCE = 1e-9
 
 
 def experiment_of(log: Log, config: ModelConfig) -> Experiment:
-    """Return the record of a log, freed of the effects of the model; raises as trace_record does.
+    """Return the experiment of a log without the model's effects; raises as trace_record does.
 
-    A force (N, n) is turned into the command that makes it behind the model's delay and lag, to
-    second order in the time over which it changes. What effects add to the force of the beam's
-    drives plays no part in a fit.
+    A force (N, n) is converted to the equivalent command before the model's delay and lag, accurate
+    to second order. Effects on the drive force are ignored: the fit does not use it.
     """
     if not config.effects:
         return experiment_from_log(log, config)
@@ -45,10 +44,10 @@ def experiment_of(log: Log, config: ModelConfig) -> Experiment:
     noise = Disturbance(first_noise([record.experiment]), 1.0, measured=False)
     point = WorkingPoint(model, free_parameters(config), placed, noise, config.input)
     _, added = filtered(point, record, motion(model, record.experiment, config.input))
-    return _freed(record.experiment, point, added, record.places.decoupling)
+    return _subtracted(record.experiment, point, added, record.places.decoupling)
 
 
-def _freed(e: Experiment, point: WorkingPoint, added: Term, decoupling: Array) -> Experiment:
+def _subtracted(e: Experiment, point: WorkingPoint, added: Term, decoupling: Array) -> Experiment:
     held = np.zeros_like(e.u) if added.held is None else added.held
     if added.force is not None:
         held = held + _as_command(e, point, added.force)
@@ -60,19 +59,19 @@ def _freed(e: Experiment, point: WorkingPoint, added: Term, decoupling: Array) -
 
 
 def _as_command(e: Experiment, point: WorkingPoint, force: Array) -> Array:
-    """Return the command (N, p) that makes a generalised force (N, n)."""
+    """Convert a generalised force (N, n) to the equivalent command (N, p)."""
     model = point.model
     B = model.at({name: float(v.mean()) for name, v in e.schedule.items()}).B
     inverse = np.linalg.pinv(B)
-    if np.abs(B @ inverse - np.eye(len(B))).max() > _SAME:
+    if np.abs(B @ inverse - np.eye(len(B))).max() > _RANK_TOLERANCE:
         raise IdentificationError(
-            f"record '{e.name}': expected inputs that reach every DOF, so that the effects' force "
-            "can be taken out, found a B of lower rank"
+            f"record '{e.name}': expected inputs that act on every DOF (B of full rank), which the "
+            "subtraction of effects needs, found a B of lower rank"
         )
     values = {**model.values, **model.scheduling}
-    later_s = e.delay_cycles * e.Ts_s + model.delay(values) + model.lag(values)
+    delay_s = e.delay_cycles * e.Ts_s + model.delay(values) + model.lag(values)
     if point.hold == "zoh":
-        later_s += 0.5 * e.Ts_s  # a held command stands for the middle of its period
+        delay_s += 0.5 * e.Ts_s  # a held command is centred in its period
     rows = np.arange(len(force), dtype=float)
-    shifted = [np.interp(rows + later_s / e.Ts_s, rows, f) for f in force.T]
+    shifted = [np.interp(rows + delay_s / e.Ts_s, rows, f) for f in force.T]
     return np.asarray(np.stack(shifted, axis=1) @ inverse.T)

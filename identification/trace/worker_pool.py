@@ -1,8 +1,8 @@
-"""Records spread over workers: this process, processes of this machine, or a cluster's executor.
+"""Run tasks on records in this process, in local worker processes, or on a Dask cluster.
 
-A worker reads a record once, from its log, and keeps it. What comes back is added up in the order
-of the records, so that the result does not depend on who did what, to the last digit, where all
-have one linear algebra and one kind of processor.
+Each worker reads a record from its log once and caches it. Results are added in the order of the
+records, so that they are identical for any distribution of the tasks, if all workers have the same
+linear algebra library and type of processor.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from .records.trace_record import TraceRecord, trace_record
 
 Answer = TypeVar("Answer")
 Task = Callable[[TraceRecord], Answer]
-Say = Callable[[str], None]
+Report = Callable[[str], None]
 
-_ANSWERS_S = 10.0
-_ASKED_S, _NOBODY_S = 5.0, 60.0
-"""How often it is asked whether a cluster has workers, and for how long it may have none."""
+_CONNECT_TIMEOUT_S = 10.0
+_POLL_S, _NO_WORKERS_TIMEOUT_S = 5.0, 60.0
+"""Interval of the check for workers in a cluster, and how long it may have none."""
 
 
 @dataclass(frozen=True)
 class RecordSource:
-    """Where a record comes from: rows of a log as it was written then, and its session.
+    """The source of a record: rows of a log, its file time and size, and its session.
 
-    `name` is what it is called among the others; empty for the name that its log has.
+    `name` is the record's unique name; empty for the log's own.
     """
 
     path: Path
@@ -66,15 +66,15 @@ class RecordSource:
         loads: Loads | None = None,
         name: str = "",
     ) -> RecordSource:
-        """Return rows of the log that is at `path` now, in a session of this span and loads."""
-        now = path.stat()
-        # Workers may stand in another folder.
-        there = path.absolute()
-        return cls(there, start, stop, span_s, loads, now.st_mtime_ns, now.st_size, name)
+        """Return rows start to stop of the log at `path`, with the session's span and loads."""
+        file = path.stat()
+        # Workers may have another working directory.
+        absolute = path.absolute()
+        return cls(absolute, start, stop, span_s, loads, file.st_mtime_ns, file.st_size, name)
 
 
 class Workers(Protocol):
-    """Who does what to records."""
+    """Runs a task on many records."""
 
     def map(self, task: Task[Answer], sources: Sequence[RecordSource]) -> list[Answer]:
         """Return the answers in the order of the sources."""
@@ -82,41 +82,41 @@ class Workers(Protocol):
 
 @dataclass(frozen=True)
 class Alone:
-    """All in this process."""
+    """Runs all tasks in this process."""
 
     config: ModelConfig
 
     def map(self, task: Task[Answer], sources: Sequence[RecordSource]) -> list[Answer]:
         """Return the answers in the order of the sources."""
         text = self.config.model_dump_json()
-        # Threads of the linear algebra would only add up in another order.
+        # BLAS threads would change the order of additions, and with it the last digits.
         with threadpool_limits(1):
             return [task(_record(source, text)) for source in sources]
 
 
 class Spread:
-    """Through an executor of concurrent.futures, or one that behaves like it.
+    """Runs tasks in an executor with the interface of concurrent.futures.
 
-    Who loses its workers goes on in this process, and says so.
+    If a worker is lost, it reports this and continues in this process.
     """
 
     def __init__(
         self,
         config: ModelConfig,
         executor: Executor,
-        who: str,
-        say: Say,
-        anybody: Callable[[], bool] = lambda: True,
+        name: str,
+        report: Report,
+        has_workers: Callable[[], bool] = lambda: True,
     ) -> None:
         self.executor, self._alone = executor, Alone(config)
-        self._who, self._say, self._anybody = who, say, anybody
+        self._name, self._report, self._has_workers = name, report, has_workers
         self._text, self._lost = config.model_dump_json(), False
 
     def map(self, task: Task[Answer], sources: Sequence[RecordSource]) -> list[Answer]:
         """Return the answers in the order of the sources."""
         if self._lost:
             return self._alone.map(task, sources)
-        # The longest first: nobody waits for a long one that began last.
+        # Longest records first, so that no long task starts last.
         order = sorted(range(len(sources)), key=lambda i: sources[i].start - sources[i].stop)
         futures: dict[int, Future[_Answered[Answer]]] = {}
         answers: list[Answer] = []
@@ -127,12 +127,12 @@ class Spread:
                 answers.append(self._awaited(futures[i]).value())
         except _TaskError as failed:
             raise failed.error from None
-        except Exception as error:  # noqa: BLE001 - each executor has its own ways of ending
+        except Exception as error:  # noqa: BLE001 - each executor fails in its own way
             self._lost = True
             for future in futures.values():
                 future.cancel()
-            told = f"{type(error).__name__}: {error}".rstrip(": ")
-            self._say(f"lost {self._who} ({told}); going on in this process")
+            reason = f"{type(error).__name__}: {error}".rstrip(": ")
+            self._report(f"lost {self._name} ({reason}); continuing in this process")
             return self._alone.map(task, sources)
         return answers
 
@@ -140,25 +140,25 @@ class Spread:
         since_s = time.monotonic()
         while not future.done():
             try:
-                return future.result(_ASKED_S)
+                return future.result(_POLL_S)
             except TimeoutError:
                 if future.done():
                     break
             now_s = time.monotonic()
-            if self._anybody():
+            if self._has_workers():
                 since_s = now_s
-            elif now_s - since_s > _NOBODY_S:
-                raise IdentificationError(f"no workers for {_NOBODY_S:.0f} s")
+            elif now_s - since_s > _NO_WORKERS_TIMEOUT_S:
+                raise IdentificationError(f"no workers for {_NO_WORKERS_TIMEOUT_S:.0f} s")
         return future.result()
 
 
 @contextmanager
 def local_workers(
-    config: ModelConfig, processes: int | None = None, say: Say = print
+    config: ModelConfig, processes: int | None = None, report: Report = print
 ) -> Iterator[Workers]:
-    """Give workers on this machine: a process a core, or none beside this one for one core.
+    """Start local workers: one process for each core, or only this process on one core.
 
-    `say` is told in a line when they are lost.
+    `report` is called with a line of text if a worker is lost.
     """
     count = processes or len(os.sched_getaffinity(0))
     if count == 1:
@@ -168,9 +168,9 @@ def local_workers(
     others = set(multiprocessing.active_children())
     with ProcessPoolExecutor(count, mp_context=context, initializer=_begin) as pool:
         try:
-            yield Spread(config, pool, "a worker", say)
+            yield Spread(config, pool, "a worker", report)
         except BaseException:
-            # What was submitted would be worked through first, for nobody.
+            # Otherwise the pool would first finish all submitted tasks.
             pool.shutdown(wait=False, cancel_futures=True)
             for worker in set(multiprocessing.active_children()) - others:
                 worker.terminate()
@@ -178,7 +178,7 @@ def local_workers(
 
 
 def _begin() -> None:
-    """Leave an interrupt to the process that has this worker, and end when that one does."""
+    """Ignore interrupts in this worker, and end it when its parent process ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -191,34 +191,35 @@ def _end_with(sentinel: int) -> None:
 
 
 @contextmanager
-def cluster_workers(config: ModelConfig, address: str, say: Say = print) -> Iterator[Workers]:
-    """Give the workers of a dask.distributed scheduler; they must see the logs where we do.
+def cluster_workers(config: ModelConfig, address: str, report: Report = print) -> Iterator[Workers]:
+    """Connect to the workers of a dask.distributed scheduler; they need the logs at the same paths.
 
-    `say` is told in a line when they are lost. Raises OSError where nobody answers at the address,
-    IdentificationError where it is none or has no workers.
+    `report` is called with a line of text if they are lost. Raises OSError if the scheduler does
+    not answer, IdentificationError for an invalid address or a scheduler without workers.
     """
     from distributed import Client
 
-    who = f"--dask {address}"
+    name = f"--dask {address}"
     try:
-        client = Client(address, timeout=f"{_ANSWERS_S:.0f}s")
-    except ValueError as error:  # of whoever reads addresses there
+        client = Client(address, timeout=f"{_CONNECT_TIMEOUT_S:.0f}s")
+    except ValueError as error:  # from distributed's parser of addresses
         raise IdentificationError(
-            f"{who}: expected tcp://HOST:PORT, found no address ({error})"
+            f"{name}: expected an address tcp://HOST:PORT, found an invalid one ({error})"
         ) from None
     with client:
         try:
-            client.wait_for_workers(1, timeout=_ANSWERS_S)
+            client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT_S)
         except TimeoutError:
             raise IdentificationError(
-                f"{who}: expected a scheduler with workers, found none within {_ANSWERS_S:.0f} s"
+                f"{name}: expected a scheduler with workers, found none within "
+                f"{_CONNECT_TIMEOUT_S:.0f} s"
             ) from None
         executor = client.get_executor(pure=False)
         try:
-            yield Spread(config, executor, who, say, lambda: bool(client.nthreads()))
+            yield Spread(config, executor, name, report, lambda: bool(client.nthreads()))
         finally:
-            # After an error nobody wants what was submitted; otherwise all of it is there. Who has
-            # lost its scheduler for long has closed, and raises: what was found is found.
+            # All results are here, or not needed after an error. A client that lost its scheduler
+            # is closed and raises, which does not affect the results.
             with suppress(Exception):
                 executor.shutdown(wait=False)
 
@@ -238,7 +239,7 @@ class _Answered(Generic[Answer]):
 
 
 class _TaskError(Exception):
-    """What a task raised, told from what happens to those who work on it."""
+    """An exception of the task itself, as opposed to a failure of the executor."""
 
     def __init__(self, error: Exception) -> None:
         super().__init__(str(error))
@@ -246,12 +247,12 @@ class _TaskError(Exception):
 
 
 def _answered(task: Task[Answer], source: RecordSource, model_json: str) -> _Answered[Answer]:
-    # Each worker is one core. For good: a worker of threads would have each undo it for the others.
+    # One core for each worker. Set permanently: in a worker of threads, each would undo it.
     threadpool_limits(1)
     try:
         return _Answered((task(_record(source, model_json)),))
-    except Exception as error:  # noqa: BLE001 - raised where it was asked for
-        error.add_note(traceback.format_exc())  # which no exception takes along
+    except Exception as error:  # noqa: BLE001 - raised again by the caller
+        error.add_note(traceback.format_exc())  # the traceback is lost in transport
         return _Answered((), error)
 
 
@@ -268,8 +269,8 @@ def _read(source: RecordSource, model_json: str) -> TraceRecord:
     size = source.path.stat().st_size
     if size != source.size:
         raise IdentificationError(
-            f"{source.path}: expected the log that the trace began with, {source.size} bytes, "
-            f"found {size} bytes: it was written to, or a worker sees another file there"
+            f"{source.path}: the log changed during the trace: expected {source.size} bytes, found "
+            f"{size} bytes; check that nothing writes to it and all workers read one file"
         )
     config = ModelConfig.model_validate_json(model_json)
     record = trace_record(read_log(source.path), config)
@@ -278,12 +279,12 @@ def _read(source: RecordSource, model_json: str) -> TraceRecord:
     places = replace(record.places, span_s=source.span_s, loads=source.loads)
     part = record.cut(source.start, source.stop)
     if part is not record:
-        part = copy.deepcopy(part)  # a view would keep the whole
+        part = copy.deepcopy(part)  # a view would keep the whole record in memory
     return replace(part, places=places)
 
 
 class _Kept:
-    """Records that were read, up to so many bytes: those last asked for."""
+    """A cache of records up to a size in bytes, least recently used dropped first."""
 
     def __init__(self, most_bytes: int) -> None:
         self._most, self._bytes = most_bytes, 0
@@ -308,7 +309,7 @@ class _Kept:
 
 
 def _memory_each() -> int:
-    """Return a processor's share of half of the machine's memory."""
+    """Return half of the machine's memory, divided by the number of processors, in bytes."""
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return memory // (2 * (os.cpu_count() or 1))
 

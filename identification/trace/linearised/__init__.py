@@ -1,1 +1,1 @@
-"""Linearise a record's prediction errors in parameters and candidate effects."""
+"""Linearise prediction errors in parameters and candidate effects."""

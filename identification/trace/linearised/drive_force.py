@@ -1,9 +1,9 @@
-"""The force of the beam's drives: what accelerations and tilt explain of it, and what they do not.
+"""Use the drive force of the beam: regress it on the motion, and weight the residual.
 
-The drives move the beam's mass on a platform that tilts and jerks: what is proportional to
-accelerations, to the speed and to the tilt is no effect, and is taken out of everything. So is what
-they hold the beam against: the pull of a cable to it, which goes with its place, and a rotor out of
-balance. Both are forces from outside, that the platform shows.
+The drives move the beam's mass on a platform that tilts and accelerates: forces proportional to
+accelerations, speed and tilt are not effects and are projected out. So are a cable's pull, which
+depends on the beam's position, and the force of an unbalanced rotor: both are external forces,
+which the platform shows.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from .working_point import Along
 Array = NDArray[np.float64]
 
 _OUTLIER = 4.0
-"""Standard deviations: where a profile jerks the beam nothing is known of the force."""
+"""Outlier limit in standard deviations: at a jerk of the profile the force is unknown."""
 _SLOW_HZ = 15.0
 
 
 def drive_errors(here: Along) -> Array | None:
-    """Return the force (N,) of the drives less what the effects found add to it; None without."""
+    """Return the drive force (N,) without the effects found so far; None if not measured."""
     drive, added = here.record.drive_n, here.added.drive
     return drive if drive is None or added is None else drive - added
 
 
 def beside_motion(here: Along, drive: Array, every: int = 1) -> Array:
-    """Return forces (N', ...) of the drives less what the beam's and the platform's motion explain.
+    """Return drive forces (N', ...) without their regression on beam and platform motion.
 
-    Their rows are means of `every` of the record's.
+    Each row is the mean of `every` rows of the record.
     """
     s = here.signals
-    # What is proportional to speed is not told from a reading that comes half a period late.
+    # Speed is included: its effect is that of a reading delayed by half a period.
     own = np.column_stack(
         [
             np.ones(s.rows), s.x_b_m, s.x_b_m**2, s.v_b_m_s, s.a_b_m_s2, *pushes(s), s.q,
@@ -48,18 +48,18 @@ def beside_motion(here: Along, drive: Array, every: int = 1) -> Array:
 
 
 def calm(drive: Array) -> NDArray[np.bool_]:
-    """Return where a force (N,) is not one of the moments at which a profile jerks the beam.
+    """Return the rows (N,) without outliers, which are jerks of the beam's profile.
 
-    There its acceleration is not known between the samples.
+    There the acceleration between samples is unknown.
     """
     return np.asarray(np.abs(drive) <= _OUTLIER * float(np.std(drive)))
 
 
 def drive_channel(here: Along, columns: Array) -> Array | None:
-    """Return columns (N', c) of forces in units of their noise; None where nobody measured any.
+    """Return force columns (N', c) in noise standard deviations; None without a measured force.
 
-    The noise is unknown; the spread of what remains of the measured force stands for it, so that no
-    more is concluded from it than from its shape, and nothing from its size.
+    The noise is unknown and replaced by the standard deviation of the residual, so only the shape
+    of the residual counts, not its size.
     """
     raw = here.record.drive_n
     if raw is None:
@@ -70,7 +70,7 @@ def drive_channel(here: Along, columns: Array) -> Array | None:
     sd = float(np.std(rest[quiet]))
     if sd <= 0.0:
         return None
-    # It is not white: what few independent values it has is what its low frequencies say.
+    # The residual is coloured: its low frequencies determine the number of independent values.
     every_s = here.every * here.record.experiment.Ts_s
     freq_hz, power = welch(np.where(quiet, rest, 0.0), 1 / every_s, nperseg=min(512, len(rest)))
     slow = power[(freq_hz > 0) & (freq_hz < _SLOW_HZ)]
@@ -79,9 +79,9 @@ def drive_channel(here: Along, columns: Array) -> Array | None:
 
 
 def _accelerations(here: Along) -> Array:
-    """Return the pose's accelerations (N, n) at the rows, from the forces that act there.
+    """Return the pose's accelerations (N, n) at the rows, from the model's forces.
 
-    Twice differentiated readings would bury a friction of millinewtons.
+    Twice differentiated readings would be too noisy for a friction of millinewtons.
     """
     e, at, s, n = here.record.experiment, here.at, here.signals, here.at.K.shape[1]
     step = held_step(e.Ts_s, 1, e.delay_cycles * e.Ts_s, s.lag_s)
@@ -91,7 +91,7 @@ def _accelerations(here: Along) -> Array:
     K, D = np.broadcast_to(at.K, each), np.broadcast_to(at.D, each)
     pushed = np.einsum("nip,np->ni", np.broadcast_to(at.B, (s.rows, *at.B.shape[1:])), acting)
     moved = np.einsum("nij,nj->ni", K, s.q) + np.einsum("nij,nj->ni", D, s.qd)
-    own = np.broadcast_to(at.drift[:, 0] / e.Ts_s, s.q.shape)  # means over the period that follows
+    own = np.broadcast_to(at.drift[:, 0] / e.Ts_s, s.q.shape)  # means over the following period
     now = 0.5 * (own + np.vstack([own[:1], own[:-1]]))
     if here.added.force is not None:
         mobility = np.broadcast_to(at.mobility, each)

@@ -1,4 +1,4 @@
-"""What a force that is known at the rows does between them, as moments over each period."""
+"""Compute the moments of a sampled force over each period, by interpolation."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ...greybox.intersample_input import Hold, moments
 Array = NDArray[np.float64]
 
 POINTS = 6
-"""Rows around a period that a force's course within it is told from: two before, four after."""
+"""Rows used to interpolate a force over a period: k - 2 to k + 3."""
 
 
 def force_moments(force: Array, Ts_s: float, order: int, hold: Hold) -> Array:
-    """Return m (N, order, n): integrals of (Ts - s)^j / j! times a force (N, n) over each period.
+    """Return the moments (N, order, n): integrals of (Ts - s)^j / j! times a force over a period.
 
-    The force depends on how the plant moves, so it is as smooth as that: a polynomial through six
-    rows, which at a tenth of the rate errs by 10^-4 where a straight line errs by three percent; or
-    band-limited, for a model whose inputs are.
+    The force (N, n) depends on the motion, so it is smooth: a polynomial through six rows has an
+    error of 10^-4 at a tenth of the sampling rate, a straight line of three percent. For models
+    with a band-limited input, the force is band-limited.
     """
     if hold == "band_limited":
         return moments(force, Ts_s, order, hold, 0.0, 0.0)
@@ -31,9 +31,9 @@ def force_moments(force: Array, Ts_s: float, order: int, hold: Hold) -> Array:
 
 
 def around(force: Array) -> Array:
-    """Return the six rows around each period (N, 6 n), earliest first, of a force (N, n).
+    """Return the six rows around each period (N, 6 n) of a force (N, n), earliest first.
 
-    Beyond its ends it is what it is there. Side by side, what they do is one product of matrices.
+    The force is constant beyond its ends. In this layout the moments are one matrix product.
     """
     padded = np.concatenate([np.repeat(force[:1], 2, 0), force, np.repeat(force[-1:], 3, 0)])
     n = padded.shape[1]
@@ -41,7 +41,7 @@ def around(force: Array) -> Array:
 
 
 def polynomial_weights(Ts_s: float, order: int) -> Array:
-    """Return w (order, 6): moment j is the sum of w[j] over rows k - 2 ... k + 3 of period k."""
+    """Return weights w (order, 6): moment j of period k is w[j] times rows k - 2 to k + 3."""
     nodes = np.arange(-2.0, 4.0)
     # Columns of the inverse Vandermonde are the Lagrange polynomials' coefficients, s in periods.
     lagrange = np.linalg.inv(np.vander(nodes, POINTS, increasing=True))

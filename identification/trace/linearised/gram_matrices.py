@@ -1,4 +1,4 @@
-"""Gram matrices of a record's errors and columns, block of time by block of time."""
+"""Compute the Gram matrices of a record's errors and columns for each time block."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ..records.trace_record import TraceRecord
 Array = NDArray[np.float64]
 
 BLOCK_S = 4.0
-"""Errors of one block stand and fall together: longer than what a platform remembers."""
+"""Length of a time block, longer than the platform's memory, so that blocks are independent."""
 
 
 @dataclass(frozen=True)
 class Beside:
-    """The g columns of one candidate, each over `size` (g,): what a question about it takes.
+    """The Gram matrices of one candidate's g columns, each divided by `size` (g,).
 
-    cross (blocks, B + 1, g) with the columns that every candidate stands beside, and the errors;
-    inner (blocks, g, g) with one another. What candidates have with each other nobody asks.
+    cross (blocks, B + 1, g): with the base columns and the errors; inner (blocks, g, g): with each
+    other. Products between candidates are not needed.
     """
 
     cross: Array
@@ -34,9 +34,9 @@ class Beside:
 class Linearised:
     """One record around a working point.
 
-    gram (blocks, B + 1, B + 1): of [model's parameters over scale, amplitudes and shapes of the
-    effects found, errors], each column over `size` (B + 1,), that of the errors 1. `beside`: one
-    for every candidate. count (blocks,): squared errors that noise alone makes, one each.
+    gram (blocks, B + 1, B + 1): of [scaled parameters, amplitudes and shapes of the effects found,
+    errors], each column divided by `size` (B + 1,), which is 1 for the errors. `beside`: one for
+    each candidate. count (blocks,): expected squared errors of noise alone.
     """
 
     name: str
@@ -49,10 +49,10 @@ class Linearised:
 
 @dataclass(frozen=True)
 class ResidualChannel:
-    """Errors (N', i, c) of some of the columns, by number; the last column is the error itself.
+    """Errors (N', i, c) of some columns, by number; the last column is the error itself.
 
-    Where what is left has to stand for a noise that nobody knows (`own_noise`), it is all expected.
-    In the first `blind` of its rows, which need not be a whole number, there are no errors.
+    `own_noise`: the noise is unknown, so the residual itself is the expected error. The first
+    `blind` rows (may be fractional) have no errors.
     """
 
     errors: Array
@@ -70,8 +70,8 @@ def grams(
 ) -> Linearised:
     """Return the Gram matrices of a record, summed over channels.
 
-    Columns are [`base` of them, candidates of `widths`, errors]; rows of a channel are `row_s`
-    apart. The first channel has them all.
+    Columns are [`base` columns, candidates of `widths`, errors]; rows of a channel are `row_s`
+    apart. The first channel contains all columns.
     """
     total = base + sum(widths) + 1
     edges = block_edges(len(channels[0].errors), row_s)
@@ -110,7 +110,7 @@ def grams(
 
 
 def block_edges(rows: int, row_s: float) -> NDArray[np.int64]:
-    """Return where blocks begin, and the end of the last: none is shorter than half a block."""
+    """Return the begin of all blocks and the end of the last; all have at least half a block."""
     block = max(round(BLOCK_S / row_s), 1)
     return np.append(np.arange(0, max(rows - block // 2, 1), block), rows)
 
@@ -135,7 +135,7 @@ def _sizes(channels: Sequence[ResidualChannel], total: int) -> Array:
 def _groups_in(
     places: NDArray[np.int_], starts: NDArray[np.int_]
 ) -> list[tuple[int, list[int], slice | list[int]]]:
-    """Return the candidates that a channel shows: number, members, and their columns in it."""
+    """Return the candidates in a channel: number, members, and their columns in it."""
     found: list[tuple[int, list[int], slice | list[int]]] = []
     for g, (first, last) in enumerate(pairwise(starts.tolist())):
         there = [(m, int(places[first + m])) for m in range(last - first) if places[first + m] >= 0]

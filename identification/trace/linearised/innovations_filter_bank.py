@@ -1,8 +1,7 @@
-"""One innovations filter for many columns at once: what forces and false readings do to a record.
+"""Filter many candidate columns at once through a record's innovations filter.
 
-The errors of a record are linear in every force and in every false reading, so what one unit of an
-effect adds to them is the filter's answer to it, and a hundred candidates go through the filter
-side by side.
+The prediction errors are linear in forces and in sensor errors: the column of a unit effect is the
+filter's response to it. Many candidates are filtered in one pass.
 """
 
 from __future__ import annotations
@@ -26,20 +25,20 @@ from .force_moments import around, force_moments, polynomial_weights
 Array = NDArray[np.float64]
 
 _BATCH = 16
-"""Columns that go through the filter at once: as many as stay in the cache with it."""
+"""Columns filtered at once, limited by the processor's cache."""
 _TINY, _TINY_ROWS = 1e-150, 64
-"""What has died away, and how often that is looked for: processors take long over smaller numbers.
-The compiler's cache follows a function's own file: the numbers stand in it."""
+"""Smaller states are set to zero every so many rows: processors are slow with denormal numbers. The
+constants are in this file because the compiler's cache depends on a function's own file only."""
 
 
 @dataclass(frozen=True)
 class FilterBank:
-    """A record's innovations filter, ready for columns.
+    """A record's innovations filter, prepared for many columns.
 
-    Phi, correction (R, 2n, 2n) and (R, 2n, n); `whitener` (R, n, n). `smooth` (6, 2n, n): what a
-    generalised force at the rows around a period adds to the state, `powers` (J, 2n, n) what its
-    moments add; `relative` (R, n, n): the mobility over its mean. All errors are in units of their
-    standard deviation; the mean of `every` rows becomes one, which keeps that.
+    Phi (R, 2n, 2n), correction (R, 2n, n), `whitener` (R, n, n). `smooth` (6, 2n, n): change of the
+    state by a generalised force at the rows around a period; `powers` (J, 2n, n): by its moments;
+    `relative` (R, n, n): mobility over its mean. Errors have unit variance; `every` rows are summed
+    over the root of `every`, which keeps it.
     """
 
     Phi: Array
@@ -83,9 +82,9 @@ class FilterBank:
         )  # fmt: skip
 
     def columns(self, terms: Iterable[Term], count: int, out: Array | None = None) -> Array:
-        """Return what one unit of each of `count` terms adds to the errors (N // every, n, count).
+        """Return the errors (N // every, n, count) of one unit of each of `count` terms.
 
-        Terms are used as they come, and need not exist all at once. `out`: where they are to be.
+        Terms are consumed one by one. `out`: array for the result.
         """
         n, rows = self.motion.K.shape[1], self.record.rows
         out = np.empty((rows // self.every, n, count)) if out is None else out
@@ -101,13 +100,13 @@ class FilterBank:
             out[:, :, there] = self.errors(forcing[:k], seen[:k] if false else None)
 
         for j, term in enumerate(terms):
-            held, force, gap = (_something(part) for part in (term.held, term.force, term.gap))
+            held, force, gap = (_nonzero(part) for part in (term.held, term.force, term.gap))
             if held is None and force is None and gap is None:
                 out[:, :, j] = 0.0
                 continue
             k = len(batch)
             self._drive(held, force, forcing[k])
-            # The model explains what is measured less the false part of it.
+            # Sensor errors are subtracted from the measured readings.
             if gap is not None:
                 if not false:
                     seen[:k] = 0.0
@@ -124,7 +123,7 @@ class FilterBank:
         return out
 
     def _drive(self, held: Array | None, force: Array | None, forcing: Array) -> None:
-        """Put what commands (N, p) and forces (N, n) add to the state into forcing (N, 2n)."""
+        """Fill `forcing` (N, 2n) with the effect of commands (N, p) and forces (N, n)."""
         if held is not None:
             forcing[:] = self.held_forcing(held)
             if force is not None:
@@ -139,7 +138,7 @@ class FilterBank:
     ) -> Array:
         """Return whitened errors (N // every, n, c) of forcing (c, N, 2n) and readings (c, N, n).
 
-        Readings are zero unless given; `start` (2n, c), the state at row 0, too.
+        Default readings and state at row 0, `start` (2n, c), are zero.
         """
         columns, rows, size = forcing.shape
         x = np.zeros((size, columns)) if start is None else np.array(start, float)
@@ -164,11 +163,11 @@ class FilterBank:
         extra_s: float = 0.0,
         by: Array | None = None,
     ) -> Array:
-        """Return what commands (N, p) add to the state in each period (N, 2n).
+        """Return the change of the state (N, 2n) by commands (N, p) in each period.
 
-        `by` (N or 1, n, p): forces of a unit of each command, instead of the model's B. Along a
-        schedule each period has its own mobility, but the first one's stiffness and damping act
-        within it: at 1 kHz less than 0.1 % of the columns of lag and delay.
+        `by` (N or 1, n, p): replaces the model's B. Along a schedule each period has its own
+        mobility, but within a period the stiffness and damping of the first one are used: at 1 kHz
+        an error below 0.1 % in the columns of lag and delay.
         """
         e, values = self.record.experiment, {**self.model.values, **self.model.scheduling}
         delay_s = max(e.delay_cycles * e.Ts_s + self.model.delay(values) + extra_s, 0.0)
@@ -201,7 +200,7 @@ class FilterBank:
 
     @cached_property
     def _input_powers(self) -> Array:
-        """A^j B (J, 2n, p): what the moments of a command add to the state."""
+        """A^j B (J, 2n, p): change of the state by the moments of a command."""
         A, _ = self.motion.continuous()
         powers = [np.vstack([np.zeros_like(self.motion.B[0]), self.motion.B.mean(axis=0)])]
         for _ in range(len(self.motion.scale) - 2):
@@ -209,7 +208,7 @@ class FilterBank:
         return np.array(powers)
 
     def force_forcing(self, force: Array) -> Array:
-        """Return what generalised forces (N, n) at the rows add to the state in each period."""
+        """Return the change of the state (N, 2n) by generalised forces (N, n) in each period."""
         if self.hold == "band_limited":
             order = len(self.motion.scale) - 1
             m = force_moments(force, self.motion.Ts_s, order, self.hold)
@@ -218,7 +217,7 @@ class FilterBank:
         return self._along(around(force) @ taps)
 
     def _along(self, forcing: Array) -> Array:
-        """Return forcing with each period's own mobility, where it changes."""
+        """Return the forcing with each period's own mobility."""
         if len(self.relative) == 1:
             return forcing
         n = self.relative.shape[1]
@@ -229,11 +228,11 @@ class FilterBank:
 
 
 def thinned(errors: Array, every: int) -> Array:
-    """Return means of `every` rows times its root: white errors of unit variance stay so."""
+    """Sum `every` rows over its root, which keeps the unit variance of white errors."""
     if every == 1:
         return errors
     rows = len(errors) // every * every
-    # Slice by slice: a sum over so short an axis takes numpy ten times as long.
+    # Slice by slice: numpy's sum over a short axis takes ten times as long.
     total = errors[0:rows:every] + errors[1:rows:every]
     for k in range(2, every):
         total += errors[k:rows:every]
@@ -241,7 +240,7 @@ def thinned(errors: Array, every: int) -> Array:
 
 
 def transitions(at: Motion) -> Array:
-    """Return the flow of every period (R, 2n, 2n), by the Taylor series that the motion uses."""
+    """Return the transition matrices (R, 2n, 2n) by the motion's Taylor series."""
     n, R = at.K.shape[1], len(at.K)
     A = np.zeros((R, 2 * n, 2 * n))
     A[:, :n, n:] = np.eye(n)
@@ -253,7 +252,7 @@ def transitions(at: Motion) -> Array:
 
 
 def _powers(at: Motion, mobility: Array) -> Array:
-    """Return A^j [0, mobility] (J, 2n, n): what the moments of a force add to the state."""
+    """Return A^j [0, mobility] (J, 2n, n): change of the state by the moments of a force."""
     n = at.K.shape[1]
     A, _ = at.continuous()
     powers = [np.vstack([np.zeros((n, n)), mobility])]
@@ -262,7 +261,7 @@ def _powers(at: Motion, mobility: Array) -> Array:
     return np.array(powers)
 
 
-def _something(values: Array | None) -> Array | None:
+def _nonzero(values: Array | None) -> Array | None:
     return values if values is not None and values.any() else None
 
 
@@ -272,8 +271,8 @@ def filter_columns(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one pass o
 ):
     """Add to out (N // every, n, c) the errors of x(k+1) = Phi x + correction e + forcing.
 
-    e = seen - C x, whitened, summed over `every` rows and over its root; none before row `blind`.
-    What comes in lies column by column as it is computed, what goes out side by side.
+    e = seen - C x, whitened, summed over `every` rows and divided by its root; zero before row
+    `blind`. Inputs are stored column by column, outputs side by side.
     """
     columns, rows, size = forcing.shape
     n = size // 2
@@ -293,7 +292,7 @@ def filter_columns(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one pass o
             for c in range(columns):
                 for i in range(n):
                     e[i, c] += seen[c, k, i]
-        if n == 3:  # as below; with sums in registers and not in memory it takes half the time
+        if n == 3:  # as below, but with sums in registers: half the time
             for i in range(6):
                 p0, p1, p2 = Phi[at, i, 0], Phi[at, i, 1], Phi[at, i, 2]
                 p3, p4, p5 = Phi[at, i, 3], Phi[at, i, 4], Phi[at, i, 5]

@@ -1,10 +1,9 @@
-"""A record around a working point: its errors, and what every parameter and candidate does to them.
+"""Linearise a record's prediction errors in parameters and candidates, as Gram matrices.
 
-At a working point (a model with effects in it) the errors of a record are linear in small changes
-of the model's parameters, in the amplitudes of effects, and in the constant force and the state at
-the start, which nobody knows and which are taken out of everything else. What is left is kept as
-Gram matrices of short blocks of time: every question about what helps, and whether it helps on data
-that did not choose it, is answered from those without going back to the record.
+At a working point (a model with effects), the errors of a record are linear in small changes of the
+parameters, in the amplitudes of effects, and in the unknown constant force and initial state, which
+are projected out. The rest is stored as Gram matrices of short time blocks, which suffice for
+regression and cross-validation without the record.
 """
 
 from __future__ import annotations
@@ -28,33 +27,33 @@ Array = NDArray[np.float64]
 
 Candidate = tuple[Effect, tuple[float, ...]]
 
-_NUDGE = 1e-5
-_MOST_NUMBERS = 50_000_000
-"""In the columns of candidates that there are at once, 0.4 GB: those of 100 s at 1 kHz."""
+_DIFFERENCE_STEP = 1e-5
+_MAX_NUMBERS = 50_000_000
+"""Numbers in the candidates' columns at one time, 0.4 GB: those of 100 s at 1 kHz."""
 _ROUNDING = 1e-9
-"""Of a column's size: what is left of it by less is none of it."""
+"""Residual of a column, over its size, below which it is rounding."""
 
 
 def linearise(
     point: WorkingPoint, record: TraceRecord, candidates: Sequence[Candidate]
 ) -> Linearised:
-    """Return the Gram matrices of a record: see Linearised for the order of the columns.
+    """Return the Gram matrices of a record; see Linearised for the order of the columns.
 
-    Memory is bounded: of long records some candidates at a time have columns.
+    For long records, candidates are processed in batches, to limit memory.
     """
     here = along(point, record)
     bank = FilterBank.build(point.model, record, here.at, here.kalman, point.hold, here.every)
     own = parameter_columns(point, bank, here.signals)
-    basis = _unknown(point, here, bank)
+    basis = _unknown_basis(point, here, bank)
     parts = [
         _with_candidates(point, here, bank, own, basis, some)
-        for some in _batches(candidates, _MOST_NUMBERS // max(own.shape[0] * own.shape[1], 1))
+        for some in _batches(candidates, _MAX_NUMBERS // max(own.shape[0] * own.shape[1], 1))
     ]
     return replace(parts[0], beside=tuple(one for part in parts for one in part.beside))
 
 
 def _batches(candidates: Sequence[Candidate], most: int) -> Iterator[Sequence[Candidate]]:
-    """Yield candidates in order, with at most so many columns together, one at least."""
+    """Yield batches of candidates in order, with at most `most` columns, at least one candidate."""
     begin = columns = 0
     for i, (effect, _) in enumerate(candidates):
         width = len(effect.amplitudes)
@@ -100,7 +99,7 @@ def _with_candidates(
     shown_drive.append(None if drive_n is None else thinned(drive_n, here.every))
     flat = pose.reshape(-1, pose.shape[2])
     flat -= basis @ (basis.T @ flat)
-    _forget(flat[:, own.shape[2] + placed : -1], here, bank, basis, candidates)
+    _project_out_memory(flat[:, own.shape[2] + placed : -1], here, bank, basis, candidates)
     seen = [j for j, column in enumerate(shown) if column is not None]
     beyond = np.stack([column for column in shown if column is not None], axis=2)
     channels = [
@@ -117,70 +116,70 @@ def _with_candidates(
     return grams(record, channels, base, widths, here.every * record.experiment.Ts_s)
 
 
-def _unknown(point: WorkingPoint, here: Along, bank: FilterBank) -> Array:
-    """Return an orthonormal basis of what nobody knows, by rows and DOF: columns of `pose` lack it.
+def _unknown_basis(point: WorkingPoint, here: Along, bank: FilterBank) -> Array:
+    """Return an orthonormal basis of the unknowns, which is projected out of all columns.
 
-    A constant force, the state at the start, and what effects with a memory remember of before.
-    Along a moving beam the bank's columns are good to 0.1 %. What a candidate has of a constant
-    force is far more than noise, and that far off would show: it is taken out as it is computed.
+    The unknowns are a constant force, the initial state, and the initial memory of effects. Along a
+    moving beam the bank's columns have errors of 0.1 %, which matter for the large constant force
+    of a candidate: so the basis also includes the constant force as the bank computes it.
     """
     unknowns = here.unknowns.reshape(-1, here.unknowns.shape[2])
     size = np.linalg.norm(unknowns, axis=0)
     basis, _ = np.linalg.qr(unknowns[:, size > 0.0] / size[size > 0.0])
     if here.record.experiment.moving:
-        basis = _widened(basis, bank.constants())
+        basis = _extended(basis, bank.constants())
     remembered = [
         term
         for p in point.placed
         if p.effect.remains is not None
         for term in p.effect.remains(here.signals, p.shape)
     ]
-    return _widened(basis, bank.columns(remembered, len(remembered))) if remembered else basis
+    return _extended(basis, bank.columns(remembered, len(remembered))) if remembered else basis
 
 
-def _forget(
+def _project_out_memory(
     columns: Array, here: Along, bank: FilterBank, basis: Array, candidates: Sequence[Candidate]
 ) -> None:
-    """Free columns (N', .) of free forms with a memory of what each may have held before.
+    """Project the unknown initial memory out of the columns (N', .) of free forms, in place.
 
-    The errors keep it: what a candidate explains of them is what it does without that.
+    The errors keep it: a candidate is assessed without its initial memory.
     """
     at = 0
     for effect, shape in candidates:
         width = len(effect.amplitudes)
         if effect.remains is not None and effect.effect_class == "unknown":
             terms = effect.remains(here.signals, shape)
-            held = _widened(basis, bank.columns(terms, len(terms)))[:, basis.shape[1] :]
+            held = _extended(basis, bank.columns(terms, len(terms)))[:, basis.shape[1] :]
             own = columns[:, at : at + width]
             own -= held @ (held.T @ own)
         at += width
 
 
-def _widened(basis: Array, columns: Array) -> Array:
-    """Return an orthonormal basis of what `basis` spans and columns (N', n, c) as well."""
+def _extended(basis: Array, columns: Array) -> Array:
+    """Extend an orthonormal basis by columns (N', n, c)."""
     flat = columns.reshape(len(basis), -1)
     flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
-    for _ in range(2):  # what is left is small: once more, for the digits
+    for _ in range(2):  # twice, for accuracy: the remainder is small
         flat = flat - basis @ (basis.T @ flat)
     left, size, _ = np.linalg.svd(flat, full_matrices=False)
     return np.hstack([basis, left[:, size > _ROUNDING]])
 
 
 def blocks_in(record: TraceRecord) -> int:
-    """Return how many blocks of time `linearise` makes of a record."""
+    """Return the number of time blocks of a record in `linearise`."""
     every = thinning(record.experiment.Ts_s)
     return len(block_edges(record.rows // every, every * record.experiment.Ts_s)) - 1
 
 
 def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
-    """Return the terms of an effect's amplitudes, then what its shape does at its amplitudes."""
+    """Return the terms of an effect's amplitudes, then the derivatives by its shape parameters."""
     terms = placed.effect.build(signals, placed.shape)
     for i, quantity in enumerate(placed.effect.shape):
-        nudge = (
+        step = (
             1e-3 * abs(placed.shape[i]) if quantity.log else 1e-6 * (quantity.high - quantity.low)
         )
         low, high = list(placed.shape), list(placed.shape)
-        low[i], high[i] = max(low[i] - nudge, quantity.low), min(high[i] + nudge, quantity.high)
+        low[i], high[i] = max(low[i] - step, quantity.low), min(high[i] + step, quantity.high)
         lower, upper = (
             total(
                 [
@@ -197,12 +196,12 @@ def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
 
 
 def parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Array:
-    """Return what the model's parameters do, each in units of its scale.
+    """Return the columns of the model's parameters, each times the parameter's scale.
 
-    Of long records some parameters at a time are put through the filter.
+    For long records, parameters are filtered in batches, to limit memory.
     """
     forcings = _parameter_forcings(point, bank, s)
-    most = max(_MOST_NUMBERS // (s.rows * 2 * s.q.shape[1]), 1)
+    most = max(_MAX_NUMBERS // (s.rows * 2 * s.q.shape[1]), 1)
     columns = [_no_columns(bank)]
     while some := list(islice(forcings, most)):
         columns.append(bank.errors(np.stack(some)))
@@ -210,12 +209,12 @@ def parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Arra
 
 
 def _parameter_forcings(point: WorkingPoint, bank: FilterBank, s: Signals) -> Iterator[Array]:
-    """Yield what each parameter adds to the state in each period (N, 2n)."""
+    """Yield the change of the state in each period (N, 2n) by each parameter."""
     for name, scale in zip(point.parameters.names, point.parameters.scale, strict=True):
-        value, nudge = point.model.values[name], _NUDGE * scale
-        below, above = value - nudge, value + nudge
+        value, step = point.model.values[name], _DIFFERENCE_STEP * scale
+        below, above = value - step, value + step
         timing = name in point.model.lag.names | point.model.delay.names
-        if timing:  # what would come early does not: at a bound there is one side
+        if timing:  # at a bound (zero delay), the difference is one-sided
             index = point.parameters.names.index(name)
             below = max(below, float(point.parameters.low[index]))
             above = min(above, float(point.parameters.high[index]))
@@ -232,19 +231,19 @@ def _parameter_forcings(point: WorkingPoint, bank: FilterBank, s: Signals) -> It
 
 
 def redundancy_basis(sensor_shape: Array) -> Array:
-    """Return an orthonormal basis (S, S - n) of readings that a rigid platform cannot show."""
+    """Return an orthonormal basis (S, S - n) of non-rigid readings."""
     left, _, _ = np.linalg.svd(sensor_shape, full_matrices=True)
     return np.asarray(left[:, sensor_shape.shape[1] :])
 
 
 def readings(here: Along) -> Array:
-    """Return the readings (N, S) freed of what is known to be false in them."""
+    """Return the readings (N, S) without the known sensor effects."""
     gap, added = here.record.gap, here.added.gap
     return gap if added is None else gap - added
 
 
 def beyond_pose(here: Along, values: Array) -> Array:
-    """Return what of readings (N, S) no rigid platform shows (N', S - n), in units of noise."""
+    """Return the non-rigid part (N', S - n) of readings (N, S), in noise standard deviations."""
     basis = redundancy_basis(here.record.places.sensor_shape)
     return thinned(values @ (basis / here.sd), here.every)
 
@@ -271,7 +270,7 @@ def _timing_forcing(bank: FilterBank, low: DeclaredModel, high: DeclaredModel) -
 def _force_of(
     record: TraceRecord, low: DeclaredModel, high: DeclaredModel, s: Signals
 ) -> tuple[Array, Array]:
-    """Return the force (N, n) and the B (N or 1, n, p) that two models differ by along a record."""
+    """Return the difference of two models along a record: force (N, n) and B (N or 1, n, p)."""
     e = record.experiment
     schedule = (
         dict(e.schedule) if e.moving else {k: np.array([v.mean()]) for k, v in e.schedule.items()}

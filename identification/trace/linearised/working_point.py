@@ -1,4 +1,4 @@
-"""A model with the effects found so far, and a record along it: motion, filter, signals, errors."""
+"""Evaluate a record at a working point: motion, filter, signals and errors with effects."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .innovations_filter_bank import thinned
 Array = NDArray[np.float64]
 
 _TO_HZ = 250.0
-"""Errors are averaged down to this rate: what a platform answers lies below half of it."""
+"""Errors are decimated to this rate; the platform's response is below half of it."""
 _MOST_TRUST = 1e3
 _NOISE_REACH = 21.0
 _MOST_FILTERS = 8
@@ -36,7 +36,7 @@ _PASSES = 2
 
 @dataclass(frozen=True)
 class WorkingPoint:
-    """A model with the effects found so far; `parameters` are those of it that may change."""
+    """A model with the effects found so far; `parameters` are its free ones."""
 
     model: DeclaredModel
     parameters: FreeParameters
@@ -44,18 +44,18 @@ class WorkingPoint:
     disturbance: Disturbance
     hold: Hold
     trust: float = 1e3
-    """By how much more force noise than there is the trajectory follows what was measured."""
+    """Factor on the force noise of the filter that computes the trajectory."""
     reference: DeclaredModel | None = None
-    """The model whose filters serve along moving schedules; this one's own where none is given."""
+    """The model of the filters along moving schedules; None: `model`."""
 
     @property
     def lag_s(self) -> float:
-        """Lag of the model's inputs, s."""
+        """Lag of the model's inputs in s."""
         return max(self.model.lag({**self.model.values, **self.model.scheduling}), 0.0)
 
     @property
     def values(self) -> Array:
-        """Values of the free parameters (F,), SI."""
+        """Values of the free parameters (F,) in SI units."""
         return np.array([self.model.values[name] for name in self.parameters.names])
 
 
@@ -75,18 +75,18 @@ class Along:
 
 
 def thinning(Ts_s: float) -> int:
-    """Return how many rows become one error."""
+    """Return the decimation factor of the errors."""
     return max(round(1 / (_TO_HZ * Ts_s)), 1)
 
 
 def along(point: WorkingPoint, record: TraceRecord) -> Along:
-    """Return a record along the working point, its constant force and start fitted."""
+    """Evaluate a record at the working point, with constant force and initial state fitted."""
     e = record.experiment
     at = motion(point.model, e, point.hold)
     kalman = filter_of(point, record, at)
     signals, added = filtered(point, record, at)
-    corrected, acted = corrected_experiment(point, record, at, added)
-    prediction = predict_along(acted, corrected, kalman)
+    corrected, driven = corrected_experiment(point, record, at, added)
+    prediction = predict_along(driven, corrected, kalman)
     every = thinning(e.Ts_s)
     return Along(
         record, settled(at, prediction.offset), kalman, signals, added,
@@ -96,17 +96,17 @@ def along(point: WorkingPoint, record: TraceRecord) -> Along:
 
 
 def filter_of(point: WorkingPoint, record: TraceRecord, at: Motion, trust: float = 1.0) -> Filter:
-    """Return the Kalman filter of a record, told `trust` times the force noise that there is.
+    """Return the Kalman filter of a record, for `trust` times the force noise.
 
-    Any filter's errors are noise where the model is right, so along a moving schedule that of the
-    reference model serves for all models like it: to find it takes longer than to use it.
+    Along a moving schedule, the filter of the reference model serves all similar models, because
+    computing a filter takes longer than using it; with a correct model, its errors are noise too.
     """
     noise = point.disturbance.noise.scaled(force=trust)
     if at.fixed:
         return kalman_filter(at, noise)
     model = point.model if point.reference is None else point.reference
-    told = np.array(list(model.values.values()))
-    key = np.concatenate([told, noise.force_density, noise.output_covariance], None).tobytes()
+    values = np.array(list(model.values.values()))
+    key = np.concatenate([values, noise.force_density, noise.output_covariance], None).tobytes()
     if key not in record.filters:
         if len(record.filters) >= _MOST_FILTERS:
             record.filters.clear()
@@ -116,19 +116,19 @@ def filter_of(point: WorkingPoint, record: TraceRecord, at: Motion, trust: float
 
 
 def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Signals, Term]:
-    """Return the trajectory of a record and what the effects found so far add along it.
+    """Return the trajectory of a record, and the sum of the effects found so far along it.
 
-    At first the filter does not know the effects, and follows the readings closely; then it knows
-    them, and may believe its model as far as that explains the records.
+    The first filter lacks the effects and follows the readings closely; the next ones include the
+    effects and follow the model as far as `trust` allows.
     """
     added = Term()
     closely = filter_of(point, record, at, _MOST_TRUST)
-    believing = filter_of(point, record, at, point.trust)
+    normal = filter_of(point, record, at, point.trust)
     signals = measured_signals(record, at, record.experiment.y, closely, point.lag_s)
     for _ in range(_PASSES if point.placed else 0):
         added = total([p.term(signals) for p in point.placed])
-        corrected, acted = corrected_experiment(point, record, at, added)
-        signals = measured_signals(record, acted, corrected.y, believing, point.lag_s)
+        corrected, driven = corrected_experiment(point, record, at, added)
+        signals = measured_signals(record, driven, corrected.y, normal, point.lag_s)
     if point.placed:
         added = total([p.term(signals) for p in point.placed])
     return signals, added
@@ -137,7 +137,7 @@ def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Sign
 def corrected_experiment(
     point: WorkingPoint, record: TraceRecord, at: Motion, added: Term
 ) -> tuple[Experiment, Motion]:
-    """Return the experiment without false readings, and the motion with the effects' forces."""
+    """Return the experiment without sensor effects, and the motion with the effects' forces."""
     e = record.experiment
     if added.gap is not None:
         e = replace(e, y=e.y - added.gap @ record.places.decoupling.T)
@@ -153,10 +153,10 @@ def corrected_experiment(
 
 
 def with_likely_noise(point: WorkingPoint, records: Sequence[TraceRecord]) -> WorkingPoint:
-    """Return the point with the force noise under which records are likeliest, model as it is.
+    """Estimate the force noise by maximum likelihood, for the given model.
 
-    Where no record is still, the noise that drives the filter is all that the model lacks; it comes
-    down as effects are found.
+    Without still records, the filter's force noise is the whole model error; it decreases as
+    effects are found.
     """
     if point.disturbance.measured:
         return point

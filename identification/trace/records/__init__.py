@@ -1,1 +1,1 @@
-"""Read the records of a trace and the noise, loads and signals in them."""
+"""Read the records of a trace, and estimate their noise, loads and signals."""

@@ -1,4 +1,4 @@
-"""What the coils carried through a session: what is warm when a record begins was warmed before."""
+"""Compute the coil loads of a session, which determine the coils' heat when a record begins."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ _BLOCK_S = 2.0
 
 
 def loads_of(records: Sequence[TraceRecord]) -> Loads:
-    """Return mean squares of the commands in blocks of 2 s, of records one after the other.
+    """Return mean squares of the coil commands over a session, in blocks of 2 s.
 
-    In between, where the beam is moved and nobody looks, the first half is as before, the second as
-    after.
+    Between records, the first half of the time has the load before, the second half the load after.
     """
     times: list[float] = []
     squares: list[tuple[float, ...]] = []
@@ -27,7 +26,7 @@ def loads_of(records: Sequence[TraceRecord]) -> Loads:
             begin_s = float(record.time_s[first])
             between = first == 0 and np.isfinite(end_s)
             times.append(0.5 * (begin_s + end_s) if between else begin_s)
-            told = record.coil[first : first + rows]
-            squares.append(tuple(np.mean(told * told, axis=0).tolist()))
+            command = record.coil[first : first + rows]
+            squares.append(tuple(np.mean(command * command, axis=0).tolist()))
         end_s = float(record.time_s[-1])
     return Loads(tuple(times), tuple(squares))

@@ -1,4 +1,4 @@
-"""The trajectory that effects are evaluated along: measured and filtered, or simulated."""
+"""Compute the trajectory along which effects are evaluated, filtered or simulated."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 def measured_signals(
     record: TraceRecord, at: Motion, y: Array, kalman: Filter, lag_s: float
 ) -> Signals:
-    """Return the trajectory of a record: poses y (N, n) filtered along its motion.
+    """Return the trajectory of a record from poses y (N, n), filtered along its motion.
 
-    `at` has the forces of the effects found so far in it, y is free of false readings.
+    `at` includes the forces of the effects found so far; y is corrected for sensor effects.
     """
     gain = kalman.gain
     start = np.concatenate([y[0], np.zeros_like(y[0])])
@@ -31,9 +31,9 @@ def measured_signals(
 
 
 def _mean_force(at: Motion, y: Array) -> Array:
-    """Return the constant force (n,) that holds a pose which gets nowhere on average.
+    """Return the constant force (n,) that balances the mean pose.
 
-    Without it the weight alone would pull the filter off by tens of micrometres.
+    Without it the weight alone would bias the filter by tens of micrometres.
     """
     stiff = np.einsum("nij,nj->ni", np.broadcast_to(at.K, (len(y), *at.K.shape[1:])), y)
     pushed = np.einsum(
@@ -44,7 +44,7 @@ def _mean_force(at: Motion, y: Array) -> Array:
 
 
 def trajectory(record: TraceRecord, q: Array, coil: Array, lag_s: float) -> Signals:
-    """Return the signals of a record that moves as q (N, n) under commands coil (N, C)."""
+    """Return the signals of a record with poses q (N, n) and coil commands (N, C)."""
     Ts_s = record.experiment.Ts_s
     qd = rate(q, Ts_s)
     beam, rotor = record.beam, record.rotor

@@ -1,4 +1,4 @@
-"""What to look for, read off the records: lines in a still one, and how far everything moved."""
+"""Estimate initial guesses for the search: spectral lines, resonances, and the range of motion."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ Array = NDArray[np.float64]
 
 _MOST_TONES = 5
 _STANDS_OUT = 50.0
-"""A line's power over the mean of its surroundings: what a loop's own resonance never reaches."""
+"""Least power of a line over the mean around it; a resonance of the loop stays below."""
 _AROUND = np.array([1.0] * 13 + [0.0] * 5 + [1.0] * 13)
 _NEAR = np.array([1.0] * 5 + [0.0] * 5 + [1.0] * 5)
-"""Bins around one that count as its surroundings: not the nearest, which a window leaks into."""
+"""Bins around a line for the mean, without the nearest ones, into which the window leaks."""
 _LOWEST_HZ = 1.0
 _APART_HZ = 0.5
 _SETTLE_S = 1.0
 
 
 def extent(records: Sequence[TraceRecord]) -> Extent:
-    """Return what records cover, the lines that stand out of the still ones, and resonances."""
+    """Return the records' range of motion, the lines in still ones, and the resonances."""
     signals = [trajectory(r, r.experiment.y, r.coil, 0.0) for r in records]
     return Extent.measured(signals, tones(records), resonances(records))
 
@@ -56,9 +56,9 @@ def _lines(record: TraceRecord) -> list[tuple[float, float]]:
     spectra = np.abs(np.fft.rfft(rows * window, axis=0)) ** 2
     step_hz = 1 / (len(rows) * Ts_s)
     lines = []
-    # Each sensor by itself, since one may be disturbed alone; and all together, for what is small.
+    # Each sensor alone, as one may be disturbed; and all together, for small lines.
     for power in (*spectra.T, spectra.sum(axis=1)):
-        # A resonance is narrow too, but not as narrow as a line: it fills the nearer bins.
+        # A resonance is wider than a line: it also fills the nearer bins.
         level = np.maximum(
             *(convolve1d(power, bins / bins.sum(), mode="reflect") for bins in (_AROUND, _NEAR))
         )
@@ -67,7 +67,7 @@ def _lines(record: TraceRecord) -> list[tuple[float, float]]:
         for k in (np.flatnonzero(stands[first:last] > _STANDS_OUT) + first).tolist():
             if power[k] < max(power[k - 1], power[k + 1]):
                 continue
-            # Three amplitudes under a Hann window tell the frequency between the bins.
+            # Three amplitudes under a Hann window give the frequency between the bins.
             left, middle, right = np.sqrt(power[k - 1 : k + 2])
             offset = 2.0 * (right - left) / (left + 2 * middle + right)
             lines.append((float(stands[k]), (k + float(np.clip(offset, -0.5, 0.5))) * step_hz))

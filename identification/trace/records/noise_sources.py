@@ -1,8 +1,8 @@
-"""The noise of sensors and amplifiers, told from what an undeclared effect does.
+"""Estimate sensor noise and amplifier noise, robust against undeclared effects.
 
-Sensor noise is read where a platform cannot follow, force noise in records in which nothing is
-excited, both by medians over frequencies: a line of the mains, a resonance that nobody declared or
-a hum of the floor moves a median little.
+Sensor noise is estimated at frequencies above the platform's motion, force noise from still
+records. Both use medians over frequencies, which a mains line, an undeclared resonance or ground
+vibration hardly changes.
 """
 
 from __future__ import annotations
@@ -28,20 +28,19 @@ from .trace_record import TraceRecord
 Array = NDArray[np.float64]
 
 _LEAST_NOISE = 1e-7
-"""Of a motion's rms: 23 bits, which no sensor resolves, but rounded arithmetic does."""
+"""Least noise over the motion's rms, 23 bits: below, it is rounding, not sensor noise."""
 _LONGEST_S = 60.0
 _BAND_HZ = (0.4, 80.0)
 _SEGMENT_S = 5.0
 _WIDEST, _MOST_REACHES = 1e3, 4
-"""Force noise is looked for within this factor of what the fit took it to be, and where it is not
-in between within this factor of that end again."""
+"""Search range of the force noise, as a factor on the fit's; extended from the end if needed."""
 _ALIKE = 3.0
-"""Factor that the noise of two outputs may be apart by, where all errors are measured by one."""
+"""Largest ratio of two outputs' noise, since all errors are divided by one noise."""
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Noise as a filter takes it; standard deviation of a sensor; whether still records told it."""
+    """Noise of the filter, standard deviation of a sensor, and whether still records give it."""
 
     noise: Noise
     sensor_sd: float
@@ -51,10 +50,10 @@ class Disturbance:
 def disturbance(
     model: DeclaredModel, records: Sequence[TraceRecord], fallback: Noise
 ) -> Disturbance:
-    """Return the noise of records; `fallback` where no record is still enough to tell its force.
+    """Estimate the noise of records; without still records, the force noise is `fallback`.
 
-    All actuators are taken to be equally noisy, and all sensors: noise is what they have in common.
-    Each is independent of the others; what they add up to in several DOF often is not.
+    All actuators have equal, independent noise, and so have all sensors. Their sums in several DOF
+    are often correlated.
     """
     places = records[0].places
     T = places.decoupling
@@ -62,7 +61,7 @@ def disturbance(
     sd = float(np.median(sensor_noise(records)))
     output = T @ T.T * sd**2
     if not still:
-        # Unknown forces are the fit's own until something better explains them.
+        # The fit's force noise includes unknown forces, until effects explain them.
         return Disturbance(Noise(fallback.force_density, output), sd, measured=False)
     unit = places.coil_shape.T @ places.coil_shape
     first = float(np.median(fallback.force_psd / np.diag(unit)))
@@ -71,24 +70,23 @@ def disturbance(
 
 
 def require_noise(records: Sequence[TraceRecord]) -> None:
-    """Raise IdentificationError where readings have no noise that errors could be measured by."""
+    """Raise IdentificationError for readings without sensor noise, the unit of all errors."""
     sd = float(np.median(sensor_noise(records)))
     spread = max(float(np.std(r.gap, axis=0).max()) for r in records)
     if not sd > _LEAST_NOISE * spread:
         unit = records[0].places.sensor_unit
         raise IdentificationError(
-            f"expected readings with the noise of a sensor, which all errors are measured by, "
-            f"found {sd:.2g} {unit} on readings that move by {spread:.2g} {unit} rms: give "
-            "simulated readings the noise that a sensor has"
+            f"expected readings with sensor noise, the unit of all errors, found {sd:.2g} {unit} "
+            f"on readings that move by {spread:.2g} {unit} rms; add noise to simulated ones"
         )
     _require_one_scale(records)
 
 
 def _require_one_scale(records: Sequence[TraceRecord]) -> None:
-    """Raise IdentificationError for imported outputs that one noise cannot stand for."""
+    """Raise IdentificationError for imported outputs of different units or noise."""
     places = records[0].places
     if places.sensors > len(places.dof):
-        return  # sensors of a kind
+        return  # sensors of one kind
     noise = sensor_noise(records)
     if len(set(places.dof_units)) > 1 or noise.max() > _ALIKE * noise.min():
         found = ", ".join(
@@ -96,13 +94,13 @@ def _require_one_scale(records: Sequence[TraceRecord]) -> None:
             for sd, unit, name in zip(noise, places.dof_units, places.dof, strict=True)
         )
         raise IdentificationError(
-            "expected outputs in one unit, of about the same noise, since all errors are measured "
-            f"by that, found {found}: multiply angles by an arm, or trace the outputs one by one"
+            "expected outputs in one unit and with similar noise, the unit of all errors, found "
+            f"{found}; multiply angles by an arm, or trace the outputs one by one"
         )
 
 
 def sensor_noise(records: Sequence[TraceRecord]) -> Array:
-    """Return the standard deviation (S,) of each sensor's white noise, as most records show it."""
+    """Return each sensor's white noise standard deviation (S,), the median over the records."""
     found = []
     for record in records:
         found.append(white_noise(record.gap[: round(_LONGEST_S / record.experiment.Ts_s)]))
@@ -110,13 +108,13 @@ def sensor_noise(records: Sequence[TraceRecord]) -> Array:
 
 
 def _force_level(model: DeclaredModel, experiment: Experiment, noise: Noise) -> float:
-    """Return by what the density of the force noise must be multiplied, from a still record."""
+    """Return the factor on the force noise density that fits a still record."""
     Ts_s = experiment.Ts_s
     segment = min(round(_SEGMENT_S / Ts_s), len(experiment.y) // 2)
     freq_hz, seen = welch(experiment.y, 1 / Ts_s, nperseg=segment, axis=0)
     band = (freq_hz >= _BAND_HZ[0]) & (freq_hz <= _BAND_HZ[1])
     by_force, by_sensor = _responses(model, experiment, freq_hz[band])
-    # A sensor shows its own noise besides.
+    # A reading also contains the sensor's own noise.
     shown = by_sensor + np.eye(by_sensor.shape[1])
     force = 2 * powers_of(by_force, noise.force_density)
     sensor = 2 * Ts_s * powers_of(shown, noise.output_covariance)
@@ -144,7 +142,7 @@ def _force_level(model: DeclaredModel, experiment: Experiment, noise: Noise) -> 
 def _responses(
     model: DeclaredModel, experiment: Experiment, freq_hz: Array
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return the pose's response (F, n, n) to outer forces and to sensor noise, in the loop."""
+    """Return the pose's responses (F, n, n) to external force and to sensor noise, in the loop."""
     Ts_s = experiment.Ts_s
     at = model.at({name: float(v.mean()) for name, v in experiment.schedule.items()})
     n = len(at.M)

@@ -1,4 +1,4 @@
-"""The records of a trace, read from logs."""
+"""Read the records of a trace from logs."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .trace_record import SHORTEST_S, TraceRecord, trace_record
 def read_records(
     logs: Sequence[Path], config: ModelConfig
 ) -> tuple[dict[Path, TraceRecord], tuple[str, ...]]:
-    """Return the records among the logs by path, their names told apart, and notes.
+    """Return the records of the logs by path, with unique names, and notes.
 
-    A log is used once, however often it is given. A record in which a sensor is frozen is none: the
-    loop held the platform by a reading that says nothing, and there is no error to be made of it.
-    Notes say which logs are none, and why, and what happened in records.
+    Duplicate logs are used once. Records with a frozen sensor are skipped: the loop acted on a
+    constant reading, and the error is meaningless. Notes list skipped logs with the reason, and the
+    remarks of records.
 
-    Raises IdentificationError: there are none, or what trace_record raises.
+    Raises IdentificationError without records, and as trace_record does.
     """
     records: dict[Path, TraceRecord] = {}
     notes, duplicates = [], DuplicateCheck()
@@ -52,13 +52,13 @@ def read_records(
         raise IdentificationError(
             f"expected records among the {len(logs)} logs, found none: {'; '.join(notes)}"
         )
-    records = _told_apart(records)
-    notes += [f"{r.name}: {told}" for r in records.values() for told in r.remarks]
+    records = _with_unique_names(records)
+    notes += [f"{r.name}: {remark}" for r in records.values() for remark in r.remarks]
     return records, tuple(notes)
 
 
-def _told_apart(records: dict[Path, TraceRecord]) -> dict[Path, TraceRecord]:
-    """Return records of which no two have one name: those that had are named by their logs too."""
+def _with_unique_names(records: dict[Path, TraceRecord]) -> dict[Path, TraceRecord]:
+    """Return the records with unique names: the path of the log is appended to repeated ones."""
     count = Counter(record.name for record in records.values())
     if count.most_common(1)[0][1] == 1:
         return records
@@ -76,18 +76,18 @@ def _require_long(record: TraceRecord, path: Path) -> None:
     seconds = record.rows * record.experiment.Ts_s
     if seconds < SHORTEST_S:
         raise NotARecordError(
-            f"{path.name}: left out, since it is {seconds:.2g} s long: expected {SHORTEST_S:g} s"
+            f"{path.name}: left out: expected at least {SHORTEST_S:g} s, found {seconds:.2g} s"
         )
 
 
 def require_live(record: TraceRecord, path: Path) -> None:
-    """Raise NotARecordError where a sensor shows one value throughout."""
+    """Raise NotARecordError for a record with a constant sensor reading."""
     frozen = np.flatnonzero(np.ptp(record.gap, axis=0) == 0.0)
     if len(frozen):
         places = record.places
         names = places.dof if places.sensors == len(places.dof) else None
         which = [names[i] if names else f"sensor:{i}" for i in frozen.tolist()]
         raise NotARecordError(
-            f"{path.name}: left out, since {', '.join(which)} is frozen: it shows "
+            f"{path.name}: left out: {', '.join(which)} is frozen at "
             f"{record.gap[0, frozen[0]]:.6g} {places.sensor_unit} in every row"
         )

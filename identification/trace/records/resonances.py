@@ -1,8 +1,8 @@
-"""Where a platform resonates as it bends: frequency and damping, read off the records.
+"""Estimate frequency and damping of the platform's flexible modes from cross spectra.
 
-What the sensors show beyond the rigid pose is held, pattern by pattern, against the command forces
-in the same pattern: cross spectra over all records, and of those the resonance that explains most.
-It is where a fit begins; a resonance that is narrower than the steps of a grid would be missed.
+For each bending pattern, the cross spectra of the sensors' non-rigid part and the command force in
+this pattern are averaged over all records; the resonance that explains most is the initial guess
+of the fit. A grid search would miss resonances narrower than its steps.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ Array = NDArray[np.float64]
 
 _SEGMENT_S = 4.0
 _LOWEST_HZ, _HIGHEST = 12.0, 0.4
-"""From above the platform's own loop up to a share of the rate of sampling."""
+"""Frequency range: above the control loop's modes, up to a share of the sampling rate."""
 _STEP, _DAMPING = 0.015, 0.03
-"""Ratio between frequencies that are tried first, and the damping at which neighbours overlap."""
+"""Relative step of the frequency grid, and a damping at which neighbours overlap."""
 _SURE = 50.0
-"""Squared standard deviations by which a resonance must explain more than noise would: the best of
-some thousand tried had 18 in flights without one."""
+"""Least explained power over that of noise. The largest of some thousand trials was 18 in records
+without a resonance."""
 _MOST = 2
-"""Resonances of one pattern."""
+"""Largest number of resonances of a pattern."""
 _BROAD = 0.3
-"""A damping beyond which nothing resonates: the grid sees that anyway."""
+"""Largest damping of a resonance; the grid of the candidates covers larger ones."""
 _LOG_DAMPING = np.log([1e-3, 0.7])
 
 
 class Resonance(NamedTuple):
-    """A pattern of bending by its name, its frequency in Hz, and its damping ratio."""
+    """A bending pattern's name, its frequency in Hz and its damping ratio."""
 
     pattern: str
     frequency_hz: float
@@ -44,10 +44,10 @@ class Resonance(NamedTuple):
 
 
 def resonances(records: Sequence[TraceRecord]) -> tuple[Resonance, ...]:
-    """Return resonances of patterns that a rigid platform cannot show, to three digits.
+    """Return the resonances of the non-rigid patterns, rounded to three digits.
 
-    Those that explain most of a pattern come first. None where nobody knows where sensors and coils
-    are; records of another rate than most rows have are left out.
+    Within a pattern, the one that explains most comes first. The result is empty if the positions
+    of sensors and coils are unknown. Only records of the most frequent sampling rate are used.
     """
     names, over_sensors, over_coils = patterns(records[0].places)
     bends = [i for i, name in enumerate(names) if name in PATTERNS]
@@ -64,7 +64,7 @@ def resonances(records: Sequence[TraceRecord]) -> tuple[Resonance, ...]:
 
 @dataclass(frozen=True)
 class _Spectra:
-    """Of one pattern, (F,): cross and own spectra of force u and reading y, means of `count`."""
+    """Cross and auto spectra (F,) of force u and reading y in a pattern, means of `count`."""
 
     freq_hz: Array
     yu: NDArray[np.complex128]
@@ -73,7 +73,7 @@ class _Spectra:
     count: int
 
     def without(self, response: NDArray[np.complex128]) -> _Spectra:
-        """Return the spectra with y freed of what a response (F,) makes of u."""
+        """Subtract from y its best fit by a response (F,) to u."""
         gain = np.sum(response.conj() * self.yu) / np.sum(np.abs(response) ** 2 * self.uu)
         made = gain * response
         left = self.yy - 2 * (made.conj() * self.yu).real + np.abs(made) ** 2 * self.uu
@@ -81,7 +81,7 @@ class _Spectra:
 
 
 def _strongest(spectra: _Spectra) -> list[tuple[float, float]]:
-    """Return frequencies and dampings of what stands out, one freed of the other."""
+    """Return frequencies and dampings of the significant resonances, found one after another."""
     if not spectra.uu.any():
         return []
     first, last = spectra.freq_hz[[0, -1]]
@@ -100,7 +100,7 @@ def _strongest(spectra: _Spectra) -> list[tuple[float, float]]:
 def _spectra(
     records: Sequence[TraceRecord], over_sensors: Array, over_coils: Array
 ) -> list[_Spectra]:
-    """Return the spectra of each pattern; over_sensors (S, P), over_coils (C, P)."""
+    """Return the spectra of each pattern, for over_sensors (S, P) and over_coils (C, P)."""
     rows: dict[float, int] = {}
     for r in records:
         rows[r.experiment.Ts_s] = rows.get(r.experiment.Ts_s, 0) + r.rows
@@ -137,9 +137,9 @@ def _response(freq_hz: Array, f_hz: float, zeta: float) -> NDArray[np.complex128
 
 
 def _explained(spectra: _Spectra, f_hz: float, zeta: float) -> tuple[float, float]:
-    """Return the power of y that a resonance explains, at any gain and phase, and how surely.
+    """Return the power of y that a resonance explains (any gain and phase), and its significance.
 
-    The second is that power over what noise of y's own power would give on average.
+    The significance is this power over the mean that noise of the power of y would give.
     """
     G = _response(spectra.freq_hz, f_hz, zeta)
     power = np.abs(G) ** 2 * spectra.uu
@@ -152,7 +152,7 @@ def _explained(spectra: _Spectra, f_hz: float, zeta: float) -> tuple[float, floa
 
 
 def _fitted(spectra: _Spectra, f_hz: float) -> tuple[float, float]:
-    """Return frequency and damping that explain most, from a frequency nearby."""
+    """Return the frequency and damping that explain most, starting near `f_hz`."""
 
     def at(p: Array) -> tuple[float, float]:
         low, high = np.log(spectra.freq_hz[[0, -1]])

@@ -1,4 +1,4 @@
-"""The white noise of sensors, read where a platform cannot follow."""
+"""Estimate the white noise of sensors from the spectrum above the platform's motion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _MEDIAN_OF_CHI2 = np.log(2.0)
-"""Median over mean of a periodogram's value."""
+"""Ratio of median to mean of a periodogram."""
 _QUIET_FROM = 0.5
 """Sensor noise is read above this share of the Nyquist frequency."""
 
@@ -16,7 +16,7 @@ _QUIET_FROM = 0.5
 def white_noise(readings: Array) -> Array:
     """Return the standard deviation (S,) of the white noise of readings (N, S), in their unit.
 
-    By medians over frequencies that a platform cannot follow.
+    It is the median over the upper half of the frequencies, above the platform's motion.
     """
     window = np.hanning(len(readings))[:, None]
     power = np.abs(np.fft.rfft(readings * window, axis=0)) ** 2 / np.sum(window**2)

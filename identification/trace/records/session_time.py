@@ -1,4 +1,4 @@
-"""Whether records tell the time of a session, and which effects need it: drifts, a late payload."""
+"""Check whether records have a common session time, which drifts and late payloads need."""
 
 from __future__ import annotations
 
@@ -19,14 +19,13 @@ Array = NDArray[np.float64]
 _ROWS = 256
 _TS_S = 1e-3
 _LATER = 1 / np.pi
-"""Of the session: what depends on its time is another effect by so much later, a tone too."""
+"""Time shift of the probe, as a share of the session: it changes any time-dependent effect."""
 
 
 def overlap(records: Sequence[TraceRecord]) -> str:
-    """Return in words which records claim the same time, nothing where none do.
+    """Return two records that overlap in time, as text; empty if there are none.
 
-    Imported records all begin at 0, and so does every session: then nobody knows what came before
-    what.
+    Imported records and sessions all begin at 0, so the order of several is unknown.
     """
     ordered = sorted(records, key=lambda r: float(r.time_s[0]))
     for before, after in pairwise(ordered):
@@ -39,7 +38,7 @@ def overlap(records: Sequence[TraceRecord]) -> str:
 def timeless(
     effects: Sequence[Effect], places: Places, covered: Extent
 ) -> tuple[list[Effect], list[Effect]]:
-    """Return the effects that do not depend on the session's time, and those that do."""
+    """Return the effects that do not depend on session time, and those that do."""
     now, later = _probes(places, covered)
     kept: list[Effect] = []
     timed: list[Effect] = []
@@ -51,13 +50,13 @@ def timeless(
 def require_timeless(
     placed: Sequence[Placed], places: Places, covered: Extent, overlapping: str
 ) -> None:
-    """Raise IdentificationError for a declared effect that depends on the session's time."""
+    """Raise IdentificationError for a declared effect that depends on session time."""
     now, later = _probes(places, covered)
     for p in placed:
         if _differs(p.effect, p.shape, now, later):
             raise IdentificationError(
-                f"expected records one after the other in time, since the model's effect "
-                f"'{p.effect.name}' depends on it, found {overlapping}, which overlap"
+                f"the model's effect '{p.effect.name}' depends on session time: expected records "
+                f"that do not overlap, found {overlapping}; trace one session at a time"
             )
 
 
@@ -70,26 +69,26 @@ def _differs(effect: Effect, shape: Sequence[float], now: Signals, later: Signal
 
 
 def _probes(places: Places, covered: Extent) -> tuple[Signals, Signals]:
-    """Return the same lively trajectory twice, the second later in the session."""
+    """Return a random trajectory twice, the second later in the session."""
     rng = np.random.default_rng(0)
     n, begin, end = len(places.dof), *places.span_s
 
-    def lively(*columns: int) -> Array:
+    def random(*columns: int) -> Array:
         return rng.standard_normal((_ROWS, *columns))
 
     now = Signals(
         Ts_s=_TS_S,
         time_s=np.linspace(begin, end, _ROWS),
-        q=lively(n) * covered.reach,
-        qd=lively(n) * covered.speed,
-        qdd=lively(n),
-        coil=covered.command * lively(places.coils),
-        x_b_m=lively(),
-        v_b_m_s=lively(),
-        a_b_m_s2=lively(),
-        phi_rad=lively(),
-        phi_rad_s=lively(),
-        phi_rad_s2=lively(),
+        q=random(n) * covered.reach,
+        qd=random(n) * covered.speed,
+        qdd=random(n),
+        coil=covered.command * random(places.coils),
+        x_b_m=random(),
+        v_b_m_s=random(),
+        a_b_m_s2=random(),
+        phi_rad=random(),
+        phi_rad_s=random(),
+        phi_rad_s2=random(),
         delay_cycles=1,
         places=places,
     )

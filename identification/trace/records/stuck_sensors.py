@@ -1,4 +1,4 @@
-"""Readings that stand still while the platform moves: nothing was measured there."""
+"""Detect sensor readings that are stuck while the platform moves."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STILL = {10: 6.0, 16: 6.3, 32: 6.7, 64: 7.1, 128: 7.4, 256: 7.8}
-"""Range of a reading that stands for so many rows, in standard deviations of its noise: what one in
-a thousand exceeds. A filter does not keep a reading in there for long while others move."""
+"""Range of a stuck reading over a number of rows, in noise standard deviations, exceeded once in a
+thousand. A filtered reading does not stay within it for long while the others move."""
 _LONGEST = max(_STILL)
 _SAME = 3.0
-"""How far a reading may be off that of a stand at either end of it, likewise."""
+"""Largest deviation at the ends of a stuck interval, in noise standard deviations."""
 _MOVES = 20.0
-"""Range of what the other sensors say of that place, likewise."""
+"""Least range expected from the other sensors, in noise standard deviations."""
 _TURNING = 200
-"""Rows between two stands at one height that are one: the platform turned back in between."""
+"""Largest number of rows between two stuck intervals that are joined: the motion reverses."""
 
 
 def standing(readings: Array, shape: Array) -> Mask | None:
-    """Return where a sensor's reading stands still (N, S), or None where none does.
+    """Return where readings are stuck (N, S), or None if there is no such row.
 
-    readings (N, S) of sensors that see shape (S, n) of the pose: what one of them should show, the
-    others say, and still do without any one of them, which might be the one that is wrong. The row
-    in which a reading comes to a stand is true yet, and not among them.
+    readings (N, S) of sensors with shape (S, n): the other sensors give the expected reading, and
+    must agree if any one of them is left out, which might be the faulty one. The first row of a
+    stuck interval is still valid and not marked.
     """
     S, n = shape.shape
     if len(readings) < _LONGEST or n + 2 > S:
@@ -51,14 +51,14 @@ def standing(readings: Array, shape: Array) -> Mask | None:
 
 
 def _range(values: Array, rows: int) -> Array:
-    """Return the range of values (N, S) over so many rows, from each on that has them."""
+    """Return the range of values (N, S) over each window of `rows` rows."""
     from_row = slice(rows // 2, rows // 2 + len(values) - rows + 1)
     highest, lowest = maximum_filter1d(values, rows, axis=0), minimum_filter1d(values, rows, axis=0)
     return np.asarray((highest - lowest)[from_row])
 
 
 def _from_others(shape: Array, sensor: int, without: int = -1) -> Array:
-    """Return weights (S,) of the readings in what a sensor should show, by the others."""
+    """Return the weights (S,) of the other sensors in the expected reading of a sensor."""
     others = [s for s in range(len(shape)) if s not in (sensor, without)]
     weights = np.zeros(len(shape))
     weights[others] = np.linalg.pinv(shape[others]).T @ shape[sensor]
@@ -66,9 +66,9 @@ def _from_others(shape: Array, sensor: int, without: int = -1) -> Array:
 
 
 def _fit_ends(stands: Mask, reading: Array, noise: float) -> None:
-    """Let stands, in place, begin after the reading that they keep, and last as long as it stays.
+    """Adjust, in place, the begin and end of stuck intervals to the rows with the stuck reading.
 
-    A window may hold rows before, and ends where the platform only turns back.
+    A window may include rows before, and ends if the platform only reverses.
     """
     for first, end in _runs(stands):
         kept = np.median(reading[first:end])
@@ -80,7 +80,7 @@ def _fit_ends(stands: Mask, reading: Array, noise: float) -> None:
 
 
 def _join(stands: Mask, reading: Array, noise: float) -> None:
-    """Make one stand, in place, of those between which the reading never left its noise."""
+    """Join, in place, stuck intervals between which the reading stays within its noise."""
     for (_, end), (first, _) in pairwise(_runs(stands)):
         between = reading[end - 1 : first + 1]
         if first - end <= _TURNING and np.ptp(between) <= _STILL[_LONGEST] * noise:
@@ -88,7 +88,7 @@ def _join(stands: Mask, reading: Array, noise: float) -> None:
 
 
 def _confirm(stands: Mask, sensor: int, readings: Array, shape: Array, noise: float) -> None:
-    """Strike out, in place, what drifts away, and what only one of the other sensors speaks for."""
+    """Remove, in place, intervals that drift, or whose expected motion depends on one sensor."""
     others = [s for s in range(len(shape)) if s != sensor]
     ways = np.stack([_from_others(shape, sensor, other) for other in others], axis=1)
     for first, end in _runs(stands):
@@ -99,6 +99,6 @@ def _confirm(stands: Mask, sensor: int, readings: Array, shape: Array, noise: fl
 
 
 def _runs(mask: Mask) -> list[tuple[int, int]]:
-    """Return first and end of each run of true rows."""
+    """Return first and end (exclusive) of each run of true rows."""
     edges = np.flatnonzero(np.diff(np.r_[0, mask, 0]))
     return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]

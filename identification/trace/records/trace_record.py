@@ -1,4 +1,4 @@
-"""A record as the trace sees it: every sensor and coil by itself, the beam, the drives' force."""
+"""Read a record for a trace: single sensors and coils, beam and rotor motion, drive force."""
 
 from __future__ import annotations
 
@@ -24,21 +24,20 @@ Array = NDArray[np.float64]
 
 _SILENT = 1e-9
 SHORTEST_S = 1.0
-"""Of a record, or of a part that is held out."""
+"""Least duration of a record, or of a held-out part."""
 _FITTED = 0.6
 _LEAST_HELD = 0.2
-"""Of a kind's time: where less of it is held out, its longest record is cut too."""
+"""Least held-out share of a kind's time; otherwise its longest record is cut too."""
 
 
 @dataclass(frozen=True)
 class TraceRecord:
-    """An experiment, and what its pose and wrench do not show.
+    """An experiment with the signals of single sensors, coils and drives.
 
-    gap (N, S) as measured; coil, coil_excitation (N, C) commanded; beam and rotor (N, 3) position,
-    velocity, acceleration (zeros where there are none); drive_n (N,) force of the beam's drives;
-    time_s (N,) runs on through a session. `kind` says what moves in it: records of one kind are
-    exchangeable. standing (N, S): where readings stand still while the platform moves; None
-    where none does. `remarks` say in words what happened in it.
+    gap (N, S): as measured; coil, coil_excitation (N, C): commanded; beam and rotor (N, 3):
+    position, velocity, acceleration (zeros without them); drive_n (N,): force of the beam's drives;
+    time_s (N,): session time. `kind` names what moves; records of one kind are exchangeable.
+    standing (N, S): stuck readings; None without any. `remarks` describe events in the record.
     """
 
     experiment: Experiment
@@ -56,7 +55,7 @@ class TraceRecord:
     filters: dict[bytes, Filter] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    """Filters along a moving schedule, by the noise they are for: they cost more than their use."""
+    """Cached filters along a moving schedule, by noise: computing them is slow."""
 
     @property
     def name(self) -> str:
@@ -65,7 +64,7 @@ class TraceRecord:
 
     @property
     def still(self) -> bool:
-        """Whether nothing excites it and nothing moves."""
+        """Whether the record has neither excitation nor motion."""
         return self.kind == "still"
 
     @property
@@ -75,7 +74,7 @@ class TraceRecord:
 
     @property
     def nbytes(self) -> int:
-        """Memory that its arrays take, but for the filters."""
+        """Memory of the arrays in bytes, without the filters."""
         e = self.experiment
         arrays = [self.time_s, self.gap, self.coil, self.coil_excitation, self.beam, self.rotor]
         arrays += [e.u, e.y, *e.schedule.values()]
@@ -84,7 +83,7 @@ class TraceRecord:
         return sum(a.nbytes for a in arrays)
 
     def cut(self, start: int, stop: int) -> TraceRecord:
-        """Return rows start .. stop."""
+        """Return rows start to stop (exclusive)."""
         if (start, stop) == (0, self.rows):
             return self
         rows = slice(start, stop)
@@ -105,15 +104,15 @@ class TraceRecord:
 def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
     """Return the record of a log; raises as experiment_from_log does."""
     experiment = experiment_from_log(log, model)
-    happened = tuple(truncation_remarks(log))
-    log, gaps = resample(log)
+    remarks = tuple(truncation_remarks(log))
+    log, resampling_remarks = resample(log)
     if "signals.yaml" in log.attachments:
-        return replace(_imported(experiment, model), remarks=happened)
+        return replace(_imported(experiment, model), remarks=remarks)
     at_limit = cycles_at_limit(log)
     if at_limit:
-        happened += (
-            f"{at_limit} of {len(log.rows)} cycles with coils at a limit, which the free "
-            "simulation does not know: its error there counts as the model's",
+        remarks += (
+            f"{at_limit} of {len(log.rows)} cycles with saturated coils, which the free-run "
+            "simulation does not include: the error there counts as the model's",
         )
     geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
     places = rig_places(geometry, model)
@@ -135,13 +134,13 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
         log.field("beam_force_n").astype(float),
         "",
         standing(gap, places.sensor_shape),
-        (*happened, *gaps),
+        (*remarks, *resampling_remarks),
     )
     return replace(record, kind=_kind(record))
 
 
 def rig_places(geometry: Geometry, model: ModelConfig) -> Places:
-    """Return where a rig's coils and sensors act on the DOF of its model."""
+    """Return how a rig's coils and sensors act on the DOF of its model."""
     return Places(
         tuple(q.name for q in model.dof),
         tuple(q.unit for q in model.dof),
@@ -157,7 +156,7 @@ def rig_places(geometry: Geometry, model: ModelConfig) -> Places:
 
 
 def imported_places(model: ModelConfig) -> Places:
-    """Return what is known of the places of others' data: an actuator an input, a sensor a DOF."""
+    """Return the places of imported data: one actuator for each input, one sensor for each DOF."""
     return Places(
         tuple(q.name for q in model.dof),
         tuple(q.unit for q in model.dof),
@@ -173,10 +172,10 @@ def imported_places(model: ModelConfig) -> Places:
 
 
 def split(records: Sequence[TraceRecord]) -> tuple[list[TraceRecord], list[TraceRecord]]:
-    """Return the records to fit to and those held out: of every kind about a third.
+    """Return the training records and the held-out ones, about a third of every kind.
 
-    Of a kind with several records, the second, fifth, ... are held out. The only one of its kind is
-    cut, and its end held out; so is the longest where the others held out are short beside it.
+    Of each kind, the second, fifth, ... record is held out. If the held-out time is less than a
+    fifth, the longest other record is cut, and its end is held out.
     """
     by_kind: dict[str, list[TraceRecord]] = {}
     for record in records:
@@ -214,10 +213,10 @@ def _imported(experiment: Experiment, model: ModelConfig) -> TraceRecord:
     p = experiment.u.shape[1]
     places = imported_places(model)
     N = len(experiment.y)
-    nothing = np.zeros((N, 3))
+    no_motion = np.zeros((N, 3))
     return TraceRecord(
         experiment, places, np.asarray(np.arange(N) * experiment.Ts_s), experiment.y, experiment.u,
-        np.zeros((N, p)), nothing, nothing, None, "imported",
+        np.zeros((N, p)), no_motion, no_motion, None, "imported",
     )  # fmt: skip
 
 
@@ -230,7 +229,7 @@ def _motion(log: Log, axis: tuple[str, str], Ts_s: float) -> Array:
 
 
 def _kind(record: TraceRecord) -> str:
-    """Return what moves in a record, in words that are the same for like records."""
+    """Return the name of a record's kind: what is excited and what moves."""
     e = record.experiment
     v = e.loop.v if e.loop is not None else e.u
     parts = []

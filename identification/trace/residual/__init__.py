@@ -1,1 +1,1 @@
-"""Measure what a model leaves unexplained: force residual, free-run errors, random vibration."""
+"""Compute a model's residual: force residual, free-run errors, random vibration."""

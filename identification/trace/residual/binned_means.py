@@ -1,4 +1,4 @@
-"""How one quantity depends on another: means over bins, their errors, and how much they explain."""
+"""Compute binned means of one signal over another, with errors and explained share."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ Array = NDArray[np.float64]
 _BINS = 24
 _RANGE = (0.5, 99.5)
 _FEWEST = 4
-"""Blocks of time that a bin needs: below, its error is not known."""
+"""Least number of time blocks in a bin, for its error."""
 
 
 @dataclass(frozen=True)
 class Dependence:
     """Means (K,) of values over bins of a signal, at the signal's means `at` (K,).
 
-    error (K,): standard error of each, from the spread between blocks of time, which knows of what
-    is correlated within one. share: of the values' power, what the means of half the blocks explain
-    in the other half; near zero, or below, where there is no dependence.
+    error (K,): standard error of each mean, from the scatter between time blocks, which allows for
+    correlation within a block. share: cross-validated share of the values' power that the means
+    explain; near or below zero without dependence.
     """
 
     at: Array
@@ -31,7 +31,7 @@ class Dependence:
 
 
 def dependence(signal: Array, values: Array, block: NDArray[np.int64]) -> Dependence:
-    """Return how values (N,) depend on a signal (N,); `block` (N,) numbers the blocks of time."""
+    """Return binned means of values (N,) over a signal (N,); `block` (N,): time block numbers."""
     edges = _edges(signal)
     inside = (signal >= edges[0]) & (signal <= edges[-1])
     x, y = signal[inside], values[inside]
@@ -48,7 +48,7 @@ def dependence(signal: Array, values: Array, block: NDArray[np.int64]) -> Depend
     kept = (count > 0).sum(axis=1) >= _FEWEST
     total = np.maximum(rows, 1.0)
     mean = sums.sum(axis=1) / total
-    # The error of a ratio of sums over blocks, as in cluster sampling.
+    # The standard error of a ratio of sums over blocks (cluster sampling).
     scatter = sums - mean[:, None] * count
     error = np.sqrt((scatter**2).sum(axis=1) * blocks / max(blocks - 1, 1)) / total
     at = places.sum(axis=1) / total
@@ -56,7 +56,7 @@ def dependence(signal: Array, values: Array, block: NDArray[np.int64]) -> Depend
 
 
 def _edges(signal: Array) -> Array:
-    """Return edges (K + 1,) of bins equally wide over nearly all of the signal."""
+    """Return the edges (K + 1,) of equally wide bins over 99 % of the signal."""
     low, high = np.percentile(signal, _RANGE)
     if not high > low:
         low, high = low - 0.5, low + 0.5
@@ -70,7 +70,7 @@ def _share(
     number: NDArray[np.int64],
     block: NDArray[np.int64],
 ) -> float:
-    """Return what means of every second block explain of the others, both ways round."""
+    """Return the share that the means of every second block explain of the others (two-fold)."""
     left, whole = 0.0, 0.0
     odd = np.arange(count.shape[1]) % 2 == 1
     for half in (odd, ~odd):

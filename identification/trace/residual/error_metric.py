@@ -1,4 +1,4 @@
-"""How well a model simulates records freely: errors over noise, sensor by sensor and DOF by DOF."""
+"""Compute the free-run error of a model and its noise floor, by record and DOF."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _SEGMENT_S = 4.0
 
 @dataclass(frozen=True)
 class RecordError:
-    """Measured minus freely simulated, of one record from where it counts (5 s on).
+    """The free-run error of one record, on the rows that count (after 5 s).
 
-    rows: how many count, in how many seconds. squares: mean square over rows and sensors, in
-    variances of the sensor noise; floor: what noise alone leaves of that. pose_squares, pose_floor
-    (n,): mean squares of the pose's error, SI. freq_hz (F,), psd (F, n): one-sided spectrum of the
-    pose's error.
+    rows, seconds: length of the rows that count. squares: mean square over rows and sensors, in
+    sensor noise variances; floor: the same of noise alone. pose_squares, pose_floor (n,): mean
+    squares of the pose's error in SI units. freq_hz (F,), psd (F, n): one-sided spectrum of the
+    pose's error. settled: whether the simulation with effects converged.
     """
 
     name: str
@@ -42,9 +42,9 @@ class RecordError:
 
 
 def record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
-    """Return the free-running error of a record, and what noise alone would leave.
+    """Return the free-run error of a record and its noise floor.
 
-    Of a simulation that runs away they are not finite, and nobody is warned of it.
+    If the simulation diverges they are not finite, without a warning.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         return _record_error(point, record)
@@ -75,7 +75,7 @@ def _record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
 
 
 def pooled(errors: Sequence[RecordError]) -> tuple[float, float]:
-    """Return RMS error and floor over all records' time and sensors, in noise deviations."""
+    """Return RMS error and noise floor over all records and sensors, in noise deviations."""
     weights = shares(errors)
     return (
         float(np.sqrt(weights @ np.array([e.squares for e in errors]))),
@@ -84,7 +84,7 @@ def pooled(errors: Sequence[RecordError]) -> tuple[float, float]:
 
 
 def pooled_pose(errors: Sequence[RecordError]) -> tuple[Array, Array]:
-    """Return RMS error and floor of each DOF (n,) over all records' time, SI."""
+    """Return RMS error and noise floor of each DOF (n,) over all records, in SI units."""
     weights = shares(errors)
     squares = np.array([e.pose_squares for e in errors])
     floors = np.array([e.pose_floor for e in errors])
@@ -92,6 +92,6 @@ def pooled_pose(errors: Sequence[RecordError]) -> tuple[Array, Array]:
 
 
 def shares(errors: Sequence[RecordError]) -> Array:
-    """Return each record's share of the time that counts (R,)."""
+    """Return each record's share (R,) of the time that counts."""
     seconds = np.array([e.seconds for e in errors])
     return np.asarray(seconds / seconds.sum())

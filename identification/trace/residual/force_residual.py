@@ -1,4 +1,4 @@
-"""What a model leaves of a record: the force it lacks, and readings no rigid platform can show."""
+"""Compute a record's residual: generalised force, non-rigid readings, and drive force."""
 
 from __future__ import annotations
 
@@ -20,26 +20,25 @@ Array = NDArray[np.float64]
 
 _SEGMENT_S = 4.0
 _EDGE_ROWS = 3
-"""Rows at both ends that central differences of sixth order do not reach."""
+"""Rows at both ends without a central difference of sixth order."""
 FADE_S = 0.5
-"""How long Missing.force takes to come up, and to fade, at the ends of a record."""
+"""Duration of the fade of Missing.force at both ends of a record."""
 _THIRD = 2.0 ** (1 / 3)
 _PASSED = 1.3
-"""Times the noise's density that a residual must have to be kept."""
+"""Least ratio of a residual's density to the noise's that passes the filter."""
 _WORST = 100.0
 _LINE = 30.0
-"""Of a line's density over the noise's: averages of ten spectra never scatter as far."""
+"""Ratio to noise above which a line always passes; averages of ten spectra do not reach it."""
 
 
 @dataclass(frozen=True)
 class Missing:
-    """What a working point leaves of a record.
+    """The residual of a record at a working point.
 
-    force (N, n): generalised force that the model lacks, the mean of the period after each row, its
-    own mean over the record taken out, faded at both ends; good up to where the sensors' noise,
-    differentiated twice, is larger. reading (N, S): readings less their best rigid pose. drive
-    (N,): force of the beam's drives less what accelerations, speed and tilt explain; None where
-    nobody measured it.
+    force (N, n): residual generalised force, averaged over the period after each row, without its
+    mean over the record, faded at both ends; valid up to the frequency at which twice
+    differentiated sensor noise is larger. reading (N, S): non-rigid part of the readings. drive
+    (N,): drive force without its regression on accelerations, speed and tilt; None if not measured.
     """
 
     here: Along
@@ -50,7 +49,7 @@ class Missing:
 
 @dataclass(frozen=True)
 class Share:
-    """What one effect adds, in the places of Missing; None where it adds nothing."""
+    """The contribution of one effect to each field of Missing; None if there is none."""
 
     force: Array | None
     reading: Array | None
@@ -58,10 +57,10 @@ class Share:
 
 
 def missing(point: WorkingPoint, record: TraceRecord) -> Missing:
-    """Return what the model with its effects leaves of a record."""
+    """Return the residual of the model with its effects in a record."""
     here = along(point, record)
-    e, acted = corrected_experiment(point, record, here.at, here.added)
-    force = _lacking(acted, e.y)
+    e, driven = corrected_experiment(point, record, here.at, here.added)
+    force = _residual_force(driven, e.y)
     gap = record.gap if here.added.gap is None else record.gap - here.added.gap
     drive = drive_errors(here)
     if drive is not None:
@@ -71,7 +70,7 @@ def missing(point: WorkingPoint, record: TraceRecord) -> Missing:
 
 
 def share(point: WorkingPoint, here: Along, placed: Placed) -> Share:
-    """Return what one effect of the working point adds to a record."""
+    """Return the contribution of one effect to a record."""
     term = placed.term(here.signals)
     record = here.record
     gap = None if term.gap is None else beyond_rigid(record, term.gap)
@@ -80,28 +79,28 @@ def share(point: WorkingPoint, here: Along, placed: Placed) -> Share:
 
 
 def beyond_rigid(record: TraceRecord, gap: Array) -> Array:
-    """Return readings (N, S) less those of the rigid pose that fits them best."""
+    """Return the non-rigid part (N, S) of readings: without their best-fitting rigid pose."""
     shape = record.places.sensor_shape
     return np.asarray(gap - (gap @ np.linalg.pinv(shape).T) @ shape.T)
 
 
 def noise_density(point: WorkingPoint, here: Along, freq_hz: Array) -> Array:
-    """Return the one-sided density (F, n) of what noise alone leaves in Missing.force."""
+    """Return the one-sided density (F, n) of noise alone in Missing.force."""
     at, noise = here.at, point.disturbance.noise
     seen = powers_of(_impedance(here, freq_hz), noise.output_covariance)
     return np.asarray(2 * at.Ts_s * seen + 2 * noise.force_psd)
 
 
 def false_density(point: WorkingPoint, here: Along, reading: Array) -> Array:
-    """Return the density (F, n), at the frequencies of `density`, that false readings leave there.
+    """Return the density (F, n) of excess sensor noise in Missing.force, at the bins of `density`.
 
-    What no rigid platform shows (N, S) tells by how much the noise of each sensor is larger than it
-    was taken for, in thirds of octaves; that of one sensor is a force on every DOF.
+    The readings' non-rigid part (N, S) gives each sensor's noise above the estimate, averaged over
+    a third of an octave; the noise of one sensor is a force on every DOF.
     """
     shape, Ts_s = here.record.places.sensor_shape, here.at.Ts_s
     freq_hz, psd = density(reading, Ts_s)
     left = np.eye(len(shape)) - shape @ np.linalg.pinv(shape)
-    # Of sensors that err each by itself; a pose takes up a part of every one.
+    # For independent sensor errors, of which the pose absorbs a part.
     own = third_octaves(psd, freq_hz) @ np.linalg.pinv(left**2).T
     excess = np.maximum(own - 2 * Ts_s * point.disturbance.sensor_sd**2, 0.0)
     by_sensor = _impedance(here, freq_hz) @ here.record.places.decoupling
@@ -109,10 +108,10 @@ def false_density(point: WorkingPoint, here: Along, reading: Array) -> Array:
 
 
 def standing_out(psd: Array, noise: Array, freq_hz: Array) -> Array:
-    """Return the gain (F, .) of a filter that keeps what stands out of the noise; both (F, .).
+    """Return the gain (F, .) of a filter that passes what exceeds the noise; psd, noise (F, .).
 
-    Sensor noise grows as a force with the square of the frequency: where it is ten times as large
-    as at its best, only lines are kept.
+    The force-equivalent sensor noise grows with the square of the frequency: where its amplitude is
+    ten times its minimum, only lines pass.
     """
     ratio = psd / np.maximum(noise, 1e-300)
     smooth = third_octaves(ratio, freq_hz)
@@ -124,7 +123,7 @@ def standing_out(psd: Array, noise: Array, freq_hz: Array) -> Array:
 
 
 def third_octaves(values: Array, freq_hz: Array) -> Array:
-    """Return means (F, .) over a third of an octave: single lines of few averages scatter."""
+    """Return means (F, .) over a third of an octave, which scatter less than single lines."""
     edges = np.searchsorted(freq_hz, np.outer(freq_hz, [_THIRD**-0.5, _THIRD**0.5]))
     sums = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     low, high = edges[:, 0], np.maximum(edges[:, 1], edges[:, 0] + 1)
@@ -132,7 +131,7 @@ def third_octaves(values: Array, freq_hz: Array) -> Array:
 
 
 def denoised(values: Array, gain: Array, freq_hz: Array, Ts_s: float) -> Array:
-    """Return samples (N,) through a filter of no phase: its gain (F,) at freq_hz (F,).
+    """Filter samples (N,) without phase shift, by a gain (F,) at freq_hz (F,).
 
     The ends are reflected, so that the filter does not ring there.
     """
@@ -144,28 +143,30 @@ def denoised(values: Array, gain: Array, freq_hz: Array, Ts_s: float) -> Array:
 
 
 def density(values: Array, Ts_s: float) -> tuple[Array, Array]:
-    """Return frequencies (F,) and the one-sided density (F, .) of samples (N, .)."""
+    """Return frequencies (F,) in Hz and the one-sided density (F, .) of samples (N, .)."""
     segment = min(round(_SEGMENT_S / Ts_s), len(values))
     freq_hz, psd = welch(values, 1 / Ts_s, nperseg=segment, axis=0)
     return freq_hz, psd
 
 
-def _lacking(acted: Motion, y: Array) -> Array:
-    """Return M q'' + D q' + K q - B u around its mean (N, n), of each period, exact but for q'."""
-    Ts_s = acted.Ts_s
+def _residual_force(driven: Motion, y: Array) -> Array:
+    """Return M q'' + D q' + K q - B u (N, n), averaged over each period, without its mean."""
+    Ts_s = driven.Ts_s
     qd = _rate(y, Ts_s)
     acceleration, velocity = (np.diff(x, axis=0) / Ts_s for x in (qd, y))
     place = 0.5 * (y[1:] + y[:-1]) - Ts_s**2 / 12 * acceleration
     rows = len(velocity)
-    lacking = acceleration + _times(acted.D, velocity) + _times(acted.K, place)
-    lacking -= _times(acted.B, acted.inputs[:rows, 0]) / Ts_s
-    lacking -= acted.drift[:rows, 0] / Ts_s if len(acted.drift) > 1 else acted.drift[0, 0] / Ts_s
-    force = _times(_inverse(acted.mobility), lacking)
-    # Where inputs from before the record still act, nothing is known.
-    known = slice(max(acted.blind, _EDGE_ROWS), rows - _EDGE_ROWS)
+    residual = acceleration + _times(driven.D, velocity) + _times(driven.K, place)
+    residual -= _times(driven.B, driven.inputs[:rows, 0]) / Ts_s
+    residual -= (
+        driven.drift[:rows, 0] / Ts_s if len(driven.drift) > 1 else driven.drift[0, 0] / Ts_s
+    )
+    force = _times(_inverse(driven.mobility), residual)
+    # In blind rows, unknown inputs from before the record act.
+    known = slice(max(driven.blind, _EDGE_ROWS), rows - _EDGE_ROWS)
     around_mean = np.zeros_like(y)
     around_mean[known] = force[known] - force[known].mean(axis=0)
-    # Noise differentiated twice and cut off sharply would leave a blow at either end.
+    # Without a fade, twice differentiated noise would give a pulse at either end.
     ramp = min(max(round(FADE_S / Ts_s), 1), rows // 4)
     fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)
     around_mean[known.start : known.start + ramp] *= fade[:, None]
@@ -174,7 +175,7 @@ def _lacking(acted: Motion, y: Array) -> Array:
 
 
 def _force_of(point: WorkingPoint, here: Along, term: Term) -> Array | None:
-    """Return the generalised force (N, n) of a term, the mean of the period after each row."""
+    """Return the generalised force (N, n) of a term, averaged over the period after each row."""
     if term.force is None and term.held is None:
         return None
     force = np.zeros_like(here.signals.q)
@@ -192,14 +193,14 @@ def _inverse(matrices: Array) -> Array:
 
 
 def _times(matrices: Array, values: Array) -> Array:
-    """Return each row's matrix, or the one of all rows, times the row's vector."""
+    """Multiply each row's vector by its matrix, or by the one for all rows."""
     if len(matrices) == 1:
         return np.asarray(values @ matrices[0].T)
     return np.asarray(np.einsum("nij,nj->ni", matrices[: len(values)], values))
 
 
 def _impedance(here: Along, freq_hz: Array) -> NDArray[np.complex128]:
-    """Return the force (F, n, n) that moves the pose by one, where the model is linear."""
+    """Return the dynamic stiffness (F, n, n) of the linear model: force over pose."""
     at = here.at
     M = np.linalg.inv(at.mobility.mean(axis=0))
     s = 2j * np.pi * freq_hz[:, None, None]

@@ -1,8 +1,8 @@
-"""The plant in its loop with effects in it, simulated from what was commanded and nothing measured.
+"""Simulate a record in free run with effects: the plant in its loop, without measurements.
 
-Effects are evaluated along the trajectory that they themselves bend. Their forces are small beside
-what moves the plant, so the trajectory is found by repetition: simulate with the forces along the
-last one, evaluate them along the new one, until nothing changes.
+Effects depend on the trajectory that they change. Their forces are small, so a fixed-point
+iteration finds the trajectory: simulate with the effects along the last trajectory, evaluate them
+along the new one, until it converges.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from ..records.trace_record import TraceRecord
 
 Array = NDArray[np.float64]
 
-_MOST_ROUNDS = 40
+_MAX_ITERATIONS = 40
 _SETTLED = 1e-2
-"""Change of the readings in units of the sensor noise below which the trajectory is found."""
-_SWINGS = 0.7
-_SHORTEST_STEP = 0.1
+"""Rms change of the readings at convergence, in sensor noise standard deviations."""
+_OSCILLATION_RATIO = 0.7
+_MIN_STEP = 0.1
 
 
 @dataclass(frozen=True)
 class EffectFreeRun:
-    """Readings (N, S) that the model says the sensors show; rows before `counts_from` are given.
+    """Simulated readings (N, S) and poses (N, n); rows before `counts_from` are as measured.
 
-    `settled` says whether repeating changed nothing any more, `change` by how much it still did.
+    `settled`: whether the iteration converged; `change`: last rms change, in noise deviations.
     """
 
     gap: Array
@@ -58,7 +58,7 @@ class EffectFreeRun:
 
 @dataclass(frozen=True)
 class Slopes:
-    """Derivatives (N, n, n) of a force by pose and velocity, at poses and velocities (N, n)."""
+    """Derivatives (N, n, n) of the effects' force by pose and velocity, at q and qd (N, n)."""
 
     stiffness: Array
     damping: Array
@@ -67,9 +67,9 @@ class Slopes:
 
 
 def free_run(point: WorkingPoint, record: TraceRecord) -> EffectFreeRun:
-    """Simulate a record freely; constant force and state come from its first 5 s.
+    """Simulate a record in free run; constant force and state are estimated from its first 5 s.
 
-    Raises IdentificationError: a loop whose input is not held from sample to sample.
+    Raises IdentificationError for a closed loop without a zero-order hold at the input.
     """
     e = record.experiment
     require_held(e, point.hold)
@@ -79,10 +79,10 @@ def free_run(point: WorkingPoint, record: TraceRecord) -> EffectFreeRun:
     offset, state = _start(point, record, added, first)
     q_given = e.y if added.gap is None else e.y - added.gap @ record.places.decoupling.T
     at = settled(at, offset)
-    change, ease = np.inf, 1.0
+    change, damping_factor = np.inf, 1.0
     q, u = _simulate(point, record, at, added, first, state, q_given)
     before: Signals | None = None
-    for _ in range(_MOST_ROUNDS if point.placed else 0):
+    for _ in range(_MAX_ITERATIONS if point.placed else 0):
         if not np.all(np.isfinite(q)):
             break
         coil = record.coil
@@ -94,14 +94,20 @@ def free_run(point: WorkingPoint, record: TraceRecord) -> EffectFreeRun:
         next_q, next_u = _simulate(point, record, at, added, first, state, q_given)
         if slopes is not None and np.all(np.isfinite(next_q)):
             move = next_q - q
-            more_q, more_u = _bent(point, record, at, slopes, move, rate(move, e.Ts_s), first)
+            more_q, more_u = _newton_correction(
+                point, record, at, slopes, move, rate(move, e.Ts_s), first
+            )
             next_q, next_u = next_q + more_q, next_u + more_u
-        slower, step = change, next_q - q
+        last_change, step = change, next_q - q
         change = float(np.sqrt(np.mean((step @ record.places.sensor_shape.T) ** 2)))
         change /= point.disturbance.sensor_sd
-        # Where it swings rather than settles, it goes half the way.
-        ease = max(0.5 * ease, _SHORTEST_STEP) if change > _SWINGS * slower else ease
-        before, q, u = signals, q + ease * step, u + ease * (next_u - u)
+        # Halve the step if the iteration oscillates.
+        damping_factor = (
+            max(0.5 * damping_factor, _MIN_STEP)
+            if change > _OSCILLATION_RATIO * last_change
+            else damping_factor
+        )
+        before, q, u = signals, q + damping_factor * step, u + damping_factor * (next_u - u)
         if change < _SETTLED:
             break
     gap = q @ record.places.sensor_shape.T
@@ -113,11 +119,11 @@ def free_run(point: WorkingPoint, record: TraceRecord) -> EffectFreeRun:
 def _slopes(
     point: WorkingPoint, signals: Signals, before: Signals | None, added: Term
 ) -> Slopes | None:
-    """Return how the effects' forces change with pose and velocity along a trajectory.
+    """Return the derivatives of the effects' forces by pose and velocity along a trajectory.
 
-    A force that depends on where the platform is bends the next trajectory at once; with its slope
-    in the model the repetition is Newton's and settles where it would swing otherwise. The slope is
-    that over what the trajectory still moves by: a friction that jumps looks no steeper than that.
+    With them the iteration is Newton's method, and converges where a fixed-point iteration would
+    oscillate. The difference step is the last change of the trajectory, so that the jump of a
+    friction force has a finite slope.
     """
     if added.force is None:
         return None
@@ -127,14 +133,14 @@ def _slopes(
         values: Array = getattr(signals, name)
         spread = values.std(axis=0)
         last = 0.1 * spread if before is None else (values - getattr(before, name)).std(axis=0)
-        for i, nudge in enumerate(np.maximum(last, 1e-3 * spread) + 1e-12):
-            lower, upper = (_force_at(point, signals, name, i, s * nudge) for s in (-1.0, 1.0))
-            slope[:, :, i] = (upper - lower) / (2 * nudge)
+        for i, difference in enumerate(np.maximum(last, 1e-3 * spread) + 1e-12):
+            lower, upper = (_force_at(point, signals, name, i, s * difference) for s in (-1.0, 1.0))
+            slope[:, :, i] = (upper - lower) / (2 * difference)
     return Slopes(stiffness, damping, signals.q, signals.qd)
 
 
 def _force_at(point: WorkingPoint, signals: Signals, name: str, column: int, by: float) -> Array:
-    """Return the effects' force (N, n) with poses or velocities of one DOF moved."""
+    """Return the effects' force (N, n) with poses or velocities of one DOF changed."""
     values = getattr(signals, name).copy()
     values[:, column] += by
     moved = replace(signals, q=values) if name == "q" else replace(signals, qd=values)
@@ -145,7 +151,7 @@ def _force_at(point: WorkingPoint, signals: Signals, name: str, column: int, by:
 def _start(
     point: WorkingPoint, record: TraceRecord, added: Term, first: int
 ) -> tuple[Array, Array]:
-    """Return the constant force (n,) and the state (2n,) at row `first`, from the rows before."""
+    """Estimate constant force (n,) and state (2n,) at row `first` from the rows before."""
     own = motion(point.model, record.experiment, point.hold)
     corrected, whole = corrected_experiment(point, record, own, added)
     kalman = filter_of(point, record, own)
@@ -155,7 +161,7 @@ def _start(
 
 
 def _shared(record: TraceRecord, u: Array) -> Array:
-    """Return each coil's command (N, C) for a wrench (N, p) without the coils' own excitation."""
+    """Return coil commands (N, C) for a wrench (N, p), without the excitation of single coils."""
     shape = record.places.coil_shape
     own = record.coil_excitation @ shape
     return np.asarray((u - own) @ np.linalg.pinv(shape))
@@ -170,20 +176,20 @@ def _simulate(
     state: Array,
     q_given: Array,
 ) -> tuple[Array, Array]:
-    """Return pose (N, n) and command (N, p); rows before `first` as given."""
+    """Simulate poses (N, n) and commands (N, p); rows before `first` are given."""
     e = record.experiment
     if added.force is not None:
-        at = replace(at, drift=at.drift + _pushes(point, at, added.force))
+        at = replace(at, drift=at.drift + _force_moments(point, at, added.force))
     y, u = q_given.copy(), e.u.copy()
     if e.loop is None:
         if added.held is not None:
-            acted = motion(point.model, replace(e, u=e.u + added.held), point.hold)
-            at = replace(at, inputs=acted.inputs)
+            driven = motion(point.model, replace(e, u=e.u + added.held), point.hold)
+            at = replace(at, inputs=driven.inputs)
         y[first:] = run_open(at.rows(first, len(y)), state)
         return y, u
     known, reference = e.loop.feedforward, e.loop.reference
     if added.held is not None:
-        # It acts as a command does, and is none: the controller neither knows nor answers for it.
+        # It acts like a command, but the controller does not include it.
         known = known + added.held
         u[:first] += added.held[:first]
     if added.gap is not None:
@@ -194,7 +200,7 @@ def _simulate(
     return y, u if added.held is None else u - added.held
 
 
-def _bent(
+def _newton_correction(
     point: WorkingPoint,
     record: TraceRecord,
     at: Motion,
@@ -203,18 +209,18 @@ def _bent(
     qd: Array,
     first: int,
 ) -> tuple[Array, Array]:
-    """Return by how much effects bend a trajectory (N, n) further that has moved by q, qd already.
+    """Return the Newton correction of poses and commands for a trajectory change q, qd (N, n).
 
-    What it has moved by changes the effects' forces, which move it again: the plant with the slopes
-    in it, driven by what they make of the move. It dies away with the move, so that where the
-    repetition settles does not depend on how well the slopes are known.
+    The change alters the effects' forces, which move the plant again: simulate the plant with the
+    slopes included, driven by the slopes times the change. The correction vanishes with the change,
+    so the converged trajectory does not depend on errors of the slopes.
     """
     e, n = record.experiment, q.shape[1]
     force = np.einsum("nij,nj->ni", slopes.stiffness, q)
     force += np.einsum("nij,nj->ni", slopes.damping, qd)
     force[:first] = 0.0
     mobility = np.broadcast_to(at.mobility, slopes.stiffness.shape)
-    # Matrices hold in the middle of a period: a stiffness that came late would pump energy.
+    # Matrices are those in the middle of a period: a delayed stiffness would add energy.
     soft = replace(
         at,
         K=at.K - mobility @ _between(slopes.stiffness),
@@ -222,7 +228,7 @@ def _bent(
         B=_each(at.B, record.rows),
         mobility=np.ascontiguousarray(mobility),
         inputs=np.zeros_like(at.inputs),
-        drift=_pushes(point, at, force),
+        drift=_force_moments(point, at, force),
     )
     y, u = np.zeros_like(q), np.zeros_like(e.u)
     if e.loop is None:
@@ -234,8 +240,8 @@ def _bent(
     return y, u
 
 
-def _pushes(point: WorkingPoint, at: Motion, force: Array) -> Array:
-    """Return moments (N, J, n) of a generalised force (N, n), divided by M."""
+def _force_moments(point: WorkingPoint, at: Motion, force: Array) -> Array:
+    """Return the moments (N, J, n) of a generalised force (N, n), divided by M."""
     outer = force_moments(force, at.Ts_s, len(at.scale) - 1, point.hold)
     if len(at.mobility) == 1:
         return np.asarray(outer @ at.mobility[0].T)
@@ -248,5 +254,5 @@ def _between(values: Array) -> Array:
 
 
 def _each(values: Array, rows: int) -> Array:
-    """Return a set of matrices for every row where there is one for all."""
+    """Return one set of matrices for each row."""
     return np.ascontiguousarray(np.broadcast_to(values, (rows, *values.shape[1:])))

@@ -1,11 +1,9 @@
-"""What shakes the platform at random: a force that is there whatever is flown, and repeats nothing.
+"""Detect random vibration: a random force with the same density in still and excited records.
 
-A floor that trembles has no phase that a model could foretell, so no effect of the table and no
-free form explains it: it is noise, but more of it, in a band, than coils and sensors make. Its
-signature is that it does not care: the force that the model lacks has the same density in still
-records as in excited ones. What depends on the motion is not there where nothing moves. Readings
-that are false look like forces too, and on several DOF at once; but they show beyond the rigid
-pose.
+Ground vibration has no predictable phase, so neither a known effect nor a free form explains it. It
+is noise above that of coils and sensors, in a frequency band. Its signature is an equal density of
+the residual force in still and in excited records; effects of the motion vanish in still records.
+Sensor faults also look like forces on several DOF, but they show in the readings' non-rigid part.
 """
 
 from __future__ import annotations
@@ -24,26 +22,26 @@ from .force_residual import FADE_S, density, false_density, missing, noise_densi
 Array = NDArray[np.float64]
 
 _LOUD = 2.0
-"""Density over the noise's, in thirds of octaves, from which on a band counts."""
+"""Least ratio of density to noise in a band, averaged over a third of an octave."""
 _BEYOND_CHANCE = 10.0
 _ALIKE = 2.0
-"""Factor within which its power is the same in still and in excited records."""
+"""Largest ratio of its power in still and in excited records."""
 _WORST = 100.0
-"""Of the noise at its best: beyond, a sensor's noise as a force tells nothing."""
+"""Largest ratio of the force-equivalent noise to its minimum; beyond, the force is unknown."""
 _LOWEST_HZ = 0.5
 _OUTSIDE = 0.05
 _ENDS = 1.2
-"""Times the fading: what is blind at the ends of a record besides takes a few rows."""
+"""Rows left out at both ends of a record, over those of the fade."""
 _LEAKAGE = 1.5
-"""Bins of a Hann window that are one independent one."""
+"""Bins of a Hann window per independent bin."""
 
 
 @dataclass(frozen=True)
 class Shaking:
     """A random force on one DOF: its rms with standard error, in the DOF's unit of force.
 
-    band_hz: where the middle 90 % of its power lie. statistic: power in held-out records beyond the
-    noise's, in standard deviations of chance.
+    band_hz: band of the middle 90 % of its power. statistic: power above noise in held-out records,
+    in standard deviations of chance.
     """
 
     dof: int
@@ -55,9 +53,9 @@ class Shaking:
 
 @dataclass(frozen=True)
 class ForceSpectrum:
-    """The density (F, n) of the force that a model lacks in a record, and that of noise alone.
+    """One-sided densities (F, n) of a record's residual force and of noise alone, at freq_hz (F,).
 
-    `averages`: independent spectra in it. One-sided, at freq_hz (F,).
+    `averages`: number of independent spectra in the mean.
     """
 
     freq_hz: Array
@@ -68,7 +66,7 @@ class ForceSpectrum:
 
 
 def force_spectrum(point: WorkingPoint, record: TraceRecord) -> ForceSpectrum:
-    """Return the spectrum of what the working point leaves unexplained of a record, as a force."""
+    """Return the spectrum of a record's residual force at the working point."""
     lacking = missing(point, record)
     Ts_s = record.experiment.Ts_s
     ends = min(round(_ENDS * FADE_S / Ts_s), record.rows // 4)
@@ -81,10 +79,10 @@ def force_spectrum(point: WorkingPoint, record: TraceRecord) -> ForceSpectrum:
 
 
 def shaking(fitted: Sequence[ForceSpectrum], kept: Sequence[ForceSpectrum]) -> tuple[Shaking, ...]:
-    """Return what shakes each DOF in `fitted` records, still and excited, and in the `kept` too.
+    """Return the random force on each DOF that is in the `fitted` and in the `kept` records.
 
-    Without still records among the fitted ones nothing can be told. Of records of several rates
-    those of the rate are asked that most of the still ones have.
+    Still records among the fitted ones are required. Only records with the most frequent sampling
+    rate of the still ones are used.
     """
     grids = Counter((len(s.freq_hz), _step_hz(s)) for s in fitted if s.still)
     if not grids:
@@ -114,8 +112,8 @@ def _of_dof(
     band = _band(dof, still)
     if band is None:
         return None
-    asked = [s for s in kept if s.still] or kept
-    if min(_statistic(dof, band, part) for part in (still, asked)) < _BEYOND_CHANCE:
+    test = [s for s in kept if s.still] or kept
+    if min(_statistic(dof, band, part) for part in (still, test)) < _BEYOND_CHANCE:
         return None
     power = _power(dof, band, still)
     for part in (moving, kept):
@@ -124,11 +122,11 @@ def _of_dof(
     everything = [*still, *moving, *kept]
     rms = float(np.sqrt(_power(dof, band, everything)))
     se = 0.5 * _power_error(dof, band, everything) / rms
-    return Shaking(dof, _middle(dof, band, everything), rms, se, _statistic(dof, band, asked))
+    return Shaking(dof, _middle(dof, band, everything), rms, se, _statistic(dof, band, test))
 
 
 def _band(dof: int, spectra: Sequence[ForceSpectrum]) -> NDArray[np.bool_] | None:
-    """Return the run of frequencies (F,) that stands out of the noise and has most power."""
+    """Return the band (F,) above the noise that has most power."""
     freq_hz = spectra[0].freq_hz
     psd, noise = (_mean(dof, spectra, part) for part in ("psd", "noise"))
     loud = third_octaves((psd / noise)[:, None], freq_hz)[:, 0] > _LOUD
@@ -144,7 +142,7 @@ def _band(dof: int, spectra: Sequence[ForceSpectrum]) -> NDArray[np.bool_] | Non
 
 
 def _statistic(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) -> float:
-    """Return how far the power in a band is beyond the noise's, in deviations of its own spread."""
+    """Return the power above noise in a band, in standard deviations of chance."""
     ratio = _mean(dof, spectra, "psd")[band] / _mean(dof, spectra, "noise")[band]
     count = sum(s.averages for s in spectra) * max(band.sum() / _LEAKAGE, 1.0)
     return float((ratio.mean() - 1.0) * np.sqrt(count))
@@ -157,7 +155,7 @@ def _power(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) 
 
 
 def _power_error(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) -> float:
-    """Return the standard error of that power: every bin's is its own, with the noise's in it."""
+    """Return the standard error of `_power`, with independent bins and the noise included."""
     step_hz = float(spectra[0].freq_hz[1] - spectra[0].freq_hz[0])
     squares = float(np.sum(_mean(dof, spectra, "psd")[band] ** 2))
     return step_hz * float(np.sqrt(_LEAKAGE * squares / sum(s.averages for s in spectra)))

@@ -1,1 +1,1 @@
-"""Choose effects: screening, forward selection, backward elimination, held-out tests."""
+"""Select effects: screening, forward selection, backward elimination, held-out tests."""

@@ -1,4 +1,4 @@
-"""Effects that are given up: stand-ins, guesses, and what others have made idle."""
+"""Remove effects by backward elimination: stand-ins, guesses, and effects made redundant."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def without_stand_in(
     rounds: Sequence[Round],
     records: Fitted,
 ) -> tuple[WorkingPoint, float, int | None]:
-    """Return the point without what was taken in place of the effect taken now, and in which round.
+    """Remove an earlier effect that the new one replaces; return the point and the round.
 
     Two that fitted alike to all that was there may differ in what is left: where the second is
     taken too, it may be enough by itself, begun as it fitted then.
@@ -54,7 +54,7 @@ def without_stand_in(
 def without_guide(
     point: WorkingPoint, squares: float, before: float, records: Fitted
 ) -> WorkingPoint | None:
-    """Return the point without the last effect, where that has only led on.
+    """Remove the last effect if it only served to find the others.
 
     A fit ends in the valley that it began in. Beside another effect what was found before may come
     out of it, and then needs no other: nine tenths of what that brought, `before` less `squares`,
@@ -68,7 +68,7 @@ def without_guide(
 
 
 def followers(rounds: Sequence[Round]) -> frozenset[str]:
-    """Return who took so little that it may have followed what is random, by identity.
+    """Return effects, by identity, that explain so little that they may follow random forces.
 
     What only the drives feel is held against what they measure, and that does not shake.
     """
@@ -78,7 +78,7 @@ def followers(rounds: Sequence[Round]) -> frozenset[str]:
 
 
 def taken_instead(found: Round, identity: str) -> Round:
-    """Return the round with one of its alternatives taken, and what was taken an alternative."""
+    """Return the round with an alternative accepted, and the accepted effect as an alternative."""
     rival = _rival(found, identity)
     assert found.taken is not None
     others = (t for t in found.alternatives if t is not rival)
@@ -86,7 +86,7 @@ def taken_instead(found: Round, identity: str) -> Round:
 
 
 def without_guesses(point: WorkingPoint, records: Fitted) -> WorkingPoint:
-    """Return the point without named effects that free-form forces make all but idle."""
+    """Remove named effects that free-form forces make redundant."""
     named = [p.effect.identity for p in point.placed if p.effect.effect_class != "unknown"]
     best = gather(point, records.train(point))
     for guess in named:
@@ -99,7 +99,7 @@ def without_guesses(point: WorkingPoint, records: Fitted) -> WorkingPoint:
 
 
 def without_idle(point: WorkingPoint, records: Fitted) -> WorkingPoint:
-    """Return the point without effects that those found after them have made idle.
+    """Remove effects that later ones make redundant.
 
     One by one: two that stand in for each other are not both idle.
     """
@@ -112,7 +112,7 @@ def without_idle(point: WorkingPoint, records: Fitted) -> WorkingPoint:
 
 
 def brought(point: WorkingPoint, train: ColumnEvidence) -> list[float]:
-    """Return by how much squared errors would rise without each effect, the others fitted anew."""
+    """Return the increase of squared errors without each effect, the others refitted."""
     train = steadied(train)
     at, base = len(point.parameters.names), list(range(train.gram.shape[1] - 1))
     full = cross_validated(train, base).sum()
@@ -128,7 +128,7 @@ def brought(point: WorkingPoint, train: ColumnEvidence) -> list[float]:
 
 
 def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | None:
-    """Return the point, refined, without the effect that does least; None where all do enough."""
+    """Remove the least important effect and refit; None if all are important."""
     costs = brought(point, gather(point, records.train(point)))
     least = int(np.argmin(costs))
     if costs[least] >= LEAST:
@@ -138,14 +138,14 @@ def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | 
 
 
 def _rival(found: Round, identity: str) -> Tried | None:
-    """Return the alternative of this identity, None if there is none."""
+    """Return the alternative with this identity, or None."""
     return next((t for t in found.alternatives if t.effect.identity == identity), None)
 
 
 def _restored(
     evidence: ColumnEvidence, placed: Placed, own: Sequence[int], amplitudes: int
 ) -> ColumnEvidence:
-    """Return the evidence with an effect's amplitudes set to nothing, to first order."""
+    """Return the evidence with an effect's amplitudes set to zero, to first order."""
     take = np.eye(evidence.gram.shape[1])
     columns = list(own)[:amplitudes]
     take[columns, -1] = -np.array(placed.amplitudes) * evidence.size[columns]

@@ -1,4 +1,4 @@
-"""Which candidates of a search are asked: those taken are not, those refused perhaps once more."""
+"""Keep the candidates of a search: accepted ones leave, rejected ones may be tested once more."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _STILL = 0.5
 
 
 class Asked:
-    """Remembers who was taken and who was refused.
+    """The accepted and the rejected candidates of a search.
 
     Held-out records that are full of one effect may refuse another: once the first is taken, the
     other is asked once more. If it explains less by then, that was what the first took.
@@ -29,12 +29,12 @@ class Asked:
         """How many were refused since one was taken."""
 
     def take(self, taken: Tried, placed: Iterable[Placed]) -> None:
-        """Note that an effect was taken, and what is there with it."""
+        """Record an accepted effect, and the effects in the model with it."""
         self._taken |= {taken.effect.identity, *(p.effect.identity for p in placed)}
         self._barred, self.in_a_row = set(self._again), 0
 
     def refuse(self, tried: Tried) -> None:
-        """Note that an effect was refused."""
+        """Record a rejected effect."""
         name = tried.effect.identity
         if name in self._refused:
             self._again.add(name)
@@ -43,12 +43,12 @@ class Asked:
         self.in_a_row += 1
 
     def candidates(self, effects: Sequence[Effect]) -> list[Candidate]:
-        """Return all shapes of the grids of those that are asked."""
+        """Return the candidates to test, with all shapes of their grids."""
         left = [e for e in effects if e.identity not in self._taken | self._barred]
         return [(effect, tuple(shape)) for effect in left for shape in effect.grid]
 
     def worth(self, found: Round) -> Round:
-        """Return a round without the survivors that were refused, and explain less by now."""
+        """Remove survivors that were rejected before and now explain less."""
 
         def is_open(tried: Tried) -> bool:
             before = self._refused.get(tried.effect.identity)

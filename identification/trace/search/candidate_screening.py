@@ -1,4 +1,4 @@
-"""Candidates by regression: which explain most, and do records that did not choose them agree."""
+"""Screen candidates by regression, and test the best ones on held-out records."""
 
 from __future__ import annotations
 
@@ -62,35 +62,35 @@ much; where something happened once, a time that is not nearest tells nothing.""
 
 @dataclass(frozen=True)
 class HeldError:
-    """Mean square errors of a free simulation, and what noise alone leaves of that."""
+    """Mean square free-run error, and its noise floor."""
 
     squares: float
     floor: float
 
 
 class Records(Fitted, Protocol):
-    """Records to fit to, and records that choose nothing and are asked only whether they agree."""
+    """The training records, and the held-out records of the test."""
 
     @property
     def sensor_shape(self) -> Array:
-        """What each single sensor shows of the pose (S, n)."""
+        """Sensor matrix (S, n): readings of a rigid pose."""
 
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
-        """Return the records held out."""
+        """Return the held-out records, linearised."""
 
     def shown(self, point: WorkingPoint, candidates: Sequence[Candidate]) -> list[Linearised]:
-        """Return those fitted to, with what candidates for readings do beyond the rigid pose."""
+        """Return the training records, with sensor candidates in the non-rigid readings only."""
 
     def held_error(self, point: WorkingPoint) -> HeldError:
-        """Return how well they are simulated freely."""
+        """Return the free-run error of the held-out records."""
 
-    def believed(self, point: WorkingPoint) -> WorkingPoint:
-        """Return the point with its noise as the records have it now."""
+    def with_estimated_noise(self, point: WorkingPoint) -> WorkingPoint:
+        """Return the point with its noise estimated anew."""
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A candidate beside the working point: what it gains in cross-validated squared errors.
+    """A tested candidate, with its gain in cross-validated squared errors.
 
     chance: how far beyond chance held-out records agree, or, where it does nothing in them (not
     `held`), blocks of the others that did not fit it.
@@ -107,7 +107,7 @@ class Tried:
 
 @dataclass(frozen=True)
 class Round:
-    """One round of the search: what was left over before, the best candidates, what was taken.
+    """One round of the search: residual before, best candidates, accepted effect.
 
     `elsewhere`: the survivors at other shapes of their grids. instead_of: what had been taken, and
     led less far.
@@ -125,7 +125,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Least:
-    """What a candidate must take and how sure it must be, in squared errors.
+    """The least gain and significance of a candidate, in squared errors.
 
     `excess` is what there is, `explained` what others took of it before; `little`: the free
     simulation is near what noise leaves. `unshown`: held-out records have nothing left to explain,
@@ -140,7 +140,7 @@ class Least:
     rubbed: Mapping[str, float] = field(default_factory=dict)
 
     def taken_by(self, tried: Tried) -> bool:
-        """Return whether a candidate takes that."""
+        """Return whether a candidate reaches both limits."""
         if self.unshown and tried.held and not is_internal(tried.effect):
             return False
         describes = DESCRIBES * (AT_FIRST if tried.shape else 1.0)
@@ -165,7 +165,7 @@ def screened(
     records: Records,
     least: Least,
 ) -> Round:
-    """Return a round in which nothing is taken yet: all candidates by what they explain.
+    """Rank all candidates by their gain; return a round without an accepted effect.
 
     Their columns are in `train` in their order, behind those of the point. The records held out are
     asked about those that explain most, and have no columns of the others.
@@ -231,7 +231,7 @@ def screened(
 
 
 def asked_again(point: WorkingPoint, taken: Tried, fitted: Placed, records: Records) -> Tried:
-    """Return what was taken at its fitted shape, with the chance that held-out records give it."""
+    """Repeat the held-out test of the accepted effect at its fitted shape."""
     if not fitted.shape:
         return taken  # they were asked that
     candidate = [(fitted.effect, fitted.shape)]
@@ -246,12 +246,12 @@ def asked_again(point: WorkingPoint, taken: Tried, fitted: Placed, records: Reco
 
 
 def is_internal(effect: Effect) -> bool:
-    """Return whether only the drives feel it: a force between the beam and the platform."""
+    """Return whether an effect acts on the drives only: a force between beam and platform."""
     return effect.where == ("beam",)
 
 
 def _told(effect: Effect, gain: float) -> float:
-    """Return what a candidate gains; of a free form that depends on two signals, a tenth less.
+    """Return a candidate's gain, reduced by a tenth for a free form of two signals.
 
     A product has room for what one of its factors does alone, and for chance. What it explains more
     than that has to be worth describing by itself.
@@ -261,14 +261,14 @@ def _told(effect: Effect, gain: float) -> float:
 
 
 def width(placed: Placed) -> int:
-    """Return how many numbers an effect has: amplitudes, then shape."""
+    """Return the number of parameters of an effect: amplitudes and shape."""
     return len(placed.amplitudes) + len(placed.shape)
 
 
 def _agrees(
     train: ColumnEvidence, held: ColumnEvidence, own: int, coefficients: Array
 ) -> tuple[float, bool]:
-    """Return how far beyond chance others agree, and whether held-out records could be asked.
+    """Return the significance of the agreement, and whether held-out records gave it.
 
     The first `own` columns are what is there already.
     """

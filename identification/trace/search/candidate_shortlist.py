@@ -1,4 +1,4 @@
-"""The few that explain most, fitted with the model: the best of them, and which fit as well."""
+"""Fit the shortlisted candidates with the model; return the best and its equals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _UNFINISHED = 0.1
 def sifted(
     point: WorkingPoint, found: Round, train: ColumnEvidence, records: Fitted
 ) -> tuple[Round, WorkingPoint]:
-    """Return the round with its survivors fitted and the best of them taken, and it with the model.
+    """Fit the survivors of a round and accept the best; return the round and the working point.
 
     A candidate that fits at a shape of the grid may fit better in between, so the fits decide. They
     use the records that tell most of the survivors.
@@ -80,7 +80,7 @@ def sifted(
 
 
 def told_apart(tried: Tried, best: Tried) -> bool:
-    """Return whether all records together say that one with no shape to move is not the best.
+    """Return whether all records reject a candidate without shape parameters.
 
     It gains there what a fit would. The records that tell most of the survivors need not be those
     that differ: two coils at one corner each turn the platform alike, until each pushes by itself.
@@ -90,7 +90,7 @@ def told_apart(tried: Tried, best: Tried) -> bool:
 
 @dataclass(frozen=True)
 class _Fit:
-    """A candidate as far as it was fitted with the model, its squared errors, their last fall."""
+    """A partly fitted candidate, its squared errors, and their last decrease."""
 
     point: WorkingPoint
     tried: Tried
@@ -103,14 +103,14 @@ def _squares(fit: _Fit) -> float:
 
 
 def with_tried(point: WorkingPoint, tried: Tried) -> WorkingPoint:
-    """Return the point with a candidate added as it was tried."""
+    """Add a candidate with its tested parameters to the point."""
     return replace(
         point, placed=(*point.placed, Placed(tried.effect, tried.shape, tried.amplitudes))
     )
 
 
 def _telling(survivors: Sequence[Tried], train: ColumnEvidence) -> list[int]:
-    """Return the numbers of the records in which the survivors gain most, most of it in all."""
+    """Return the numbers of the records with most of the survivors' gain."""
     gain = np.zeros(int(train.record.max()) + 1)
     for tried in survivors:
         share = np.bincount(train.record, np.maximum(tried.blocks, 0.0), len(gain))

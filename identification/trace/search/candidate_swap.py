@@ -1,4 +1,4 @@
-"""Another way to what was found: of two that looked alike, the other was taken."""
+"""Escape local minima: replace an accepted effect by a close rival and search on."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_WAYS = 3
 def otherwise(
     found: Grown, effects: Sequence[Effect], most: int, records: Records, progress: Progress
 ) -> Grown:
-    """Return what explains more if one that was taken had been another; the same if none does.
+    """Return a better result with one accepted effect replaced by a rival, else the given one.
 
     Effects are taken one by one, and what looks most like two of them together bars the way to
     both: of drag that grows with the square of the speed and dry friction it is a linear damper.
@@ -62,7 +62,7 @@ def otherwise(
 
 
 def _instead(found: Grown, number: int, rival: Tried, records: Records) -> Grown | None:
-    """Return the same with a rival in the place of what a round took.
+    """Replace the accepted effect of a round by a rival.
 
     None where that runs away, or held-out records do not agree with the rival as it then fits.
     Raises ModelError, IdentificationError, LinAlgError: it does not fit at all.
@@ -83,7 +83,7 @@ def _instead(found: Grown, number: int, rival: Tried, records: Records) -> Grown
 
 
 def _rivals(found: Round, point: WorkingPoint) -> list[Tried]:
-    """Return those that were nearly as good as what was taken, if that is still there."""
+    """Return the close rivals of an accepted effect that is still in the model."""
     taken = found.taken
     there = {p.effect.identity for p in point.placed}
     if taken is None or taken.effect.identity not in there:

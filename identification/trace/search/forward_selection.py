@@ -1,4 +1,4 @@
-"""Effects are added one by one, each if records that were not used to choose it agree."""
+"""Add effects one by one (forward selection), each confirmed by held-out records."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _CARRIERS = {"beam", "rotor"}
 
 
 class Grown(NamedTuple):
-    """A point with effects added, its held-out error, and the rounds in which they were."""
+    """A working point with added effects, its held-out error, and the rounds."""
 
     point: WorkingPoint
     error: HeldError
@@ -68,7 +68,7 @@ class Grown(NamedTuple):
 
     @property
     def much_left(self) -> bool:
-        """Whether the records held out have much left that a name might explain."""
+        """Whether the held-out residual is large enough to search for more effects."""
         return self.point.disturbance.measured and self.error.squares > MUCH * self.error.floor
 
 
@@ -80,7 +80,7 @@ def grown(
     records: Records,
     progress: Progress,
 ) -> Grown:
-    """Return the same with effects added while that helps.
+    """Add effects while held-out records confirm them.
 
     It ends with `most` effects more, or with held-out errors of `enough` times what noise leaves.
     Every round tries all candidates by regression, fits the few that explain most, model and all,
@@ -115,7 +115,7 @@ def grown(
                 rounds.append(replace(found, taken=None))
                 continue
         found = replace(found, taken=taken)
-        better = records.believed(without_idle(_believing(better, squares, train), records))
+        better = records.with_estimated_noise(without_idle(_believing(better, squares, train), records))
         after = records.held_error(better)
         gone = min((train.squares - squares) / max(train.excess, LEAST), 1.0)
         enough_of_it = taken.effect.effect_class != "unknown" or gone > DESCRIBES
@@ -136,12 +136,12 @@ def grown(
 
 
 def agree(tried: Tried) -> bool:
-    """Return whether records that did not choose it agree with a candidate as it was fitted."""
+    """Return whether held-out records confirm a fitted candidate."""
     return tried.chance > (BEYOND_CHANCE if tried.held else ALONE)
 
 
 def share(rounds: int) -> float:
-    """Return how far a search is after so many rounds, for its progress."""
+    """Return the progress of a search after a number of rounds (0 to 1)."""
     return 0.85 - 0.7 * 0.6**rounds
 
 
@@ -154,7 +154,7 @@ def _screened(
     records: Records,
     progress: Progress,
 ) -> tuple[Round, ColumnEvidence]:
-    """Return a round in which nothing is taken yet, and what the records fitted to leave.
+    """Screen the candidates; return the round, and the residual of the training records.
 
     Where those held out are explained only the drives are asked, but for what they do not show.
     """
@@ -162,7 +162,7 @@ def _screened(
     asked = internal if explained else candidates
     first, rest = asked_first(point, asked)
     if first:
-        progress(f"looking at {len(first)} candidates beyond the pose", share(len(rounds)))
+        progress(f"screening {len(first)} candidates in the non-rigid readings", share(len(rounds)))
         little_of_it = AT_FIRST * DESCRIBES * gather(point, records.train(point)).excess
         shown = records.shown(point, first)
         asked = [*rest, *worth_columns(first, shown, records.sensor_shape, little_of_it)]
@@ -179,7 +179,7 @@ def _screened(
 
 
 def _rubbed(point: WorkingPoint, train: ColumnEvidence) -> dict[str, float]:
-    """Return what friction on each DOF takes of the squared errors."""
+    """Return the squared errors that friction on each DOF explains."""
     if all(p.effect.effect_class != FRICTION for p in point.placed):
         return {}
     taken: dict[str, float] = {}
@@ -191,7 +191,7 @@ def _rubbed(point: WorkingPoint, train: ColumnEvidence) -> dict[str, float]:
 
 
 def _believing(point: WorkingPoint, squares: float, evidence: ColumnEvidence) -> WorkingPoint:
-    """Return the point with its trajectories as close to the model as the errors allow."""
+    """Return the point with trajectories as close to the model as the errors allow."""
     count = float(evidence.count.sum())
     wanted = float(np.clip(_TRUST * (squares / count - 1.0), 1.0, _TRUST))
     # In decades: filters are kept for each.

@@ -1,8 +1,8 @@
-"""Free forms of readings, asked first by what no rigid platform shows: most sensors are right.
+"""Pre-screen free forms of sensor readings by the readings' non-rigid part.
 
-A false reading of one sensor among more than a pose needs shows mostly beside the pose, where no
-model and no filter stand between: to ask there first costs a fraction of what columns do that go
-through the filter. Sensors whose readings have something found already are asked whole.
+With redundant sensors, an error of one sensor shows mostly in the non-rigid part of the readings,
+which needs no model or filter: this costs a fraction of the filtered columns. Sensors with an
+accepted effect are screened with all columns.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ nearly all that there is of a false reading, and in about the same order."""
 def asked_first(
     point: WorkingPoint, candidates: Sequence[Candidate]
 ) -> tuple[list[Candidate], list[Candidate]]:
-    """Return the candidates that are asked beyond the pose first, and those that are not."""
+    """Split the candidates: pre-screened in the non-rigid readings, and others."""
     found = {where for p in point.placed for where in p.effect.where}
     first = [(e, s) for e, s in candidates if _reads(e) is not None and e.where[0] not in found]
     chosen = {id(e) for e, _ in first}
@@ -44,7 +44,7 @@ def asked_first(
 def shown_beyond(
     point: WorkingPoint, record: TraceRecord, candidates: Sequence[Candidate]
 ) -> Linearised:
-    """Return the Gram matrices of candidates for readings, of errors beyond the rigid pose alone.
+    """Return the Gram matrices of sensor candidates in the non-rigid readings only.
 
     Each sensor's errors are those along the direction in which it shows. A form has the same
     columns at every sensor.
@@ -78,7 +78,7 @@ def shown_beyond(
 def worth_columns(
     candidates: Sequence[Candidate], shown: Sequence[Linearised], sensor_shape: Array, least: float
 ) -> list[Candidate]:
-    """Return the best that may take `least` squared errors, by what records show beyond the pose.
+    """Return the best candidates that may explain `least` squared errors, by the pre-screening.
 
     Of a false reading that share is expected there which the sensor has outside the pose.
     """
@@ -95,7 +95,7 @@ def worth_columns(
 
 
 def _reads(effect: Effect) -> int | None:
-    """Return the sensor of a free form of a reading; None of all others."""
+    """Return the sensor of a free form of a reading; None for other candidates."""
     if effect.effect_class != "unknown" or not effect.where[0].startswith("sensor:"):
         return None
     return int(effect.where[0].partition(":")[2])

@@ -1,4 +1,4 @@
-"""The best working point nearby, by Gauss-Newton steps on records linearised around it."""
+"""Refine a working point by Gauss-Newton steps on linearised records."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SHORT = 1.0
 
 
 class Fitted(Protocol):
-    """Records to fit to, linearised around a working point on demand."""
+    """Training records that can be linearised around a working point."""
 
     def train(
         self,
@@ -43,7 +43,7 @@ class Fitted(Protocol):
         candidates: Sequence[Candidate] = (),
         only: Sequence[int] | None = None,
     ) -> list[Linearised]:
-        """Return the records to fit to, all or some of them by number."""
+        """Return the training records linearised, all or some of them by number."""
 
 
 def refine(
@@ -54,7 +54,7 @@ def refine(
     within: float = 0.0,
     most: float = np.inf,
 ) -> tuple[WorkingPoint, float]:
-    """Return the point of least squares nearby, and its squared errors, by Gauss-Newton steps.
+    """Refine a point to the nearest local minimum; return it and its squared errors.
 
     It ends where a whole step promises less than the share `within` of what is unexplained, and no
     more than `most`; where two in a row take a tenth of that; and where errors rise along a short
@@ -90,7 +90,7 @@ def refine(
 
 
 def gather(point: WorkingPoint, records: Sequence[Linearised]) -> ColumnEvidence:
-    """Return records as evidence, with what the model file says of the parameters beside it.
+    """Return the records' evidence, with the model file's priors on parameters.
 
     A parameter that records tell nothing of stays where it was declared: to know it worse than its
     worth is to know nothing of it.
@@ -104,7 +104,7 @@ def gather(point: WorkingPoint, records: Sequence[Linearised]) -> ColumnEvidence
 
 
 def _step(point: WorkingPoint, train: ColumnEvidence, damping: float) -> tuple[Array, IntArray]:
-    """Return the step to the least squares, and the numbers that it moves.
+    """Return the least-squares step, and the indices of the parameters that it changes.
 
     What stands at its bound and would leave it stays there, and the others move as that asks; so
     does what does nothing, as the shape of an effect of no size.
@@ -124,13 +124,13 @@ def _step(point: WorkingPoint, train: ColumnEvidence, damping: float) -> tuple[A
 
 
 def _promised(train: ColumnEvidence, step: Array) -> float:
-    """Return by how much a step lowers the squared errors where they are linear in it."""
+    """Return the predicted decrease of the squared errors, by the linear model."""
     scaled, whole = step * train.size[:-1], train.whole
     return -float(scaled @ (2.0 * whole[:-1, -1] + whole[:-1, :-1] @ scaled))
 
 
 def _room(point: WorkingPoint) -> tuple[Array, Array]:
-    """Return how far each number of a step may go down and up: zero or less at its bound."""
+    """Return the distance of each parameter to its lower and upper bound, zero or less at it."""
     p = point.parameters
     below, above = [(point.values - p.low) / p.scale], [(p.high - point.values) / p.scale]
     for one in point.placed:
@@ -173,6 +173,6 @@ def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
 
 
 def _leash(move: float, value: float, quantity: Quantity) -> float:
-    """Return a step of a shape as far as terms are about linear."""
+    """Limit a step of a shape parameter to the range in which terms are nearly linear."""
     reach = abs(value) / 3 if quantity.log else 0.1 * (quantity.high - quantity.low)
     return float(np.clip(move, -reach, reach))

@@ -1,4 +1,4 @@
-"""Whether records that fitted nothing agree that an effect is there."""
+"""Test an effect on held-out records."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ show, so much of theirs it may cost, for parameters are fitted anew while others
 
 
 def helps(taken: Tried, error: HeldError, after: HeldError, gone: float, explained: bool) -> bool:
-    """Return whether held-out records agree, by their errors before and after it was taken.
+    """Return whether held-out records confirm an effect, by their errors before and after.
 
     `gone`: the share of what there was to explain that it takes of the others. `explained`: there
     is nothing to explain in the records held out.

@@ -1,7 +1,7 @@
-"""What helps to explain the errors of records, from their Gram matrices alone.
+"""Regress prediction errors on columns from Gram matrices, with five-fold cross-validation.
 
-A block of time is a row of evidence. What a set of columns explains is judged on blocks that did
-not fit it: coefficients come from four fifths of the blocks, and are tried on the fifth.
+The unit of the cross-validation is a time block: coefficients are fitted to four fifths of the
+blocks and tested on the fifth.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ColumnEvidence:
 
     @classmethod
     def gather(cls, records: Sequence[Linearised], prior_rows: Array) -> ColumnEvidence:
-        """Return the blocks of all records, columns scaled alike.
+        """Return the blocks of all records, columns with equal scales.
 
         `prior_rows` (., F + 1): what is known beforehand of the first F columns, errors last. It
         stands beside the records in every fit, and is no block.
@@ -66,7 +66,7 @@ class ColumnEvidence:
         )
 
     def joined(self, candidate: int) -> ColumnEvidence:
-        """Return the evidence with one candidate's columns among the others, before the errors."""
+        """Insert a candidate's columns before the errors."""
         b = self.beside[candidate]
         own, width = len(self.size) - 1, len(b.size)
         order = np.append(np.delete(np.arange(own + 1 + width), own), own)
@@ -103,23 +103,23 @@ class ColumnEvidence:
 
     @property
     def squares(self) -> float:
-        """Sum of squared errors as they are."""
+        """Sum of squared errors."""
         return float(self.gram[:, -1, -1].sum())
 
     @property
     def excess(self) -> float:
-        """Sum of squared errors over what noise alone leaves."""
+        """Sum of squared errors above noise."""
         return self.squares - float(self.count.sum())
 
 
 def _scale(gram: Array) -> Array:
-    """Return the roots of the diagonal; 1 for a column that is nothing here, and stays so."""
+    """Return the roots of the diagonal, 1 for zero columns."""
     diagonal = np.diag(gram)
     return np.asarray(np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
 
 
 def _gathered(records: Sequence[Linearised], size: Array, i: int) -> Beside:
-    """Return candidate `i` of all records, scaled alike."""
+    """Return candidate `i` of all records, with equal scales."""
     parts = [r.beside[i] for r in records]
     own = np.sqrt(np.mean([p.size**2 for p in parts], axis=0))
     cross = [
@@ -131,7 +131,7 @@ def _gathered(records: Sequence[Linearised], size: Array, i: int) -> Beside:
 
 
 def solve(gram: Array, columns: Indices) -> Array:
-    """Return coefficients of columns that take most from the errors; gram (Q, Q), errors last."""
+    """Return the least-squares coefficients of columns; gram (Q, Q), errors last."""
     pick = np.asarray(columns, int)
     A = gram[np.ix_(pick, pick)]
     b = gram[pick, -1]
@@ -150,7 +150,7 @@ def covariance(gram: Array, columns: Indices) -> Array:
 
 
 def remaining(gram: Array, columns: Indices, coefficients: Array) -> Array:
-    """Return the squared errors (blocks,) left by coefficients; gram (blocks, Q, Q)."""
+    """Return the squared residuals (blocks,) for given coefficients; gram (blocks, Q, Q)."""
     pick = np.asarray(columns, int)
     inner = gram[:, pick][:, :, pick]
     return np.asarray(
@@ -161,7 +161,7 @@ def remaining(gram: Array, columns: Indices, coefficients: Array) -> Array:
 
 
 def cross_validated(evidence: ColumnEvidence, columns: Indices) -> Array:
-    """Return the squared errors (blocks,) that columns leave on blocks they were not fitted to."""
+    """Return the cross-validated squared residuals (blocks,) of the columns."""
     pick = np.append(np.asarray(columns, int), -1)
     few = np.arange(len(pick) - 1)
     by_fold = evidence.folds[:, pick][:, :, pick]
@@ -176,7 +176,7 @@ def cross_validated(evidence: ColumnEvidence, columns: Indices) -> Array:
 
 
 def steadied(evidence: ColumnEvidence) -> ColumnEvidence:
-    """Return the evidence with its columns held to some thirty of their own standard errors.
+    """Regularise the columns to about thirty of their standard errors.
 
     The moment at which something came is told by one block alone; a fit without that block would
     put it anywhere, and every question about anything else would be answered by that.
@@ -218,7 +218,7 @@ def standard_errors(evidence: ColumnEvidence, columns: Indices) -> Array:
 
 
 def chance(evidence: ColumnEvidence, base: Indices, group: Indices, coefficients: Array) -> float:
-    """Return how far beyond chance a prediction made elsewhere agrees with these errors.
+    """Return the agreement of a prediction with these errors, in standard deviations of chance.
 
     `coefficients` of [base, group] come from other records. What the group predicts, freed of what
     the base could do as well here, is correlated with the errors; if it predicts nothing that is a
@@ -230,13 +230,13 @@ def chance(evidence: ColumnEvidence, base: Indices, group: Indices, coefficients
 
 
 def expected(evidence: ColumnEvidence, base: Indices, group: Indices, coefficients: Array) -> float:
-    """Return what `chance` is on average where the prediction is right and the rest is noise."""
+    """Return the expected `chance` for a correct prediction plus noise."""
     b = np.asarray(coefficients)[len(list(base)) :]
     return float(np.sqrt(_agreement(evidence.gram, base, group, b).predicted.sum()))
 
 
 def chance_between(evidence: ColumnEvidence, base: Indices, group: Indices) -> float:
-    """Return the same between the blocks of these records: each fold is predicted from the rest.
+    """Return `chance` by cross-validation: each fold is predicted from the others.
 
     Two folds predict each other, so that noise alone gives twice the variance.
     """
@@ -253,7 +253,7 @@ def chance_between(evidence: ColumnEvidence, base: Indices, group: Indices) -> f
 
 
 class _Agreement(NamedTuple):
-    """Of each block: a prediction times the errors, its own square, and what it leaves of them."""
+    """Per block: prediction times errors, squared prediction, and squared residual."""
 
     with_errors: Array
     predicted: Array
@@ -261,7 +261,7 @@ class _Agreement(NamedTuple):
 
 
 def _agreement(grams: Array, base: Indices, group: Indices, b: Array) -> _Agreement:
-    """Return how a prediction by `b` of the group agrees, freed of the base over all the blocks."""
+    """Return the agreement of the prediction by `b`, with the base columns projected out."""
     base_list, group_list = list(base), list(group)
     pick = np.array([*base_list, *group_list, grams.shape[1] - 1])
     few = grams[:, pick][:, :, pick]
@@ -283,7 +283,7 @@ def _agreement(grams: Array, base: Indices, group: Indices, b: Array) -> _Agreem
 
 
 def _beyond(agreement: _Agreement, count: Array) -> float:
-    """Return the sum of with_errors over its standard deviation where nothing is predicted.
+    """Return the sum of with_errors over its standard deviation under the null hypothesis.
 
     The larger of two: errors that are white in a block, of its own mean square, but no less than
     noise; and blocks that have nothing to do with each other, whatever is in them.

@@ -1,4 +1,4 @@
-"""Which effects are there: screened by regression, fitted together, kept if others agree."""
+"""Search for effects: screening, fitting, and confirmation on held-out records."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MOST_UNKNOWN = 4
 
 @dataclass(frozen=True)
 class Found:
-    """The working point at the end, how it was reached, and what both sets of records leave.
+    """The final working point, the rounds, and the residuals of training and held-out records.
 
     errors: standard errors of [the model's parameters over scale, amplitudes and shapes]; nan of
     what is held. idle: by identity, names that had followed what is random, and were dropped.
@@ -49,7 +49,7 @@ def search(
     records: Records,
     progress: Progress,
 ) -> Found:
-    """Add effects one by one while records that were not used to choose them agree.
+    """Search for effects by forward selection, with confirmation on held-out records.
 
     `point` is at its best already. Where much is left in the end another way is tried, and then
     free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped.
@@ -57,9 +57,9 @@ def search(
     error = records.held_error(point)
     if not np.isfinite(error.floor) or np.isnan(error.squares):
         raise IdentificationError(
-            "expected a model that can be simulated freely over the records held out, since by "
-            f"that effects are judged, found one that runs away (error {error.squares:.3g}, of "
-            f"noise alone {error.floor:.3g}): an unstable plant has to be traced in its loop"
+            "expected a model whose free-run simulation of the held-out records is finite, found "
+            f"a diverging one (mean square error {error.squares:.3g}, noise {error.floor:.3g}); "
+            "trace an unstable plant in closed loop"
         )
     begun = Grown(point, error, ())
     found = grown(begun, effects, _MOST_EFFECTS, 0.0, records, progress)
@@ -79,7 +79,7 @@ def search(
 
 
 def without_followers(found: Found, records: Records) -> Found:
-    """Return what was found without the names that may have followed a force that is random.
+    """Remove named effects that may follow a random force.
 
     Chance is that of errors that are white, and a force with no phase in a band is none: the best
     of a table takes something of it, and held-out records agree by chance of their own.
@@ -94,7 +94,7 @@ def without_followers(found: Found, records: Records) -> Found:
 
 
 def _settled(reached: Grown, records: Records) -> Found:
-    """Return the point fitted to the end, with what it leaves."""
+    """Fit the point to convergence, and return it with its residuals."""
     point, error, rounds = reached
     # What was fitted last was so while it was not known whether more would come.
     fitted, _ = refine(point, records, within=FULLY)

@@ -1,4 +1,4 @@
-"""Effects as books have them: amplitudes of one, where that fits about as well."""
+"""Fix amplitudes at one if the effect fits nearly as well, as in the textbook form."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .gauss_newton import FULLY, Fitted, gather, refine
 
 
 def with_plain_amplitudes(point: WorkingPoint, records: Fitted) -> WorkingPoint:
-    """Return the point, refined, with what need not have an amplitude held at one.
+    """Fix unnecessary amplitudes at one and refit; return the point.
 
     Regression asks of everything how much of it there is. Of a saturation there is all: how deep it
     is, and from where on, are one number far below its limit, and along that valley neither is
@@ -34,7 +34,7 @@ def with_plain_amplitudes(point: WorkingPoint, records: Fitted) -> WorkingPoint:
 
 
 def free_numbers(point: WorkingPoint) -> NDArray[np.bool_]:
-    """Return which of [the model's parameters, amplitudes and shapes] (P,) are not held."""
+    """Return which of [parameters, amplitudes, shapes] (P,) are free."""
     held = [q.low == q.high for p in point.placed for q in (*p.effect.amplitudes, *p.effect.shape)]
     return ~np.array([False] * len(point.parameters.names) + held, dtype=bool)
 

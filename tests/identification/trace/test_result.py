@@ -85,15 +85,15 @@ def test_errors_far_below_the_noise_tell_that_it_was_none() -> None:
     told = nothing(0.3)
     assert told.overrated
     assert not told.significant
-    assert told.verdict.startswith("nothing can be told: one step ahead the errors have 0.3 of")
+    assert told.verdict.startswith("no conclusion: the one-step errors have only 0.3 of")
     assert not nothing(0.9).overrated
     assert nothing(0.9).verdict == "nothing found: the model explains the records down to the noise"
 
 
 def test_noise_that_no_still_record_told_is_not_called_noise() -> None:
-    assert "what the fit takes for noise" in nothing(measured=False).verdict
-    assert result(20.0, 1.0).rest == "what is left is noise"
-    assert replace(result(20.0, 1.0), noise_measured=False).rest == "what is left passes for noise"
+    assert "the fit's noise estimate" in nothing(measured=False).verdict
+    assert result(20.0, 1.0).rest == "the residual is noise"
+    assert replace(result(20.0, 1.0), noise_measured=False).rest.endswith("by the fit's estimate")
 
 
 def test_what_would_tell_two_apart_is_said_of_both() -> None:

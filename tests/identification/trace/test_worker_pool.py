@@ -108,7 +108,7 @@ def test_who_loses_a_worker_goes_on_alone_and_says_so(sources: list[RecordSource
         assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
     (line,) = said
     assert line.startswith("lost a worker (BrokenProcessPool")
-    assert line.endswith("; going on in this process")
+    assert line.endswith("; continuing in this process")
 
 
 def test_what_a_record_is_refused_for_is_no_loss(sources: list[RecordSource]) -> None:
@@ -126,8 +126,8 @@ def test_what_a_record_is_refused_for_is_no_loss(sources: list[RecordSource]) ->
 def test_an_executor_without_anybody_is_left_after_a_while(
     sources: list[RecordSource], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worker_pool, "_ASKED_S", 0.05)
-    monkeypatch.setattr(worker_pool, "_NOBODY_S", 0.2)
+    monkeypatch.setattr(worker_pool, "_POLL_S", 0.05)
+    monkeypatch.setattr(worker_pool, "_NO_WORKERS_TIMEOUT_S", 0.2)
     said: list[str] = []
     with ThreadPoolExecutor(1) as pool:
         busy = pool.submit(time.sleep, 1.0)  # nobody has time
@@ -135,7 +135,7 @@ def test_an_executor_without_anybody_is_left_after_a_while(
         assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
         assert not busy.done()
     assert said == [
-        "lost the others (IdentificationError: no workers for 0 s); going on in this process"
+        "lost the others (IdentificationError: no workers for 0 s); continuing in this process"
     ]
 
 
@@ -194,7 +194,7 @@ def test_workers_of_several_threads_have_one_for_the_algebra(
 
 def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(worker_pool, "_ANSWERS_S", 2.0)
+    monkeypatch.setattr(worker_pool, "_CONNECT_TIMEOUT_S", 2.0)
     with (
         distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as empty,
         pytest.raises(IdentificationError, match="a scheduler with workers, found none within"),

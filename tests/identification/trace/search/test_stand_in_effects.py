@@ -110,7 +110,7 @@ def test_search_goes_on_without_who_led_on_if_held_out_records_gain_by_that(
     monkeypatch.setattr(forward_selection, "_believing", lambda point, *_: point)
     errors = {id(alone): after}
     records = SimpleNamespace(
-        believed=lambda point: point,
+        with_estimated_noise=lambda point: point,
         held_error=lambda point: HeldError(errors.get(id(point), 5.0), 1.0),
     )
     point, error, told = forward_selection.grown(
@@ -158,7 +158,7 @@ def test_who_was_refused_is_asked_once_more_when_another_is_there(
     monkeypatch.setattr(forward_selection, "without_idle", lambda point, _: point)
     monkeypatch.setattr(forward_selection, "_believing", lambda point, *_: point)
     records = SimpleNamespace(
-        believed=lambda point: point,
+        with_estimated_noise=lambda point: point,
         held_error=lambda point: HeldError(5.0 / (1 + len(point.placed)), 1.0),
     )
     effects = [NAMED[name] for name in (FIRST, SECOND, THIRD)]

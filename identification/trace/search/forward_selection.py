@@ -115,7 +115,9 @@ def grown(
                 rounds.append(replace(found, taken=None))
                 continue
         found = replace(found, taken=taken)
-        better = records.with_estimated_noise(without_idle(_believing(better, squares, train), records))
+        better = records.with_estimated_noise(
+            without_idle(_believing(better, squares, train), records)
+        )
         after = records.held_error(better)
         gone = min((train.squares - squares) / max(train.excess, LEAST), 1.0)
         enough_of_it = taken.effect.effect_class != "unknown" or gone > DESCRIBES

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import yaml
@@ -27,21 +27,22 @@ def fly_session(
     session: Mapping[str, object],
     out: Path,
     effects: Sequence[Mapping[str, object]] = (),
-    without_limits: Collection[str] = (),
+    rig: Mapping[str, object] | None = None,
 ) -> tuple[Path, ...]:
     """Fly a session, its seed the plant's too; return the records' logs.
 
-    `effects` as in a SIM.yaml; `without_limits`: keys of the rig's `limits` to omit. `out` then
-    contains the logs only.
+    `effects` as in a SIM.yaml; `rig` as in a RIG.yaml, the shipped loopback rig by default. `out`
+    then contains the logs only.
     """
     out.mkdir(parents=True, exist_ok=True)
     sim_file = out / "sim.yaml"
     plant = {**read_mapping(SIM), "seed": session["seed"], "effects": [dict(e) for e in effects]}
     sim_file.write_text(yaml.safe_dump(plant))
-    rig = read_mapping(RIG)
-    rig["limits"] = {k: v for k, v in rig["limits"].items() if k not in without_limits}
+    flown_rig = parse(rig or read_mapping(RIG), RigConfig, str(RIG))
     flown = fly_virtually(
-        parse(rig, RigConfig, str(RIG)).model_copy(update={"sim": str(sim_file)}),
+        parse(rig or read_mapping(RIG), RigConfig, str(RIG)).model_copy(
+            update={"sim": str(sim_file)}
+        ),
         RIG,
         parse(dict(session), SessionConfig, f"session '{session['name']}'"),
         yaml.safe_dump(dict(session)).encode(),

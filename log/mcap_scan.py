@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from struct import Struct
-from typing import IO, Any, cast
+from typing import Any, cast
 
 import lz4.frame
 import zstandard
@@ -264,15 +264,20 @@ class _Scan:
             )
 
 
-class _View:
+class _RecordStream(ReadDataStream):
     """Give mcap the bytes of one record: no copy, and never a byte beyond the record."""
 
-    def __init__(self, data: memoryview, at: int, end: int) -> None:
-        self._data, self._at, self._end = data, at, end
+    def __init__(self, data: memoryview, begin: int, end: int) -> None:
+        self._data = cast("bytes", data)  # mcap reads from either
+        self._begin, self._at, self._end = begin, begin, end
 
-    def read(self, count: int) -> memoryview:
+    @property
+    def count(self) -> int:
+        return self._at - self._begin
+
+    def read(self, length: int) -> bytes:
         at = self._at
-        self._at += count
+        self._at += length
         if self._at > self._end:
             raise EndOfFile
         return self._data[at : self._at]
@@ -281,7 +286,7 @@ class _View:
 def _parsed(data: memoryview, opcode: int, at: int, end: int, where: str = "") -> Any:
     """Return the record in bytes [at, end) as mcap parses it; raise LogError if it is damaged."""
     begin = at + RECORD_HEAD.size
-    stream = ReadDataStream(cast("IO[bytes]", _View(data, begin, end)))
+    stream = _RecordStream(data, begin, end)
     try:
         record = _PARSERS[opcode](stream)
         if opcode == Opcode.CHUNK and stream.count != end - begin:

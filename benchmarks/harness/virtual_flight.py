@@ -40,9 +40,7 @@ def fly_session(
     sim_file.write_text(yaml.safe_dump(plant))
     flown_rig = parse(rig or read_mapping(RIG), RigConfig, str(RIG))
     flown = fly_virtually(
-        parse(rig or read_mapping(RIG), RigConfig, str(RIG)).model_copy(
-            update={"sim": str(sim_file)}
-        ),
+        flown_rig.model_copy(update={"sim": str(sim_file)}),
         RIG,
         parse(dict(session), SessionConfig, f"session '{session['name']}'"),
         yaml.safe_dump(dict(session)).encode(),

@@ -71,7 +71,7 @@ def test_second_snippet_fits_the_declared_model(names, capsys):
     assert fit.values["m_p"] == pytest.approx(5.6, abs=0.005)
     # With the beam at rest in the middle, the page says, neither m_b nor z_b can be told.
     assert {u.name for u in fit.unidentifiable} == {"m_b", "z_b"}
-    assert "z_b cannot be told" in capsys.readouterr().out
+    assert "z_b cannot be identified" in capsys.readouterr().out
     assert names["at"].M[1, 2] == pytest.approx(1.4 * 0.05)
 
 

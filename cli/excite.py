@@ -164,7 +164,7 @@ def _on_daemon(
     from ..daemon.client import Client, NoDaemonError
 
     rig = load_rig(rig_path) if rig_path is not None else None
-    # With the model that it names: the daemon compares that, too.
+    # Includes the model, which the daemon compares too.
     rig_text = rig.model_dump_json() if rig is not None else None
     try:
         with Client(socket_path(rig)) as client, progress("flying on the daemon") as report:

@@ -32,7 +32,7 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
 @click.option(
     "--model",
     type=click.Path(path_type=Path),
-    help="Declared model to fit; for logs of a rig the rig's model unless given, for others none.",
+    help="MODEL.yaml to fit. Default: the model of the rig in the logs; none for imported data.",
 )
 @click.option(
     "--truth",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option(
     "--model",
     type=click.Path(path_type=Path),
-    help="Declared model to start from; for logs of a rig the rig's model unless given.",
+    help="MODEL.yaml to start from. Default: the model of the rig in the logs.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the report.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")

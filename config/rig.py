@@ -139,12 +139,12 @@ class RigConfig(Strict):
     control: Control
     model: Annotated[
         Annotated[str, Field(min_length=1)] | ModelConfig | None,
-        # The reference has the model's keys in a section of their own.
+        # docs/configuration.md describes the model's keys in their own section.
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "null"}]}),
     ] = None
     """MODEL.yaml, relative to this file, or the model itself, as `load_rig` returns it."""
     feedforward: FeedForward | None = None
-    """In place of a model."""
+    """Feed-forward of a rig without `model`."""
     limits: Limits
     amplifiers: Role
     sensors: Role

@@ -121,7 +121,7 @@ class DeclaredModel:
         Raises:
             ModelError: an unknown variable, a formula without a value, a singular M.
         """
-        # Here, since scipy.linalg takes half a second to load: the daemon's loop starts without it.
+        # Imported here because scipy.linalg takes 0.5 s to load and the daemon does not need it.
         from .second_order import SecondOrder
 
         given = dict(scheduling or {})

@@ -144,6 +144,7 @@ def identify_logs(
 
 def words(found: Study) -> list[str]:
     """Return the results as lines of text: one per operating point, record and parameter."""
+    from ..identification.records.record import OTHER_STEP
     from ..identification.summary import study_summary
 
     plain = study_summary(found)
@@ -161,9 +162,7 @@ def words(found: Study) -> list[str]:
     # Omit notes on skipped steps (harmless) and notes already printed as warnings.
     warned = _contradictions(found)
     lines += [
-        f"note: {note}"
-        for note in plain["notes"]
-        if "only records are identified" not in note and note not in warned
+        f"note: {note}" for note in plain["notes"] if OTHER_STEP not in note and note not in warned
     ]
     return lines
 

@@ -143,6 +143,7 @@ def trace_logs(
 
 def words(found: Trace) -> list[str]:
     """Return the results as lines of text; +- is a 95 % interval."""
+    from ..identification.records.record import OTHER_STEP
     from ..identification.trace.result import NO_STILL, PERHAPS_A_PART, outcome
 
     result = outcome(found)
@@ -177,7 +178,7 @@ def words(found: Trace) -> list[str]:
     if not result.noise_measured:
         lines.append(f"note: {NO_STILL}")
     # Omit notes on skipped steps (levitate, move, land): they are harmless.
-    lines += [f"note: {note}" for note in found.notes if "only records are identified" not in note]
+    lines += [f"note: {note}" for note in found.notes if OTHER_STEP not in note]
     return lines
 
 

@@ -25,7 +25,7 @@ from ..records.from_log import (
     require_finite,
     rig_of,
 )
-from ..records.record import IdentificationError, NotARecordError, PiController
+from ..records.record import OTHER_STEP, IdentificationError, NotARecordError, PiController
 from ..records.resampling import resample
 from .covariance import correlation
 from .intersample_input import Hold
@@ -155,9 +155,7 @@ def _flown(log: Log) -> Experiment:
     """Return the experiment of a rig log; its input is the wrench of the commanded coil forces."""
     kind = log.metadata.get("kind")
     if kind != "record":
-        raise NotARecordError(
-            f"{log.path.name}: skipped, its kind is '{kind or 'none'}'; expected 'record'"
-        )
+        raise NotARecordError(f"{log.path.name}: kind '{kind or 'none'}' skipped, {OTHER_STEP}")
     controller = controller_of(log)
     geometry = rig_of(log).geometry
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)

@@ -18,6 +18,7 @@ from ...log.signals_file import SignalsFile
 from ...model.geometry import shape_matrix
 from .record import (
     BEAM_POSITION_TOLERANCE_M,
+    OTHER_STEP,
     IdentificationError,
     NotARecordError,
     PiController,
@@ -58,9 +59,7 @@ def from_log(log: Log) -> Record:
     if kind is None:
         _require_cycles(log)
     if kind != "record":
-        raise NotARecordError(
-            f"{log.path.name}: skipped, its kind is '{kind or 'none'}'; expected 'record'"
-        )
+        raise NotARecordError(f"{log.path.name}: kind '{kind or 'none'}' skipped, {OTHER_STEP}")
     return _from_cycles(log)
 
 

@@ -23,6 +23,10 @@ class NotARecordError(IdentificationError):
     """A log to skip, with the reason: another step of a session, for example. Not a failure."""
 
 
+OTHER_STEP = "not a record of the session"
+"""Text in the note on a log of another session step, which summaries leave out."""
+
+
 @dataclass(frozen=True)
 class PiController:
     """The diagonal controller C(z) = Kp + Ki Ts z / (z - 1) of u = v - C y; kp and ki are (p,)."""

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...config.model import ModelParameter
+from ...identification.records.record import OTHER_STEP
 from ...identification.trace.figure_data import Views
 from ...identification.trace.result import Outcome, model_after
 from ...identification.trace.search.candidate_screening import Round
@@ -281,7 +282,7 @@ def records_section(found: Trace) -> Section:
             2,
         ),
     ]
-    notes = [n for n in found.notes if "only records are identified" not in n]
+    notes = [n for n in found.notes if OTHER_STEP not in n]
     if notes:
         head = ("log or record", "what happened")
         parts.append(

@@ -56,7 +56,7 @@ def test_too_little_to_judge_by_is_told_with_what_is_needed(tmp_path: Path) -> N
 
 
 def test_records_without_noise_are_told(tmp_path: Path) -> None:
-    with pytest.raises(IdentificationError, match="expected readings with the noise of a sensor"):
+    with pytest.raises(IdentificationError, match="expected readings with sensor noise"):
         traced(logs(tmp_path, [waves(i, 16.0, 0.0) for i in range(2)]))
 
 
@@ -214,5 +214,5 @@ def test_outputs_that_one_noise_cannot_stand_for_are_told(
     if fine:
         require_noise([record])
         return
-    with pytest.raises(IdentificationError, match=r"in one unit, of about the same noise.*x_m"):
+    with pytest.raises(IdentificationError, match=r"in one unit and with similar noise.*x_m"):
         require_noise([record])

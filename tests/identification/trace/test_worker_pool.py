@@ -153,7 +153,7 @@ def test_another_file_at_the_path_of_a_log_is_refused(tmp_path: Path) -> None:
     path = imported(tmp_path, "log", np.random.default_rng(1).normal(size=(500, 2)))
     source = RecordSource.of(path, 0, 500, (0.0, 1.0))
     path.write_bytes(path.read_bytes() + b"more")
-    with pytest.raises(IdentificationError, match=r"log.mcap: expected the log that the trace"):
+    with pytest.raises(IdentificationError, match=r"log.mcap: the log changed"):
         Alone(CONFIG).map(attrgetter("rows"), [source])
 
 

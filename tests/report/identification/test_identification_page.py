@@ -53,7 +53,7 @@ def truth(rig):
 @pytest.fixture(scope="module")
 def result(rig):
     positions = {"left": -0.1, "middle": 0.0, "right": 0.1}
-    skipped = ("00-levitate.mcap: kind 'levitate', only records are identified",)
+    skipped = ("00-levitate.mcap: kind 'levitate' skipped, not a record of the session",)
     found = identify(flown(rig, positions), OPTIONS, skipped=skipped)
     first, *others = found.points
     first = replace(first, remarks=(*first.remarks, "it <rings>"))

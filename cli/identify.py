@@ -69,7 +69,7 @@ def command(
     if mat:
         _write_mat(found, out)
     for old in older_results(out, _RESULTS, began):
-        say(f"warning: {old} is of an earlier run: this one has found nothing of the kind")
+        say(f"warning: {old} is from an earlier run; this run has no such result")
     for remark in _contradictions(found):
         say(f"warning: {remark}")
     if as_json:
@@ -180,43 +180,43 @@ def _multisine(blas: Sequence[dict[str, Any]]) -> list[str]:
         return [tests * min(own) if own else math.nan for own in found]
 
     chances = {test: least(test) for test in ("distortion", "even", "odd")}
-    said = []
+    texts = []
     places = [_where(bla["beam_m"]) for bla in blas]
     for k, (bla, place) in enumerate(zip(blas, places, strict=True)):
         if any(of_all[k] < SIGNIFICANT for of_all in chances.values()):
-            told = "found"
+            result = "found"
         elif math.isnan(chances["distortion"][k]):
-            told = "not told by one realisation"
+            result = "not testable with one realisation"
         else:
-            told = "not found"
+            result = "not found"
         of = f" of {', '.join(bla['records'])}" if places.count(place) > 1 else ""
-        said.append(f"{place}: multisine{of}, {bla['lines']} lines, distortion {told}")
-    return said
+        texts.append(f"{place}: multisine{of}, {bla['lines']} lines, distortion {result}")
+    return texts
 
 
 def _point(point: dict[str, Any], names: list[str]) -> list[str]:
-    gap = ""
+    ratio = ""
     if "order_gap" in point:
-        gap = f", the next singular value is {point['order_gap']:.0f} times smaller"
+        ratio = f", the next singular value is {point['order_gap']:.0f} times smaller"
     count = len(point["records"])
     line = f"{_where(point['beam_m'])}: {count} record{'s' * (count != 1)}, order {point['order']}"
-    lines = [f"{line}{gap}"]
-    lines += [f"  not to be trusted: {doubt}" for doubt in point.get("doubts", [])]
+    lines = [f"{line}{ratio}"]
+    lines += [f"  unreliable: {doubt}" for doubt in point.get("doubts", [])]
     of_records = tuple(f"{record}: " for record in point["records"])
     lines += [f"  note: {text}" for text in point["remarks"] if not text.startswith(of_records)]
     if "order_gap" in point:
         return lines
     for held in point["holdout"]:
-        for what, fits in (
+        for kind, fits in (
             ("simulated", held["simulated_fit_percent"]),
             ("one step ahead", held["predicted_fit_percent"]),
         ):
-            said = [
+            texts = [
                 f"{name} constant" if fit is None else f"{name} {fit:.1f} %"
                 for name, fit in zip(names, fits or [], strict=False)
             ]
-            if said:
-                lines.append(f"  last {held['rows']} rows, {what}: {', '.join(said)}")
+            if texts:
+                lines.append(f"  last {held['rows']} rows (held out), {kind}: {', '.join(texts)}")
     return lines
 
 

@@ -82,7 +82,7 @@ def command(
             click.echo(f"next: {_next(outcome(found), logs, out)}")
             click.echo(f"report: {page}")
     if traced.undrawn is not None:
-        say("no report could be made of it:")
+        say("the report could not be written:")
         raise traced.undrawn
     return 0
 
@@ -132,10 +132,10 @@ def trace_logs(
             out.mkdir(parents=True, exist_ok=True)
             replace_text(out / "model.yaml", to_yaml(model_after(found)))
             written = out / "model.yaml"
-            report("looking at what is left", 0.92)
-            seen = views(found, spread)
+            report("residual", 0.92)
+            residual_views = views(found, spread)
             report("report", 0.97)
-            page = trace_report(found, seen, out)
+            page = trace_report(found, residual_views, out)
         except Exception as error:  # noqa: BLE001 - raised after the results are printed
             return Traced(found, written, None, error)
     return Traced(found, written, page)
@@ -148,15 +148,15 @@ def words(found: Trace) -> list[str]:
 
     result = outcome(found)
     lines = [
-        f"error on held-out records, times the sensors' noise: {result.before:.3g} before, "
-        f"{result.after:.3g} after; noise alone leaves {result.floor:.3g}",
+        f"error on held-out records over sensor noise: {result.before:.3g} before, "
+        f"{result.after:.3g} after, noise floor {result.floor:.3g}",
         result.verdict,
     ]
     if result.doubtful:
         lines.append(
-            f"in doubt: the effects explain {100 * result.explained:.2g} % of what there was, and "
-            f"leave {result.after / result.floor:.2g} times the noise; they may stand for another "
-            "that no table has"
+            f"unreliable: the effects explain {100 * result.explained:.2g} % of the initial error; "
+            f"{result.after / result.floor:.2g} times the noise floor remains. "
+            "The cause may be an effect that the table lacks"
         )
     for effect in result.effects:
         lines += _effect(effect)
@@ -166,13 +166,13 @@ def words(found: Trace) -> list[str]:
         s = force.shaking
         lines += [
             f"  {force.name}: {s.rms:.5g} +- {_half(s.se):.2g} {force.unit} RMS (95 %)",
-            "    in still records as in excited ones: noise, which no model foretells",
+            "    also in still records: random, so no model can predict it",
         ]
     lines += [f"{f.effect.name}, declared: {_values(f)}" for f in result.declared]
-    lines += [f"given up: {name}, others explain what it did" for name in result.gone]
-    lines += [f"given up: {name}, it followed what is random" for name in result.followed]
+    lines += [f"removed: {name}, other effects explain the same error" for name in result.gone]
+    lines += [f"removed: {name}, it fitted noise" for name in result.followed]
     lines += [
-        f"record {name}: the simulation with effects found no end; its error is not to be trusted"
+        f"record {name}: the simulation with effects did not converge; its error is unreliable"
         for name in result.unsettled
     ]
     if not result.noise_measured:
@@ -191,18 +191,16 @@ def _effect(found: FoundEffect) -> list[str]:
     lines = [f"  {effect.name}{values}", f"    {effect.equation}"]
     if why is None:
         return lines
-    share = "" if why.share is None else f"explains {100 * why.share:.3g} % of what was left; "
-    others = "held-out records" if why.held else "blocks of time that did not fit it"
-    lines.append(
-        f"    {share}on {others} it agrees {why.statistic:.0f} standard deviations beyond chance"
+    share = (
+        "" if why.share is None else f"explains {100 * why.share:.3g} % of the remaining error; "
     )
+    data = "held-out records confirm" if why.held else "cross-validation confirms"
+    lines.append(f"    {share}{data} it (z = {why.statistic:.0f})")
     if why.alternatives:
-        lines.append(
-            "    these data do not tell it apart from: "
-            + ", ".join(other.name for other in why.alternatives)
-        )
+        names = ", ".join(other.name for other in why.alternatives)
+        lines.append(f"    these records do not distinguish it from: {names}")
         if telling(found):
-            lines.append(f"    what would: {telling(found)}")
+            lines.append(f"    to distinguish them: {telling(found)}")
     return lines
 
 
@@ -230,17 +228,17 @@ def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
     rivals = [f for f in result.effects if f.evidence is not None and f.evidence.alternatives]
     if rivals:
         name, how = rivals[0].effect.name, telling(rivals[0]) or "another excitation"
-        return f"fly what tells {name} from its alternatives: {how}"
+        return f"to distinguish {name} from its alternatives, fly: {how}"
     if result.shaken and not result.effects:
-        return "find what shakes the platform: the model is as good as that lets it be"
+        return "find the source of the random force, which limits the model's accuracy"
     if result.significant:
-        return f"see in the report ({out / 'index.html'}) on what the rest depends"
+        return f"see the report ({out / 'index.html'}) for the signals that the residual depends on"
     if result.effects:
         model, where = out / "model.yaml", out / "identification"
         return f"levid identify {same_logs(logs)} --model {quoted(model)} --out {quoted(where)}"
     if result.overrated:
-        return "fly or import records that are sampled faster: their noise cannot be read"
-    return "nothing: the model is as good as these records can tell"
+        return "record or import data at a higher rate: the noise cannot be determined at this one"
+    return "no further step: these records show no error above the noise"
 
 
 def _model(path: Path | None, logs: Sequence[Path]) -> ModelConfig:
@@ -255,7 +253,7 @@ def _model(path: Path | None, logs: Sequence[Path]) -> ModelConfig:
     model = rig_model(read_log(logs[0]))
     if model is None:
         raise IdentificationError(
-            f"expected --model MODEL.yaml, since {logs[0]} is no log of the rig; found none"
+            f"expected --model MODEL.yaml for {logs[0]}, which is not a log of the rig; found none"
         )
     return model
 

@@ -240,7 +240,7 @@ def test_distortion_test_is_corrected_for_the_number_of_tests_and_needs_two_real
 
     lines = _multisine([bla(None, None), bla(0.5, 0.004), bla(0.9, 1e-6)])
     assert [line.partition("distortion ")[2] for line in lines] == [
-        "not told by one realisation",
+        "not testable with one realisation",
         "not found",  # p = 0.004 in one of four tests
         "found",
     ]

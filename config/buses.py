@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
-from .base import NonNegative, Positive, Strict, parse
+from .base import NonNegative, Positive, Strict
 
 Cycles = Annotated[int, Field(ge=0, le=1000)]
 Name = Annotated[str, Field(min_length=1)]
 NodeId = Annotated[int, Field(ge=1, le=127)]
 
 
-class CanBus(Strict):
+class Bus(Strict):
+    """Base of the buses of every backend."""
+
+    @property
+    def place(self) -> str:
+        """Text that is equal for two sections that name the same wire."""
+        return ", ".join(f"{key} {value}" for key, value in sorted(self.model_dump().items()))
+
+
+class RoleOptions(Strict):
+    """Base of the keys of a role on a bus."""
+
+    bus: Name
+
+
+class CanBus(Bus):
     """A CAN bus: classic, or CAN FD if `data_bitrate` is given."""
 
     interface: Name
@@ -44,7 +58,7 @@ class CanBus(Strict):
         return ", ".join((f"{self.interface} {self.channel}", *options))
 
 
-class SerialBus(Strict):
+class SerialBus(Bus):
     """A serial port, or any URL that pyserial opens."""
 
     port: Name
@@ -58,23 +72,19 @@ class SerialBus(Strict):
         return self.port if "://" in self.port else str(Path(self.port).resolve())
 
 
-class AmplifierOptions(Strict):
+class AmplifierOptions(RoleOptions):
     """Keys of the role `amplifiers` on a bus."""
 
-    bus: Name
     expire_cycles: Annotated[int, Field(ge=1, le=1000)] = 2
 
 
-class SensorOptions(Strict):
+class SensorOptions(RoleOptions):
     """Keys of the role `sensors` on a bus."""
 
-    bus: Name
 
-
-class SerialDriveOptions(Strict):
+class SerialDriveOptions(RoleOptions):
     """Keys of the role `drives` on a serial port."""
 
-    bus: Name
     skew_m: Positive = 1e-4
 
 
@@ -86,10 +96,9 @@ class Nodes(Strict):
     phi: NodeId = 3
 
 
-class CanDriveOptions(Strict):
+class CanDriveOptions(RoleOptions):
     """Keys of the role `drives` on a CAN bus, where drives are CANopen nodes (CiA 402)."""
 
-    bus: Name
     nodes: Nodes = Nodes()
     eds: str | None = None
     every: Annotated[int, Field(ge=1, le=100)] = 1
@@ -97,24 +106,3 @@ class CanDriveOptions(Strict):
     heartbeat_s: Annotated[float, Field(ge=0.01, le=30.0)] = 0.2
     expire_s: Annotated[float, Field(ge=1e-3, le=60.0)] = 0.1
     homing_method: Annotated[int, Field(ge=1, le=37)] = 34
-
-
-RoleOptions = AmplifierOptions | SensorOptions | CanDriveOptions | SerialDriveOptions
-_MODELS: Mapping[tuple[str, str], type[RoleOptions]] = {
-    ("can", "amplifiers"): AmplifierOptions,
-    ("can", "sensors"): SensorOptions,
-    ("can", "drives"): CanDriveOptions,
-    ("serial", "amplifiers"): AmplifierOptions,
-    ("serial", "sensors"): SensorOptions,
-    ("serial", "drives"): SerialDriveOptions,
-}
-
-
-def role_options(backend: str, role: str, keys: Mapping[str, Any]) -> RoleOptions | None:
-    """Validate the options of a role on a bus; return None for a backend without buses.
-
-    Raises:
-        ConfigError: an option is wrong or missing.
-    """
-    model = _MODELS.get((backend, role))
-    return None if model is None else parse(dict(keys), model, role)

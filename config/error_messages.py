@@ -232,9 +232,10 @@ def _keys_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
         if isinstance(part, int):
             continue
         field = getattr(current, "model_fields", {}).get(part)
-        if field is None:
-            continue
-        current = _model_in(field.annotation) or current
+        if field is not None:
+            current = _model_in(field.annotation) or current
+        elif hasattr(current, "extra_schema"):  # a section that is not a field
+            current = current.extra_schema(part) or current
     return [f.alias or name for name, f in getattr(current, "model_fields", {}).items()]
 
 

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic_core import PydanticKnownError
 
+from .backends import ROLES, bus_schema, role_options
 from .base import ConfigError, Finite, NonNegative, Positive, Strict, load_yaml
-from .buses import CanBus, RoleOptions, SerialBus, role_options
+from .buses import Bus, CanBus, RoleOptions, SerialBus
 from .model import ModelConfig, load_model
 from .service import Realtime, Recording, SelfTest, Service
 
@@ -129,8 +140,38 @@ class Role(BaseModel):
         return dict(self.model_extra or {})
 
 
+class _Section(NamedTuple):
+    """A key of RIG.yaml that is not a field: perhaps the buses of another package's backend."""
+
+    key: str
+    value: Any
+    used: bool
+    """Whether a role names the key as its backend."""
+
+
+def _buses(section: _Section) -> Any:
+    """Parse the buses of another package's backend.
+
+    If that package is not installed, they are left as they are: a log can be identified on a
+    machine that lacks it, and opening the devices reports the missing backend.
+    """
+    try:
+        schema = bus_schema(section.key)
+    except ConfigError as error:
+        raise ValueError(str(error)) from None
+    if schema is not None:
+        buses: Any = TypeAdapter(dict[BusName, schema])  # type: ignore[valid-type]
+        return buses.validate_python(section.value)
+    if section.used:
+        return section.value
+    raise PydanticKnownError("extra_forbidden")
+
+
 class RigConfig(Strict):
     """RIG.yaml: a rig's geometry, control, limits, devices, and how the daemon runs it."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(_buses)]]
 
     levid: Literal["rig"]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
@@ -162,6 +203,18 @@ class RigConfig(Strict):
     recording: Recording = Recording()
     self_test: SelfTest = SelfTest()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _name_sections(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
+        roles = [data[role] for role in ROLES if role in data]
+        used = [role.get("backend") for role in roles if isinstance(role, Mapping)]
+        return {
+            key: value if key in cls.model_fields else _Section(key, value, key in used)
+            for key, value in data.items()
+        }
+
     @model_validator(mode="after")
     def _one_feed_forward(self) -> Self:
         if (self.model is None) == (self.feedforward is None):
@@ -185,7 +238,7 @@ class RigConfig(Strict):
     @model_validator(mode="after")
     def _one_name_each(self) -> Self:
         """Reject two names for one bus: each would get the capacity of the whole bus."""
-        for backend, buses in (("can", self.can), ("serial", self.serial)):
+        for backend, buses in self.buses.items():
             roles = (self.amplifiers, self.sensors, self.drives)
             used = [role.options.get("bus") for role in roles if role.backend == backend]
             named: dict[str, str] = {}
@@ -198,6 +251,20 @@ class RigConfig(Strict):
                     )
         return self
 
+    @property
+    def buses(self) -> Mapping[str, Mapping[str, Bus]]:
+        """Buses by backend and name."""
+        more = {key: buses for key, buses in (self.model_extra or {}).items() if _is_parsed(buses)}
+        return {"can": self.can, "serial": self.serial, **more}
+
+    @classmethod
+    def extra_schema(cls, key: str) -> Any:
+        """Return the schema of a bus in section `key`, None if no backend has such a section."""
+        try:
+            return bus_schema(key)
+        except ConfigError:
+            return None
+
     def on_bus(self, role: str) -> tuple[str, RoleOptions] | None:
         """Return backend and options of a role on a bus, None if its backend has no bus.
 
@@ -208,13 +275,17 @@ class RigConfig(Strict):
         options = role_options(played.backend, role, played.options)
         if options is None:
             return None
-        known = getattr(self, played.backend)
+        known = self.buses.get(played.backend, {})
         if options.bus not in known:
             raise ConfigError(
                 f"{role}.bus: expected a name from '{played.backend}' "
                 f"({', '.join(sorted(known)) or 'none is given'}), found '{options.bus}'"
             )
         return played.backend, options
+
+
+def _is_parsed(buses: Any) -> bool:
+    return isinstance(buses, dict) and all(isinstance(bus, Bus) for bus in buses.values())
 
 
 def load_rig(path: Path | str) -> RigConfig:

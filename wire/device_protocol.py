@@ -10,8 +10,6 @@ from enum import IntEnum
 from ..config.base import ConfigError
 from ..config.rig import Limits, RigConfig
 
-ROLES = ("amplifiers", "sensors", "drives")
-"""What a rig is made of; each role has its backend."""
 PROTOCOL = 1
 """Version of the frames; host and device must have the same."""
 CYCLES = 61_440

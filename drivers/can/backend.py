@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...config.backends import ROLES
 from ...config.base import ConfigError
 from ...config.buses import AmplifierOptions, CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig
@@ -16,7 +17,7 @@ from ...wire.can import cia402
 from ...wire.can.adapters import check_bus
 from ...wire.can.can_frames import CanFrames, load_frames
 from ...wire.can.cia402 import NMT_ID, NODE_IDS, SYNC_ID
-from ...wire.device_protocol import AMPLIFIER_LIMITS, CYCLES, ROLES, SENSOR_LIMITS, require_told
+from ...wire.device_protocol import AMPLIFIER_LIMITS, CYCLES, SENSOR_LIMITS, require_told
 from ...wire.int16_scaling import LARGEST
 from ..base import Context, FirstError, LinkError
 from ..bus_backend import AnswerTime, BusBackend

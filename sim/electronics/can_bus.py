@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...config.base import ConfigError
-from ...config.buses import CanBus, CanDriveOptions
+from ...config.buses import CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig
 from ...wire.can.adapters import check_bus
 from ...wire.can.can_bus import Ages, FrameBus, open_bus
@@ -40,7 +40,7 @@ class CanElectronics:
         name: str,
         rig: RigConfig,
         folder: Path,
-        roles: Mapping[str, object],
+        roles: Mapping[str, RoleOptions],
         core: Core,
         injector: Injector,
     ) -> None:

@@ -1,84 +1,69 @@
-"""All electronics of a rig: one plant, and something that answers on every bus the rig names."""
+"""Emulate all electronics of a rig: one simulated plant, and an emulator on every bus."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Protocol
 
+from ...config.backends import ROLES, find_backend, load_part
 from ...config.base import ConfigError, load_yaml
-from ...config.buses import AmplifierOptions
+from ...config.buses import AmplifierOptions, RoleOptions
 from ...config.rig import RigConfig
 from ...config.sim import SimConfig
-from ...wire.device_protocol import ROLES
-from ...wire.serial.serial_frames import FrameContents
 from .core import Core
 from .faults import Injector
-from .serial_port import SerialElectronics
 
 
-class Answering(Protocol):
-    """Electronics at one end of a bus."""
+class Emulator(Protocol):
+    """Electronics at the far end of one bus."""
 
     def start(self) -> None:
-        """Answer from now on."""
+        """Open the bus and answer from now on."""
 
     def stop(self) -> None:
-        """Stop answering."""
+        """Stop answering and close the bus."""
 
 
 class Electronics:
-    """A context manager: answers while it is entered. `core` and `injector` are for tests.
+    """A context manager that emulates the electronics. `core` and `injector` are for tests.
 
     Raises:
-        ConfigError: a role of the rig is on no bus that can be played, or there is no SIM.yaml.
+        ConfigError: a role is on no bus, its backend has no emulator, or there is no SIM.yaml.
     """
 
     def __init__(self, rig: RigConfig, folder: Path) -> None:
         if rig.sim is None:
-            raise ConfigError(
-                "sim: emulated electronics need the path of a SIM.yaml, found nothing"
-            )
+            raise ConfigError("sim: expected the path of a SIM.yaml for the electronics")
         source = folder / rig.sim
-        roles: dict[tuple[str, str], dict[str, object]] = {}
+        on: dict[tuple[str, str], dict[str, RoleOptions]] = {}
         expire_cycles = 1
         for role in ROLES:
-            found = rig.on_bus(role)
-            if found is None:
-                raise ConfigError(
-                    f"{role}.backend: expected can or serial for electronics to answer, "
-                    f"found {getattr(rig, role).backend}"
-                )
-            backend, options = found
-            roles.setdefault((backend, options.bus), {})[role] = options
+            backend, options = _on_bus(rig, role)
+            on.setdefault((backend, options.bus), {})[role] = options
             if isinstance(options, AmplifierOptions):
                 expire_cycles = options.expire_cycles
         self.core = Core(rig, load_yaml(source, SimConfig), source, expire_cycles)
         self.injector = Injector(self.core)
-        self._buses: list[Answering] = []
-        for (backend, name), on in roles.items():
-            if backend == "serial":
-                contents = FrameContents.of(rig, on)
-                self._buses.append(
-                    SerialElectronics(name, rig.serial[name], contents, self.core, self.injector)
-                )
-            else:
-                from .can_bus import CanElectronics
-
-                self._buses.append(CanElectronics(name, rig, folder, on, self.core, self.injector))
+        self._buses: list[Emulator] = [
+            load_part(_emulator(backend), backend)(
+                name, rig, folder, roles, self.core, self.injector
+            )
+            for (backend, name), roles in on.items()
+        ]
 
     def __enter__(self) -> Electronics:
-        """Open every bus and answer."""
+        """Start every emulator."""
         for bus in self._buses:
             bus.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop answering."""
+        """Stop every emulator."""
         for bus in self._buses:
             bus.stop()
 
     def status(self) -> dict[str, object]:
-        """Return what amplifiers, ADC and drives are doing, for people and scripts."""
+        """Return the states of amplifiers, ADC and drives, the forces in N, and injected faults."""
         core = self.core
         with core.lock:
             return {
@@ -89,3 +74,19 @@ class Electronics:
                 "forced_periods": core.forced_periods,
                 "wire": sorted(self.injector.wire),
             }
+
+
+def _on_bus(rig: RigConfig, role: str) -> tuple[str, RoleOptions]:
+    """Return backend and options of a role; raises ConfigError if it cannot be emulated."""
+    found = rig.on_bus(role)
+    if found is None or not _emulator(found[0]):
+        raise ConfigError(
+            f"{role}.backend: expected a backend with emulated electronics, such as can or "
+            f"serial, found {getattr(rig, role).backend}"
+        )
+    return found
+
+
+def _emulator(backend: str) -> str:
+    descriptor = find_backend(backend)
+    return (descriptor.emulator if descriptor is not None else None) or ""

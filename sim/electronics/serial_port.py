@@ -9,13 +9,15 @@ import socket
 import threading
 import time
 import tty
+from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import urlparse
 
 import numpy as np
 
 from ...config.base import ConfigError
-from ...config.buses import SerialBus
+from ...config.buses import RoleOptions
+from ...config.rig import RigConfig
 from ...wire.frame_rejection import Rejected
 from ...wire.serial.frame_splitter import FrameStream
 from ...wire.serial.serial_frames import FrameContents, Kind, SerialFrames
@@ -33,10 +35,17 @@ class SerialElectronics:
     """
 
     def __init__(
-        self, name: str, bus: SerialBus, contents: FrameContents, core: Core, injector: Injector
+        self,
+        name: str,
+        rig: RigConfig,
+        folder: Path,  # noqa: ARG002 - every emulator has it; here no path is relative to it
+        roles: Mapping[str, RoleOptions],
+        core: Core,
+        injector: Injector,
     ) -> None:
+        port, contents = rig.serial[name].port, FrameContents.of(rig, roles)
         self._contents, self._core, self.injector = contents, core, injector
-        self._line: _Line = _TcpLine(name, bus.port) if "://" in bus.port else _Pty(name, bus.port)
+        self._line: _Line = _TcpLine(name, port) if "://" in port else _Pty(name, port)
         self._frames = SerialFrames(contents)
         self._stream = FrameStream(self._frames.longest)
         self._outgoing = Outgoing(injector)

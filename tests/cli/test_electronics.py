@@ -135,4 +135,4 @@ def test_electronics_answer_on_the_bus_until_sigterm(command: Command, tmp_path:
 def test_rig_without_bus_roles_is_rejected() -> None:
     command = Command(shipped("rigs/loopback.yaml"))
     assert command.process.wait(WAIT_S) != 0
-    assert "expected can or serial for electronics to answer" in command.err.get(timeout=WAIT_S)
+    assert "expected a backend with emulated electronics" in command.err.get(timeout=WAIT_S)

@@ -13,7 +13,8 @@ from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context
 from levid.drivers.bus_backend import AnswerTime
-from levid.wire.bus_budget import budget, can_frame_s, canfd_frame_s, check_budget
+from levid.wire.bus_budget import budget, check_budget
+from levid.wire.can.bus_time import can_frame_s, canfd_frame_s
 
 HEAD = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
 ONE_CLASSIC = """
@@ -89,33 +90,33 @@ def test_one_classic_bus_does_not_carry_1_khz_and_says_what_does() -> None:
     text = str(error.value)
     # sync 85, six frames of answers 810, SYNC 65 and three TPDOs 405, three setpoints 405, three
     # RPDOs of 6 bytes 345 us, and 20 us of latency
-    assert "a cycle takes 2.135 ms" in text
-    assert "fastest rate that fits is 468 Hz" in text
-    assert "with two buses of classic CAN (amplifiers apart) and drives asked every 4" in text
+    assert "a cycle takes at most 2.135 ms" in text
+    assert "highest rate that fits is 468 Hz" in text
+    assert "two buses of classic CAN (amplifiers on their own) and drives read every 4" in text
     # What is enough is marked; that it fits no single bus would be wrong: it fits one of CAN FD.
-    assert "one a role: 1092 Hz (enough)" in text
+    assert "one for each role: 1092 Hz (enough)" in text
     assert "every 4 cycles: 558 Hz;" in text
-    assert "no single" not in text
+    assert "exceeds a single" not in text
 
 
 def test_10_khz_fits_no_single_can_bus() -> None:
-    with pytest.raises(ConfigError, match="fastest rate that fits is 3032 Hz") as error:
+    with pytest.raises(ConfigError, match="highest rate that fits is 3032 Hz") as error:
         check_budget(rig(ONE_FD_WITHOUT_DRIVES, 10_000.0), Path())
     text = str(error.value)
-    assert "10 kHz fits no single CAN bus: CAN FD at 5 Mbit/s carries 3032 Hz at most" in text
-    assert "with two buses of CAN FD (amplifiers apart): 4029 Hz;" in text
+    assert "10 kHz exceeds a single CAN bus: CAN FD at 5 Mbit/s carries at most 3032 Hz" in text
+    assert "two buses of CAN FD (amplifiers on their own): 4029 Hz;" in text
     assert "enough" not in text
 
 
 def test_a_slow_adapter_is_told_from_a_slow_bus() -> None:
     """1 kHz fits a bus: it is USB that takes the time."""
     with pytest.raises(
-        ConfigError, match=r"main is busy for 3.115 ms, 1.000 ms of it latency_s\)"
+        ConfigError, match=r"main is busy for 3.115 ms, including latency_s of 1.000 ms\)"
     ) as e:
         check_budget(
             rig(ONE_CLASSIC.replace("virtual, channel: x", "gs_usb, channel: 0"), 1000.0), Path()
         )
-    assert "no single" not in str(e.value)
+    assert "exceeds a single" not in str(e.value)
     assert "CAN FD" not in str(e.value)  # which it does not carry
 
 
@@ -148,7 +149,7 @@ def test_a_dbc_for_one_format_says_what_fits_without_the_other(tmp_path: Path) -
     )
     with pytest.raises(ConfigError) as error:
         check_budget(of_twelve.model_copy(update={"geometry": geometry}), tmp_path)
-    assert "more than the wire carries" in str(error.value)
+    assert "more than the buses carry" in str(error.value)
     assert "CAN FD" not in str(error.value)
 
 
@@ -204,7 +205,7 @@ def test_what_goes_before_the_answers_is_waited_for_too() -> None:
     both = RigConfig.model_validate(data)
     (motion,) = [b for b in budget(both, Path()).buses if b.name == "can motion"]
     assert motion.before_s == pytest.approx(200e-6)
-    with pytest.raises(ConfigError, match="the fastest rate that fits is 896 Hz"):
+    with pytest.raises(ConfigError, match="the highest rate that fits is 896 Hz"):
         check_budget(both, Path())
 
 
@@ -250,5 +251,5 @@ def test_characters_of_slcan_are_counted(options: str, channel: str, baud: int) 
 
 
 def test_slcan_at_its_usual_rate_does_not_carry_1_khz() -> None:
-    with pytest.raises(ConfigError, match="more than the wire carries"):
+    with pytest.raises(ConfigError, match="more than the buses carry"):
         check_budget(rig(SLCAN.replace("OPTIONS", ""), 1000.0), Path())

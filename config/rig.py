@@ -252,8 +252,8 @@ class RigConfig(Strict):
         return self
 
     @property
-    def buses(self) -> Mapping[str, Mapping[str, Bus]]:
-        """Buses by backend and name."""
+    def buses(self) -> Mapping[str, Mapping[str, Any]]:
+        """Buses, each a subclass of Bus, by backend and name."""
         more = {key: buses for key, buses in (self.model_extra or {}).items() if _is_parsed(buses)}
         return {"can": self.can, "serial": self.serial, **more}
 

@@ -156,9 +156,14 @@ class DeclaredModel:
         M, D, K, B, force = (self._along(grid, scheduling) for grid in grids)
         return Matrices(M, D, K, B, force[:, 0])
 
-    def force_over(self, scheduling: Mapping[str, Array]) -> Array:
-        """Return only the force f (N, n) for scheduling variables (N,); raises ModelError."""
-        return self._along((self.force,), scheduling)[:, 0]
+    def moving_force(self, scheduling: Mapping[str, Array]) -> Array:
+        """Return the force f (N, n) for scheduling variables (N,), 0 where its formula is constant.
+
+        A constant force (a weight) is part of each record's unknown offset. Raises ModelError.
+        """
+        force = self._along((self.force,), scheduling)[:, 0]
+        force[:, [not formula.names & set(self.scheduling) for formula in self.force]] = 0.0
+        return force
 
     def _along(self, grid: Grid, scheduling: Mapping[str, Array]) -> Array:
         values: dict[str, float | Array] = {**self.values, **self.scheduling, **scheduling}

@@ -131,8 +131,7 @@ def motion(
         }
         middle = {name: 0.5 * (begin[name] + end[name]) for name in begin}
         at = model.over(middle)
-        force = np.stack([model.force_over(begin), model.force_over(end)], axis=2)
-        force[:, np.ptp(force, axis=(0, 2)) == 0.0] = 0.0
+        force = np.stack([model.moving_force(begin), model.moving_force(end)], axis=2)
     else:
         middle = {name: np.array([values.mean()]) for name, values in experiment.schedule.items()}
         at, force = model.over(middle), np.zeros((1, len(model.dof), 2))

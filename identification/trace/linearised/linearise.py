@@ -289,5 +289,5 @@ def _force_of(
                 values,
             )
     if e.moving:
-        force += upper.force - lower.force
+        force += high.moving_force(schedule) - low.moving_force(schedule)
     return force, upper.B - lower.B

@@ -124,7 +124,9 @@ def test_what_depends_on_the_time_of_a_session_is_told_from_what_does_not() -> N
 
     payload = next(e for e in timed if e.effect_class == "payload")
     placed = [Placed(payload, payload.grid[0], (0.1,))]
-    with pytest.raises(IdentificationError, match=r"'Payload at .*' depends on session time.*found a and b"):
+    with pytest.raises(
+        IdentificationError, match=r"'Payload at .*' depends on session time.*found a and b"
+    ):
         require_timeless(placed, places, covered, "a and b")
 
 

@@ -143,8 +143,9 @@ def identify_logs(
 
 
 def words(found: Study) -> list[str]:
-    """Return the results as lines of text: one per operating point, record and parameter."""
+    """Return the results as lines of text; +- is a 95 % interval."""
     from ..identification.records.record import OTHER_STEP
+    from ..identification.subspace.response_uncertainty import SURE_95
     from ..identification.summary import study_summary
 
     plain = study_summary(found)
@@ -154,7 +155,7 @@ def words(found: Study) -> list[str]:
     grey = plain.get("grey_box")
     if grey:
         lines += [
-            f"{name:>12} = {p['value']:.7g} +- {p['se']:.2g} {p['unit']}"
+            f"{name:>12} = {p['value']:.7g} +- {SURE_95 * p['se']:.2g} {p['unit']}"
             for name, p in grey["parameters"].items()
             if p["se"] is not None
         ]

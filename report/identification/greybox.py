@@ -10,6 +10,7 @@ import numpy as np
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.greybox.validation import Validation
 from ...identification.results import ClosedLoopPoint
+from ...identification.subspace.response_uncertainty import SURE_95
 from ..figures.fitted_response import Place, fitted_curves, places_of
 from ..figures.residuals import chance
 from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, error_text, largest
@@ -205,7 +206,7 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
             Number(
                 f"{times:.2f}",
                 f"largest simulation error over what noise leaves; a perfect model's 1 ± "
-                f"{report.worst.spread:.2f}",
+                f"{SURE_95 * report.worst.spread:.2f}",
                 _good(times <= NOISE_MOST),
             )
         )

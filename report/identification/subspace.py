@@ -216,7 +216,7 @@ def _modes_table(report: SubspaceReport) -> Table:
             frequency = _with_error(m.frequency_hz[k], m.frequency_se_hz[k])
             rows.append((label, frequency, _with_error(m.damping[k], m.damping_se[k])))
     head = ("beam", "frequency Hz", "damping ζ")
-    return Table("Modes by the subspace method, with standard errors", head, tuple(rows))
+    return Table("Modes by the subspace method, with 95 % intervals", head, tuple(rows))
 
 
 def _fits_table(report: SubspaceReport) -> Table:
@@ -232,11 +232,12 @@ def _fits_table(report: SubspaceReport) -> Table:
 
 
 def _with_error(value: float, se: float) -> str:
-    """Return 'value ± standard error', both to the second digit of the error."""
-    if not (np.isfinite(se) and se > 0):
+    """Return 'value ± half of its 95 % interval', both to the second digit of the latter."""
+    half = SURE_95 * se
+    if not (np.isfinite(half) and half > 0):
         return f"{value:.4g}"
-    digits = max(1 - int(np.floor(np.log10(se))), 0)
-    return f"{value:.{digits}f} ± {se:.{digits}f}"
+    digits = max(1 - int(np.floor(np.log10(half))), 0)
+    return f"{value:.{digits}f} ± {half:.{digits}f}"
 
 
 def _short(value: float) -> str:

@@ -95,7 +95,7 @@ def test_what_ended_flights_is_among_the_figures(flights, monkeypatch) -> None:
 
 
 def test_short_session_is_the_papers_at_one_position() -> None:
-    steps = flights.yaml.safe_load(flights._short())["steps"]
+    steps = bus_flights.yaml.safe_load(bus_flights._short())["steps"]
     names = [step["record"]["name"] for step in steps if "record" in step]
     assert names == ["middle-psi", "middle-theta", "middle-z"]
     assert steps[0] == {"levitate": {}}
@@ -306,7 +306,7 @@ def test_electronics_that_do_not_come_to_a_cycle_end_the_trial(monkeypatch) -> N
 
 def test_trial_that_failed_is_a_fault_that_was_not_named(monkeypatch, capsys) -> None:
     bus_faults = device_faults
-    core, on_bus = bus_faults.core, bus_faults.on_bus
+    core, on_bus = bus_faults.core, bus_faults.bus_backend
     for owner, name in (
         (core, "_SILENT_PERIODS"), (on_bus, "_ANSWER_SHARE"), (on_bus, "_SENT_BY"),
     ):  # fmt: skip

@@ -20,26 +20,29 @@ from levid.config.shipped import shipped
 _TESTS = Path(__file__).parent
 _WATCH = pytest.StashKey[Watch]()
 _COMPUTE = (
-    "cli",
-    "compatibility",
-    "config",
-    "docs",
-    "identification",
-    "log",
-    "model",
-    "report",
-    "sim",
-    "wire",
+    *("cli", "compatibility", "config", "docs", "identification", "log", "model", "packaging"),
+    *("report", "sim", "wire", "daemon/control", "daemon/ipc", "daemon/service/test_service_files"),
+    *("daemon/loop/test_flight_ends", "daemon/loop/test_virtual_flight"),
+    *("daemon/planning/test_excitation", "daemon/planning/test_orthogonal_multisine"),
+    *("daemon/planning/test_plan.py", "daemon/recording/test_coil_heat"),
+    *("benchmarks/test_figures", "benchmarks/test_same_rows", "benchmarks/test_unlisted_effects"),
+    "benchmarks/test_zoo",
 )
-"""Packages whose tests only compute, so that several of them may run at the same time."""
-_BUT = ("test_worker_pool", "test_session_page", "test_local_bus", "test_read_ahead")
+"""Tests that only compute, so that several of them may run at the same time."""
+_WAIT = (
+    "identification/trace/test_worker_pool",
+    "report/session/test_session_page",
+    "wire/can/test_local_bus",
+    "wire/can/test_read_ahead",
+)
+"""Tests among them that wait for clocks or processes."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that a busy machine could fail."""
     for item in items:
-        package = item.path.relative_to(_TESTS).parts[0]
-        if item.path.stem in _BUT or package not in _COMPUTE:
+        path = item.path.relative_to(_TESTS).as_posix()
+        if path.startswith(_WAIT) or not path.startswith(_COMPUTE):
             item.add_marker(pytest.mark.alone)
 
 

@@ -1,1 +1,1 @@
-"""Swappable backends for the three roles: coil amplifiers, position sensors, manipulator drives."""
+"""Backends for coil amplifiers, position sensors and manipulator drives: loopback, CAN, serial."""

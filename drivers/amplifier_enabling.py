@@ -1,4 +1,4 @@
-"""Host's side of amplifiers on any bus: limits compared, challenge answered, states watched."""
+"""Enable amplifiers on any bus: compare limits, answer the challenge, monitor their state."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ..wire.device_protocol import (
 )
 from .base import AmplifierError, Array, DriverError
 
-# asks a device: request, index, value; no answer is waited for
+# sends request, index and value without waiting for the answer
 Ask = Callable[[Request, int, int], None]
-# asks a device and returns index and value of its answer; raises DriverError
+# sends request, index and value; returns index and value of the answer; raises DriverError
 Exchange = Callable[[Request, int, int], tuple[int, int]]
 
-_PATIENCE_CYCLES = 5
-"""Cycles until a challenge that was not answered is asked for again."""
+_RETRY_CYCLES = 5
+"""Cycles until an unanswered request for a challenge is repeated."""
 
 
 def compare_limits(
@@ -34,32 +34,32 @@ def compare_limits(
     """Read the device's limits and compare them with the rig's.
 
     Raises:
-        DriverError: one differs; all that differ are named, with both values.
+        DriverError: limits differ; the message names each with both values.
     """
     wrong = []
     for parameter in which:
         index, found = exchange(Request.READ, parameter, 0)
         if index != parameter:
-            wrong.append(f"{parameter.name}: the device has none")
+            wrong.append(f"{parameter.name}: the device does not have it")
         elif found != expected[parameter]:
             wrong.append(f"{parameter.name}: expected {expected[parameter]}, found {found}")
     if wrong:
-        raise DriverError(f"{what}: limits in the device are not the rig's: {'; '.join(wrong)}")
+        raise DriverError(f"{what}: limits of the device differ from RIG.yaml: {'; '.join(wrong)}")
 
 
 def refusal(index: int) -> str:
-    """Return in brackets why a device refused, where the index of its answer says so."""
+    """Return the reason in brackets if `index` of an answer is a Refusal, else nothing."""
     return f" ({Refusal(index).name})" if index in _REFUSALS else ""
 
 
 def worst_state(states: Sequence[int]) -> int:
-    """Return the state that is told of several amplifiers: that of the one that is worst off."""
+    """Return the most severe of several amplifier states."""
     first = states[0]
     return first if all(s == first for s in states) else min(states, key=_WORST_FIRST.index)
 
 
 class AmplifierWatch:
-    """Keeps amplifiers enabled while zero force is asked, and says when they are not in flight."""
+    """Enables amplifiers while zero force is commanded; detects if they switch off in flight."""
 
     def __init__(
         self, what: str, limits: Mapping[DeviceParameter, int], ask: Ask, tolerated: int
@@ -67,81 +67,85 @@ class AmplifierWatch:
         self._what, self._ask = what, ask
         self._tolerated, self._lost_in_a_row = tolerated, 0
         self._limits = {p: limits[p] for p in AMPLIFIER_LIMITS}
-        self._commanded = False
+        self._force_commanded = False
         self._state = AmplifierState.OFF
-        self._patience = 0
+        self._cycles_to_retry = 0
         self._refused = ""
-        self._told = False
+        self._reported = False
 
     def commanding(self, coil_n: Array) -> None:
-        """Note what force is asked for, (C,) in N."""
-        self._commanded = bool(coil_n.any())
+        """Note the commanded forces (C,) in N."""
+        self._force_commanded = bool(coil_n.any())
 
     def judge(self, state: int, force_n: Array) -> None:
-        """Look at the state that came with `force_n` (C,), where nan tells which coil tripped.
+        """Check the state received with `force_n` (C,) in N, where nan marks a tripped coil.
 
-        nan becomes 0, and an error is raised once only: the loop goes on reading in the fault.
+        nan becomes 0. An error is raised once: the loop continues to read during the fault.
 
         Raises:
-            AmplifierError: the amplifiers tripped, or are not enabled although force is asked, or
-                more setpoints than `tolerated` did not come through in a row.
+            AmplifierError: the amplifiers tripped, are not enabled while force is commanded, or
+                missed more than `tolerated` setpoints in a row.
         """
         if state == AmplifierState.UNHEARD:
             self._lost_in_a_row += 1
-            if self._lost_in_a_row > self._tolerated and self._commanded and not self._told:
-                self._told = True
+            if (
+                self._lost_in_a_row > self._tolerated
+                and self._force_commanded
+                and not self._reported
+            ):
+                self._reported = True
                 raise AmplifierError(
-                    f"{self._what}: setpoints did not come through in {self._lost_in_a_row} cycles"
+                    f"{self._what}: received no setpoints in {self._lost_in_a_row} cycles"
                 )
             return
         self._lost_in_a_row = 0
         if state == AmplifierState.ENABLED:
-            self._state, self._refused, self._told = AmplifierState.ENABLED, "", False
-            self._patience = 0  # should it switch off, it is asked at once
+            self._state, self._refused, self._reported = AmplifierState.ENABLED, "", False
+            self._cycles_to_retry = 0  # if it switches off, request a challenge at once
             return
         was_enabled = self._state is AmplifierState.ENABLED
         tripped = np.flatnonzero(np.isnan(force_n))
         force_n[tripped] = 0.0
         self._state = AmplifierState(state) if state in _STATES else AmplifierState.OFF
-        if self._state is not AmplifierState.TRIPPED and not self._commanded:
-            if not self._told:  # else it was a fault: they stay off until that is cleared
-                self._pursue()
+        if self._state is not AmplifierState.TRIPPED and not self._force_commanded:
+            if not self._reported:  # after a fault they stay off until it is cleared
+                self._request_challenge()
             return
-        if self._told:
+        if self._reported:
             return
-        self._told = True
+        self._reported = True
         if self._state is AmplifierState.TRIPPED:
             coils = ", ".join(map(str, tripped)) or "unknown"
             raise AmplifierError(f"{self._what}: tripped, coil {coils}")
         if self._state is AmplifierState.EXPIRED:
-            raise AmplifierError(f"{self._what}: setpoints expired, they are at zero force")
+            raise AmplifierError(f"{self._what}: setpoints expired, the force is zero")
         became = "switched off" if was_enabled else "are not enabled"
-        raise AmplifierError(f"{self._what}: {became} while force is asked for{self._refused}")
+        raise AmplifierError(f"{self._what}: {became} while force is commanded{self._refused}")
 
     def answered(self, index: int, value: int) -> None:
-        """Take an answer of the device that came between readings."""
+        """Handle an answer of the device that arrived between readings."""
         if index == DeviceParameter.CHALLENGE:
-            if self._told or self._commanded:  # it comes late: nobody wants them enabled any more
+            if self._reported or self._force_commanded:  # late: they must not be enabled now
                 return
             self._ask(Request.ENABLE, 0, response(value, self._limits))
         elif index in _REFUSALS:
             self._refused = refusal(index)
 
     def reset(self, exchange: Exchange) -> None:
-        """Reset trips after a fault; raises AmplifierError where the cause is not gone."""
+        """Reset trips after a fault; raises AmplifierError if the cause persists."""
         index, tripped = exchange(Request.RESET, 0, 0)
         if index not in (DeviceParameter.TRIPPED_COILS, Refusal.STILL_TRIPPED):
-            raise AmplifierError(f"{self._what}: does not reset trips{refusal(index)}")
+            raise AmplifierError(f"{self._what}: cannot reset trips{refusal(index)}")
         if index == Refusal.STILL_TRIPPED or tripped:
             coils = ", ".join(str(i) for i in range(32) if tripped >> i & 1)
             raise AmplifierError(f"{self._what}: still tripped, coil {coils}")
-        self._told, self._commanded, self._patience = False, False, 0
+        self._reported, self._force_commanded, self._cycles_to_retry = False, False, 0
 
-    def _pursue(self) -> None:
-        """Ask for a challenge, now and then, until enabled."""
-        self._patience -= 1
-        if self._patience <= 0:
-            self._patience = _PATIENCE_CYCLES
+    def _request_challenge(self) -> None:
+        """Request a challenge every _RETRY_CYCLES cycles until enabled."""
+        self._cycles_to_retry -= 1
+        if self._cycles_to_retry <= 0:
+            self._cycles_to_retry = _RETRY_CYCLES
             self._ask(Request.READ, DeviceParameter.CHALLENGE, 0)
 
 

@@ -1,4 +1,4 @@
-"""The three roles a backend can play, and what a backend is; devices hide behind these."""
+"""Interfaces of the three roles and of a backend, and the errors that devices raise."""
 
 from __future__ import annotations
 
@@ -17,59 +17,59 @@ Array = NDArray[np.float64]
 
 
 class Sync(Protocol):
-    """Begins a cycle."""
+    """Function that begins a cycle."""
 
     def __call__(self, cycle: int, late_s: float = 0.0, /) -> None:
-        """Begin the cycle of that number, which was due `late_s` ago."""
+        """Begin cycle number `cycle`, `late_s` s after it was due."""
 
 
 class DriverError(Exception):
-    """A device or bus that cannot be used; the message says which, and what it did."""
+    """A device or bus cannot be used; the message names it and the cause."""
 
 
 class LinkError(DriverError):
-    """A bus or port that is gone; it is opened anew when the fault is cleared."""
+    """A bus or port was lost; it is opened again when the fault is cleared."""
 
 
 class StaleError(DriverError):
-    """Readings that did not come, or not as they should, in more cycles in a row than allowed."""
+    """Readings were missing or invalid in more consecutive cycles than allowed."""
 
 
 class AmplifierError(DriverError):
-    """Amplifiers that tripped, or switched off although force was asked of them."""
+    """Amplifiers tripped, or switched off while force was commanded."""
 
 
 class SensorError(DriverError):
-    """A sensor channel without a reading, stuck, or at the end of its range."""
+    """A sensor channel has no reading, is stuck, or is at the end of its range."""
 
 
 class DriveError(DriverError):
-    """A drive that does not follow: encoder lost, emergency, skew of the gantry."""
+    """A drive does not follow: encoder lost, emergency, skew of the gantry."""
 
 
 class CoilAmplifiers(ABC):
-    """Nine (or as many) coil amplifiers that take forces and tell the forces they drive."""
+    """Amplifiers of C coils: accept force commands and report the forces that act."""
 
-    # Plain numbers: the flags themselves take a microsecond to combine.
+    # Integers: combining enum flags takes 1 us.
     STALE = int(Stale.AMPLIFIERS)
     stale: int = 0
-    """Bits of the log's `stale` after `read`: STALE where it filled in an earlier reading."""
+    """Bits for the log field `stale`, set by `read`: STALE if it kept an earlier reading."""
 
     @abstractmethod
     def write(self, coil_n: Array) -> None:
-        """Command coil forces (C,) in N; they act from the next cycle on."""
+        """Command coil forces (C,) in N, which act from the next cycle on."""
 
     @abstractmethod
     def read(self, coil_n: Array) -> None:
         """Fill `coil_n` (C,) with current times the nominal force constant, in N."""
 
     def release(self, zero_n: Array) -> None:
-        """Command zero force, `zero_n` (C,), at once, without waiting for a cycle."""
+        """Command zero force, `zero_n` (C,), at once, between cycles too."""
         self.write(zero_n)
 
 
 class PositionSensors(ABC):
-    """Position sensors that tell the platform's height at their places."""
+    """S position sensors that measure the height of the platform."""
 
     STALE = int(Stale.SENSORS)
     stale: int = 0
@@ -96,17 +96,16 @@ class ManipulatorDrives(ABC):
         """Fill beam (3,) with m, m/s, N and rotor (3,) with rad, rad/s, N m."""
 
     def release(self) -> None:
-        """Go nowhere any more: brake and switch off, or stay; at once where the device can.
+        """Brake and switch off, at once if the device can; earlier setpoints are discarded.
 
-        What was written before is forgotten. Until the backend has recovered nothing else holds
-        beam and rotor. Drives that have nothing to let go of do nothing.
+        Setpoints are ignored until `recover`. Drives that cannot be switched off do nothing.
         """
         return
 
 
 @dataclass(frozen=True)
 class Context:
-    """What a backend is built from: the rig, the loop's period, and where relative paths start."""
+    """Arguments of a backend: the rig, the period of the loop, the folder of relative paths."""
 
     rig: RigConfig
     period_s: float
@@ -114,7 +113,7 @@ class Context:
 
 
 class Backend(ABC):
-    """One kind of connection, built once for all the roles that name it in the rig's YAML."""
+    """A kind of connection; one instance serves all roles that name it in RIG.yaml."""
 
     @classmethod
     @abstractmethod
@@ -123,50 +122,50 @@ class Backend(ABC):
 
     @abstractmethod
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
-        """Open what is needed to play `roles` (name to options); raises DriverError."""
+        """Open the devices of `roles` (options by name); raises DriverError."""
 
     @abstractmethod
     def sync(self, cycle: int, late_s: float = 0.0) -> None:
-        """Begin a cycle, due `late_s` ago: all readings are of this moment.
+        """Begin a cycle, `late_s` s after it was due: all readings are sampled now.
 
-        `cycle` jumps where periods were late. What is waited for after a late beginning is to be
-        there before the next cycle is due all the same.
+        `cycle` skips the periods that were missed. After a late start the wait for readings is
+        shortened, so that the next cycle starts on time.
         """
 
     def amplifiers(self) -> CoilAmplifiers:
-        """Return the amplifiers; raises DriverError where this backend has none."""
-        raise DriverError(f"{type(self).__name__} plays no amplifiers")
+        """Return the amplifiers; raises DriverError if this backend has none."""
+        raise DriverError(f"{type(self).__name__} has no amplifiers")
 
     def sensors(self) -> PositionSensors:
-        """Return the sensors; raises DriverError where this backend has none."""
-        raise DriverError(f"{type(self).__name__} plays no sensors")
+        """Return the sensors; raises DriverError if this backend has none."""
+        raise DriverError(f"{type(self).__name__} has no sensors")
 
     def drives(self) -> ManipulatorDrives:
-        """Return the drives; raises DriverError where this backend has none."""
-        raise DriverError(f"{type(self).__name__} plays no drives")
+        """Return the drives; raises DriverError if this backend has none."""
+        raise DriverError(f"{type(self).__name__} has no drives")
 
     def recover(self) -> None:
-        """Make good after a fault: open again what is gone, reset what tripped, compare limits.
+        """Recover from a fault: reopen lost buses, reset trips, compare limits.
 
         Raises:
-            DriverError: the cause is not gone; the next call may succeed.
+            DriverError: the cause persists; a later call may succeed.
         """
         return
 
     @property
     def stale(self) -> int:
-        """In how many cycles a reading did not come in time and the last one stood in for it."""
+        """Number of cycles in which a reading was missing and the last one was used."""
         return 0
 
     def close(self) -> None:
-        """Send zero force, then let go of the device; safe to call twice."""
+        """Send zero force and close the device; safe to call twice."""
         return
 
 
 class FirstError:
-    """Lets what is done with one bus fail without keeping the others from theirs.
+    """Defers errors, so that the failure of one bus does not stop work on the others.
 
-    Each `with` keeps back what it raises; `raise_it` raises the first of it.
+    Each `with` suppresses its exception; `raise_it` raises the first one.
     """
 
     def __init__(self) -> None:
@@ -182,10 +181,10 @@ class FirstError:
         return False
 
     def raise_it(self) -> None:
-        """Raise the first error, if there was one.
+        """Raise the first error, if there is one, and drop the reference to it.
 
-        Nothing of it stays here: an error holds its frames, and those this object. In a process
-        that does not collect such rings, a bus that is gone would cost 3 kB a cycle.
+        The error references its frames, and those reference this object. The loop runs without
+        garbage collection: the cycle would leak 3 kB per control cycle while a bus is lost.
         """
         error, self._error = self._error, None
         if error is not None:
@@ -197,7 +196,7 @@ class FirstError:
 
 @dataclass(frozen=True)
 class Devices:
-    """The three roles of a rig, open and ready, and what to call at the start of each cycle."""
+    """Open devices of the three roles, and the function that begins a cycle."""
 
     amplifiers: CoilAmplifiers
     sensors: PositionSensors
@@ -206,13 +205,13 @@ class Devices:
 
     @property
     def syncs(self) -> tuple[Sync, ...]:
-        """What to call, in this order, to begin a cycle."""
+        """Functions that begin a cycle, in the order of the calls."""
         return (self.backends[0].sync,) if len(self.backends) == 1 else (self.sync,)
 
     def sync(self, cycle: int, late_s: float = 0.0) -> None:
-        """Begin a cycle on every backend, whatever happens to the others; raises what came first.
+        """Begin a cycle on every backend, even if one fails; raises the first error.
 
-        Zero force, too, acts only where a cycle begins.
+        Zero force, too, takes effect only when a cycle begins.
         """
         first = FirstError()
         for backend in self.backends:
@@ -222,26 +221,26 @@ class Devices:
 
     @property
     def stale(self) -> int:
-        """Cycles with a reading that came too late, of all backends."""
+        """Number of cycles with a missing reading, summed over the backends."""
         return sum(backend.stale for backend in self.backends)
 
     @property
     def stale_roles(self) -> int:
-        """The log's `stale` for the readings at hand."""
+        """Value of the log field `stale` for the current readings."""
         return self.sensors.stale | self.amplifiers.stale | self.drives.stale
 
     def recover(self) -> None:
-        """Recover every backend after a fault; raises DriverError where one cannot."""
+        """Recover every backend after a fault; raises DriverError if one cannot."""
         for backend in self.backends:
             backend.recover()
 
     def close(self) -> None:
-        """Close every backend, whatever happens to the others."""
+        """Close every backend, even if one fails; raises DriverError."""
         errors = []
         for backend in self.backends:
             try:
                 backend.close()
-            except Exception as error:  # noqa: BLE001 - one dead bus must not keep the others from zero force
+            except Exception as error:  # noqa: BLE001 - the other buses still have to get zero force
                 errors.append(f"{type(backend).__name__}: {error}")
         if errors:
-            raise DriverError(f"did not close: {'; '.join(errors)}")
+            raise DriverError(f"cannot close: {'; '.join(errors)}")

@@ -1,4 +1,4 @@
-"""What one loop has for itself: of two on one bus each would reset what the other flies with."""
+"""Lock a bus for one loop on this machine: two loops would reset each other's devices."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from .base import LinkError
 
 
 class Claim:
-    """A name that one process of this machine can hold; it is free again when that is gone."""
+    """A named lock that one process of this machine can hold; it is freed when the process ends."""
 
     def __init__(self, name: str) -> None:
-        # An abstract address: no file that a killed process would leave behind, and one for each
-        # network namespace, as CAN interfaces are. It has 107 bytes; a name may be any path.
+        # An abstract socket address: a killed process leaves no file, and it is local to a network
+        # namespace, as CAN interfaces are. The name is hashed because an address has 107 bytes.
         self._address = f"\0levid-{hashlib.sha256(name.encode()).hexdigest()}"
         self._held: socket.socket | None = None
 
-    def take(self) -> bool:
-        """Take it, or keep it; returns False where somebody else has it.
+    def acquire(self) -> bool:
+        """Acquire the lock, or keep it; returns False if another process holds it.
 
         Raises:
-            OSError: it cannot be taken for another reason.
+            OSError: the lock cannot be acquired for another reason.
         """
         if self._held is not None:
             return True
@@ -38,16 +38,16 @@ class Claim:
         return True
 
     def require(self, what: str) -> None:
-        """Take it, or keep it; raises LinkError that names `what` it is for."""
+        """Acquire the lock, or keep it; raises LinkError, which names the bus `what`."""
         try:
-            free = self.take()
+            acquired = self.acquire()
         except OSError as error:
-            raise LinkError(f"{what}: cannot be claimed: {error}") from None
-        if not free:
-            raise LinkError(f"{what}: another loop on this machine flies on it")
+            raise LinkError(f"{what}: cannot be locked: {error}") from None
+        if not acquired:
+            raise LinkError(f"{what}: another loop on this machine uses it; stop that one first")
 
     def release(self) -> None:
-        """Let others have it; safe to call twice."""
+        """Release the lock; safe to call twice."""
         held, self._held = self._held, None
         if held is not None:
             held.close()

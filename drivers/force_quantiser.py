@@ -1,4 +1,4 @@
-"""Forces on a wire of whole steps: what is rounded off in one cycle is made up for in the next."""
+"""Round forces to the steps of a bus, and carry the rounding error into the next cycle."""
 
 from __future__ import annotations
 
@@ -9,20 +9,19 @@ from .base import Array
 
 
 class CarriedRounding:
-    """Rounds commands (C,) to steps; the rests go into the next cycle's, so that none is lost.
+    """Rounds commands (C,) to steps with first-order error feedback (noise shaping).
 
-    Plain rounding of a force that hardly changes is off by the same part of a step for a long time,
-    and near a resonance that is not little. Carried on, the mean force is right, and what is left
-    is as fast as the cycle. Zero force is zero.
+    Plain rounding of a slowly changing force has a constant error, which matters near a resonance.
+    With feedback the mean force is exact, and the error is at high frequencies. Zero stays zero.
     """
 
     def __init__(self, step: float, channels: int) -> None:
         self._step = step
         self._rest, self._out = np.zeros(channels), np.zeros(channels)
-        self(self._rest)  # compiled here, not in a cycle
+        self(self._rest)  # compile before the first cycle
 
     def __call__(self, values: Array) -> Array:
-        """Return `values` in whole steps; the array is overwritten by the next call."""
+        """Return `values` (C,) in whole steps; the next call overwrites the array."""
         _round(values, self._step, self._rest, self._out)
         return self._out
 

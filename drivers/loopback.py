@@ -1,4 +1,4 @@
-"""The loopback backend: the simulated rig plays all three roles, in the loop's own process."""
+"""Loopback backend: the simulated rig plays all three roles, in the process of the loop."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .base import Array, Backend, CoilAmplifiers, Context, ManipulatorDrives, Po
 class LoopbackBackend(Backend):
     """One simulated plant behind amplifiers, sensors and drives.
 
-    A command written in cycle k acts over [t(k+1), t(k+2)), as on every backend: it takes over as
-    the next cycle begins. Where periods are skipped before that, the command before it acts on.
+    A command written in cycle k acts over [t(k+1), t(k+2)), as on every backend. If periods are
+    skipped before t(k+1), the previous command continues to act.
     """
 
     @classmethod
@@ -30,16 +30,16 @@ class LoopbackBackend(Backend):
         _sim_config(context)
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:  # noqa: ARG002
-        """Build the plant at rest on its stops."""
+        """Build the plant, at rest on its stops."""
         path, config = _sim_config(context)
         self._plant = Plant(config, context.period_s, source=path)
         self._cycle: int | None = None
-        # A command lies here from its cycle to the next, and then acts for a period.
+        # A command is pending until the next cycle, then it acts for a period.
         self._pending = _Command(len(context.rig.geometry.coil_x_m), self._plant)
         self._acting = _Command(len(context.rig.geometry.coil_x_m), self._plant)
 
     def sync(self, cycle: int, late_s: float = 0.0) -> None:  # noqa: ARG002
-        """Bring the plant to this cycle's moment and sample it."""
+        """Advance the plant to this cycle and sample it."""
         plant, acting = self._plant, self._acting
         if self._cycle is None:
             self._cycle = cycle
@@ -62,12 +62,12 @@ class LoopbackBackend(Backend):
         return _Drives(self._plant, self._pending)
 
     def close(self) -> None:
-        """Zero the force that acts next."""
+        """Command zero force."""
         self._pending.coil_n[:] = 0.0
 
 
 class _Command:
-    """Forces and setpoints of one cycle in one block; at first zero force, all at rest."""
+    """Forces and setpoints of a cycle in one array; initially zero force and rest."""
 
     def __init__(self, coils: int, plant: Plant) -> None:
         self.all = np.zeros(coils + 6)
@@ -110,7 +110,7 @@ class _Drives(ManipulatorDrives):
 
 def _sim_config(context: Context) -> tuple[Path, SimConfig]:
     if context.rig.sim is None:
-        raise ConfigError("sim: backend loopback needs the path of a SIM.yaml, found nothing")
+        raise ConfigError("sim: backend loopback needs the path of a SIM.yaml; add `sim: PATH`")
     path = context.folder / context.rig.sim
     config = load_yaml(path, SimConfig)
     simulated = config.geometry

@@ -1,4 +1,4 @@
-"""Host's look at readings of sensors and drives: what no sane device would say is an error."""
+"""Check sensor readings and drive positions: missing, at the range limit, frozen, skewed."""
 
 from __future__ import annotations
 
@@ -11,71 +11,67 @@ from ..wire.device_protocol import SensorState
 from .base import Array, DriveError, SensorError
 
 _FROZEN_CYCLES = 20
-"""How often a reading repeats itself before it is suspected. With noise of 0.1 um rms and counts of
-31 nm a channel repeats one with probability 0.09; twenty in a row are once in 1e20."""
+"""Equal readings in a row after which a channel is suspect. With noise of 0.1 um rms and counts of
+31 nm a reading repeats with probability 0.09: twenty in a row have a probability of 1e-20."""
 _OFF_M = 3e-7
-"""How far a suspected channel must leave the plane that all sensors together see: without noise a
-sound one repeats itself too, but then it stays in it."""
-
-
+"""Least change of a suspect channel's distance from the plane through all readings, in m. Without
+noise a working channel repeats its reading too, but stays in the plane."""
 _HELD_CYCLES = 3
 _FAR_OFF_M = 1e-6
-"""So far off the plane a channel is frozen after three repeats: a sound one that moves so far does
-not repeat itself at all, let alone, with that noise, once in 1e3 at rest and so far off."""
+"""Change of the distance from the plane, in m, above which three repeats suffice. A working channel
+that moves so far does not repeat; at rest, with that noise, it does so once in 1e3."""
 
 
 class SensorWatch:
-    """Looks for channels without a reading, at the end of their range, or frozen."""
+    """Detects channels without a reading, at the end of their range, or frozen."""
 
     def __init__(self, what: str, geometry: Geometry, range_m: float) -> None:
         self._what, self._end_m = what, 0.9999 * range_m
         x, y = geometry.sensors_x_m, geometry.sensors_y_m
-        # What remains of readings once the pose that fits them best is taken out.
+        # Residual of the readings after a least-squares fit of the pose.
         self._off_plane = np.eye(len(x)) - shape_matrix(x, y) @ decoupling_matrix(x, y)
         self._last = np.full(len(x), np.nan)
         self._repeats = np.zeros(len(x), np.int64)
         self._off_before = np.zeros(len(x))
         self._missed = np.zeros(len(x), np.bool_)
-        self._told = False
-        # Compiled here, not in a cycle: no reading yet is one that repeats nothing.
-        _judge(
+        self._reported = False
+        # Compile before the first cycle; copies, because the call writes to its arguments.
+        _check(
             np.zeros(len(x)), self._last.copy(), self._repeats.copy(), self._off_before.copy(),
             self._missed.copy(), self._off_plane, range_m,
         )  # fmt: skip
 
     def judge(self, gap_m: Array, state: int = SensorState.OK) -> None:
-        """Look at a fresh reading (S,) in m; nan becomes the last one, so that the loop can go on.
+        """Check a new reading (S,) in m; nan becomes the last reading, so that the loop continues.
 
-        `state` is what the ADC says of itself: what it calls faulty is not believed, number or not.
+        `state` is the ADC's own state; FAULTY is an error even if all readings are numbers.
 
         Raises:
-            SensorError: a channel is not to be trusted; raised once, until `reset`.
+            SensorError: a channel is faulty; raised once until `reset`.
         """
-        bad = _judge(
+        bad = _check(
             gap_m, self._last, self._repeats, self._off_before, self._missed, self._off_plane,
             self._end_m,
         )  # fmt: skip
-        if bad and not self._told:
-            self._told = True
+        if bad and not self._reported:
+            self._reported = True
             what = {1: "no reading", 2: "at the end of its range", 3: "frozen"}[bad % 4]
             raise SensorError(f"{self._what}: sensor {bad // 4}: {what}")
-        if state != SensorState.OK and not self._told:
-            self._told = True
-            raise SensorError(
-                f"{self._what}: the ADC says that a channel is faulty (state {state})"
-            )
+        if state != SensorState.OK and not self._reported:
+            self._reported = True
+            raise SensorError(f"{self._what}: the ADC reports a faulty channel (state {state})")
 
     def reset(self) -> None:
-        """Begin anew after a fault."""
-        self._told = False
-        self._missed[:] = True  # a channel that was mended has moved the plane: see `_judge`
+        """Start again after a fault."""
+        self._reported = False
+        self._missed[:] = True  # a repaired channel shifts the plane: see `_check`
 
 
 @njit(cache=True)
-def _judge(  # type: ignore[no-untyped-def]
+def _check(  # type: ignore[no-untyped-def]
     gap, last, repeats, off_before, missed, off_plane, end
 ) -> int:
-    """Return 4 times the channel plus what is wrong with it, 0 if nothing is."""
+    """Return 4 times the channel plus the kind of defect, 0 if there is none."""
     bad = 0
     back = False
     for i in range(gap.size):
@@ -85,7 +81,7 @@ def _judge(  # type: ignore[no-untyped-def]
             gap[i] = last[i]
         back = back or (missed[i] and not absent)
         missed[i] = absent
-    if back:  # where it is by now moves the plane, and nobody else
+    if back:  # the plane shifts although no other channel moved
         repeats[:] = 0
         for i in range(gap.size):
             off_before[i] = 0.0
@@ -113,9 +109,9 @@ def _judge(  # type: ignore[no-untyped-def]
 
 
 def check_skew(what: str, x1_m: float, x2_m: float, limit_m: float) -> None:
-    """Raise DriveError where the gantry's motors are further apart than `limit_m`."""
+    """Raise DriveError if the positions of the gantry's motors differ by more than `limit_m`."""
     if abs(x1_m - x2_m) > limit_m:
         raise DriveError(
-            f"{what}: X1 and X2 are {1e3 * abs(x1_m - x2_m):.3f} mm apart, "
-            f"at most {1e3 * limit_m:.3f} mm are allowed"
+            f"{what}: expected X1 and X2 within {1e3 * limit_m:.3f} mm, "
+            f"found {1e3 * abs(x1_m - x2_m):.3f} mm"
         )

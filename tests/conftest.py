@@ -191,7 +191,7 @@ def host_paced(monkeypatch: pytest.MonkeyPatch) -> None:
     half of one.
     """
     monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
-    for share in ("_ANSWER_SHARE", "_SENT_BY"):
+    for share in ("_ANSWER_SHARE", "_SETPOINTS_SHARE"):
         monkeypatch.setattr(f"levid.drivers.bus_backend.{share}", 1e4)
 
 

@@ -1,1 +1,1 @@
-"""Encode and decode frames, with checksums and time on the bus."""
+"""Encode and decode CAN and serial frames, with checksums and their time on the bus."""

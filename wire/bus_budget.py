@@ -28,14 +28,14 @@ _NOTABLE_LATENCY_S = 1e-4
 class BusTime:
     """Worst-case time of a cycle on one bus, in s.
 
-    The loop waits for `answers_s` and then `setpoints_s`. `others_s` only occupy the bus, but in
-    some cycles `before_s` of them precede the answers, and the rate has to hold those too.
+    The loop waits for `answers_s` and then `setpoints_s`. The frames of `unawaited_s` only occupy
+    the bus; in some cycles `before_s` of them precede the answers and delay them.
     """
 
     name: str
     answers_s: float
     setpoints_s: float
-    others_s: float
+    unawaited_s: float
     latency_s: float
     before_s: float = 0.0
 
@@ -47,7 +47,7 @@ class BusTime:
     @property
     def busy_s(self) -> float:
         """Time in which the bus is busy in the fullest cycle, latency included."""
-        return self.answers_s + self.setpoints_s + self.others_s + self.latency_s
+        return self.answers_s + self.setpoints_s + self.unawaited_s + self.latency_s
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What electronics say of themselves over any bus: states, parameters, the challenge to enable."""
+"""States, requests and parameters of the electronics, the same on every bus."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from ..config.base import ConfigError
 from ..config.rig import Limits, RigConfig
 
 PROTOCOL = 1
-"""Version of the frames; host and device must have the same."""
+"""Version of the frames; host and device must have the same version."""
 CYCLES = 61_440
-"""Cycles are counted modulo this on the wire: a multiple of 16, the counter in CAN frames, and of
-240, the counter of CANopen's SYNC."""
+"""Modulus of the cycle number in frames: a multiple of 16 (counter of CAN frames) and of 240
+(counter of SYNC)."""
 
 
 class AmplifierState(IntEnum):
-    """State of the coil amplifiers, in every frame of forces that they send."""
+    """State of the coil amplifiers, in every frame of forces."""
 
     OFF = 0
     ENABLED = 1
     EXPIRED = 2
     TRIPPED = 3
     UNHEARD = 4
-    """Enabled, but no setpoints came for this cycle: those before act on, until they expire."""
+    """Enabled, but no setpoints for this cycle: the previous ones act until they expire."""
 
 
 class SensorState(IntEnum):
-    """State of the ADC, in every frame of readings that it sends."""
+    """State of the ADC, in every frame of readings."""
 
     OK = 0
     FAULTY = 1
 
 
 class DriveState(IntEnum):
-    """State of drives on a serial port, in every frame of readings that they send."""
+    """State of drives on a serial port, in every frame of readings."""
 
     OFF = 0
     HOMING = 1
@@ -45,7 +45,7 @@ class DriveState(IntEnum):
 
 
 class Request(IntEnum):
-    """What the host may ask for besides the cycle."""
+    """Requests of the host, besides the cycle."""
 
     READ = 1
     ENABLE = 2
@@ -54,7 +54,7 @@ class Request(IntEnum):
 
 
 class Refusal(IntEnum):
-    """Answers to a request that cannot be met, in the place of the parameter."""
+    """Answers to a rejected request, in place of the parameter."""
 
     NO_SUCH_PARAMETER = 250
     WRONG_RESPONSE = 251
@@ -62,7 +62,7 @@ class Refusal(IntEnum):
 
 
 class DeviceParameter(IntEnum):
-    """Numbers that a device tells when asked; each is 32 bits, unsigned, in the unit it names."""
+    """Parameters that the host can read: 32 bits, unsigned, in the unit of the name."""
 
     PROTOCOL = 0
     COILS = 1
@@ -106,11 +106,11 @@ _LIMITS = {
     DeviceParameter.ROTOR_SPEED_MRAD_S: ("rotor_velocity_rad_s", 1e3),
     DeviceParameter.ROTOR_ACCELERATION_MRAD_S2: ("rotor_acceleration_rad_s2", 1e3),
 }
-"""Of each limit its name in RIG.yaml, and how many of the device's units are one of ours."""
+"""Key in RIG.yaml of each limit, and the device's counts per SI unit."""
 
 
-def declared(rig: RigConfig, expire_cycles: int) -> dict[DeviceParameter, int]:
-    """Return what a device of this rig must say of every parameter below CHALLENGE."""
+def expected_parameters(rig: RigConfig, expire_cycles: int) -> dict[DeviceParameter, int]:
+    """Return the value that a device of this rig must have of every parameter below CHALLENGE."""
     geometry = rig.geometry
     return {
         DeviceParameter.PROTOCOL: PROTOCOL,
@@ -125,27 +125,27 @@ def declared(rig: RigConfig, expire_cycles: int) -> dict[DeviceParameter, int]:
     }
 
 
-def require_told(rig: RigConfig, which: Sequence[DeviceParameter]) -> None:
-    """Raise ConfigError for a limit that a device cannot be told: its word has 32 bits."""
+def check_limits_fit(rig: RigConfig, which: Sequence[DeviceParameter]) -> None:
+    """Raise ConfigError for a limit that exceeds the 32 bits of a parameter."""
     for parameter in which:
         if parameter in _LIMITS:
-            require_word(rig.limits, *_LIMITS[parameter])
+            check_limit_fits(rig.limits, *_LIMITS[parameter])
 
 
-def require_word(limits: Limits, key: str, per_unit: float) -> None:
-    """Raise ConfigError where a limit, in a device's units, is more than 32 bits hold."""
+def check_limit_fits(limits: Limits, key: str, per_unit: float) -> None:
+    """Raise ConfigError if limit `key`, in the device's units, exceeds 32 bits."""
     value = getattr(limits, key)
     if round(per_unit * value) > _LARGEST:
         raise ConfigError(
-            f"limits.{key}: expected at most {_LARGEST / per_unit:.6g}, as much as a device can "
-            f"be told, found {value:g}"
+            f"limits.{key}: expected at most {_LARGEST / per_unit:.6g}, the largest value of the "
+            f"device protocol, found {value:g}"
         )
 
 
 def response(challenge: int, limits: Mapping[DeviceParameter, int]) -> int:
-    """Return the answer to a challenge: CRC-32 of it and of all limits that host and device hold.
+    """Return the response to a challenge: CRC-32 of the challenge and all amplifier limits.
 
-    A device whose limits are not the host's is therefore never enabled.
+    A device whose limits differ from the host's is therefore never enabled.
     """
     words = [challenge, *(limits[parameter] for parameter in AMPLIFIER_LIMITS)]
     return zlib.crc32(struct.pack(f"<{len(words)}I", *words))

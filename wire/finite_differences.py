@@ -1,20 +1,20 @@
-"""Velocity and acceleration of a sampled position from its last four samples."""
+"""Compute velocity and acceleration from the last four samples of a position."""
 
 from __future__ import annotations
 
 import math
 
 _TIMES_ACCELERATION = 5.0
-"""Targets that are carried forward overshoot where the acceleration changes its sign: by as much as
-it can do in a period, four times in a second difference."""
+"""Extrapolated targets overshoot when the acceleration changes its sign: their second difference
+adds up to four times that of the acceleration."""
 ROUNDED_COUNTS = 4
-"""By how much the second difference of rounded positions is off: four halves, on either side."""
+"""Bound in counts on the rounding error of second differences: 4 x 0.5 at target and at encoder."""
 
 
 def most_bend(acceleration: float, period_s: float, count: float) -> float:
-    """Return the largest second difference of positions within a limit of acceleration.
+    """Return the largest second difference of positions at a limit of acceleration.
 
-    In the unit of a `count`, m or rad; `acceleration` in that per s^2.
+    In the unit of `count`, m or rad; `acceleration` is in that unit per s^2.
     """
     return _TIMES_ACCELERATION * acceleration * period_s**2 + ROUNDED_COUNTS * count
 
@@ -22,12 +22,12 @@ def most_bend(acceleration: float, period_s: float, count: float) -> float:
 class Differences:
     """Backward differences of third (velocity) and second order (acceleration).
 
-    A drive in cyclic synchronous position mode gets positions alone, and a position encoder tells
-    nothing else: with one difference of two samples, velocity would be that of half a period ago.
+    Drives in cyclic synchronous position mode exchange positions only. A difference of two samples
+    would give the velocity half a period ago.
 
-    `bend` is the largest second difference of a motion that is sampled evenly. Beyond it third
-    order makes four times the speed of a position that stood still for one period and made up for
-    it in the next, as where a target came late: there velocity is that of the last period.
+    `bend` is the largest second difference of an evenly sampled motion. Above it (a target was late
+    and the drive caught up in the next period) the velocity is that of the last period: third order
+    would return four times the velocity.
     """
 
     def __init__(self, period_s: float, bend: float = math.inf) -> None:
@@ -36,7 +36,7 @@ class Differences:
         self._velocity = 0.0
 
     def at_rest(self, position: float) -> None:
-        """Begin anew: nothing has moved."""
+        """Start at rest at `position`."""
         self._last, self._velocity = (position, position, position), 0.0
 
     def push(self, p: float) -> tuple[float, float]:
@@ -51,9 +51,9 @@ class Differences:
         return self._velocity, (2.0 * p - 5.0 * a + 4.0 * b - c) / (T * T)
 
     def resume(self, p: float) -> tuple[float, float]:
-        """Return velocity and acceleration at a sample that did not come a period after the last.
+        """Return velocity and acceleration at a sample after a missing one.
 
-        What passed in between is not known: it goes on at the speed it had.
+        The number of missing periods is not used: the velocity stays as it was.
         """
         step = self._velocity * self._period_s
         self._last = p, p - step, p - 2.0 * step

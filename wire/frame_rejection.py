@@ -1,4 +1,4 @@
-"""Why a frame does not count."""
+"""List the reasons for which a frame is rejected."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from enum import Enum
 
 
 class Rejected(Enum):
-    """Why a frame does not count; the words end up in the fault."""
+    """Reason for which a frame is rejected; the words follow "N frames" in faults."""
 
     LENGTH = "of the wrong length"
     CHECKSUM = "with a wrong checksum"
-    COUNTER = "out of their cycle"
+    COUNTER = "of another cycle"
     REPEATED = "repeated"
     VERSION = "of another protocol version"
     KIND = "of an unknown kind"
-    FRAMING = "wrongly framed"
-    CYCLE = "of a cycle beyond those that are counted"
+    FRAMING = "with invalid framing"
+    CYCLE = "with a cycle number out of range"

@@ -1,4 +1,4 @@
-"""Sixteen-bit values on the wire: numbers to counts and back, compiled; one count means none."""
+"""Convert values to 16-bit counts and back; one count stands for a missing value."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int16]
 
 NO_VALUE = -32768
-"""A count that is no number: a device sends it for a channel it cannot read."""
+"""Count of a missing value, sent for a channel that cannot be read."""
 LARGEST = 32767
 
 

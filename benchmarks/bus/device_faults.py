@@ -72,7 +72,7 @@ class Played(NamedTuple):
 def measure(quick: bool) -> list[Figure]:
     assert {line.split()[0] for line in EXPECTED} == set(FAULTS) - NO_FAULT_OF_A_DEVICE
     core._SILENT_PERIODS = 1e9  # type: ignore[misc]
-    bus_backend._ANSWER_SHARE = bus_backend._SENT_BY = 1e4  # type: ignore[misc]
+    bus_backend._ANSWER_SHARE = bus_backend._SETPOINTS_SHARE = 1e4  # type: ignore[misc]
     figures, named, came_back, slowest = [], [], 0, 0
     for bus in ("canfd", "serial") if quick else BUSES:
         for line in EXPECTED:
@@ -153,7 +153,7 @@ def _play(devices: Devices, electronics: Electronics, line: str) -> Played:
             with contextlib.suppress(DriverError):  # it is gone: the device's own expiry has to do
                 devices.amplifiers.release(np.zeros(9))
         time.sleep(_PACE_S)
-        if electronics.injector.hears:
+        if electronics.injector.receives:
             _wait_for(device, cycle)
         else:  # its own clock goes on, in step with the host's
             device._period()

@@ -14,20 +14,20 @@ from levid.drivers.base import (
 )
 
 EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
-    "drop": ((StaleError,), "came: nothing"),
+    "drop": ((StaleError,), "received: nothing"),
     "drop-setpoints": ((AmplifierError,), "setpoints expired"),
     "delay": ((StaleError,), "too late"),
-    "corrupt": ((StaleError,), "wrong checksum|wrongly framed"),
-    "repeat": ((StaleError,), "out of their cycle|too late"),
-    "reorder": ((StaleError,), "out of their cycle"),
-    "bus-off": ((LinkError, StaleError), "the controller is bus-off|^serial .*came: nothing"),
-    "disconnect": ((StaleError, LinkError), "came: nothing|lost"),
+    "corrupt": ((StaleError,), "wrong checksum|invalid framing"),
+    "repeat": ((StaleError,), "of another cycle|too late"),
+    "reorder": ((StaleError,), "of another cycle"),
+    "bus-off": ((LinkError, StaleError), "the controller is bus-off|^serial .*received: nothing"),
+    "disconnect": ((StaleError, LinkError), "received: nothing|lost"),
     "stuck 4": ((SensorError,), "sensor 4: no reading"),
     "frozen 6": ((SensorError,), "sensor 6: frozen"),
     "saturated 2": ((SensorError,), "sensor 2: at the end of its range"),
     "trip 3": ((AmplifierError,), "tripped, coil 3"),
     "encoder phi": ((DriveError,), "0x7305"),
-    "skew 0.001": ((DriveError,), "X1 and X2 are 1.000 mm apart"),
+    "skew 0.001": ((DriveError,), "X1 and X2 .* found 1.000 mm"),
 }
 """By the line that injects it."""
 UNHEARD = ("drop-setpoints", "bus-off", "disconnect")

@@ -22,7 +22,7 @@ from levid.wire.can.kernel_frame import (
     OTHER,
     BusOffError,
     ReceivedFrame,
-    unpacked,
+    unpack_frame,
 )
 from levid.wire.can.local_bus import LocalFrames
 from levid.wire.device_protocol import CYCLES
@@ -173,7 +173,7 @@ def _raw(rng: np.random.Generator, size: int) -> bytes:
 def _unpacked(raw: bytes) -> ReceivedFrame | None:
     """Return what was made of it, None for a controller that has left the bus."""
     try:
-        return unpacked(raw, 0.0)
+        return unpack_frame(raw, 0.0)
     except BusOffError:
         return None
 

@@ -1,4 +1,4 @@
-"""Noise into both ends of CANopen drives: what the host hears, and what emulated nodes are told.
+"""Noise into both ends of CANopen drives: what the host receives, and what emulated nodes are told.
 
 Half of it is near what is right: words that are random alone end at the first check.
 """
@@ -51,7 +51,7 @@ class Wire:
 
 
 def drives_heard(n: int, rng: np.random.Generator) -> Outcome:
-    """Cycles of emergencies, heartbeats and PDOs as the host hears them; `n` frames in all.
+    """Cycles of emergencies, heartbeats and PDOs as the host receives them; `n` frames in all.
 
     A cycle counts if all three positions came; the fault DRIVE must follow from what drives say in
     it, and from nothing else.
@@ -68,7 +68,7 @@ def drives_heard(n: int, rng: np.random.Generator) -> Outcome:
         wire.coming = [ReceivedFrame(can_id, data, 0.0) for can_id, data in speech + places]
         wire.sent.clear()
         drives.watch.reset()
-        drives._judged, drives._told, drives._sync_number = True, False, -1
+        drives._checked, drives._stopped, drives._sync_number = True, False, -1
         for axis in drives._axes:
             axis.begin(0)
         fault = False
@@ -104,7 +104,7 @@ def nodes_told(n: int, rng: np.random.Generator) -> Outcome:
         node = int(rng.integers(0, 5)) if base else 0
         data = rng.integers(0, 256, int(rng.integers(9)), np.uint8).tobytes()
         try:
-            nodes.take(base + node, data)
+            nodes.handle_frame(base + node, data)
             answers += nodes.sync()
         except Exception:  # noqa: BLE001 - it would end the thread that answers
             wrong += 1

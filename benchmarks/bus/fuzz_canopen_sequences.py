@@ -164,6 +164,6 @@ def _goes(drives: CanDrives, wire: Wire, faulty: bool, rng: np.random.Generator)
 def _recover(drives: CanDrives) -> None:
     """As after `recover`, without its exchange with drives that there are none of."""
     drives.watch.reset()
-    drives._judged, drives._told, drives._written = True, False, None
+    drives._checked, drives._stopped, drives._written = True, False, None
     for axis in drives._axes:
         axis.begin(0)

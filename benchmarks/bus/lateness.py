@@ -39,7 +39,7 @@ from levid.benchmarks.harness.ratio_of_shares import MOST_RATIO, Round, ratio_fi
 from levid.benchmarks.harness.table import Figure, Met, Target
 from levid.drivers.base import DriverError
 
-_TRIES = 3
+_ATTEMPTS = 3
 _ANOTHER_HOST = 1000
 """After such a jump of the cycle electronics do not catch up with what they missed."""
 _AGAINST = (
@@ -75,13 +75,13 @@ def lateness_figures(seconds: float, rounds: Mapping[str, int], kept: Parts) -> 
 
 
 def until_whole(name: str, seconds: float, number: int) -> tuple[dict[str, Stretch], int]:
-    """Return a round, and how many before it broke off; none after _TRIES."""
-    for broken in range(_TRIES):
+    """Return a round, and how many before it broke off; none after _ATTEMPTS."""
+    for broken in range(_ATTEMPTS):
         try:
             return one_round(name, seconds, number), broken
         except DriverError as error:
             print(f"{LABELS[name]}, round {number}: {error}", file=sys.stderr)
-    return {}, _TRIES
+    return {}, _ATTEMPTS
 
 
 def one_round(name: str, seconds: float, number: int) -> dict[str, Stretch]:

@@ -56,7 +56,7 @@ class Faulty:
         self._due: tuple[str, SimpleQueue[dict[str, Any]]] | None = None
         self._cut_short = 0
         core = electronics.core
-        sample, push, take_over = core._sample, core.plant.push, core.take_over
+        sample, push, take_over = core._sample, core.plant.push, core.apply_setpoints
 
         def sampled() -> None:
             due, self._due = self._due, None
@@ -76,7 +76,7 @@ class Faulty:
         # Nothing else of the shipped electronics knows of these faults, or of parts of a period.
         core._sample = sampled  # type: ignore[method-assign]
         core.plant.push = pushed  # type: ignore[method-assign]
-        core.take_over = taken_over  # type: ignore[method-assign]
+        core.apply_setpoints = taken_over  # type: ignore[method-assign]
 
     def command(self, line: str) -> dict[str, Any]:
         """Carry out a line, `status` too; return what was done and the state before it."""

@@ -1,1 +1,1 @@
-"""Amplifiers and ADC by a DBC file, drives as CANopen nodes, on any bus that python-can knows."""
+"""CAN backend: amplifiers and ADC by a DBC file, drives as CANopen nodes (CiA 402)."""

@@ -1,4 +1,4 @@
-"""Coil amplifiers and ADC on CAN: setpoints out, forces and heights in, requests in between."""
+"""Coil amplifiers and ADC on CAN: setpoints, forces, heights and requests, by the DBC."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...wire.device_protocol import (
     SENSOR_LIMITS,
     AmplifierState,
     Request,
-    declared,
+    expected_parameters,
 )
 from ...wire.frame_rejection import Rejected
 from ...wire.int16_scaling import LARGEST
@@ -24,16 +24,16 @@ from ..reading_checks import SensorWatch
 from .bus_link import CanLink
 from .readings import Readings
 
-_UNHEARD = int(Stale.SETPOINTS)
+_MISSING_SETPOINTS = int(Stale.SETPOINTS)
 _EXCHANGE_S = 0.1
-_TRIES = 5
-_SETS = 16
+_ATTEMPTS = 5
+_SET_NUMBERS = 16
 
 Deadline = Callable[[], float]
 
 
 class CanAmplifiers(CoilAmplifiers):
-    """Amplifiers by the DBC's Setpoints, Forces, Request and Answer."""
+    """Amplifiers with the DBC's messages Setpoints, Forces, Request and Answer."""
 
     def __init__(
         self,
@@ -49,44 +49,44 @@ class CanAmplifiers(CoilAmplifiers):
         self._set = 0
         self._link, self._setpoint, self._deadline = link, frames.setpoint, deadline
         self._in_steps = CarriedRounding(frames.setpoint.unit, len(rig.geometry.coil_x_m))
-        self._limits = declared(rig, expire_cycles)
-        self._questions = Questions(link, frames.request, frames.answer)
+        self._limits = expected_parameters(rig, expire_cycles)
+        self._requests = Requests(link, frames.request, frames.answer)
         self._watch = AmplifierWatch(
-            self.readings.what, self._limits, self._questions.ask, stale_cycles
+            self.readings.what, self._limits, self._requests.ask, stale_cycles
         )
-        self._questions.answered = self._watch.answered
+        self._requests.answered = self._watch.answered
 
     def write(self, coil_n: Array) -> None:
-        """Send setpoints (C,) in N; the amplifiers take them over at the next Sync.
+        """Send setpoints (C,) in N, which act from the next Sync on.
 
-        Of several sets in a cycle each has its number, where other frames have a state: frames of
-        one of which some are lost are not taken for those of the next.
+        Each set has a number, so that frames of two sets in one cycle are not mixed if some are
+        lost.
         """
         self._watch.commanding(coil_n)
         send = self._link.send
-        self._set = (self._set + 1) % _SETS
+        self._set = (self._set + 1) % _SET_NUMBERS
         for can_id, data in self._setpoint.encode(self._in_steps(coil_n), self.cycle, self._set):
             send(can_id, data)
 
     def read(self, coil_n: Array) -> None:
-        """Fill `coil_n` (C,) with the forces of this cycle, or of the last that came."""
+        """Fill `coil_n` (C,) with the forces of this cycle in N; unchanged if they are missing."""
         self.readings.collect(self._deadline(), coil_n)
         if self.readings.fresh:
-            # Each frame may be of an amplifier of its own.
+            # Each frame may come from another amplifier.
             state = worst_state(self.readings.states)
-            self.stale = _UNHEARD if state == AmplifierState.UNHEARD else 0
+            self.stale = _MISSING_SETPOINTS if state == AmplifierState.UNHEARD else 0
             self._watch.judge(state, coil_n)
 
     def recover(self) -> None:
         """Compare limits and reset trips; raises DriverError."""
         self.readings.reset()
-        exchange = self._questions.exchange
+        exchange = self._requests.exchange
         compare_limits(self.readings.what, self._limits, AMPLIFIER_LIMITS, exchange)
         self._watch.reset(exchange)
 
 
 class CanSensors(PositionSensors):
-    """An ADC by the DBC's Gaps, SensorRequest and SensorAnswer."""
+    """An ADC with the DBC's messages Gaps, SensorRequest and SensorAnswer."""
 
     def __init__(
         self,
@@ -97,13 +97,13 @@ class CanSensors(PositionSensors):
         deadline: Deadline,
     ) -> None:
         self.readings = Readings("sensors", link, frames.gap, stale_cycles)
-        self._deadline, self._limits = deadline, declared(rig, 0)
-        self._questions = Questions(link, frames.sensor_request, frames.sensor_answer)
+        self._deadline, self._limits = deadline, expected_parameters(rig, 0)
+        self._requests = Requests(link, frames.sensor_request, frames.sensor_answer)
         range_m = frames.gap.unit * LARGEST
         self._watch = SensorWatch(self.readings.what, rig.geometry, range_m)
 
     def read(self, gap_m: Array) -> None:
-        """Fill `gap_m` (S,) with the heights of this cycle, or of the last that came."""
+        """Fill `gap_m` (S,) with the heights of this cycle in m; unchanged if they are missing."""
         self.readings.collect(self._deadline(), gap_m)
         if self.readings.fresh:
             self.stale = 0
@@ -113,41 +113,44 @@ class CanSensors(PositionSensors):
         """Compare limits; raises DriverError."""
         self.readings.reset()
         self._watch.reset()
-        exchange = self._questions.exchange
+        exchange = self._requests.exchange
         compare_limits(self.readings.what, self._limits, SENSOR_LIMITS, exchange)
 
 
-def _answers(answer: int, request: Request, index: int) -> bool:
+def _is_answer(answer: int, request: Request, index: int) -> bool:
     return request != Request.READ or answer == index or bool(refusal(answer))
 
 
-class Questions:
-    """Requests to one device, in the cycle without waiting or between cycles with its answer."""
+class Requests:
+    """Sends requests to one device, without waiting or, between cycles, with the answer."""
 
     def __init__(self, link: CanLink, request: Fields, answer: Fields) -> None:
         self._link, self._request, self._answer = link, request, answer
         self.answered: Callable[[int, int], None] = lambda _, __: None
         self._latest: tuple[int, int] | None = None
-        link.listen(answer.can_id, self._take)
+        link.listen(answer.can_id, self._receive)
 
     def ask(self, request: Request, index: int, value: int) -> None:
-        """Ask; the answer goes to `answered` when it comes."""
+        """Send a request; its answer goes to `answered`."""
         self._link.send(*self._request.encode(request, index, value))
 
     def exchange(self, request: Request, index: int, value: int) -> tuple[int, int]:
-        """Ask and return index and value of the answer; raises LinkError where none comes."""
-        for _ in range(_TRIES):
+        """Send a request and return index and value of its answer; LinkError on a timeout."""
+        for _ in range(_ATTEMPTS):
             self._link.drain()
             self._latest = None
             self.ask(request, index, value)
             deadline_s = perf_counter() + _EXCHANGE_S
             while perf_counter() < deadline_s and self._link.receive(deadline_s):
-                # An answer to what was asked before this, and came too late, is another's.
-                if self._latest is not None and _answers(self._latest[0], request, index):
+                # Ignore a late answer to an earlier request.
+                if self._latest is not None and _is_answer(self._latest[0], request, index):
                     return self._latest
-        raise LinkError(f"{self._link.what}: nobody answers to {self._request.name}")
+        raise LinkError(
+            f"{self._link.what}: no answer to {self._request.name}; check power, "
+            "wiring and bit rate"
+        )
 
-    def _take(self, _: int, data: bytes) -> None:
+    def _receive(self, _: int, data: bytes) -> None:
         numbers = self._answer.decode(data)
         if not isinstance(numbers, Rejected):
             self._latest = numbers[0], numbers[1]

@@ -1,4 +1,4 @@
-"""The CAN backend: amplifiers, ADC and drives on as many buses as the rig has."""
+"""CAN backend: amplifiers, ADC and drives on any number of buses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...wire.can import cia402
 from ...wire.can.adapters import check_bus
 from ...wire.can.can_frames import CanFrames, load_frames
 from ...wire.can.cia402 import NMT_ID, NODE_IDS, SYNC_ID
-from ...wire.device_protocol import AMPLIFIER_LIMITS, CYCLES, SENSOR_LIMITS, require_told
+from ...wire.device_protocol import AMPLIFIER_LIMITS, CYCLES, SENSOR_LIMITS, check_limits_fit
 from ...wire.int16_scaling import LARGEST
 from ..base import Context, FirstError, LinkError
 from ..bus_backend import AnswerTime, BusBackend
@@ -28,7 +28,7 @@ from .canopen_nodes import node_of
 
 
 class CanBackend(BusBackend):
-    """Opens each bus once for all the roles on it."""
+    """Opens each bus once for all roles on it."""
 
     @classmethod
     def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:  # noqa: ARG003
@@ -37,11 +37,11 @@ class CanBackend(BusBackend):
         check_bus(f"can.{_option(context.rig, role).bus}", bus)
         _check_ids(context, role)
         if role == "drives":
-            cia402.require_told(context.rig.limits)
+            cia402.check_limits_fit(context.rig.limits)
             _check_expiry(context.rig)
             _check_eds(context)
             return
-        require_told(context.rig, AMPLIFIER_LIMITS if role == "amplifiers" else SENSOR_LIMITS)
+        check_limits_fit(context.rig, AMPLIFIER_LIMITS if role == "amplifiers" else SENSOR_LIMITS)
         frames = _frames(context, bus)
         largest_n = frames.setpoint.unit * LARGEST
         if role == "amplifiers" and context.rig.limits.coil_n > largest_n:
@@ -51,7 +51,7 @@ class CanBackend(BusBackend):
             )
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
-        """Open the buses, compare limits with the devices', home and enable the drives."""
+        """Open the buses, compare limits with the devices, home and enable the drives."""
         rig = context.rig
         self._answers = AnswerTime.of(context)
         self._deadline_s = 0.0
@@ -92,13 +92,13 @@ class CanBackend(BusBackend):
             raise
 
     def sync(self, cycle: int, late_s: float = 0.0) -> None:
-        """Begin a cycle on every bus, whatever happens to the others; raises what came first.
+        """Begin a cycle on every bus, even if one fails; raises the first error.
 
-        Without its Sync a bus that is well would go on with the force it has.
+        Without a Sync the amplifiers on a working bus would keep their force.
         """
-        # From the first moment on: what answers a Sync that went out late is of a later moment.
+        # Before anything else: the answer to a late Sync is sampled late too.
         self._deadline_s = self._answers.deadline_s(perf_counter(), late_s)
-        self._nothing_came()
+        self._mark_stale()
         first = FirstError()
         for link in self._links.values():
             with first:
@@ -117,7 +117,7 @@ class CanBackend(BusBackend):
         first.raise_it()
 
     def recover(self) -> None:
-        """Open all buses anew, compare limits, reset trips, home drives; raises DriverError."""
+        """Reopen all buses, compare limits, reset trips, home drives; raises DriverError."""
         for link in self._links.values():
             link.open()
         for role in self._dbc_roles:
@@ -127,21 +127,21 @@ class CanBackend(BusBackend):
 
     @property
     def stale(self) -> int:
-        """Readings that did not come in time, of all devices."""
+        """Number of missing readings, summed over the devices."""
         of_drives = self._drives.watch.stale if self._drives is not None else 0
         return of_drives + sum(role.readings.watch.stale for role in self._dbc_roles)
 
     def close(self) -> None:
-        """Send zero force, stop the drives and let go of the buses.
+        """Send zero force, stop the drives and close the buses.
 
-        What does not get through, the devices do by themselves when nothing comes any more.
+        If these frames are lost, the devices switch off when their setpoints expire.
         """
         try:
             if self._amplifiers is not None:
                 with suppress(LinkError):
                     self._amplifiers.release(np.zeros(self._coils))
                     self._begin_last_cycle()
-            if self._drives is not None:  # also where only some of them could be enabled
+            if self._drives is not None:  # also if only some of them were enabled
                 with suppress(LinkError):
                     self._drives.leave()
         finally:
@@ -149,7 +149,7 @@ class CanBackend(BusBackend):
                 link.close()
 
     def _begin_last_cycle(self) -> None:
-        """Let the last setpoints act: nothing else does."""
+        """Send a Sync, at which the last setpoints take effect."""
         assert self._amplifiers is not None
         for link, frames in self._syncs:
             with suppress(LinkError):
@@ -160,7 +160,7 @@ class CanBackend(BusBackend):
 
 
 def _check_ids(context: Context, role: str) -> None:
-    """Raise ConfigError where two frames on the bus of `role` have the same ID."""
+    """Raise ConfigError if two frames on the bus of `role` have the same ID."""
     rig, name = context.rig, _option(context.rig, role).bus
     roles = [each for each in ROLES if getattr(rig, each).backend == "can"]
     on = {each: found for each in roles if (found := _option(rig, each)).bus == name}
@@ -168,8 +168,8 @@ def _check_ids(context: Context, role: str) -> None:
     for can_id, what in _ids(context, rig.can[name], on):
         if can_id in used:
             raise ConfigError(
-                f"can.{name}: expected an ID for each frame, found 0x{can_id:03X} for "
-                f"{used[can_id]} and {what}"
+                f"can.{name}: expected a different ID for each frame, found 0x{can_id:03X} "
+                f"for {used[can_id]} and {what}"
             )
         used[can_id] = what
 
@@ -189,7 +189,7 @@ def _ids(context: Context, bus: CanBus, on: Mapping[str, RoleOptions]) -> Iterat
 
 
 def _check_expiry(rig: RigConfig) -> None:
-    """Raise ConfigError where drives would take regular targets for missing ones."""
+    """Raise ConfigError if targets would expire between two SYNC of the drives."""
     drives = _option(rig, "drives")
     assert isinstance(drives, CanDriveOptions)
     least_s = 2.0 * drives.every / rig.rate_hz

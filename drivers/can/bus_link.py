@@ -1,4 +1,4 @@
-"""One CAN bus: sends frames, hands those that come to whoever listens, up to a deadline."""
+"""Send frames on a CAN bus, and dispatch received frames to listeners until a deadline."""
 
 from __future__ import annotations
 
@@ -12,87 +12,87 @@ from ...wire.can.kernel_frame import BusOffError
 from ..base import DriverError, LinkError
 from ..bus_lock import Claim
 
-_MOST_DRAINED = 1000
-"""More frames than come between cycles; where frames have no stamp nothing else ends it."""
+_MOST_FRAMES = 1000
+"""Most frames that `drain` handles, more than a cycle brings; the only bound without timestamps."""
 
 Listener = Callable[[int, bytes], None]
 
 
 class CanLink:
-    """A bus that may go away and come back; what fails is a LinkError that names bus and cause."""
+    """A bus that can be lost and reopened; a failure is a LinkError that names bus and cause."""
 
     def __init__(self, name: str, bus: CanBus) -> None:
         self.what = f"can {name} ({bus.interface} {bus.channel})"
         self._config = bus
         self._listeners: dict[int, Listener] = {}
         self._bus: FrameBus | None = None
-        self._aside: list[FrameBus] = []  # lost, and not shut down yet
+        self._to_close: list[FrameBus] = []  # lost, not shut down yet
         self._ages, self._stamped = Ages(bus.interface), False
         self.received_s = 0.0
-        """When the last frame came, on the loop's clock (perf_counter), by the stamp of hardware or
-        kernel where the interface gives one: it is free of the delays of this process."""
-        # A virtual bus is of this process alone.
+        """Time of the last received frame (perf_counter), by the timestamp of hardware or kernel if
+        the interface has one: without the delays of this process."""
+        # A virtual bus is inside this process.
         self._claim = None if bus.interface == "virtual" else Claim(bus.place)
 
     def open(self) -> None:
-        """Open the bus, anew if it was open; raises LinkError, where another loop has it too."""
-        self._let_go()
+        """Open the bus, again if it is open; raises LinkError, also if another loop uses it."""
+        self._close_all()
         if self._claim is not None:
             self._claim.require(self.what)
         try:
             self._bus = open_bus(self._config)
-        except Exception as error:  # noqa: BLE001 - interfaces raise whatever they meet
-            raise LinkError(f"{self.what}: cannot be opened: {_words(error)}") from None
+        except Exception as error:  # noqa: BLE001 - interfaces raise any exception
+            raise LinkError(f"{self.what}: cannot be opened: {_text(error)}") from None
 
     def close(self) -> None:
-        """Let go of the bus; safe to call twice."""
-        self._let_go()
+        """Close the bus; safe to call twice."""
+        self._close_all()
         if self._claim is not None:
             self._claim.release()
 
-    def _let_go(self) -> None:
-        self._set_aside()
-        while self._aside:
-            self._aside.pop().shutdown()
+    def _close_all(self) -> None:
+        self._close_later()
+        while self._to_close:
+            self._to_close.pop().shutdown()
 
-    def _set_aside(self) -> None:
+    def _close_later(self) -> None:
         if self._bus is not None:
-            self._aside.append(self._bus)
+            self._to_close.append(self._bus)
         self._bus = None
 
     def listen(self, can_id: int, listener: Listener) -> None:
-        """Hand every frame of this ID to `listener`; frames of other IDs are nobody's.
+        """Pass every frame with this ID to `listener`; frames without a listener are ignored.
 
         Raises:
-            DriverError: somebody listens to it already, and would hear nothing any more.
+            DriverError: the ID has a listener already.
         """
         if can_id in self._listeners:
-            raise DriverError(f"{self.what}: ID 0x{can_id:03X} is used twice")
+            raise DriverError(f"{self.what}: ID 0x{can_id:03X} is used by two devices")
         self._listeners[can_id] = listener
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame; raises LinkError."""
         if self._bus is None:
-            raise LinkError(f"{self.what}: gone")
+            raise LinkError(f"{self.what}: not open")
         try:
             self._bus.send(can_id, data)
         except Exception as error:  # noqa: BLE001 - as above
-            self._lost(f"sending failed: {_words(error)}")
+            self._fail(f"sending failed: {_text(error)}")
 
     def receive(self, deadline_s: float) -> bool:
-        """Hand on the next frame, waiting until `deadline_s` (perf_counter) at most.
+        """Dispatch the next frame, waiting until `deadline_s` (perf_counter); 0 does not wait.
 
-        Returns whether one came; raises LinkError, for a controller that is bus-off too.
+        Returns whether a frame was received; raises LinkError, also if the controller is bus-off.
         """
         if self._bus is None:
-            raise LinkError(f"{self.what}: gone")
+            raise LinkError(f"{self.what}: not open")
         try:
             wait_s = deadline_s - perf_counter() if deadline_s else 0.0
             frame = self._bus.receive(max(wait_s, 0.0))
         except BusOffError:
-            self._lost("the controller is bus-off")
+            self._fail("the controller is bus-off")
         except Exception as error:  # noqa: BLE001 - as above
-            self._lost(f"receiving failed: {_words(error)}")
+            self._fail(f"receiving failed: {_text(error)}")
         if frame is None:
             return False
         can_id, data, stamp_s = frame
@@ -105,22 +105,21 @@ class CanLink:
         return True
 
     def drain(self) -> None:
-        """Hand on all that has come; raises LinkError.
+        """Dispatch all frames received before this call; raises LinkError.
 
-        What comes meanwhile is left: on a busy bus there is always one more.
+        Later frames stay in the queue: a busy bus never runs empty.
         """
         began_s = perf_counter()
-        for _ in range(_MOST_DRAINED):
+        for _ in range(_MOST_FRAMES):
             if not self.receive(0.0) or (self._stamped and self.received_s > began_s):
                 return
 
-    def _lost(self, why: str) -> NoReturn:
-        # Shutting down waits, for a thread or a line: in the cycle at hand other buses have not had
-        # their zero force yet.
-        self._set_aside()
+    def _fail(self, why: str) -> NoReturn:
+        # Close later: shutting down waits, and other buses still need zero force in this cycle.
+        self._close_later()
         raise LinkError(f"{self.what}: lost: {why}") from None
 
 
-def _words(error: Exception) -> str:
-    """Return what an error says; of python-can's for a time that is over there is its name only."""
+def _text(error: Exception) -> str:
+    """Return the text of an error, or its name: timeouts of python-can have no text."""
     return str(error) or type(error).__name__

@@ -1,4 +1,4 @@
-"""Gantry and rotor on CANopen drives: targets out and positions in by PDO, watched every cycle."""
+"""Gantry and rotor on CANopen drives: exchange targets and positions by PDO, check every cycle."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CanDrives(ManipulatorDrives):
         deadline: Callable[[], float],
     ) -> None:
         self.what = f"drives on {link.what}"
-        # Theirs come in every n-th cycle only: so many are as many cycles. One may be lost.
+        # Counted in SYNCs, one in every n-th cycle; at least one may be missing.
         tolerated = max(stale_cycles // options.every, min(stale_cycles, 1))
         self.watch = Watch(self.what, tolerated)
         self._link, self._options, self._deadline = link, options, deadline
@@ -84,18 +84,18 @@ class CanDrives(ManipulatorDrives):
         self._by_id = {TPDO1_ID + axis.node.node_id: axis for axis in self._axes}
         for axis in self._axes:
             node_id = axis.node.node_id
-            link.listen(TPDO1_ID + node_id, self._take)
+            link.listen(TPDO1_ID + node_id, self._handle_tpdo)
             link.listen(EMERGENCY_ID + node_id, axis.emergency)
             link.listen(HEARTBEAT_ID + node_id, axis.heartbeat)
         self._waiting = 0
         self._late = False
-        self._judged = True
-        self._told = False
+        self._checked = True
+        self._stopped = False
 
     def sync(self, cycle: int) -> None:
-        """Send SYNC in the cycles that have one; what comes from here on belongs to it.
+        """Send SYNC in every n-th cycle (`every`), or in the first cycle after a skipped one.
 
-        Those are the multiples of `every`, or the first after one that was skipped.
+        Raises StaleError after too many missing positions, LinkError if the bus is lost.
         """
         self._cycle = cycle
         number = cycle // self._options.every
@@ -103,21 +103,21 @@ class CanDrives(ManipulatorDrives):
             return
         first = FirstError()
         with first:
-            self._judge()
+            self._check_answers()
         self.watch.begin()
         self._waiting, self._late = len(self._axes), False
         for axis in self._axes:
-            axis.came = False
+            axis.received = False
         # Slower drives have until the next SYNC to answer.
         self._answer_due = cycle if self._options.every == 1 else self._sync_cycle
-        self._judged, self._sync_cycle, self._sync_number = False, cycle, number
-        self._catch_up()
+        self._checked, self._sync_cycle, self._sync_number = False, cycle, number
+        self._send_missed_targets()
         self._targets_sent = False
         self._send_sync(number)
         first.raise_it()
 
     def write(self, beam: Array, rotor: Array) -> None:
-        """Send targets, which the drives reach one SYNC after the next."""
+        """Send targets, which the drives reach at the SYNC after the next one."""
         self._setpoint[0], self._setpoint[1], self._written = beam, rotor, self._cycle
         if (self._cycle + 1) // self._options.every != self._sync_number:
             self._send_targets(self._cycle)
@@ -126,39 +126,39 @@ class CanDrives(ManipulatorDrives):
         """Fill beam (3,) with m, m/s, N and rotor (3,) with rad, rad/s, N m of the last SYNC.
 
         Raises:
-            StaleError: positions did not come in too many cycles in a row.
-            DriveError: a drive is in fault, silent, or the gantry is askew; once, until recovered.
+            StaleError: positions were missing in too many consecutive cycles.
+            DriveError: a drive is in fault or silent, or the gantry is skewed; raised once until
+                `recover`.
         """
         every_cycle = self._options.every == 1
         if every_cycle:
             deadline_s, link = self._deadline(), self._link
-            # On a bus that is busy with other things there is always one more frame.
+            # A bus that is busy with other frames never runs empty: stop at the deadline.
             while self._waiting and link.receive(deadline_s) and link.received_s <= deadline_s:
                 pass
         first = FirstError()
-        # Also where readings are missing: those of a drive that is off the bus always are, and the
-        # others must not stay powered beside it.
+        # Also without readings: if one drive has left the bus, the others have to switch off.
         with first:
-            if not self._told:
-                self._told = True
+            if not self._stopped:
+                self._stopped = True
                 try:
                     self._check()
                 except DriveError:
-                    if not every_cycle:  # the next targets are some cycles away
+                    if not every_cycle:  # the next targets are sent some cycles later
                         with suppress(LinkError):
                             self.release()
                     raise
-                self._told = False
+                self._stopped = False
         with first:
             if every_cycle:
-                self._judge()
-            self._tell(beam, rotor)
+                self._check_answers()
+            self._fill(beam, rotor)
         first.raise_it()
 
     def recover(self) -> None:
         """Compare limits, map PDOs, home and enable every drive; raises DriverError.
 
-        Where one of them fails, none of them stays powered.
+        If one drive fails, all are switched off.
         """
         try:
             with Answers(self._nodes):
@@ -174,32 +174,31 @@ class CanDrives(ManipulatorDrives):
                 self.release()
             raise
         self.watch.reset()
-        self._judged, self._told, self._written = True, False, None
+        self._checked, self._stopped, self._written = True, False, None
 
     def release(self) -> None:
-        """Let the drives brake and switch off: who goes on purpose is not to be missed.
+        """Brake the drives and switch them off: at once by SDO, and by PDO with the next SYNC.
 
-        At once by SDO, and by PDO with the next SYNC: one out of turn would have its number, and
-        bring positions that belong to no cycle. Until they are recovered `write` sends nothing but
-        quick stops. Raises LinkError.
+        No extra SYNC is sent: its positions would belong to no cycle. Until `recover`, `write`
+        sends quick stops only. Raises LinkError.
         """
-        self._told = True
+        self._stopped = True
         for axis in self._axes:
             axis.node.stop()
             counts = round(axis.position / axis.unit)
             self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(QUICK_STOP, counts))
 
     def leave(self) -> None:
-        """Release the drives, and send the SYNC that no cycle will bring; raises LinkError."""
+        """Release the drives, and send a last SYNC; raises LinkError."""
         self.release()
         self._sync_number += 1
         self._send_sync(self._sync_number)
 
-    def _tell(self, beam: Array, rotor: Array) -> None:
-        """Fill beam and rotor as of this cycle, from what the drives said last."""
+    def _fill(self, beam: Array, rotor: Array) -> None:
+        """Fill beam and rotor for this cycle, from the last positions of the drives."""
         x1, x2, phi = self._axes
         self.stale = self.STALE if x1.cycle < self._answer_due else 0
-        # Slower drives are not waited for: between their readings position goes on at its speed.
+        # Between the readings of slow drives, the position is extrapolated at constant velocity.
         since_s = (self._cycle - x1.cycle) * self._period_s
         beam[0] = 0.5 * (x1.position + x2.position + since_s * (x1.velocity + x2.velocity))
         beam[1] = 0.5 * (x1.velocity + x2.velocity)
@@ -217,31 +216,31 @@ class CanDrives(ManipulatorDrives):
         counted = [node.name for node in self._nodes if node.counts_syncs]
         if 0 < len(counted) < len(self._nodes):
             raise DriverError(
-                f"{self.what}: expected SYNC_OVERFLOW (0x1019) to be the same in all of them, "
-                f"found a SYNC that is counted in {', '.join(counted)} alone"
+                f"{self.what}: expected the same SYNC_OVERFLOW (0x1019) in all drives, found a "
+                f"counted SYNC only in {', '.join(counted)}"
             )
         self._counted = bool(counted)
 
     def _home(self, *together: DriveNode) -> None:
-        """Home drives at the same time: two motors of one gantry would pull against each other."""
+        """Home drives together: the two motors of the gantry must move at the same time."""
         for node in together:
             node.enable(self._options.homing_method)
         for axis in self._axes:
-            axis.error = 0  # that was before the reset
+            axis.error = 0  # it occurred before the reset
         for node in together:
             node.start_homing()
         give_up_s = perf_counter() + _HOMING_S
         begin: list[float] | None = None
-        seen: list[bool | None] = []
+        attained_before: list[bool | None] = []
         while True:
-            at_m = _places(together)
+            at_m = _positions(together)
             attained, done = zip(*(node.homing() for node in together), strict=True)
             for axis in self._axes:
                 if axis.node in together:
                     axis.check_homing()
-            # One of them counts from somewhere else now, or does so any moment.
-            if list(attained) != seen or None in attained:
-                begin, seen = None, list(attained)
+            # An origin has changed or is about to: compare displacements from here on.
+            if list(attained) != attained_before or None in attained:
+                begin, attained_before = None, list(attained)
             elif begin is None:
                 begin = at_m
             else:
@@ -259,10 +258,11 @@ class CanDrives(ManipulatorDrives):
         for other_m in x2_m:
             check_skew(self.what, x1_m, other_m, self._options.skew_m)
 
-    def _catch_up(self) -> None:
-        """Send targets where the cycle that should have was skipped, as of the one before this.
+    def _send_missed_targets(self) -> None:
+        """Send targets if the cycle that should have sent them was skipped.
 
-        Without any for as long as that the drives have stopped, and nobody knows how far they are.
+        Not after a whole SYNC period without targets: the drives have stopped by then, and their
+        position is unknown.
         """
         last = self._cycle - 1
         if self._targets_sent or self._written is None:
@@ -271,15 +271,15 @@ class CanDrives(ManipulatorDrives):
             self._send_targets(last)
 
     def _send_targets(self, cycle: int) -> None:
-        """Send the last setpoint, carried forward as if it had been written in `cycle`."""
+        """Send the last setpoint, extrapolated to `cycle`."""
         assert self._written is not None
-        # The setpoint is of the end of the coming period; with fewer SYNCs than cycles the drive
-        # gets there later, and the target lies as much further on.
+        # The setpoint is for the end of the next period; with a SYNC in every n-th cycle the drive
+        # reaches its target later, so the target is further ahead.
         ahead_s = self._sync_s + (cycle - self._written - 1) * self._period_s
         p, v, a = self._setpoint.T
         x_m, phi_rad = (p + ahead_s * (v + 0.5 * ahead_s * a)).tolist()
-        # Beside a drive that is in fault the others are not to go on.
-        word = QUICK_STOP if self._told else ENABLE_OPERATION
+        # If one drive is in fault, the others stop too.
+        word = QUICK_STOP if self._stopped else ENABLE_OPERATION
         for axis, target in zip(self._axes, (x_m, x_m, phi_rad), strict=True):
             counts = min(max(round(target / axis.unit), -_MOST), _MOST)
             self._link.send(RPDO1_ID + axis.node.node_id, RPDO.pack(word, counts))
@@ -288,11 +288,11 @@ class CanDrives(ManipulatorDrives):
     def _send_sync(self, number: int) -> None:
         self._link.send(SYNC_ID, bytes((sync_counter(number),)) if self._counted else b"")
 
-    def _judge(self) -> None:
-        """Say whether all answered the last SYNC: raises StaleError where too many did not."""
-        if self._judged:
+    def _check_answers(self) -> None:
+        """Check that all drives answered the last SYNC; raises StaleError after too many misses."""
+        if self._checked:
             return
-        self._judged = True
+        self._checked = True
         if self._late:
             self.watch.late()
         if self._waiting or self._late:
@@ -300,21 +300,21 @@ class CanDrives(ManipulatorDrives):
         else:
             self.watch.fresh()
 
-    def _take(self, can_id: int, data: bytes) -> None:
+    def _handle_tpdo(self, can_id: int, data: bytes) -> None:
         axis = self._by_id[can_id]
         if len(data) != TPDO.size:
             self.watch.reject(Rejected.LENGTH)
-        elif axis.came:
+        elif axis.received:
             self.watch.reject(Rejected.REPEATED)
         else:
-            axis.came, axis.data = True, bytes(data)
+            axis.received, axis.data = True, bytes(data)
             self._waiting -= 1
             if self._options.every == 1 and self._link.received_s > self._deadline():
-                self._late = True  # nobody knows when it was sampled
+                self._late = True  # the time of sampling is unknown
             if not self._waiting and not self._late:
-                # Together or not at all: at speed, positions of two SYNCs would look like a skew.
+                # Update all axes together: positions of two SYNCs would look like a skew.
                 for each in self._axes:
-                    each.take(self._sync_cycle)
+                    each.update(self._sync_cycle)
 
     def _check(self) -> None:
         now_s = perf_counter()
@@ -329,21 +329,21 @@ class CanDrives(ManipulatorDrives):
                 )
             if axis.left is not None:
                 words = axis.left.words if isinstance(axis.left, Node) else f"{axis.left}"
-                raise DriveError(f"{axis.node.what}: expected to be operational, found {words}")
+                raise DriveError(f"{axis.node.what}: expected NMT state operational, found {words}")
             if now_s - axis.heard_s > _MISSED_HEARTBEATS * self._options.heartbeat_s:
-                raise DriveError(f"{axis.node.what}: no heartbeat")
+                raise DriveError(f"{axis.node.what}: no heartbeat for {now_s - axis.heard_s:.2f} s")
         x1, x2, _ = self._axes
         check_skew(self.what, x1.position, x2.position, self._options.skew_m)
 
 
-def _places(together: tuple[DriveNode, ...]) -> list[float]:
-    """Return positions in counts times POSITION_M, the first one's at the moment of the last one's.
+def _positions(together: tuple[DriveNode, ...]) -> list[float]:
+    """Return positions in m, interpolated to the same time.
 
-    Drives are asked one after the other: at constant speed a mean of two is of the time between.
+    Drives are read one after the other: the first one is read before and after the second.
     """
-    before, *others = (node.position() for node in together)
-    after = together[0].position() if others else before
-    return [POSITION_M * counts for counts in (0.5 * (before + after), *others)]
+    before, *second = (node.position() for node in together)
+    after = together[0].position() if second else before
+    return [POSITION_M * counts for counts in (0.5 * (before + after), *second)]
 
 
 _NMT_STATE = 0x7F
@@ -351,18 +351,18 @@ _NMT_STATES = frozenset(Node)
 
 
 class _Axis:
-    """What one drive said last, in SI units."""
+    """Last state and position of one drive, in SI units."""
 
     def __init__(
         self, node: DriveNode, unit: float, every: int, sync_s: float, acceleration: float
     ) -> None:
         self.node, self.unit, self._every = node, unit, every
         self._differences = Differences(sync_s, most_bend(acceleration, sync_s, unit))
-        self.came, self.data = False, b""
+        self.received, self.data = False, b""
         self.begin(0)
 
     def begin(self, counts: int) -> None:
-        """Begin anew at rest."""
+        """Start at rest at position `counts`."""
         self.position, self.velocity, self.force = counts * self.unit, 0.0, 0.0
         self.status, self.error = DriveStates.OPERATION_ENABLED.value[1], 0
         self.left: int | None = None
@@ -371,12 +371,12 @@ class _Axis:
         self._differences.at_rest(self.position)
 
     def check_homing(self) -> None:
-        """Raise DriveError where the drive has said meanwhile that it does not go on."""
+        """Raise DriveError if the drive has sent an emergency."""
         if self.error:
             raise DriveError(f"{self.node.what}: emergency, error code 0x{self.error:04X}")
 
-    def take(self, cycle: int) -> None:
-        """Take over what came with the SYNC of `cycle`."""
+    def update(self, cycle: int) -> None:
+        """Update state, position and velocity from the TPDO of the SYNC in `cycle`."""
         regular, self.cycle = cycle - self.cycle == self._every, cycle
         self.status, counts, per_mille = TPDO.unpack(self.data)
         self.position = counts * self.unit
@@ -390,7 +390,7 @@ class _Axis:
             self.error = _EMERGENCY.unpack_from(data)[0]
 
     def heartbeat(self, _: int, data: bytes) -> None:
-        """Note that it lives; `left` is what it went over to once it was operational."""
+        """Note a heartbeat; `left` is the NMT state that the drive went to from operational."""
         self.heard_s = perf_counter()
         state = data[0] & _NMT_STATE if data else -1
         if state == Node.OPERATIONAL:

@@ -1,4 +1,4 @@
-"""CANopen drives between cycles: objects read and written, limits compared, homed, enabled."""
+"""Configure, home and enable a CANopen drive by SDO, between cycles."""
 
 from __future__ import annotations
 
@@ -44,33 +44,33 @@ from .bus_link import CanLink
 
 _STATE_S = 2.0
 _LAG_S = 0.1
-"""Longer than a statusword lags; who is at home at once, as by method 35 or 37, takes as long."""
+"""Longest lag of a statusword in s; homing takes at least that long."""
 _POLL_S = 0.005
 _SYNCHRONOUS = 1
 _NOT_VALID = 1 << 31
 _OPERATIONAL, _PRE_OPERATIONAL = 0x01, 0x80
 _SDO_BYTES = 8
 _MOST_ANSWERS = 8
-"""More answers than an object takes that levid reads or writes, in segments of a byte each."""
+"""Most SDO answers to one request; objects that levid uses need fewer, at one byte per segment."""
 _OBJECTS = frozenset(Object)
 _OTHER_PDOS = frozenset((*range(0x1401, 0x1600), *range(0x1801, 0x1A00)))
 
 
 def node_of(node_id: int, eds: Path | None) -> Any:
-    """Return the library's node by its EDS, the shipped one for None; raises ConfigError."""
-    # The library warns on every object that an EDS leaves out.
+    """Return the canopen node of an EDS, by default the shipped one; raises ConfigError."""
+    # canopen warns about every object that an EDS omits.
     logging.getLogger("canopen").setLevel(logging.ERROR)
     path = eds or shipped("drive.eds")
     try:
         return canopen.RemoteNode(node_id, str(path))
-    except Exception as error:  # noqa: BLE001 - the library raises whatever it meets
+    except Exception as error:  # noqa: BLE001 - canopen raises any exception
         raise ConfigError(f"{path}: not a valid EDS: {error}") from None
 
 
 class DriveNode:
-    """One drive, by its EDS; methods wait for its answers, and have to be called within `Answers`.
+    """One drive with its EDS. Methods wait for SDO answers: call them within `Answers`.
 
-    `name` is what errors call it. The methods raise DriverError.
+    `name` names the drive in errors. The methods raise DriverError.
     """
 
     def __init__(self, name: str, node_id: int, eds: Path | None, link: CanLink) -> None:
@@ -79,10 +79,10 @@ class DriveNode:
         self._node = node_of(node_id, eds)
         self._node.sdo.RESPONSE_TIMEOUT = 0.3
         self.counts_syncs = False
-        """Whether its SYNC has a counter, which others take for an error; known once configured."""
+        """Whether the drive expects a counter in SYNC; valid after `configure`."""
         self.rated = 1.0
-        """Rated force in N, of a rotary motor torque in N m; known once configured."""
-        self._started_s: float | None = None  # homing, until that was seen
+        """Rated force in N, for a rotary motor torque in N m; valid after `configure`."""
+        self._started_s: float | None = None  # homing
         self._network = _LinkNetwork(link)
         self._network.add_node(self._node)
         link.listen(SDO_ANSWER_ID + node_id, self._network.notify_now)
@@ -95,15 +95,15 @@ class DriveNode:
         expire_ms: int,
         sync_s: float,
     ) -> None:
-        """Compare limits, set heartbeat and PDOs, which begin with every SYNC from here on.
+        """Compare limits, set the heartbeat, map the PDOs.
 
-        `limits`: object and subindex to the value that the rig asks for. `expire_ms`: how long
-        targets may stay away, where the drive can watch over that.
+        `limits`: the rig's value of each (object, subindex). `expire_ms`: longest time without
+        targets, set if the drive has the object for it.
         """
         self._nmt(_PRE_OPERATIONAL)
         profile = self._read(Object.DEVICE_TYPE) & 0xFFFF
         if profile != DEVICE_TYPE_DRIVE:
-            raise DriverError(f"{self.what}: expected a CiA 402 drive, found profile {profile}")
+            raise DriverError(f"{self.what}: expected device profile 402, found {profile}")
         wrong = [
             f"{index.name}: expected {expected}, found {found}"
             for (index, sub), expected in limits.items()
@@ -111,7 +111,7 @@ class DriveNode:
         ]
         if wrong:
             raise DriverError(
-                f"{self.what}: limits in the device are not the rig's: {'; '.join(wrong)}"
+                f"{self.what}: limits of the device differ from RIG.yaml: {'; '.join(wrong)}"
             )
         self.counts_syncs = self._syncs_are_counted()
         self.rated = RATED * self._read(Object.RATED_FORCE)
@@ -129,46 +129,48 @@ class DriveNode:
         self._map(Object.TPDO1, Object.TPDO1_MAP, tpdo, TPDO_MAPPING)
 
     def enable(self, homing_method: int) -> None:
-        """Reset a fault, and enable operation in homing mode: it stands, and nothing moves yet."""
+        """Reset a fault and enable operation in homing mode, without moving."""
         self._write(Object.HOMING_METHOD, homing_method)
         self._mode(Mode.HOMING)
         self._go_to_operation()
 
     def start_homing(self) -> None:
-        """Start homing, which takes the rising edge of a bit that may be set from the last time."""
+        """Start homing, by a rising edge of its bit in the controlword."""
         self._write(Object.CONTROLWORD, ENABLE_OPERATION)
         self._write(Object.CONTROLWORD, START_HOMING)
         self._started_s = perf_counter()
 
     def homing(self) -> tuple[bool | None, bool]:
-        """Return whether positions count from home, and whether the drive stands there.
+        """Return whether home is attained (None: not known yet), and whether the drive rests there.
 
-        A statusword that says so from the first, or that it failed, is believed after a while only:
-        it may be one of before the start, of the last time. Until then nobody knows (None).
+        The statusword may still show the result of the previous homing: in the first _LAG_S after
+        the start, a result is ignored.
         """
         word = self._read(Object.STATUSWORD)
         self._require_operation(word)
         if self._started_s is not None:
-            told = word & (HOMING_ATTAINED | HOMING_ERROR)
-            if told and perf_counter() - self._started_s < _LAG_S:
+            result = word & (HOMING_ATTAINED | HOMING_ERROR)
+            if result and perf_counter() - self._started_s < _LAG_S:
                 return None, False
             self._started_s = None
         if word & HOMING_ERROR:
-            raise DriveError(f"{self.what}: homing failed")
+            raise DriveError(
+                f"{self.what}: homing failed; check the home switch and drives.homing_method"
+            )
         attained = bool(word & HOMING_ATTAINED)
         return attained, attained and bool(word & TARGET_REACHED)
 
     def follow(self) -> None:
-        """Go over to cyclic synchronous position mode, at rest, and exchange PDOs."""
-        # Where it stands is the first target: nothing moves when the mode changes.
+        """Change to cyclic synchronous position mode, at rest, and start to exchange PDOs."""
+        # The actual position is the first target: nothing moves when the mode changes.
         self._write(Object.TARGET_POSITION, self._read(Object.ACTUAL_POSITION))
         self._mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
         self._nmt(_OPERATIONAL)
 
     def stop(self) -> None:
-        """Let the drive brake and switch off, whatever it is doing; no answer is waited for.
+        """Brake the drive and switch it off, without waiting for an answer.
 
-        PDOs reach operational nodes alone; one that is being homed, or just started, is none.
+        By SDO, because only operational nodes accept PDOs: during homing and start-up it is not.
         """
         self.link.send(SDO_REQUEST_ID + self.node_id, write_controlword(QUICK_STOP))
 
@@ -177,16 +179,16 @@ class DriveNode:
         return self._read(Object.ACTUAL_POSITION)
 
     def listen(self, waits: bool) -> None:
-        """Hand answers to the library only while somebody `waits`: else it would keep them all."""
+        """Pass answers to canopen only while a request `waits`, else its queue would grow."""
         self._network.waits = waits
 
     def _syncs_are_counted(self) -> bool:
-        """Return what object 0x1019 says, which drives take at their start only: it is not set."""
+        """Return whether SYNC is counted, by object 0x1019; drives read it at start-up only."""
         overflow = self._read(Object.SYNC_OVERFLOW) if self._has(Object.SYNC_OVERFLOW) else 0
         if overflow not in (0, SYNC_COUNTER):
             raise DriverError(
                 f"{self.what}: SYNC_OVERFLOW (0x1019): expected {SYNC_COUNTER}, or 0 for a SYNC "
-                f"that is not counted, found {overflow}"
+                f"without counter, found {overflow}"
             )
         return overflow == SYNC_COUNTER
 
@@ -200,13 +202,13 @@ class DriveNode:
                 self._require_operation(self._read(Object.STATUSWORD))
                 return
             if state is DriveStates.FAULT:
-                self._write(Object.CONTROLWORD, 0)  # the reset takes a rising edge
+                self._write(Object.CONTROLWORD, 0)  # the fault reset needs a rising edge
             if state in TOWARDS_OPERATION:
                 self._write(Object.CONTROLWORD, TOWARDS_OPERATION[state])
             sleep(_POLL_S)
 
     def _require_operation(self, word: int) -> None:
-        """Raise DriveError, with the drive's error code, where it is not enabled."""
+        """Raise DriveError, with the drive's error code, if operation is not enabled."""
         state = state_of(word)
         if state is not DriveStates.OPERATION_ENABLED:
             code = self._read(Object.ERROR_CODE)
@@ -224,9 +226,9 @@ class DriveNode:
             sleep(_POLL_S)
 
     def _switch_off_other_pdos(self) -> None:
-        """Make those invalid that nobody listens or sends to: many drives come with some valid.
+        """Disable all PDOs that levid does not use: many drives have some enabled by default.
 
-        They would fill the bus beside what a cycle is computed to take, or move the drive.
+        They would load the bus beyond its budget, or move the drive.
         """
         for index in self._node.object_dictionary:
             if index in _OTHER_PDOS and self._has(index, 1):
@@ -237,7 +239,7 @@ class DriveNode:
     def _map(
         self, record: Object, mapping: Object, cob_id: int, objects: tuple[tuple[Object, int], ...]
     ) -> None:
-        """Map a PDO by the procedure of CiA 301: invalid, emptied, filled, valid."""
+        """Map a PDO by the procedure of CiA 301: disable, clear, fill, enable."""
         self._write(record, cob_id | _NOT_VALID, 1)
         self._write(record, _SYNCHRONOUS, 2)
         self._write(mapping, 0, 0)
@@ -272,7 +274,7 @@ class DriveNode:
             raise
         except canopen.SdoCommunicationError as error:
             raise LinkError(f"{self.what}: {_name(index)}: {error}") from None
-        except Exception as error:  # noqa: BLE001 - an object that the EDS or the drive lacks
+        except Exception as error:  # noqa: BLE001 - the EDS or the drive lacks the object
             raise DriverError(f"{self.what}: {_name(index)}: {error}") from None
 
     def _nmt(self, command: int) -> None:
@@ -284,21 +286,21 @@ def _name(index: int) -> str:
 
 
 class _LinkNetwork(canopen.Network):
-    """The library on a link: it sends there, and is told what its node answers."""
+    """Network of canopen on a CanLink."""
 
     def __init__(self, link: CanLink) -> None:
         super().__init__()
         self._link, self.waits = link, False
         self.answers = 0
-        """How many came since the last question."""
+        """Number of answers since the last request."""
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:  # noqa: ARG002
         self._link.send(can_id, bytes(data))
 
     def notify_now(self, can_id: int, data: bytes) -> None:
-        """Hand an answer to the library, if somebody waits for it.
+        """Pass an answer to canopen if a request waits for it.
 
-        The library looks at no length, and reads segments for as long as a drive sends any.
+        Length and number are checked here: canopen checks neither.
         """
         if self.waits and len(data) == _SDO_BYTES and self.answers < _MOST_ANSWERS:
             self.answers += 1
@@ -306,7 +308,7 @@ class _LinkNetwork(canopen.Network):
 
 
 class Answers:
-    """Receives in a thread while the library waits for answers of nodes; between cycles only."""
+    """Receives frames in a thread while canopen waits for SDO answers; between cycles only."""
 
     def __init__(self, nodes: Sequence[DriveNode]) -> None:
         self._nodes, self._stop = nodes, threading.Event()
@@ -327,12 +329,12 @@ class Answers:
         while not self._stop.is_set():
             try:
                 self._nodes[0].link.receive(perf_counter() + 0.01)
-            except DriverError:  # whoever waits for an answer gets a timeout
+            except DriverError:  # the waiting request times out
                 return
 
 
 def interpolation(sync_s: float) -> tuple[int, int]:
-    """Return value and power of ten of the interpolation period (object 0x60C2), the nearest."""
+    """Return the nearest interpolation period (object 0x60C2): value and power of ten."""
     each = [(min(max(round(sync_s / 10.0**p), 1), 255), p) for p in (-3, -4, -5, -6)]
-    # The first of those that are as near: what rounding leaves of 1 ms in us is no error.
+    # Of equally near ones the first: rounding errors of the conversion are ignored.
     return min(each, key=lambda it: round(abs(it[0] * 10.0 ** it[1] - sync_s), 12))

@@ -1,1 +1,1 @@
-"""Amplifiers, sensors and drives on serial ports, in the protocol of docs/serial-protocol.md."""
+"""Serial backend: all roles on serial ports, in the protocol of docs/serial-protocol.md."""

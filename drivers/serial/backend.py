@@ -1,4 +1,4 @@
-"""The serial backend: every role on ports of the framed protocol, one transaction a cycle."""
+"""Serial backend: all roles on serial ports, one transaction per port and cycle."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from ...wire.device_protocol import (
     AmplifierState,
     DriveState,
     Request,
-    declared,
-    require_told,
+    check_limits_fit,
+    expected_parameters,
 )
 from ...wire.int16_scaling import LARGEST
 from ...wire.serial.serial_frames import FORCE_N, GAP_M, FrameContents
@@ -39,7 +39,7 @@ from ..force_quantiser import CarriedRounding
 from ..reading_checks import SensorWatch, check_skew
 from .transaction import TransactionPort
 
-_UNHEARD = int(Stale.SETPOINTS)
+_MISSING_SETPOINTS = int(Stale.SETPOINTS)
 
 
 _LIMITS_OF = {
@@ -50,13 +50,13 @@ _LIMITS_OF = {
 
 
 class SerialBackend(BusBackend):
-    """Opens each port once for all the roles on it."""
+    """Opens each port once for all roles on it."""
 
     @classmethod
     def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:  # noqa: ARG003
-        """Check a role's options; raises ConfigError."""
+        """Check a role's options, port and limits; raises ConfigError."""
         context.rig.on_bus(role)
-        require_told(context.rig, _LIMITS_OF[role])
+        check_limits_fit(context.rig, _LIMITS_OF[role])
         if role == "amplifiers" and context.rig.limits.coil_n > FORCE_N * LARGEST:
             raise ConfigError(
                 f"limits.coil_n: expected at most {FORCE_N * LARGEST:g} N, the range of the "
@@ -64,7 +64,7 @@ class SerialBackend(BusBackend):
             )
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
-        """Open the ports, compare limits with the devices', enable the drives."""
+        """Open the ports, compare limits with the devices, enable the drives."""
         rig = context.rig
         options = {role: found[1] for role in roles if (found := rig.on_bus(role)) is not None}
         names = dict.fromkeys(option.bus for option in options.values())
@@ -91,8 +91,8 @@ class SerialBackend(BusBackend):
             raise
 
     def sync(self, cycle: int, late_s: float = 0.0) -> None:
-        """Begin a cycle on every port: setpoints out, samples in; raises what came first."""
-        self._nothing_came()
+        """Begin a cycle on every port, even if one fails; raises the first error."""
+        self._mark_stale()
         first = FirstError()
         for port in self._ports.values():
             with first:
@@ -100,7 +100,7 @@ class SerialBackend(BusBackend):
         first.raise_it()
 
     def recover(self) -> None:
-        """Open all ports anew, compare limits, reset trips, enable drives; raises DriverError."""
+        """Reopen all ports, compare limits, reset trips, enable drives; raises DriverError."""
         for port in self._ports.values():
             port.open()
         for role in self._recovering:
@@ -108,16 +108,16 @@ class SerialBackend(BusBackend):
 
     @property
     def stale(self) -> int:
-        """Cycles without a reading in time."""
+        """Number of cycles without a reading in time."""
         return sum(port.watch.stale for port in self._ports.values())
 
     def close(self) -> None:
-        """Send zero force and let go of the ports; after expire_cycles the device is off."""
+        """Send zero force and close the ports; the device switches off after expire_cycles."""
         amplifiers = self._roles.get("amplifiers")
         try:
             if isinstance(amplifiers, _Amplifiers) and amplifiers.open:
                 amplifiers.open = False
-                with suppress(LinkError):  # it is gone: the device's own expiry has to do
+                with suppress(LinkError):  # port lost: the device switches off by expiry
                     amplifiers.release(np.zeros_like(amplifiers.port.coil_n))
         finally:
             for port in self._ports.values():
@@ -128,7 +128,7 @@ class _Amplifiers(CoilAmplifiers):
     def __init__(self, port: TransactionPort, rig: RigConfig, expire_cycles: int) -> None:
         self.port, self.open = port, False
         self._in_steps = CarriedRounding(FORCE_N, len(rig.geometry.coil_x_m))
-        self._limits = declared(rig, expire_cycles)
+        self._limits = expected_parameters(rig, expire_cycles)
         self._watch = AmplifierWatch(
             f"amplifiers on {port.what}", self._limits, port.ask, port.stale_cycles
         )
@@ -146,7 +146,7 @@ class _Amplifiers(CoilAmplifiers):
         self.port.collect()
         if self.port.fresh:
             state = self.port.frames.amplifier_readings(coil_n)
-            self.stale = _UNHEARD if state == AmplifierState.UNHEARD else 0
+            self.stale = _MISSING_SETPOINTS if state == AmplifierState.UNHEARD else 0
             self._watch.judge(state, coil_n)
 
     def recover(self) -> None:
@@ -159,12 +159,12 @@ class _Amplifiers(CoilAmplifiers):
 
 class _Sensors(PositionSensors):
     def __init__(self, port: TransactionPort, rig: RigConfig) -> None:
-        self._port, self._limits = port, declared(rig, 0)
+        self._port, self._limits = port, expected_parameters(rig, 0)
         self._watch = SensorWatch(f"sensors on {port.what}", rig.geometry, GAP_M * LARGEST)
 
     def read(self, gap_m: Array) -> None:
         self._port.collect()
-        if self._port.fresh:  # else it stays: a channel without a reading was made good there
+        if self._port.fresh:  # else the last reading stays, without nan
             state = self._port.frames.sensor_readings(gap_m)
             self.stale = 0
             self._watch.judge(gap_m, state)
@@ -177,23 +177,23 @@ class _Sensors(PositionSensors):
 
 class _Drives(ManipulatorDrives):
     def __init__(self, port: TransactionPort, rig: RigConfig, options: SerialDriveOptions) -> None:
-        self._port, self._limits = port, declared(rig, 0)
+        self._port, self._limits = port, expected_parameters(rig, 0)
         self._skew_m = options.skew_m
-        self._axes = np.full((3, 3), np.nan)  # until they have told
-        self._told = False
+        self._axes = np.full((3, 3), np.nan)  # until the first reading
+        self._stopped = False
 
     def write(self, beam: Array, rotor: Array) -> None:
-        # Once they are at fault, in the host's eyes alone perhaps, they are told no place to go to:
-        # they switch off, and two motors askew do not stand powered against each other.
-        if self._told:
-            self._go_nowhere()
+        # After an error, even one that only the host detects, the drives get no setpoints: they
+        # switch off, and two skewed motors do not push against each other.
+        if self._stopped:
+            self._clear_setpoints()
             return
         self._port.beam[:] = beam
         self._port.rotor[:] = rotor
 
     def release(self) -> None:
-        self._told = True
-        self._go_nowhere()
+        self._stopped = True
+        self._clear_setpoints()
 
     def read(self, beam: Array, rotor: Array) -> None:
         port, axes = self._port, self._axes
@@ -205,19 +205,19 @@ class _Drives(ManipulatorDrives):
         beam[2] = axes[0, 2] + axes[1, 2]
         rotor[:] = axes[2]
         self.stale = 0 if port.fresh else self.STALE
-        if self._told or not port.fresh:
+        if self._stopped or not port.fresh:
             return
-        self._told = True
+        self._stopped = True
         what = f"drives on {port.what}"
         if state != DriveState.OPERATING:
             raise DriveError(f"{what}: not operating, error code 0x{error:04X}")
         check_skew(what, axes[0, 0], axes[1, 0], self._skew_m)
-        self._told = False
+        self._stopped = False
 
     def recover(self) -> None:
         port = self._port
-        # They may have been moved by hand: what they were told before the fault is no target.
-        self._go_nowhere()
+        # They may have been moved by hand: setpoints from before the fault are no targets.
+        self._clear_setpoints()
         self._axes[:] = np.nan
         compare_limits(port.what, self._limits, DRIVE_LIMITS, port.exchange)
         index, error = port.exchange(Request.ENABLE_DRIVES, 0, 0)
@@ -225,7 +225,7 @@ class _Drives(ManipulatorDrives):
             raise DriveError(f"drives on {port.what}: cannot be enabled{why}")
         if error:
             raise DriveError(f"drives on {port.what}: cannot be enabled, error code 0x{error:04X}")
-        self._told = False
+        self._stopped = False
 
-    def _go_nowhere(self) -> None:
+    def _clear_setpoints(self) -> None:
         self._port.beam[:] = self._port.rotor[:] = np.nan

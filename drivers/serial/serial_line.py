@@ -1,4 +1,4 @@
-"""One serial port as bytes: opened by any URL that pyserial knows, read up to a deadline."""
+"""Read and write bytes on a serial port, or on any URL of pyserial, up to a deadline."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from ..bus_lock import Claim
 
 _CHUNK = 4096
 _WRITE_S = 0.1
-_SLICE_S = 0.001
-"""How long a port without a descriptor is waited for at a time. It stays the same: some, such as
-rfc2217://, negotiate all their settings anew whenever one changes."""
+_READ_S = 0.001
+"""Read timeout of a port without a file descriptor. It is constant: rfc2217:// negotiates all
+settings again whenever one changes."""
 
 
 class SerialLine:
-    """Writes bytes and waits for bytes; what fails is a LinkError that names port and cause."""
+    """Writes and reads bytes; a failure is a LinkError that names port and cause."""
 
     def __init__(self, name: str, bus: SerialBus) -> None:
         self._what = f"serial {name} ({bus.port})"
         self._bus = bus
         self._port: Any = None
-        self._aside: list[Any] = []  # lost, and not closed yet
+        self._to_close: list[Any] = []  # lost, and not closed yet
         self._fd = -1
         self._waiting = [-1]
-        # A port of this machine the kernel opens for one alone; loop:// is of this process.
+        # The kernel locks local ports; loop:// is inside this process.
         shared = "://" in bus.port and not bus.port.startswith("loop:")
         self._claim = Claim(f"serial {bus.place}") if shared else None
 
     def open(self) -> None:
-        """Open the port, anew if it was open; raises LinkError, where another loop has it too."""
+        """Open the port, again if it is open; raises LinkError, also if another loop uses it."""
         import serial
 
-        self._let_go()
+        self._close_all()
         if self._claim is not None:
             self._claim.require(self._what)
-        # rfc2217:// knows no time to write within.
-        apart = self._bus.port.startswith("rfc2217:")
+        # rfc2217:// has no write timeout.
+        no_write_timeout = self._bus.port.startswith("rfc2217:")
         times: dict[str, Any] = (
-            {"timeout": _SLICE_S} if apart else {"timeout": 0, "write_timeout": _WRITE_S}
+            {"timeout": _READ_S} if no_write_timeout else {"timeout": 0, "write_timeout": _WRITE_S}
         )
         try:
             port: Any = serial.serial_for_url(
@@ -53,73 +53,73 @@ class SerialLine:
         except Exception as error:  # noqa: BLE001 - as in write; an unknown protocol, say
             raise LinkError(f"{self._what}: cannot be opened: {error}") from None
         self._port = port
-        # An adapter that holds bytes back for its latency timer would cost 16 ms a cycle.
+        # The latency timer of an FTDI adapter delays bytes by 16 ms by default.
         with contextlib.suppress(Exception):
             port.set_low_latency_mode(True)
-        # TCP would hold a cycle's bytes back until the last one's are acknowledged: one answer that
-        # is lost would be the silence of forty.
+        # Nagle's algorithm delays bytes until earlier ones are acknowledged: one lost answer would
+        # delay 40 cycles.
         with contextlib.suppress(Exception):
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
             self._fd = port.fileno()
         except (OSError, AttributeError, ValueError):
-            self._fd = -1  # pyserial's own reading has to do
+            self._fd = -1  # read through pyserial
             with contextlib.suppress(Exception):
                 port._socket.settimeout(_WRITE_S)  # of rfc2217://
-            if port.timeout != _SLICE_S:
-                port.timeout = _SLICE_S
+            if port.timeout != _READ_S:
+                port.timeout = _READ_S
         self._waiting = [self._fd]
 
     def close(self) -> None:
-        """Let go of the port; safe to call twice."""
-        self._let_go()
+        """Close the port; safe to call twice."""
+        self._close_all()
         if self._claim is not None:
             self._claim.release()
 
-    def _let_go(self) -> None:
-        self._set_aside()
-        while self._aside:
+    def _close_all(self) -> None:
+        self._close_later()
+        while self._to_close:
             with contextlib.suppress(Exception):
-                self._aside.pop().close()
+                self._to_close.pop().close()
 
     def write(self, data: bytes) -> None:
         """Send bytes; raises LinkError."""
         if self._port is None:
-            raise LinkError(f"{self._what}: gone")
+            raise LinkError(f"{self._what}: not open")
         try:
             if self._fd >= 0:
-                # What the kernel's buffer, of forty cycles' worth, does not take is not waited for.
+                # The kernel buffers some 40 cycles; the loop never waits for a full buffer.
                 if os.write(self._fd, data) < len(data):
-                    raise BlockingIOError("the other end takes nothing")
+                    raise BlockingIOError("send buffer full: the device reads nothing")
             else:
                 self._port.write(data)
         except Exception as error:  # noqa: BLE001 - pyserial's backends raise whatever they meet
-            self._lost(error)
+            self._fail(error)
 
     def read(self, deadline_s: float) -> bytes:
-        """Return what has come, waiting until `deadline_s` (perf_counter); raises LinkError.
+        """Return received bytes, waiting until `deadline_s` (perf_counter); raises LinkError.
 
-        Nothing at all is returned where nothing came in time.
+        Empty if nothing arrives in time; 0 does not wait.
         """
         if self._port is None:
-            raise LinkError(f"{self._what}: gone")
+            raise LinkError(f"{self._what}: not open")
         try:
             if self._fd < 0:
-                return self._read_in_slices(deadline_s)
+                return self._read_by_pyserial(deadline_s)
             wait_s = deadline_s - perf_counter() if deadline_s else 0.0
-            # Not poll: its timeout is in whole milliseconds, rounded up.
+            # select, not poll: the timeout of poll is in whole milliseconds.
             if not select.select(self._waiting, (), (), max(wait_s, 0.0))[0]:
                 return b""
             data = os.read(self._fd, _CHUNK)
         except BlockingIOError:
             return b""
         except Exception as error:  # noqa: BLE001 - as above
-            self._lost(error)
+            self._fail(error)
         if not data:
-            self._lost(OSError("the other end hung up"))
+            self._fail(OSError("closed by the other end"))
         return data
 
-    def _read_in_slices(self, deadline_s: float) -> bytes:
+    def _read_by_pyserial(self, deadline_s: float) -> bytes:
         port = self._port
         data = b""
         while not (data or port.in_waiting):
@@ -129,13 +129,12 @@ class SerialLine:
         waiting = min(port.in_waiting, _CHUNK)
         return data + port.read(waiting) if waiting else data
 
-    def _set_aside(self) -> None:
+    def _close_later(self) -> None:
         if self._port is not None:
-            self._aside.append(self._port)
+            self._to_close.append(self._port)
         self._port, self._fd = None, -1
 
-    def _lost(self, error: Exception) -> None:
-        # Closing waits: for a line to drain, over TCP 0.3 s, rfc2217:// for a thread. In this cycle
-        # other ports have not had their zero force yet.
-        self._set_aside()
+    def _fail(self, error: Exception) -> None:
+        # Close later: closing may take 0.3 s, and other ports still need zero force in this cycle.
+        self._close_later()
         raise LinkError(f"{self._what}: lost: {error}") from None

@@ -1,4 +1,4 @@
-"""One port's transaction a cycle: setpoints out with the sync, readings back by the deadline."""
+"""One transaction per cycle on a serial port: send setpoints, receive readings by a deadline."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from ..stale_readings import Watch
 from .serial_line import SerialLine
 
 _EXCHANGE_S = 0.1
-_TRIES = 5
-_MOST_DRAINED = 16
-"""Chunks, more than a cycle brings."""
+_ATTEMPTS = 5
+_MOST_CHUNKS = 16
+"""Chunks; more than a cycle receives."""
 
 
 class TransactionPort:
-    """What is to be sent with the next cycle, and what came back with this one.
+    """Setpoints of the next cycle and readings of this one, on one port.
 
-    `coil_n` (C,) N, `beam` and `rotor` (3,) are sent by `sync`; after `collect` `frames` holds the
-    readings of this cycle, or where they are stale those of an earlier one.
+    `sync` sends `coil_n` (C,) in N, `beam` and `rotor` (3,). After `collect`, `frames` holds the
+    readings: of this cycle if `fresh`, else of an earlier one.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class TransactionPort:
         self.what = f"serial {name} ({bus.port})"
         self.frames = SerialFrames(contents)
         self.coil_n = np.zeros(contents.coils)
-        # nan until they are told: drives go nowhere before somebody knows where they are.
+        # nan until written: drives hold until the loop has read their position.
         self.beam, self.rotor = np.full(3, np.nan), np.full(3, np.nan)
         self.stale_cycles = bus.stale_cycles
         self.watch = Watch(self.what, bus.stale_cycles)
@@ -49,55 +49,58 @@ class TransactionPort:
         self._deadline_s = 0.0
         self._cycle = 0
         self._collected = True
-        self._unasked = 0
-        self._questions: list[tuple[Request, int, int]] = []
+        self._extra_answers = 0
+        self._requests: list[tuple[Request, int, int]] = []
 
     def open(self) -> None:
-        """Open the port, anew if it is open; raises LinkError."""
+        """Open the port, again if it is open; raises LinkError."""
         self._line.open()
         self._stream.clear()
-        self._questions.clear()
-        self._unasked = 0
+        self._requests.clear()
+        self._extra_answers = 0
         self._collected = True
         self.watch.reset()
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._line.close()
 
     def sync(self, cycle: int, late_s: float = 0.0) -> None:
-        """Begin a cycle: send setpoints, at which the device samples and answers."""
-        # From the first moment on: what answers a late CYCLE is of a later moment.
+        """Begin a cycle: send the setpoints, at which the device samples and answers."""
+        # Before anything else: the answer to a late CYCLE frame is sampled late too.
         self._deadline_s = self._answers.deadline_s(perf_counter(), late_s)
         self._drain()
-        self._unasked = 0  # what has not been answered by now is lost
+        self._extra_answers = 0  # an answer that is still missing is lost
         self.watch.begin()
         self._cycle = cycle % CYCLES
         self._collected, self.fresh = False, False
         self._line.write(self._setpoints())
-        if self._questions:
-            for question in self._questions:
-                self._line.write(self.frames.request(0, *question))
-            self._questions.clear()
+        if self._requests:
+            for request in self._requests:
+                self._line.write(self.frames.request(0, *request))
+            self._requests.clear()
 
     def send_setpoints(self) -> None:
-        """Send the setpoints at once, in the cycle at hand."""
+        """Send the setpoints at once, with the number of this cycle."""
         self._line.write(self._setpoints())
-        self._unasked += 1
+        self._extra_answers += 1
 
     def ask(self, request: Request, index: int, value: int) -> None:
-        """Ask with the next cycle; the answer goes to `amplifiers`."""
-        self._questions.append((request, index, value))
+        """Send a request with the next cycle; the answer goes to `amplifiers`."""
+        self._requests.append((request, index, value))
 
     def collect(self) -> None:
-        """Wait for this cycle's readings, by the deadline; the first caller of a cycle does."""
+        """Wait for this cycle's readings until the deadline; raises LinkError or StaleError.
+
+        Only the first call in a cycle waits.
+        """
         if self._collected:
             return
         try:
             while not self.fresh:
                 data = self._line.read(self._deadline_s)
-                self._take_all(data)
-                # What was there at the deadline has come; whoever never stops is not waited for.
+                self._handle_data(data)
+                # A device that sends without end must not hold the loop after the deadline.
                 if not data or perf_counter() > self._deadline_s:
                     break
         finally:
@@ -108,8 +111,8 @@ class TransactionPort:
             self.watch.missing()
 
     def exchange(self, request: Request, index: int, value: int) -> tuple[int, int]:
-        """Ask and wait for the answer, between cycles; raises LinkError where none comes."""
-        for attempt in range(1, _TRIES + 1):
+        """Send a request between cycles and return its answer; raises LinkError on a timeout."""
+        for attempt in range(1, _ATTEMPTS + 1):
             self._line.write(self.frames.request(attempt, request, index, value))
             deadline_s = perf_counter() + _EXCHANGE_S
             while perf_counter() < deadline_s and (data := self._line.read(deadline_s)):
@@ -117,27 +120,27 @@ class TransactionPort:
                     header = self._reading.accept(block)
                     if isinstance(header, Header) and header == Header(Kind.ANSWER, attempt):
                         return self._reading.answer_received()
-        raise LinkError(f"{self.what}: nobody answers")
+        raise LinkError(f"{self.what}: no answer; check power, wiring and baud rate")
 
     def _setpoints(self) -> bytes:
         return self.frames.cycle(self._cycle, self.coil_n, self.beam, self.rotor)
 
     def _drain(self) -> None:
-        """Take what came since the last cycle's reading: nothing, if all is well."""
-        for _ in range(_MOST_DRAINED):
+        """Handle frames that arrived after the last cycle's reading; normally there are none."""
+        for _ in range(_MOST_CHUNKS):
             data = self._line.read(0.0)
             if not data:
                 return
-            self._take_all(data)
+            self._handle_data(data)
 
-    def _take_all(self, data: bytes) -> None:
+    def _handle_data(self, data: bytes) -> None:
         overlong = self._stream.overlong
         for block in self._stream.feed(data):
-            self._take(block)
+            self._handle_frame(block)
         if self._stream.overlong > overlong:
             self.watch.reject(Rejected.FRAMING)
 
-    def _take(self, block: bytes) -> None:
+    def _handle_frame(self, block: bytes) -> None:
         header = self._reading.accept(block)
         if isinstance(header, Rejected):
             self.watch.reject(header)
@@ -149,12 +152,12 @@ class TransactionPort:
         elif header.sequence != self._cycle:
             behind = (self._cycle - header.sequence) % CYCLES
             self.watch.reject(Rejected.COUNTER, behind)
-        elif self.fresh and self._unasked:
-            self._unasked -= 1  # the answer to setpoints that were sent at once
+        elif self.fresh and self._extra_answers:
+            self._extra_answers -= 1  # the answer to send_setpoints
         elif self.fresh:
             self.watch.reject(Rejected.REPEATED)
-        elif not self._collected:  # else it is too late, and was counted as missing
-            # The readings stay where they were unpacked; the other codec takes the next frame.
+        elif not self._collected:  # else it is late and was counted as missing
+            # The codecs swap: this one keeps the readings, the other unpacks the next frame.
             self.frames, self._reading = self._reading, self.frames
             self.fresh = True
             self.watch.arrived()

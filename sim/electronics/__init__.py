@@ -1,1 +1,1 @@
-"""Electronics that answer on a bus: amplifiers, ADC and drives with the simulated plant behind."""
+"""Emulated electronics: amplifiers, ADC and drives of the simulated plant, on a bus."""

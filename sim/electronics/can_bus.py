@@ -1,4 +1,4 @@
-"""Electronics on a CAN bus: amplifiers and ADC by the DBC, drives as CANopen nodes."""
+"""Emulate electronics on a CAN bus: amplifiers and ADC by the DBC, drives as CANopen nodes."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from .faults import Injector, Outgoing
 Frame = tuple[int, bytes]
 
 _SOFTWARE = {"levid_local", "udp_multicast", "virtual"}
-"""Interfaces without a controller, which hand on an error frame as any other. So does a vcan, but a
-controller that is told to send one puts something else on the wire."""
+"""Interfaces without a controller, which transmit error frames like other frames. So does vcan; a
+real controller would send something else."""
 _WITHOUT_DEVICE = Path("/sys/devices/virtual/net")
 _ERROR_BYTES = 8
 
 
 class CanElectronics:
-    """Answers on one bus until `stop`."""
+    """Answers on one bus from `start` to `stop`."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class CanElectronics:
         self._outgoing = Outgoing(injector)
         self._handlers: dict[int, Callable[[int, bytes], None]] = {}
         self._coil_n = np.zeros(core.coils)
-        self._cycle, self._taken_over = 0, -1
+        self._cycle, self._applied = 0, -1
         self._set = 0
         self._amplifiers, self._sensors = "amplifiers" in roles, "sensors" in roles
         frames = self._frames
@@ -60,9 +60,11 @@ class CanElectronics:
             self._handlers[frames.sync.can_id] = self._sync
         if self._amplifiers:
             self._handlers |= dict.fromkeys(frames.setpoint.ids, self._setpoint)
-            self._handlers[frames.request.can_id] = self._asked(frames.request, frames.answer)
+            self._handlers[frames.request.can_id] = self._request_handler(
+                frames.request, frames.answer
+            )
         if self._sensors:
-            self._handlers[frames.sensor_request.can_id] = self._asked(
+            self._handlers[frames.sensor_request.can_id] = self._request_handler(
                 frames.sensor_request, frames.sensor_answer
             )
         self._drives: Any = None
@@ -86,7 +88,7 @@ class CanElectronics:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop answering and leave the bus."""
+        """Stop answering and close the bus."""
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -96,7 +98,7 @@ class CanElectronics:
         config = self._config
         try:
             self._bus = open_bus(config)
-        except Exception as error:  # noqa: BLE001 - interfaces raise whatever they meet
+        except Exception as error:  # noqa: BLE001 - interfaces raise any exception
             raise ConfigError(f"can: {config.interface} {config.channel}: {error}") from None
 
     def _close(self) -> None:
@@ -111,13 +113,13 @@ class CanElectronics:
             assert self._bus is not None
             try:
                 frame = self._bus.receive(patience_s)
-            except Exception:  # noqa: BLE001 - an interface that is down comes back
+            except Exception:  # noqa: BLE001 - an interface that is down may come back
                 time.sleep(max(silent_s - time.monotonic(), 0.0))
                 frame = None
-            if frame is None and self._drives is not None and self._injector.hears:
+            if frame is None and self._drives is not None and self._injector.receives:
                 self._drives.poll()
-            self._play_bus_off()
-            if frame is None or not self._injector.hears:
+            self._send_bus_off()
+            if frame is None or not self._injector.receives:
                 self._core.tick(min(silent_s, time.monotonic()))
                 continue
             can_id, data, stamp_s = frame
@@ -125,19 +127,19 @@ class CanElectronics:
             if handler is not None:
                 handler(can_id, data)
             elif self._drives is not None and can_id >= 0:
-                self._drives.take(can_id, data)
-            # All that came before this frame has been handled, whatever it is itself.
+                self._drives.handle_frame(can_id, data)
+            # All frames before this one have been handled.
             self._core.tick(time.monotonic() - (self._ages.of(stamp_s) or 0.0))
 
     def _send(self, can_id: int, data: bytes) -> None:
         if self._bus is not None:
-            with contextlib.suppress(Exception):  # nobody on the bus: as on a wire
+            with contextlib.suppress(Exception):  # without a receiver the frame is lost
                 self._bus.send(can_id, data)
 
-    def _play_bus_off(self) -> None:
-        """Say once, as the host's driver would, that its controller has left the bus."""
+    def _send_bus_off(self) -> None:
+        """Send one error frame of bus-off, as the driver of the host would."""
         was_off, self._off = self._off, "bus-off" in self._injector.wire
-        if self._off and not was_off and _hands_on_errors(self._config):
+        if self._off and not was_off and _transmits_errors(self._config):
             self._send(BUS_OFF_ID, bytes(_ERROR_BYTES))
 
     def _sync(self, _: int, data: bytes) -> None:
@@ -149,13 +151,13 @@ class CanElectronics:
         batch: list[Frame] = []
         with core.lock:
             core.begin(self._cycle)
-            if self._amplifiers and self._cycle != self._taken_over:
-                self._taken_over = self._cycle
-                core.take_over()
+            if self._amplifiers and self._cycle != self._applied:
+                self._applied = self._cycle
+                core.apply_setpoints()
             if self._sensors:
                 batch += frames.gap.encode(core.gap_m, self._cycle, core.sensor_state)
             if self._amplifiers:
-                batch += frames.force.encode(core.force_n, self._cycle, core.answered_state)
+                batch += frames.force.encode(core.force_n, self._cycle, core.reported_state)
         frames.setpoint.begin()
         for frame in self._outgoing.through(batch):
             self._send(*frame)
@@ -175,8 +177,8 @@ class CanElectronics:
         if "drop-setpoints" in self._injector.wire:
             return
         setpoint = self._frames.setpoint
-        # Setpoints of a cycle that come a second time are those of zero force at once; by their
-        # number, where not all of the first came.
+        # A second set in a cycle is an immediate zero force. Its number starts a new set even if
+        # frames of the first set are missing.
         number = setpoint.tag(data)
         if setpoint.complete or number != self._set:
             setpoint.begin()
@@ -186,16 +188,16 @@ class CanElectronics:
         if setpoint.finish(self._coil_n) is None:
             self._core.setpoints(self._coil_n)
 
-    def _asked(self, request: Fields, answer: Fields) -> Callable[[int, bytes], None]:
-        def asked(_: int, data: bytes) -> None:
+    def _request_handler(self, request: Fields, answer: Fields) -> Callable[[int, bytes], None]:
+        def handle(_: int, data: bytes) -> None:
             numbers = request.decode(data)
             if not isinstance(numbers, Rejected) and "drop" not in self._injector.wire:
                 self._send(*answer.encode(*self._core.request(*numbers)))
 
-        return asked
+        return handle
 
 
-def _hands_on_errors(bus: CanBus) -> bool:
+def _transmits_errors(bus: CanBus) -> bool:
     if bus.interface == "socketcan":
         return (_WITHOUT_DEVICE / str(bus.channel)).exists()
     return bus.interface in _SOFTWARE

@@ -1,7 +1,7 @@
-"""What the electronics do on any bus: sample and hold, expiry, limits, trips, the plant behind.
+"""Emulate amplifiers, ADC and drives on any bus: sampling, expiry, limits, trips, the plant.
 
-Time is the host's: a cycle that begins brings the plant there. Without a host it runs on by this
-machine's clock, so that setpoints expire and the platform drops when the bus is dead.
+The host paces the plant: each cycle advances it. Without a host the plant runs on the clock of this
+machine, so that setpoints expire and the platform drops when the bus is lost.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ...wire.device_protocol import (
     Refusal,
     Request,
     SensorState,
-    declared,
+    expected_parameters,
     response,
 )
 from ..plant import Plant
@@ -36,18 +36,18 @@ from ..plant import Plant
 Array = NDArray[np.float64]
 
 _SILENT_PERIODS = 1.5
-"""How long after a SYNC the next one counts as missing."""
+"""Periods after a SYNC until the next one is missing."""
 _BEHIND = 16
-"""So many cycles may one bus be behind another."""
+"""Most cycles by which one bus may lag another."""
 _NEW_COUNT = 1000
-"""A jump of the cycle by more than this is another host, not a late one."""
+"""A larger jump of the cycle number comes from a new host, not from a late one."""
 _TOLERANCE_N = 1e-3
-"""Setpoints come rounded to 1 mN: a limit may be exceeded by that."""
+"""Rounding of setpoints, by which they may exceed a limit."""
 
 
 @dataclass
 class Injected:
-    """Faults of the devices themselves, switched while running; see faults."""
+    """Injected faults of the devices; see faults."""
 
     stuck: set[int] = field(default_factory=set)
     frozen: set[int] = field(default_factory=set)
@@ -59,11 +59,11 @@ class Injected:
 
 
 class Core:
-    """Amplifiers, ADC and drives of `rig`; every public method may be called from any thread.
+    """Amplifiers, ADC and drives of `rig`; public methods may be called from any thread.
 
-    After `begin`: `force_n` (C,) N, nan where an amplifier tripped; `gap_m` (S,) m, nan where a
-    channel has no reading; `axes` (3, 3): position, velocity, force of X1, X2, PHI in SI units;
-    `forced_periods`: how many periods any amplifier drove a force, since the start.
+    After `begin`: `force_n` (C,) in N, nan for a tripped amplifier; `gap_m` (S,) in m, nan for a
+    channel without a reading; `axes` (3, 3): position, velocity, force of X1, X2, PHI in SI units;
+    `forced_periods`: number of periods with any coil force since the start.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Core:
         geometry = rig.geometry
         self.coils, self.sensors = len(geometry.coil_x_m), len(geometry.sensors_x_m)
         self.period_s = 1.0 / rig.rate_hz
-        self.limits = declared(rig, expire_cycles)
+        self.limits = expected_parameters(rig, expire_cycles)
         self.lock = threading.RLock()
         self.injected = Injected()
         self._plant = Plant(sim, self.period_s, source=source)
@@ -98,57 +98,57 @@ class Core:
         self._challenge = 0
         self._pending_n, self._acting_n = np.zeros(self.coils), np.zeros(self.coils)
         self._fresh = False
-        self._missed = 0  # periods since setpoints were taken over
-        # Beam and rotor: position, velocity, acceleration that act, and those that come.
+        self._missed = 0  # periods since setpoints were applied
+        # Beam and rotor: position, velocity, acceleration of this period; _plan has the next ones.
         self._motion = np.zeros((2, 3))
         self._motion[:, 0] = self._plant.beam[0], self._plant.rotor[0]
         self._plan: list[Array] = []
         self._drives_missed = 0
-        self._drives_led = False  # since they were enabled
+        self._drives_had_setpoints = False  # a setpoint arrived since they were enabled
         self._sample()
 
     @property
     def plant(self) -> Plant:
-        """The plant behind, for tests."""
+        """The simulated plant, for tests."""
         return self._plant
 
     @property
     def cycle(self) -> int:
-        """The cycle at hand, modulo CYCLES."""
+        """The current cycle, modulo CYCLES."""
         return self._cycle or 0
 
     @property
-    def answered_state(self) -> AmplifierState:
-        """What the amplifiers say of themselves: UNHEARD where setpoints are missing."""
+    def reported_state(self) -> AmplifierState:
+        """State that the amplifiers report: UNHEARD if setpoints are missing."""
         if self.amplifier_state is AmplifierState.ENABLED and self._missed:
             return AmplifierState.UNHEARD
         return self.amplifier_state
 
     @property
     def motion(self) -> Array:
-        """Position, velocity, acceleration (2, 3) that beam and rotor are told for this period."""
+        """Setpoints of beam and rotor (2, 3) in this period: position, velocity, acceleration."""
         return self._motion
 
     @property
-    def untold_s(self) -> float:
-        """For how long beam and rotor have been told nothing, in s of the plant's time."""
+    def drives_silent_s(self) -> float:
+        """Time without setpoints for beam and rotor, in s of the plant's time."""
         return self._drives_missed * self.period_s
 
     @property
     def acting_n(self) -> Array:
-        """The forces (C,) in N that the amplifiers drive in this period."""
+        """Forces (C,) in N of the amplifiers in this period."""
         return self._acting_n
 
     @property
     def pending_n(self) -> Array:
-        """The forces (C,) in N that came last and act from the next cycle on."""
+        """Forces (C,) in N that were received last and act from the next cycle on."""
         return self._pending_n
 
     def begin(self, cycle: int, modulus: int = CYCLES) -> bool:
-        """Begin a cycle: the plant moves there, readings are sampled; amplifiers `take_over`.
+        """Begin a cycle: advance the plant and sample the readings.
 
-        `cycle` is counted modulo `modulus`, a divisor of CYCLES. The cycle at hand again (another
-        bus says it too) changes nothing; returns whether it is a new one.
+        `cycle` is counted modulo `modulus`, a divisor of CYCLES. The current cycle again, from
+        another bus, changes nothing. Returns whether the cycle is new.
         """
         with self.lock:
             if self._cycle is None:
@@ -160,30 +160,30 @@ class Core:
             if not periods:
                 return False
             if modulus - periods <= _BEHIND:
-                return False  # another bus was quicker: that cycle is over
-            # Only now: who repeats himself says no more than that he is stuck.
+                return False  # another bus is ahead: that cycle is over
+            # Only for a new cycle: a host that repeats a cycle is stuck.
             self._last_s = time.monotonic()
             if periods > min(_NEW_COUNT, modulus // 2):
                 periods, self._ahead = 1, 0
                 self._cycle = cycle if modulus == CYCLES else self._cycle + 1
             else:
                 self._cycle = (self._cycle + periods) % CYCLES
-            # Periods that went by without a host are not gone through twice. In flight those of
-            # them that the host has still to come to are not forgotten either: the plant would be
-            # ahead for ever. At zero force a host may begin to count whenever it likes.
-            gone = min(periods, self._ahead)
+            # Periods that passed without a host are not simulated twice. In flight, the rest of
+            # them is kept, so that the plant does not stay ahead. At zero force it is discarded:
+            # a host may start to count at any time.
+            simulated = min(periods, self._ahead)
             enabled = self.amplifier_state is AmplifierState.ENABLED
-            self._ahead = self._ahead - gone if enabled else 0
-            for _ in range(periods - gone):
+            self._ahead = self._ahead - simulated if enabled else 0
+            for _ in range(periods - simulated):
                 self._period()
             self._sample()
             return True
 
-    def take_over(self, renews: bool = True) -> None:
-        """Let the forces act that came last, within the limits; the amplifiers' bus says when.
+    def apply_setpoints(self, renews: bool = True) -> None:
+        """Apply the last received forces, within the limits; called by the bus of the amplifiers.
 
-        Zero force is within every limit. Where nothing `renews` them, as where the same cycle is
-        told again, they act and expire as those before would have.
+        Zero force is always within the rate limit. With `renews` False (the cycle is repeated) the
+        forces are applied without extending their expiry.
         """
         with self.lock:
             if self.amplifier_state is AmplifierState.ENABLED and self._fresh:
@@ -199,16 +199,16 @@ class Core:
             self._expire_setpoints()
 
     def tick(self, now: float) -> None:
-        """Let time go on without a host: to be called about once a period, whatever else comes.
+        """Advance the plant if the host is silent; to be called about once a period.
 
-        `now` (monotonic): up to when all that came has been handled. What came since, while this
-        process had to wait for its turn, is no silence.
+        `now` (monotonic): time up to which all received frames have been handled. Frames that wait
+        while this process is delayed do not count as silence.
         """
         with self.lock:
             silent = math.floor((now - self._last_s) / self.period_s - _SILENT_PERIODS) + 1
             if silent <= 0:
                 return
-            periods = min(silent, _NEW_COUNT)  # one that slept does not race
+            periods = min(silent, _NEW_COUNT)  # do not catch up after a long sleep
             for _ in range(periods):
                 self._period()
             self._ahead += periods
@@ -216,27 +216,27 @@ class Core:
             self._expire_setpoints()
 
     def setpoints(self, coil_n: Array) -> None:
-        """Take forces (C,) in N that act from the next cycle on; one nan makes all of them void."""
+        """Store forces (C,) in N for the next cycle; ignore them if any is not finite."""
         with self.lock:
             if self.amplifier_state is AmplifierState.ENABLED and np.isfinite(coil_n).all():
                 self._pending_n[:] = coil_n
                 self._fresh = True
 
     def drive_setpoints(self, plan: Sequence[Array], begun: bool = False) -> None:
-        """Take what beam and rotor are to do in the next periods, one (2, 3) each.
+        """Store the motion of beam and rotor in the next periods, one array (2, 3) per period.
 
-        The first of them may have `begun`: it is told with the signal that begins it.
         Rows: beam and rotor; columns: position, velocity, acceleration at the end of the period.
-        What is no number leads nowhere: drives that were led before brake and switch off.
+        With `begun` the first period has started already. Setpoints that are not finite switch off
+        drives that had setpoints before.
         """
         with self.lock:
             if self.drive_state is not DriveState.OPERATING:
                 return
             if not all(np.isfinite(motion).all() for motion in plan):
-                if self._drives_led:
+                if self._drives_had_setpoints:
                     self.disable_drives()
                 return
-            self._drives_led = True
+            self._drives_had_setpoints = True
             limit_m = self.limits[DeviceParameter.BEAM_LIMIT_UM] * 1e-6 + 1e-6
             self._plan = [motion.copy() for motion in plan]
             for motion in self._plan:
@@ -260,18 +260,18 @@ class Core:
             return Refusal.NO_SUCH_PARAMETER, request
 
     def enable_drives(self) -> None:
-        """Let the drives follow their setpoints, from where they are."""
+        """Enable the drives at their position."""
         with self.lock:
             if self.injected.lost_axes:
                 return
             self.drive_error = 0
-            self._drives_led = False
+            self._drives_had_setpoints = False
             if self.drive_state is not DriveState.OPERATING:
                 self._hold_drives()
                 self.drive_state = DriveState.OPERATING
 
     def disable_drives(self, error: int = 0) -> None:
-        """Stop the drives where they are."""
+        """Stop the drives; with `error`, in fault."""
         with self.lock:
             self._hold_drives()
             self.drive_error = error
@@ -292,7 +292,7 @@ class Core:
         return Refusal.NO_SUCH_PARAMETER, index
 
     def _enable(self, value: int) -> tuple[int, int]:
-        # A challenge serves once.
+        # A challenge is valid once.
         challenge, self._challenge = self._challenge, 0
         limits = {p: self.limits[p] for p in AMPLIFIER_LIMITS}
         if not challenge or value != response(challenge, limits):
@@ -312,14 +312,14 @@ class Core:
         return DeviceParameter.TRIPPED_COILS, self._tripped
 
     def _period(self) -> None:
-        """One period with what acts, which is nothing where too many before brought nothing new."""
+        """Simulate one period with the acting forces, zero after their expiry."""
         self._expire_setpoints()
         plant, acting = self._plant, self._acting_n
         plant.push(np.array([0.0, 0.0, self.injected.push_n]))
         plant.advance(acting, self._motion[0], self._motion[1])
         self.forced_periods += bool(acting.any())
         self._missed += 1
-        self._look_at_injected()
+        self._apply_injected()
         if self.amplifier_state is not AmplifierState.ENABLED:
             acting[:] = 0.0
         if self._plan:
@@ -331,7 +331,7 @@ class Core:
                 self._hold_drives()
 
     def _expire_setpoints(self) -> None:
-        """Go to zero force where setpoints have stayed away for too long."""
+        """Set zero force if setpoints were missing for too long."""
         if self.amplifier_state is AmplifierState.ENABLED and self._missed >= self._expire:
             self.amplifier_state = AmplifierState.EXPIRED
             self._acting_n[:] = 0.0
@@ -340,7 +340,7 @@ class Core:
         self._plan.clear()
         self._motion[:, 1:] = 0.0
 
-    def _look_at_injected(self) -> None:
+    def _apply_injected(self) -> None:
         injected = self.injected
         if injected.tripping:
             self._tripped |= sum(1 << i for i in injected.tripping)
@@ -349,12 +349,12 @@ class Core:
             self.disable_drives(ENCODER_LOST)
 
     def _sample(self) -> None:
-        self._look_at_injected()
+        self._apply_injected()
         plant, injected, gap = self._plant, self.injected, self.gap_m
         plant.sample()
         gap[:] = plant.gap_m
         self.force_n[:] = plant.coil_readback_n
-        if self._tripped:  # a tripped amplifier has no force to tell: so the host knows which
+        if self._tripped:  # nan tells the host which amplifier tripped
             for i in range(self.coils):
                 if self._tripped >> i & 1:
                     self.force_n[i] = math.nan

@@ -1,4 +1,4 @@
-"""Three CiA 402 drives as CANopen nodes: states, homing, cyclic synchronous position."""
+"""Emulate three CiA 402 drives as CANopen nodes: states, homing, cyclic synchronous position."""
 
 from __future__ import annotations
 
@@ -54,17 +54,16 @@ _HOMING_S = 0.02
 _POLL_S = 0.005
 _COUNTS_16, _COUNTS_32 = 32767, 1 << 31
 _RATED_BEAM, _RATED_ROTOR = 1000, 10
-"""Rated force of X1 and X2 in mN and torque of PHI in mN m, so that an actual one has a range of
-32 N and 0.3 N m."""
+"""Rated force of X1 and X2 in mN and torque of PHI in mN m: the ranges are 32 N and 0.3 N m."""
 _X1_AT, _X2_AT, _PHI_AT_RAD = 0.3, -0.2, 0.7
-"""Where counts are zero until a drive is homed, of X1 and X2 in shares of the beam's range: an
-encoder of increments counts from wherever it was switched on."""
+"""Origin of the counts before homing, of X1 and X2 in shares of the beam's range: an incremental
+encoder counts from its position at power-on."""
 _TIMES_SPEED = 1.1
-"""How much more than the limit of speed is no following error."""
+"""Share of the speed limit above which a target is a following error."""
 
 
 class DriveNodes:
-    """X1, X2 and PHI on one bus; `take` hands them frames, `poll` lets them send heartbeats."""
+    """X1, X2 and PHI on one bus: `handle_frame` passes frames to them, `poll` sends heartbeats."""
 
     def __init__(
         self,
@@ -94,57 +93,57 @@ class DriveNodes:
         self._rpdo = {RPDO1_ID + drive.node_id: drive for drive in self.drives}
         self._differences = [Differences(core.period_s * self.every) for _ in range(2)]
         self._outgoing = Outgoing(injector)
-        self._was_operating = self._was_told = False
-        self._planned_at = 0
+        self._was_operating = self._had_targets = False
+        self._plan_cycle = 0
         self._poll_at_s = 0.0
 
     @property
     def counts_syncs(self) -> bool:
-        """Whether a SYNC has a counter."""
+        """Whether SYNC has a counter."""
         return all(drive.counts_syncs for drive in self.drives)
 
     def boot(self) -> None:
-        """Announce all nodes."""
+        """Send the boot-up messages."""
         for drive in self.drives:
             drive.boot()
 
-    def take(self, can_id: int, data: bytes) -> None:
-        """Take a frame that is not SYNC."""
+    def handle_frame(self, can_id: int, data: bytes) -> None:
+        """Handle a frame that is not SYNC."""
         drive = self._rpdo.get(can_id)
         if drive is not None:
-            heard = drive.cyclic and "drop-setpoints" not in self._injector.wire
-            if heard and len(data) == RPDO.size:
-                drive.keep(*RPDO.unpack(data))
+            accepted = drive.cyclic and "drop-setpoints" not in self._injector.wire
+            if accepted and len(data) == RPDO.size:
+                drive.store_rpdo(*RPDO.unpack(data))
         else:
             self.poll()
-            with contextlib.suppress(Exception):  # the library raises on frames that are too short
+            with contextlib.suppress(Exception):  # canopen raises on frames that are too short
                 self._network.notify(can_id, bytearray(data), 0.0)
             for drive in self.drives:
-                drive.forget_unless_cyclic()
-            self._follow()
+                drive.drop_unless_cyclic()
+            self._update_plant()
 
     def sync(self) -> list[Frame]:
-        """Take over the RPDOs that came, and return the TPDOs, of the cycle that has just begun."""
+        """Apply the received RPDOs and return the TPDOs of the new cycle."""
         core = self._core
         for drive in self.drives:
-            drive.take_over()
-        self._follow()
+            drive.apply_rpdo()
+        self._update_plant()
         self._plan_if_complete()
         with core.lock:
             axes = core.axes.copy()
             lost = set(core.injected.lost_axes)
         for drive, (position, _, force) in zip(self.drives, axes, strict=True):
-            drive.see(position, force)
+            drive.update_readings(position, force)
             if drive.axis in lost:
                 drive.fail(ENCODER_LOST, 0x21)
             drive.has_setpoint = False
         self._expire()
-        self._follow()
+        self._update_plant()
         batch = [drive.tpdo() for drive in self.drives if drive.cyclic]
         return self._outgoing.through(batch) if batch else []
 
     def poll(self) -> None:
-        """Send the heartbeats that are due; may be called at any time, and mostly does nothing."""
+        """Send the heartbeats that are due; may be called at any time."""
         now_s = time.monotonic()
         if now_s < self._poll_at_s:
             return
@@ -152,23 +151,23 @@ class DriveNodes:
         with self._core.lock:
             axes = self._core.axes.copy()
         for drive, (position, _, force) in zip(self.drives, axes, strict=True):
-            drive.see(position, force)
+            drive.update_readings(position, force)
             drive.heartbeat(now_s)
         self._expire()
-        self._follow()
+        self._update_plant()
 
     def _expire(self) -> None:
-        """Let drives fail whose targets have stopped coming, once some came."""
-        untold_s = self._core.untold_s
-        self._was_told = self._was_operating and (self._was_told or not untold_s)
-        if not (self._was_told and untold_s):
+        """Set drives in fault whose targets have stopped, by their event timer."""
+        drives_silent_s = self._core.drives_silent_s
+        self._had_targets = self._was_operating and (self._had_targets or not drives_silent_s)
+        if not (self._had_targets and drives_silent_s):
             return
         for drive in self.drives:
-            if 0.0 < drive.event_timer_s <= untold_s:
+            if 0.0 < drive.event_timer_s <= drives_silent_s:
                 drive.fail(RPDO_TIMEOUT, 0x11)
 
-    def _follow(self) -> None:
-        """Let the plant's drives follow the state of all three together."""
+    def _update_plant(self) -> None:
+        """Enable or disable the drives of the plant by the state of all three."""
         operating = all(drive.operating for drive in self.drives)
         if operating and not self._was_operating:
             with self._core.lock:
@@ -176,26 +175,26 @@ class DriveNodes:
                 beam, rotor = self._core.motion[:, 0]
             self._differences[0].at_rest(float(beam))
             self._differences[1].at_rest(float(rotor))
-            self._planned_at = self._core.cycle
+            self._plan_cycle = self._core.cycle
             for drive, at in zip(self.drives, (beam, beam, rotor), strict=True):
-                drive.stand(float(at))
+                drive.start_following(float(at))
         elif not operating and self._was_operating:
             self._core.disable_drives(max(drive.error for drive in self.drives))
         self._was_operating = operating
 
     def _plan_if_complete(self) -> None:
-        """Lead from where the drives are told to be to the new targets, in `every` periods."""
+        """Plan the motion from the current setpoint to the new targets, over `every` periods."""
         if not (self._was_operating and all(drive.has_setpoint for drive in self.drives)):
             return
         begin, cycle = self._core.motion, self._core.cycle
-        cycles = (cycle - self._planned_at) % CYCLES
+        cycles = (cycle - self._plan_cycle) % CYCLES
         regular = cycles == self.every
-        self._planned_at = cycle
+        self._plan_cycle = cycle
         n, T = self.every, self._core.period_s * self.every
-        # Without a counter another bus tells the cycle, sooner or later than this one's SYNC. With
-        # fewer SYNCs than cycles one may be late by all but one of these, where some were skipped.
+        # Without a counter, the cycle is known from another bus, before or after this SYNC. After
+        # skipped cycles, a SYNC may be late by all but one of its `every` cycles.
         known, late_s = regular and self.counts_syncs, (n - 1) * self._core.period_s
-        lost = [d for d in self.drives if not d.follows(max(cycles / n, 1.0), T, late_s, known)]
+        lost = [d for d in self.drives if not d.can_reach(max(cycles / n, 1.0), T, late_s, known)]
         for drive in lost:
             drive.fail(FOLLOWING_ERROR, 0x21)
         if lost:
@@ -215,7 +214,7 @@ class DriveNodes:
 
 
 class Drive:
-    """One node: object dictionary, states of CiA 402, counts from anywhere until it is homed."""
+    """One node: object dictionary, CiA 402 states, arbitrary origin of counts until homed."""
 
     def __init__(
         self,
@@ -232,7 +231,7 @@ class Drive:
         self._unit, self._per_mille = unit, 1e-3 * RATED * rated
         self._node: Any = canopen.LocalNode(node_id, eds)
         network.add_node(self._node)
-        # Nothing is mapped yet: a drive may come with any mapping, and it is the host's to set.
+        # Nothing is mapped: the host has to map the PDOs.
         unmapped = {(Object.RPDO1_MAP, 0): 0, (Object.TPDO1_MAP, 0): 0}
         for (index, sub), value in ({(Object.RATED_FORCE, 0): rated} | unmapped | limits).items():
             entry = self._node.object_dictionary[int(index)]
@@ -241,7 +240,7 @@ class Drive:
             )
             self._node.set_data(int(index), sub, variable.encode_raw(value))
         self.counts_syncs = self._syncs_are_counted()
-        """Whether its SYNC has a counter: what it is switched on with."""
+        """Whether SYNC has a counter, read at power-on."""
         self._node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
         self._node.add_write_callback(self._written)  # type: ignore[no-untyped-call]
         self.state = DriveStates.SWITCH_ON_DISABLED
@@ -249,91 +248,90 @@ class Drive:
         self.error = 0
         self.has_setpoint = False
         self._mapped: bool | None = None
-        self._kept: tuple[int, int] | None = None
+        self._stored: tuple[int, int] | None = None
         self._homed = False
         self._homed_at_s = 0.0
-        self._true = self._force = 0.0
+        self._position = self._force = 0.0
         self._origin = self._unhomed = origin
         self._target = 0
         self._speed = limits[Object.MAX_SPEED, 0] * unit
         self._acceleration = limits[Object.MAX_ACCELERATION, 0] * ACCELERATION
-        self._led_to, self._led_by, self._skipped = 0.0, math.nan, 0.0
+        self._last_target, self._last_step, self._skipped = 0.0, math.nan, 0.0
         self._controlword = 0
         self._heartbeat_s = 0.0
 
     @property
     def cyclic(self) -> bool:
-        """Whether PDOs are exchanged: in the state for it, once they are mapped and valid."""
-        if self._mapped is None:  # since an object of theirs was written
+        """Whether PDOs are exchanged: the node is operational, the PDOs are mapped and valid."""
+        if self._mapped is None:  # a mapping object was written
             self._mapped = self._has_mapping()
         return bool(self._node.nmt._state == Node.OPERATIONAL) and self._mapped
 
     @property
     def operating(self) -> bool:
-        """Whether the drive follows its targets."""
+        """Whether the drive can_reach its targets."""
         return self.state is DriveStates.OPERATION_ENABLED and (
             self.mode == Mode.CYCLIC_SYNCHRONOUS_POSITION
         )
 
     @property
     def target(self) -> float:
-        """Target position in SI units, from the plant's zero."""
+        """Target position in m or rad, in the coordinates of the plant."""
         return self._target * self._unit + self._origin
 
-    def stand(self, at: float) -> None:
-        """Begin to follow targets, from where the plant is held: encoders may have run away."""
-        self._led_to, self._led_by, self._skipped = at, math.nan, 0.0
+    def start_following(self, at: float) -> None:
+        """Start to follow targets at position `at` of the plant."""
+        self._last_target, self._last_step, self._skipped = at, math.nan, 0.0
 
-    def follows(self, syncs: float, sync_s: float, late_s: float, regular: bool) -> bool:
-        """Return whether its limits allow for the target, so many SYNCs after the last one.
+    def can_reach(self, syncs: float, sync_s: float, late_s: float, regular: bool) -> bool:
+        """Return whether the drive's limits allow the target, `syncs` SYNCs after the last one.
 
-        One may have been lost before, or be late by `late_s`; and where cycles were skipped the
-        target after that makes up for them. How the speed changed is known of SYNCs alone that came
-        in a row (`regular`).
+        The previous target may be lost, or late by `late_s`; after skipped cycles the target
+        catches up. The change of speed is known only for consecutive SYNCs (`regular`).
         """
-        by = self.target - self._led_to
+        by = self.target - self._last_target
         skipped, self._skipped = self._skipped, syncs - 1.0
         regular = regular and not skipped
-        changed = by - self._led_by if regular else math.nan
-        self._led_to, self._led_by = self.target, by if regular else math.nan
+        changed = by - self._last_step if regular else math.nan
+        self._last_target, self._last_step = self.target, by if regular else math.nan
         reach = _TIMES_SPEED * self._speed * (skipped + syncs + 1.0) * sync_s
         most = most_bend(self._acceleration, sync_s, self._unit) + 2.0 * self._speed * late_s
         return not (abs(by) > reach + ROUNDED_COUNTS * self._unit or abs(changed) > most)
 
     def boot(self) -> None:
-        """Announce itself."""
+        """Send the boot-up message and enter pre-operational."""
         self._node.nmt.send_command(Node.BOOT_UP.value)
         self._node.nmt.send_command(Node.PRE_OPERATIONAL.value)
 
-    def see(self, position: float, force: float) -> None:
-        """Look at encoder and force, in SI units; end a homing that took its time."""
-        self._true, self._force = position, force
+    def update_readings(self, position: float, force: float) -> None:
+        """Update position and force, in SI units; complete a homing whose time has passed."""
+        self._position, self._force = position, force
         if self._homed_at_s and time.monotonic() >= self._homed_at_s:
             self._homed, self._homed_at_s, self._origin = True, 0.0, 0.0
 
-    def keep(self, controlword: int, target: int) -> None:
-        """Keep an RPDO, which is synchronous: of several the last one."""
-        self._kept = controlword, target
+    def store_rpdo(self, controlword: int, target: int) -> None:
+        """Store a received RPDO until the next SYNC; a later one replaces it."""
+        self._stored = controlword, target
 
-    def forget_unless_cyclic(self) -> None:
-        """Drop an RPDO that no SYNC took over while PDOs were exchanged."""
-        if self._kept is not None and not self.cyclic:
-            self._kept = None
+    def drop_unless_cyclic(self) -> None:
+        """Discard the stored RPDO if PDOs are no longer exchanged."""
+        if self._stored is not None and not self.cyclic:
+            self._stored = None
 
-    def take_over(self) -> None:
-        """Take over the RPDO that came since the last SYNC, if one did."""
-        if self._kept is not None:
-            controlword, self._target = self._kept
-            self._kept, self.has_setpoint = None, True
+    def apply_rpdo(self) -> None:
+        """Apply the stored RPDO."""
+        if self._stored is not None:
+            controlword, self._target = self._stored
+            self._stored, self.has_setpoint = None, True
             self._control(controlword)
 
     def tpdo(self) -> Frame:
-        """Return the TPDO with what the drive is doing now."""
+        """Return the TPDO with state, position and force."""
         per_mille = min(max(round(self._force / self._per_mille), -_COUNTS_16), _COUNTS_16)
         return TPDO1_ID + self.node_id, TPDO.pack(self.statusword, self._counts, per_mille)
 
     def _has_mapping(self) -> bool:
-        """Return whether both PDOs are valid, synchronous, and hold what this drive exchanges."""
+        """Return whether both PDOs are valid, synchronous and mapped as this drive expects."""
         return all(
             self._value(record, 1) == base + self.node_id
             and self._value(record, 2) == _SYNCHRONOUS
@@ -354,18 +352,18 @@ class Drive:
         return known and int(self._node.sdo[index].raw) == SYNC_COUNTER
 
     def fail(self, error: int, register: int) -> None:
-        """Go into fault and say so by an emergency message."""
+        """Enter the fault state and send an emergency."""
         if self.state is not DriveStates.FAULT:
             self.state, self.error, self._homed_at_s = DriveStates.FAULT, error, 0.0
             self._node.emcy.send(error, register)
 
     @property
     def event_timer_s(self) -> float:
-        """How long targets may stay away; 0 is for ever."""
+        """Longest time without targets in s; 0: no limit."""
         return 1e-3 * int(self._node.sdo[int(Object.RPDO1)][EVENT_TIMER].raw)
 
     def heartbeat(self, now_s: float) -> None:
-        """Send a heartbeat where one is due."""
+        """Send a heartbeat if it is due."""
         period_s = 1e-3 * int(self._node.sdo[int(Object.HEARTBEAT_MS)].raw)
         if period_s and now_s - self._heartbeat_s >= period_s:
             self._heartbeat_s = now_s
@@ -374,16 +372,18 @@ class Drive:
 
     @property
     def statusword(self) -> int:
-        """The statusword: state, and in homing mode whether it is done."""
+        """Statusword: state, and in homing mode the result."""
         word = self.state.value[1] | (1 << 9)
-        if self.mode == Mode.HOMING and not self._homed_at_s:  # it stands
+        if self.mode == Mode.HOMING and not self._homed_at_s:  # at rest
             word |= TARGET_REACHED | (HOMING_ATTAINED if self._homed else 0)
         return word
 
     @property
     def _counts(self) -> int:
-        counts = round((self._true - self._origin) / self._unit)
-        return (counts + _COUNTS_32) % (2 * _COUNTS_32) - _COUNTS_32  # as an encoder's counter does
+        counts = round((self._position - self._origin) / self._unit)
+        return (counts + _COUNTS_32) % (
+            2 * _COUNTS_32
+        ) - _COUNTS_32  # wraps like an encoder counter
 
     def _read(self, *, index: int, subindex: int, od: object) -> int | None:  # noqa: ARG002
         found = {
@@ -408,7 +408,7 @@ class Drive:
         last, self._controlword = self._controlword, word
         if self.state is DriveStates.FAULT:
             if word & 0x80 and not last & 0x80:
-                if self.error == ENCODER_LOST:  # so is where it was
+                if self.error == ENCODER_LOST:  # and so is the origin
                     self._homed, self._origin = False, self._unhomed
                 self.state, self.error = DriveStates.SWITCH_ON_DISABLED, 0
             return
@@ -442,7 +442,7 @@ _MAPPED_BY = frozenset(index for record, mapping, _, _ in _PDOS for index in (re
 
 
 class _Network(canopen.Network):
-    """The library's nodes on the bus of the electronics."""
+    """Network of canopen on the bus of the electronics."""
 
     def __init__(self, send: Send) -> None:
         super().__init__()
@@ -456,7 +456,7 @@ class _Network(canopen.Network):
 
 
 class _NoTask:
-    """The library's heartbeats; those of Drive are sent instead."""
+    """Disables the heartbeats of canopen; Drive sends its own."""
 
     def stop(self) -> None:
         return
@@ -466,7 +466,7 @@ class _NoTask:
 
 
 def quintic(begin: np.ndarray, end: np.ndarray, s: float, T: float) -> np.ndarray:
-    """Return position, velocity, acceleration (n, 3) at share s of T between two such states."""
+    """Return position, velocity, acceleration (n, 3) at time s T of a quintic between states."""
     p0, v0, a0 = begin[:, 0], begin[:, 1] * T, begin[:, 2] * T * T
     d, v1, a1 = end[:, 0] - p0, end[:, 1] * T, end[:, 2] * T * T
     c3 = 10.0 * d - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1

@@ -1,4 +1,4 @@
-"""Faults that the emulated electronics play on command, and what each of them does."""
+"""Inject faults into emulated electronics: table of faults, commands, faults of the bus."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ AXES = ("x1", "x2", "phi")
 
 
 class InjectionError(Exception):
-    """A fault that does not exist, or that lacks its argument."""
+    """An unknown fault, or one with a missing or invalid argument."""
 
 
 @dataclass(frozen=True)
 class FaultKind:
-    """What a fault does, and the argument it takes: nothing, a number, or an axis."""
+    """Effect of a fault, and its argument: none, a channel, an axis or a number."""
 
     does: str
     argument: str = ""
@@ -25,40 +25,40 @@ class FaultKind:
 
 FAULTS: dict[str, FaultKind] = {
     "drop": FaultKind("answers are not sent"),
-    "drop-setpoints": FaultKind("setpoints are not heard"),
+    "drop-setpoints": FaultKind("setpoints are ignored"),
     "delay": FaultKind("answers are sent a cycle late"),
-    "corrupt": FaultKind("a bit of every answer is turned"),
-    "repeat": FaultKind("the answers of the cycle before are sent again instead of new ones"),
-    "reorder": FaultKind("the answers of two cycles change places"),
+    "corrupt": FaultKind("a bit of every answer is inverted"),
+    "repeat": FaultKind("answers of the previous cycle are sent instead of new ones"),
+    "reorder": FaultKind("answers of two cycles are sent in reverse order"),
     "bus-off": FaultKind(
-        "the host's CAN controller leaves the bus; on a serial port nobody hears or sends"
+        "the host's CAN controller goes bus-off; a serial port neither receives nor sends"
     ),
-    "disconnect": FaultKind("the port is closed, or the devices leave the bus without a word"),
-    "stuck": FaultKind("a sensor channel is stuck, which the ADC's self-test finds", "channel"),
+    "disconnect": FaultKind("the port is closed, or the devices leave the CAN bus"),
+    "stuck": FaultKind("a sensor channel is stuck, detected by the ADC's self-test", "channel"),
     "frozen": FaultKind(
-        "a sensor channel repeats its reading, which no self-test finds", "channel"
+        "a sensor channel repeats its reading, not detected by the self-test", "channel"
     ),
     "saturated": FaultKind("a sensor channel reads the end of its range", "channel"),
     "trip": FaultKind("a coil's amplifier trips", "channel"),
     "encoder": FaultKind("the encoder of a drive is lost", "axis"),
-    "skew": FaultKind("X1 and X2 drift apart by so many metres", "metres"),
-    "push": FaultKind("somebody pushes the platform up with so many newtons", "newtons"),
+    "skew": FaultKind("X1 and X2 differ by a distance", "metres"),
+    "push": FaultKind("an external force pushes the platform up", "newtons"),
 }
 
 
 class Injector:
-    """Switches faults of one set of electronics; `clear` ends all of them."""
+    """Switches faults of the electronics on; `clear` switches all off."""
 
     def __init__(self, core: Core) -> None:
         self._core = core
         self.wire: set[str] = set()
-        """Faults of bus and port at hand."""
+        """Active faults of bus and port."""
 
     def command(self, line: str) -> str:
-        """Carry out a line such as `trip 3`, `drop` or `clear`; return what was done.
+        """Execute a line such as `trip 3`, `drop` or `clear`; return the line.
 
         Raises:
-            InjectionError: the line is not understood.
+            InjectionError: the fault is unknown, or its argument is missing or invalid.
         """
         name, *arguments = line.split()
         if name == "clear":
@@ -74,7 +74,7 @@ class Injector:
             match kind.argument:
                 case "channel":
                     count = self._core.coils if name == "trip" else self._core.sensors
-                    channel = _whole(name, arguments[0], count)
+                    channel = _channel(name, arguments[0], count)
                     {
                         "stuck": injected.stuck,
                         "frozen": injected.frozen,
@@ -94,7 +94,7 @@ class Injector:
         return line
 
     def clear(self) -> None:
-        """End all faults; what tripped stays off until it is reset."""
+        """Clear all faults; tripped amplifiers stay off until the host resets them."""
         with self._core.lock:
             self.wire.clear()
             injected = self._core.injected
@@ -106,15 +106,15 @@ class Injector:
             injected.skew_m = injected.push_n = 0.0
 
     @property
-    def hears(self) -> bool:
-        """Whether anything arrives."""
+    def receives(self) -> bool:
+        """Whether frames of the host arrive."""
         return not self.wire & {"bus-off", "disconnect"}
 
 
 class Outgoing:
-    """The answers of one bus on their way out, through the faults of the wire.
+    """Applies the faults of the bus to the answers of the electronics.
 
-    A batch is what answers one cycle: frames of whatever kind, each with its payload last.
+    A batch has the frames that answer one cycle: (ID, payload).
     """
 
     def __init__(self, injector: Injector) -> None:
@@ -125,7 +125,7 @@ class Outgoing:
     def through(  # noqa: PLR0911 - one a fault
         self, batch: list[tuple[int, bytes]]
     ) -> list[tuple[int, bytes]]:
-        """Return the frames that leave now."""
+        """Return the frames to send now."""
         wire = self._injector.wire
         last, self._last = self._last, batch
         if not wire:
@@ -145,12 +145,12 @@ class Outgoing:
                 return []
             return batch + self._held.popleft()
         if "corrupt" in wire:
-            return [(can_id, _with_a_bit_turned(data)) for can_id, data in batch]
+            return [(can_id, _with_inverted_bit(data)) for can_id, data in batch]
         return batch
 
 
-def _with_a_bit_turned(data: bytes) -> bytes:
-    """Turn a bit of the first value; in a stuffed frame never into a zero, which would cut it."""
+def _with_inverted_bit(data: bytes) -> bytes:
+    """Invert a bit of the first value; never create a zero byte, which would end a COBS frame."""
     turned = bytearray(data)
     for i in range(1, len(turned)):
         if turned[i] not in (0, 1):
@@ -160,7 +160,7 @@ def _with_a_bit_turned(data: bytes) -> bytes:
     return bytes(turned)
 
 
-def _whole(name: str, text: str, count: int) -> int:
+def _channel(name: str, text: str, count: int) -> int:
     if not text.isdecimal() or int(text) >= count:
         raise InjectionError(f"{name}: expected a channel from 0 to {count - 1}, found '{text}'")
     return int(text)

@@ -1,4 +1,4 @@
-"""Electronics at the other end of a serial port: a pseudo terminal, or a TCP port."""
+"""Emulate electronics on a serial port: a pseudo terminal or a TCP port."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ _CHUNK = 4096
 class SerialElectronics:
     """Answers on one port until `stop`; `start` opens it.
 
-    `port` in the rig is a path, made here as a link to a pseudo terminal, or socket://HOST:PORT,
-    where this end listens.
+    `port` in RIG.yaml is a path, created as a link to a pseudo terminal, or socket://HOST:PORT,
+    where the electronics listen.
     """
 
     def __init__(
@@ -82,10 +82,10 @@ class SerialElectronics:
             if not data:
                 self._core.tick(min(silent_s, read_s))
                 continue
-            if self.injector.hears:
+            if self.injector.receives:
                 for block in self._stream.feed(data):
                     self._answer(block)
-            if len(data) < _CHUNK:  # there is no more of what had come by then
+            if len(data) < _CHUNK:  # nothing more was waiting
                 self._core.tick(read_s)
 
     def _answer(self, block: bytes) -> None:
@@ -95,14 +95,14 @@ class SerialElectronics:
             return
         if header.kind is Kind.CYCLE:
             with core.lock:
-                self._take_setpoints()
+                self._store_setpoints()
                 core.begin(header.sequence)
-                if self._contents.coils:  # whoever began the cycle, and a second time too
-                    core.take_over(renews=header.sequence != self._sequence)
+                if self._contents.coils:  # also if another bus began the cycle
+                    core.apply_setpoints(renews=header.sequence != self._sequence)
                 self._sequence = header.sequence
                 readings = frames.readings(
                     header.sequence,
-                    (core.answered_state, core.force_n),
+                    (core.reported_state, core.force_n),
                     (core.sensor_state, core.gap_m),
                     (core.drive_state, core.drive_error, core.axes),
                 )
@@ -117,7 +117,7 @@ class SerialElectronics:
         for data in out:
             self._line.write(data)
 
-    def _take_setpoints(self) -> None:
+    def _store_setpoints(self) -> None:
         if "drop-setpoints" in self.injector.wire:
             return
         if self._contents.coils:
@@ -129,7 +129,7 @@ class SerialElectronics:
 
 
 class _Line:
-    """One end of a wire: bytes in and out; opening an open one and closing a closed one is free."""
+    """Bytes in and out; `open` and `close` may be repeated."""
 
     def open(self) -> None:
         raise NotImplementedError
@@ -181,12 +181,12 @@ class _Pty(_Line):
             return os.read(self._master, _CHUNK)
         except BlockingIOError:
             return b""
-        except OSError:  # nobody holds the other end: no event says when that changes
+        except OSError:  # the port is not open: select does not report when it is opened
             threading.Event().wait(timeout_s)
             return b""
 
     def write(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):  # nobody listens: as on a wire
+        with contextlib.suppress(OSError):  # the port is not open: bytes are lost
             os.write(self._master, data)
 
 
@@ -195,7 +195,7 @@ class _TcpLine(_Line):
         parts = urlparse(url)
         if parts.scheme != "socket" or parts.hostname is None or parts.port is None:
             raise ConfigError(
-                f"serial.{name}.port: the electronics answer at a path or socket://HOST:PORT, "
+                f"serial.{name}.port: expected a path or socket://HOST:PORT for the electronics, "
                 f"found {url}"
             )
         self._address = (parts.hostname, parts.port)
@@ -214,7 +214,7 @@ class _TcpLine(_Line):
 
     def read(self, timeout_s: float) -> bytes:
         assert self._listener is not None
-        # A new client takes the place of one that is gone without a word.
+        # A new client replaces one that was lost without closing.
         ends = [self._listener] + ([self._client] if self._client is not None else [])
         ready, _, _ = select.select(ends, [], [], timeout_s)
         if self._listener in ready:

@@ -308,7 +308,7 @@ def test_trial_that_failed_is_a_fault_that_was_not_named(monkeypatch, capsys) ->
     bus_faults = device_faults
     core, on_bus = bus_faults.core, bus_faults.bus_backend
     for owner, name in (
-        (core, "_SILENT_PERIODS"), (on_bus, "_ANSWER_SHARE"), (on_bus, "_SENT_BY"),
+        (core, "_SILENT_PERIODS"), (on_bus, "_ANSWER_SHARE"), (on_bus, "_SETPOINTS_SHARE"),
     ):  # fmt: skip
         monkeypatch.setattr(owner, name, getattr(owner, name))
 

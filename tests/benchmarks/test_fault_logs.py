@@ -307,12 +307,12 @@ def test_part_of_a_period_with_force_is_one(electronics: Electronics) -> None:
 
     core.begin(1)
     core.setpoints(np.full(9, 5.0))
-    core.take_over()
+    core.apply_setpoints()
     assert forced() == 0
     core.begin(2)
     assert forced() == 1
     core.setpoints(np.zeros(9))
-    core.take_over(renews=False)  # in the middle of it
+    core.apply_setpoints(renews=False)  # in the middle of it
     assert forced() == 2
     core.begin(3)
     assert forced() == 2

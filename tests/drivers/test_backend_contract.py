@@ -193,7 +193,7 @@ def test_close_leaves_zero_force_and_may_be_called_twice(bench: Bench) -> None:
         while core.pending_n.any() and time.monotonic() < give_up_s:
             time.sleep(0.001)
         core.begin(core.cycle + 1)
-        core.take_over()
+        core.apply_setpoints()
         assert not core.acting_n.any()
 
 

@@ -113,7 +113,7 @@ def cycles_of_force(bench: Bench, most: int = 10) -> tuple[int, DriverError | No
             with suppress(LinkError):
                 bench.devices.amplifiers.release(np.zeros(9))
         time.sleep(0.01)  # what comes behind an answer comes within the cycle
-        if bench.electronics.injector.hears:
+        if bench.electronics.injector.receives:
             until_heard(bench)
         else:
             core._period()  # its own clock goes on, in step with the host's
@@ -233,7 +233,7 @@ def test_setpoints_that_are_lost_in_a_row_are_named_before_they_expire(rig_on) -
             bench = Bench(devices, electronics)
             fly(bench)
             electronics.injector.command("drop-setpoints")
-            words = "did not come through in 3 cycles"
+            words = "received no setpoints in 3 cycles"
             with pytest.raises(AmplifierError, match=words):  # noqa: PT012
                 for _ in range(WITHIN_CYCLES + 1):
                     bench.run(7.0)

@@ -11,7 +11,7 @@ from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context
 from levid.drivers.registry import check_backends
-from levid.wire.device_protocol import PROTOCOL, DeviceParameter, declared
+from levid.wire.device_protocol import PROTOCOL, DeviceParameter, expected_parameters
 
 
 def rig(kind: str, **limits: float) -> RigConfig:
@@ -39,7 +39,7 @@ def test_limit_beyond_a_devices_words_is_refused(
 ) -> None:
     with pytest.raises(ConfigError) as error:
         checked(rig(kind, **{key: value}))
-    assert str(error.value).startswith(f"limits.{key}: expected at most {most}, as much as")
+    assert str(error.value).startswith(f"limits.{key}: expected at most {most}, ")
 
 
 def test_limit_that_no_device_is_told_may_be_anything() -> None:
@@ -47,6 +47,6 @@ def test_limit_that_no_device_is_told_may_be_anything() -> None:
 
 
 def test_shipped_rigs_tell_their_limits() -> None:
-    told = declared(load_rig(shipped("rigs/serial.yaml")), 5)
+    told = expected_parameters(load_rig(shipped("rigs/serial.yaml")), 5)
     assert told[DeviceParameter.PROTOCOL] == PROTOCOL
     assert all(0 <= value < 2**32 for value in told.values())

@@ -9,7 +9,7 @@ import pytest
 
 from levid.drivers.amplifier_enabling import AmplifierWatch
 from levid.drivers.base import AmplifierError, LinkError
-from levid.drivers.can.amplifiers_and_adc import Questions
+from levid.drivers.can.amplifiers_and_adc import Requests
 from levid.wire.can.can_frames import load_frames
 from levid.wire.device_protocol import DeviceParameter, Refusal, Request
 
@@ -42,15 +42,15 @@ class Link:
         return True
 
 
-def asked(*answers: list[tuple[int, int]]) -> Questions:
-    return Questions(Link(*answers), FRAMES.request, FRAMES.answer)  # type: ignore[arg-type]
+def asked(*answers: list[tuple[int, int]]) -> Requests:
+    return Requests(Link(*answers), FRAMES.request, FRAMES.answer)  # type: ignore[arg-type]
 
 
 def test_answer_to_an_earlier_question_is_not_taken_for_this_one() -> None:
     """A device that booted late answers what was asked before, too."""
     questions = asked([(DeviceParameter.PROTOCOL, 2), (DeviceParameter.COILS, 9)])
     assert questions.exchange(Request.READ, DeviceParameter.COILS, 0) == (DeviceParameter.COILS, 9)
-    with pytest.raises(LinkError, match="nobody answers"):
+    with pytest.raises(LinkError, match="no answer"):
         asked(*[[(DeviceParameter.PROTOCOL, 2)]] * 20).exchange(
             Request.READ, DeviceParameter.COILS, 0
         )
@@ -66,7 +66,7 @@ def test_refusal_is_an_answer_to_anything() -> None:
     [
         ((Refusal.STILL_TRIPPED, 0b101), "still tripped, coil 0, 2"),
         ((DeviceParameter.TRIPPED_COILS, 0b10), "still tripped, coil 1"),
-        ((Refusal.NO_SUCH_PARAMETER, 3), r"does not reset trips \(NO_SUCH_PARAMETER\)"),
+        ((Refusal.NO_SUCH_PARAMETER, 3), r"cannot reset trips \(NO_SUCH_PARAMETER\)"),
     ],
 )
 def test_trips_that_are_not_reset_say_which(answer: tuple[int, int], words: str) -> None:

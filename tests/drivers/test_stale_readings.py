@@ -24,7 +24,7 @@ from levid.wire.device_protocol import (
     DeviceParameter,
     Request,
     SensorState,
-    declared,
+    expected_parameters,
 )
 from levid.wire.serial import cobs, serial_frames
 
@@ -35,7 +35,7 @@ def test_a_reading_that_the_adc_calls_faulty_is_an_error_though_it_is_a_number()
     watch = SensorWatch("sensors", RIG.geometry, 1e-3)
     draw = np.random.default_rng(1).normal
     watch.judge(draw(0, 1e-7, 9), SensorState.OK)
-    with pytest.raises(SensorError, match="the ADC says that a channel is faulty"):
+    with pytest.raises(SensorError, match="the ADC reports a faulty channel"):
         watch.judge(draw(0, 1e-7, 9), SensorState.FAULTY)
     watch.judge(draw(0, 1e-7, 9), SensorState.FAULTY)  # told once
     watch.reset()
@@ -67,7 +67,9 @@ def test_of_several_amplifiers_the_one_that_is_worst_off_is_told(
 
 def test_amplifiers_that_failed_in_flight_stay_off_until_that_is_cleared() -> None:
     asked: list[tuple[Request, int, int]] = []
-    watch = AmplifierWatch("amplifiers", declared(RIG, 3), lambda *what: asked.append(what), 2)
+    watch = AmplifierWatch(
+        "amplifiers", expected_parameters(RIG, 3), lambda *what: asked.append(what), 2
+    )
     coil_n, zero_n = np.full(9, 7.0), np.zeros(9)
     watch.judge(AmplifierState.OFF, coil_n)
     assert asked  # nothing is commanded: they are to be enabled
@@ -89,7 +91,9 @@ def test_amplifiers_that_failed_in_flight_stay_off_until_that_is_cleared() -> No
 def test_a_challenge_is_answered_while_they_are_to_be_enabled_alone(late: str) -> None:
     """It was asked for on the ground; what it leads to is force, or amplifiers on after a fault."""
     asked = []
-    watch = AmplifierWatch("amplifiers", declared(RIG, 3), lambda *what: asked.append(what), 2)
+    watch = AmplifierWatch(
+        "amplifiers", expected_parameters(RIG, 3), lambda *what: asked.append(what), 2
+    )
     zero_n = np.zeros(9)
     watch.judge(AmplifierState.OFF, zero_n)
     assert asked == [(Request.READ, DeviceParameter.CHALLENGE, 0)]
@@ -142,7 +146,7 @@ def test_nothing_is_compiled_in_the_first_cycle(monkeypatch: pytest.MonkeyPatch,
         monkeypatch.setattr(module, name, noting)
 
     modules = {can_frames: ("_pack", "_unpack"), cobs: ("_encode", "_decode")}
-    modules |= {int16_scaling: ("_quantise", "_scale"), reading_checks: ("_judge",)}
+    modules |= {int16_scaling: ("_quantise", "_scale"), reading_checks: ("_check",)}
     for module, names in modules.items():
         for name in names:
             note(module, name)

@@ -9,7 +9,7 @@ import time
 from levid.config.buses import CanBus
 from levid.drivers.base import LinkError
 from levid.drivers.can.bus_link import CanLink
-from levid.sim.electronics.can_bus import _hands_on_errors
+from levid.sim.electronics.can_bus import _transmits_errors
 from levid.wire.can.can_bus import open_bus
 from levid.wire.can.kernel_frame import BUS_OFF_ID, ERROR
 from levid.wire.can.timestamps import SO_TIMESTAMPING, KernelStamps
@@ -43,7 +43,7 @@ _, beside, _, _ = raw.recvmsg(72, KernelStamps.room)
 assert SO_TIMESTAMPING in [kind for _, kind, _ in beside], beside
 other.send(ERROR | 0x04, bytes(8))  # a controller that is warned is not off
 assert link.receive(time.perf_counter() + WAIT_S)
-assert _hands_on_errors(config)
+assert _transmits_errors(config)
 other.send(BUS_OFF_ID, bytes(8))
 ended = ""
 try:

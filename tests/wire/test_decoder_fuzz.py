@@ -101,7 +101,7 @@ def test_answers_by_sdo_are_numbers_or_errors() -> None:
 
 def test_readings_of_another_cycle_would_be_noticed(monkeypatch) -> None:
     """Whoever judges has to know better: a port that takes whatever comes is found out."""
-    take = TransactionPort._take
+    take = TransactionPort._handle_frame
 
     def take_all(self: TransactionPort, block: bytes) -> None:
         cycle = self._cycle
@@ -111,7 +111,7 @@ def test_readings_of_another_cycle_would_be_noticed(monkeypatch) -> None:
         take(self, block)
         self._cycle = cycle
 
-    monkeypatch.setattr(TransactionPort, "_take", take_all)
+    monkeypatch.setattr(TransactionPort, "_handle_frame", take_all)
     assert fuzz.transactions(N // 20, np.random.default_rng(11)).wrong > 0
 
 

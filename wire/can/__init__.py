@@ -1,1 +1,1 @@
-"""CAN: frames, buses, adapters, timestamps."""
+"""CAN: frames, buses, adapters, timestamps, time on the bus."""

@@ -1,7 +1,7 @@
-"""What is known of each interface of python-can: how it waits, what it adds, what it can carry.
+"""Table of python-can's interfaces: latency, accuracy of timeouts, bit rates, CAN FD.
 
-docs/can.md has the same as a table. What an interface of another package is like nobody knows: it
-is read by a thread of its own, and held to be as slow as an adapter on full-speed USB.
+docs/can.md has the same table. An interface of another package is read by a thread of its own and
+assumed to be as slow as an adapter on full-speed USB.
 """
 
 from __future__ import annotations
@@ -14,35 +14,35 @@ from typing import Any, Literal
 
 from ...config.base import ConfigError
 from ...config.buses import CanBus
-from .read_ahead import LOOK_S
+from .read_ahead import POLL_S
 
-AT_ONCE_S = 2e-5
+KERNEL_S = 2e-5
 HIGH_SPEED_S, FULL_SPEED_S = 1.25e-4, 1e-3
-"""A microframe and a frame of USB (2.0, 4.9.2): a transfer that is asked for begins within one."""
+"""A microframe and a frame of USB (USB 2.0, 4.9.2): the longest wait before a transfer."""
 NETWORK_S = 1e-3
 _NOMINAL = ("nom_brp", "nom_tseg1", "nom_tseg2", "nom_sjw")
 _DATA = ("data_brp", "data_tseg1", "data_tseg2", "data_sjw")
 _CLASSIC = ("brp", "tseg1", "tseg2", "sjw", "nof_samples")
 _SLCAN_CLOCK_HZ = 60_000_000
-"""Of no hardware: one that all its rates divide."""
+"""Nominal clock, a multiple of all bit rates; no hardware has it."""
 
 
 @dataclass(frozen=True)
 class AdapterLine:
-    """A serial line between host and adapter, which each frame passes as so many bytes."""
+    """A serial line between host and adapter, and the bytes of a frame on it."""
 
     option: str
     baud: int
     head: int
-    """Bytes of a frame besides its data."""
+    """Bytes of a frame without its data."""
     per_byte: int = 1
     confirmed: int = 0
-    """Bytes that come back for each frame that is sent."""
+    """Bytes that confirm a sent frame."""
     in_channel: bool = False
-    """Whether `channel@baud` names the rate too."""
+    """Whether the channel may contain the rate: `channel@baud`."""
 
     def rate(self, bus: CanBus) -> int:
-        """Return its rate in bit/s, as python-can reads it; raises ConfigError."""
+        """Return the rate in bit/s, read as python-can does; raises ConfigError."""
         found: Any = bus.options.get(self.option, self.baud)
         if self.in_channel and "@" in str(bus.channel):
             found = str(bus.channel).split("@")[1]
@@ -55,32 +55,32 @@ class AdapterLine:
         return baud
 
     def frame_s(self, length: int, baud: int, *, sent: bool) -> float:
-        """Return how long a frame of `length` bytes takes: ten bits a byte."""
+        """Return the time of a frame with `length` data bytes in s, at ten bits per byte."""
         confirmed = self.confirmed if sent else 0
         return 10 * (self.head + self.per_byte * length + confirmed) / baud
 
 
 @dataclass(frozen=True)
 class Adapter:
-    """An interface of python-can."""
+    """Properties of a python-can interface."""
 
     latency_s: float
-    """What it adds to a cycle, unless the rig says what it does."""
+    """Time added to a cycle, unless RIG.yaml has `latency_s`."""
     punctual: bool = False
-    """Whether it waits by parts of a millisecond, or at least never longer than asked."""
+    """Whether a timeout of less than 1 ms ends on time."""
     fd: Literal["no", "yes", "timing"] = "no"
-    """Whether it carries CAN FD; "timing": with all segments of a bit as options alone."""
+    """Whether it carries CAN FD; "timing": only with all bit segments as options."""
     bitrates: tuple[int, ...] = ()
-    """Rates that it knows without those; none where it takes any."""
+    """Bit rates supported without bit segments as options; empty if any rate is."""
     fd_bitrates: tuple[int, ...] = ()
     data_bitrates: tuple[int, ...] = ()
     line: AdapterLine | None = None
     numbered: tuple[str, ...] | None = None
-    """Its channel is a whole number, unless one of these options says which one is meant."""
+    """The channel has to be an integer unless one of these options selects it; None: any text."""
     windows: bool = False
 
 
-_KERNEL = Adapter(AT_ONCE_S, punctual=True, fd="yes")
+_KERNEL = Adapter(KERNEL_S, punctual=True, fd="yes")
 _WINDOWS = Adapter(FULL_SPEED_S, windows=True, fd="yes")
 _UNKNOWN = Adapter(FULL_SPEED_S, fd="yes")
 _SLCAN_RATES = (
@@ -99,11 +99,11 @@ ADAPTERS: Mapping[str, Adapter] = {
     "socketcan": _KERNEL,
     "udp_multicast": _KERNEL,
     "virtual": _KERNEL,
-    "neousys": Adapter(AT_ONCE_S, punctual=True),
+    "neousys": Adapter(KERNEL_S, punctual=True),
     "socketcand": Adapter(NETWORK_S, punctual=True),
-    # On Linux it selects on the driver's descriptor.
+    # On Linux python-can waits on the file descriptor of the driver.
     "pcan": Adapter(HIGH_SPEED_S, punctual=True, fd="timing", bitrates=_PCAN_RATES),
-    # It rounds down to milliseconds, and asks again and again for the rest.
+    # Timeouts are rounded down to 1 ms, and python-can polls for the rest.
     "kvaser": Adapter(
         HIGH_SPEED_S,
         punctual=True,
@@ -117,7 +117,7 @@ ADAPTERS: Mapping[str, Adapter] = {
     "canalystii": Adapter(FULL_SPEED_S),
     "cantact": Adapter(FULL_SPEED_S, numbered=()),
     "gs_usb": Adapter(FULL_SPEED_S, numbered=("index", "bus", "address")),
-    # tIIILDD..\r, and \r or z\r for each that was sent (Lawicel CANUSB manual)
+    # tIIILDD..\r, confirmed by \r or z\r (Lawicel CANUSB manual)
     "slcan": Adapter(
         FULL_SPEED_S,
         fd="yes",
@@ -126,7 +126,7 @@ ADAPTERS: Mapping[str, Adapter] = {
         data_bitrates=(2_000_000, 5_000_000),
         line=AdapterLine("tty_baudrate", 115_200, 6, per_byte=2, confirmed=2, in_channel=True),
     ),
-    # Two bytes of 0xAA, 17 of the frame, two of 0x55; an escape before data, ID and checksum.
+    # 0xAA twice, 17 bytes of frame, 0x55 twice; escape bytes in data, ID and checksum.
     "robotell": Adapter(
         FULL_SPEED_S, line=AdapterLine("ttyBaudrate", 115_200, 23, in_channel=True)
     ),
@@ -139,23 +139,23 @@ ADAPTERS: Mapping[str, Adapter] = {
 
 
 def adapter_of(interface: str) -> Adapter:
-    """Return what is known of an interface; of one of another package, the worst."""
+    """Return the properties of an interface; worst-case values for other packages' ones."""
     return ADAPTERS.get(interface, _UNKNOWN)
 
 
 def latency_s(bus: CanBus) -> float:
-    """Return what adapter and host add to a cycle."""
+    """Return the time that adapter and host add to a cycle, in s."""
     return adapter_of(bus.interface).latency_s if bus.latency_s is None else bus.latency_s
 
 
 def check_bus(where: str, bus: CanBus) -> None:
-    """Raise ConfigError for a bus that python-can would refuse, or open otherwise than it says."""
+    """Raise ConfigError if python-can would reject the bus, or open it with other settings."""
     from can import VALID_INTERFACES
 
     known = sorted({*VALID_INTERFACES, *ADAPTERS})
     if bus.interface not in known:
         near = get_close_matches(bus.interface, known, 1)
-        hint = f"; {near[0]} is near" if near else ""
+        hint = f"; did you mean {near[0]}?" if near else ""
         raise ConfigError(
             f"{where}.interface: expected one of python-can ({', '.join(known)}) or of a package "
             f"that adds one, found '{bus.interface}'{hint}"
@@ -163,8 +163,8 @@ def check_bus(where: str, bus: CanBus) -> None:
     adapter = adapter_of(bus.interface)
     if adapter.windows and sys.platform != "win32":
         raise ConfigError(
-            f"{where}.interface: python-can has {bus.interface} on Windows alone; where the kernel "
-            "has a driver for the adapter it is socketcan"
+            f"{where}.interface: python-can supports {bus.interface} on Windows only; use "
+            "socketcan if the kernel has a driver for the adapter"
         )
     if adapter.numbered is not None and not any(key in bus.options for key in adapter.numbered):
         _check_number(where, bus)
@@ -175,27 +175,27 @@ def check_bus(where: str, bus: CanBus) -> None:
             raise ConfigError(f"{where}.{error}") from None
     if bus.fd and adapter.fd == "no":
         raise ConfigError(
-            f"{where}.data_bitrate: expected none, since {bus.interface} of python-can carries "
-            f"classic CAN alone, found {bus.data_bitrate}; where the kernel has a driver for the "
-            "adapter, socketcan carries CAN FD"
+            f"{where}.data_bitrate: {bus.interface} of python-can carries classic CAN only, found "
+            f"{bus.data_bitrate}; remove it, or use socketcan if the kernel has a driver for the "
+            "adapter"
         )
     _check_rates(where, bus, adapter)
 
 
 def arguments(bus: CanBus) -> dict[str, Any]:
-    """Return what python-can's interface is given besides channel and rate."""
+    """Return the arguments of can.Bus besides interface, channel and bit rate."""
     found: dict[str, Any] = dict(bus.options)
     if bus.fd:
         found |= {"fd": True, "data_bitrate": bus.data_bitrate}
     elif bus.interface == "udp_multicast":
-        found |= {"fd": False}  # it would send CAN FD unless told otherwise
+        found |= {"fd": False}  # its default is CAN FD
     if bus.interface == "slcan":
-        # It waits for bytes by the port's own time, of a millisecond unless told otherwise.
-        found.setdefault("timeout", LOOK_S)
-        if bus.data_bitrate is not None and not _given(bus, _NOMINAL + _DATA):
+        # Its read timeout is that of the port, by default 1 ms.
+        found.setdefault("timeout", POLL_S)
+        if bus.data_bitrate is not None and not _has_timing(bus, _NOMINAL + _DATA):
             from can import BitTimingFd
 
-            # It takes rates out of a timing alone; what a bit is made of its firmware says.
+            # python-can reads only the rates of the timing; the firmware sets the bit segments.
             found["timing"] = BitTimingFd.from_sample_point(
                 _SLCAN_CLOCK_HZ, bus.bitrate, 80.0, bus.data_bitrate, 80.0
             )
@@ -207,26 +207,26 @@ def _check_number(where: str, bus: CanBus) -> None:
         int(bus.channel)
     except ValueError:
         raise ConfigError(
-            f"{where}.channel: expected the number that {bus.interface} gives it, counted from 0, "
+            f"{where}.channel: expected the number of the adapter for {bus.interface}, from 0, "
             f"found '{bus.channel}'"
         ) from None
 
 
 def _check_rates(where: str, bus: CanBus, adapter: Adapter) -> None:
-    """Raise ConfigError for rates that the interface does not know, or that its options deny."""
-    if bus.fd and _given(bus, _NOMINAL + _DATA):
+    """Raise ConfigError for rates that the interface does not support or its options contradict."""
+    if bus.fd and _has_timing(bus, _NOMINAL + _DATA):
         _compare(where, "bitrate", bus.bitrate, _rate(where, bus, _NOMINAL))
         _compare(where, "data_bitrate", bus.data_bitrate, _rate(where, bus, _DATA))
         return
     if bus.fd and adapter.fd == "timing":
         raise ConfigError(
-            f"{where}.options: expected f_clock, {', '.join(_NOMINAL + _DATA)}, without which "
-            f"{bus.interface} opens no CAN FD, found {', '.join(bus.options) or 'none'}"
+            f"{where}.options: {bus.interface} needs f_clock, {', '.join(_NOMINAL + _DATA)} for "
+            f"CAN FD, found {', '.join(bus.options) or 'none'}"
         )
-    if not bus.fd and _given(bus, _CLASSIC):
+    if not bus.fd and _has_timing(bus, _CLASSIC):
         _compare(where, "bitrate", bus.bitrate, _rate(where, bus, _CLASSIC))
         return
-    if "tseg1" in bus.options:  # of an interface that takes it for any rate
+    if "tseg1" in bus.options:  # the interface applies it at any rate
         return
     rates = adapter.fd_bitrates if bus.fd else adapter.bitrates
     parts = _NOMINAL + _DATA if bus.fd else _CLASSIC
@@ -241,19 +241,19 @@ def _check_rates(where: str, bus: CanBus, adapter: Adapter) -> None:
                 else (f", or f_clock, {', '.join(parts)} in options")
             )
             raise ConfigError(
-                f"{where}.{key}: expected a rate that {bus.interface} knows "
+                f"{where}.{key}: expected a rate of {bus.interface} "
                 f"({', '.join(map(str, known))}){own}, found {found}"
             )
 
 
-def _given(bus: CanBus, parts: tuple[str, ...]) -> bool:
-    """Return whether the options say what a bit is made of, so that python-can goes by that."""
+def _has_timing(bus: CanBus, parts: tuple[str, ...]) -> bool:
+    """Return whether the options have all bit segments, which python-can uses then."""
     clock = "f_clock" in bus.options or (bus.interface == "pcan" and "f_clock_mhz" in bus.options)
     return clock and all(part in bus.options for part in parts)
 
 
 def _rate(where: str, bus: CanBus, parts: tuple[str, ...]) -> float:
-    """Return the rate of a bit that is made of these, in bit/s."""
+    """Return the bit rate of the bit segments `parts` in the options, in bit/s."""
     options = bus.options
     try:
         clock = float(options.get("f_clock") or 1e6 * float(options["f_clock_mhz"]))
@@ -265,6 +265,8 @@ def _rate(where: str, bus: CanBus, parts: tuple[str, ...]) -> float:
         ) from None
 
 
-def _compare(where: str, key: str, said: int | None, made: float) -> None:
-    if said is None or abs(made - said) > 0.001 * said:
-        raise ConfigError(f"{where}.{key}: expected {made:g}, as options make it, found {said}")
+def _compare(where: str, key: str, given: int | None, computed: float) -> None:
+    if given is None or abs(computed - given) > 0.001 * given:
+        raise ConfigError(
+            f"{where}.{key}: expected {computed:g}, as computed from options, found {given}"
+        )

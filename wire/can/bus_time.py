@@ -39,7 +39,7 @@ def bus_time(rig: RigConfig, name: str, roles: Mapping[str, RoleOptions], folder
     def all_s(values: ValueFrames, *, sent: bool = False) -> float:
         return sum(frame_s(frame.length, sent=sent) for frame in values.frames)
 
-    answers, setpoints, others, before = 0.0, 0.0, 0.0, 0.0
+    answers, setpoints, unawaited, before = 0.0, 0.0, 0.0, 0.0
     if "amplifiers" in roles or "sensors" in roles:
         answers += frame_s(frames.sync.length, sent=True)
     if "amplifiers" in roles:
@@ -55,11 +55,11 @@ def bus_time(rig: RigConfig, name: str, roles: Mapping[str, RoleOptions], folder
             answers += read_s
             setpoints += write_s
         else:  # reading and writing fall into different cycles
-            others += max(read_s, write_s)
+            unawaited += max(read_s, write_s)
             # The drives' SYNC precedes the answers, and a frame on the bus is not interrupted.
             before = frame_s(_SYNC_BYTES, sent=True) + frame_s(TPDO.size)
     answers += frame_s.passing_s(max(frame.length for frame in frames.gap.frames))
-    return BusTime(f"can {name}", answers, setpoints, others, latency_s(bus), before)
+    return BusTime(f"can {name}", answers, setpoints, unawaited, latency_s(bus), before)
 
 
 def alternatives(rig: RigConfig, folder: Path) -> Iterator[str]:

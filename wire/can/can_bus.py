@@ -1,9 +1,9 @@
-"""A bus of python-can as plain frames: a number and bytes in, a number, bytes and a stamp out.
+"""Send and receive CAN frames on any bus of python-can: ID and bytes, with a timestamp on receipt.
 
-Any interface goes through python-can's own Message, and where it does not wait by the time it is
-given, through a thread that reads it. For socketcan, the interface of the rig, frames are read and
-written as the kernel lays them out: a Message, its checks and copies take longer than the frame
-takes on the wire. The bus is opened, configured and closed by python-can all the same.
+Interfaces go through python-can's Message, and through a reading thread if their timeouts are
+inaccurate. socketcan, the interface of the rig, uses the kernel's frame layout instead: a Message
+with its checks and copies takes longer than the frame on the wire. python-can opens, configures and
+closes every bus.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from .kernel_frame import (
     OTHER,
     BusOffError,
     ReceivedFrame,
-    packed,
-    unpacked,
+    pack_frame,
+    unpack_frame,
 )
 from .read_ahead import ReadAhead
 from .timestamps import OLDEST_S, HardwareClock, KernelStamps
@@ -34,27 +34,26 @@ from .timestamps import OLDEST_S, HardwareClock, KernelStamps
 _LONGEST = max(FRAME_SIZES)
 _FULL_S = 0.001
 _SENDS_BY = {"slcan", "udp_multicast"}
-"""Interfaces that take a time by which a frame is to be on its way. Others ignore it, or wait for
-the frame to have left."""
+"""Interfaces whose send timeout covers queueing only. Others ignore it, or wait until the frame has
+been sent."""
 _STAMPED_HERE = {"levid_local", "slcan", "socketcan", "udp_multicast", "virtual"}
 _SEND_S = 0.005
 _NETWORKS = {"udp_multicast"}
-"""Interfaces on which any frame may be lost, and anybody may send what is none, for which the
-library has the same error as for an interface that is gone."""
+"""Interfaces on which frames may be lost, and other programs may send invalid data, for which
+python-can raises the same error as for a lost interface."""
 
 
 class Ages:
-    """Tells how long ago frames came, by their stamps.
+    """Computes the age of received frames from their timestamps.
 
-    Interfaces of the kernel stamp with this host's time of day, or bring hardware's to it; others
-    stamp by a clock of their own.
+    Some interfaces use this host's time of day; the others use a clock of their hardware.
     """
 
     def __init__(self, interface: str) -> None:
         self._hardware = None if interface in _STAMPED_HERE else HardwareClock()
 
     def of(self, stamp_s: float) -> float | None:
-        """Return the age in s of the frame that was just read, None where its stamp tells none."""
+        """Return the age in s of the frame just read, None if its timestamp is unusable."""
         if stamp_s <= 0.0:
             return None
         if self._hardware is not None:
@@ -67,20 +66,20 @@ class FrameBus(Protocol):
     """An open bus."""
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame, CAN FD with bit rate switch beyond 8 bytes; raises what the bus raises.
+        """Send a frame, CAN FD with bit rate switch above 8 bytes; raises the error of the bus.
 
-        An ID with ERROR makes it an error frame, where there is no wire but software.
+        An ID with ERROR sends an error frame, on software interfaces only.
         """
 
     def receive(self, wait_s: float) -> ReceivedFrame | None:
-        """Return the next frame, None if none comes within `wait_s`; raises BusOffError too."""
+        """Return the next frame, None if none arrives within `wait_s`; raises BusOffError."""
 
     def shutdown(self) -> None:
         """Close the bus."""
 
 
 def open_bus(config: CanBus) -> FrameBus:
-    """Open the bus that a rig names; raises whatever the interface raises."""
+    """Open a bus; raises the error of the interface."""
     if config.interface == "levid_local":
         from .local_bus import LocalFrames
 
@@ -102,7 +101,7 @@ def open_bus(config: CanBus) -> FrameBus:
 
 
 class _MessageBus:
-    """Any interface, by its Messages."""
+    """An interface that is used through python-can's Message."""
 
     def __init__(
         self, bus: Any, message: Any, timeout_s: float | None, network: bool = False
@@ -123,7 +122,7 @@ class _MessageBus:
         try:
             self._bus.send(message, self._timeout_s)
         except TimeoutError:
-            # A network may lose any frame and says nothing: this one is known, and no less lost.
+            # Networks lose frames silently anyway: treat this one the same.
             if not self._network:
                 raise
 
@@ -131,7 +130,7 @@ class _MessageBus:
         try:
             message = self._bus.recv(wait_s)
         except Exception as error:
-            cause = error.__cause__  # of what could not be unpacked: something in it
+            cause = error.__cause__  # set if the data could not be unpack_frame
             if self._network and cause is not None and not isinstance(cause, OSError):
                 return OTHER
             raise
@@ -141,7 +140,7 @@ class _MessageBus:
             if int(message.arbitration_id) & ERROR_BUS_OFF:
                 raise BusOffError
             return OTHER._replace(stamp_s=message.timestamp)
-        # Some hand back what was sent, whatever they are asked for.
+        # Some interfaces return sent frames despite receive_own_messages=False.
         if message.is_extended_id or message.is_remote_frame or not message.is_rx:
             return OTHER._replace(stamp_s=message.timestamp)
         return ReceivedFrame(message.arbitration_id, bytes(message.data), message.timestamp)
@@ -152,18 +151,18 @@ class _MessageBus:
 
 
 class _KernelBus:
-    """socketcan, on the socket that python-can opened."""
+    """socketcan, on the socket opened by python-can."""
 
     def __init__(self, bus: Any, raw: socket.socket) -> None:
         self._bus, self._socket = bus, raw
         self._waiting, self._stamps = [raw], KernelStamps(raw)
 
     def send(self, can_id: int, data: bytes) -> None:
-        frame = packed(can_id, data)
+        frame = pack_frame(can_id, data)
         try:
             self._socket.send(frame, socket.MSG_DONTWAIT)
-        except OSError as error:  # the queue is full, and may stay so: nobody acknowledges, say
-            if error.errno == errno.ENOBUFS:  # the interface's own: nothing says when there is room
+        except OSError as error:  # full, and it may stay so: without an acknowledge, for example
+            if error.errno == errno.ENOBUFS:  # queue of the interface: select does not report room
                 sleep(_FULL_S)
             elif error.errno == errno.EAGAIN:
                 select.select((), self._waiting, (), _FULL_S)
@@ -172,7 +171,7 @@ class _KernelBus:
             self._socket.send(frame, socket.MSG_DONTWAIT)
 
     def receive(self, wait_s: float) -> ReceivedFrame | None:
-        try:  # mostly it is there already, and need not be waited for
+        try:  # mostly a frame is waiting already
             raw, extra, _, _ = self._socket.recvmsg(
                 _LONGEST, KernelStamps.room, socket.MSG_DONTWAIT
             )
@@ -180,7 +179,7 @@ class _KernelBus:
             if wait_s <= 0.0 or not select.select(self._waiting, (), (), wait_s)[0]:
                 return None
             raw, extra, _, _ = self._socket.recvmsg(_LONGEST, KernelStamps.room)
-        return unpacked(raw, self._stamps.came_s(extra))
+        return unpack_frame(raw, self._stamps.received_s(extra))
 
     def shutdown(self) -> None:
         with contextlib.suppress(Exception):

@@ -1,4 +1,4 @@
-"""CAN frames of amplifiers and ADC: read from a DBC file once, then packed by struct."""
+"""Encode and decode the CAN frames of amplifiers and ADC by a DBC file, compiled once."""
 
 from __future__ import annotations
 
@@ -25,22 +25,23 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 COUNTER_MASK = 0xF
+NUMBER = r"(\d+)"
 FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
-"""Lengths in bytes beyond 8 that a CAN FD frame can have."""
+"""Payload lengths of CAN FD above 8 bytes."""
 _OLDEST = 64
 _FEWEST = 4
-"""Signals of a frame of values: one, and counter, state and crc."""
+"""Fewest signals of a frame of values: one value, counter, state and crc."""
 _BYTES = [bytes((i,)) for i in range(256)]
 Kind = Literal["setpoint", "force", "gap"]
 UNITS: dict[Kind, str] = {"setpoint": "n", "force": "n", "gap": "m"}
 
 
 class ValueFrames:
-    """The frames that carry one quantity of all channels, 16 bits each, in a cycle.
+    """Frames of one quantity: all channels of a cycle, 16 bits each.
 
-    A frame is: values of consecutive channels, little endian; a byte with the cycle's counter in
-    its low and a state in its high half; a checksum (see crc.FrameCrc), which covers the rest of
-    the cycle too. A cycle's frames count together or not at all.
+    A frame has the values of consecutive channels, little endian; a byte with the cycle counter in
+    its low and a state in its high half; a checksum (see FrameCrc), which also covers the upper
+    bits of the cycle. The frames of a cycle are accepted together or not at all.
     """
 
     def __init__(
@@ -68,25 +69,25 @@ class ValueFrames:
         }
         self._missing = set(self.ids)
         self._cycle = 0
-        values = np.zeros(channels)  # compiled here, not in a cycle
+        values = np.zeros(channels)  # compile before the first cycle
         self.encode(values, 0, 0)
         self.finish(values)
 
     @property
     def states(self) -> tuple[int, ...]:
-        """The state in each of the frames that came last."""
+        """State in each of the last received frames."""
         received = self._received
         return tuple([received[end - 2] >> 4 for _, end in self._spans])
 
     @staticmethod
     def tag(data: bytes) -> int:
-        """Return what a frame has in the place of a state: in setpoints the number of their set."""
+        """Return the bits of the state; setpoints have the number of their set there."""
         return data[-2] >> 4 if len(data) > 1 else 0
 
     def encode(self, values: Array, cycle: int, state: int) -> list[tuple[int, bytes]]:
         """Return (ID, payload) of every frame of `cycle`, which is below CYCLES.
 
-        Of `values` (C,) what is not finite goes as none.
+        Values (C,) that are not finite are sent as NO_VALUE.
         """
         tag = (cycle & COUNTER_MASK) | (state << 4)
         _pack(values, self._per_unit, cycle >> 4, tag, self._layout, self._sent_bytes)
@@ -94,23 +95,23 @@ class ValueFrames:
         return [(can_id, raw[begin:end]) for can_id, begin, end in self._cuts]
 
     def begin(self) -> None:
-        """Forget which frames of a cycle have come."""
+        """Begin a cycle: no frame of it has been received."""
         self._missing.update(self.ids)
 
     @property
     def begun(self) -> bool:
-        """Whether any frame of the cycle has come."""
+        """Whether any frame of the cycle has been received."""
         return len(self._missing) < len(self.ids)
 
     @property
     def complete(self) -> bool:
-        """Whether every frame of the cycle has come."""
+        """Whether every frame of the cycle has been received."""
         return not self._missing
 
     def accept(self, can_id: int, data: bytes, cycle: int) -> Rejected | None:
-        """Take one of these frames of this cycle; return why not, None if it was taken.
+        """Store a received frame of this cycle; return the reason if it is rejected, else None.
 
-        Its checksum is looked at here only to tell why it was not taken: see `finish`.
+        `finish` checks the checksums; here they only determine the reason of a rejection.
         """
         begin, end, length, crc = self._place[can_id]
         if len(data) != length:
@@ -125,9 +126,9 @@ class ValueFrames:
         return None
 
     def finish(self, out: Array) -> Rejected | None:
-        """Check the checksums of a complete cycle and fill `out` (C,), nan where there is no value.
+        """Check the checksums of a complete cycle and fill `out` (C,), nan for NO_VALUE.
 
-        Returns why not, with `out` as it was, None if all is well.
+        Returns the reason if the cycle is rejected, with `out` unchanged, else None.
         """
         if _unpack(self._received_bytes, self._cycle >> 4, self._layout, self.unit, out):
             return None
@@ -135,14 +136,14 @@ class ValueFrames:
 
     @property
     def behind(self) -> int:
-        """How many cycles old a complete reading is that failed its checksum; 0 if none says so."""
+        """Age in cycles of a complete reading whose checksum failed; 0 if unknown."""
         parts = [bytes(self._received[begin:end]) for begin, end in self._spans]
         return min(self.age(i, p, self._cycle) for i, p in zip(self.ids, parts, strict=True))
 
     def age(self, can_id: int, data: bytes, cycle: int) -> int:
-        """Return how many cycles ago one of these frames was sent, as counter and checksum tell.
+        """Return the age of a frame in cycles, by its counter and checksum.
 
-        0 for one of this cycle, of none of the last 64, or of a wrong checksum.
+        0 if it is of this cycle, older than 64 cycles, or corrupt.
         """
         crc = self._place[can_id][3]
         behind = (cycle - data[-2]) & COUNTER_MASK
@@ -210,14 +211,14 @@ def _unpack(data: Any, high: int, layout: Any, unit: float, values: Any) -> bool
 
 @dataclass(frozen=True)
 class Fields:
-    """A frame of named whole numbers: a counter or an argument, not a row of values."""
+    """A frame of integers, such as Sync or Request, and their layout."""
 
     can_id: int
     name: str
     layout: struct.Struct
     crc: FrameCrc = field(compare=False, repr=False)
     below: int = 1 << 32
-    """What the first of the numbers has to be less than."""
+    """Upper bound of the first number, exclusive."""
 
     @property
     def length(self) -> int:
@@ -230,7 +231,7 @@ class Fields:
         return self.can_id, body + _BYTES[self.crc.of(body)]
 
     def decode(self, data: bytes) -> tuple[int, ...] | Rejected:
-        """Return the numbers, or why the frame does not count."""
+        """Return the numbers, or the reason if the frame is rejected."""
         if len(data) != self.length:
             return Rejected.LENGTH
         if self.crc.of(data) != data[-1]:
@@ -241,10 +242,10 @@ class Fields:
 
 @dataclass(frozen=True)
 class CanFrames:
-    """Everything that amplifiers, ADC and host say on a CAN bus.
+    """All frames of amplifiers, ADC and host on a CAN bus.
 
-    `sync`: cycle (16 bits). `request`: request, index, value. `answer`: index, value. Both sides
-    build their own, since a ValueFrames remembers what came.
+    `sync`: cycle (16 bits). `request`: request, index, value. `answer`: index, value. Each end has
+    its own instance, because ValueFrames store received frames.
     """
 
     sync: Fields
@@ -270,21 +271,21 @@ class CanFrames:
 
 
 def load_frames(dbc: Path | None, coils: int, sensors: int, fd: bool) -> CanFrames:
-    """Compile a DBC file (config/levid.dbc unless given) for so many coils and sensors.
+    """Compile a DBC file, by default config/levid.dbc, for a number of coils and sensors.
 
-    Messages of the DBC are told by their names and signals: `Sync`, `Request`, `Answer`,
-    `SensorRequest`, `SensorAnswer`, and any with signals `setpoint_I_n`, `force_I_n` or `gap_I_m`;
-    of the latter only those in the frame format asked for (`VFrameFormat`) are used.
+    Messages are found by name, `Sync`, `Request`, `Answer`, `SensorRequest`, `SensorAnswer`, or by
+    their signals `setpoint_I_n`, `force_I_n`, `gap_I_m`; of the latter only messages in the frame
+    format `fd` (`VFrameFormat`) are used.
 
     Raises:
-        ConfigError: a message is missing, or a signal lies where levid does not put it.
+        ConfigError: a message is missing, or a signal is not at the bits that levid uses.
     """
     from cantools import database
 
     path = dbc or shipped("levid.dbc")
     try:
         loaded = database.load_file(str(path))
-    except Exception as error:  # noqa: BLE001 - the parser raises whatever it meets
+    except Exception as error:  # noqa: BLE001 - cantools raises any exception
         raise ConfigError(f"{path}: not a valid DBC: {error}") from None
     return _Compiler(path, loaded, fd).compile(coils, sensors)  # type: ignore[arg-type]
 
@@ -329,7 +330,7 @@ class _Compiler:
 
     def _values(self, kind: Kind, channels: int) -> ValueFrames:
         unit_name = UNITS[kind]
-        pattern = re.compile(rf"{kind}_(\d+)_{unit_name}")
+        pattern = re.compile(f"{kind}_{NUMBER}_{unit_name}")
         frames: list[FrameLayout] = []
         units: set[float] = set()
         for message in self._database.messages:
@@ -348,7 +349,7 @@ class _Compiler:
             covered += frame.count
         twice = sum(frame.count for frame in frames) - covered
         if covered < channels or twice > 0 or len(units) != 1:
-            more = f", {twice} twice or beside a gap," if twice > 0 else ""
+            more = f", {twice} repeated or out of sequence," if twice > 0 else ""
             raise ConfigError(
                 f"{self._path}: expected {form} messages with {kind}_0_{unit_name} to "
                 f"{kind}_{channels - 1}_{unit_name}, each once and with one scale, found "
@@ -369,7 +370,8 @@ class _Compiler:
             found = pattern.fullmatch(signal.name)
             if found is None:
                 raise ConfigError(
-                    f"{self._path}: {message.name}.{signal.name}: expected {pattern.pattern}"
+                    f"{self._path}: {message.name}.{signal.name}: expected a name like "
+                    f"{pattern.pattern.replace(NUMBER, '0')}"
                 )
             numbers.append(int(found[1]))
             self._check(message, signal, 16 * i, 16, signed=True)
@@ -400,8 +402,8 @@ class _Compiler:
         lengths = (*range(9), *FD_LENGTHS) if self._fd else range(9)
         if length not in lengths:
             raise ConfigError(
-                f"{self._path}: {message.name}: expected a length that there is, at most 8 bytes "
-                f"or in CAN FD one of {', '.join(map(str, FD_LENGTHS))}, found {length}"
+                f"{self._path}: {message.name}: expected at most 8 bytes, or in CAN FD one of "
+                f"{', '.join(map(str, FD_LENGTHS))}, found {length}"
             )
         crc_of = FrameCrc(message.frame_id, length)
         frame = FrameLayout(message.frame_id, message.name, numbers[0], len(numbers), crc_of)
@@ -410,7 +412,7 @@ class _Compiler:
     def _check_id(self, message: Message) -> None:
         if message.is_extended_frame:
             raise ConfigError(
-                f"{self._path}: {message.name}: expected an ID of 11 bits, found one of 29, "
+                f"{self._path}: {message.name}: expected an 11-bit ID, found the 29-bit ID "
                 f"0x{message.frame_id:x}"
             )
 

@@ -1,4 +1,4 @@
-"""CiA 402 drives: states, controlwords and the objects and PDOs that levid uses, as tables."""
+"""Tables of CiA 402 drives: states, controlwords, objects and PDOs that levid uses."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import struct
 from enum import Enum, IntEnum
 
 from ...config.rig import Limits
-from ..device_protocol import CYCLES, require_word
+from ..device_protocol import CYCLES, check_limit_fits
 
 RPDO = struct.Struct("<Hi")
 """Setpoint to a drive: controlword, target position."""
 TPDO = struct.Struct("<Hih")
-"""Reading of a drive: statusword, actual position, actual force in 1/1000 of what is rated."""
+"""Reading of a drive: statusword, actual position, actual force in 1/1000 of the rated force."""
 
 POSITION_M, POSITION_RAD = 1e-9, 1e-7
 ACCELERATION = 1e-3
-"""Units of one count: of the linear motors in m and m/s2, of the rotary one in rad and rad/s2.
-Speeds are in counts of position a second."""
+"""Units of one count: m and m/s2 for linear motors, rad and rad/s2 for the rotary motor. Speeds are
+in position counts per second."""
 RATED = 1e-3
-"""Unit of the rated force or torque in N or N m; actual ones are in 1/1000 of what is rated."""
+"""Unit of the rated force or torque, in N or N m."""
 
 NMT_ID, SYNC_ID, EMERGENCY_ID, TPDO1_ID, RPDO1_ID = 0x000, 0x080, 0x080, 0x180, 0x200
 SDO_ANSWER_ID, SDO_REQUEST_ID, HEARTBEAT_ID = 0x580, 0x600, 0x700
@@ -27,13 +27,13 @@ NODE_IDS = {
     "emergency": EMERGENCY_ID, "TPDO 1": TPDO1_ID, "RPDO 1": RPDO1_ID, "SDO answer": SDO_ANSWER_ID,
     "SDO request": SDO_REQUEST_ID, "heartbeat": HEARTBEAT_ID,
 }  # fmt: skip
-"""What every node has an ID for: this plus its number."""
+"""Frames of every node; the ID is this number plus the node number."""
 SYNC_COUNTER = 240
-"""A SYNC that counts goes from 1 to this and begins anew."""
+"""A counted SYNC runs from 1 to this number and wraps."""
 
 
 class Node(IntEnum):
-    """What a heartbeat says of its node."""
+    """NMT state in a heartbeat."""
 
     BOOT_UP = 0x00
     STOPPED = 0x04
@@ -42,7 +42,7 @@ class Node(IntEnum):
 
     @property
     def words(self) -> str:
-        """The state for people."""
+        """The state in words, for messages."""
         return self.name.lower().replace("_", "-")
 
 
@@ -73,15 +73,14 @@ class Object(IntEnum):
 
 
 EVENT_TIMER = 5
-"""Its subindex in the parameters of a PDO."""
+"""Subindex of the event timer in the parameters of a PDO."""
 RPDO_MAPPING = ((Object.CONTROLWORD, 16), (Object.TARGET_POSITION, 32))
 TPDO_MAPPING = (
     (Object.STATUSWORD, 16), (Object.ACTUAL_POSITION, 32), (Object.ACTUAL_FORCE, 16),
 )  # fmt: skip
 DEVICE_TYPE_DRIVE = 402
 ENCODER_LOST, RPDO_TIMEOUT, FOLLOWING_ERROR = 0x7305, 0x8250, 0x8611
-"""Error codes of an incremental sensor, of an RPDO that did not come within its event timer, and of
-a drive that is too far from its target."""
+"""Error codes: encoder lost, no RPDO within the event timer, following error."""
 
 
 class Mode(IntEnum):
@@ -92,7 +91,7 @@ class Mode(IntEnum):
 
 
 class DriveStates(Enum):
-    """States of the drive; value: mask of the statusword and what it leaves."""
+    """States of the drive; value: mask of the statusword, and the masked bits of the state."""
 
     NOT_READY = (0x4F, 0x00)
     SWITCH_ON_DISABLED = (0x4F, 0x40)
@@ -105,7 +104,7 @@ class DriveStates(Enum):
 
     @property
     def words(self) -> str:
-        """The state for people."""
+        """The state in words, for messages."""
         return self.name.lower().replace("_", " ")
 
 
@@ -114,17 +113,17 @@ QUICK_STOP, FAULT_RESET, START_HOMING = 0x02, 0x80, 0x1F
 TARGET_REACHED, HOMING_ATTAINED, HOMING_ERROR = 1 << 10, 1 << 12, 1 << 13
 
 TOWARDS_OPERATION = {
-    DriveStates.FAULT: FAULT_RESET,  # by its rising edge
+    DriveStates.FAULT: FAULT_RESET,  # acts at its rising edge
     DriveStates.SWITCH_ON_DISABLED: SHUTDOWN,
     DriveStates.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
     DriveStates.READY_TO_SWITCH_ON: SWITCH_ON,
     DriveStates.SWITCHED_ON: ENABLE_OPERATION,
 }
-"""The controlword that takes a drive one step nearer to OPERATION_ENABLED."""
+"""Controlword of the next step towards OPERATION_ENABLED, for each state."""
 
 
 def state_of(statusword: int) -> DriveStates | None:
-    """Return the state that a statusword tells, None for one that CiA 402 does not know."""
+    """Return the state of a statusword, None if CiA 402 does not define it."""
     for state in DriveStates:
         mask, value = state.value
         if statusword & mask == value:
@@ -133,14 +132,14 @@ def state_of(statusword: int) -> DriveStates | None:
 
 
 def sync_counter(number: int) -> int:
-    """Return the counter in the SYNC of a number, 1 to 240."""
+    """Return the counter (1 to 240) of SYNC number `number`."""
     return number % SYNC_COUNTER + 1
 
 
 def cycle_of_sync(counter: int, every: int) -> tuple[int, int]:
-    """Return the cycle that a SYNC in every so many begins, and modulo what its counter tells it.
+    """Return the cycle that begins with a counted SYNC, and the modulus of that cycle number.
 
-    The cycle is a multiple of `every` and itself counted modulo CYCLES.
+    A SYNC is sent in every `every`-th cycle; cycles are counted modulo CYCLES.
     """
     modulus = math.gcd(SYNC_COUNTER * every, CYCLES)
     return (counter - 1) * every % modulus, modulus
@@ -156,7 +155,7 @@ _DOWNLOAD_2 = 0x2B
 
 
 def beam_limits(limits: Limits) -> dict[tuple[Object, int], int]:
-    """Return object, subindex and value of the limits in a linear motor's drive."""
+    """Return the limits in the drive of a linear motor: value of each (object, subindex)."""
     return {
         (Object.POSITION_LIMIT, 1): -round(limits.beam_m / POSITION_M),
         (Object.POSITION_LIMIT, 2): round(limits.beam_m / POSITION_M),
@@ -165,16 +164,16 @@ def beam_limits(limits: Limits) -> dict[tuple[Object, int], int]:
     }
 
 
-def require_told(limits: Limits) -> None:
-    """Raise ConfigError for a limit that drives cannot be told: their words have 32 bits."""
-    require_word(limits, "beam_velocity_m_s", 1 / POSITION_M)
-    require_word(limits, "beam_acceleration_m_s2", 1 / ACCELERATION)
-    require_word(limits, "rotor_velocity_rad_s", 1 / POSITION_RAD)
-    require_word(limits, "rotor_acceleration_rad_s2", 1 / ACCELERATION)
+def check_limits_fit(limits: Limits) -> None:
+    """Raise ConfigError for a limit that exceeds the 32 bits of its object in a drive."""
+    check_limit_fits(limits, "beam_velocity_m_s", 1 / POSITION_M)
+    check_limit_fits(limits, "beam_acceleration_m_s2", 1 / ACCELERATION)
+    check_limit_fits(limits, "rotor_velocity_rad_s", 1 / POSITION_RAD)
+    check_limit_fits(limits, "rotor_acceleration_rad_s2", 1 / ACCELERATION)
 
 
 def rotor_limits(limits: Limits) -> dict[tuple[Object, int], int]:
-    """Return object, subindex and value of the limits in the rotary motor's drive."""
+    """Return the limits in the drive of the rotary motor: value of each (object, subindex)."""
     return {
         (Object.MAX_SPEED, 0): round(limits.rotor_velocity_rad_s / POSITION_RAD),
         (Object.MAX_ACCELERATION, 0): round(limits.rotor_acceleration_rad_s2 / ACCELERATION),

@@ -1,4 +1,4 @@
-"""The checksum of CAN payloads: CRC-8/AUTOSAR, two bytes a step."""
+"""Compute CRC-8/AUTOSAR, the checksum of CAN payloads, two bytes per step."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def _table_of_bytes() -> bytes:
 
 
 _BYTE = _table_of_bytes()
-# A step over two bytes at once halves what a checksum costs in pure Python.
+# Two bytes per step halve the time in pure Python.
 CRC_TABLE = np.frombuffer(_BYTE, np.uint8)
-"""The checksum's table (256,), for compiled code."""
+"""CRC table (256,) of one byte, for compiled code."""
 _WORD = CRC_TABLE[CRC_TABLE[np.arange(65536) >> 8] ^ (np.arange(65536) & 0xFF)].tobytes()
 
 
 def crc8(data: bytes, start: int = _INIT) -> int:
-    """Return CRC-8/AUTOSAR (poly 0x2F, init and final xor 0xFF) of `data`, one byte a step."""
+    """Return CRC-8/AUTOSAR (poly 0x2F, init and final xor 0xFF) of `data`, byte by byte."""
     crc = start
     for byte in data:
         crc = _BYTE[crc ^ byte]
@@ -37,17 +37,17 @@ def crc8(data: bytes, start: int = _INIT) -> int:
 
 
 class FrameCrc:
-    """The checksum of frames of one CAN ID and one length.
+    """Checksum of frames with one CAN ID and one length.
 
-    It covers the ID, high byte first, and then the payload but for its last byte, where it stands:
-    a frame that arrives under another ID does not pass (AUTOSAR E2E profile 2 calls it data ID).
-    Where a frame carries the low four bits of a cycle, the checksum covers the bits above too,
-    after the ID, high byte first: they are not sent, both ends know them from Sync. So a frame that
-    comes 16 cycles late is not taken for one of the cycle at hand.
+    It covers the ID, high byte first, and the payload without its last byte, which holds the
+    checksum: a frame with another ID is rejected (the data ID of AUTOSAR E2E profile 2). If a frame
+    carries the low four bits of the cycle, the checksum also covers the upper bits, after the ID,
+    high byte first. They are not sent; both ends know them from Sync. So a frame that is 16 cycles
+    late is rejected.
     """
 
     start: int
-    """What the checksum is before the payload's first byte."""
+    """Value of the CRC before the first byte of the payload."""
 
     def __init__(self, can_id: int, length: int) -> None:
         words, self._odd = divmod(length - 1, 2)
@@ -56,7 +56,7 @@ class FrameCrc:
         self._last = length - 2
 
     def of(self, data: bytes | bytearray, cycle: int | None = None) -> int:
-        """Return the checksum of a frame (of `cycle`, if it has one); its last byte is left out."""
+        """Return the checksum of a frame without its last byte; `cycle` if it has a counter."""
         crc = self.start
         word = _WORD
         if cycle is not None:

@@ -1,10 +1,9 @@
-"""A CAN bus between processes of one host, where the kernel has none: frames over Unix sockets.
+"""CAN bus between processes of one host without CAN hardware: frames over Unix sockets.
 
-An interface of python-can, `levid_local`, whose channel is a folder. It needs no rights, as vcan
-does, is nobody else's, and is quicker than udp_multicast, which hands every frame back to who sent
-it and lets ordinary priority carry the frames of a real-time loop. For emulated electronics and
-tests; nothing is on a wire, nothing arbitrates, and there is no error but a frame that is lost, and
-one that electronics play.
+The interface `levid_local` of python-can; its channel is a folder. Unlike vcan it needs no
+privileges, and it is faster than udp_multicast, which returns every frame to its sender and handles
+the frames of a real-time loop at ordinary priority. For emulated electronics and tests: there is no
+arbitration and no bus error, except lost frames and errors that the electronics emulate.
 """
 
 from __future__ import annotations
@@ -33,51 +32,51 @@ from .kernel_frame import (
     BusOffError,
     ReceivedFrame,
     kernel_stamp_s,
-    packed,
-    unpacked,
+    pack_frame,
+    unpack_frame,
 )
 
-_WAITING = 16
+_BACKLOG = 16
 _SUFFIX = ".can"
-_MOST_BYTES = max(FRAME_SIZES) + 1  # so that what is longer is not taken for a frame
+_MOST_BYTES = max(FRAME_SIZES) + 1  # one more, to detect longer data
 
 
 class LocalFrames:
-    """Who is on the bus in `folder` holds a connection to everybody else who is.
+    """The bus in `folder`: every member has a connection to every other member.
 
-    A receiver that does not read loses frames, as a controller does whose queue is full. Who joins
-    is noticed with the next `receive`.
+    A member that does not read loses frames, as a controller with a full queue does. `receive`
+    accepts new members.
     """
 
     def __init__(self, folder: Path, fd: bool) -> None:
-        """Join; raises OSError, among others for a folder that everybody may write to."""
+        """Join the bus; raises OSError, also for a folder that all users may write to."""
         self._fd = fd
         self._peers: tuple[socket.socket, ...] = ()
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "expected a folder for sockets", str(folder))
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if folder.stat().st_mode & stat.S_IWOTH:
-            what = "expected a folder that is nobody else's, found one that everybody may write to"
+            what = "expected a private folder, found one that all users may write to (chmod o-w)"
             raise PermissionError(errno.EPERM, what, str(folder))
         name = f"{secrets.token_hex(4)}{_SUFFIX}"
         self._path = folder / name
-        self._door = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
-            # Of two that join at once one comes second, and connects to the other.
-            with _alone_in(folder) as short:
-                others = sorted(short.glob(f"*{_SUFFIX}"))
-                self._door.bind(str(short / name))
-                self._door.listen(_WAITING)
-                self._door.setblocking(False)
-                for path in others:
+            # Of two members that join at once, the second connects to the first.
+            with _locked(folder) as short:
+                members = sorted(short.glob(f"*{_SUFFIX}"))
+                self._listener.bind(str(short / name))
+                self._listener.listen(_BACKLOG)
+                self._listener.setblocking(False)
+                for path in members:
                     self._connect(path)
         except BaseException:
             self.shutdown()
             raise
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame to all others."""
-        frame = packed(can_id, data)
+        """Send a frame to all other members."""
+        frame = pack_frame(can_id, data)
         for peer in self._peers:
             try:
                 peer.send(frame, socket.MSG_DONTWAIT)
@@ -87,38 +86,38 @@ class LocalFrames:
                 self._drop(peer)
 
     def receive(self, wait_s: float | None) -> ReceivedFrame | None:
-        """Return the next frame, None if none comes within `wait_s` (None: forever).
+        """Return the next frame, None if none arrives within `wait_s` (None: forever).
 
-        Raises BusOffError where another process plays that.
+        Raises BusOffError if another process emulates it.
         """
-        for peer in self._peers:  # mostly it is there already, and need not be waited for
+        for peer in self._peers:  # mostly a frame is waiting already
             frame = self._from(peer)
             if frame is not None:
                 return frame
         if wait_s is not None and wait_s <= 0.0:
             return None
-        ready, _, _ = select.select([self._door, *self._peers], (), (), wait_s)
-        if self._door in ready:
+        ready, _, _ = select.select([self._listener, *self._peers], (), (), wait_s)
+        if self._listener in ready:
             self._accept()
         for peer in ready:
-            frame = self._from(peer) if peer is not self._door else None
+            frame = self._from(peer) if peer is not self._listener else None
             if frame is not None:
                 return frame
-        return OTHER if ready else None  # somebody has come or gone: that is no frame of ours
+        return OTHER if ready else None  # a member joined or left
 
     def shutdown(self) -> None:
         """Leave the bus; safe to call twice."""
         with contextlib.suppress(OSError):
             self._path.unlink(missing_ok=True)
-        for end in (self._door, *self._peers):
+        for end in (self._listener, *self._peers):
             end.close()
         self._peers = ()
 
     def _connect(self, path: Path) -> None:
         end = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        _stamped(end)
+        _enable_timestamps(end)
         try:
-            # One that is stopped takes nobody in: it is not waited for, and misses the frames.
+            # A stopped process accepts no connection: do not wait; it misses the frames.
             end.setblocking(False)
             end.connect(str(path))
         except BlockingIOError:
@@ -128,15 +127,15 @@ class LocalFrames:
             if error.errno not in (errno.ECONNREFUSED, errno.ENOENT):
                 raise
             with contextlib.suppress(FileNotFoundError):
-                if stat.S_ISSOCK(path.lstat().st_mode):  # left over from one that was killed
+                if stat.S_ISSOCK(path.lstat().st_mode):  # left by a killed process
                     path.unlink()
         else:
             self._peers += (end,)
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
-            end, _ = self._door.accept()
-            _stamped(end)
+            end, _ = self._listener.accept()
+            _enable_timestamps(end)
             self._peers += (end,)
 
     def _from(self, peer: socket.socket) -> ReceivedFrame | None:
@@ -150,7 +149,7 @@ class LocalFrames:
             self._drop(peer)
             return None
         stamp_s = kernel_stamp_s(extra)
-        frame = unpacked(raw, stamp_s) if len(raw) in FRAME_SIZES else None
+        frame = unpack_frame(raw, stamp_s) if len(raw) in FRAME_SIZES else None
         if frame is None or (len(frame.data) > 8 and not self._fd):
             return OTHER._replace(stamp_s=stamp_s)
         return frame
@@ -161,10 +160,10 @@ class LocalFrames:
 
 
 class LocalBus(can.BusABC):
-    """The same for python-can, whose tools listen on it: `python -m can.logger -i levid_local`."""
+    """The bus as a python-can interface, for its tools: `python -m can.logger -i levid_local`."""
 
     def __init__(self, channel: str, fd: bool = False, **more: Any) -> None:
-        """Join the bus in the folder `channel`; raises what python-can raises."""
+        """Join the bus in the folder `channel`; raises CanInitializationError."""
         super().__init__(channel=channel, **more)
         self.channel_info = f"levid_local {channel}"
         try:
@@ -173,7 +172,7 @@ class LocalBus(can.BusABC):
             raise can.CanInitializationError(str(error)) from error
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
-        """Send a data frame of an 11-bit ID."""
+        """Send a data frame with an 11-bit ID."""
         if msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
             raise can.CanOperationError("expected a data frame with an 11-bit ID")
         self.frames.send(msg.arbitration_id, bytes(msg.data))
@@ -203,15 +202,15 @@ class LocalBus(can.BusABC):
         ), False
 
 
-def _stamped(end: socket.socket) -> None:
-    """Have the kernel say when frames came, as it does on a CAN interface."""
-    with contextlib.suppress(OSError):  # without it a frame is as old as when it is looked at
+def _enable_timestamps(end: socket.socket) -> None:
+    """Enable kernel timestamps, as on a CAN interface."""
+    with contextlib.suppress(OSError):  # without it the time of reading counts
         end.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
 
 
 @contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[Path]:
-    """Yield the folder by a short name, for a socket's has 107 characters; nobody else has it."""
+def _locked(folder: Path) -> Iterator[Path]:
+    """Lock the folder; yield a short path of it, because a socket's path has 107 characters."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)

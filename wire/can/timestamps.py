@@ -1,4 +1,4 @@
-"""When a frame came, by the stamps of kernel and hardware."""
+"""Compute the time of receipt of a frame from timestamps of kernel and hardware."""
 
 from __future__ import annotations
 
@@ -12,70 +12,69 @@ from time import perf_counter, time
 from .kernel_frame import SO_TIMESTAMPNS, STAMP_BYTES, kernel_stamp_s
 
 _WINDOW_S = 1.0
-"""Clocks that differ by 20 ppm are 0.04 ms apart after twice that."""
+"""Window of the clock offset. Clocks that differ by 20 ppm drift by 0.04 ms in two windows."""
 OLDEST_S = 1.0
-"""A frame that seems to have waited for longer has a stamp that tells nothing."""
+"""Largest age in s; a timestamp that gives a larger one is ignored."""
 
 SO_TIMESTAMPING = 37
-"""asm-generic/socket.h; the message beside a frame has the same number."""
+"""asm-generic/socket.h; the ancillary message has the same number."""
 _RX_HARDWARE, _RX_SOFTWARE, _SOFTWARE, _RAW_HARDWARE = 1 << 2, 1 << 3, 1 << 4, 1 << 6
 _WANTED = _RX_HARDWARE | _RAW_HARDWARE | _RX_SOFTWARE | _SOFTWARE
-"""SOF_TIMESTAMPING_* of linux/net_tstamp.h. CAN drivers stamp whatever comes: nobody has to switch
-that on in the interface, as in one of Ethernet."""
+"""SOF_TIMESTAMPING_* of linux/net_tstamp.h. CAN drivers always stamp; unlike Ethernet, nothing has
+to be enabled in the interface."""
 _THREE = struct.Struct("@llllll")
-"""struct scm_timestamping: the kernel's stamp, nothing, and that of hardware."""
+"""struct scm_timestamping: the kernel's timestamp, an unused one, the hardware's."""
 
 Ancillary = Sequence[tuple[int, int, bytes]]
 
 
 class HardwareClock:
-    """Tells how old stamps are of hardware that counts from its own start, slower or faster.
+    """Computes the age of hardware timestamps, whose clock has an unknown offset and drift.
 
-    Of all frames of the last seconds the one that came quickest says how far the clocks are apart,
-    and counts as of no age.
+    The fastest frame of the last one to two windows gives the offset; its age is 0 by definition.
     """
 
     def __init__(self) -> None:
-        self._apart_s = self._apart_before_s = math.inf
+        self._offset_s = self._offset_before_s = math.inf
         self._since_s = -math.inf
 
-    def age_s(self, stamp_s: float, seen_s: float) -> float | None:
-        """Return how old a frame was when this host saw it, None where nobody can tell.
+    def age_s(self, stamp_s: float, read_s: float) -> float | None:
+        """Return the age of a frame in s when it was read, None if it is unknown.
 
-        `seen_s` is of a clock that is never set, as perf_counter: by a time of day that jumps,
-        frames of the next seconds would seem to be late.
+        `read_s` is of a monotonic clock, such as perf_counter: after a jump of the time of day,
+        frames would seem late for seconds.
         """
-        apart_s = seen_s - stamp_s
-        if not 0.0 <= seen_s - self._since_s < _WINDOW_S:
-            self._apart_before_s, self._apart_s, self._since_s = self._apart_s, apart_s, seen_s
-        self._apart_s = min(self._apart_s, apart_s)
-        age_s = apart_s - min(self._apart_s, self._apart_before_s)
+        offset_s = read_s - stamp_s
+        if not 0.0 <= read_s - self._since_s < _WINDOW_S:
+            self._offset_before_s, self._offset_s, self._since_s = self._offset_s, offset_s, read_s
+        self._offset_s = min(self._offset_s, offset_s)
+        age_s = offset_s - min(self._offset_s, self._offset_before_s)
         if age_s < OLDEST_S:
             return age_s
-        # The stamps have begun anew: a counter that is full, say.
-        self._apart_s = self._apart_before_s = apart_s
+        # The hardware clock restarted, for example by an overflow.
+        self._offset_s = self._offset_before_s = offset_s
         return None
 
 
 class KernelStamps:
-    """Asks a socket for stamps, of hardware too where its controller has them, and reads them."""
+    """Enables timestamps of kernel and hardware on a socket, and reads them."""
 
     room = STAMP_BYTES + socket.CMSG_SPACE(_THREE.size)
-    """For stamps of both kinds beside a frame, in recvmsg: who was asked before goes on."""
+    """Ancillary bytes of both kinds of timestamp, for recvmsg."""
 
     def __init__(self, end: socket.socket) -> None:
         self._hardware = HardwareClock()
         try:
             end.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPING, _WANTED)
-        except OSError:  # without any a frame is as old as when it is looked at
+        except OSError:  # not supported: fall back to the kernel's
             with contextlib.suppress(OSError):
                 end.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
 
-    def came_s(self, ancillary: Ancillary) -> float:
-        """Return when a frame came, by time(), from what is beside it; 0.0 where nothing tells.
+    def received_s(self, ancillary: Ancillary) -> float:
+        """Return the time of receipt of a frame by time(), 0.0 without a timestamp.
 
-        Hardware's stamp is of the frame itself; the kernel's, with which hardware's clock is
-        followed, of the moment when it got to it: later by what interrupts and USB take.
+        The hardware stamps the frame on the bus; the kernel stamps it later, by the latency of
+        interrupts and USB, and serves to track the hardware clock.
         """
         kernel_s, hardware_s = kernel_stamp_s(ancillary), 0.0
         for level, kind, data in ancillary:

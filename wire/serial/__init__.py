@@ -1,1 +1,1 @@
-"""The serial protocol: framing and frames."""
+"""Serial protocol: framing, frames, time on the line."""

@@ -1,4 +1,4 @@
-"""Consistent overhead byte stuffing: any bytes without a zero, so that a zero ends a frame.
+"""Encode and decode consistent overhead byte stuffing (COBS): a zero byte ends a frame.
 
 S. Cheshire and M. Baker, Consistent Overhead Byte Stuffing, IEEE/ACM Transactions on Networking
 7(2), 1999.
@@ -16,19 +16,19 @@ Bytes = NDArray[np.uint8]
 
 
 def encoded_length(n: int) -> int:
-    """Return the most bytes that `n` bytes are encoded to, the final zero included."""
+    """Return the largest encoded length of `n` bytes, final zero included."""
     return n + n // 254 + 2
 
 
 def encode(data: Bytes, out: Bytes) -> int:
-    """Encode `data` and a final zero into `out` (encoded_length); return how many bytes."""
+    """Encode `data` and a final zero into `out` (encoded_length bytes); return the length."""
     return int(_encode(data, out))
 
 
 def decode(data: Bytes, out: Bytes) -> int:
-    """Decode what stood before a zero into `out`; return how many bytes, -1 if it is no encoding.
+    """Decode `data`, without the final zero, into `out`; return the length, -1 if it is invalid.
 
-    More than `out` holds is no encoding either.
+    Data that exceeds `out` is invalid.
     """
     return int(_decode(data, out))
 

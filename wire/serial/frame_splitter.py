@@ -1,26 +1,26 @@
-"""Cuts a stream of bytes into frames at its zeros, and is in step again after anything."""
+"""Split a byte stream into frames at zero bytes, which also restores framing after errors."""
 
 from __future__ import annotations
 
 
 class FrameStream:
-    """What arrives on a port, as whole blocks between zeros.
+    """Collects received bytes and returns complete blocks between zeros.
 
-    A block longer than `longest` (what lies between two zeros that were lost, say) is thrown away
-    up to the next zero, so that memory is bounded whatever comes.
+    A block longer than `longest` (a zero was lost, for example) is discarded up to the next zero,
+    which bounds the memory.
     """
 
     def __init__(self, longest: int) -> None:
         self._longest = longest
         self._rest = b""
         self.overlong = 0
-        """How many blocks were thrown away for their length."""
+        """Number of discarded blocks that were too long."""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Return the blocks that `data` completes, without their zeros; empty ones are left out."""
+        """Return the blocks that `data` completes, without their zeros; empty ones are omitted."""
         *blocks, rest = (self._rest + data).split(b"\0")
         if len(rest) > self._longest:
-            # Keep one byte too many: when its zero comes, the block is refused for its length.
+            # Keep one byte more than the longest: at its zero, the block is discarded as too long.
             rest = rest[: self._longest + 1]
         self._rest = rest
         whole = []
@@ -32,5 +32,5 @@ class FrameStream:
         return whole
 
     def clear(self) -> None:
-        """Forget what has come of a frame that is not whole."""
+        """Discard the incomplete frame."""
         self._rest = b""

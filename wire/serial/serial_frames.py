@@ -1,6 +1,6 @@
-"""Frames of the serial protocol: one transaction a cycle for all coils, sensors and drives.
+"""Encode and decode the frames of the serial protocol.
 
-docs/serial-protocol.md gives them byte by byte.
+docs/serial-protocol.md describes them byte by byte.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MOST = 2**31 - 1
 
 
 class Kind(IntEnum):
-    """What a frame is; those of the device have the highest bit set."""
+    """Kind of a frame; frames of the device have the highest bit set."""
 
     CYCLE = 0x01
     REQUEST = 0x02
@@ -48,7 +48,7 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class FrameContents:
-    """Which roles a port plays, and for how many channels; 0 and False where it does not."""
+    """Numbers of coils and sensors on a port, and whether it has drives."""
 
     coils: int
     sensors: int
@@ -56,7 +56,7 @@ class FrameContents:
 
     @classmethod
     def of(cls, rig: RigConfig, roles: Collection[str]) -> FrameContents:
-        """Return what a port that plays these roles of a rig carries."""
+        """Return the contents of a port with these roles of a rig."""
         return cls(
             len(rig.geometry.coil_x_m) if "amplifiers" in roles else 0,
             len(rig.geometry.sensors_x_m) if "sensors" in roles else 0,
@@ -76,7 +76,7 @@ class FrameContents:
         return amplifiers + sensors + (_DRIVES.size if self.drives else 0)
 
     def on_wire(self, body_bytes: int) -> int:
-        """Return how many bytes a frame with such a body is on the wire, at most."""
+        """Return the largest length in bytes of an encoded frame with a body of `body_bytes`."""
         return cobs.encoded_length(_HEADER.size + body_bytes + _CRC.size)
 
 
@@ -89,7 +89,7 @@ class Header:
 
 
 class SerialFrames:
-    """Packs and unpacks the frames of one side of a port; remembers the last that it accepted."""
+    """Packs and unpacks the frames of one end of a port; stores the last accepted frame."""
 
     def __init__(self, contents: FrameContents) -> None:
         self.contents = contents
@@ -104,13 +104,13 @@ class SerialFrames:
         self._received = _Buffer(longest, contents)
         self._stuffed = np.zeros(cobs.encoded_length(longest), np.uint8)
         self.longest = contents.on_wire(max(self._lengths.values()))
-        """The longest frame in bytes on the wire, the final zero included."""
+        """Largest length of an encoded frame in bytes, final zero included."""
         self._compile()
 
     def cycle(self, sequence: int, coil_n: Array, beam: Array, rotor: Array) -> bytes:
         """Return the CYCLE frame: forces (C,) in N, beam and rotor (3,) in m, rad and per s, s^2.
 
-        A force that is not finite goes as none, which makes the amplifiers refuse the frame.
+        A force that is not finite is sent as NO_VALUE; the amplifiers reject the whole frame then.
         """
         buffer = self._sent
         if self.contents.coils:
@@ -118,8 +118,8 @@ class SerialFrames:
         if self.contents.drives:
             _SETPOINTS.pack_into(
                 buffer.bytes, buffer.drive_setpoints,
-                _whole(beam[0] / BEAM_M), beam[1], beam[2],
-                _whole(rotor[0] / ROTOR_RAD), rotor[1], rotor[2],
+                _int32(beam[0] / BEAM_M), beam[1], beam[2],
+                _int32(rotor[0] / ROTOR_RAD), rotor[1], rotor[2],
             )  # fmt: skip
         return self._frame(Kind.CYCLE, sequence)
 
@@ -130,12 +130,12 @@ class SerialFrames:
         sensors: tuple[int, Array],
         drives: tuple[int, int, Array],
     ) -> bytes:
-        """Return the READINGS frame; what the port does not play is ignored.
+        """Return the READINGS frame; arguments of roles that the port does not have are ignored.
 
         Args:
-            sequence: that of the CYCLE frame this answers.
+            sequence: sequence number of the CYCLE frame that it answers.
             amplifiers: state and forces (C,) in N.
-            sensors: state and heights (S,) in m; nan where there is none.
+            sensors: state and heights (S,) in m; nan for a missing value.
             drives: state, error code and position, velocity, force of each of AXES (3, 3).
         """
         buffer, contents = self._sent, self.contents
@@ -153,7 +153,7 @@ class SerialFrames:
             for (position, velocity, force), unit in zip(
                 axes.tolist(), (BEAM_M, BEAM_M, ROTOR_RAD), strict=True
             ):
-                numbers += [_whole(position / unit), velocity, force]
+                numbers += [_int32(position / unit), velocity, force]
             _DRIVES.pack_into(buffer.bytes, buffer.drives, state, 0, error, *numbers)
         return self._frame(Kind.READINGS, sequence)
 
@@ -168,7 +168,7 @@ class SerialFrames:
         return self._frame(Kind.ANSWER, sequence)
 
     def accept(self, block: bytes) -> Header | Rejected:  # noqa: PLR0911 - one a check
-        """Check what stood between two zeros; return its header, or why it does not count."""
+        """Check a block between two zeros; return its header, or the reason if it is rejected."""
         buffer = self._received
         if not block:
             return Rejected.FRAMING
@@ -194,7 +194,7 @@ class SerialFrames:
         return Header(_KINDS[kind], sequence)
 
     def setpoints(self, coil_n: Array) -> None:
-        """Fill forces (C,) in N from the CYCLE frame accepted last; nan where there is none."""
+        """Fill forces (C,) in N from the CYCLE frame accepted last; nan for a missing value."""
         scale(self._received.setpoints, FORCE_N, coil_n)
 
     def drive_setpoints(self, beam: Array, rotor: Array) -> None:
@@ -206,19 +206,19 @@ class SerialFrames:
         rotor[:] = (rp * ROTOR_RAD if rp >= -_MOST else math.nan), rv, ra
 
     def amplifier_readings(self, coil_n: Array) -> int:
-        """Fill forces (C,) in N from the READINGS frame accepted last; return the state."""
+        """Fill forces (C,) in N from the last READINGS frame; return the state."""
         scale(self._received.forces, FORCE_N, coil_n)
         return self._received.bytes[self._received.amplifier_state]
 
     def sensor_readings(self, gap_m: Array) -> int:
-        """Fill heights (S,) in m, nan where there is none, from READINGS; return the state."""
+        """Fill heights (S,) in m from the last READINGS frame, nan if missing; return state."""
         scale(self._received.gaps, GAP_M, gap_m)
         return self._received.bytes[self._received.sensor_state]
 
     def drive_readings(self, axes: Array) -> tuple[int, int]:
         """Fill position, velocity, force of AXES (3, 3) from READINGS; return state and error.
 
-        A position is nan where there is none.
+        A position is nan for a missing value.
         """
         state, _, error, *numbers = _DRIVES.unpack_from(self._received.bytes, self._received.drives)
         for i in range(0, len(numbers), 3):
@@ -230,17 +230,17 @@ class SerialFrames:
         return state, error
 
     def request_received(self) -> tuple[int, int, int]:
-        """Return request, index and value of the REQUEST frame accepted last."""
+        """Return request, index and value of the last REQUEST frame."""
         request, index, value = _REQUEST.unpack_from(self._received.bytes, _HEADER.size)
         return request, index, value
 
     def answer_received(self) -> tuple[int, int]:
-        """Return index and value of the ANSWER frame accepted last."""
+        """Return index and value of the last ANSWER frame."""
         index, value = _ANSWER.unpack_from(self._received.bytes, _HEADER.size)
         return index, value
 
     def _compile(self) -> None:
-        """Call what a cycle calls, so that nothing is compiled there."""
+        """Compile the numba functions before the first cycle."""
         coil_n, gap_m, axes = (
             np.zeros(self.contents.coils), np.zeros(self.contents.sensors), np.zeros((3, 3)),
         )  # fmt: skip
@@ -265,7 +265,7 @@ _OF_CYCLES = {Kind.CYCLE.value, Kind.READINGS.value}
 
 
 class _Buffer:
-    """Bytes of a frame before stuffing, and views of its rows of values."""
+    """Bytes of a frame before encoding, and views of its values."""
 
     setpoints: NDArray[np.int16]
     forces: NDArray[np.int16]
@@ -292,6 +292,6 @@ class _Buffer:
         return np.frombuffer(self.bytes, "<i2", count, at)
 
 
-def _whole(value: float) -> int:
-    """Return the nearest whole number that 32 bits hold; the most negative one for nan."""
+def _int32(value: float) -> int:
+    """Return the nearest 32-bit integer; the most negative one for nan."""
     return round(min(max(value, -_MOST), _MOST)) if value == value else -_MOST - 1  # noqa: PLR0124

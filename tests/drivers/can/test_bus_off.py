@@ -20,7 +20,7 @@ from levid.drivers.registry import open_devices
 from levid.sim.electronics import can_bus
 from levid.sim.electronics.rig import Electronics
 from levid.wire.can.can_bus import _KernelBus
-from levid.wire.can.kernel_frame import BUS_OFF_ID, packed
+from levid.wire.can.kernel_frame import BUS_OFF_ID, pack_frame
 from levid.wire.can.local_bus import LocalBus, LocalFrames
 
 RATE_HZ = 50.0
@@ -54,13 +54,13 @@ def kernel() -> Iterator[tuple[CanLink, Callable[[bytes], object]]]:
 @pytest.mark.parametrize("can_id", [0x2000_0040, 0x2000_0044, 0x2000_01FF])
 def test_error_frame_of_the_kernel_names_bus_off(kernel, can_id: int) -> None:
     link, send = kernel
-    send(packed(0x123, b"before"))
-    send(packed(can_id, bytes(8)))
+    send(pack_frame(0x123, b"before"))
+    send(pack_frame(can_id, bytes(8)))
     assert heard_in(link)
     words = r"can main \(socketcan can0\): lost: the controller is bus-off"
     with pytest.raises(LinkError, match=words):
         link.receive(time.perf_counter() + WAIT_S)
-    with pytest.raises(LinkError, match="gone"):  # until it is opened anew
+    with pytest.raises(LinkError, match="not open"):  # until `open`
         link.send(0x123, b"")
 
 
@@ -68,15 +68,15 @@ def test_error_frame_of_the_kernel_names_bus_off(kernel, can_id: int) -> None:
 def test_other_error_frames_and_ids_are_no_bus_off(kernel, can_id: int) -> None:
     """Errors that a controller recovers from by itself, its restart, and frames of such an ID."""
     link, send = kernel
-    send(packed(can_id, bytes(8)))
-    send(packed(0x123, b"after"))
+    send(pack_frame(can_id, bytes(8)))
+    send(pack_frame(0x123, b"after"))
     assert heard_in(link)
 
 
 def test_bus_off_id_is_that_of_linux() -> None:
     """linux/can.h: CAN_ERR_FLAG; linux/can/error.h: CAN_ERR_BUSOFF."""
     assert BUS_OFF_ID == 0x2000_0000 | 0x0000_0040
-    assert packed(BUS_OFF_ID, bytes(8)) == struct.pack("=IB3x8x", 0x2000_0040, 8)
+    assert pack_frame(BUS_OFF_ID, bytes(8)) == struct.pack("=IB3x8x", 0x2000_0040, 8)
 
 
 def test_tools_of_python_can_see_bus_off_as_an_error_frame(tmp_path: Path) -> None:
@@ -100,8 +100,8 @@ def test_tools_of_python_can_see_bus_off_as_an_error_frame(tmp_path: Path) -> No
     ("line", "error", "words"),
     [
         ("bus-off", LinkError, "lost: the controller is bus-off"),
-        ("disconnect", StaleError, "came: nothing"),
-        ("drop", StaleError, "came: nothing"),
+        ("disconnect", StaleError, "received: nothing"),
+        ("drop", StaleError, "received: nothing"),
     ],
 )
 def test_host_tells_bus_off_from_silence(
@@ -135,7 +135,9 @@ def test_no_controller_is_told_to_send_an_error_frame(tmp_path: Path, monkeypatc
     (tmp_path / "vcan0").mkdir()
     monkeypatch.setattr(can_bus, "_WITHOUT_DEVICE", tmp_path)
     found = {
-        (interface, channel): can_bus._hands_on_errors(CanBus(interface=interface, channel=channel))
+        (interface, channel): can_bus._transmits_errors(
+            CanBus(interface=interface, channel=channel)
+        )
         for interface, channel in (
             ("socketcan", "vcan0"), ("socketcan", "can0"), ("slcan", "/dev/ttyACM0"),
             ("virtual", "x"), ("levid_local", "/tmp/x"),

@@ -135,7 +135,7 @@ def test_draining_ends_on_a_bus_that_is_busy(rig: RigConfig, stamped: bool) -> N
 def test_id_that_somebody_listens_to_is_refused(rig: RigConfig) -> None:
     link = CanLink("main", rig.can["main"])
     link.listen(0x181, lambda *_: None)
-    with pytest.raises(DriverError, match="ID 0x181 is used twice"):
+    with pytest.raises(DriverError, match="ID 0x181 is used by two devices"):
         link.listen(0x181, lambda *_: None)
 
 
@@ -328,7 +328,7 @@ def test_node_that_leaves_operation_by_itself_is_a_fault(
     bench.wire.answer(0, time.time())
     if fault:
         with pytest.raises(
-            DriveError, match=f"drive x2.*expected to be operational, found {fault}"
+            DriveError, match=f"drive x2.*expected NMT state operational, found {fault}"
         ):
             bench.read()
     else:

@@ -51,9 +51,9 @@ def nodes_of(electronics: Electronics) -> list:
 
 def never_home(drive) -> Callable[[], None]:
     """Let a drive's homing take for ever; returns what ends that."""
-    see = drive.see
-    drive.see = lambda position, _: setattr(drive, "_true", position)
-    return lambda: setattr(drive, "see", see)
+    update = drive.update_readings
+    drive.update_readings = lambda position, _: setattr(drive, "_position", position)
+    return lambda: setattr(drive, "update_readings", update)
 
 
 def do_not_home(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,12 +78,12 @@ def test_positions_are_right_once_drives_are_homed(rig: RigConfig) -> None:
     with Electronics(rig, Path()) as electronics:
         drives = nodes_of(electronics)
         for drive, (position, _, force) in zip(drives, electronics.core.axes, strict=True):
-            drive.see(position, force)
-        wrong_m = [(d._counts * d._unit - d._true) for d in drives[:2]]
+            drive.update_readings(position, force)
+        wrong_m = [(d._counts * d._unit - d._position) for d in drives[:2]]
         assert min(map(abs, wrong_m)) > 1e-3
         assert max(map(abs, wrong_m)) < rig.limits.beam_m  # within its travel, as it would be
         assert abs(wrong_m[0] - wrong_m[1]) > 1e-3
-        assert abs(drives[2]._counts * drives[2]._unit - drives[2]._true) > 0.1
+        assert abs(drives[2]._counts * drives[2]._unit - drives[2]._position) > 0.1
         devices = opened(rig)
         np.testing.assert_allclose(off_by(devices, electronics, range(3)), 0.0, atol=2e-7)
         devices.close()
@@ -95,7 +95,7 @@ def test_host_that_trusts_what_was_not_homed_is_found_out(
     do_not_home(monkeypatch)
     with Electronics(rig, Path()):
         devices = opened(rig)
-        with pytest.raises(DriveError, match=r"X1 and X2 are 50\.000 mm apart"):
+        with pytest.raises(DriveError, match=r"X1 and X2 .* found 50\.000 mm"):
             run(devices, range(3))
         devices.close()
 
@@ -122,7 +122,7 @@ def test_drive_whose_encoder_was_lost_knows_its_place_when_it_is_homed_again(
 def test_start_that_fails_leaves_no_drive_powered_and_the_next_homes_again(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A node that is pre-operational hears no PDO; and homing starts with an edge, every time."""
+    """A node that is pre-operational ignores PDOs; and homing starts with an edge, every time."""
     monkeypatch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 0.3)
     with Electronics(rig, Path()) as electronics:
         drives = nodes_of(electronics)
@@ -203,7 +203,7 @@ def test_gantry_that_goes_askew_while_it_is_homed_is_stopped(
             return real(node)
 
         monkeypatch.setattr(DriveNode, "homing", homing)
-        with pytest.raises(DriveError, match=r"X1 and X2 are 0\.500 mm apart"):
+        with pytest.raises(DriveError, match=r"X1 and X2 .* found 0\.500 mm"):
             opened(rig)
         until(lambda: all(drive.state is not OPERATING for drive in drives))
 
@@ -266,14 +266,14 @@ def test_forces_are_in_parts_of_what_is_rated(
         drives = devices.backends[0]._roles["drives"]
         told, force = nodes_of(electronics), np.zeros(2)
         for drive, newtons, per_mille in zip(told, (1.0, 1.0, 2.5e-3), (250,) * 3, strict=True):
-            drive.see(0.0, newtons)
+            drive.update_readings(0.0, newtons)
             assert TPDO.unpack(drive.tpdo()[1])[2] == per_mille
         drives._deadline = lambda: np.inf
         drives.sync(0)
         drives._waiting = 3
         for drive in told:
-            drives._by_id[TPDO1_ID + drive.node_id].came = False
-            drives._take(*drive.tpdo())
+            drives._by_id[TPDO1_ID + drive.node_id].received = False
+            drives._handle_tpdo(*drive.tpdo())
         force[:] = sum(axis.force for axis in drives._axes[:2]), drives._axes[2].force
         np.testing.assert_allclose(force, [2.0, 2.5e-3], rtol=1e-12)
         devices.close()
@@ -305,7 +305,7 @@ def test_sync_is_counted_where_the_drives_say_so(
 
 def test_sync_of_another_count_is_refused(rig: RigConfig, tmp_path: Path) -> None:
     other = with_overflow(rig, tmp_path, 10)
-    words = r"0x1019\): expected 240, or 0 for a SYNC that is not counted, found 10"
+    words = r"0x1019\): expected 240, or 0 for a SYNC without counter, found 10"
     with Electronics(other, Path()), pytest.raises(DriverError, match=words):
         opened(other)
 
@@ -313,7 +313,7 @@ def test_sync_of_another_count_is_refused(rig: RigConfig, tmp_path: Path) -> Non
 def test_sync_that_some_of_them_count_is_refused(rig: RigConfig) -> None:
     with Electronics(rig, Path()) as electronics:
         nodes_of(electronics)[1]._node.set_data(Object.SYNC_OVERFLOW, 0, b"\0")
-        with pytest.raises(DriverError, match="counted in x1, phi alone"):
+        with pytest.raises(DriverError, match="only in x1, phi"):
             opened(rig)
 
 

@@ -24,7 +24,7 @@ from levid.drivers.can.bus_link import CanLink
 from levid.drivers.can.readings import Readings
 from levid.wire.can.can_bus import _MessageBus, open_bus
 from levid.wire.can.can_frames import load_frames
-from levid.wire.can.kernel_frame import ReceivedFrame, unpacked
+from levid.wire.can.kernel_frame import ReceivedFrame, unpack_frame
 
 CONFIG = CanBus(interface="virtual", channel="readings", data_bitrate=5_000_000, stale_cycles=2)
 
@@ -104,7 +104,7 @@ def test_frame_that_does_not_leave_is_lost_on_a_network_and_the_link_on_a_line(l
 def other_frame(kind: str, stamp_s: float) -> ReceivedFrame | None:
     """What a bus makes of a frame that is none of ours and came at `stamp_s`."""
     if kind == "error of the kernel":
-        return unpacked(struct.pack("=IBB2x8s", 0x2000_0004, 8, 0, bytes(8)), stamp_s)
+        return unpack_frame(struct.pack("=IBB2x8s", 0x2000_0004, 8, 0, bytes(8)), stamp_s)
     wrong = {"is_error_frame": kind == "error", "is_extended_id": kind == "extended"}
     message = can.Message(timestamp=stamp_s, arbitration_id=4, **wrong)
     raw = SimpleNamespace(recv=lambda _: message)
@@ -160,7 +160,7 @@ def test_bus_that_is_lost_is_shut_down_after_the_cycle(error: Exception, words: 
     link._bus = SimpleNamespace(send=send, shutdown=lambda: done.append("shut down"))  # type: ignore[assignment]
     with pytest.raises(LinkError, match=f"sending failed: .*{words}"):
         link.send(1, b"")
-    with pytest.raises(LinkError, match="gone"):
+    with pytest.raises(LinkError, match="not open"):
         link.send(1, b"")
     assert not done
     link.open()
@@ -181,9 +181,9 @@ def test_claims_of_long_names_are_told_apart(folder: str) -> None:
         Claim(f"{folder}/motion"),
         Claim(f"{folder}/force"),
     )
-    assert one.take()
-    assert other.take()
-    assert not again.take()
+    assert one.acquire()
+    assert other.acquire()
+    assert not again.acquire()
     for claim in (one, other):
         claim.release()
 
@@ -195,7 +195,7 @@ def test_bus_that_cannot_be_claimed_is_not_said_to_be_somebody_else_s(
     link = CanLink("main", CanBus(interface="levid_local", channel=str(tmp_path)))
     refusing = SimpleNamespace(bind=refuse, close=lambda: None)
     monkeypatch.setattr("levid.drivers.bus_lock.socket.socket", lambda *_: refusing)
-    with pytest.raises(LinkError, match=r"cannot be claimed: .*no room"):
+    with pytest.raises(LinkError, match=r"cannot be locked: .*no room"):
         link.open()
 
 

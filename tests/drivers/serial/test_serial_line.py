@@ -143,10 +143,10 @@ def test_port_that_is_lost_is_closed_after_the_cycle() -> None:
             lost = line._port
             server.accept()[0].close()
             began_s = time.perf_counter()
-            with pytest.raises(LinkError, match="the other end hung up"):
+            with pytest.raises(LinkError, match="closed by the other end"):
                 line.read(began_s + 10.0)
             took_s.append(time.perf_counter() - began_s)
-            with pytest.raises(LinkError, match="gone"):
+            with pytest.raises(LinkError, match="not open"):
                 line.write(b"x")
             assert lost.is_open
         line.close()
@@ -239,7 +239,7 @@ def test_a_port_that_takes_nothing_more_holds_no_cycle_up(monkeypatch: pytest.Mo
         line.open()
         patient = MagicMock()
         monkeypatch.setattr(line._port, "write", patient)
-        with pytest.raises(LinkError, match=r"takes nothing|unavailable"):
+        with pytest.raises(LinkError, match=r"buffer full|unavailable"):
             fill()
         assert not patient.called  # it waits for a tenth of a second
     finally:

@@ -82,7 +82,7 @@ def drive_force(core: Core) -> None:
     _, challenge = core.request(Request.READ, DeviceParameter.CHALLENGE, 0)
     for cycle in range(11):
         core.begin(cycle)
-        core.take_over()
+        core.apply_setpoints()
         core.request(Request.ENABLE, 0, response(challenge, limits))
         core.setpoints(np.full(9, 7.0))
     assert core.acting_n == pytest.approx(7.0)
@@ -190,7 +190,7 @@ def test_setpoints_act_in_their_cycle_whichever_bus_begins_it(
     else:
         end._sync(*load_frames(None, 9, 9, False).sync.encode(11))
     assert core.acting_n == pytest.approx(8.0)
-    assert core.answered_state is AmplifierState.ENABLED
+    assert core.reported_state is AmplifierState.ENABLED
 
 
 def test_setpoints_of_two_sets_are_not_joined(can_end: CanElectronics) -> None:

@@ -80,35 +80,37 @@ def test_what_can_work_passes(bus: dict[str, Any]) -> None:
         (
             {"interface": "socketcn", "channel": "can0"},
             r"can.main.interface: expected one of python-can \(.*slcan.*\) or of a package that "
-            "adds one, found 'socketcn'; socketcan is near",
+            "adds one, found 'socketcn'; did you mean socketcan",
         ),
         (
             {"interface": "gs_usb", "channel": 0, "data_bitrate": 5_000_000},
-            "can.main.data_bitrate: expected none, since gs_usb of python-can carries classic CAN "
-            "alone, found 5000000",
+            "can.main.data_bitrate: gs_usb of python-can carries classic CAN only, found 5000000",
         ),
-        ({"interface": "gs_usb", "channel": "can0"}, "expected the number that gs_usb .*'can0'"),
+        (
+            {"interface": "gs_usb", "channel": "can0"},
+            "expected the number of the adapter for gs_usb.*'can0'",
+        ),
         (
             {"interface": "vector", "channel": 0},
-            "can.main.interface: python-can has vector on Windows alone",
+            "can.main.interface: python-can supports vector on Windows only",
         ),
-        (PCAN_FD, "can.main.options: expected f_clock, nom_brp, .*data_sjw.*, found none"),
+        (PCAN_FD, "can.main.options: pcan needs f_clock, nom_brp, .*data_sjw.*, found none"),
         (
             {**PCAN_FD, "data_bitrate": 2_000_000, "options": SEGMENTS},
-            r"can.main.data_bitrate: expected 5e\+06, as options make it, found 2000000",
+            r"can.main.data_bitrate: expected 5e\+06, as computed from options, found 2000000",
         ),
         ({**PCAN_FD, "options": SEGMENTS | {"nom_brp": 0}}, "can.main.options: expected numbers"),
         # python-can would take 500000 instead, and say nothing
         (
             {"interface": "pcan", "channel": "PCAN_USBBUS1", "bitrate": 400_000},
-            r"can.main.bitrate: expected a rate that pcan knows \(10000, .*found 400000",
+            r"can.main.bitrate: expected a rate of pcan \(10000, .*found 400000",
         ),
-        ({**SLCAN, "data_bitrate": 4_000_000}, r"that slcan knows \(2000000, 5000000\), found 4"),
-        ({**SLCAN, "bitrate": 400_000}, "can.main.bitrate: expected a rate that slcan knows"),
+        ({**SLCAN, "data_bitrate": 4_000_000}, r"rate of slcan \(2000000, 5000000\), found 4"),
+        ({**SLCAN, "bitrate": 400_000}, "can.main.bitrate: expected a rate of slcan"),
         ({**SLCAN, "channel": "/dev/tty@fast"}, "can.main.options.tty_baudrate: .* found fast"),
         (
             {"interface": "kvaser", "channel": 0, "data_bitrate": 5_000_000},
-            "can.main.data_bitrate: expected a rate that kvaser knows .*, or f_clock, nom_brp",
+            "can.main.data_bitrate: expected a rate of kvaser .*, or f_clock, nom_brp",
         ),
     ],
 )

@@ -15,7 +15,7 @@ from pathlib import Path
 import can
 import pytest
 
-from levid.wire.can.kernel_frame import SO_TIMESTAMPNS, kernel_stamp_s, unpacked
+from levid.wire.can.kernel_frame import SO_TIMESTAMPNS, kernel_stamp_s, unpack_frame
 from levid.wire.can.local_bus import LocalBus, LocalFrames
 
 WAIT_S = 30.0
@@ -65,8 +65,10 @@ def test_all_others_hear_a_frame_and_who_sends_does_not(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("room", "length"), [(8, 9), (8, 64), (64, 65), (64, 255)])
 def test_frame_that_claims_more_than_it_has_is_none_of_ours(room: int, length: int) -> None:
     head = struct.pack("=IBB2x", 0x123, length, 0)
-    assert unpacked(head + bytes(room), 1.0) == (-1, b"", 1.0)
-    assert unpacked(struct.pack("=IBB2x", 0x123, room, 0) + bytes(room), 1.0).data == bytes(room)
+    assert unpack_frame(head + bytes(room), 1.0) == (-1, b"", 1.0)
+    assert unpack_frame(struct.pack("=IBB2x", 0x123, room, 0) + bytes(room), 1.0).data == bytes(
+        room
+    )
 
 
 def test_frame_is_stamped_when_it_comes_and_not_when_it_is_looked_at(tmp_path: Path) -> None:
@@ -201,7 +203,7 @@ def test_handles_that_somebody_sends_along_are_no_stamp() -> None:
 
 def test_bus_in_a_folder_of_everybody_is_refused(tmp_path: Path) -> None:
     tmp_path.chmod(0o777)
-    with pytest.raises(can.CanInitializationError, match="nobody else's"):
+    with pytest.raises(can.CanInitializationError, match="expected a private folder"):
         can.Bus(interface="levid_local", channel=str(tmp_path))
 
 

@@ -19,7 +19,7 @@ from levid.drivers.base import LinkError
 from levid.drivers.can.bus_link import CanLink
 from levid.wire.can.can_bus import open_bus
 from levid.wire.can.kernel_frame import BusOffError, ReceivedFrame
-from levid.wire.can.read_ahead import MOST_WAITING, OverrunError, ReadAhead
+from levid.wire.can.read_ahead import QUEUE_FRAMES, OverrunError, ReadAhead
 
 LONG_S = 10.0
 """Nothing here takes as long, on any machine."""
@@ -97,12 +97,12 @@ def test_what_the_interface_raises_comes_behind_the_frames_before_it(source, ahe
 
 
 def test_frames_that_nobody_takes_are_counted_and_told(source, ahead) -> None:
-    for k in range(MOST_WAITING + 5):
+    for k in range(QUEUE_FRAMES + 5):
         source.coming.put(ReceivedFrame(k & 0x7FF, b"", 1.0))
     until(lambda: ahead._lost == 5)
-    with pytest.raises(OverrunError, match=f"5 frames lost: nobody took the {MOST_WAITING} before"):
+    with pytest.raises(OverrunError, match=f"5 frames lost: .* {QUEUE_FRAMES} frames was full"):
         ahead.receive(0.0)
-    assert all(ahead.receive(0.0) is not None for _ in range(MOST_WAITING))
+    assert all(ahead.receive(0.0) is not None for _ in range(QUEUE_FRAMES))
     assert ahead.receive(0.0) is None
 
 

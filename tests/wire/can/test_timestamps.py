@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from levid.wire.can.can_bus import Ages, _KernelBus
-from levid.wire.can.kernel_frame import SO_TIMESTAMPNS, ReceivedFrame, packed
+from levid.wire.can.kernel_frame import SO_TIMESTAMPNS, ReceivedFrame, pack_frame
 from levid.wire.can.timestamps import SO_TIMESTAMPING, Ancillary, KernelStamps
 
 WAIT_S = 30.0
@@ -79,13 +79,13 @@ def test_hardware_of_the_kernels_own_interfaces_is_followed(
     monkeypatch.setattr("levid.wire.can.timestamps.time", lambda: day_s[0] + clock_s[0])
     rng, wrong = np.random.default_rng(2), []
     for k in range(20_000):
-        came_s = 7e4 + 1e-3 * k
-        kernel_s = came_s + 5e-5 + (0.012 if k % 50 == 49 else float(rng.exponential(1e-5)))
+        received_s = 7e4 + 1e-3 * k
+        kernel_s = received_s + 5e-5 + (0.012 if k % 50 == 49 else float(rng.exponential(1e-5)))
         clock_s[0] = kernel_s + float(rng.uniform(0.0, 3e-3))
         if k == 15_000:
             day_s[0] += 0.5
         beside = stamped(kernel_s + day_s[0], 3.0 + (1.0 + 30e-6) * 1e-3 * k)
-        wrong.append(stamps.came_s(beside) - day_s[0] - came_s)
+        wrong.append(stamps.received_s(beside) - day_s[0] - received_s)
     # The quickest is of no age: 0.05 ms too late, and the drift of two seconds. A double of a time
     # of day has steps of 0.24 us.
     assert min(wrong[2_000:]) > 5e-5 - 60e-6 - 1e-6
@@ -95,26 +95,26 @@ def test_hardware_of_the_kernels_own_interfaces_is_followed(
 def test_frame_without_a_stamp_of_hardware_counts_by_the_kernels(stamps: KernelStamps) -> None:
     """Both may come from one interface: a driver's own error frames have no time on the wire."""
     now_s = time.time()
-    assert stamps.came_s(stamped(now_s, 5.0)) == pytest.approx(now_s, abs=1e-6)
-    assert stamps.came_s(stamped(now_s - 0.25)) == pytest.approx(now_s - 0.25, abs=1e-6)
+    assert stamps.received_s(stamped(now_s, 5.0)) == pytest.approx(now_s, abs=1e-6)
+    assert stamps.received_s(stamped(now_s - 0.25)) == pytest.approx(now_s - 0.25, abs=1e-6)
     (only, _) = stamped(now_s - 0.5)
-    assert stamps.came_s([only]) == pytest.approx(now_s - 0.5, abs=1e-6)
+    assert stamps.received_s([only]) == pytest.approx(now_s - 0.5, abs=1e-6)
 
 
 def test_hardware_alone_is_followed_by_when_frames_are_read(stamps: KernelStamps) -> None:
     before_s = time.time()
-    assert stamps.came_s(stamped(0.0, 5.0)) >= before_s
+    assert stamps.received_s(stamped(0.0, 5.0)) >= before_s
     # 0.2 s older on hardware's clock, and read later: so much older on this host's.
-    came_s = stamps.came_s(stamped(0.0, 4.8))
-    assert before_s - 0.2 - 1e-6 <= came_s <= time.time() - 0.2 + 1e-6
+    received_s = stamps.received_s(stamped(0.0, 4.8))
+    assert before_s - 0.2 - 1e-6 <= received_s <= time.time() - 0.2 + 1e-6
 
 
 @pytest.mark.parametrize("data", [b"", bytes(8), bytes(15), bytes(17), bytes(40), bytes(49)])
 @pytest.mark.parametrize("kind", [SO_TIMESTAMPNS, SO_TIMESTAMPING])
 def test_what_is_no_stamp_is_none(stamps: KernelStamps, kind: int, data: bytes) -> None:
-    assert stamps.came_s([(socket.SOL_SOCKET, kind, data)]) == 0.0
-    assert stamps.came_s([(socket.SOL_SOCKET, socket.SCM_RIGHTS, data)]) == 0.0
-    assert stamps.came_s([]) == 0.0
+    assert stamps.received_s([(socket.SOL_SOCKET, kind, data)]) == 0.0
+    assert stamps.received_s([(socket.SOL_SOCKET, socket.SCM_RIGHTS, data)]) == 0.0
+    assert stamps.received_s([]) == 0.0
 
 
 @pytest.mark.parametrize("asked_before", [False, True])
@@ -124,11 +124,11 @@ def test_kernel_says_when_a_frame_came(pair: list[socket.socket], asked_before: 
     if asked_before:  # as python-can does
         here.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
     bus = _KernelBus(None, here)
-    there.send(packed(0x7F, b""))  # it begins to stamp a little after somebody asks for that
+    there.send(pack_frame(0x7F, b""))  # it begins to stamp a little after somebody asks for that
     assert bus.receive(WAIT_S) is not None
     for n in range(10):
         before_s = time.time()
-        there.send(packed(0x100 + n, bytes(20)))
+        there.send(pack_frame(0x100 + n, bytes(20)))
         after_s = time.time()
         time.sleep(0.02)
         frame = bus.receive(WAIT_S)
@@ -167,7 +167,7 @@ def test_stamps_go_through_a_socket_that_python_can_has_opened(
             assert size >= 72
             assert room >= sum(socket.CMSG_SPACE(n) for n in (16, 48))
             late_s = 0.02 if next(ticks) else 0.0
-            return packed(0x28, bytes(8)), stamped(now_s + 0.001 + late_s, 3.001), 0, None
+            return pack_frame(0x28, bytes(8)), stamped(now_s + 0.001 + late_s, 3.001), 0, None
 
     monkeypatch.setattr("levid.wire.can.timestamps.time", lambda: now_s + 0.05)
     monkeypatch.setattr("levid.wire.can.timestamps.perf_counter", lambda: 9.0)

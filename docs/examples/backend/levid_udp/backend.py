@@ -29,7 +29,7 @@ from levid.wire.device_protocol import (
     AmplifierState,
     DriveState,
     Request,
-    declared,
+    expected_parameters,
 )
 
 from .link import UdpLink
@@ -68,7 +68,7 @@ class UdpBackend(BusBackend):
 
     def sync(self, cycle: int, late_s: float = 0.0) -> None:
         """Begin a cycle: setpoints out, samples in."""
-        self._nothing_came()
+        self._mark_stale()
         self._link.sync(cycle, late_s)
 
     def recover(self) -> None:
@@ -90,7 +90,7 @@ class UdpBackend(BusBackend):
 
 class _Amplifiers(CoilAmplifiers):
     def __init__(self, link: UdpLink, rig: RigConfig, expire_cycles: int) -> None:
-        self._link, self._limits = link, declared(rig, expire_cycles)
+        self._link, self._limits = link, expected_parameters(rig, expire_cycles)
         self._watch = AmplifierWatch(
             f"amplifiers on {link.what}", self._limits, link.ask, link.stale_cycles
         )
@@ -121,7 +121,7 @@ class _Amplifiers(CoilAmplifiers):
 
 class _Sensors(PositionSensors):
     def __init__(self, link: UdpLink, rig: RigConfig) -> None:
-        self._link, self._limits = link, declared(rig, 0)
+        self._link, self._limits = link, expected_parameters(rig, 0)
         self._watch = SensorWatch(f"sensors on {link.what}", rig.geometry, _RANGE_M)
 
     def read(self, gap_m: Array) -> None:
@@ -138,7 +138,7 @@ class _Sensors(PositionSensors):
 
 class _Drives(ManipulatorDrives):
     def __init__(self, link: UdpLink, rig: RigConfig, skew_m: float) -> None:
-        self._link, self._limits, self._skew_m = link, declared(rig, 0), skew_m
+        self._link, self._limits, self._skew_m = link, expected_parameters(rig, 0), skew_m
         self._axes = np.full((3, 3), np.nan)
         self._released = False
 

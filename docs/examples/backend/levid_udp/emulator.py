@@ -60,7 +60,7 @@ class UdpElectronics:
         while not self._stopping.is_set():
             if select.select([self._socket], [], [], patience_s)[0]:
                 packet, host = self._socket.recvfrom(_LONGEST)
-                if self._injector.hears:
+                if self._injector.receives:
                     for answer in self._answers(packet):
                         self._socket.sendto(answer, host)
                     continue
@@ -82,11 +82,11 @@ class UdpElectronics:
                 core.setpoints(frame["coil_n"].astype(float))
                 core.drive_setpoints([np.array([frame["beam"], frame["rotor"]])])
             core.begin(cycle)
-            core.take_over(renews=cycle != self._cycle)
+            core.apply_setpoints(renews=cycle != self._cycle)
             self._cycle = cycle
             readings = self._frames.pack(
                 Kind.READINGS, cycle,
-                amplifier_state=core.answered_state, coil_n=core.force_n,
+                amplifier_state=core.reported_state, coil_n=core.force_n,
                 sensor_state=core.sensor_state, gap_m=core.gap_m,
                 drive_state=core.drive_state, drive_error=core.drive_error, axes=core.axes,
             )  # fmt: skip

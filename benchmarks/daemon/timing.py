@@ -1,294 +1,238 @@
-"""How punctual the daemon's loop is, beside cyclictest in turn with it, at one priority and period.
+"""Compare the punctuality of the daemon's loop with cyclictest, at the same priority and period.
 
-The loop is the whole daemon's: loopback plant, control and recording included, while it levitates.
-cyclictest (Debian's rt-tests) does nothing but wake up; without it only --alone is measured. Both
-need the right to SCHED_FIFO and to lock memory, and a machine that has nothing else to do.
+The loop runs in a complete daemon: loopback plant, control and recording, while it levitates.
+cyclictest (Debian: rt-tests) only wakes up; without it, use --alone. Both need SCHED_FIFO and
+locked memory, and an idle machine.
 
-Medians are compared of wake-ups: when each was woken, against the moment it had asked for. The loop
-asks for one before its deadline and spins the rest, so that its lateness, a figure of its own, says
-nothing of the kernel. Both wait in clock_nanosleep with an absolute time. cyclictest hands it over
-as it is; to time.sleep a duration is told, which Python adds to a clock that it reads anew: what
-lies between the two looks at the clock, and the interpreter's way back, count as the loop's.
+Medians compare wake-ups. The loop requests a wake-up before its deadline and spins for the rest, so
+its lateness is a separate figure. Both wait in clock_nanosleep with an absolute time.
 
-1khz, 10khz: ten minutes of each contender in rounds of 30 s, their order swapped in every round,
-and up to twice that where late cycles are in too few rounds to tell. together: as many rounds at
-10 kHz in which both run at once, each on a processor of its own, swapped in every round, the
-daemon's other processes on either: what a machine does to both, say a host that takes it away, is
-in both shares then, where in turns it makes them differ by ten times from one turn to the next.
-busy: ten minutes of one unbroken flight at 10 kHz beside a disk that is written to all the time,
-cyclictest beside the same before and after it. The full run takes an hour and a half, at most two
-and a half; --quick two minutes. Rounds are kept in build/timing as they come: a run that was
-stopped carries on with them. One that failed (a fault in flight, a recorder that was started anew)
-is counted, and not repeated.
+Sections: 1khz and 10khz are rounds of 30 s for each contender in turn; their order is swapped every
+round. together is the same at 10 kHz with both at once, each on its own processor, swapped every
+round. Rounds continue (20 to 40) until enough of them have late cycles. busy is one flight of ten
+minutes at 10 kHz beside a disk that is written and synced continuously, with cyclictest before and
+after it. The full run takes 1.5 to 2.5 hours, --quick two minutes.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from levid.benchmarks.daemon.timing_figures import busy_figures, pairs, rate_figures
-from levid.benchmarks.daemon.timing_rounds import (
+import numpy as np
+
+from levid.benchmarks.daemon.timing_contenders import (
     LIFT_AND_LAND_S,
     PRIORITY,
+    Times,
     Turn,
     fly,
-    read,
-    rest,
-    wake_up,
     waking_up,
 )
 from levid.benchmarks.harness import table
-from levid.benchmarks.harness.busy_disk import NotBusyError, Writer, busy_disk
-from levid.benchmarks.harness.code_version import code_version
-from levid.benchmarks.harness.flown_rows import Lag
-from levid.benchmarks.harness.kept_results import KEPT, Kept, host_digest
-from levid.benchmarks.harness.ratio_of_shares import again
+from levid.benchmarks.harness.busy_disk import busy_disk
+from levid.benchmarks.harness.ratio_of_shares import MOST_RATIO, Round, again, ratio_figures
 from levid.benchmarks.harness.real_time import hurry, relax
-from levid.benchmarks.harness.table import Figure
-from levid.config.shipped import shipped
-from levid.daemon.client import DaemonError
-from levid.log.errors import LogError
+from levid.benchmarks.harness.table import Figure, Met, Target
 
-LOGS = KEPT / "timing"
-"""Where logs are written: on a disk, which the folder for temporary files may not be."""
+LOGS = Path(__file__).resolve().parents[2] / "build" / "timing"
+"""Folder for logs, on a disk: the folder for temporary files may be in memory."""
 RATES_HZ = {"1khz": 1000, "10khz": 10_000, "together": 10_000}
 SECTIONS = (*RATES_HZ, "busy")
-_TOGETHER = 2
-"""Processors that it takes to run both at once."""
-_IN_A_ROW = 3
-_FAILURES = (
-    DaemonError, LogError, NotBusyError, OSError, RuntimeError, ValueError,
-    subprocess.SubprocessError,
-)  # fmt: skip
-_LEAST, _MOST, _SECONDS = 20, 40, 30.0
-_BUSY_S, _BUSY_PEER_S = 600.0, 120.0
+MOST_MEDIAN = 1.2
+MOST_P99_US, MOST_P999_US = 25.0, 100.0
+QUIET_P999_US = 70.0
+"""The 10 kHz tail targets apply only if cyclictest's own p99.9 is below this."""
+MOST_RECORDER = 0.15
+_REST_S, _SYNC_S = 2.0, 60.0
 
 
+@dataclass(frozen=True)
 class Plan:
-    """How long what is measured takes, and with whom; cyclictest is None where it is --alone."""
+    """Rounds, durations in s, and the path of cyclictest (None: --alone)."""
 
-    def __init__(self, quick: bool, cyclictest: str | None) -> None:
-        self.cyclictest = cyclictest
-        self.least, self.most, self.seconds = (1, 1, 5.0) if quick else (_LEAST, _MOST, _SECONDS)
-        self.busy_s, self.busy_peer_s = (10.0, 5.0) if quick else (_BUSY_S, _BUSY_PEER_S)
-        kind = "quick" if quick else "full"
-        with_whom = "" if cyclictest else "-alone"
-        self.file = LOGS / f"{kind}{with_whom}-{version()}-{host_digest()}.jsonl"
-
-
-def measure(quick: bool, alone: bool = False, only: Sequence[str] = ()) -> Iterator[Figure]:
-    """Yield the figures of these sections, of all if none is named."""
-    plan = Plan(quick, None if alone else _cyclictest())
-    _require_priority()
-    kept = Kept(plan.file)
-    print(f"rounds are kept in {plan.file}", file=sys.stderr)
-    if old := {s: len(kept.of(s)) for s in only or SECTIONS if kept.of(s)}:
-        since = kept.lines[0].get("begun", "before")
-        counts = ", ".join(f"{count} of {section}" for section, count in old.items())
-        print(f"of a run begun {since}, not measured again: {counts}", file=sys.stderr)
-    _clean(LOGS)
-    for section in only or SECTIONS:
-        if section == "together" and (why := _not_together(plan)):
-            print(f"together: {why}", file=sys.stderr)
-        elif section in RATES_HZ:
-            try:
-                rounds(plan, kept, section)
-            except BaseException:
-                yield from rate_figures(section, kept.of(section))
-                raise
-            yield from rate_figures(section, kept.of(section))
-        else:
-            busy(plan, kept)
-            yield from busy_figures(kept.of(section))
-    if not only:
-        kept.close()
+    cyclictest: str | None
+    least: int = 20
+    most: int = 40
+    seconds: float = 30.0
+    busy_s: float = 600.0
+    busy_peer_s: float = 120.0
 
 
-def rounds(plan: Plan, kept: Kept, section: str) -> None:
-    """Fly and wake up in turns until there are rounds enough; keep each."""
-    rate_hz, in_a_row = RATES_HZ[section], 0
-    while True:
-        lines = kept.of(section)
-        done, turns = len(lines), pairs(lines)
-        more = plan.cyclictest is not None and again(turns, 0, plan.most)
-        if done >= (plan.most if more else plan.least):
-            print(file=sys.stderr)
-            return
-        print(f"{section}: round {done + 1}", end="\r", file=sys.stderr)
-        line: dict[str, Any] = {"section": section, "round": done}
-        try:
-            if section == "together" and plan.cyclictest is not None:
-                line |= both_at_once(rate_hz, plan.seconds, done, plan.cyclictest)
-            else:
-                line |= one_round(rate_hz, plan.seconds, done, plan.cyclictest)
-            in_a_row = 0
-        except _FAILURES as error:
-            in_a_row += 1
-            line |= _failed(section, error)
-        kept.add(line)
-        if in_a_row == _IN_A_ROW:
-            raise RuntimeError(f"{in_a_row} rounds in a row failed, the last: {line['failed']}")
-
-
-def one_round(
-    rate_hz: int, seconds: float, number: int, cyclictest: str | None
-) -> dict[str, dict[str, Any]]:
-    """Return the turns of both; who was first in one round is second in the next."""
-    found = {}
-    LOGS.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=_prefix(), dir=LOGS) as folder:
-
-        def loop() -> None:
-            found["loop"] = fly(rate_hz, seconds, Path(folder))
-
-        def peer() -> None:
-            if cyclictest is not None:
-                rest()
-                found["cyclictest"] = wake_up(cyclictest, rate_hz, seconds)
-
-        for turn in (loop, peer) if number % 2 else (peer, loop):
-            turn()
-        found["loop"] = read(found["loop"])  # logs are read when nobody is timed
-    return {who: turn.plain for who, turn in found.items()}
-
-
-def both_at_once(
-    rate_hz: int, seconds: float, number: int, cyclictest: str
-) -> dict[str, dict[str, Any]]:
-    """Return what came of both, each on a processor of its own; the next round swaps these."""
-    ours, theirs = sorted(os.sched_getaffinity(0))[:_TOGETHER][:: -1 if number % 2 else 1]
-    LOGS.mkdir(parents=True, exist_ok=True)
-    with (
-        tempfile.TemporaryDirectory(prefix=_prefix(), dir=LOGS) as folder,
-        ExitStack() as stack,
-    ):
-        peers: list[Callable[[], Turn]] = []
-
-        def ready() -> None:
-            rest()
-            longer_s = seconds + LIFT_AND_LAND_S
-            peers.append(stack.enter_context(waking_up(cyclictest, rate_hz, longer_s, cpu=theirs)))
-
-        flight = fly(rate_hz, seconds, Path(folder), ready, cpu=ours)
-        found = {"cyclictest": peers[0](), "loop": read(flight)}
-    return {who: turn.plain for who, turn in found.items()}
-
-
-def busy(plan: Plan, kept: Kept) -> None:
-    """Fly once without a break beside a disk that is written to, cyclictest before and after."""
-    if any("lag_rows" not in line for line in kept.of("busy")):
-        return
-    line: dict[str, Any] = {"section": "busy"}
-    LOGS.mkdir(parents=True, exist_ok=True)
-    try:
-        with tempfile.TemporaryDirectory(prefix=_prefix(), dir=LOGS) as folder:
-            with busy_disk(LOGS) as writer:
-                peers = [_peer(plan, writer)]
-                written: list[tuple[float, int]] = []
-
-                def tell(lag: Lag) -> None:
-                    written.append((lag.at_s, writer.mib))
-                    if not len(written) % 60:  # a flight that is stopped leaves these
-                        kept.add({"section": "busy", "at_s": lag.at_s, "lag_rows": lag.rows})
-
-                flight = fly(10_000, plan.busy_s, Path(folder), lambda: None, tell)
-                line["written"] = written
-                writer.require_busy()
-                try:
-                    peers.append(_peer(plan, writer))
-                except _FAILURES as error:  # of what comes after: the flight stands
-                    line |= _failed("busy", error)
-            line["loop"] = read(flight).plain
-            line["cyclictest"] = Turn.together(peers).plain
-    except _FAILURES as error:
-        line |= _failed("busy", error)
-    kept.add(line)
-
-
-def _not_together(plan: Plan) -> str:
-    if plan.cyclictest is None:
-        return "not without cyclictest"
-    if (found := len(os.sched_getaffinity(0))) < _TOGETHER:
-        return f"expected {_TOGETHER} processors, found {found}"
-    return ""
-
-
-def _peer(plan: Plan, writer: Writer) -> Turn:
-    """Let cyclictest have its turn beside the writer, which has to be writing still."""
-    if plan.cyclictest is None:
-        return Turn()
-    turn = wake_up(plan.cyclictest, 10_000, plan.busy_peer_s)
-    writer.require_busy()
-    return turn
-
-
-def _failed(section: str, error: Exception) -> dict[str, str]:
-    why = f"{type(error).__name__}: {error}"
-    print(f"{section}: a round failed: {why}", file=sys.stderr)
-    return {"failed": why}
-
-
-def _prefix() -> str:
-    return f"flight-{os.getpid()}-"
-
-
-def _clean(folder: Path) -> None:
-    """Remove the logs of runs that were killed: a gigabyte each."""
-    for left in folder.glob("flight-*"):
-        pid = left.name.split("-")[1]
-        if not Path(f"/proc/{pid}").exists():
-            shutil.rmtree(left, ignore_errors=True)
-
-
-def _cyclictest() -> str:
-    found = shutil.which("cyclictest")
-    if found is None:
-        raise SystemExit(
-            "timing: no cyclictest to compare with; on Debian: apt install rt-tests. "
-            "--alone measures the loop without it"
-        )
-    return found
-
-
-def _require_priority() -> None:
-    """Refuse at once what cannot be measured here."""
-    if not hurry(PRIORITY):
-        raise SystemExit(
-            f"timing: no right to priority {PRIORITY}: run it as root, or raise the limits rtprio "
-            "and memlock"
-        )
-    relax()
-
-
-def version() -> str:
-    """Return a digest of what a round depends on: the daemon, and how it is measured here."""
-    here = Path(__file__).parent
-    shared = ("flown_rows", "busy_disk", "running_daemon", "histogram")
-    sources = [here / "timing.py", here / "timing_rounds.py"]
-    sources += [here.parent / "harness" / f"{name}.py" for name in shared]
-    settings = (shipped("rigs/loopback.yaml"), shipped("sims/nominal.yaml"))
-    return code_version(("cli/run.py", "daemon", "drivers/loopback.py"), sources, settings)
-
-
-def _arguments() -> argparse.Namespace:
+def main() -> None:
+    """Measure the requested sections."""
     parser = table.parser(__doc__ or "")
     parser.add_argument("--alone", action="store_true", help="the loop only, without cyclictest")
     parser.add_argument(
-        "--only", action="append", choices=SECTIONS, default=[], metavar="SECTION",
-        help=f"measure this only, of {', '.join(SECTIONS)}; may be given again",
+        "--only", action="append", choices=SECTIONS, metavar="SECTION",
+        help=f"measure only this section, of {', '.join(SECTIONS)}; may be repeated",
     )  # fmt: skip
-    return parser.parse_args()
+    arguments = parser.parse_args()
+    cyclictest = None if arguments.alone else shutil.which("cyclictest")
+    if cyclictest is None and not arguments.alone:
+        sys.exit("timing: cyclictest not found. On Debian: apt install rt-tests; or use --alone")
+    if not hurry(PRIORITY):
+        sys.exit(
+            f"timing: no right to priority {PRIORITY}. Run it as root, or raise the limits rtprio "
+            "and memlock"
+        )
+    relax()
+    plan = Plan(cyclictest, 1, 1, 5.0, 10.0, 5.0) if arguments.quick else Plan(cyclictest)
+    table.show("Timing", arguments, lambda: measure(plan, arguments.only or SECTIONS))
+
+
+def measure(plan: Plan, sections: Sequence[str]) -> Iterator[Figure]:
+    """Yield the figures of these sections."""
+    LOGS.mkdir(parents=True, exist_ok=True)
+    for section in sections:
+        if section == "busy":
+            yield from busy(plan)
+        elif section != "together" or (
+            plan.cyclictest is not None and len(os.sched_getaffinity(0)) > 1
+        ):
+            yield from rounds(plan, section)
+        else:
+            print("together: skipped, needs cyclictest and two processors", file=sys.stderr)
+
+
+def rounds(plan: Plan, section: str) -> Iterator[Figure]:
+    """Measure rounds until enough have late cycles; yield the figures of their sum."""
+    ours: list[Turn] = []
+    theirs: list[Turn] = []
+    late: list[Round] = []
+    one_round = both_at_once if section == "together" else in_turn
+    while len(ours) < plan.least or (plan.cyclictest and again(late, plan.least, plan.most)):
+        print(f"{section}: round {len(ours) + 1}", end="\r", file=sys.stderr)
+        loop, peer = one_round(plan, RATES_HZ[section], len(ours))
+        ours.append(loop)
+        theirs.append(peer)
+        late.append(Round(loop.late, loop.cycles, peer.late, peer.cycles))
+    print(file=sys.stderr)
+    levid, peer = Turn.together(ours), Turn.together(theirs)
+    yield Figure(f"rounds_{section}", len(ours), "", f"{section}: rounds")
+    yield from lateness_figures(section, levid, peer)
+    if plan.cyclictest:
+        low, high = f"late_ratio_low_{section}", f"late_ratio_{section}"
+        yield from ratio_figures(late, low, high, f"loop at {section}, cyclictest")
+    else:
+        target = Target(most=MOST_RATIO, met=Met.NOT_ASKED)
+        yield Figure(f"late_ratio_{section}", None, "", "ratio of late shares", target=target)
+    yield from recorder_figures(section, levid)
+
+
+def in_turn(plan: Plan, rate_hz: int, number: int) -> tuple[Turn, Turn]:
+    """Return the turns of the loop and cyclictest; their order depends on the round's number."""
+    peer = Turn()
+    with tempfile.TemporaryDirectory(dir=LOGS) as folder:
+        if number % 2 == 0:
+            peer = _peer(plan, rate_hz, plan.seconds)
+        read = fly(rate_hz, plan.seconds, Path(folder), _rest)
+        if number % 2:
+            peer = _peer(plan, rate_hz, plan.seconds)
+        return read(), peer
+
+
+def both_at_once(plan: Plan, rate_hz: int, number: int) -> tuple[Turn, Turn]:
+    """Return the turns of both at the same time, on processors that are swapped every round."""
+    cyclictest = plan.cyclictest or ""
+    ours, theirs = sorted(os.sched_getaffinity(0))[:2][:: -1 if number % 2 else 1]
+    seconds = plan.seconds + LIFT_AND_LAND_S
+    with tempfile.TemporaryDirectory(dir=LOGS) as folder, ExitStack() as stack:
+        peers: list[Callable[[], Turn]] = []
+
+        def ready() -> None:
+            _rest()
+            peer = waking_up(cyclictest, rate_hz, seconds, cpu=theirs)
+            peers.append(stack.enter_context(peer))
+
+        read = fly(rate_hz, plan.seconds, Path(folder), ready, cpu=ours)
+        return read(), peers[0]()
+
+
+def busy(plan: Plan) -> Iterator[Figure]:
+    """Fly once beside a disk that is written continuously; yield the figures."""
+    with tempfile.TemporaryDirectory(dir=LOGS) as folder:
+        with busy_disk(LOGS) as writer:
+            before = _peer(plan, 10_000, plan.busy_peer_s)
+            read = fly(10_000, plan.busy_s, Path(folder), lambda: None)
+            after = _peer(plan, 10_000, plan.busy_peer_s)
+            written_mib_s = writer.require_busy()
+        levid, peer = read(), Turn.together([before, after])
+    yield Figure("flight_s_busy", levid.seconds, "s", "one flight at 10 kHz beside a busy disk")
+    yield Figure("written_mib_s_busy", written_mib_s, "MiB/s", "written and synced beside it")
+    yield from lateness_figures("busy", levid, peer)
+    yield from recorder_figures("busy", levid)
+    yield Figure("lag_s_busy", levid.largest_lag_s, "s", "largest lag of the recorder")
+
+
+def lateness_figures(section: str, levid: Turn, peer: Turn) -> Iterator[Figure]:
+    """Yield quantiles of lateness and wake-ups, and shares of late cycles."""
+    quiet = _quantile(peer.lateness_us, 0.999)
+    judged = None if quiet is not None and quiet < QUIET_P999_US else Met.NOT_ASKED
+    limits = {"p99": MOST_P99_US, "p999": MOST_P999_US} if section == "10khz" else {}
+    for key, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999)):
+        versus = f"cyclictest_{key}_us_{section}"
+        theirs, ours = _quantile(peer.lateness_us, share), _quantile(levid.lateness_us, share)
+        target = Target(most=limits[key], met=judged) if key in limits else None
+        yield Figure(versus, theirs, "us", f"cyclictest, {section}: wake-up, {key}")
+        label = f"loop, {section}: lateness after its spin, {key}"
+        yield Figure(f"lateness_{key}_us_{section}", ours, "us", label, versus, target)
+    ours, theirs = _quantile(levid.woken_us, 0.5), _quantile(peer.lateness_us, 0.5)
+    label = f"loop, {section}: wake-up before its spin, p50"
+    yield Figure(f"wake_up_p50_us_{section}", ours, "us", label, f"cyclictest_p50_us_{section}")
+    if section != "busy":
+        ratio = ours / theirs if ours is not None and theirs else None
+        label = "wake-up, ratio of the medians to cyclictest"
+        yield Figure(f"median_ratio_{section}", ratio, "", label, target=Target(most=MOST_MEDIAN))
+    late = f"cyclictest_late_share_{section}"
+    yield Figure(late, _late(peer), "", f"cyclictest, {section}: woken a period late, share")
+    label = f"loop, {section}: ended a period late, share"
+    yield Figure(f"late_share_{section}", _late(levid), "", label, late)
+
+
+def recorder_figures(section: str, levid: Turn) -> Iterator[Figure]:
+    """Yield rows that the logs lack, and the recorder's share of a processor."""
+    missing, none = levid.found.missing, Target(most=0)
+    wrong = levid.found.wrong - missing
+    used = levid.recorder_s / levid.seconds
+    yield Figure(f"lost_rows_{section}", missing, "", "flown rows in no log", target=none)
+    yield Figure(
+        f"wrong_rows_{section}", wrong, "", "duplicates, foreign rows, cut logs", None, none
+    )
+    label = "recorder: share of a processor"
+    yield Figure(f"recorder_cpu_{section}", used, "", label, target=Target(most=MOST_RECORDER))
+
+
+def _peer(plan: Plan, rate_hz: int, seconds: float) -> Turn:
+    """Run cyclictest, if there is one."""
+    if plan.cyclictest is None:
+        return Turn()
+    _rest()
+    with waking_up(plan.cyclictest, rate_hz, seconds) as turn:
+        return turn()
+
+
+def _rest() -> None:
+    """Write what the last turn left to disk and pause: each turn starts on a quiet machine."""
+    subprocess.run(["sync"], check=True, timeout=_SYNC_S)
+    time.sleep(_REST_S)
+
+
+def _quantile(times_us: Times, share: float) -> float | None:
+    return float(np.quantile(times_us, share)) if len(times_us) else None
+
+
+def _late(turn: Turn) -> float | None:
+    return turn.late / turn.cycles if turn.cycles else None
 
 
 if __name__ == "__main__":
-    asked = _arguments()
-    table.show("Timing", asked, lambda: measure(asked.quick, asked.alone, asked.only))
+    main()

@@ -1,4 +1,4 @@
-"""A disk that has something else to do: a process that writes and waits until it is down."""
+"""Keep a disk busy: a process that writes and syncs continuously."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from pathlib import Path
 from levid.benchmarks.harness.child_processes import started
 
 LEAST_MIB_S = 20.0
-"""Some ten times of what the recorder writes at 10 kHz: below that the disk is hardly busy."""
+"""About ten times the recorder's rate at 10 kHz; a slower writer does not load the disk."""
 _BLOCKS = 16
-_IN_MEMORY = ("tmpfs", "ramfs")
 _WRITER = f"""
 import os, sys
 block = os.urandom(1 << 20)
@@ -30,50 +29,39 @@ with open(sys.argv[1], "wb", buffering=0) as file:
 
 
 class NotBusyError(Exception):
-    """The disk had less to do than was meant."""
+    """The disk had less to write than intended."""
 
 
 @dataclass(frozen=True)
 class Writer:
-    """What writes; `told` holds a byte for each `_BLOCKS` MiB that are down."""
+    """The writing process; `progress` grows by a byte for each `_BLOCKS` MiB on disk."""
 
     process: subprocess.Popen[bytes]
-    told: Path
+    progress: Path
     begun_s: float
 
-    @property
-    def mib(self) -> int:
-        """MiB written and synced so far."""
-        return _BLOCKS * self.told.stat().st_size
-
-    def require_busy(self, least_mib_s: float = LEAST_MIB_S) -> None:
-        """Raise NotBusyError where it has died, or wrote less than that since it was started."""
-        if self.process.poll() is not None:
-            raise NotBusyError(f"what kept the disk busy ended with {self.process.returncode}")
-        seconds = time.monotonic() - self.begun_s
-        if self.mib < least_mib_s * seconds:
-            raise NotBusyError(
-                f"expected {least_mib_s:g} MiB/s or more on disk beside the flight, found "
-                f"{self.mib / seconds:.1f}"
-            )
+    def require_busy(self) -> float:
+        """Return MiB/s written and synced since the start; raises NotBusyError if too few."""
+        mib_s = _BLOCKS * self.progress.stat().st_size / (time.monotonic() - self.begun_s)
+        if self.process.poll() is not None or mib_s < LEAST_MIB_S:
+            raise NotBusyError(f"expected {LEAST_MIB_S:g} MiB/s or more on disk, found {mib_s:.1f}")
+        return mib_s
 
 
 @contextmanager
 def busy_disk(folder: Path) -> Iterator[Writer]:
-    """Write to the file system of `folder` all the while; raises NotBusyError where it is none."""
-    kind = subprocess.run(
-        ["stat", "--file-system", "--format=%T", str(folder)],
-        check=True, capture_output=True, text=True, timeout=10,
-    ).stdout.strip()  # fmt: skip
-    if kind in _IN_MEMORY:
-        raise NotBusyError(f"{folder} lies in memory ({kind}): no disk is written to there")
-    ballast, told = folder / "busy", folder / "busy-told"
+    """Write to the file system of `folder`; raises NotBusyError if it is in memory."""
+    command = ["stat", "--file-system", "--format=%T", str(folder)]
+    kind = subprocess.run(command, check=True, capture_output=True, text=True, timeout=10).stdout
+    if kind.strip() in ("tmpfs", "ramfs"):
+        raise NotBusyError(f"{folder}: expected a folder on a disk, found {kind.strip()}")
+    ballast, progress = folder / "busy", folder / "busy-progress"
     try:
         with (
-            told.open("wb") as out,
+            progress.open("wb") as out,
             started([sys.executable, "-c", _WRITER, str(ballast)], stdout=out) as process,
         ):
-            yield Writer(process, told, time.monotonic())
+            yield Writer(process, progress, time.monotonic())
     finally:
         ballast.unlink(missing_ok=True)
-        told.unlink(missing_ok=True)
+        progress.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
-"""What the loop wrote into its ring while it flew, and whether all of it stands in the logs.
+"""Compare the rows that the loop wrote in flight with the rows in the logs.
 
-The ring is looked at from outside, in the memory that the daemon's processes share, and nothing is
-written there: each row that the loop meant for a log is known by its cycle, wherever it was lost.
+The ring of rows is read from outside, in the shared memory of the daemon's processes. The cycle of
+a row identifies it, wherever it is lost.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ import contextlib
 import os
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +25,11 @@ from levid.log.reader import read_log
 Cycles = NDArray[np.int64]
 
 _WRITTEN_S = 120.0
-"""A disk that is busy may take its time; the daemon itself waits for a minute."""
-
-
-class Lag(NamedTuple):
-    """How many rows waited for the recorder at a time in s."""
-
-    at_s: float
-    rows: int
+"""Timeout for a busy disk; the daemon itself waits for a minute."""
 
 
 class Flown:
-    """The rows of a flight, from the making of this on; `look` at least every few seconds."""
+    """Collect the rows of a flight from now on; call `look` every few seconds."""
 
     def __init__(self, supervisor: int, rig_file: Path) -> None:
         self._shared = Shared(load_rig(rig_file), memory_of(supervisor))
@@ -46,37 +38,32 @@ class Flown:
         self._next = self._ring.head
         self._woken_before = self._shared.wake_ups.counts[:-1].copy()
         self._cycles: list[Cycles] = []
-        self.lags: list[Lag] = []
-
-    @property
-    def capacity(self) -> int:
-        """Rows that the ring holds."""
-        return self._ring.capacity
+        self.lags: list[int] = []  # rows that waited for the recorder, at each look
 
     @property
     def cycles(self) -> Cycles:
-        """The cycles whose rows belong into a log."""
+        """The cycles whose rows belong in a log."""
         return np.concatenate([np.empty(0, np.int64), *self._cycles])
 
     @property
     def woken(self) -> Cycles:
-        """Return how often the loop woke up so late, by the bins of `WakeUps`."""
+        """Wake-ups of the loop, counted by the bins of `WakeUps`."""
         return self._shared.wake_ups.counts[:-1] - self._woken_before
 
     def look(self) -> None:
-        """Take note of the rows that are new, and of how many wait for the recorder."""
+        """Read the new rows; raises RuntimeError if the loop has overwritten some."""
         ring = self._ring
-        self.lags.append(Lag(time.monotonic(), ring.waiting))
+        self.lags.append(ring.waiting)
         head = ring.head
         places = np.arange(self._next, head) % ring.capacity
         logged = ring.tags[places] != NO_LOG
         self._cycles.append(ring.rows["cycle"][places][logged].astype(np.int64))
         if ring.head - ring.capacity >= self._next:
-            raise RuntimeError("looked at the ring too late: the loop has written over rows")
+            raise RuntimeError("the ring was read too late: the loop has overwritten rows")
         self._next = head
 
     def wait_until_written(self) -> None:
-        """Wait until what was flown is in its files; raises RuntimeError."""
+        """Wait until all rows are in their files; raises RuntimeError on a timeout."""
         self.look()
         ring, board = self._ring, self.board
         give_up_s = time.monotonic() + _WRITTEN_S
@@ -88,39 +75,32 @@ class Flown:
 
 @dataclass(frozen=True)
 class Found:
-    """How the logs of a flight compare with what the loop wrote."""
+    """Errors in the logs of a flight: rows missing, twice or never flown, and truncated logs."""
 
     missing: int = 0
     duplicates: int = 0
-    strange: int = 0  # rows of cycles that nobody flew
-    cut: int = 0  # logs that are not whole
+    foreign: int = 0
+    cut: int = 0
 
     @property
     def wrong(self) -> int:
-        """Rows and logs that are not as they should be."""
-        return self.missing + self.duplicates + self.strange + self.cut
+        """Sum of all errors."""
+        return sum(astuple(self))
 
     def __add__(self, other: Found) -> Found:
-        return Found(
-            self.missing + other.missing,
-            self.duplicates + other.duplicates,
-            self.strange + other.strange,
-            self.cut + other.cut,
-        )
+        return Found(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 def compare(flown: Cycles, logs: Iterable[Path]) -> Found:
-    """Return what is wrong with the logs of a flight, in any order, of which these are cycles."""
-    cycles, cut = [np.empty(0, np.int64)], 0
-    for path in logs:
-        log = read_log(path)
-        cycles.append(log.rows["cycle"].astype(np.int64))
-        cut += not log.complete
-    return found_in(flown, np.concatenate(cycles), cut)
+    """Compare the flown cycles with the logs of the flight, in any order."""
+    read = [read_log(path) for path in logs]
+    cycles = [log.rows["cycle"].astype(np.int64) for log in read]
+    cut = sum(not log.complete for log in read)
+    return found_in(flown, np.concatenate([np.empty(0, np.int64), *cycles]), cut)
 
 
 def found_in(flown: Cycles, logged: Cycles, cut: int) -> Found:
-    """Return what is wrong with the rows of these cycles, that `cut` logs which end early hold."""
+    """Compare the flown cycles with the logged cycles of logs, `cut` of them truncated."""
     return Found(
         len(np.setdiff1d(flown, logged)),
         len(logged) - len(np.unique(logged)),
@@ -130,9 +110,9 @@ def found_in(flown: Cycles, logged: Cycles, cut: int) -> Found:
 
 
 def memory_of(supervisor: int) -> int:
-    """Return a descriptor of the memory that the daemon's processes share."""
+    """Return a descriptor of the shared memory of the daemon's processes."""
     for link in Path(f"/proc/{supervisor}/fd").iterdir():
         with contextlib.suppress(FileNotFoundError):  # connections come and go
             if link.readlink().name.startswith("memfd:levid"):
                 return os.open(link, os.O_RDWR | os.O_CLOEXEC)
-    raise RuntimeError("the daemon shows no shared memory")
+    raise RuntimeError(f"expected shared memory of levid in process {supervisor}, found none")

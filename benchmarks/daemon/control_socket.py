@@ -1,10 +1,10 @@
-"""Hostile requests in flight: how long the supervisor's heartbeat stays away, how late the loop is.
+"""Send hostile requests in flight: measure the supervisor's heartbeat and late cycles.
 
-A platform levitates on the loopback rig in real time. Requests that were found to stop a daemon,
-and ones that Hypothesis makes up, are sent one by one; a witness in another process measures the
-longest gap between two heartbeats. Stretches with and without requests take turns, first alone on
-the machine, then beside two processes that compute all the time. --quick: 40 requests each; else
-300, in some 20 minutes. The heartbeat's limit is service.supervisor_s.
+A platform levitates on the loopback rig in real time. Known hostile requests and requests generated
+by Hypothesis are sent one by one. An observer in another process measures the longest gap between
+two heartbeats. Stretches with and without requests alternate, first on an idle machine, then beside
+two processes that compute continuously. --quick: 40 requests each, otherwise 300 in 20 minutes.
+The limit of the heartbeat is service.supervisor_s.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ from levid.benchmarks.harness.table import Figure, Target
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.api.control_server import LONGEST_LINE
+from levid.daemon.client import DaemonError
 
 SHARE = 0.1
-"""Of the heartbeat's limit, that a request may keep the supervisor away."""
+"""Share of the heartbeat's limit that a request may block the supervisor."""
+STALL_S = 0.2
+"""Limit of the rig: a virtual machine's host stalls for some 10 ms, whatever is requested."""
 _ANSWER_S = 120.0
 _LEAST_S = 2.0
 _BUSY = 2
-STALL_S = 0.2
-"""The host of a virtual machine stalls for some 10 ms: that is no matter of requests."""
 
 _SESSION = shipped("sessions/beam.yaml").read_text()
 KNOWN = {
@@ -87,7 +88,7 @@ _LONG = st.tuples(st.sampled_from(_PIECES), st.integers(1, 300_000), st.sampled_
 
 @st.composite
 def _sessions(draw: st.DrawFn) -> str:
-    """A shipped session with pieces put into it."""
+    """Insert pieces into a shipped session."""
     text = _SESSION
     for _ in range(draw(st.integers(1, 3))):
         at, piece = draw(st.integers(0, len(text))), draw(st.sampled_from(_PIECES))
@@ -125,49 +126,36 @@ REQUESTS = st.one_of(
 
 @dataclass
 class Stretches:
-    """What came of requests, and of the time between them, under one load."""
+    """Results under one load; pairs are (with, without a request)."""
 
-    gaps_s: list[float] = field(default_factory=list)
-    rest_gaps_s: list[float] = field(default_factory=list)
-    worst: str = ""
-    own_s: float = 0.0
+    gaps_s: tuple[list[float], list[float]] = field(default_factory=lambda: ([], []))
     late: list[int] = field(default_factory=lambda: [0, 0])
     cycles: list[int] = field(default_factory=lambda: [0, 0])
     unanswered: int = 0
     dropped: int = 0
-    lifted: int = 0
-
-    @property
-    def asked(self) -> int:
-        return len(self.gaps_s)
-
-
-def main() -> None:
-    arguments = table.parser(__doc__ or "").parse_args()
-    table.show("Control socket", arguments, lambda: measure(arguments.quick))
 
 
 def measure(quick: bool) -> Iterator[Figure]:
-    count = 40 if quick else 300
+    """Send requests under both loads; yield the figures."""
     with tempfile.TemporaryDirectory() as name:
         file, path = loopback_rig(Path(name), stall_s=STALL_S), Path(name) / "levid.sock"
         limit_s = load_rig(file).service.supervisor_s
-        yield Figure("limit", limit_s, "s", "heartbeat's limit, service.supervisor_s")
+        yield Figure("limit", limit_s, "s", "limit of the heartbeat, service.supervisor_s")
         for load in ("idle", "busy"):
             with running(file, path) as daemon, busy(_BUSY if load == "busy" else 0):
                 heartbeat = Heartbeat(file, daemon.pids["supervisor"])
                 found = Stretches()
                 try:
-                    ask_all(daemon, heartbeat, found, count)
+                    send_all(daemon, heartbeat, found, 40 if quick else 300)
                 finally:
                     heartbeat.close()
                 yield from _figures(load, found, limit_s)
 
 
-def ask_all(daemon: Daemon, heartbeat: Heartbeat, found: Stretches, count: int) -> None:
-    """Send the known requests, then so many that Hypothesis makes up."""
+def send_all(daemon: Daemon, heartbeat: Heartbeat, found: Stretches, count: int) -> None:
+    """Send the known requests, then `count` generated ones."""
     for name, line in KNOWN.items():
-        _ask(daemon, heartbeat, found, line, name)
+        _send(daemon, heartbeat, found, line, name)
 
     @settings(
         max_examples=count,
@@ -178,97 +166,78 @@ def ask_all(daemon: Daemon, heartbeat: Heartbeat, found: Stretches, count: int) 
         suppress_health_check=list(HealthCheck),
     )
     @given(REQUESTS)
-    def made_up(line: str) -> None:
-        _ask(daemon, heartbeat, found, line, line[:60])
+    def generated(line: str) -> None:
+        _send(daemon, heartbeat, found, line, line[:60])
 
-    made_up()
+    generated()
 
 
-def _ask(daemon: Daemon, heartbeat: Heartbeat, found: Stretches, line: str, name: str) -> None:
-    _fly(daemon, found)
+def _send(daemon: Daemon, heartbeat: Heartbeat, found: Stretches, line: str, name: str) -> None:
+    """Measure a stretch with one request, and one of the same length without."""
+    _fly(daemon)
     before = daemon.ask("status")
     heartbeat.take()
     begun_s = time.monotonic()
-    if not _answered(daemon.socket, line):
-        found.unanswered += 1
-    gap_s, own_s = heartbeat.take()
+    found.unanswered += not _answered(daemon.socket, line)
+    found.gaps_s[0].append(heartbeat.take())
     after = daemon.ask("status")
     if after["fault"] != "NONE":
         found.dropped += 1
         print(f"{name}: {after['fault']}: {after['detail']}", file=sys.stderr)
-    if gap_s >= max(found.gaps_s, default=0.0):
-        found.worst = name
-    found.gaps_s.append(gap_s)
-    found.own_s = max(found.own_s, own_s)
-    # As long without a request: machines differ from one minute to the next.
     heartbeat.take()
     time.sleep(min(max(time.monotonic() - begun_s, 0.1), _LEAST_S))
-    found.rest_gaps_s.append(heartbeat.take()[0])
+    found.gaps_s[1].append(heartbeat.take())
     rest = daemon.ask("status")
     for k, (first, last) in enumerate(((before, after), (after, rest))):
         found.late[k] += last["late"] - first["late"]
         found.cycles[k] += last["cycle"] - first["cycle"]
 
 
-def _fly(daemon: Daemon, found: Stretches) -> None:
-    """Have the platform levitate, whatever the last request came to."""
+def _fly(daemon: Daemon) -> None:
+    """Levitate, whatever the last request caused; raises RuntimeError on a timeout."""
     give_up_s = time.monotonic() + _ANSWER_S
     while (status := daemon.ask("status"))["state"] != "LEVITATING":
         if time.monotonic() > give_up_s:
-            raise RuntimeError(f"it does not levitate: {status['state']}, {status['detail']}")
-        with contextlib.suppress(Exception):
+            raise RuntimeError(f"expected LEVITATING, found {status['state']}: {status['detail']}")
+        with contextlib.suppress(DaemonError):
             if status["fault"] != "NONE":
                 daemon.ask("clear")
             elif status["state"] == "IDLE":
                 daemon.ask("levitate", levitate={"settle_s": 0.2, "check_coils": False})
-                found.lifted += 1
         time.sleep(0.1)
 
 
 def _answered(path: Path, line: str) -> bool:
-    """Send a line; return whether an answer came: it may be what is asked for as well."""
+    """Send a line; return whether an answer came."""
     with socket.socket(socket.AF_UNIX) as end:
         end.settimeout(_ANSWER_S)
         end.connect(str(path))
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             end.sendall(line.replace("\n", " ").encode(errors="replace") + b"\n")
         data = b""
-        try:
-            while b'"ok"' not in data:
-                piece = end.recv(1 << 16)
-                if not piece:
-                    return False
+        with contextlib.suppress(OSError):
+            while piece := end.recv(1 << 16):
                 data = data[-8:] + piece
-        except (TimeoutError, OSError):
-            return False
-    return True
+                if b'"ok"' in data:
+                    return True
+    return False
 
 
 def _figures(load: str, found: Stretches, limit_s: float) -> Iterator[Figure]:
-    print(f"{load}: worst: {found.worst}", file=sys.stderr)
     shares = [late / max(cycles, 1) for late, cycles in zip(found.late, found.cycles, strict=True)]
-    gap_s, rest_s = max(found.gaps_s, default=None), max(found.rest_gaps_s, default=None)
-    most = Target(most=SHARE * limit_s)
-    yield Figure(f"asked_{load}", found.asked, "", f"{load}: requests in flight")
-    yield Figure(
-        f"gap_{load}", gap_s, "s", f"{load}: longest without a heartbeat", f"rest_{load}", most
-    )
+    gap_s, rest_s = (max(gaps_s, default=None) for gaps_s in found.gaps_s)
+    most, none = Target(most=SHARE * limit_s), Target(most=0)
+    yield Figure(f"asked_{load}", len(found.gaps_s[0]), "", f"{load}: requests in flight")
+    label = f"{load}: longest gap between heartbeats"
+    yield Figure(f"gap_{load}", gap_s, "s", label, f"rest_{load}", most)
     yield Figure(f"rest_{load}", rest_s, "s", f"{load}: the same, no request")
-    yield Figure(f"own_{load}", found.own_s, "s", f"{load}: longest that the witness was away")
-    yield Figure(
-        f"dropped_{load}", found.dropped, "", f"{load}: flights dropped", target=Target(most=0)
-    )
-    yield Figure(
-        f"unanswered_{load}",
-        found.unanswered,
-        "",
-        f"{load}: without an answer",
-        target=Target(most=0),
-    )
+    yield Figure(f"dropped_{load}", found.dropped, "", f"{load}: flights ended", target=none)
+    label = f"{load}: requests without an answer"
+    yield Figure(f"unanswered_{load}", found.unanswered, "", label, target=none)
     yield Figure(f"late_{load}", shares[0], "", f"{load}: late cycles, share", f"late_rest_{load}")
     yield Figure(f"late_rest_{load}", shares[1], "", f"{load}: the same, no request")
 
 
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    main()
+    table.run("Control socket", measure)

@@ -1,4 +1,4 @@
-"""What is done from outside the electronics: to processes, the bus, the disk, memory and socket."""
+"""Inject faults into processes, the bus, the disk and the control socket."""
 
 from __future__ import annotations
 
@@ -12,45 +12,64 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from levid.benchmarks.daemon.fault_flight import Flight, NotInjectedError
 from levid.benchmarks.daemon.fault_rig import EXPIRE_CYCLES, RATE_HZ, STALL_S, Rig
-from levid.benchmarks.harness.memory_pressure import NoPressureError, can_press, pressed, stalled_us
 
 Status = dict[str, Any]
 _TIOCVHANGUP = 0x5437
 _PIDFD_OPEN, _PIDFD_GETFD = 434, 438
-_FLOODING = 8
-_BATCH = 50
+_FLOODING, _BATCH = 8, 50
 
 
 @dataclass(frozen=True)
-class Done:
-    """What was done: `undo` takes it back once force is gone, where anything has to.
+class Action:
+    """An injected fault: `undo` reverts it after the force has ended.
 
-    since: periods with force, since the start, when the loop could first act on it; None where that
-    is when it was done.
+    since: periods with force until the loop could first react, None if that was at the injection.
     """
 
     undo: Callable[[], None] | None = None
     since: int | None = None
 
 
-def _kill_loop(_: Rig, status: Status) -> Done:
-    os.kill(status["pids"]["loop"], signal.SIGKILL)
-    return Done()
+@dataclass(frozen=True)
+class Expected:
+    """Expected effects of a harmless fault.
+
+    reported: whether a status shows it. lands: whether the flight must land. cut_at: cycle at which
+    its log may end.
+    """
+
+    reported: Callable[[Status], bool]
+    lands: bool = False
+    cut_at: int | None = None
 
 
-def _stop_loop(_: Rig, status: Status) -> Done:
-    os.kill(status["pids"]["loop"], signal.SIGSTOP)
-    return Done()
+def reason_to_skip(rig: Rig, kind: str) -> str:
+    """Return why this machine cannot inject a kind, empty if it can."""
+    if kind == "disk full" and rig.small is None:
+        return "no right to mount a small file system"
+    if kind == "host's end lost" and os.geteuid() != 0:
+        return "no right to another process' port"
+    return ""
 
 
-def _hold_loop_up(rig: Rig, status: Status) -> Done:
+def _signal(process: str, number: signal.Signals) -> Callable[[Rig, Status], Action]:
+    def send(_: Rig, status: Status) -> Action:
+        os.kill(status["pids"][process], number)
+        return Action()
+
+    return send
+
+
+def _hold_loop_up(rig: Rig, status: Status) -> Action:
+    """Stop the loop for longer than `stall_s`, but for less than until its setpoints expire."""
     pid, longest_s = status["pids"]["loop"], (EXPIRE_CYCLES - 1) / RATE_HZ
     os.kill(pid, signal.SIGSTOP)
     began_s = time.monotonic()
@@ -59,69 +78,48 @@ def _hold_loop_up(rig: Rig, status: Status) -> Done:
     os.kill(pid, signal.SIGCONT)
     held_s = time.monotonic() - began_s
     if held_s > longest_s:
-        raise NotInjectedError(f"the loop was held up for {held_s:.3f} s: setpoints expire first")
-    return Done(since=since)
+        raise NotInjectedError(f"expected a stop of {longest_s:.3f} s or less, found {held_s:.3f}")
+    return Action(since=since)
 
 
-def _kill_supervisor(rig: Rig, _: Status) -> Done:
+def _kill_supervisor(rig: Rig, _: Status) -> Action:
     assert rig.daemon is not None
     rig.daemon.kill()
     rig.daemon.wait()
-    return Done()
+    return Action()
 
 
-def _stop_supervisor(rig: Rig, _: Status) -> Done:
+def _stop_supervisor(rig: Rig, _: Status) -> Action:
     assert rig.daemon is not None
     rig.daemon.send_signal(signal.SIGSTOP)
-    return Done(partial(rig.daemon.send_signal, signal.SIGCONT))
+    return Action(partial(rig.daemon.send_signal, signal.SIGCONT))
 
 
-def _stop(rig: Rig, _: Status) -> Done:
+def _request_stop(rig: Rig, _: Status) -> Action:
     rig.ask("stop")
-    return Done()
+    return Action()
 
 
-def _lose_bus(rig: Rig, status: Status) -> Done:
-    """Take the bus away at the host's end: the port hangs up, or its socket is shut."""
+def _lose_bus(rig: Rig, status: Status) -> Action:
+    """Hang up the serial port, or shut down the host's sockets on the CAN bus."""
     try:
         if rig.bus == "serial":
-            _hang_up(rig.folder / "port")
+            port = os.open(rig.folder / "port", os.O_RDWR | os.O_NOCTTY)
+            try:
+                fcntl.ioctl(port, _TIOCVHANGUP)
+            finally:
+                os.close(port)
         else:
             for end in _sockets_of(status["pids"]["loop"]):
-                with end, contextlib.suppress(OSError):  # not connected: it is shut all the same
+                with end, contextlib.suppress(OSError):  # not connected, but shut down all the same
                     end.shutdown(socket.SHUT_RDWR)
-    except PermissionError as error:  # of a root that may not all
+    except PermissionError as error:
         raise NotInjectedError(str(error)) from None
-    return Done()
-
-
-def _hang_up(path: Path) -> None:
-    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    try:
-        fcntl.ioctl(port, _TIOCVHANGUP)
-    finally:
-        os.close(port)
-
-
-def _nothing(_: Rig, __: Status) -> Done:
-    return Done()  # the session is what is wrong
-
-
-DEEDS: dict[str, Callable[[Rig, Status], Done]] = {
-    "loop held up": _hold_loop_up,
-    "loop killed": _kill_loop,
-    "loop stopped": _stop_loop,
-    "supervisor killed": _kill_supervisor,
-    "supervisor stopped": _stop_supervisor,
-    "stop": _stop,
-    "host's end lost": _lose_bus,
-    "heat": _nothing,
-}
-"""End the flight."""
+    return Action()
 
 
 def _sockets_of(pid: int) -> Iterator[socket.socket]:
-    """Yield the IPv4 datagram sockets of another process, as our own."""
+    """Yield duplicates of the IPv4 datagram sockets of another process."""
     libc = ctypes.CDLL(None, use_errno=True)
     process = libc.syscall(_PIDFD_OPEN, pid, 0)
     if process < 0:
@@ -142,28 +140,22 @@ def _sockets_of(pid: int) -> Iterator[socket.socket]:
         os.close(process)
 
 
-@dataclass
-class Seen:
-    """What is to be seen of a fault that must not disturb.
-
-    told: whether a status names it, None where the daemon has no word for it. lands: whether the
-    flight is to be landed by it. cut_at: the cycle from which on its log may end. answers: requests
-    that were answered, and for how long they were asked. stalled_us: what all processes waited for
-    memory, as the kernel says.
-    """
-
-    told: Callable[[Status], bool] | None = None
-    lands: bool = False
-    cut_at: int | None = None
-    answers: int = 0
-    seconds: float = 0.0
-    stalled_us: int = 0
-    lock: threading.Lock = field(default_factory=threading.Lock)
+ENDING: dict[str, Callable[[Rig, Status], Action]] = {
+    "loop held up": _hold_loop_up,
+    "loop killed": _signal("loop", signal.SIGKILL),
+    "loop stopped": _signal("loop", signal.SIGSTOP),
+    "supervisor killed": _kill_supervisor,
+    "supervisor stopped": _stop_supervisor,
+    "stop": _request_stop,
+    "host's end lost": _lose_bus,
+    "heat": lambda *_: Action(),  # the session itself overloads a coil
+}
+"""Faults that must end the force."""
 
 
-@contextlib.contextmanager
-def _full_disk(rig: Rig, _: Flight) -> Iterator[Seen]:
-    """Fill the disk that the log is on, to its last byte."""
+@contextmanager
+def _full_disk(rig: Rig, _: Flight) -> Iterator[Expected]:
+    """Fill the disk of the log completely."""
     assert rig.small is not None
     ballast = rig.small / "ballast"
     try:
@@ -172,100 +164,58 @@ def _full_disk(rig: Rig, _: Flight) -> Iterator[Seen]:
                 with contextlib.suppress(OSError):
                     while True:
                         file.write(bytes(size))
-        # What is written before the disk is full is not to be missed.
-        seen = Seen(lambda s: os.strerror(errno.ENOSPC) in s["recording"])
-        seen.cut_at = rig.ask("status")["cycle"]
-        yield seen
+        full = os.strerror(errno.ENOSPC)
+        yield Expected(lambda s: full in s["recording"], cut_at=rig.ask("status")["cycle"])
     finally:
         ballast.unlink(missing_ok=True)
 
 
-@contextlib.contextmanager
-def _kill_recorder(_: Rig, flight: Flight) -> Iterator[Seen]:
-    before = flight.status
-    os.kill(before["pids"]["recorder"], signal.SIGKILL)
-    yield Seen(lambda s: s["recorder_restarts"] > before["recorder_restarts"])
+@contextmanager
+def _kill_recorder(_: Rig, flight: Flight) -> Iterator[Expected]:
+    before = flight.status["recorder_restarts"]
+    os.kill(flight.status["pids"]["recorder"], signal.SIGKILL)
+    yield Expected(lambda s: s["recorder_restarts"] > before)
 
 
-@contextlib.contextmanager
-def _flood(rig: Rig, flight: Flight) -> Iterator[Seen]:
-    """Ask for the status as often as it is answered, on several connections, all the while."""
-    before_s = flight.status["flooded_s"]
-    seen = Seen(lambda s: s["flooded_s"] > before_s)
-    done, began_s = threading.Event(), time.monotonic()
+@contextmanager
+def _flood(rig: Rig, flight: Flight) -> Iterator[Expected]:
+    """Request the status continuously on several connections."""
+    before_s, done = flight.status["flooded_s"], threading.Event()
 
-    def ask() -> None:
+    def request() -> None:
         while not done.is_set():
             with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as end:
                 end.settimeout(1.0)
                 end.connect(str(rig.path))
                 while not done.is_set():
                     end.sendall(b'{"op": "status"}\n' * _BATCH)
-                    answered = _lines(end, _BATCH)
-                    with seen.lock:
-                        seen.answers += answered
+                    lines = 0
+                    while lines < _BATCH and (data := end.recv(1 << 16)):
+                        lines += data.count(b"\n")
 
-    threads = [threading.Thread(target=ask, daemon=True) for _ in range(_FLOODING)]
+    threads = [threading.Thread(target=request, daemon=True) for _ in range(_FLOODING)]
     for thread in threads:
         thread.start()
     try:
-        yield seen
+        yield Expected(lambda s: s["flooded_s"] > before_s)
     finally:
         done.set()
         for thread in threads:
             thread.join(5.0)
-        seen.seconds = time.monotonic() - began_s
 
 
-def _lines(end: socket.socket, most: int) -> int:
-    lines = 0
-    while lines < most and (data := end.recv(1 << 16)):
-        lines += data.count(b"\n")
-    return lines
+@contextmanager
+def _client_gone(_: Rig, flight: Flight, lands: bool = False) -> Iterator[Expected]:
+    before = flight.status["clients_gone"]
+    flight.hang_up()
+    yield Expected(lambda s: s["clients_gone"] > before, lands=lands)
 
 
-@contextlib.contextmanager
-def _pressure(rig: Rig, flight: Flight) -> Iterator[Seen]:
-    """Have the daemon's processes short of memory."""
-    before_us = stalled_us()
-    pids = list(flight.status["pids"].values())
-    try:
-        with pressed(pids, rig.folder):
-            before_s = flight.status["memory_stalled_s"]
-            seen = Seen(lambda s: s["memory_stalled_s"] > before_s)
-            yield seen
-            seen.stalled_us = stalled_us() - before_us
-    except NoPressureError as error:
-        raise NotInjectedError(str(error)) from None
-
-
-def _client_gone(lands: bool) -> Callable[[Rig, Flight], Any]:
-    @contextlib.contextmanager
-    def deed(_: Rig, flight: Flight) -> Iterator[Seen]:
-        before = flight.status["clients_gone"]
-        flight.hang_up()
-        yield Seen(lambda s: s["clients_gone"] > before, lands=lands)
-
-    return deed
-
-
-HARMLESS: dict[str, Callable[[Rig, Flight], contextlib.AbstractContextManager[Seen]]] = {
+HARMLESS: dict[str, Callable[[Rig, Flight], AbstractContextManager[Expected]]] = {
     "disk full": _full_disk,
     "recorder killed": _kill_recorder,
     "socket flooded": _flood,
-    "memory pressure": _pressure,
-    "client gone, go on": _client_gone(lands=False),
-    "client gone, land": _client_gone(lands=True),
+    "client gone, go on": _client_gone,
+    "client gone, land": partial(_client_gone, lands=True),
 }
-"""Lasts for as long as it is entered."""
-
-
-def cannot(rig: Rig, kind: str) -> str:
-    """Return why a kind that only root can do is left out here, empty where it is not."""
-    if kind == "disk full" and rig.small is None:
-        return "no right to mount a small file system"
-    if kind == "memory pressure" and not can_press():
-        return "no right to make a memory group"
-    if kind == "host's end lost" and os.geteuid() != 0:
-        return "no right to another process' port"
-    return ""
+"""Faults that must not end the flight; each lasts as long as its context."""

@@ -1,14 +1,13 @@
-"""Electronics of a rig that play more faults than the shipped ones, and confirm each at once.
+"""Emulate a rig's electronics with additional faults, and confirm each fault at once.
 
-On its own: `python fault_electronics.py RIG.yaml`. Lines on standard input are those of `levid
-electronics` and these, of readings that no device of ours sends by itself: `nan-coil 3` (a force
-that is no number), `nan-axis x1` (serial only: on CAN a position is a whole number), `shift 0.2`
-(encoders of both motors off by so many metres), `race 2.0` (they run on at so many m/s), `tilt 0.6`
-(somebody tilts the platform with so many N m). Each is answered by a line of JSON: what was done,
-or the error, and the state as it was just before.
+Run as `python fault_electronics.py RIG.yaml`. Standard input takes the lines of `levid electronics`
+and these: `nan-coil 3` (coil force NaN), `nan-axis x1` (position NaN, serial only), `shift 0.2`
+(offset of both motor encoders in m), `race 2.0` (drift of both encoders in m/s), `tilt 0.6` (torque
+on the platform in N m). The answer to each is a line of JSON: the command or an error, and the
+state just before it.
 
-A fault begins as a cycle does, before its answers leave, so that cycles can be counted from the
-first one on that it touches.
+A fault begins at the start of a cycle, before its answers are sent, so that affected cycles can be
+counted.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from levid.sim.electronics.rig import Electronics
 READY = "electronics answer"
 _MCL_CURRENT = 1
 _CYCLE_S = 1.0
-"""How long a fault waits for a cycle to begin with."""
+"""Timeout of a fault that waits for the start of a cycle."""
 
 
 @dataclass
@@ -49,7 +48,7 @@ class _More:
 
 
 class Faulty:
-    """Plays a line on electronics that answer; `command` returns what it answers."""
+    """Add faults to running electronics; `command` carries out a line."""
 
     def __init__(self, electronics: Electronics) -> None:
         self._electronics, self._more = electronics, _More()
@@ -73,13 +72,13 @@ class Faulty:
             take_over(renews)
             self._cut_short += bool(acted and not renews and not core.acting_n.any())
 
-        # Nothing else of the shipped electronics knows of these faults, or of parts of a period.
+        # The shipped electronics have no hooks for these faults or for parts of a period.
         core._sample = sampled  # type: ignore[method-assign]
         core.plant.push = pushed  # type: ignore[method-assign]
         core.apply_setpoints = taken_over  # type: ignore[method-assign]
 
     def command(self, line: str) -> dict[str, Any]:
-        """Carry out a line, `status` too; return what was done and the state before it."""
+        """Carry out a line; return it and the state before it."""
         if line in ("status", "clear"):
             with self._electronics.core.lock:
                 return self._carry_out(line)
@@ -89,11 +88,11 @@ class Faulty:
             return answers.get(timeout=_CYCLE_S)
         except Empty:
             self._due = None
-            return {"error": "no cycle begins"}
+            return {"error": "no cycle began"}
 
     def _carry_out(self, line: str) -> dict[str, Any]:
         before = self._electronics.status()
-        # On a serial port zero force may come within a period: force acted in that one as well.
+        # A serial device may end the force within a period; this period counts as well.
         before["forced_periods"] = self._electronics.core.forced_periods + self._cut_short
         try:
             did = line if line == "status" else self._do(line)
@@ -134,7 +133,7 @@ class Faulty:
 
 
 def main(rig_file: Path) -> None:
-    """Answer on the rig's buses and to lines, until SIGTERM or the end of the input."""
+    """Answer on the rig's buses and on standard input, until SIGTERM or the end of the input."""
     done = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: done.set())
@@ -144,13 +143,13 @@ def main(rig_file: Path) -> None:
     def obey() -> None:
         for line in sys.stdin:
             print(json.dumps(faulty.command(line.strip())), flush=True)
-        done.set()  # whoever began this is gone
+        done.set()  # the parent process has ended
 
     with electronics:
         threading.Thread(target=obey, daemon=True).start()
         gc.collect()
-        gc.freeze()  # a walk over all that was imported would be a stale reading
-        ctypes.CDLL(None).mlockall(_MCL_CURRENT)  # real ones know no pages; refused, they may wait
+        gc.freeze()  # a garbage collection would make a reading stale
+        ctypes.CDLL(None).mlockall(_MCL_CURRENT)  # real electronics have no page faults
         print(READY, file=sys.stderr, flush=True)
         while not done.wait(0.2):
             pass

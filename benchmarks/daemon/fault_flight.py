@@ -1,4 +1,4 @@
-"""A flight for one fault: to be in a state when it comes, and to be at rest again after it."""
+"""Fly to the state in which a fault is injected, and bring the rig to rest afterwards."""
 
 from __future__ import annotations
 
@@ -17,45 +17,36 @@ from levid.benchmarks.daemon.fault_rig import GIVE_UP_S, Rig
 from levid.daemon.client import DaemonError
 
 _LIFT = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.2, "check_coils": False}
-_LANDING_S = 4.0
+LANDING_S = 4.0
 _AT_M, _MOVING_M_S = 0.01, 0.001
 _RECORD_S = 120.0
 _BEGINS_S = 10.0
 
 
 class NotInjectedError(Exception):
-    """The fault did not happen: nothing flew, or it was not done as it should be."""
+    """The fault did not happen: no flight, or the injection failed."""
 
 
 @dataclass
 class Flight:
-    """In the air: the status just before the fault, and who asked for it, if he still waits."""
+    """A flight: its first cycle, the status just before the fault, and the waiting client."""
 
     began: int
     status: dict[str, Any]
     client: socket.socket | None = None
 
-    def answer(self) -> str:
-        """Return the last line that the client was sent, empty where there was none."""
-        if self.client is None:
-            return ""
-        self.client.setblocking(False)
-        with contextlib.suppress(OSError):
-            return self.client.recv(1 << 16).decode(errors="replace").rstrip().rpartition("\n")[2]
-        return ""
-
     def hang_up(self) -> None:
-        """Let the client go without a word."""
+        """Close the client's connection."""
         if self.client is not None:
             self.client.close()
             self.client = None
 
 
 def lift_off(rig: Rig, case: Case, home: Path) -> Flight:
-    """Fly until the fault is due, with logs in a folder of `home`; raises NotInjectedError."""
+    """Fly until the fault is due; logs are in a folder of `home`. Raises NotInjectedError."""
     status = rig.until(_rests)
     if status is None:
-        raise NotInjectedError("it is not at rest")
+        raise NotInjectedError("the rig is not at rest")
     rig.flights += 1
     rig.flight = home / f"flight-{rig.flights}"
     flight = Flight(status["cycle"], status)
@@ -70,15 +61,14 @@ def lift_off(rig: Rig, case: Case, home: Path) -> Flight:
         raise NotInjectedError(str(refused)) from None
     status = flight.status
     if found is None or status["state"] != case.state or status["fault"] != "NONE":
-        answer = flight.answer()
         flight.hang_up()
-        what = f"{status['state']}, {status['fault']}: {status['detail'] or answer}"
+        what = f"{status['state']}, {status['fault']}: {status['detail']}"
         raise NotInjectedError(f"expected {case.state}, found {what}")
     return flight
 
 
 def _rests(status: dict[str, Any]) -> bool:
-    """Return whether the next flight may begin: a session is over when its last row is on disk."""
+    """Return whether the next flight may begin: a session ends when its last row is on disk."""
     return status["state"] == "IDLE" and status["fault"] == "NONE" and status["session"] is None
 
 
@@ -89,7 +79,7 @@ def _take_off(rig: Rig, case: Case, flight: Flight) -> None:
         session = yaml.safe_dump(_session(hot=case.kind == "heat"))
         flight.client = _begin(rig, "excite", session=session, out=out, client_gone=gone)
         return
-    land = {"ramp_s": _LANDING_S if case.state == "LANDING" else 0.3}
+    land = {"ramp_s": LANDING_S if case.state == "LANDING" else 0.3}
     rig.ask("levitate", levitate=_LIFT, land=land, out=out)
     if case.state == "MOVING":
         to_m = _AT_M if rig.ask("status")["beam_m"] < 0.0 else -_AT_M
@@ -100,7 +90,7 @@ def _take_off(rig: Rig, case: Case, flight: Flight) -> None:
 
 
 def _session(hot: bool) -> dict[str, Any]:
-    """Return a session with a long record; a `hot` one drives a coil harder than it may be."""
+    """Return a session with a long record; a `hot` one exceeds the thermal limit of a coil."""
     quiet = {"input": "z", "rms_n": 0.3, "band_hz": [1.0, 20.0]}
     tone = {"signal": "multisine", "band_hz": [15.5, 16.5], "period_s": 1.0}
     hard = {"input": "coil:4", "rms_n": 7.0, **tone}
@@ -118,7 +108,7 @@ def _session(hot: bool) -> dict[str, Any]:
 
 
 def _begin(rig: Rig, op: str, **more: Any) -> socket.socket:
-    """Ask for what takes long, and do not wait for its end."""
+    """Send a request that takes long, and do not wait for its end."""
     client = socket.socket(socket.AF_UNIX)
     client.settimeout(GIVE_UP_S)
     try:
@@ -130,37 +120,27 @@ def _begin(rig: Rig, op: str, **more: Any) -> socket.socket:
     return client
 
 
-@dataclass
-class Rest:
-    """How it came to rest after a fault: how often `clear` was asked for, and for how long."""
+def come_to_rest(rig: Rig) -> int:
+    """End the cause, clear the fault and wait until the daemon is idle; return requests to clear.
 
-    clears: int = 0
-    seconds: float = 0.0
-    refused: str = ""
-
-
-def come_to_rest(rig: Rig) -> Rest:
-    """End the cause, clear, and wait until it is idle; raises RuntimeError where it does not come.
-
-    A daemon that has ended is started again, as systemd would.
+    A daemon that has ended is started again, as systemd would do. Raises RuntimeError on a timeout.
     """
     rig.say("clear")
     if not rig.daemon_is_there:
         rig.start_anew()
     if not rig.port_is_there():
         raise RuntimeError("the electronics' port did not come back")
-    began_s, rest = time.monotonic(), Rest()
-    while (passed_s := time.monotonic() - began_s) < GIVE_UP_S:
+    clears, refused, give_up_s = 0, "", time.monotonic() + GIVE_UP_S
+    while time.monotonic() < give_up_s:
         with contextlib.suppress(DaemonError):  # it has just been started
             status = rig.ask("status")
             if status["fault"] != "NONE":
-                rest.clears += 1
+                clears += 1
                 try:
                     rig.ask("clear")
-                except DaemonError as refused:
-                    rest.refused = str(refused)
+                except DaemonError as error:
+                    refused = str(error)
             elif _rests(status):
-                rest.seconds = passed_s
-                return rest
+                return clears
         time.sleep(0.05)
-    raise RuntimeError(f"not usable after {rest.clears} clears in {GIVE_UP_S:g} s: {rest.refused}")
+    raise RuntimeError(f"not usable after {clears} clears in {GIVE_UP_S:g} s: {refused}")

@@ -1,4 +1,4 @@
-"""What a trial left on disk: the logs of its flight, and the recording of its fault."""
+"""Check what a fault trial leaves on disk: the logs of its flight and its flight recording."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,176 +16,111 @@ from levid.log.errors import LogError
 from levid.log.reader import Log, read_log
 
 LAST_S = 1.0
-"""What a log may lack where its disk was full or its recorder killed."""
+"""Longest part that a log may lack at its end."""
 _SKIPPED_MORE = 255
-"""What a row says of so many skipped periods or more: how many, it does not know."""
-_AGAIN_S = 0.05
+"""A row stores this for 255 skipped periods or more: their number is unknown."""
 _MARGIN_S = 0.1
-"""A loop that died has no row of its fault: how far back it looks is counted from its last."""
+"""Tolerance of the recorded time: a dead loop writes no row of its fault."""
 _FIRST_S = 0.5
-"""By when a loop that was just started has written its first row."""
-
-
-@dataclass(frozen=True)
-class Expected:
-    """What the logs of a flight are to hold: rows from cycle `began` to `until`.
-
-    cut: its disk was full, its files may end anywhere. parted: its recorder was killed, files but
-    the last one may.
-    """
-
-    began: int
-    until: int
-    rate_hz: float
-    cut: bool = False
-    parted: bool = False
+"""A daemon that has just started writes its first row by then."""
 
 
 @dataclass
-class LogLook:
-    """How many logs a flight left, what is wrong with them, and how far from the end they stop.
-
-    rowless: on a full disk, before a first row was whole. rows: in flight, before any fault; late
-    of them came late. missing: that should be among them.
-    """
+class LogCheck:
+    """The logs of a flight: their number, those that do not open, missing rows, and problems."""
 
     logs: int = 0
     unreadable: int = 0
-    rowless: int = 0
-    incomplete: int = 0
-    rows: int = 0
-    late: int = 0
     missing: int = 0
     tail_s: float = 0.0
     wrong: list[str] = field(default_factory=list)
 
 
-def look_at_logs(paths: Sequence[Path], expected: Expected) -> LogLook:
-    """Read all logs of a flight, however many files it has."""
-    look = LogLook(len(paths))
-    if not paths:
-        look.wrong.append("no log of the flight")
+def check_logs(
+    paths: Sequence[Path], began: int, until: int, rate_hz: float, may_be_cut: bool = False
+) -> LogCheck:
+    """Check that the logs contain every cycle in flight and reach from `began` to `until`.
+
+    With `may_be_cut` (disk full, recorder killed) a file may be truncated, but must open if it has
+    rows.
+    """
+    check = LogCheck(len(paths), wrong=[] if paths else ["no log of the flight"])
     found: list[NDArray[np.void]] = []
     for path in paths:
-        may_end = expected.cut or (expected.parted and path != _newest(paths))
         try:
             log = read_log(path)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it does not open
-            if expected.cut and isinstance(error, LogError):
-                look.rowless += 1  # if it should have had rows, the end is missing
-            else:
-                look.unreadable += 1
-                look.wrong.append(f"unreadable: {error}")
+        except LogError as error:
+            if not may_be_cut:
+                check.unreadable += 1
+                check.wrong.append(f"unreadable: {error}")
             continue
         found.append(log.rows)
-        if not (log.complete or may_end):
-            look.incomplete += 1
-            look.wrong.append(f"not complete: {log.problem}")
-    _count(look, found, expected)
-    return look
-
-
-def _count(look: LogLook, found: list[NDArray[np.void]], expected: Expected) -> None:
-    last = expected.began
+        if not (log.complete or may_be_cut):
+            check.wrong.append(f"not complete: {log.problem}")
+    last = began
     if found:
         rows = np.concatenate(found)
-        _, first = np.unique(rows["cycle"], return_index=True)  # parts of one may overlap
-        rows = rows[first]
+        rows = rows[np.unique(rows["cycle"], return_index=True)[1]]  # parts may overlap
         last = int(rows["cycle"][-1])
-        rows = _in_flight(rows)
-        look.rows, look.late = len(rows), int((rows["skipped"][1:] > 0).sum())
-        periods = np.diff(rows["cycle"].astype(np.int64)) - 1
-        skipped = rows["skipped"][1:]
-        lost = np.maximum(periods - skipped, 0)
-        look.missing = int(lost[skipped < _SKIPPED_MORE].sum())
-        if look.missing:
-            look.wrong.append(f"{look.missing} rows are missing")
-    look.tail_s = max(expected.until - last, 0) / expected.rate_hz
-    if look.tail_s > LAST_S:
-        look.wrong.append(f"the last {look.tail_s:.2f} s are missing")
+        check.missing = _missing(rows)
+    check.tail_s = max(until - last, 0) / rate_hz
+    if check.missing:
+        check.wrong.append(f"{check.missing} rows are missing")
+    if check.tail_s > LAST_S:
+        check.wrong.append(f"the last {check.tail_s:.2f} s are missing")
+    return check
 
 
-def _in_flight(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the rows from lift-off to landing or fault: behind it a dead bus has none."""
+def _missing(rows: NDArray[np.void]) -> int:
+    """Count cycles without a row from lift-off to landing or fault; a dead bus has no rows."""
     flying = np.isin(rows["state"], [int(state) for state in IN_FLIGHT]) & (rows["fault"] == 0)
     at = np.flatnonzero(flying)
-    return rows[at[0] : at[-1] + 1] if len(at) else rows[:0]
-
-
-def _newest(paths: Sequence[Path]) -> Path:
-    return max(paths, key=lambda path: path.stat().st_mtime_ns)
+    rows = rows[at[0] : at[-1] + 1] if len(at) else rows[:0]
+    skipped = rows["skipped"][1:].astype(np.int64)
+    lost = np.maximum(np.diff(rows["cycle"].astype(np.int64)) - 1 - skipped, 0)
+    return int(lost[skipped < _SKIPPED_MORE].sum())
 
 
 @dataclass(frozen=True)
 class Recording:
-    """The recording of a fault: where it is, the name in its metadata, and what is wrong."""
+    """A flight recording: its file, the fault in its metadata, and its problems."""
 
     path: Path | None
     name: str
     wrong: tuple[str, ...] = ()
 
 
-def recording_of(
-    recordings: Callable[[], set[Path]],
-    before: set[Path],
-    since: int,
-    seconds: float,
-    promised_s: float,
+def find_recording(
+    recordings: Callable[[], set[Path]], before: set[Path], seconds: float, promised_s: float
 ) -> Recording:
-    """Wait so long for a recording that was not there before, and look at it.
-
-    since: the cycle before the fault was brought about. promised_s: how far it is to look back.
-    """
+    """Wait for a complete recording that is not in `before`; check its fault and its length."""
     give_up_s = time.monotonic() + seconds
-    while True:
-        new = sorted(recordings() - before)
-        problem = "no flight recording"
-        for path in new:
+    problem = "no flight recording"
+    while time.monotonic() < give_up_s:
+        for path in sorted(recordings() - before):
             try:
                 log = read_log(path)
-            except Exception as error:  # noqa: BLE001 - as above, or it is being written
+            except LogError as error:  # it may still be written
                 problem = str(error)
                 continue
             if log.complete:
-                more = () if len(new) == 1 else (f"{len(new)} flight recordings",)
-                return Recording(
-                    path, log.metadata.get("name", ""), (*more, *_wrong(log, since, promised_s))
-                )
+                name = log.metadata.get("name", "")
+                return Recording(path, name, tuple(_problems(log, promised_s)))
             problem = f"the flight recording is not complete: {log.problem}"
-        if time.monotonic() > give_up_s:
-            return Recording(None, "nothing", (problem,))
-        time.sleep(_AGAIN_S)
+        time.sleep(0.05)
+    return Recording(None, "nothing", (problem,))
 
 
-def _wrong(log: Log, since: int, promised_s: float) -> list[str]:
-    """Return what is wrong with the story that it tells."""
-    rows: Any = log.rows
-    name = log.metadata.get("name", "")
-    if name == Fault.LOOP.name:  # who is dead writes no row of it
-        reaches = int(rows["cycle"][-1])
-        early = (
-            [] if reaches >= since - 1 else [f"the recording ends {since - reaches} cycles early"]
-        )
-        return early + _short(log, reaches, promised_s)
-    came = np.flatnonzero((rows["fault"] != 0) & (np.r_[0, rows["fault"][:-1]] == 0))
-    if not len(came):
-        return ["the recording has no row of the fault"]
-    first = rows[came[-1]]  # what came before is another trial's
-    wrong = _short(log, int(first["cycle"]), promised_s)
-    if Fault(int(first["fault"])).name != name:
-        wrong.append(f"the recording of {name} has rows of {Fault(int(first['fault'])).name}")
-    if int(first["cycle"]) < since:
-        wrong.append(f"the fault is recorded {since - int(first['cycle'])} cycles before it came")
-    return wrong
-
-
-def _short(log: Log, fault: int, promised_s: float) -> list[str]:
-    """Say so if it does not reach as far back from the fault's cycle as was promised.
-
-    Of a daemon that was just started there are no more rows than from its first on.
-    """
-    first = int(log.rows["cycle"][0])
-    before_s = (fault - first) / log.rate_hz
-    if before_s >= promised_s - _MARGIN_S or first <= _FIRST_S * log.rate_hz:
-        return []
-    return [f"the recording looks {before_s:.2f} s back, of {promised_s:g} s"]
+def _problems(log: Log, promised_s: float) -> list[str]:
+    """Return what is wrong with a recording: no row of its fault, or too few rows before it."""
+    cycles, faults = log.rows["cycle"].astype(np.int64), log.rows["fault"]
+    name, at = log.metadata.get("name", ""), len(cycles) - 1
+    if name != Fault.LOOP.name:  # a dead loop writes no row of its fault
+        came = np.flatnonzero((faults != 0) & (np.r_[0, faults[:-1]] == 0))
+        if not len(came) or Fault(int(faults[came[-1]])).name != name:
+            return [f"the recording of {name} has no row of this fault"]
+        at = came[-1]
+    before_s = (cycles[at] - cycles[0]) / log.rate_hz
+    if before_s < promised_s - _MARGIN_S and cycles[0] > _FIRST_S * log.rate_hz:
+        return [f"the recording covers {before_s:.2f} s before the fault, not {promised_s:g} s"]
+    return []

@@ -1,9 +1,9 @@
-"""A rig for faults: electronics and daemon on one bus, and a disk that is soon full.
+"""Run electronics and daemon on one bus, in their own processes, and a small disk for logs.
 
-It flies at 50 Hz and takes the third cycle without a reading for a fault: two of them, 40 ms,
-outlast the stalls of a desktop kernel (4 to 11 ms, at times 20). Shipped rigs fly faster and bridge
-20: what is promised in cycles is counted in cycles, here of 20 ms. The shipped gains diverge so
-slowly sampled: these are a quarter to a half of them.
+The rig flies at 50 Hz and bridges two cycles without a reading: 40 ms outlast the stalls of a
+desktop kernel (4 to 11 ms, at times 20). Deadlines count in cycles, which are 20 ms here; shipped
+rigs fly faster and bridge 20. The gains are a quarter to a half of the shipped ones, which diverge
+at this rate.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from levid.daemon.host.real_time_scheduling import signal_at_parent_death
 RATE_HZ = 50
 STALE_CYCLES = 2
 EXPIRE_CYCLES = 10
-"""The device's own timeout: far behind what the loop is given, so that ending in time is its."""
+"""The device's own timeout: much longer than the loop's deadline of 3 cycles."""
 STALL_S = 0.1
-"""For how long the loop may stand still: less than until setpoints expire."""
+"""Longest stall of the loop; setpoints expire later."""
 SUPERVISOR_S = 1.0
-"""How long the supervisor may give no sign of life."""
+"""Timeout of the supervisor's heartbeat."""
 BEFORE_FAULT_S = 10.0
-"""How far flight recordings are to look back."""
+"""Time that flight recordings must cover before the fault."""
 GIVE_UP_S = 40.0
 SETTINGS = (shipped("rigs/loopback.yaml"), shipped("sims/nominal.yaml"))
 _SMALL_BYTES = 8 << 20
@@ -49,10 +49,7 @@ _LOST_S = 0.05
 
 
 class Rig:
-    """Electronics and daemon on one bus, in processes of their own; `close` ends all of them.
-
-    `more`: see rig_of.
-    """
+    """Electronics and daemon on one bus; `close` ends all processes. `more`: see rig_of."""
 
     def __init__(self, bus: str, folder: Path, **more: dict[str, Any]) -> None:
         self.bus, self.folder, self.flights = bus, folder, 0
@@ -88,21 +85,21 @@ class Rig:
             if self._electronics.poll() is not None or time.monotonic() > give_up_s:
                 raise RuntimeError(f"the electronics did not start: {said}")
             time.sleep(0.05)
-        hurry(ELECTRONICS, self._electronics.pid)  # real ones do not wait for a processor
+        hurry(ELECTRONICS, self._electronics.pid)  # real electronics do not wait for a processor
         threading.Thread(target=self._hear, daemon=True).start()
 
     def start(self) -> None:
-        """Start the daemon, once the one before is gone."""
+        """Start the daemon."""
         with (self.folder / "daemon.log").open("ab") as log:
             self.daemon = subprocess.Popen(
                 [sys.executable, "-m", "levid.cli.main", "run", str(self.file)],
                 stderr=log,
-                # Whatever becomes of the benchmark, nothing is left to fly on.
+                # The daemon ends with the benchmark, however that ends.
                 preexec_fn=partial(signal_at_parent_death, os.getpid(), signal.SIGTERM),  # noqa: PLW1509
             )
 
     def close(self) -> None:
-        """End every process, the stopped ones too, and take the small disk away."""
+        """End every process, also stopped ones, and unmount the small disk."""
         for process in (self.daemon, self._electronics):
             if process is None or process.poll() is not None:
                 continue
@@ -117,12 +114,12 @@ class Rig:
             for pid in self.pids.values():
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
-        if (self.folder / "small").is_mount():  # noted or not: it may have been ended in between
+        if (self.folder / "small").is_mount():  # also if an interrupt came before it was stored
             subprocess.run(["umount", "--lazy", str(self.folder / "small")], check=False)
         self.small = None
 
     def say(self, line: str) -> dict[str, Any]:
-        """Have the electronics do something; return what they did, and their state before it."""
+        """Send a command to the electronics; return their answer and state before it."""
         assert self._electronics is not None
         assert self._electronics.stdin is not None
         try:
@@ -151,7 +148,7 @@ class Rig:
     def until(
         self, condition: Callable[[dict[str, Any]], bool], seconds: float = GIVE_UP_S
     ) -> dict[str, Any] | None:
-        """Return the first status that fulfils the condition, None where none does in time."""
+        """Return the first status that fulfils the condition, None on a timeout."""
         give_up_s = time.monotonic() + seconds
         while time.monotonic() < give_up_s:
             with contextlib.suppress(DaemonError):
@@ -165,11 +162,11 @@ class Rig:
         return any(self.say("status")["acting_n"])
 
     def forced_periods(self) -> int:
-        """Return for how many periods any amplifier drove a force, since the start."""
+        """Count the periods since the start in which any amplifier drove a force."""
         return int(self.say("status")["forced_periods"])
 
     def recordings(self) -> set[Path]:
-        """Return the flight recordings that there are."""
+        """Return the flight recordings on disk."""
         return set((self.folder / "faults").glob("*.mcap"))
 
     def logs(self) -> list[Path]:
@@ -177,18 +174,18 @@ class Rig:
         return sorted(self.flight.glob("*.mcap"))
 
     def logs_are_closed(self) -> bool:
-        """Wait until the recorder has no file of the last flight open; return whether it came."""
+        """Wait until the recorder has closed the last flight's files; return False on a timeout."""
         give_up_s = time.monotonic() + GIVE_UP_S
         while (pid := self.pids.get("recorder")) and str(self.flight) in _open_files(pid):
             if time.monotonic() > give_up_s:
                 return False
             with contextlib.suppress(DaemonError):
-                self.ask("status")  # it may be another by now
+                self.ask("status")  # the recorder may be restarted
             time.sleep(0.02)
         return True
 
     def start_anew(self) -> None:
-        """Start the daemon again where it has ended, as systemd would; wait for what it leaves."""
+        """Start the daemon again after it has ended, as systemd would do."""
         assert self.daemon is not None
         self.daemon.wait(GIVE_UP_S)
         if not gone(self.pids.values(), GIVE_UP_S):
@@ -197,12 +194,12 @@ class Rig:
 
     @property
     def daemon_is_there(self) -> bool:
-        """Whether the daemon's process runs, and means to go on."""
+        """Whether the daemon runs and its socket exists."""
         assert self.daemon is not None
         return self.daemon.poll() is None and self.path.exists()
 
     def port_is_there(self) -> bool:
-        """Wait for the electronics' end to be back; return whether it came."""
+        """Wait for the electronics' port; return False on a timeout."""
         give_up_s = time.monotonic() + GIVE_UP_S
         port = self.folder / "port"
         while self.bus == "serial" and not port.exists():
@@ -213,7 +210,7 @@ class Rig:
 
 
 def gone(pids: Iterable[int], seconds: float) -> bool:
-    """Wait until none of these processes runs any more; return whether that came in time."""
+    """Wait until these processes have ended; return False on a timeout."""
     give_up_s = time.monotonic() + seconds
     left = list(pids)
     while left := [pid for pid in left if _runs(pid)]:
@@ -228,7 +225,7 @@ def _runs(pid: int) -> bool:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except OSError:
         return False
-    return not stat[stat.rfind(")") + 2 :].startswith(("Z", "X"))  # dead, and nobody has looked
+    return not stat[stat.rfind(")") + 2 :].startswith(("Z", "X"))  # a zombie
 
 
 def _open_files(pid: int) -> str:
@@ -242,7 +239,7 @@ def _open_files(pid: int) -> str:
 
 
 def small_disk(at: Path) -> Path | None:
-    """Return a file system of its own that is soon full, None without the right to mount one."""
+    """Mount a small file system; return None without the right to do so."""
     at.mkdir()
     size = f"size={_SMALL_BYTES}"
     command = ["mount", "-t", "tmpfs", "-o", size, "levid-benchmark", str(at)]
@@ -253,7 +250,7 @@ def small_disk(at: Path) -> Path | None:
 
 
 def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
-    """Return the rig as plain data, with keys of its sections beside or in place of its own."""
+    """Return the rig as plain data; `more` adds or replaces keys of its sections."""
     plain: dict[str, Any] = yaml.safe_load(SETTINGS[0].read_text())
     kind = "serial" if bus == "serial" else "can"
     tilt = {"kp_n_m_rad": 5, "ki_n_m_rad_s": 50}
@@ -277,7 +274,7 @@ def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
         "late_in_window": 10_000,
         "stall_s": STALL_S,
         "tilt_rad": 0.004,
-        "coil_rms_n": 8.8,  # the platform at rest takes 7.8 N of a coil
+        "coil_rms_n": 8.8,  # the platform at rest takes 7.8 N per coil
         "coil_time_constant_s": 1.0,
     }
     plain["service"] = {"supervisor_gone": "zero", "supervisor_s": SUPERVISOR_S}

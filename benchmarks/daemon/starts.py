@@ -1,9 +1,8 @@
-"""Starts of the daemon on a machine with too much to do: does any flight leave no log?
+"""Start the daemon on a busy machine: check that every flight has a complete log.
 
-Four processes compute all the time. A daemon is started, and the first moment that it answers it is
-asked to fly a session of two seconds; then it is ended. A flight that the recorder is not there for
-must not lift off; one that lifts off must have every row in its logs. --quick: 6 starts; else 200,
-two daemons at a time, in some 30 minutes.
+Four processes compute continuously. A session of two seconds is requested as soon as a new daemon
+answers. Without a recorder the daemon must refuse to lift off; after lift-off every row must be in
+the logs. --quick: 6 starts, otherwise 200, two at a time, in some 30 minutes.
 """
 
 from __future__ import annotations
@@ -13,14 +12,11 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -42,32 +38,29 @@ steps:
   - record: {name: z, duration_s: 0.5, fade_s: 0.1, settle_s: 0.1, excite: [z]}
   - land: {ramp_s: 0.4, release_s: 0.2}
 """
+_STEPS = 3
 _AT_A_TIME = 2
 _ANSWERS_S = 300.0
 _FAULT = "fault "
-"""How the answer begins to a flight that ended in one."""
+"""Start of the daemon's answer if a flight ended in a fault."""
 
 
 @dataclass
-class Starts:
-    """What came of all starts.
+class Start:
+    """Result of one start: refused and failed are messages, missing says what the logs lack."""
 
-    without_log: flights that left the ground and of which rows are in no log.
-    """
-
-    asked: int = 0
-    flown: int = 0
-    refused: Counter[str] = field(default_factory=Counter)
-    without_log: int = 0
+    flew: bool = False
+    refused: str = ""
+    failed: str = ""
+    missing: str = ""
     lost: int = 0
     restarts: int = 0
-    failed: Counter[str] = field(default_factory=Counter)
-    took_s: list[float] = field(default_factory=list)
-    guard: threading.Lock = field(default_factory=threading.Lock)
+    took_s: float = 0.0
 
 
 def measure(quick: bool) -> Iterator[Figure]:
-    found = Starts()
+    """Run all starts; yield their figures, also if they are interrupted."""
+    found: list[Start] = []
     try:
         with (
             tempfile.TemporaryDirectory() as name,
@@ -75,57 +68,58 @@ def measure(quick: bool) -> Iterator[Figure]:
             ThreadPoolExecutor(_AT_A_TIME) as pool,
         ):
             folders = [Path(name) / str(number) for number in range(6 if quick else 200)]
-            for _ in pool.map(lambda folder: start(folder, found), folders):
-                print(f"{found.asked} starts, {found.flown} flown", end="\r", file=sys.stderr)
+            for one in pool.map(start, folders):
+                found.append(one)
+                print(f"{len(found)} starts", end="\r", file=sys.stderr)
+                for problem in filter(None, (one.refused, one.failed, one.missing)):
+                    print(problem, file=sys.stderr)
     finally:
-        yield from _figures(found)
+        none, refused = Target(most=0), sum(bool(one.refused) for one in found)
+        missing = sum(bool(one.missing) for one in found)
+        failed = sum(bool(one.failed) for one in found)
+        yield Figure("starts", len(found), "", f"starts beside {BUSY} busy processes")
+        yield Figure("flown", sum(one.flew for one in found), "", "flights with lift-off")
+        yield Figure("refused", refused, "", "requests refused, or flights that ended in a fault")
+        yield Figure("without_log", missing, "", "flights without a complete log", target=none)
+        yield Figure("lost", sum(one.lost for one in found), "", "rows lost", target=none)
+        restarts = sum(one.restarts for one in found)
+        yield Figure("restarts", restarts, "", "restarts of the recorder", target=none)
+        yield Figure("failed", failed, "", "starts that did not end", target=none)
+        took_s = statistics.median([one.took_s for one in found] or [0.0])
+        yield Figure("took", took_s, "s", "start to end, median")
 
 
-def start(folder: Path, found: Starts) -> None:
-    """Start a daemon, ask it to fly at once, and look at what it left."""
+def start(folder: Path) -> Start:
+    """Start a daemon, request a flight at once, and check its logs."""
     folder.mkdir()
     file, path = loopback_rig(folder), folder / "levid.sock"
-    begun_s = time.monotonic()
+    found, begun_s = Start(), time.monotonic()
     command = [sys.executable, "-m", "levid.cli.main", "run", str(file)]
-    flew, refused, failed = False, "", ""
-    with _running(command) as process:
-        status: dict[str, Any] = {}
-        try:
-            _wait_for(process, path)
-            with Client(path) as client:
-                client.excite(SESSION, folder / "out", lambda *_: None)
-            flew = True
-        except DaemonError as error:
-            refused = str(error)
-            flew = refused.startswith(_FAULT)
-        except Exception as error:  # noqa: BLE001 - the next start goes on
-            failed = f"{type(error).__name__}: {error}"
-        with contextlib.suppress(DaemonError), Client(path) as client:
-            status = client.request("status")
-    missing = _missing(folder / "out", steps=0 if refused else 3) if flew else ""
-    with found.guard:
-        found.asked += 1
-        found.took_s.append(time.monotonic() - begun_s)
-        found.lost += status.get("lost", 0)
-        found.restarts += status.get("recorder_restarts", 0)
-        found.flown += flew
-        found.without_log += bool(missing)
-        found.refused.update([refused[:100]] if refused else [])
-        found.failed.update(filter(None, (failed, missing)))
-
-
-@contextlib.contextmanager
-def _running(command: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a command; not tied to this thread, which is one of several."""
+    # Not `started`: that ties a process to its thread, and there are several threads here.
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     try:
-        yield process
+        _wait_for(process, path)
+        with Client(path) as client:
+            client.excite(SESSION, folder / "out", lambda *_: None)
+        found.flew = True
+    except DaemonError as error:
+        found.refused = str(error)
+        found.flew = found.refused.startswith(_FAULT)
+    except (OSError, RuntimeError, ValueError) as error:
+        found.failed = f"{type(error).__name__}: {error}"
     finally:
+        with contextlib.suppress(DaemonError), Client(path) as client:
+            status = client.request("status")
+            found.lost, found.restarts = status["lost"], status["recorder_restarts"]
         end(process)
+    if found.flew:
+        found.missing = _missing(folder / "out", whole=not found.refused)
+    found.took_s = time.monotonic() - begun_s
+    return found
 
 
 def _wait_for(process: subprocess.Popen[bytes], path: Path) -> None:
-    """Wait until the daemon answers anything at all."""
+    """Wait until the daemon answers; raises RuntimeError on a timeout."""
     give_up_s = time.monotonic() + _ANSWERS_S
     while process.poll() is None and time.monotonic() < give_up_s:
         with contextlib.suppress(DaemonError), Client(path) as client:
@@ -135,46 +129,25 @@ def _wait_for(process: subprocess.Popen[bytes], path: Path) -> None:
     raise RuntimeError(f"no answer within {_ANSWERS_S:g} s")
 
 
-def _missing(out: Path, steps: int) -> str:
-    """Return what is missing of a flight's logs, empty for nothing.
+def _missing(out: Path, whole: bool) -> str:
+    """Return what the logs of a flight lack, empty if they are complete.
 
-    Its cycles follow one another without a gap, over all logs; of a whole flight each of so many
-    steps has one.
+    Cycles must continue without a gap over all logs; each step of a whole flight has a log.
     """
     logs = sorted(out.glob("*.mcap"))
-    if not logs or (steps and len(logs) != steps):
-        return f"expected {steps or 'some'} logs, found {len(logs)}"
+    if not logs or (whole and len(logs) != _STEPS):
+        return f"expected {_STEPS if whole else 'some'} logs, found {len(logs)}"
     try:
         rows = [read_log(path).rows for path in logs]
     except LogError as error:
         return str(error)
-    cycles = np.concatenate([part["cycle"].astype(np.int64) for part in rows])
-    skipped = np.concatenate([part["skipped"].astype(np.int64) for part in rows])
+    cycles, skipped = (
+        np.concatenate([part[name].astype(np.int64) for part in rows])
+        for name in ("cycle", "skipped")
+    )
     lost = int((np.diff(cycles) - 1 - skipped[1:]).sum())
     return f"{lost} rows are missing" if lost else ""
 
 
-def _figures(found: Starts) -> Iterator[Figure]:
-    for what, count in (found.refused + found.failed).most_common():
-        print(f"{count} x {what}", file=sys.stderr)
-    none = Target(most=0)
-    refused, failed = sum(found.refused.values()), sum(found.failed.values())
-    yield Figure("busy", BUSY, "", "busy processes beside")
-    yield Figure("starts", found.asked, "", "starts of the daemon")
-    yield Figure("flown", found.flown, "", "flights that left the ground")
-    yield Figure("refused", refused, "", "starts refused, or flights that ended in a fault")
-    yield Figure("without_log", found.without_log, "", "flights without a whole log", target=none)
-    yield Figure("lost", found.lost, "", "rows lost", target=none)
-    yield Figure("restarts", found.restarts, "", "recorders started anew", target=none)
-    yield Figure("failed", failed, "", "starts that did not end", target=none)
-    if found.took_s:
-        yield Figure("took", statistics.median(found.took_s), "s", "start to end, median")
-
-
-def main() -> None:
-    arguments = table.parser(__doc__ or "").parse_args()
-    table.show("Starts", arguments, lambda: measure(arguments.quick))
-
-
 if __name__ == "__main__":
-    main()
+    table.run("Starts", measure)

@@ -1,6 +1,6 @@
-"""How fast the daemon's own loop flies in virtual time, plant and log included.
+"""Count cycles per second of the daemon's loop in virtual time, with plant and log.
 
-The peer is the loop a user would write at first: numpy for control and plant, mcap's own writer.
+The peer is a simple loop: numpy for control and plant, and mcap's own writer.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def measure(quick: bool) -> list[Figure]:
 
 
 def levid_rate(rate_hz: float, cycles: int, sim: str = "sims/nominal.yaml") -> float:
-    """Return cycles per second from the first cycle to the last byte on disk."""
+    """Return cycles per second, from the first cycle to the last byte on disk."""
     rig = load_rig(RIG_FILE).model_copy(update={"sim": str(shipped(sim))})
     # The same spectral density at either rate.
     text = SESSION.format(duration=cycles / rate_hz, level=0.1 * np.sqrt(rate_hz / 1000))
@@ -91,7 +91,7 @@ def levid_rate(rate_hz: float, cycles: int, sim: str = "sims/nominal.yaml") -> f
 
 
 def cycle_parts(n: int) -> dict[str, float]:
-    """Return what the parts of a cycle cost, in us."""
+    """Return the time of each part of a cycle in us."""
     rig = load_rig(RIG_FILE)
     control = Controller(rig, 1e-3)
     rows = np.zeros(4096, cycle_dtype(9, 9))
@@ -113,7 +113,7 @@ def cycle_parts(n: int) -> dict[str, float]:
 
 
 def peer_rate(rate_hz: float, cycles: int) -> float:
-    """Return cycles per second of a plain loop: numpy for every step, mcap's writer for the log."""
+    """Return cycles per second of the peer: numpy for every step, mcap's writer for the log."""
     rig, Ts = load_rig(RIG_FILE), 1 / rate_hz
     T = decoupling_matrix(rig.geometry.coil_x_m, rig.geometry.coil_y_m)
     model = declared_model(load_model(shipped("models/rig.yaml"))).at()

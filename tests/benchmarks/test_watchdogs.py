@@ -1,26 +1,30 @@
-"""Kills and stops in flight, force counted at the electronics."""
+"""Kills and stops of processes in flight; force is counted at the electronics."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from levid.benchmarks.daemon import fault_list, fault_rig, watchdogs
-
-pytestmark = pytest.mark.real_time
+from levid.benchmarks.daemon import watchdogs
+from levid.benchmarks.daemon.fault_flight import come_to_rest, lift_off
+from levid.benchmarks.daemon.fault_list import BUSES, Case
+from levid.benchmarks.daemon.fault_rig import Rig, rig_of
+from levid.config.base import parse
+from levid.config.rig import RigConfig
+from levid.daemon.control.detection_times import longest_stall, zero_after_s
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     folder = tmp_path_factory.mktemp("watchdogs")
-    with contextlib.closing(watchdogs.Rig("serial", folder, **watchdogs.rig_keys("land"))) as made:
+    with contextlib.closing(Rig("serial", folder, **watchdogs.rig_keys("land"))) as made:
         yield made
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize(
     ("deed", "state"),
     [
@@ -32,26 +36,20 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         ("supervisor killed", "EXCITING"),
     ],
 )
-def test_a_lost_process_is_zero_force_a_landing_or_nothing_as_the_table_says(
-    rig: Any, deed: str, state: str
+def test_a_lost_process_meets_the_deadline_of_the_documentation(
+    rig: Rig, deed: str, state: str
 ) -> None:
-    lists = fault_list
-    flight = watchdogs.lift_off(rig, lists.Case("serial", 0, deed, "", state, 0.2), rig.folder)
+    flight = lift_off(rig, Case("serial", 0, deed, "", state, 0.2), rig.folder)
     try:
-        assert watchdogs.attempt(rig, flight, deed, "land", state, watchdogs.Outcomes()) == ""
+        assert watchdogs.attempt(rig, flight, deed, "land", state, []) == ""
     finally:
         flight.hang_up()
-        watchdogs.come_to_rest(rig)
+        come_to_rest(rig)
 
 
-def test_the_rig_is_one_that_the_table_speaks_of(tmp_path: Path) -> None:
-    from levid.config.base import parse
-    from levid.config.rig import RigConfig
-    from levid.daemon.control.detection_times import longest_stall, zero_after_s
-
-    for bus in watchdogs.BUSES:
-        plain = fault_rig.rig_of(bus, tmp_path, **watchdogs.rig_keys("land"))
-        config = parse(plain, RigConfig, bus)
-        assert zero_after_s(config) == watchdogs.LOST_CYCLES / config.rate_hz
-        assert longest_stall(config) == 1
-        assert longest_stall(config) / config.rate_hz < watchdogs._HELD_S
+@pytest.mark.parametrize("bus", BUSES)
+def test_the_rig_has_the_deadlines_of_the_documentation(tmp_path: Path, bus: str) -> None:
+    config = parse(rig_of(bus, tmp_path, **watchdogs.rig_keys("land")), RigConfig, bus)
+    assert zero_after_s(config) == watchdogs.LOST_CYCLES / config.rate_hz
+    assert longest_stall(config) == 1
+    assert longest_stall(config) / config.rate_hz < watchdogs.HELD_S

@@ -42,82 +42,51 @@ _LEAST_S = 2.0
 _BUSY = 2
 
 _SESSION = shipped("sessions/beam.yaml").read_text()
-KNOWN = {
-    "70,000 unknown keys": json.dumps(
-        {"op": "move", "move": {f"key_number_{i}": i for i in range(45_000)}}
-    ),
-    "20,000 digits": json.dumps(
-        {"op": "excite", "out": "x", "session": f"levid: session\nname: {'1' * 20_000}e\n"}
-    ),
-    "20,000 keys": json.dumps(
-        {
-            "op": "excite",
-            "out": "x",
-            "session": "levid: session\n" + "".join(f"key{i}: 1\n" for i in range(20_000)),
-        }
-    ),
-    "a million brackets": "[" * 1_000_000,
-    "a long status": json.dumps({"op": "status", "padding": "x" * 1_000_000}),
-    "a session as long as it may be": json.dumps(
-        {"op": "excite", "out": "x", "session": _SESSION + "#" * (1 << 17)}
-    ),
-}
-_PIECES = (
-    "[", "{", '{"a":', "1", "9" * 50, '"', '"\\u0000"', "- ", "&a ", "*a, ", "é", "\\n", "? ", ": ",
-    "1:", "<<: ", "!!python/name:os.system ", "0x", ".e", "\t", " ", "'", "|", "#", ", ",
-)  # fmt: skip
-_VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=30),
-    lambda inner: (
-        st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner, max_size=5)
-    ),
-    max_leaves=30,
-)
-_OPS = st.sampled_from(["status", "watch ", "levitate", "move", "excite", "fly", ""])
 
 
-def _repeated(pieces: tuple[str, int, str]) -> str:
-    first, times, piece = pieces
-    return (first + piece * times)[: LONGEST_LINE - 200]
-
-
-_LONG = st.tuples(st.sampled_from(_PIECES), st.integers(1, 300_000), st.sampled_from(_PIECES)).map(
-    _repeated
-)
-
-
-@st.composite
-def _sessions(draw: st.DrawFn) -> str:
-    """Insert pieces into a shipped session."""
-    text = _SESSION
-    for _ in range(draw(st.integers(1, 3))):
-        at, piece = draw(st.integers(0, len(text))), draw(st.sampled_from(_PIECES))
-        text = text[:at] + piece * draw(st.integers(1, 20_000)) + text[at:]
-    return text
-
-
-def _excite(**more: str) -> str:
-    return json.dumps({"op": "excite", "out": "x", "session": _SESSION, **more})
+def _excite(session: str = _SESSION, **more: str) -> str:
+    return json.dumps({"op": "excite", "out": "x", "session": session, **more})
 
 
 def _move(n: int, key: str) -> str:
     return json.dumps({"op": "move", "move": {f"{key}{i}": i for i in range(n)}})
 
 
-_KEYS = st.text(max_size=9)
+KNOWN = {
+    "45,000 unknown keys": _move(45_000, "key_number_"),
+    "20,000 digits": _excite(f"levid: session\nname: {'1' * 20_000}e\n"),
+    "20,000 keys": _excite("levid: session\n" + "".join(f"key{i}: 1\n" for i in range(20_000))),
+    "a million brackets": "[" * 1_000_000,
+    "a long status": json.dumps({"op": "status", "padding": "x" * 1_000_000}),
+    "a session of the maximum length": _excite(_SESSION + "#" * (1 << 17)),
+}
+_PIECES = st.sampled_from((
+    "[", "{", '{"a":', "1", "9" * 50, '"', '"\\u0000"', "- ", "&a ", "*a, ", "é", "\\n", "? ", ": ",
+    "1:", "<<: ", "!!python/name:os.system ", "0x", ".e", "\t", " ", "'", "|", "#", ", ",
+))  # fmt: skip
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=30),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner),
+    max_leaves=30,
+)
+_LONG = st.builds(
+    lambda first, times, piece: (first + piece * times)[: LONGEST_LINE - 200],
+    _PIECES, st.integers(1, 300_000), _PIECES,
+)  # fmt: skip
+_SESSIONS = st.builds(
+    lambda at, piece, times: _SESSION[:at] + piece * times + _SESSION[at:],
+    st.integers(0, len(_SESSION)), _PIECES, st.integers(1, 20_000),
+)  # fmt: skip
+_OPS = st.sampled_from(["status", "watch ", "levitate", "move", "excite", "fly", ""])
 REQUESTS = st.one_of(
     st.builds(
         lambda op, more: json.dumps({**more, "op": op}),
         _OPS,
-        st.dictionaries(_KEYS, _VALUES, max_size=9),
+        st.dictionaries(st.text(max_size=9), _VALUES, max_size=9),
     ),
-    (_sessions() | _LONG).map(lambda text: _excite(session=text)),
+    (_SESSIONS | _LONG).map(_excite),
     _LONG.map(lambda rig: _excite(rig=rig)),
-    st.builds(
-        lambda op, value: json.dumps({"op": op, op: value}),
-        st.sampled_from(["move", "levitate"]),
-        _VALUES,
-    ),
+    st.builds(lambda op, value: json.dumps({"op": op, op: value}), _OPS, _VALUES),
     st.builds(_move, st.integers(1, 60_000), st.sampled_from(["k", "beam_m", "x" * 15])),
     _LONG,
     st.binary(max_size=3000).map(lambda data: data.replace(b"\n", b" ").decode("latin-1")),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
 import fcntl
 import os
@@ -15,7 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from levid.benchmarks.daemon.fault_flight import Flight, NotInjectedError
@@ -23,7 +21,6 @@ from levid.benchmarks.daemon.fault_rig import EXPIRE_CYCLES, RATE_HZ, STALL_S, R
 
 Status = dict[str, Any]
 _TIOCVHANGUP = 0x5437
-_PIDFD_OPEN, _PIDFD_GETFD = 434, 438
 _FLOODING, _BATCH = 8, 50
 
 
@@ -56,7 +53,7 @@ def reason_to_skip(rig: Rig, kind: str) -> str:
     if kind == "disk full" and rig.small is None:
         return "no right to mount a small file system"
     if kind == "host's end lost" and os.geteuid() != 0:
-        return "no right to another process' port"
+        return "no right to hang up a port"
     return ""
 
 
@@ -100,44 +97,16 @@ def _request_stop(rig: Rig, _: Status) -> Action:
     return Action()
 
 
-def _lose_bus(rig: Rig, status: Status) -> Action:
-    """Hang up the serial port, or shut down the host's sockets on the CAN bus."""
+def _hang_up_port(rig: Rig, _: Status) -> Action:
+    """Hang up the host's end of the serial port."""
+    port = os.open(rig.folder / "port", os.O_RDWR | os.O_NOCTTY)
     try:
-        if rig.bus == "serial":
-            port = os.open(rig.folder / "port", os.O_RDWR | os.O_NOCTTY)
-            try:
-                fcntl.ioctl(port, _TIOCVHANGUP)
-            finally:
-                os.close(port)
-        else:
-            for end in _sockets_of(status["pids"]["loop"]):
-                with end, contextlib.suppress(OSError):  # not connected, but shut down all the same
-                    end.shutdown(socket.SHUT_RDWR)
+        fcntl.ioctl(port, _TIOCVHANGUP)
     except PermissionError as error:
         raise NotInjectedError(str(error)) from None
-    return Action()
-
-
-def _sockets_of(pid: int) -> Iterator[socket.socket]:
-    """Yield duplicates of the IPv4 datagram sockets of another process."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    process = libc.syscall(_PIDFD_OPEN, pid, 0)
-    if process < 0:
-        raise NotInjectedError(os.strerror(ctypes.get_errno()))
-    try:
-        for link in Path(f"/proc/{pid}/fd").iterdir():
-            if not str(link.readlink()).startswith("socket:"):
-                continue
-            fd = libc.syscall(_PIDFD_GETFD, process, int(link.name), 0)
-            if fd < 0:
-                raise NotInjectedError(os.strerror(ctypes.get_errno()))
-            end = socket.socket(fileno=fd)
-            if end.family == socket.AF_INET and end.type == socket.SOCK_DGRAM:
-                yield end
-            else:
-                end.close()
     finally:
-        os.close(process)
+        os.close(port)
+    return Action()
 
 
 ENDING: dict[str, Callable[[Rig, Status], Action]] = {
@@ -147,7 +116,7 @@ ENDING: dict[str, Callable[[Rig, Status], Action]] = {
     "supervisor killed": _kill_supervisor,
     "supervisor stopped": _stop_supervisor,
     "stop": _request_stop,
-    "host's end lost": _lose_bus,
+    "host's end lost": _hang_up_port,
     "heat": lambda *_: Action(),  # the session itself overloads a coil
 }
 """Faults that must end the force."""

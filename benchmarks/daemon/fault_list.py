@@ -116,7 +116,6 @@ _EVERYWHERE = {
         for name in ("drop", "delay", "corrupt", "repeat", "reorder")
     },
     "drop-setpoints": Kind(_one(Fault.AMPLIFIER), _plain("drop-setpoints"), own_timeout=True),
-    "host's end lost": Kind(_one(Fault.LINK), own_timeout=True),
     "stuck": Kind(_one(Fault.SENSOR), _channel("stuck")),
     "frozen": Kind(_one(Fault.SENSOR), _channel("frozen"), shows=_FROZEN_SHOWS),
     "saturated": Kind(_one(Fault.SENSOR), _channel("saturated")),
@@ -148,6 +147,7 @@ _EVERYWHERE = {
 _SERIAL = {
     "bus-off": Kind(_one(Fault.STALE), _plain("bus-off"), own_timeout=True),
     "disconnect": Kind(_one(Fault.LINK), _plain("disconnect"), own_timeout=True),
+    "host's end lost": Kind(_one(Fault.LINK), own_timeout=True),
     "nan-axis": Kind(_one(Fault.READING), _axis("nan-axis")),
 }
 _CAN = {

@@ -11,23 +11,23 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any
 
 import yaml
 
 from levid.benchmarks.daemon import fault_electronics
+from levid.benchmarks.harness.child_processes import end
 from levid.benchmarks.harness.real_time import ELECTRONICS, hurry
-from levid.config.shipped import shipped
+from levid.benchmarks.harness.running_daemon import loopback_rig
 from levid.daemon.client import Client, DaemonError
 from levid.daemon.host.real_time_scheduling import signal_at_parent_death
 
@@ -42,10 +42,8 @@ SUPERVISOR_S = 1.0
 BEFORE_FAULT_S = 10.0
 """Time that flight recordings must cover before the fault."""
 GIVE_UP_S = 40.0
-SETTINGS = (shipped("rigs/loopback.yaml"), shipped("sims/nominal.yaml"))
 _SMALL_BYTES = 8 << 20
 _STARTS_S = 60.0
-_LOST_S = 0.05
 
 
 class Rig:
@@ -60,7 +58,6 @@ class Rig:
         self.pids: dict[str, int] = {}
         self.daemon: subprocess.Popen[bytes] | None = None
         self._electronics: subprocess.Popen[str] | None = None
-        self._answers: SimpleQueue[str] = SimpleQueue()
         try:
             self.small = small_disk(folder / "small")
             self.file.write_text(yaml.safe_dump(rig_of(bus, folder, **more)))
@@ -86,7 +83,6 @@ class Rig:
                 raise RuntimeError(f"the electronics did not start: {said}")
             time.sleep(0.05)
         hurry(ELECTRONICS, self._electronics.pid)  # real electronics do not wait for a processor
-        threading.Thread(target=self._hear, daemon=True).start()
 
     def start(self) -> None:
         """Start the daemon."""
@@ -104,12 +100,7 @@ class Rig:
             if process is None or process.poll() is not None:
                 continue
             process.send_signal(signal.SIGCONT)
-            process.terminate()
-            try:
-                process.wait(GIVE_UP_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            end(process, GIVE_UP_S)
         if not gone(self.pids.values(), GIVE_UP_S):
             for pid in self.pids.values():
                 with contextlib.suppress(ProcessLookupError):
@@ -122,20 +113,17 @@ class Rig:
         """Send a command to the electronics; return their answer and state before it."""
         assert self._electronics is not None
         assert self._electronics.stdin is not None
+        assert self._electronics.stdout is not None
         try:
             self._electronics.stdin.write(f"{line}\n")
             self._electronics.stdin.flush()
-            answer: dict[str, Any] = json.loads(self._answers.get(timeout=GIVE_UP_S))
-        except (Empty, OSError):
-            said = (self.folder / "electronics.log").read_text()
-            raise RuntimeError(f"the electronics do not answer: {said}") from None
-        return answer
-
-    def _hear(self) -> None:
-        assert self._electronics is not None
-        assert self._electronics.stdout is not None
-        for line in self._electronics.stdout:
-            self._answers.put(line)
+            if select.select([self._electronics.stdout], [], [], GIVE_UP_S)[0]:
+                answer: dict[str, Any] = json.loads(self._electronics.stdout.readline())
+                return answer
+        except (OSError, ValueError):
+            pass  # it has ended
+        errors = (self.folder / "electronics.log").read_text()
+        raise RuntimeError(f"the electronics do not answer: {errors}")
 
     def ask(self, op: str, **more: Any) -> dict[str, Any]:
         """Return the daemon's answer; raises DaemonError."""
@@ -202,11 +190,11 @@ class Rig:
         """Wait for the electronics' port; return False on a timeout."""
         give_up_s = time.monotonic() + GIVE_UP_S
         port = self.folder / "port"
-        while self.bus == "serial" and not port.exists():
+        while not (there := self.bus != "serial" or port.exists()):
             if time.monotonic() > give_up_s:
-                return False
-            time.sleep(_LOST_S)
-        return True
+                break
+            time.sleep(0.05)
+        return there
 
 
 def gone(pids: Iterable[int], seconds: float) -> bool:
@@ -231,10 +219,9 @@ def _runs(pid: int) -> bool:
 def _open_files(pid: int) -> str:
     """Return the paths of all files that a process has open."""
     found = []
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):  # it has ended
         for link in Path(f"/proc/{pid}/fd").iterdir():
-            with contextlib.suppress(OSError):
-                found.append(str(link.readlink()))
+            found.append(os.path.realpath(link))
     return "\n".join(found)
 
 
@@ -251,24 +238,17 @@ def small_disk(at: Path) -> Path | None:
 
 def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
     """Return the rig as plain data; `more` adds or replaces keys of its sections."""
-    plain: dict[str, Any] = yaml.safe_load(SETTINGS[0].read_text())
+    plain: dict[str, Any] = yaml.safe_load(loopback_rig(folder).read_text())
     kind = "serial" if bus == "serial" else "can"
     tilt = {"kp_n_m_rad": 5, "ki_n_m_rad_s": 50}
     plain |= {
         "rate_hz": RATE_HZ,
-        "model": str(shipped("models/rig.yaml")),
-        "sim": str(SETTINGS[1]),
-        "socket": str(folder / "levid.sock"),
         "control": {"psi": tilt, "theta": dict(tilt), "z": {"kp_n_m": 300, "ki_n_m_s": 1500}},
         "amplifiers": {"backend": kind, "bus": "main", "expire_cycles": EXPIRE_CYCLES},
         "sensors": {"backend": kind, "bus": "main"},
         "drives": {"backend": kind, "bus": "main", "skew_m": 0.02},
-        "recording": {
-            "faults": str(folder / "faults"),
-            "keep_faults": 10_000,  # all are read
-            "before_fault_s": BEFORE_FAULT_S,
-        },
     }
+    plain["recording"] |= {"keep_faults": 10_000, "before_fault_s": BEFORE_FAULT_S}
     plain["limits"] |= {
         "late_cycles": 200,
         "late_in_window": 10_000,

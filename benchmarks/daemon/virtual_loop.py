@@ -15,13 +15,11 @@ from mcap.writer import Writer
 
 from levid.benchmarks.harness import table
 from levid.benchmarks.harness.table import Figure
-from levid.config.base import load_yaml, parse_text
+from levid.config.base import parse_text
 from levid.config.model import load_model
 from levid.config.rig import load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
-from levid.config.sim import SimConfig
-from levid.daemon.control.control_cycle import Controller
 from levid.daemon.loop.clock import VirtualClock
 from levid.daemon.loop.virtual_flight import Flight
 from levid.daemon.planning.plan import plan_session
@@ -29,7 +27,6 @@ from levid.identification.greybox.model_file import declared_model
 from levid.log.signals import cycle_dtype, ros2msg
 from levid.model.geometry import decoupling_matrix
 from levid.model.second_order import discretise
-from levid.sim.plant import Plant
 
 RIG_FILE = shipped("rigs/loopback.yaml")
 SESSION = """
@@ -44,6 +41,7 @@ steps:
 
 
 def measure(quick: bool) -> list[Figure]:
+    """Run all contenders in turn; return their median rates."""
     repeats = 3 if quick else 7
     cycles = 60_000 if quick else 200_000
     contenders = {
@@ -59,7 +57,6 @@ def measure(quick: bool) -> list[Figure]:
         for name, contender in contenders.items():
             rates[name].append(contender())
     median = {name: float(np.median(values)) for name, values in rates.items()}
-    parts = cycle_parts(20_000 if quick else 100_000)
     loop = "virtual time, plant and log included"
     return [
         Figure("cycles_per_s_1khz", median["1khz"], "1/s", f"1 kHz, {loop}", "peer_1khz"),
@@ -68,9 +65,6 @@ def measure(quick: bool) -> list[Figure]:
         Figure("nonlinear_10khz", median["10khz_nonlinear"], "1/s", "10 kHz, nonlinear plant"),
         Figure("peer_1khz", median["peer_1khz"], "1/s", "numpy and mcap's writer, 1 kHz"),
         Figure("peer_10khz", median["peer_10khz"], "1/s", "numpy and mcap's writer, 10 kHz"),
-        Figure("control_us", parts["control"], "us", "one cycle: control and its row of the log"),
-        Figure("plant_1khz_us", parts["plant_1khz"], "us", "one cycle: plant, 10 internal steps"),
-        Figure("plant_10khz_us", parts["plant_10khz"], "us", "one cycle: plant, 1 internal step"),
     ]
 
 
@@ -88,28 +82,6 @@ def levid_rate(rate_hz: float, cycles: int, sim: str = "sims/nominal.yaml") -> f
         start = perf_counter()
         result = flight.fly(plan, Path(folder), {})
         return result.cycles / (perf_counter() - start)
-
-
-def cycle_parts(n: int) -> dict[str, float]:
-    """Return the time of each part of a cycle in us."""
-    rig = load_rig(RIG_FILE)
-    control = Controller(rig, 1e-3)
-    rows = np.zeros(4096, cycle_dtype(9, 9))
-    plan = plan_session(
-        parse_text(SESSION.format(duration=10, level=0.1), SessionConfig, "benchmark"), rig
-    )
-    control.begin(plan.steps[1].segments()[-1])
-    parts = {"control": _us(lambda k: control.step(rows, k & 4095, k, 0.0, k % 10_000), n)}
-    force, still = np.full(9, 7.63), np.zeros(3)
-    for name, period_s in (("plant_1khz", 1e-3), ("plant_10khz", 1e-4)):
-        plant = Plant(load_yaml(shipped("sims/nominal.yaml"), SimConfig), period_s)
-
-        def step(_: int, plant: Plant = plant) -> None:
-            plant.advance(force, still, still)
-            plant.sample()
-
-        parts[name] = _us(step, n // 4)
-    return parts
 
 
 def peer_rate(rate_hz: float, cycles: int) -> float:
@@ -146,16 +118,6 @@ def peer_rate(rate_hz: float, cycles: int) -> float:
             writer.add_message(channel, time_ns, row, time_ns)
         writer.finish()
         return cycles / (perf_counter() - start)
-
-
-def _us(call: object, n: int) -> float:
-    times = []
-    for _ in range(5):
-        start = perf_counter()
-        for k in range(n):
-            call(k)  # type: ignore[operator]
-        times.append((perf_counter() - start) / n * 1e6)
-    return float(np.median(times))
 
 
 if __name__ == "__main__":

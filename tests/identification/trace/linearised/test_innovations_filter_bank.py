@@ -370,7 +370,7 @@ def test_what_a_force_does_to_one_dof_is_no_command() -> None:
 def test_long_records_have_columns_by_and_by(monkeypatch: pytest.MonkeyPatch) -> None:
     some = [(e, e.grid[0]) for e in all_effects(PLACES)[:40]]
     whole = linearise(point(), record("fixed"), some)
-    monkeypatch.setattr(linearised, "_MOST_NUMBERS", 3 * 3000 // 4 * 7)  # of seven columns
+    monkeypatch.setattr(linearised, "_MAX_NUMBERS", 3 * 3000 // 4 * 7)  # of seven columns
     parts = linearise(point(), record("fixed"), some)
     np.testing.assert_allclose(parts.gram, whole.gram, rtol=1e-9, atol=1e-9)
     assert len(parts.beside) == len(whole.beside)

@@ -183,7 +183,7 @@ def test_an_axis_without_feedback_takes_the_joint_estimate(rig):
 def test_wrong_options_are_errors():
     with pytest.raises(IdentificationError, match="correlation, least_squares, found 'welch'"):
         Options(markov="welch")
-    with pytest.raises(IdentificationError, match=r"holdout of 0 to 0\.5"):
+    with pytest.raises(IdentificationError, match=r"holdout: expected a share of 0 to 0\.5"):
         Options(holdout=0.9)
     with pytest.raises(IdentificationError, match="segment_s: expected a positive"):
         Options(segment_s=0.0)

@@ -94,7 +94,7 @@ def altered(log: Path, begin: int = 100, **columns: float) -> Path:
     return path
 
 
-def test_a_log_that_is_of_no_use_does_not_end_the_study_of_others(logs, monkeypatch):
+def test_invalid_log_does_not_end_the_study_of_others(logs, monkeypatch):
     monkeypatch.setattr(
         studies, "identify_grey_box", lambda _model, experiments, *_: SimpleNamespace(n=experiments)
     )
@@ -102,17 +102,20 @@ def test_a_log_that_is_of_no_use_does_not_end_the_study_of_others(logs, monkeypa
     broken, stuck = altered(logs[0], z_m=np.nan), altered(logs[1], stale=1)
     found = studies.study([broken, *logs, stuck], lambda _log: model, Options())
     assert len(found.grey.n) == 3
-    told = [note for note in found.notes if "altered-" in note]
-    assert [note.partition(": expected")[0] for note in told] == [f"{broken}: z_m", f"{stuck}"]
+    notes = [note for note in found.notes if "altered-" in note]
+    assert [note.partition(": expected")[0] for note in notes] == [
+        f"{broken}: z_m",
+        f"{stuck}: too many missing samples",
+    ]
     with pytest.raises(IdentificationError, match="z_m: expected finite values"):
         studies.study([broken], lambda _log: model, Options())
 
 
-def test_an_output_of_one_value_is_told(logs, monkeypatch):
+def test_constant_output_is_noted(logs, monkeypatch):
     monkeypatch.setattr(studies, "identify_grey_box", lambda *_: SimpleNamespace())
     model = load_model(shipped("models/rig.yaml"))
     dead = altered(logs[0], begin=0, psi_rad=0.0)
     found = studies.study([dead, logs[1]], lambda _log: model, Options())
-    told = [note for note in found.notes if "one value" in note]
-    assert len(told) == 1
-    assert told[0].startswith("altered-0.mcap: psi is constant")
+    notes = [note for note in found.notes if "is constant" in note]
+    assert len(notes) == 1
+    assert notes[0].startswith("altered-0.mcap: psi is constant")

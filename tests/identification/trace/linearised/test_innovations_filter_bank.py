@@ -445,7 +445,7 @@ def test_what_a_free_form_may_have_held_before_is_no_part_of_its_columns() -> No
     columns -= basis @ (basis.T @ columns)
     before = columns.copy()
     candidates = [(forgets, ()), (remembers, ()), (friction, ())]
-    linearised._forget(columns, SimpleNamespace(signals=None), bank, basis, candidates)
+    linearised._project_out_memory(columns, SimpleNamespace(signals=None), bank, basis, candidates)
     np.testing.assert_array_equal(columns[:, [0, 4]], before[:, [0, 4]])
     both = np.hstack([basis, held.reshape(300, 2)])
     expected = before - both @ np.linalg.lstsq(both, before, rcond=None)[0]

@@ -126,8 +126,8 @@ def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(
     assert controller.beam_ref[0] == 0.02
     assert syncs == [7, 7, 7]
     comes_at = 1 << 40
-    monkeypatch.setattr("levid.daemon.loop.warm_up._PATIENCE_S", 0.01)
-    with pytest.raises(DriveError, match="did not come"):
+    monkeypatch.setattr("levid.daemon.loop.warm_up._TIMEOUT_S", 0.01)
+    with pytest.raises(DriveError, match="no position"):
         locate(controller, devices, RIG, 7)  # type: ignore[arg-type]
 
 

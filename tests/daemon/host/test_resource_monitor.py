@@ -206,11 +206,11 @@ def test_status_says_in_words_what_weighed_on_the_daemon(
     finally:
         server.close()
     assert lines[0] == "here at 1000 Hz: idle, zero force"
-    assert lines[1] == "cycle 5, 0 late, 2 readings not in time"
+    assert lines[1] == "cycle 5, 0 late, 2 stale readings"
     assert lines[4:] == heavy * [
-        "clients gone in mid-flight: 3",
-        "recorders started anew: 1",
+        "clients that disconnected during a flight: 3",
+        "recorder restarts: 1",
         "control socket flooded for 4 s",
-        "processes waited for memory for 0.5 s",
-        "the host of this virtual machine kept its processors for 0.25 s",
+        "processes waited 0.5 s for memory",
+        "CPU time taken by the virtual machine's host: 0.25 s",
     ]

@@ -15,7 +15,7 @@ mkfifo /run/faults
 chrt --fifo 20 "$levid" electronics "$HERE/rig.yaml" < /run/faults > "$out/electronics.txt" 2> "$out/electronics.log" &
 electronics=$!
 exec 3> /run/faults # held open: a line is a command
-until grep -q answer "$out/electronics.log"; do sleep 0.2; kill -0 $electronics; done
+until grep -q emulating "$out/electronics.log"; do sleep 0.2; kill -0 $electronics; done
 "$levid" run "$HERE/rig.yaml" 2> "$out/daemon.log" &
 daemon=$!
 until grep -q socket "$out/daemon.log"; do sleep 0.2; kill -0 $daemon; done

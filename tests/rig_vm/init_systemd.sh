@@ -59,7 +59,7 @@ Before=levid.service
 Environment=$environment
 ExecStartPre=/bin/bash -c 'until ip link show vcan0 up | grep -q vcan0; do sleep 0.1; done'
 ExecStart=/usr/bin/chrt --fifo 20 /srv/levid/bin/levid electronics /etc/levid/rig.yaml
-ExecStartPost=/bin/bash -c 'until grep -q answer /rig/electronics.log; do sleep 0.1; done'
+ExecStartPost=/bin/bash -c 'until grep -q emulating /rig/electronics.log; do sleep 0.1; done'
 StandardError=truncate:/rig/electronics.log
 UNIT
 fi

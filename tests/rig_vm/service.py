@@ -57,7 +57,7 @@ def main() -> None:
         stderr=(RESULTS / "electronics.log").open("w"),
         text=True,
     )
-    until(lambda: "answer" in (RESULTS / "electronics.log").read_text(), "electronics answer")
+    until(lambda: "emulating" in (RESULTS / "electronics.log").read_text(), "electronics answer")
     for step in (
         starts, refuses, flies, recorder_dies, clock_steps, loop_dies, supervisor_dies, loop_hangs,
     ):  # fmt: skip

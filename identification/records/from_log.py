@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from ...config.base import ConfigError, parse_text
+from ...config.base import ConfigError, Strict, parse_text
 from ...config.model import ModelConfig, load_model
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
@@ -26,6 +27,7 @@ from .record import (
 )
 from .resampling import resample
 
+S = TypeVar("S", bound=Strict)
 Array = NDArray[np.float64]
 
 DOF = ("psi", "theta", "z")
@@ -132,30 +134,20 @@ def controller_of(log: Log) -> PiController:
 
 def rig_of(log: Log) -> RigConfig:
     """Return the log's rig.yaml, parsed; raises IdentificationError if missing or invalid."""
-    text = log.attachments.get("rig.yaml")
-    if text is None:
-        raise IdentificationError(f"{log.path}: expected the attachment rig.yaml, found none")
-    try:
-        return parse_text(text, RigConfig, f"{log.path}: rig.yaml")
-    except ConfigError as error:
-        raise IdentificationError(str(error)) from None
+    return _attached(log, "rig.yaml", RigConfig)
 
 
 def rig_model(log: Log) -> ModelConfig | None:
-    """Return the declared model of the rig that flew the log; None for a log that no rig flew.
+    """Return the declared model of the rig that flew the log; None for a log without a rig.
 
     It is the attachment model.yaml; the shipped models/rig.yaml for a rig that names no model.
     Raises IdentificationError for an attachment that is not a model.
     """
     if "rig.yaml" not in log.attachments:
         return None
-    text = log.attachments.get("model.yaml")
-    try:
-        if text is None:
-            return load_model(shipped("models/rig.yaml"))
-        return parse_text(text, ModelConfig, f"{log.path}: model.yaml")
-    except ConfigError as error:
-        raise IdentificationError(str(error)) from None
+    if "model.yaml" not in log.attachments:
+        return load_model(shipped("models/rig.yaml"))
+    return _attached(log, "model.yaml", ModelConfig)
 
 
 def log_remarks(log: Log) -> list[str]:
@@ -191,7 +183,7 @@ def imported_record(log: Log) -> Record:
 
     Raises IdentificationError for an invalid signals.yaml or missing columns.
     """
-    signals = _signals(log)
+    signals = _attached(log, "signals.yaml", SignalsFile)
     inputs, outputs = signals.with_role("input"), signals.with_role("output")
     for role, found in (("input", inputs), ("output", outputs)):
         if not found:
@@ -212,12 +204,13 @@ def imported_record(log: Log) -> Record:
     )
 
 
-def _signals(log: Log) -> SignalsFile:
-    text = log.attachments.get("signals.yaml")
+def _attached(log: Log, name: str, schema: type[S]) -> S:
+    """Return an attached YAML file, parsed; raises IdentificationError if missing or invalid."""
+    text = log.attachments.get(name)
     if text is None:
-        raise IdentificationError(f"{log.path}: expected the attachment signals.yaml, found none")
+        raise IdentificationError(f"{log.path}: expected the attachment {name}, found none")
     try:
-        return parse_text(text, SignalsFile, f"{log.path}: signals.yaml")
+        return parse_text(text, schema, f"{log.path}: {name}")
     except ConfigError as error:
         raise IdentificationError(str(error)) from None
 
@@ -228,7 +221,7 @@ def _position(log: Log) -> float | None:
     Raises NotARecordError if the column is not a position in m (records are grouped within 1 mm),
     or if the position moves.
     """
-    scheduling = _signals(log).with_role("scheduling")
+    scheduling = _attached(log, "signals.yaml", SignalsFile).with_role("scheduling")
     if not scheduling:
         return None
     if len(scheduling) > 1 or scheduling[0].unit != "m":

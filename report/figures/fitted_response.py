@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.results import ClosedLoopPoint
+from ...identification.subspace.response_uncertainty import SURE_95
 from ..plotting.curves import CONFIDENCE, Curve, Range
 from ..plotting.style import LineStyle, line_of, position_label
 
@@ -22,7 +23,6 @@ _STILL = 1e-3
 """Share of its range within which a scheduling variable counts as constant."""
 _DIFFERENCE = 1e-2
 """Half of a central difference, over the standard error."""
-_SURE_95 = 1.96
 _VISIBLE = 0.02
 """Smallest relative band that is drawn: a pixel in a panel of four decades."""
 
@@ -72,7 +72,7 @@ def fitted_curve(grey: GreyBox, place: Place, line: LineStyle, shown: Range) -> 
     J = np.array(slopes).reshape(len(slopes), *H.shape)
     variance = np.einsum("a...,ab,b...->...", J, scaled, J) if slopes else np.zeros(H.shape)
     # Figures draw CONFIDENCE deviations, which is for complex errors; this error is real.
-    deviation = _SURE_95 / CONFIDENCE * np.sqrt(np.maximum(variance, 0.0))
+    deviation = SURE_95 / CONFIDENCE * np.sqrt(np.maximum(variance, 0.0))
     visible = np.any(CONFIDENCE * deviation > _VISIBLE * np.abs(H), axis=0)
     return Curve(
         place.label,

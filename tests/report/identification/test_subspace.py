@@ -53,10 +53,10 @@ def test_the_modes_are_those_of_the_rig_within_their_errors(points, rig):
     for row, f, se in zip(
         modes.rows, model.modes.frequency_hz, model.modes.frequency_se_hz, strict=True
     ):
-        value, error = (float(x) for x in row[1].split(" ± "))
-        # The error has two digits, and the value the same last digit.
-        assert error == pytest.approx(se, rel=0.06)
-        assert value == pytest.approx(f, abs=0.06 * se)
+        value, half = (float(x) for x in row[1].split(" ± "))
+        # Half of the 95 % interval has two digits, and the value the same last digit.
+        assert half == pytest.approx(1.96 * se, rel=0.06)
+        assert value == pytest.approx(f, abs=0.06 * half)
 
 
 def test_error_against_the_truth_is_reported(points, truth):

@@ -9,7 +9,7 @@ import socket
 from .base import LinkError
 
 
-class Claim:
+class BusLock:
     """A named lock that one process of this machine can hold; it is freed when the process ends."""
 
     def __init__(self, name: str) -> None:

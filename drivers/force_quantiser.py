@@ -8,7 +8,7 @@ from numba import njit
 from .base import Array
 
 
-class CarriedRounding:
+class ForceQuantiser:
     """Rounds commands (C,) to steps with first-order error feedback (noise shaping).
 
     Plain rounding of a slowly changing force has a constant error, which matters near a resonance.

@@ -13,8 +13,8 @@ from levid.config.session import Step
 from levid.config.shipped import shipped
 from levid.daemon.control.control_cycle import Controller
 from levid.daemon.ipc.control_words import Word
-from levid.daemon.ipc.segment_stream import Feeder, Logged
-from levid.daemon.ipc.shared_memory import Shared
+from levid.daemon.ipc.segment_stream import Logged, SegmentFeeder
+from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.daemon.loop.clock import Clock
 from levid.daemon.loop.real_time_loop import TimedLoop
 from levid.daemon.loop.warm_up import warm_up
@@ -65,14 +65,14 @@ class ScriptedLoop:
         plain["recording"]["before_fault_s"] = before_fault_s
         plain["rate_hz"] = 1000.0
         self.rig = rig = RigConfig.model_validate(plain)
-        self.shared = Shared(rig)
+        self.shared = SharedMemory(rig)
         self.board = self.shared.board
         self.controller = Controller(rig, 1e-3, self.shared.control)
         devices = wrap(open_devices(Context(rig, 1e-3, RIG.parent)))
         warm_up(self.controller, devices, np.zeros(1, self.shared.dtype), rig, -1)
         self.parent, self.silent, self.forces = os.getppid(), False, 0.0
         self.plans = 0
-        self._feeder: Feeder | None = None
+        self._feeder: SegmentFeeder | None = None
         self._script: Callable[[int], None] = lambda _: None
         write = devices.amplifiers.write
 
@@ -94,7 +94,7 @@ class ScriptedLoop:
         self.plans += 1
         self.board[Word.LAND_RAMP], self.board[Word.LAND_RELEASE] = 500, 200
         segments = [Logged(s, 0) for step in plan.steps for s in step.segments()]
-        self._feeder = Feeder(self.shared.program, self.board, self.plans, segments)
+        self._feeder = SegmentFeeder(self.shared.program, self.board, self.plans, segments)
 
     def run(self, script: Callable[[int], None], cycles: int) -> None:
         """Run so many cycles, each after script(its number)."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from levid.config.rig import load_rig
 from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.row_ring import NO_LOG
-from levid.daemon.ipc.shared_memory import Shared
+from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.log.reader import read_log
 
 Cycles = NDArray[np.int64]
@@ -32,7 +32,7 @@ class Flown:
     """Collect the rows of a flight from now on; call `look` every few seconds."""
 
     def __init__(self, supervisor: int, rig_file: Path) -> None:
-        self._shared = Shared(load_rig(rig_file), memory_of(supervisor))
+        self._shared = SharedMemory(load_rig(rig_file), memory_of(supervisor))
         self._shared.close()  # the mapping stays
         self._ring, self.board = self._shared.ring, self._shared.board
         self._next = self._ring.head

@@ -15,7 +15,7 @@ from levid.benchmarks.harness.flown_rows import memory_of
 from levid.benchmarks.harness.real_time import WITNESS, hurry
 from levid.config.rig import load_rig
 from levid.daemon.ipc.control_words import Word
-from levid.daemon.ipc.shared_memory import Shared
+from levid.daemon.ipc.shared_memory import SharedMemory
 
 _LOOK_S = 5e-4
 
@@ -45,7 +45,7 @@ class Heartbeat:
 
 
 def _watch(end: Connection, rig_file: Path, supervisor: int) -> None:
-    board = Shared(load_rig(rig_file), memory_of(supervisor)).board
+    board = SharedMemory(load_rig(rig_file), memory_of(supervisor)).board
     hurry(WITNESS)
     end.send(True)
     beat, beat_s, longest_s = board[Word.BEAT], time.monotonic(), 0.0

@@ -18,7 +18,7 @@ from typing import Any
 
 from ..host.access_control import Access, peer_of
 from ..ipc.json_lines import Closed, Lines, TooLong
-from .unix_listener import WAITING_CLIENTS, Door, ServerError
+from .unix_listener import WAITING_CLIENTS, ServerError, UnixListener
 
 __all__ = ["Handler", "Reply", "Server", "ServerError"]
 
@@ -95,7 +95,7 @@ class Server:
     ) -> None:
         self._path, self._handlers, self.access, self._log = path, dict(handlers), access, log
         self._on_long = on_long
-        self._listener = Door(path)
+        self._listener = UnixListener(path)
         self._socket: socket.socket | None = None
         self._polled_s, self._reported_missing = 0.0, False
         self._selector = selectors.DefaultSelector()

@@ -22,7 +22,7 @@ class ServerError(Exception):
     """Report that the control socket cannot be opened."""
 
 
-class Door:
+class UnixListener:
     """Open and close a listening socket at `path`; never remove the socket of another daemon."""
 
     def __init__(self, path: Path) -> None:

@@ -72,14 +72,14 @@ class Pushes:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CoilCheckResult:
     """Result of a coil check: an error text, empty if none, and the coils that were not checked."""
 
     error: str = ""
     unjudged: tuple[int, ...] = ()
 
 
-def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Verdict:
+def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> CoilCheckResult:
     """Find coils that do not move the platform as the other coils do.
 
     `rows` are the cycle records of the check; they may start before it. Late cycles lengthen a
@@ -93,7 +93,7 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Ve
     """
     pushed = np.flatnonzero(rows["coil_excitation_n"].any(axis=1))
     if not len(pushed) or len(rows) - pushed[0] < pushes.coils * pushes.turn - pushes.pause:
-        return Verdict(unjudged=tuple(range(pushes.coils)))
+        return CoilCheckResult(unjudged=tuple(range(pushes.coils)))
     rows = rows[pushed[0] :]
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     S_sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
@@ -123,14 +123,14 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Ve
     chosen = islice(combinations(coils, 3), 0, None, every)
     triples = [np.array(t) for t in chosen if np.linalg.cond(S[list(t)]) < _COLLINEAR_CONDITION]
     if not triples:
-        return Verdict(unjudged=tuple(range(pushes.coils)))
+        return CoilCheckResult(unjudged=tuple(range(pushes.coils)))
     best = min(triples, key=lambda triple: float(np.median(deviation(triple)[coils])))
     deviations = deviation(np.flatnonzero(valid & (deviation(best) <= _MAX_DEVIATION)))
     errors = (
         f"coil {coil} moved the platform {100 * deviations[coil]:.0f} % off the expected motion"
         for coil in np.flatnonzero(valid & (deviations > _MAX_DEVIATION))
     )
-    return Verdict(", ".join(errors), tuple(np.flatnonzero(~valid).tolist()))
+    return CoilCheckResult(", ".join(errors), tuple(np.flatnonzero(~valid).tolist()))
 
 
 def _pose_motion(rows: NDArray[np.void], coil: int, pushes: Pushes) -> Array:

@@ -19,7 +19,7 @@ _MAX_QUEUED = 256
 _POLL_S = 0.01
 
 
-class Syncer:
+class FsyncWorker:
     """Sync the current file every half second, and each closed file, in a thread of its own.
 
     The kernel reports a disk error only once, to the process that syncs: `failures` returns it.

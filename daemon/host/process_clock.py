@@ -5,7 +5,7 @@ from __future__ import annotations
 _MAX_STEP_S = 0.1
 
 
-class Awake:
+class ProcessClock:
     """Sum the times between calls of `update`, at most 0.1 s each.
 
     A watchdog calls it much more often. If calls are further apart, this process did not run, and

@@ -26,7 +26,7 @@ may by itself make one cycle in a hundred late."""
 _STAT, _STEAL = Path("/proc/stat"), 8
 
 
-class Burdens:
+class ResourceMonitor:
     """Check resources every two seconds, log and sum what exceeds its limit; never waits."""
 
     def __init__(

@@ -62,7 +62,7 @@ _TEXT_BYTES = 512
 _WORDS_BYTES = 8 * len(Word)
 
 
-class Board:
+class ControlWords:
     """Access the control words in `memory`, and the detail text of FAULT."""
 
     SIZE = _WORDS_BYTES + _TEXT_BYTES

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..control.coil_check import Pushes
 from ..control.segment import Segment
 from ..control.states import State
-from .control_words import Board, Word
+from .control_words import ControlWords, Word
 
 Array = NDArray[np.float64]
 
@@ -43,10 +43,10 @@ class Announced(NamedTuple):
     last: int
 
 
-class Program:
+class SegmentStream:
     """Access the queue of segments and the ring of rows: v, coil excitation, blend, beam, rotor."""
 
-    def __init__(self, coils: int, rows: int, memory: memoryview, board: Board) -> None:
+    def __init__(self, coils: int, rows: int, memory: memoryview, board: ControlWords) -> None:
         self.capacity, self._words = rows, board.words
         self._queue: NDArray[np.int64] = np.frombuffer(
             memory, np.int64, _QUEUE * len(Announced._fields)
@@ -121,11 +121,11 @@ class Logged:
     log: int
 
 
-class Feeder:
+class SegmentFeeder:
     """Stream one plan as far ahead as there is room; `feed` never waits."""
 
     def __init__(
-        self, program: Program, board: Board, plan: int, segments: Iterable[Logged]
+        self, program: SegmentStream, board: ControlWords, plan: int, segments: Iterable[Logged]
     ) -> None:
         self._program, self._words, self.plan = program, board.words, plan
         self.error = ""

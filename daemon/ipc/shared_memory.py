@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from ...config.rig import RigConfig
 from ...log.signals import cycle_dtype
 from ..control.control_cycle import heat_of, heated_of, memory_shape
-from .control_words import Board, Word
+from .control_words import ControlWords, Word
 from .row_ring import Ring, ring_rows
-from .segment_stream import Program
+from .segment_stream import SegmentStream
 from .timing_histograms import Timing, WakeUps
 
 _AHEAD_S = 4.0
@@ -32,7 +32,7 @@ _ORDERED_STORES = ("x86_64", "i686")
 """Architectures on which other processors observe stores in program order."""
 
 
-class Shared:
+class SharedMemory:
     """Map the shared memory of a rig's daemon; the first process creates it, others pass its `fd`.
 
     Raises SystemExit if another version of levid created the memory with a different layout.
@@ -45,9 +45,9 @@ class Shared:
         program_rows = max(int(_AHEAD_S * rig.rate_hz), _MIN_ROWS)
         control = memory_shape(coils, sensors)
         sizes = (
-            Board.SIZE,
+            ControlWords.SIZE,
             Ring.size(self.dtype, rows),
-            Program.size(coils, program_rows),
+            SegmentStream.size(coils, program_rows),
             Timing.SIZE,
             8 * int(np.prod(control)),
             WakeUps.SIZE,
@@ -64,9 +64,9 @@ class Shared:
             )
         self.fd = fd
         memory = memoryview(mmap.mmap(fd, ends[-1]))
-        self.board = Board(memory[: ends[0]])
+        self.board = ControlWords(memory[: ends[0]])
         self.ring = Ring(self.dtype, rows, memory[ends[0] : ends[1]])
-        self.program = Program(coils, program_rows, memory[ends[1] : ends[2]], self.board)
+        self.program = SegmentStream(coils, program_rows, memory[ends[1] : ends[2]], self.board)
         self.timing = Timing(memory[ends[2] : ends[3]])
         words: NDArray[np.float64] = np.frombuffer(
             memory, np.float64, control[0] * control[1], ends[3]

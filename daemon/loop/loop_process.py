@@ -25,8 +25,8 @@ from ..host.real_time_scheduling import (
     set_process_name,
     signal_at_parent_death,
 )
-from ..ipc.control_words import Board, Word
-from ..ipc.shared_memory import Shared, memory_order_warnings
+from ..ipc.control_words import ControlWords, Word
+from ..ipc.shared_memory import SharedMemory, memory_order_warnings
 from ..service.journal import Journal, moment
 from .clock import RealClock
 from .real_time_loop import TimedLoop
@@ -51,7 +51,7 @@ def main(fd: str, parent: str, folder: str) -> None:
     signal_at_parent_death(int(parent), signal.SIGTERM)
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
     allow_cpus(rig.realtime.cpus)
-    shared = Shared(rig, int(fd))
+    shared = SharedMemory(rig, int(fd))
     board = shared.board
     board[Word.BUSY] = 1
     board[Word.LOOPS] += 1
@@ -103,7 +103,7 @@ def _fly(
     rig: RigConfig,
     controller: Controller,
     devices: Devices,
-    shared: Shared,
+    shared: SharedMemory,
     parent: int,
     journal: Journal,
 ) -> None:
@@ -137,7 +137,7 @@ def _fly(
         loop.run()
 
 
-def _cycle_now(board: Board, rate_hz: float) -> int:
+def _cycle_now(board: ControlWords, rate_hz: float) -> int:
     """Return the number of the current period; a restarted loop continues the count."""
     if not board[Word.EPOCH_NS]:
         return -1
@@ -148,7 +148,7 @@ def _cycle_now(board: Board, rate_hz: float) -> int:
 def _opened(
     rig: RigConfig,
     folder: Path,
-    board: Board,
+    board: ControlWords,
     ready: Callable[[Devices], None],
     log: Callable[[str], None],
 ) -> Devices | None:

@@ -20,10 +20,10 @@ from ..control.faults import Fault
 from ..control.lateness import Lateness
 from ..control.states import State
 from ..ipc.control_words import Word
-from ..ipc.shared_memory import Shared
+from ..ipc.shared_memory import SharedMemory
 from ..ipc.timing_histograms import account, count_wake_up, memory_of
 from .clock import Clock
-from .state_machine import AROUND_CLEAR, Course
+from .state_machine import AROUND_CLEAR, StateMachine
 
 _COUNT_EVERY = 63
 """Rows between updates of the stale and late counters, minus one; a mask."""
@@ -43,7 +43,7 @@ class TimedLoop:
         controller: Controller,
         devices: Devices,
         clock: Clock,
-        shared: Shared,
+        shared: SharedMemory,
         recover: Callable[[], None],
         parent: int,
     ) -> None:
@@ -58,7 +58,9 @@ class TimedLoop:
         # A restarted loop continues the counts.
         self._lateness.late, self._stale_before = shared.board[Word.LATE], shared.board[Word.STALE]
         self.cycle = shared.board[Word.CYCLE]
-        self.course = Course(rig, controller, shared, self._lateness, self._recover_devices, parent)
+        self.course = StateMachine(
+            rig, controller, shared, self._lateness, self._recover_devices, parent
+        )
 
     def run(self) -> None:
         """Start with a self-test; return at the requested end, coils at zero force."""

@@ -25,7 +25,7 @@ from ..control.states import State
 from ..ipc.control_words import Word
 from ..ipc.row_ring import NO_LOG
 from ..ipc.segment_stream import Announced
-from ..ipc.shared_memory import Shared
+from ..ipc.shared_memory import SharedMemory
 from .warm_up import resting_segment
 
 AROUND_CLEAR = 2
@@ -50,7 +50,7 @@ _FOREVER = 1 << 62
 )  # fmt: skip
 
 
-class Course:
+class StateMachine:
     """Select the segment row of each cycle for TimedLoop: `check_requests`, then `advance`.
 
     Without a segment it idles at zero force if control is off, otherwise it holds the platform.
@@ -62,7 +62,7 @@ class Course:
         self,
         rig: RigConfig,
         controller: Controller,
-        shared: Shared,
+        shared: SharedMemory,
         lateness: Lateness,
         recover: Callable[[], None],
         parent: int,

@@ -57,7 +57,7 @@ Report = Callable[[Event, int, Path, str], None]
 """Called with the event, the tag of the log, the file and the reason of a failure."""
 
 
-class Scribe:
+class LogRouter:
     """Write the rows of a ring as its only reader; `log_of` returns the log of a tag, or None.
 
     A disk error stops recording until `forget_errors`, but never the flight: `error` holds it, and

@@ -15,8 +15,8 @@ from typing import Any
 
 from ..control.faults import Fault
 from ..host.child_process import Child, ChildSilence, module_of
-from ..host.process_clock import Awake
-from ..ipc.control_words import Board, Word
+from ..host.process_clock import ProcessClock
+from ..ipc.control_words import ControlWords, Word
 from ..ipc.json_lines import Closed, Lines, TooLong
 from ..ipc.row_ring import HUNG_S
 from .fault_recorder import NO_ROWS
@@ -41,7 +41,7 @@ class RecorderLink:
     """
 
     def __init__(
-        self, rig_json: bytes, shared_fd: int, board: Board, faults: Path, log: Log
+        self, rig_json: bytes, shared_fd: int, board: ControlWords, faults: Path, log: Log
     ) -> None:
         self._child = Child("recorder", module_of("recording.recorder_process"), rig_json)
         self._shared_fd, self._board, self._faults, self._log = shared_fd, board, faults, log
@@ -58,7 +58,7 @@ class RecorderLink:
         self.restarts = -1
         self._pause_s, self._restart_s, self._started_s = _FIRST_PAUSE_S, 0.0, 0.0
         self._logged: dict[str, tuple[float, int]] = {}  # by topic: time, suppressed lines since
-        self._process_clock, self._beat = Awake(), 0
+        self._process_clock, self._beat = ProcessClock(), 0
         self._silence, self._running = ChildSilence(self._child), False
         self._hung = False  # killed, but the process has not ended yet
         self._ready_requested = self._ready_answered = 0

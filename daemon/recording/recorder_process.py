@@ -21,14 +21,14 @@ from ...log.errors import LogError
 from ...log.mcap_scan import scan
 from ...log.writer import BEGINNING
 from ..control.faults import Fault
-from ..host.fsync_worker import Syncer
+from ..host.fsync_worker import FsyncWorker
 from ..host.real_time_scheduling import set_process_name
 from ..ipc.control_words import Word
 from ..ipc.json_lines import Closed, Lines
 from ..ipc.row_ring import NO_LOG
-from ..ipc.shared_memory import Shared
+from ..ipc.shared_memory import SharedMemory
 from .fault_recorder import FaultLog
-from .log_router import BLOCK, Event, LogFile, Rotation, Scribe
+from .log_router import BLOCK, Event, LogFile, LogRouter, Rotation
 from .session_logs import attachments
 
 _POLL_S = 0.01
@@ -41,10 +41,12 @@ _UNKNOWN_S = 1.0
 class RecorderProcess:
     """Record until the supervisor requests the end, or supervisor and loop have both ended."""
 
-    def __init__(self, rig: RigConfig, shared: Shared, end: socket.socket, faults: Path) -> None:
+    def __init__(
+        self, rig: RigConfig, shared: SharedMemory, end: socket.socket, faults: Path
+    ) -> None:
         self._board, self._ring = shared.board, shared.ring
         self._lines = Lines(end, _MAX_BYTES, _MAX_BYTES)
-        self._syncer = Syncer()
+        self._syncer = FsyncWorker()
         self._logs: dict[int, LogFile] = {}
         self._head: Mapping[str, bytes] = {}
         self._tags: dict[Path, int] = {}  # of the current logs
@@ -58,7 +60,9 @@ class RecorderProcess:
         rotation = Rotation(
             int(rig.recording.rotate_mb * 1e6), int(rig.recording.rotate_s * rig.rate_hz)
         )
-        self._scribe = Scribe(self._ring, rig.rate_hz, self._log_of, self._on_log_event, rotation)
+        self._scribe = LogRouter(
+            self._ring, rig.rate_hz, self._log_of, self._on_log_event, rotation
+        )
         self._faults = FaultLog(
             self._ring,
             rig.rate_hz,
@@ -254,7 +258,7 @@ def main(fd: str, parent: str, end: str, faults: str) -> None:
         signal.signal(number, signal.SIG_IGN)  # the supervisor requests the end
     set_process_name("levid-recorder")
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
-    shared = Shared(rig, int(fd))
+    shared = SharedMemory(rig, int(fd))
     RecorderProcess(rig, shared, socket.socket(fileno=int(end)), Path(faults)).run(int(parent))
 
 

@@ -6,7 +6,7 @@ import threading
 import time
 
 from ..ipc.row_ring import Ring
-from .log_router import BLOCK, LogFile, Scribe
+from .log_router import BLOCK, LogFile, LogRouter
 
 _POLL_S = 0.01
 
@@ -21,7 +21,7 @@ class Recorder:
     def __init__(self, ring: Ring, rate_hz: float) -> None:
         self._ring = ring
         self._logs: dict[int, LogFile] = {}
-        self._scribe = Scribe(ring, rate_hz, self._logs.get)
+        self._scribe = LogRouter(ring, rate_hz, self._logs.get)
         self._finish = threading.Event()
         self._finished = threading.Event()
         self._stop = threading.Event()

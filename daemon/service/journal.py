@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 
 from ..control.faults import Fault
-from ..ipc.control_words import Board
+from ..ipc.control_words import ControlWords
 
 _SOCKET = "/run/systemd/journal/socket"
 _ERROR, _WARNING, _INFO = 3, 4, 6
@@ -70,7 +70,7 @@ class Journal:
                     data = data[os.write(_STDERR, data) :]
 
 
-def moment(rig: str, board: Board) -> dict[str, str]:
+def moment(rig: str, board: ControlWords) -> dict[str, str]:
     """Return the fields of every entry; empty values are left out of the entry."""
     fault = board.fault
     return {

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from ...config.rig import RigConfig
 from ..api.control_server import Reply
-from ..control.coil_check import Verdict, coil_check
+from ..control.coil_check import CoilCheckResult, coil_check
 from ..control.faults import Fault, FlightFault
 from ..control.segment import Segment
 from ..control.states import IN_FLIGHT, State
-from ..ipc.control_words import Board, Word
+from ..ipc.control_words import ControlWords, Word
 from ..ipc.row_ring import NO_LOG
-from ..ipc.segment_stream import Feeder, Logged
-from ..ipc.shared_memory import Shared
+from ..ipc.segment_stream import Logged, SegmentFeeder
+from ..ipc.shared_memory import SharedMemory
 from ..planning.plan import Plan, PlannedStep
 from ..planning.planner import RefusedError
 from ..recording.log_router import LogFile
@@ -62,7 +62,7 @@ class Job:
     ended_s: float | None = None
     end: int = 0
     flown: tuple[int, int] = (0, 0)
-    verdict: Verdict = field(default_factory=Verdict)
+    verdict: CoilCheckResult = field(default_factory=CoilCheckResult)
     error: Exception | None = None
 
     def step_of(self, tag: int) -> str:
@@ -72,7 +72,7 @@ class Job:
         return self.plan.steps[0].name if len(self.plan.steps) == 1 else ""
 
 
-class Pilot:
+class JobRunner:
     """Run jobs in the supervisor's thread; `tick` never waits.
 
     `clients_gone` counts clients that disconnected during their flight.
@@ -81,14 +81,14 @@ class Pilot:
     def __init__(
         self,
         rig: RigConfig,
-        shared: Shared,
+        shared: SharedMemory,
         recorder: RecorderLink,
         log: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._rig, self._recorder, self._log = rig, recorder, log
         self._shared = shared
         self._board, self._ring, self._program = shared.board, shared.ring, shared.program
-        self._feeder: Feeder | None = None
+        self._feeder: SegmentFeeder | None = None
         self._plans = 0
         self._flight_log = NO_LOG
         self.job: Job | None = None
@@ -135,7 +135,7 @@ class Pilot:
         board[Word.LAND_LOG] = tag
         if job.landing is not None:
             board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
-        self._feeder = Feeder(self._program, board, job.number, self._logged(job, before))
+        self._feeder = SegmentFeeder(self._program, board, job.number, self._logged(job, before))
         if self._feeder.error:
             raise RefusedError(f"the plan cannot be flown: {self._feeder.error}")
         self.job = job
@@ -242,7 +242,7 @@ class Pilot:
         flown = self._board[Word.CYCLE] - job.start_cycle
         return min(max(flown / max(job.plan.cycles, 1), 0.0), 1.0)
 
-    def _check_coils(self, job: Job, feeder: Feeder) -> None:
+    def _check_coils(self, job: Job, feeder: SegmentFeeder) -> None:
         """Evaluate a coil check once it is flown, while the platform settles.
 
         The check may be the end of its plan, and may have ended long before this call.
@@ -313,7 +313,7 @@ class Pilot:
         )
 
 
-def in_fault(board: Board) -> str:
+def in_fault(board: ControlWords) -> str:
     """Return the reason to refuse a flight while in a fault."""
     detail = f" ({board.detail})" if board.detail else ""
     return f"in fault {board.fault.name}{detail}: clear it first"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ..api.control_server import Reply
 from ..control.faults import Fault
 from ..control.states import State
-from ..ipc.control_words import Board, Word
+from ..ipc.control_words import ControlWords, Word
 
 OPENING_S = 120.0
 """Time limit for opening devices, comparing limits and homing."""
@@ -22,10 +22,10 @@ class _Clearing:
     deadline_s: float
 
 
-class Clearings:
+class PendingClears:
     """Answer requests to clear once the loop has tried, or at a time limit."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: ControlWords) -> None:
         self._board = board
         self._waiting: list[_Clearing] = []
 

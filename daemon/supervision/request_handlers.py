@@ -124,10 +124,10 @@ class Requests:
         supervisor.post(lambda: supervisor.clear(reply, stops))
 
     def _land(self, _: Request, reply: Reply) -> None:
-        pilot = self._supervisor.pilot
+        job_runner = self._supervisor.job_runner
         # Also cancels a flight that is being planned; without a flight it has no effect.
         self._supervisor.board.land()
-        reply.done(landing=pilot.job is not None or pilot.airborne)
+        reply.done(landing=job_runner.job is not None or job_runner.airborne)
 
     def _watch(self, request: Request, reply: Reply) -> None:
         every_s = request.get("every_s", 0.5)
@@ -174,7 +174,7 @@ class Requests:
         supervisor, board = self._supervisor, self._supervisor.board
         yield from self._idle()
         situation = Situation(
-            board.state, *supervisor.manipulator, supervisor.pilot.coils_are_known
+            board.state, *supervisor.manipulator, supervisor.job_runner.coils_are_known
         )
         planned = yield from self._work(Work.PLAN, turn.line, situation, _PLANNING_S)
         assert isinstance(planned, PlannedRequest)
@@ -185,7 +185,7 @@ class Requests:
             yield from self._work(Work.FOLDER, planned.out.encode(), situation, _FOLDER_S)
             files = self._files(planned)
             yield from self._recorder_ready()
-        supervisor.pilot.begin(self._job(turn, planned, files))
+        supervisor.job_runner.begin(self._job(turn, planned, files))
         if turn.received != self._moment:  # a request came after the last check
             board.land()
 

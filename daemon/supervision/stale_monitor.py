@@ -13,7 +13,7 @@ _REPEAT_S = 60.0
 """Shortest time between two lines about missing readings."""
 
 
-class Silence:
+class StaleMonitor:
     """Compare the counters of cycles and stale cycles; log the start and end of missing readings.
 
     In flight, missing readings are a fault, which has its own message.

@@ -22,10 +22,10 @@ from ..control.states import IN_FLIGHT, State
 from ..host.access_control import Access
 from ..host.child_process import Child, module_of
 from ..host.clock_steps import ClockWatch
-from ..host.process_clock import Awake
-from ..host.resource_monitor import Burdens
+from ..host.process_clock import ProcessClock
+from ..host.resource_monitor import ResourceMonitor
 from ..ipc.control_words import Word
-from ..ipc.shared_memory import Shared
+from ..ipc.shared_memory import SharedMemory
 from ..planning.planner import RELOADED
 from ..planning.planner_link import PlannerLink
 from ..recording.coil_heat import HeatFile, state_folder
@@ -34,11 +34,11 @@ from ..recording.recorder_link import RecorderLink
 from ..recording.session_logs import attachments
 from ..service.journal import moment
 from ..service.systemd_notify import Notify
-from .job_runner import Pilot
-from .pending_clears import OPENING_S, Clearings
+from .job_runner import JobRunner
+from .pending_clears import OPENING_S, PendingClears
 from .request_handlers import Requests
 from .rig_reload import RigReader
-from .stale_monitor import Silence
+from .stale_monitor import StaleMonitor
 
 _TICK_S = 0.01
 _STOP_S = 0.25
@@ -73,7 +73,7 @@ class Supervisor:
         check_backends(Context(rig, 1.0 / rig.rate_hz, folder))
         feed_forward(rig, 1.0 / rig.rate_hz)
         self._log = log
-        self._shared = Shared(rig)
+        self._shared = SharedMemory(rig)
         self.board = self._shared.board
         rig_json = rig.model_dump_json().encode()
         self._folder = folder
@@ -82,7 +82,7 @@ class Supervisor:
             rig_json, self._shared.fd, self.board, fault_folder(rig, folder), log
         )
         self.planner = PlannerLink(rig_json, len(rig.geometry.coil_x_m), log)
-        self.pilot = Pilot(rig, self._shared, self.recorder, log)
+        self.job_runner = JobRunner(rig, self._shared, self.recorder, log)
         self._requests = Requests(self)
         self._server = Server(
             socket_path,
@@ -92,7 +92,7 @@ class Supervisor:
             self._requests.on_long,
         )
         self._actions: deque[Callable[[], None]] = deque()
-        self._clearings = Clearings(self.board)
+        self._clearings = PendingClears(self.board)
         # Set by signal handlers, which must not take a lock.
         self._stopping = self._reload = False
         self._failed = ""  # error that ends the daemon
@@ -101,12 +101,12 @@ class Supervisor:
             lambda new, access: self.post(lambda: self._apply_rig(new, access)),
             lambda error: self.log_soon(f"RIG.yaml is not reloaded: {error}"),
         )
-        self._process_clock = Awake()
+        self._process_clock = ProcessClock()
         self._loop_beat, self._loop_beat_s, self._busy_s = -1, 0.0, 0.0
         self._stop_s: float | None = None
         self._logged_fault = Fault.NONE
         self._clock = ClockWatch()
-        self._resources, self._stale_monitor = Burdens(log), Silence(log)
+        self._resources, self._stale_monitor = ResourceMonitor(log), StaleMonitor(log)
         self._notify = Notify()
         shared = self._shared
         self._heat = HeatFile(rig, state_folder(), shared.heat, shared.heated, self.log_soon)
@@ -195,7 +195,7 @@ class Supervisor:
         if fault is Fault.NONE and not board[Word.ZERO]:
             reply.done(cleared=Fault.NONE.name)
             return
-        self.pilot.note_fault()  # before it is cleared
+        self.job_runner.note_fault()  # before it is cleared
         self._stop_s = None
         if not self._loop.running:
             board[Word.CLEAR_STOPS] = stops
@@ -214,8 +214,8 @@ class Supervisor:
 
     def status(self) -> dict[str, Any]:
         """Return the status of the daemon, with the keys listed in docs/daemon.md."""
-        board, pilot = self.board, self.pilot
-        job = pilot.job  # a local reference: the job may end meanwhile
+        board, job_runner = self.board, self.job_runner
+        job = job_runner.job  # a local reference: the job may end meanwhile
         rows = self._shared.ring.last(1).rows
         pose = {
             name: _number(rows[name][0]) if len(rows) else None
@@ -233,12 +233,12 @@ class Supervisor:
             "detail": board.detail,
             "fault_log": self.recorder.last_fault_log,
             "session": job.plan.name if job else None,
-            "step": pilot.step_of(job) if job else None,
-            "share": pilot.share_of(job) if job else None,
+            "step": job_runner.step_of(job) if job else None,
+            "share": job_runner.share_of(job) if job else None,
             "clock_stepped_s": round(self._clock.stepped_s, 1),
             "recording": self.recorder.problem,
             "recorder_restarts": max(self.recorder.restarts, 0),
-            "clients_gone": pilot.clients_gone,
+            "clients_gone": job_runner.clients_gone,
             "flooded_s": round(self._resources.flooded_s, 1),
             "memory_stalled_s": round(self._resources.memory_stalled_s, 1),
             "stolen_s": round(self._resources.stolen_s, 2),
@@ -257,7 +257,7 @@ class Supervisor:
 
     def journal_fields(self) -> dict[str, str]:
         """Return the present journal fields; empty values are left out of the entry."""
-        job = self.pilot.job
+        job = self.job_runner.job
         session = job.plan.name if job is not None else ""
         return {**moment(self.rig.name, self.board), "LEVID_SESSION": session}
 
@@ -273,7 +273,7 @@ class Supervisor:
         self._watch_loop()
         self.recorder.watch()
         self.planner.watch()
-        self.pilot.tick()
+        self.job_runner.tick()
         self._clearings.answer()
         self._log_fault()
         if step_s := self._clock.poll():
@@ -350,7 +350,7 @@ class Supervisor:
         board[Word.FAULT_CYCLE], board[Word.FAULT_PLAN] = board[Word.CYCLE], board[Word.PLAN]
         board[Word.BUSY] = 0
         board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
-        self.pilot.abort(Fault.LOOP, reason)
+        self.job_runner.abort(Fault.LOOP, reason)
         self.recorder.fault(Fault.LOOP)
 
     def _log_fault(self) -> None:
@@ -395,11 +395,11 @@ class Supervisor:
             self._loop.kill()
         # Complete the job and answer its client.
         deadline_s = time.monotonic() + _LANDING_S
-        while self.pilot.job is not None and time.monotonic() < deadline_s:
+        while self.job_runner.job is not None and time.monotonic() < deadline_s:
             board[Word.BEAT] += 1
             self._notify.alive()  # normally sent while the loop advances
             self.recorder.watch()
-            self.pilot.tick()
+            self.job_runner.tick()
             time.sleep(_TICK_S)
 
 

@@ -19,7 +19,7 @@ from ...wire.frame_rejection import Rejected
 from ...wire.int16_scaling import LARGEST
 from ..amplifier_enabling import AmplifierWatch, compare_limits, refusal, worst_state
 from ..base import Array, CoilAmplifiers, LinkError, PositionSensors
-from ..force_quantiser import CarriedRounding
+from ..force_quantiser import ForceQuantiser
 from ..reading_checks import SensorWatch
 from .bus_link import CanLink
 from .readings import Readings
@@ -48,7 +48,7 @@ class CanAmplifiers(CoilAmplifiers):
         self.cycle = 0
         self._set = 0
         self._link, self._setpoint, self._deadline = link, frames.setpoint, deadline
-        self._in_steps = CarriedRounding(frames.setpoint.unit, len(rig.geometry.coil_x_m))
+        self._in_steps = ForceQuantiser(frames.setpoint.unit, len(rig.geometry.coil_x_m))
         self._limits = expected_parameters(rig, expire_cycles)
         self._requests = Requests(link, frames.request, frames.answer)
         self._watch = AmplifierWatch(

@@ -10,7 +10,7 @@ from ...config.buses import CanBus
 from ...wire.can.can_bus import Ages, FrameBus, open_bus
 from ...wire.can.kernel_frame import BusOffError
 from ..base import DriverError, LinkError
-from ..bus_lock import Claim
+from ..bus_lock import BusLock
 
 _MOST_FRAMES = 1000
 """Most frames that `drain` handles, more than a cycle brings; the only bound without timestamps."""
@@ -32,7 +32,7 @@ class CanLink:
         """Time of the last received frame (perf_counter), by the timestamp of hardware or kernel if
         the interface has one: without the delays of this process."""
         # A virtual bus is inside this process.
-        self._claim = None if bus.interface == "virtual" else Claim(bus.place)
+        self._claim = None if bus.interface == "virtual" else BusLock(bus.place)
 
     def open(self) -> None:
         """Open the bus, again if it is open; raises LinkError, also if another loop uses it."""

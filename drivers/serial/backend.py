@@ -35,7 +35,7 @@ from ..base import (
     PositionSensors,
 )
 from ..bus_backend import AnswerTime, BusBackend
-from ..force_quantiser import CarriedRounding
+from ..force_quantiser import ForceQuantiser
 from ..reading_checks import SensorWatch, check_skew
 from .transaction import TransactionPort
 
@@ -127,7 +127,7 @@ class SerialBackend(BusBackend):
 class _Amplifiers(CoilAmplifiers):
     def __init__(self, port: TransactionPort, rig: RigConfig, expire_cycles: int) -> None:
         self.port, self.open = port, False
-        self._in_steps = CarriedRounding(FORCE_N, len(rig.geometry.coil_x_m))
+        self._in_steps = ForceQuantiser(FORCE_N, len(rig.geometry.coil_x_m))
         self._limits = expected_parameters(rig, expire_cycles)
         self._watch = AmplifierWatch(
             f"amplifiers on {port.what}", self._limits, port.ask, port.stale_cycles

@@ -11,7 +11,7 @@ from typing import Any
 
 from ...config.buses import SerialBus
 from ..base import LinkError
-from ..bus_lock import Claim
+from ..bus_lock import BusLock
 
 _CHUNK = 4096
 _WRITE_S = 0.1
@@ -32,7 +32,7 @@ class SerialLine:
         self._waiting = [-1]
         # The kernel locks local ports; loop:// is inside this process.
         shared = "://" in bus.port and not bus.port.startswith("loop:")
-        self._claim = Claim(f"serial {bus.place}") if shared else None
+        self._claim = BusLock(f"serial {bus.place}") if shared else None
 
     def open(self) -> None:
         """Open the port, again if it is open; raises LinkError, also if another loop uses it."""

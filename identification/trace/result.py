@@ -15,7 +15,7 @@ from ...model.effects.base import Effect, Placed, Places
 from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
 from .residual.error_metric import RecordError, pooled, pooled_pose, shares
-from .residual.random_vibration import Shaking
+from .residual.random_vibration import RandomVibration
 from .search.candidate_screening import Round, Tried
 from .study import Trace
 
@@ -70,7 +70,7 @@ class Evidence:
 class RandomForce:
     """A random force on a DOF, which a model cannot predict."""
 
-    shaking: Shaking
+    shaking: RandomVibration
     dof: str
     unit: str
 

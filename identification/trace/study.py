@@ -31,7 +31,7 @@ from .records.read_records import read_records
 from .records.session_time import overlap, require_timeless, timeless
 from .records.trace_record import SHORTEST_S, TraceRecord, split
 from .residual.error_metric import RecordError, pooled, record_error
-from .residual.random_vibration import Shaking, force_spectrum, shaking
+from .residual.random_vibration import RandomVibration, force_spectrum, shaking
 from .search.candidate_screening import HeldError
 from .search.free_form_readings import shown_beyond
 from .search.gauss_newton import NEARLY, Candidate, refine
@@ -68,7 +68,7 @@ class Trace:
     before: tuple[RecordError, ...]
     after: tuple[RecordError, ...]
     notes: tuple[str, ...]
-    shaken: tuple[Shaking, ...] = ()
+    shaken: tuple[RandomVibration, ...] = ()
     records: tuple[RecordSource, ...] = ()
     """All complete records, fitted and held out."""
 
@@ -145,7 +145,7 @@ def _trace(
     before = workers.map(partial(record_error, declared), logged.kept)
     after = workers.map(partial(record_error, found.point), logged.kept)
     error, floor = pooled(after)
-    shaken: tuple[Shaking, ...] = ()
+    shaken: tuple[RandomVibration, ...] = ()
     if not error <= _UNEXPLAINED * floor:
         shaken = _shaken(found, logged, workers)
         fewer = without_followers(found, logged) if shaken else found
@@ -159,7 +159,7 @@ def _trace(
     )  # fmt: skip
 
 
-def _shaken(found: Found, logged: _Logged, workers: Workers) -> tuple[Shaking, ...]:
+def _shaken(found: Found, logged: _Logged, workers: Workers) -> tuple[RandomVibration, ...]:
     spectra = partial(force_spectrum, found.point)
     return shaking(workers.map(spectra, logged.fitted), workers.map(spectra, logged.kept))
 

@@ -14,7 +14,7 @@ from levid.benchmarks.harness.ratio_of_shares import Round, ratio_95
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.ipc.row_ring import NO_LOG
-from levid.daemon.ipc.shared_memory import Shared
+from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.log.writer import LogWriter
 
 CYCLICTEST = """# /dev/cpu_dma_latency set to 0us
@@ -74,7 +74,7 @@ def test_logged_rows_are_compared_with_flown_rows(tmp_path: Path) -> None:
 
 def test_rows_of_this_flight_are_read_from_the_ring(monkeypatch) -> None:
     rig_file = shipped("rigs/loopback.yaml")
-    shared = Shared(load_rig(rig_file))
+    shared = SharedMemory(load_rig(rig_file))
     monkeypatch.setattr(flown_rows, "memory_of", lambda _: shared.fd)
     monkeypatch.setattr(flown_rows.Shared, "close", lambda _: None)
     ring = shared.ring

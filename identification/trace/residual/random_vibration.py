@@ -37,7 +37,7 @@ _LEAKAGE = 1.5
 
 
 @dataclass(frozen=True)
-class Shaking:
+class RandomVibration:
     """A random force on one DOF: its rms with standard error, in the DOF's unit of force.
 
     band_hz: band of the middle 90 % of its power. statistic: power above noise in held-out records,
@@ -78,7 +78,9 @@ def force_spectrum(point: WorkingPoint, record: TraceRecord) -> ForceSpectrum:
     return ForceSpectrum(freq_hz, psd, noise, averages, record.still)
 
 
-def shaking(fitted: Sequence[ForceSpectrum], kept: Sequence[ForceSpectrum]) -> tuple[Shaking, ...]:
+def shaking(
+    fitted: Sequence[ForceSpectrum], kept: Sequence[ForceSpectrum]
+) -> tuple[RandomVibration, ...]:
     """Return the random force on each DOF that is in the `fitted` and in the `kept` records.
 
     Still records among the fitted ones are required. Only records with the most frequent sampling
@@ -108,7 +110,7 @@ def _of_dof(
     still: Sequence[ForceSpectrum],
     moving: Sequence[ForceSpectrum],
     kept: Sequence[ForceSpectrum],
-) -> Shaking | None:
+) -> RandomVibration | None:
     band = _band(dof, still)
     if band is None:
         return None
@@ -122,7 +124,9 @@ def _of_dof(
     everything = [*still, *moving, *kept]
     rms = float(np.sqrt(_power(dof, band, everything)))
     se = 0.5 * _power_error(dof, band, everything) / rms
-    return Shaking(dof, _middle(dof, band, everything), rms, se, _statistic(dof, band, test))
+    return RandomVibration(
+        dof, _middle(dof, band, everything), rms, se, _statistic(dof, band, test)
+    )
 
 
 def _band(dof: int, spectra: Sequence[ForceSpectrum]) -> NDArray[np.bool_] | None:

@@ -14,7 +14,7 @@ import pytest
 from levid.config.service import Service
 from levid.daemon.api import unix_listener
 from levid.daemon.api.control_server import Server, ServerError
-from levid.daemon.api.unix_listener import Door
+from levid.daemon.api.unix_listener import UnixListener
 from levid.daemon.client import Client
 from levid.daemon.host.access_control import Access
 
@@ -99,7 +99,7 @@ def test_of_two_daemons_that_start_at_once_one_is_refused(
 
     def start() -> None:
         try:
-            ends.append(Door(path).open(0o600))
+            ends.append(UnixListener(path).open(0o600))
         except ServerError as error:
             ends.append(error)
 

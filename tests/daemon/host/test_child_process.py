@@ -18,7 +18,7 @@ from levid.config.shipped import shipped
 from levid.daemon.host.child_process import Child, ChildSilence
 from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.row_ring import HUNG_S
-from levid.daemon.ipc.shared_memory import Shared
+from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.daemon.recording import recorder_link as link_module
 from levid.daemon.recording.recorder_link import RecorderLink
 
@@ -77,7 +77,7 @@ def test_recorder_on_a_starved_machine_is_not_killed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, begun: bool
 ) -> None:
     now_s, killed, said = 0.0, [], []
-    shared = Shared(load_rig(shipped("rigs/loopback.yaml")))
+    shared = SharedMemory(load_rig(shipped("rigs/loopback.yaml")))
     monkeypatch.setattr(link_module.time, "monotonic", lambda: now_s)
     link = RecorderLink(b"", shared.fd, shared.board, tmp_path, said.append)
     child: Any = SimpleNamespace(

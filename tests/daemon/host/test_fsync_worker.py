@@ -18,10 +18,10 @@ from levid.config.service import Recording
 from levid.config.shipped import shipped
 from levid.daemon.control.faults import Fault
 from levid.daemon.host.child_process import ChildSilence
-from levid.daemon.host.fsync_worker import Syncer
+from levid.daemon.host.fsync_worker import FsyncWorker
 from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.row_ring import Ring
-from levid.daemon.ipc.shared_memory import Shared
+from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.daemon.recording.fault_recorder import NO_ROWS, FaultLog
 from levid.daemon.recording.log_router import Event, LogFile
 from levid.daemon.recording.recorder_link import RecorderLink
@@ -42,7 +42,7 @@ def test_a_whole_file_and_its_name_are_brought_to_the_disk(
         synced.append((path, path.stat().st_size if path.is_file() else 0))
 
     monkeypatch.setattr(os, "fsync", fsync)
-    syncer, path = Syncer(), tmp_path / "01-z.mcap"
+    syncer, path = FsyncWorker(), tmp_path / "01-z.mcap"
     path.write_bytes(b"x" * 1000)
     syncer.sync_closed(path)
     syncer.finish(30.0)
@@ -58,7 +58,7 @@ def test_a_disk_that_refuses_is_heard_of_once(
 
     monkeypatch.setattr(os, "fdatasync", refuse)
     monkeypatch.setattr("levid.daemon.host.fsync_worker._INTERVAL_S", 0.0)
-    syncer, rows = Syncer(), np.zeros(20_000, DTYPE)
+    syncer, rows = FsyncWorker(), np.zeros(20_000, DTYPE)
     with LogWriter(
         tmp_path / "01-z.mcap", DTYPE, rate_hz=1e3, metadata={"kind": "record"}, attachments={}
     ) as writer:
@@ -371,7 +371,7 @@ def test_a_recorder_that_the_kernel_does_not_start_is_told_of_once_a_minute(
 
 
 def test_rows_that_a_hung_recorder_has_lost_count_at_once() -> None:
-    shared = Shared(load_rig(shipped("rigs/loopback.yaml")))
+    shared = SharedMemory(load_rig(shipped("rigs/loopback.yaml")))
     ring = shared.ring
     shared.board[Word.DROPPED] = 5
     for waiting, lost in ((0, 0), (ring.capacity - 1, 0), (ring.capacity + 9, 10)):

@@ -13,7 +13,7 @@ from levid.config.service import Service
 from levid.daemon.api.control_server import Server
 from levid.daemon.host import resource_monitor
 from levid.daemon.host.access_control import Access
-from levid.daemon.host.resource_monitor import Burdens
+from levid.daemon.host.resource_monitor import ResourceMonitor
 
 
 class World:
@@ -23,7 +23,7 @@ class World:
         self.file, self.stat, self.said = folder / "memory", folder / "stat", []
         self.now_s, self.asked, self.waited_s, self.lost = 100.0, 7, 3.0, 0
         self.stolen = 1234
-        self.burdens = Burdens(self.said.append, self.file, self.stat)
+        self.burdens = ResourceMonitor(self.said.append, self.file, self.stat)
         self.passes(0.0)
 
     def passes(
@@ -102,7 +102,7 @@ def test_steal_time_that_is_unreadable_or_steps_back_is_ignored(world: World) ->
 
 def test_steal_time_that_is_readable_only_later_is_ignored(tmp_path: Path) -> None:
     said: list[str] = []
-    resource_monitor, stat = Burdens(said.append, stat=tmp_path / "stat"), tmp_path / "stat"
+    resource_monitor, stat = ResourceMonitor(said.append, stat=tmp_path / "stat"), tmp_path / "stat"
     resource_monitor.poll(0.0, 0, 0)
     stat.write_text("cpu  1 1 1 1 1 1 1 123400 0 0\ncpu0 1 1 1 1 1 1 1 123400 0 0\n")
     resource_monitor.poll(2.0, 0, 0)
@@ -139,7 +139,7 @@ def test_process_that_is_moved_is_followed(tmp_path: Path, monkeypatch: pytest.M
 
     wait(groups[0], 50.0)
     wait(groups[1], 900.0)
-    found = Burdens(said.append, stat=tmp_path / "none")
+    found = ResourceMonitor(said.append, stat=tmp_path / "none")
     found.poll(0.0, 0, 0)
     at = groups[1]
     found.poll(2.0, 0, 0)
@@ -150,7 +150,7 @@ def test_process_that_is_moved_is_followed(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_kernel_that_does_not_say_is_no_error(tmp_path: Path) -> None:
-    found = Burdens(pytest.fail, tmp_path / "none", tmp_path / "none")
+    found = ResourceMonitor(pytest.fail, tmp_path / "none", tmp_path / "none")
     for now_s in (0.0, 2.0, 4.0):
         found.poll(now_s, 0, 0)
     assert found.memory_stalled_s == 0.0

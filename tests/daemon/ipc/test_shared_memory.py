@@ -12,9 +12,9 @@ from levid.daemon.control.faults import FAULTS, Fault
 from levid.daemon.control.landing import Landing
 from levid.daemon.control.segment import idle_segment
 from levid.daemon.control.states import TRANSITIONS, State
-from levid.daemon.ipc.control_words import Board, Word
+from levid.daemon.ipc.control_words import ControlWords, Word
 from levid.daemon.ipc.row_ring import Ring
-from levid.daemon.ipc.segment_stream import Feeder, Logged, Program
+from levid.daemon.ipc.segment_stream import Logged, SegmentFeeder, SegmentStream
 from levid.daemon.planning import point_to_point
 
 DTYPE = np.dtype([("cycle", "<u8"), ("payload", "<f4", 3)])
@@ -88,16 +88,18 @@ def test_last_rows_are_there_whether_taken_or_not() -> None:
 
 
 def test_feeder_streams_a_plan_longer_than_the_memory() -> None:
-    board = Board(memoryview(bytearray(Board.SIZE)))
+    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
     capacity, coils = 64, 9
-    program = Program(coils, capacity, memoryview(bytearray(Program.size(coils, capacity))), board)
+    program = SegmentStream(
+        coils, capacity, memoryview(bytearray(SegmentStream.size(coils, capacity))), board
+    )
     rng = np.random.default_rng(1)
     segments = []
     for cycles in (5, 300, 1, 100):
         v = rng.normal(size=(cycles, 3)) if cycles > 1 else np.ones((1, 3))
         segment = replace(idle_segment(cycles, coils, np.zeros(3), np.zeros(3)), v=v)
         segments.append(Logged(segment, cycles))
-    feeder = Feeder(program, board, 1, segments)
+    feeder = SegmentFeeder(program, board, 1, segments)
     flown = []
     while board[Word.QUEUE_TAIL] < len(segments):
         feeder.feed()
@@ -139,14 +141,14 @@ def test_landing_by_hand_is_the_planned_one(speed: float) -> None:
 
 
 def test_stop_is_there_at_once_and_twice_is_once() -> None:
-    board = Board(memoryview(bytearray(Board.SIZE)))
+    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
     board.stop(Fault.STOPPED)
     board.stop(Fault.LOOP)
     assert board[Word.ZERO] == Fault.STOPPED
 
 
 def test_a_stop_that_comes_after_a_clear_is_not_taken_back_by_it() -> None:
-    board = Board(memoryview(bytearray(Board.SIZE)))
+    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
     board.stop()
     asked = board[Word.STOPS]
     board.stop()  # before the clear is acted upon
@@ -159,7 +161,7 @@ def test_a_stop_that_comes_after_a_clear_is_not_taken_back_by_it() -> None:
 
 
 def test_detail_of_any_length_comes_back() -> None:
-    board = Board(memoryview(bytearray(Board.SIZE)))
+    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
     for text in ("", "short", "ü" * 1000):
         board.detail = text
         assert text.startswith(board.detail.rstrip("\ufffd"))

@@ -20,8 +20,8 @@ from levid.config.shipped import shipped
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
 from levid.daemon.ipc import shared_memory as shared_module
-from levid.daemon.ipc.control_words import Board, Word
-from levid.daemon.ipc.shared_memory import Shared
+from levid.daemon.ipc.control_words import ControlWords, Word
+from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.daemon.loop import loop_process
 from levid.drivers.base import LinkError
 
@@ -31,7 +31,7 @@ RIG_FILE = shipped("rigs/loopback.yaml")
 def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_test(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    board, devices = Board(memoryview(bytearray(Board.SIZE))), object()
+    board, devices = ControlWords(memoryview(bytearray(ControlWords.SIZE))), object()
     answers: list[Any] = [LinkError("no cable"), devices]
 
     def open_devices(_: object) -> Any:
@@ -91,11 +91,11 @@ loop_process.main(*arguments)
 
 def test_process_of_another_levid_touches_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = load_rig(RIG_FILE)
-    shared = Shared(rig)
-    assert Shared(rig, shared.fd).board[Word.LOOPS] == 0
+    shared = SharedMemory(rig)
+    assert SharedMemory(rig, shared.fd).board[Word.LOOPS] == 0
     monkeypatch.setattr(shared_module, "Word", [*Word, SimpleNamespace(name="NEW")])
     with pytest.raises(SystemExit, match="levid was upgraded"):
-        Shared(rig, shared.fd)
+        SharedMemory(rig, shared.fd)
 
 
 @pytest.mark.parametrize(("machine", "doubts"), [("x86_64", 0), ("aarch64", 1)])
@@ -121,7 +121,7 @@ def test_loop_that_is_ended_while_a_driver_blocks_closes_its_devices(
     tmp_path: Path, slow: str, lines: list[str], code: int
 ) -> None:
     rig = calm(load_rig(RIG_FILE), tmp_path)
-    shared = Shared(rig)
+    shared = SharedMemory(rig)
     board, give_up_s = shared.board, time.monotonic() + GIVE_UP_S
     process = subprocess.Popen(
         [sys.executable, "-c", LOOP, slow, str(shared.fd), str(os.getpid()), str(RIG_FILE.parent)],
@@ -157,7 +157,7 @@ def test_loop_that_is_ended_while_a_driver_blocks_closes_its_devices(
 def test_coils_cool_down_while_devices_are_opened_for_the_first_time(tmp_path: Path) -> None:
     """There are no cycles yet to count that by, and it may have failed for hours."""
     rig = calm(load_rig(RIG_FILE), tmp_path)
-    shared = Shared(rig)
+    shared = SharedMemory(rig)
     board, give_up_s = shared.board, time.monotonic() + GIVE_UP_S
     shared.heat[:] = 50.0
     board[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns() - 60_000_000_000

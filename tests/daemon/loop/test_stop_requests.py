@@ -42,7 +42,7 @@ def test_clear_does_not_take_back_a_stop_that_nobody_has_looked_at() -> None:
     supervisor = SimpleNamespace(
         board=flight.board, _stop_s=None, _loop=SimpleNamespace(running=True),
         _clearings=SimpleNamespace(add=lambda *_: None),
-        pilot=SimpleNamespace(note_fault=lambda: None),
+        job_runner=SimpleNamespace(note_fault=lambda: None),
     )  # fmt: skip
 
     def script(n: int) -> None:

@@ -75,7 +75,7 @@ class Bench:
         self.begun: list[Any] = []
         self.go_on, self.given_up, self.asked = True, 0, []
         self.recorder = Recorder()
-        self.pilot = SimpleNamespace(coils_are_known=True, begin=self.begun.append)
+        self.job_runner = SimpleNamespace(coils_are_known=True, begin=self.begun.append)
         self.planner = self
         self.manipulator = (0.0, 0.0)
         self.rig, self.attachments = RIG, {}

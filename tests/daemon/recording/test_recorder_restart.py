@@ -18,8 +18,8 @@ from levid.config.shipped import shipped
 from levid.daemon.control.faults import Fault
 from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.row_ring import HUNG_S, Ring
-from levid.daemon.ipc.shared_memory import Shared
-from levid.daemon.recording.log_router import BLOCK, Event, LogFile, Scribe
+from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.recording.log_router import BLOCK, Event, LogFile, LogRouter
 from levid.daemon.recording.recorder_process import RecorderProcess, without_empty_part
 from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype
@@ -83,7 +83,7 @@ def test_part_before_without_rows_goes(tmp_path: Path) -> None:
 
 def test_flight_that_was_closed_before_the_new_recorder_began_is_written(tmp_path: Path) -> None:
     rig = load_rig(shipped("rigs/loopback.yaml"))
-    shared = Shared(rig)
+    shared = SharedMemory(rig)
     ours, theirs = socket.socketpair()
     with ours, theirs:
         recorder = RecorderProcess(rig, shared, theirs, tmp_path)
@@ -113,7 +113,7 @@ class Recording:
     """A recorder in this process, and the supervisor's end of its conversation."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.shared = folder, Shared(load_rig(shipped("rigs/loopback.yaml")))
+        self.folder, self.shared = folder, SharedMemory(load_rig(shipped("rigs/loopback.yaml")))
         rig = load_rig(shipped("rigs/loopback.yaml"))
         self.rig = rig
         self.ours, self.theirs = socket.socketpair()
@@ -232,7 +232,7 @@ def test_log_that_nobody_knows_is_told_and_keeps_no_other_from_being_written(
     told: list[tuple[Event, int]] = []
     ring = Ring(cycle_dtype(1, 1), 64)
     known = LogFile(tmp_path / "2.mcap", METADATA, {})
-    scribe = Scribe(ring, 1e3, {2: known}.get, lambda event, tag, *_: told.append((event, tag)))
+    scribe = LogRouter(ring, 1e3, {2: known}.get, lambda event, tag, *_: told.append((event, tag)))
     ring.tags[:6] = [1, 1, 1, 2, 2, 2]
     ring.head = 6
     while len(scribe.work().rows):
@@ -248,7 +248,7 @@ def test_recorder_pauses_unless_a_whole_block_waits(
 ) -> None:
     # At 1 kHz the ring would not hold two blocks.
     rig = load_rig(shipped("rigs/loopback.yaml")).model_copy(update={"rate_hz": 2000.0})
-    shared = Shared(rig)
+    shared = SharedMemory(rig)
     ours, theirs = socket.socketpair()
     came, waits = [1, 1, 2 * BLOCK, 0, 1], []
     with ours, theirs:

@@ -14,7 +14,7 @@ import pytest
 
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
-from levid.daemon.ipc.control_words import Board, Word
+from levid.daemon.ipc.control_words import ControlWords, Word
 from levid.daemon.service.journal import Journal, entry, moment
 
 
@@ -74,7 +74,7 @@ def test_every_process_says_which_rig_and_in_what_state(
     journal: tuple[socket.socket, Journal],
 ) -> None:
     listening, speaking = journal
-    board = Board(memoryview(bytearray(Board.SIZE)))
+    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
     speaking.fields = lambda: moment("here", board)
     speaking.log("warning: realtime.priority 80")
     board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LINK

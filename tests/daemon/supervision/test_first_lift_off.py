@@ -41,7 +41,7 @@ def by_hand(running: Daemon, out: Path, **more: Any) -> int:
 @pytest.mark.real_time
 def test_coils_are_pushed_until_they_are_known(tmp_path: Path) -> None:
     with daemon(calm(load_rig(RIG_FILE), tmp_path), RIG_FILE, tmp_path) as running:
-        unknown = running.supervisor.pilot
+        unknown = running.supervisor.job_runner
         assert by_hand(running, tmp_path / "refused", check_coils=False) == 0
         assert not unknown.coils_are_known
         answer = running.ask("excite", session=SESSION, out=str(tmp_path / "first"))

@@ -19,7 +19,7 @@ from levid.daemon.ipc.control_words import Word
 from levid.daemon.planning.plan import plan_steps
 from levid.daemon.recording.log_router import LogFile
 from levid.daemon.supervision import job_runner as pilot_module
-from levid.daemon.supervision.job_runner import Job, Pilot
+from levid.daemon.supervision.job_runner import Job, JobRunner
 from levid.drivers.base import Devices
 from levid.log.signals import Stale
 
@@ -63,22 +63,22 @@ def test_a_flight_that_failed_is_not_well_flown_because_somebody_cleared(
     cleared_after: int | None,
 ) -> None:
     flight, told = ScriptedLoop(), []
-    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = job_of(flight, told, Step(levitate=LIFT), Step(land={}))
     board, ring = flight.board, flight.shared.ring
 
     def script(n: int) -> None:
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if n == 1200:
             flight.loop.course.fail(Fault.GAP, "0.95 mm at sensor 3")
         if cleared_after and n == 1200 + cleared_after:
-            pilot.note_fault()  # as the supervisor does before it hands a clear on
+            job_runner.note_fault()  # as the supervisor does before it hands a clear on
             board.clear()
         if n > 3000:
             ring.durable = ring.head
         if not n % 10:
-            pilot.tick()
+            job_runner.tick()
 
     flight.run(script, 3100)
     assert [each for each in told if isinstance(each, str)] == told[-1:]
@@ -88,7 +88,7 @@ def test_a_flight_that_failed_is_not_well_flown_because_somebody_cleared(
 
 def test_client_is_told_that_a_slow_disk_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     flight, told = ScriptedLoop(), []
-    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = job_of(flight, told, Step(levitate=LIFT), Step(land={"ramp_s": 0.2, "release_s": 0.1}))
     ring, clock, now_s = flight.shared.ring, flight.loop._clock, 0.0
     over = 300 + job.plan.cycles
@@ -99,11 +99,11 @@ def test_client_is_told_that_a_slow_disk_is_waited_for(monkeypatch: pytest.Monke
         now_s = 1e-3 * n
         clock.skipped = 1 if n in (over - 20, over + 500) else 0
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if n == 7000:
             ring.durable = ring.head
         if not n % 10:
-            pilot.tick()
+            job_runner.tick()
 
     flight.run(script, 7100)
     # Every half second from the end of the flight until all is on disk, some ticks of 10 ms late.
@@ -119,7 +119,7 @@ def test_a_flight_whose_rows_never_reach_the_disk_did_not_go_well(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     flight, told, recorder = ScriptedLoop(), [], Recorder()
-    pilot = Pilot(flight.rig, flight.shared, recorder)  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, recorder)  # type: ignore[arg-type]
     job = job_of(flight, told, Step(levitate=LIFT), Step(land={"ramp_s": 0.2, "release_s": 0.1}))
     now_s = 0.0
     monkeypatch.setattr(pilot_module.time, "monotonic", lambda: now_s)
@@ -130,9 +130,9 @@ def test_a_flight_whose_rows_never_reach_the_disk_did_not_go_well(
         nonlocal now_s
         now_s = 1e-3 * n
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if not n % 10:
-            pilot.tick()
+            job_runner.tick()
 
     flight.run(script, 300 + job.plan.cycles + 1200)
     assert told[-1] == "the last rows are not on the disk: the recorder does not answer"
@@ -140,19 +140,19 @@ def test_a_flight_whose_rows_never_reach_the_disk_did_not_go_well(
 
 def test_a_loop_that_dies_does_so_in_a_step_with_a_name() -> None:
     flight, told = ScriptedLoop(), []
-    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = job_of(flight, told, Step(levitate=LIFT), Step(land={}))
     ring = flight.shared.ring
 
     def script(n: int) -> None:
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if n == 600:
-            pilot.abort(Fault.LOOP, "killed by SIGKILL")
+            job_runner.abort(Fault.LOOP, "killed by SIGKILL")
             ring.durable = ring.head
             flight.board[Word.WRITING] = 0
         if not n % 10:
-            pilot.tick()
+            job_runner.tick()
 
     flight.run(script, 650)
     assert "LOOP" in told[-1]
@@ -162,7 +162,7 @@ def test_a_loop_that_dies_does_so_in_a_step_with_a_name() -> None:
 @pytest.mark.parametrize("broken", ["no number", "no segments"])
 def test_plan_that_cannot_be_flown_on_is_landed(broken: str) -> None:
     flight, told = ScriptedLoop(), []
-    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = job_of(
         flight, told, Step(levitate={**LIFT, "settle_s": 9.0}), Step(move={"beam_m": 0.01})
     )
@@ -179,9 +179,9 @@ def test_plan_that_cannot_be_flown_on_is_landed(broken: str) -> None:
 
     def script(n: int) -> None:
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if not n % 10:
-            pilot.tick()
+            job_runner.tick()
         if n > 14_000:
             ring.durable = ring.head
 
@@ -189,7 +189,7 @@ def test_plan_that_cannot_be_flown_on_is_landed(broken: str) -> None:
     assert flight.board.fault is Fault.NONE
     assert flight.board.state is State.IDLE
     assert "the flight was landed early" in told[-1]
-    assert pilot.job is None
+    assert job_runner.job is None
 
 
 @pytest.mark.parametrize("dead", [True, False])
@@ -203,7 +203,7 @@ def test_check_of_coils_is_judged_whatever_follows(
 ) -> None:
     told: list[Any] = []
     flight = ScriptedLoop(without_coil_3 if dead else lambda devices: devices)
-    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     lift = {"unload_s": 0.2, "ramp_s": 0.5, "settle_s": settle_s, "check_coils": {}}
     job = job_of(flight, told, Step(levitate=lift))
     job.holds = True
@@ -211,12 +211,12 @@ def test_check_of_coils_is_judged_whatever_follows(
 
     def script(n: int) -> None:
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if not n % 10 and not pushed - 50 < n < pushed + 1e3 * away_s:
-            pilot.tick()
+            job_runner.tick()
 
     flight.run(script, 5000)
-    assert pilot.job is None
+    assert job_runner.job is None
     if dead:
         assert flight.board.fault is Fault.COIL_CHECK
         assert "COIL_CHECK" in told[-1]
@@ -230,7 +230,7 @@ def test_check_of_coils_is_judged_whatever_follows(
 def test_late_cycle_in_the_push_of_a_reversed_coil_hides_nothing(late: int) -> None:
     told: list[Any] = []
     flight = ScriptedLoop(with_coil_3_reversed)
-    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = checked(flight, told)
     clock, pushed = flight.loop._clock, first_push(job)
 
@@ -238,15 +238,15 @@ def test_late_cycle_in_the_push_of_a_reversed_coil_hides_nothing(late: int) -> N
         # In the push of coil 0, which is sound, and of coil 3.
         clock.skipped = late if n in (pushed + 3, pushed + 3 * TURN + 12) else 0
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if not n % 10:
-            pilot.tick()
+            job_runner.tick()
 
     flight.run(script, pushed + 9 * TURN + 100)
     assert flight.board.fault is Fault.COIL_CHECK
     assert flight.board.detail.startswith("coil 3 moved the platform")
     assert flight.board.detail.count("moved the platform") == 1
-    assert not pilot.coils_are_known
+    assert not job_runner.coils_are_known
 
 
 @pytest.mark.parametrize(("held", "shaken"), [(6, [4, 5]), (12, [4, 5, 6, 7, 8])])
@@ -256,7 +256,7 @@ def test_coil_whose_push_was_held_for_long_is_told_of_and_stays_unknown(
     told: list[Any] = []
     said: list[str] = []
     flight = ScriptedLoop()
-    pilot = Pilot(flight.rig, flight.shared, Recorder(), said.append)  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, Recorder(), said.append)  # type: ignore[arg-type]
     job, again = checked(flight, told), checked(flight, told)
     clock, pushed = flight.loop._clock, first_push(job)
     over = pushed + 9 * TURN + 200
@@ -265,15 +265,15 @@ def test_coil_whose_push_was_held_for_long_is_told_of_and_stays_unknown(
         # Others are shaken by what the push of coil 4 has set going.
         clock.skipped = held if n == pushed + 4 * TURN + 12 else 0
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if n == over:
             assert told[-1]["unjudged_coils"] == shaken
-            assert not pilot.coils_are_known
+            assert not job_runner.coils_are_known
             flight.board.land()
         if n == over + 1000:
-            pilot.begin(again)
+            job_runner.begin(again)
         if not n % 10:
-            pilot.tick()
+            job_runner.tick()
 
     flight.run(script, over + 1000 + pushed + 9 * TURN)
     assert flight.board.fault is Fault.NONE
@@ -281,9 +281,9 @@ def test_coil_whose_push_was_held_for_long_is_told_of_and_stays_unknown(
     (line,) = said
     assert f"skipped for coils {coils}:" in line
     assert told[-1]["unjudged_coils"] == []
-    assert pilot.coils_are_known
+    assert job_runner.coils_are_known
     flight.board.clear()  # somebody may have changed cables
-    assert not pilot.coils_are_known
+    assert not job_runner.coils_are_known
 
 
 @pytest.mark.parametrize(
@@ -310,7 +310,7 @@ def test_coil_is_not_judged_while_its_amplifiers_say_nothing(
         return devices
 
     flight = ScriptedLoop(standing_still)
-    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = checked(flight, told)
     pushed = first_push(job)
 
@@ -319,9 +319,9 @@ def test_coil_is_not_judged_while_its_amplifiers_say_nothing(
         # The push changes its sign, and is held.
         still = pushed + 4 * TURN + 8 <= n < pushed + 4 * TURN + 8 + silent
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if not n % 10:
-            pilot.tick()
+            job_runner.tick()
 
     flight.run(script, pushed + 9 * TURN + 150)
     assert flight.board.fault is Fault.NONE, flight.board.detail
@@ -374,7 +374,7 @@ def without_coil_3(devices: Devices) -> Devices:
 def test_longest_check_of_coils_is_judged_however_late() -> None:
     told: list[Any] = []
     flight = ScriptedLoop(before_fault_s=0.1)
-    pilot = Pilot(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
+    job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     # Nine turns of 0.344 s are 3.1 s; 5.1 s of rows are kept, and 2 s of those are for the judge.
     lift = {"unload_s": 0.2, "ramp_s": 0.5, "settle_s": 1.0, "check_coils": {"pause_s": 0.312}}
     job = job_of(flight, told, Step(levitate=lift))
@@ -383,9 +383,9 @@ def test_longest_check_of_coils_is_judged_however_late() -> None:
 
     def script(n: int) -> None:
         if n == 300:
-            pilot.begin(job)
+            job_runner.begin(job)
         if not n % 10 and not pushed - 50 < n < pushed + 1900:
-            pilot.tick()
+            job_runner.tick()
 
     flight.run(script, pushed + 2000)
     assert flight.board.fault is Fault.NONE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from levid.daemon.supervision.stale_monitor import Silence
+from levid.daemon.supervision.stale_monitor import StaleMonitor
 
 
 class World:
@@ -11,7 +11,7 @@ class World:
     def __init__(self) -> None:
         self.said: list[str] = []
         self.now_s, self.cycle, self.stale = 100.0, 0, 0
-        self.silence = Silence(self.said.append)
+        self.silence = StaleMonitor(self.said.append)
         self.passes(0.0, 0)
 
     def passes(self, seconds: float, stale: int, resting: bool = True, rate: int = 1000) -> None:

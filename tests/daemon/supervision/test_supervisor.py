@@ -173,7 +173,7 @@ def test_watchdog_is_fed_while_the_last_client_is_answered(
 ) -> None:
     done: list[str] = []
 
-    class Pilot:
+    class JobRunner:
         job: object | None = object()
 
         def tick(self) -> None:
@@ -181,7 +181,7 @@ def test_watchdog_is_fed_while_the_last_client_is_answered(
             if len(done) >= 6:
                 self.job = None
 
-    monkeypatch.setattr(supervisor, "pilot", Pilot())
+    monkeypatch.setattr(supervisor, "job_runner", JobRunner())
     monkeypatch.setattr(supervisor.recorder, "watch", lambda: None)
     monkeypatch.setattr(supervisor._notify, "alive", lambda: done.append("alive"))
     supervisor._land_and_end()  # there is no loop: what is left is to tell how it ended

@@ -18,7 +18,7 @@ from levid.config.buses import CanBus
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.drivers.base import LinkError
-from levid.drivers.bus_lock import Claim
+from levid.drivers.bus_lock import BusLock
 from levid.drivers.can.amplifiers_and_adc import CanAmplifiers
 from levid.drivers.can.bus_link import CanLink
 from levid.drivers.can.readings import Readings
@@ -177,9 +177,9 @@ def test_two_loops_do_not_fly_on_one_bus(tmp_path: Path) -> None:
 @pytest.mark.parametrize("folder", ["/" + 30 * "long-", "/\N{GREEK SMALL LETTER MU}" + 60 * "\xe4"])
 def test_claims_of_long_names_are_told_apart(folder: str) -> None:
     one, other, again = (
-        Claim(f"{folder}/force"),
-        Claim(f"{folder}/motion"),
-        Claim(f"{folder}/force"),
+        BusLock(f"{folder}/force"),
+        BusLock(f"{folder}/motion"),
+        BusLock(f"{folder}/force"),
     )
     assert one.acquire()
     assert other.acquire()

@@ -28,15 +28,16 @@ def fly_session(
     out: Path,
     effects: Sequence[Mapping[str, object]] = (),
     rig: Mapping[str, object] | None = None,
+    sim: Path = SIM,
 ) -> tuple[Path, ...]:
     """Fly a session, its seed the plant's too; return the records' logs.
 
-    `effects` as in a SIM.yaml; `rig` as in a RIG.yaml, the shipped loopback rig by default. `out`
-    then contains the logs only.
+    `effects` as in a SIM.yaml; `rig` as in a RIG.yaml, the shipped loopback rig by default; `sim`:
+    SIM.yaml. `out` then contains the logs only.
     """
     out.mkdir(parents=True, exist_ok=True)
     sim_file = out / "sim.yaml"
-    plant = {**read_mapping(SIM), "seed": session["seed"], "effects": [dict(e) for e in effects]}
+    plant = {**read_mapping(sim), "seed": session["seed"], "effects": [dict(e) for e in effects]}
     sim_file.write_text(yaml.safe_dump(plant))
     flown_rig = parse(rig or read_mapping(RIG), RigConfig, str(RIG))
     flown = fly_virtually(

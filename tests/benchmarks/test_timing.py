@@ -76,7 +76,7 @@ def test_rows_of_this_flight_are_read_from_the_ring(monkeypatch) -> None:
     rig_file = shipped("rigs/loopback.yaml")
     shared = SharedMemory(load_rig(rig_file))
     monkeypatch.setattr(flown_rows, "memory_of", lambda _: shared.fd)
-    monkeypatch.setattr(flown_rows.Shared, "close", lambda _: None)
+    monkeypatch.setattr(flown_rows.SharedMemory, "close", lambda _: None)
     ring = shared.ring
 
     def write(n: int, tag: int) -> None:

@@ -15,12 +15,9 @@ difference of each flight is printed; the exit code is 1 if there is one or a fl
 
 from __future__ import annotations
 
-import io
-import os
 import re
 import subprocess
 import sys
-import tarfile
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -34,6 +31,7 @@ from rich.table import Table
 
 from levid.benchmarks.daemon.log_difference import Comparison, compare_folders
 from levid.benchmarks.harness.child_processes import started
+from levid.benchmarks.harness.code_of_commit import Version, both_versions
 from levid.benchmarks.harness.table import Figure, Target, parser, show
 
 TITLE = "Rows before and after"
@@ -52,29 +50,6 @@ class Flight:
     @property
     def name(self) -> str:
         return f"{self.session} on {self.sim}" if self.sim else self.session
-
-
-@dataclass(frozen=True)
-class Version:
-    """Code of one version: a folder that holds it as `levid`, and its cache of compiled code."""
-
-    name: str
-    folder: Path
-
-    @property
-    def environment(self) -> dict[str, str]:
-        """Environment of a process that runs this code.
-
-        The cache is new in each run: numba does not notice that a function changed which another
-        module's compiled function calls.
-        """
-        own = {
-            "PYTHONPATH": str(self.folder),
-            "NUMBA_CACHE_DIR": str(self.folder / "numba"),
-            "XDG_STATE_HOME": str(self.folder / "state"),
-            "MPLBACKEND": "agg",
-        }
-        return os.environ | own
 
 
 def main() -> None:
@@ -100,23 +75,14 @@ def compare(
     commit: str, names: Sequence[str] | None, compared: dict[Flight, Comparison]
 ) -> Iterator[Figure]:
     """Fly sessions of `commit`, all of them unless named, and add each comparison to `compared`."""
-    with tempfile.TemporaryDirectory(prefix="same-rows-") as temporary:
-        folder = Path(temporary)
-        checkout = _checkout()
-        before, after = Version(commit, folder / "before"), Version("checkout", folder / "after")
-        for version in (before, after):
-            version.folder.mkdir()
-        _extract(checkout, commit, before.folder / "levid")
-        (after.folder / "levid").symlink_to(checkout)
-        for version in (before, after):
-            _check_import(version)
-        config = before.folder / "levid" / "config"
+    with both_versions(commit) as versions:
+        config = versions[0].folder / "levid" / "config"
         planned = flights(config, names, commit)
         for number, flight in enumerate(planned, 1):
             _say(f"{number} of {len(planned)}: {flight.name} ...")
             start = time.monotonic()
-            with tempfile.TemporaryDirectory(dir=folder) as logs:
-                found = fly_both(flight, config, (before, after), Path(logs))
+            with tempfile.TemporaryDirectory() as logs:
+                found = fly_both(flight, config, versions, Path(logs))
             compared[flight] = found
             seconds = time.monotonic() - start
             _say(f"    {found.rows} equal rows, {found.difference or 'equal'}, {seconds:.0f} s")
@@ -195,46 +161,6 @@ def _flown(
         stdout=said,
         stderr=subprocess.STDOUT,
     )
-
-
-def _checkout() -> Path:
-    """Return the folder of this checkout, wherever in it this file is."""
-    found = _git(Path(__file__).parent, "rev-parse", "--show-toplevel")
-    return Path(os.fsdecode(found).rstrip("\n"))
-
-
-def _extract(checkout: Path, commit: str, folder: Path) -> None:
-    """Write the files of a commit into a new folder."""
-    content = _git(checkout, "archive", "--format=tar", commit)
-    with tarfile.open(fileobj=io.BytesIO(content)) as archive:
-        archive.extractall(folder, filter="data")
-
-
-def _git(folder: Path, *arguments: str) -> bytes:
-    try:
-        done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, check=True)
-    except FileNotFoundError:
-        sys.exit("expected git, which has the code of COMMIT, found no such program: install git")
-    except subprocess.CalledProcessError as error:
-        said = error.stderr.decode(errors="replace").strip()
-        sys.exit(f"git {' '.join(arguments)} in {folder}: {said}")
-    return done.stdout
-
-
-def _check_import(version: Version) -> None:
-    """Exit unless a process of this version imports its own code, not another that is installed."""
-    code = "import levid.cli.main as m; print(m.__file__)"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=version.folder,
-        env=version.environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    found = done.stdout.strip() or done.stderr.strip()
-    if not found.startswith(f"{version.folder}{os.sep}"):
-        sys.exit(f"{version.name}: expected code from {version.folder}, found {found}")
 
 
 def _last_line(path: Path) -> str:

@@ -28,7 +28,7 @@ def command(rig: Path) -> int:
       levid run config/rigs/serial.yaml       # in another terminal
     """
     from ..config.rig import load_rig
-    from ..sim.electronics.rig import Electronics
+    from ..sim.electronics.emulated_rig import Electronics
 
     config = load_rig(rig)
     electronics = Electronics(config, rig.parent)
@@ -44,8 +44,8 @@ def command(rig: Path) -> int:
 
 
 def _run_commands(electronics: object) -> None:
+    from ..sim.electronics.emulated_rig import Electronics
     from ..sim.electronics.faults import FAULTS, InjectionError
-    from ..sim.electronics.rig import Electronics
 
     assert isinstance(electronics, Electronics)
     for line in sys.stdin:

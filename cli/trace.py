@@ -17,7 +17,7 @@ from .result_folders import quoted, same_logs, writable_folder
 if TYPE_CHECKING:
     from ..config.model import ModelConfig
     from ..identification.trace.result import FoundEffect, Outcome
-    from ..identification.trace.study import Trace
+    from ..identification.trace.trace_logs import Trace
     from ..identification.trace.worker_pool import Workers
 
 
@@ -115,8 +115,8 @@ def trace_logs(
     from ..identification.greybox.identify_greybox import to_yaml
     from ..identification.trace.figure_data import views
     from ..identification.trace.result import model_after
-    from ..identification.trace.study import trace
-    from ..model.effects.table import all_effects
+    from ..identification.trace.trace_logs import trace
+    from ..model.effects.candidate_effects import all_effects
     from ..report.plotting.atomic_write import replace_text
     from ..report.trace.trace_page import trace_report
 

@@ -51,7 +51,7 @@ OWN: Mapping[str, BackendDescriptor] = {
         },
         bus_time="levid.wire.can.bus_time:bus_time",
         alternatives="levid.wire.can.bus_time:alternatives",
-        emulator="levid.sim.electronics.can_bus:CanElectronics",
+        emulator="levid.sim.electronics.can_emulator:CanElectronics",
     ),
     "serial": BackendDescriptor(
         backend="levid.drivers.serial.backend:SerialBackend",
@@ -62,7 +62,7 @@ OWN: Mapping[str, BackendDescriptor] = {
             "drives": "levid.config.buses:SerialDriveOptions",
         },
         bus_time="levid.wire.serial.bus_time:bus_time",
-        emulator="levid.sim.electronics.serial_port:SerialElectronics",
+        emulator="levid.sim.electronics.serial_emulator:SerialElectronics",
     ),
 }
 

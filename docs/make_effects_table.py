@@ -20,8 +20,8 @@ from levid.config.model import ModelConfig
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 from levid.model.effects.base import Effect, Places, Quantity
+from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.flexible import PATTERNS
-from levid.model.effects.table import all_effects
 from levid.model.geometry import shape_matrix
 
 Row = tuple[str, str, str]

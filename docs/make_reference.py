@@ -23,7 +23,7 @@ from levid.config.sim import SimConfig
 from levid.daemon.control.detection_times import fall_s, longest_stall, zero_after_s
 from levid.daemon.control.faults import FAULTS
 from levid.daemon.control.states import TRANSITIONS, State
-from levid.log.signals_file import SignalsFile
+from levid.log.signals_yaml import SignalsFile
 
 DOCS = Path(__file__).parent
 WORDS = DOCS / "reference.yaml"

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ..config.base import load_yaml
 from .errors import LogError
-from .matlab import read_mat
-from .signals_file import Format, SignalsFile
-from .tables import load_npz, read_delimited, read_variables
+from .mat_file import read_mat
+from .signals_yaml import Format, SignalsFile
+from .tabular_files import load_npz, read_delimited, read_variables
 from .writer import LogWriter
 
 SCHEMA_NAME = "levid/msg/Signals"

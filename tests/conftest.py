@@ -190,7 +190,7 @@ def host_paced(monkeypatch: pytest.MonkeyPatch) -> None:
     The electronics never go on by themselves, and the host waits for 10,000 periods instead of
     half of one.
     """
-    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
+    monkeypatch.setattr("levid.sim.electronics.emulated_devices._SILENT_PERIODS", 1e9)
     for share in ("_ANSWER_SHARE", "_SETPOINTS_SHARE"):
         monkeypatch.setattr(f"levid.drivers.bus_backend.{share}", 1e4)
 

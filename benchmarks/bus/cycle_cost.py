@@ -41,7 +41,7 @@ from levid.daemon.host.real_time_scheduling import no_collections
 from levid.daemon.loop.clock import RealClock
 from levid.drivers.base import DriverError
 from levid.drivers.serial.serial_line import SerialLine
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.can_bus import FrameBus, open_bus
 from levid.wire.can.can_frames import load_frames
 from levid.wire.serial.serial_frames import SerialFrames

@@ -28,10 +28,10 @@ from levid.config.shipped import shipped
 from levid.drivers import bus_backend
 from levid.drivers.base import Context, Devices, DriverError
 from levid.drivers.registry import open_devices
-from levid.sim.electronics import core
-from levid.sim.electronics.core import Core
+from levid.sim.electronics import emulated_devices
+from levid.sim.electronics.emulated_devices import Core
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.sim.electronics.faults import FAULTS
-from levid.sim.electronics.rig import Electronics
 
 RATE_HZ = 50.0
 MOST_CYCLES = 60
@@ -71,7 +71,7 @@ class Played(NamedTuple):
 
 def measure(quick: bool) -> list[Figure]:
     assert {line.split()[0] for line in EXPECTED} == set(FAULTS) - NO_FAULT_OF_A_DEVICE
-    core._SILENT_PERIODS = 1e9  # type: ignore[misc]
+    emulated_devices._SILENT_PERIODS = 1e9  # type: ignore[misc]
     bus_backend._ANSWER_SHARE = bus_backend._SETPOINTS_SHARE = 1e4  # type: ignore[misc]
     figures, named, came_back, slowest = [], [], 0, 0
     for bus in ("canfd", "serial") if quick else BUSES:

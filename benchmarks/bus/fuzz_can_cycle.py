@@ -15,8 +15,8 @@ from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.drivers.can.bus_link import CanLink
 from levid.drivers.can.readings import Readings
-from levid.sim.electronics.can_bus import CanElectronics
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.can_emulator import CanElectronics
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.can_frames import ValueFrames, load_frames
 from levid.wire.can.kernel_frame import OTHER, ReceivedFrame
 from levid.wire.device_protocol import CYCLES

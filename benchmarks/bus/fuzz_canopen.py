@@ -20,7 +20,7 @@ from levid.drivers.base import DriveError
 from levid.drivers.can.bus_link import CanLink
 from levid.drivers.can.canopen_drives import CanDrives
 from levid.sim.electronics.drive_nodes import DriveNodes
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.kernel_frame import ReceivedFrame
 
 RIG = shipped("rigs/canfd.yaml")

@@ -28,9 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from levid.config.rig import load_rig
-from levid.sim.electronics.core import Core
+from levid.sim.electronics.emulated_devices import Core
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.sim.electronics.faults import AXES, InjectionError
-from levid.sim.electronics.rig import Electronics
 
 READY = "electronics answer"
 _MCL_CURRENT = 1

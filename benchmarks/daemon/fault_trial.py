@@ -6,12 +6,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
-from levid.benchmarks.daemon.fault_actions import (
-    ENDING,
-    HARMLESS,
-    Expected,
-    reason_to_skip,
-)
+from levid.benchmarks.daemon.fault_actions import ENDING, HARMLESS, Expected, reason_to_skip
 from levid.benchmarks.daemon.fault_flight import Flight, NotInjectedError, come_to_rest, lift_off
 from levid.benchmarks.daemon.fault_list import FLYING, HOLDING, Case, Kind, kinds
 from levid.benchmarks.daemon.fault_logs import LogCheck, check_logs, find_recording

@@ -44,11 +44,11 @@ from levid.identification.trace.residual.force_residual import (
     noise_density,
     standing_out,
 )
-from levid.identification.trace.study import trace
+from levid.identification.trace.trace_logs import trace
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log
 from levid.model.effects.base import Effect, Placed, Quantity, Signals, Term
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 
 Array = NDArray[np.float64]
 

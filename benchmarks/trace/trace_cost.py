@@ -28,10 +28,10 @@ from levid.identification.trace.records.trace_record import trace_record
 from levid.identification.trace.residual.error_metric import pooled
 from levid.identification.trace.residual.free_run_with_effects import free_run
 from levid.identification.trace.result import model_after
-from levid.identification.trace.study import refit, trace
+from levid.identification.trace.trace_logs import refit, trace
 from levid.identification.trace.worker_pool import local_workers
 from levid.log.reader import read_log
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 
 EFFECTS = {
     "rod_stiffness.cubic@z": {

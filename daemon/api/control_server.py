@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..host.access_control import Access, peer_of
+from ..host.peer_credentials import Access, peer_of
 from ..ipc.json_lines import Closed, Lines, TooLong
 from .unix_listener import WAITING_CLIENTS, ServerError, UnixListener
 

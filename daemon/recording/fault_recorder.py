@@ -19,7 +19,7 @@ from ...log.errors import LogError
 from ...log.writer import LogWriter
 from ..control.faults import Fault
 from ..ipc.row_ring import Ring, RingRows
-from .coil_heat import state_folder
+from .coil_heat_file import state_folder
 
 _AFTER_S = 0.5
 _WAIT_S = 2.0

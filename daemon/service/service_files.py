@@ -17,7 +17,7 @@ from ...config.shipped import shipped
 from ...drivers.base import Context
 from ...drivers.registry import check_backends
 from ..control.feed_forward import feed_forward
-from ..host.access_control import Access
+from ..host.peer_credentials import Access
 
 UNIT = "etc/systemd/system/levid.service"
 DROP_IN = "etc/systemd/system/levid.service.d/10-rig.conf"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ...config.rig import RigConfig, load_rig
-from ..host.access_control import Access
+from ..host.peer_credentials import Access
 
 Ready = Callable[[RigConfig, Access], None]
 

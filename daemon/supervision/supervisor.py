@@ -19,16 +19,16 @@ from ..control.detection_times import expiry_warning
 from ..control.faults import Fault
 from ..control.feed_forward import feed_forward
 from ..control.states import IN_FLIGHT, State
-from ..host.access_control import Access
 from ..host.child_process import Child, module_of
 from ..host.clock_steps import ClockWatch
-from ..host.process_clock import ProcessClock
+from ..host.monotonic_clock import ProcessClock
+from ..host.peer_credentials import Access
 from ..host.resource_monitor import ResourceMonitor
 from ..ipc.control_words import Word
 from ..ipc.shared_memory import SharedMemory
 from ..planning.planner import RELOADED
 from ..planning.planner_link import PlannerLink
-from ..recording.coil_heat import HeatFile, state_folder
+from ..recording.coil_heat_file import HeatFile, state_folder
 from ..recording.fault_recorder import fault_folder
 from ..recording.recorder_link import RecorderLink
 from ..recording.session_logs import attachments

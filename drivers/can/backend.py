@@ -14,8 +14,8 @@ from ...config.base import ConfigError
 from ...config.buses import AmplifierOptions, CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig
 from ...wire.can import cia402
-from ...wire.can.adapters import check_bus
 from ...wire.can.can_frames import CanFrames, load_frames
+from ...wire.can.can_interfaces import check_bus
 from ...wire.can.cia402 import NMT_ID, NODE_IDS, SYNC_ID
 from ...wire.device_protocol import AMPLIFIER_LIMITS, CYCLES, SENSOR_LIMITS, check_limits_fit
 from ...wire.int16_scaling import LARGEST

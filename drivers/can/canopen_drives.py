@@ -31,8 +31,8 @@ from ...wire.can.cia402 import (
     state_of,
     sync_counter,
 )
-from ...wire.finite_differences import Differences, most_bend
 from ...wire.frame_rejection import Rejected
+from ...wire.velocity_from_positions import Differences, most_bend
 from ..base import Array, DriveError, DriverError, FirstError, LinkError, ManipulatorDrives
 from ..reading_checks import check_skew
 from ..stale_readings import Watch

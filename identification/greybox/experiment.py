@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...config.base import parse_text
 from ...config.model import ModelConfig
 from ...log.reader import Log
-from ...log.signals_file import SignalsFile
+from ...log.signals_yaml import SignalsFile
 from ...model.geometry import decoupling_matrix, shape_matrix
 from ..records.from_log import (
     EXCITATION,

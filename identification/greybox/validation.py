@@ -14,8 +14,8 @@ from ...model.declared_model import DeclaredModel
 from ..subspace.fit_percent import nrmse_fit_percent
 from .experiment import Experiment
 from .free_run import free_run
+from .free_run_noise_floor import floor_psd, noise_floor
 from .intersample_input import Hold
-from .noise_floor import floor_psd, noise_floor
 from .noise_model import Noise
 from .prediction_errors import predict
 

@@ -12,7 +12,7 @@ from scipy import fft, signal
 from scipy.linalg import solve_triangular
 
 from ..records.record import IdentificationError, Record
-from .least_squares import independent, triangle
+from .block_qr import independent, triangle
 from .toeplitz_least_squares import ToeplitzGram, solve
 
 Array = NDArray[np.float64]

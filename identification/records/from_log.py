@@ -15,7 +15,7 @@ from ...config.model import ModelConfig, load_model
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
 from ...log.reader import Log
-from ...log.signals_file import SignalsFile
+from ...log.signals_yaml import SignalsFile
 from ...model.geometry import shape_matrix
 from .record import (
     BEAM_POSITION_TOLERANCE_M,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.second_order import StateSpace
-from ..nonparametric.least_squares import BLOCK_ROWS
+from ..nonparametric.block_qr import BLOCK_ROWS
 from ..records.record import IdentificationError, Record
 from .hankel_operator import HankelOperator, HankelSvd, leading_svd
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are, solve_triangular
 
 from ...model.second_order import StateSpace
-from ..nonparametric.least_squares import BLOCK_ROWS, independent, triangle
+from ..nonparametric.block_qr import BLOCK_ROWS, independent, triangle
 from ..records.record import IdentificationError, Record
 from .simulation import InnovationModel
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...model.second_order import StateSpace
 from ..nonparametric.markov_parameters import MarkovEstimate, convolve
 from ..records.record import Record
-from ..subspace.held_out_simulation import HoldOut
+from .held_out_simulation import HoldOut
 from .ho_kalman import OrderChoice
 from .plant_from_loop import IdentifiedPlant
 from .simulation import free_response, spectral_radius

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ...model.second_order import StateSpace
-from ..nonparametric.least_squares import BLOCK_ROWS, triangle
+from ..nonparametric.block_qr import BLOCK_ROWS, triangle
 from ..records.record import Record
 
 Array = NDArray[np.float64]

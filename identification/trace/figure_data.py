@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.effects.base import Placed, Signals
-from ..greybox.noise_floor import floor_psd
+from ..greybox.free_run_noise_floor import floor_psd
 from .linearised.gram_matrices import BLOCK_S
 from .linearised.working_point import Along, WorkingPoint
-from .records.noise_sources import Disturbance
+from .records.sensor_and_amplifier_noise import Disturbance
 from .records.trace_record import TraceRecord
 from .residual.force_residual import (
     Missing,
@@ -24,7 +24,7 @@ from .residual.force_residual import (
     share,
     standing_out,
 )
-from .study import Trace
+from .trace_logs import Trace
 from .worker_pool import Workers
 
 Array = NDArray[np.float64]

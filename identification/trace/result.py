@@ -17,7 +17,7 @@ from ...model.effects.freeform import depends_on
 from .residual.error_metric import RecordError, pooled, pooled_pose, shares
 from .residual.random_vibration import RandomVibration
 from .search.candidate_screening import Round, Tried
-from .study import Trace
+from .trace_logs import Trace
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from ..greybox.free_parameters import free_parameters
 from ..greybox.model_file import declared_model
 from ..records.record import IdentificationError
 from .linearised.working_point import WorkingPoint, filtered
-from .records.noise_sources import Disturbance
+from .records.sensor_and_amplifier_noise import Disturbance
 from .records.trace_record import trace_record
 
 Array = NDArray[np.float64]

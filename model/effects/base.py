@@ -101,7 +101,7 @@ class Signals:
     lag_s: float = 0.0
     """First-order lag between a held command and its force."""
     gravity_m_s2: float = 9.81
-    standing: NDArray[np.bool_] | None = None
+    stuck: NDArray[np.bool_] | None = None
     """Rows where a sensor's reading is frozen (N, S); None if there are none."""
 
     @property
@@ -161,6 +161,7 @@ class Quantity:
     """Whether a search takes steps in the logarithm of the value."""
 
 
+Reshape = Callable[[Sequence[float], Sequence[float]], tuple[float, ...]]
 Build = Callable[[Signals, Sequence[float]], "list[Term]"]
 
 
@@ -186,10 +187,10 @@ class Effect:
     grid: tuple[tuple[float, ...], ...] = ((),)
     absorbed_by: str = ""
     told_apart_by: str = ""
-    remains: Build | None = None
+    initial_force_decay: Build | None = None
     """Terms of the decay of an unknown initial force (1 at row 0); None for effects without
     memory."""
-    plain: Callable[[Sequence[float], Sequence[float]], tuple[float, ...]] | None = None
+    shape_of_unit_amplitude: Reshape | None = None
     """Function of amplitudes and shape that returns the shape with about the same effect at
     amplitudes of 1, for effects whose textbook equation has no amplitude; else None."""
 

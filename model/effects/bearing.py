@@ -19,8 +19,8 @@ from collections.abc import Sequence
 from functools import partial
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .driven_range import Extent
 from .recursions import yielding
+from .search_range import Extent
 
 _ALONG, _ACROSS = 1, 0
 """DOF of the tilts that shift the beam along and across its rails."""

@@ -16,9 +16,9 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
-from .driven_range import Extent
-from .points import forces
+from .point_forces import forces
 from .recursions import held_for, lagged_within
+from .search_range import Extent
 
 Coils = tuple[int, ...]
 
@@ -49,7 +49,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.15 * largest,), (0.4 * largest,)),
                 absorbed_by="if no command comes near zero: constant force",
                 told_apart_by=_TOLD_APART,
-                plain=_whole_dead_zone,
+                shape_of_unit_amplitude=_whole_dead_zone,
             ),
             Effect(
                 "saturation",
@@ -66,7 +66,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.85 * largest, 6.0),),
                 absorbed_by="not visible far below the limit",
                 told_apart_by=_TOLD_APART,
-                plain=_whole_saturation,
+                shape_of_unit_amplitude=_whole_saturation,
             ),
         ]
     return found

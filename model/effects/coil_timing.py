@@ -16,8 +16,8 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
-from .driven_range import Extent
 from .recursions import lagged_mean
+from .search_range import Extent
 
 _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"
 _LATE_S = 2e-3

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term
-from .driven_range import Extent
 from .recursions import dahl
+from .search_range import Extent
 
 _PITCH_M = (5e-3, 60e-3)
 _APART = 1.2

@@ -11,9 +11,9 @@ from typing import Protocol
 
 from ..declared_model import ModelError
 from .base import Effect, Placed, Places, Quantity
-from .driven_range import Extent
+from .candidate_effects import all_effects
 from .freeform import freeform_effect
-from .table import all_effects
+from .search_range import Extent
 from .vibration import tone
 
 _TONE = re.compile(r"vibration\.\w+\.([0-9.e+]+)hz")
@@ -60,7 +60,7 @@ def placed_effects(
     covered = replace(
         extent or Extent.typical(places),
         fastest_hz=math.inf,
-        standing=tuple(range(places.sensors)),
+        stuck=tuple(range(places.sensors)),
     )
     table = {e.identity: e for e in all_effects(places, covered)}
     for entry in declared:

@@ -27,7 +27,7 @@ _DAMPING, _LOW_DAMPING = 0.15, 0.04
 a base on springs."""
 
 
-def answers(places: Places) -> list[Effect]:
+def filtered_response_effects(places: Places) -> list[Effect]:
     """Return responses of every DOF to every DOF, and of every DOF and sensor to the beam."""
     found = [_answer(places, motion, dof) for motion in places.dof for dof in places.dof]
     if places.beam:
@@ -36,7 +36,7 @@ def answers(places: Places) -> list[Effect]:
     return found
 
 
-def answer(places: Places, key: str, where: Sequence[str]) -> Effect | None:
+def filtered_response_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the resonant response with a model file's key and location; None for other keys."""
     motion = key.removeprefix(_PREFIX)
     if motion == key or len(where) != 1:
@@ -48,7 +48,7 @@ def answer(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     return _answer(places, motion, where[0]) if where[0] in known else None
 
 
-def answered(effect: Effect) -> str | None:
+def filtered_response_signal(effect: Effect) -> str | None:
     """Return the motion that causes the response, a DOF or x_b; None for other effects."""
     motion = effect.key.removeprefix(_PREFIX)
     return None if motion == effect.key else motion.partition("*")[0]

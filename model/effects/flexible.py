@@ -17,9 +17,9 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Placed, Places, Quantity, Signals, Term, on_dof
-from .driven_range import Extent
-from .points import forces
+from .point_forces import forces
 from .recursions import lagged_mean, oscillator
+from .search_range import Extent
 
 PATTERNS = ("twist", "saddle", "dome", "wave_x", "wave_y", "egg_box")
 _RIGID = ("rigid_1", "rigid_2", "rigid_3")

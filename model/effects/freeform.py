@@ -19,12 +19,20 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil, on_dof, on_sensor, resolved
-from .driven_range import Extent
-from .filtered_response import answer, answered, answers
-from .hysteresis import hystereses, hysteresis, hysteretic_command
-from .leaky_integral import left_behind_by, lingering, lingerings
-from .thermal_reading import warmed_by, warming, warmings
-from .travelling_wave import felt_by, wave, waves
+from .beam_travel_wave import wave_effect, wave_effects, wave_signals
+from .filtered_response import (
+    filtered_response_effect,
+    filtered_response_effects,
+    filtered_response_signal,
+)
+from .hysteresis import hysteresis_effect, hysteresis_effects, hysteresis_signal
+from .leaky_integral import leaky_integral_effect, leaky_integral_effects, leaky_integral_signals
+from .search_range import Extent
+from .thermal_reading import (
+    thermal_reading_effect,
+    thermal_reading_effects,
+    thermal_reading_signals,
+)
 
 Array = NDArray[np.float64]
 
@@ -169,8 +177,12 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
         others = [by for by in commands if by != own] + (["x_b"] if places.beam else [])
         forms += [_form(places, extent, by, own) for by in others]
         found += [_effect(places, f"coil:{c}", form) for form in forms]
-    found += [*hystereses(places, extent), *lingerings(places, extent), *answers(places)]
-    found += [*waves(places, extent), *warmings(places)]
+    found += [
+        *hysteresis_effects(places, extent),
+        *leaky_integral_effects(places, extent),
+        *filtered_response_effects(places),
+    ]
+    found += [*wave_effects(places, extent), *thermal_reading_effects(places)]
     return resolved(found, extent.fastest_hz)
 
 
@@ -179,11 +191,11 @@ def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | 
     form = Form.of(key)
     if form is None:
         return (
-            answer(places, key, where)
-            or hysteresis(places, key, where)
-            or lingering(places, key, where)
-            or wave(places, key, where)
-            or warming(places, key, where)
+            filtered_response_effect(places, key, where)
+            or hysteresis_effect(places, key, where)
+            or leaky_integral_effect(places, key, where)
+            or wave_effect(places, key, where)
+            or thermal_reading_effect(places, key, where)
         )
     known = _signals(places)
     sensors, coils = (
@@ -205,8 +217,12 @@ def depends_on(effect: Effect) -> tuple[str, ...]:
     """Return the signals that a free form depends on, such as x_b, theta, theta' (its rate)."""
     form = Form.of(effect.key)
     if form is None:
-        motion = answered(effect) or hysteretic_command(effect)
-        others = left_behind_by(effect) or felt_by(effect) or warmed_by(effect)
+        motion = filtered_response_signal(effect) or hysteresis_signal(effect)
+        others = (
+            leaky_integral_signals(effect)
+            or wave_signals(effect)
+            or thermal_reading_signals(effect)
+        )
         return tuple(map(_spoken, others)) if motion is None else (motion,)
     return tuple(_spoken(word) for word in (form.factor, form.by) if word)
 

@@ -18,8 +18,8 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .driven_range import Extent
 from .recursions import bouc_wen, dahl, lugre, slip
+from .search_range import Extent
 
 _ELEMENTS = (1.0, 4.0, 16.0)
 """Break-away displacements of the Maxwell elements, relative to the smallest."""
@@ -75,7 +75,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.08 * reach,), (0.4 * reach,)),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS,
-                remains=partial(_remains, dof=i),
+                initial_force_decay=partial(_remains, dof=i),
             ),
             Effect(
                 "friction.bouc_wen",
@@ -93,7 +93,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.25 * reach, 1.5, 0.6),),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS,
-                remains=partial(_remains, dof=i),
+                initial_force_decay=partial(_remains, dof=i),
             ),
             Effect(
                 "friction.lugre",
@@ -108,7 +108,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.15 * reach, 0.4, 0.1 * speed), (0.08 * reach, 0.7, 0.8 * speed)),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS + ", slow and fast",
-                remains=partial(_remains, dof=i),
+                initial_force_decay=partial(_remains, dof=i),
             ),
             Effect(
                 "friction.maxwell_slip",
@@ -123,7 +123,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.15 * reach,),),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS,
-                remains=partial(_remains, dof=i),
+                initial_force_decay=partial(_remains, dof=i),
             ),
         ]
     return found

@@ -13,8 +13,8 @@ from functools import partial
 from math import inf
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
-from .driven_range import Extent
 from .recursions import slip_range
+from .search_range import Extent
 
 _KEY = re.compile(r"unknown\.hysteresis\.command\[(?P<scale>[0-9.e+-]+)\]")
 _WIDTHS = (0.05, 0.15, 0.4, 1.0, 2.5)
@@ -23,12 +23,12 @@ zone to an operator that never slips fully."""
 _WIDE = 3.0
 
 
-def hystereses(places: Places, extent: Extent) -> list[Effect]:
+def hysteresis_effects(places: Places, extent: Extent) -> list[Effect]:
     """Return the hysteresis effect of every coil."""
     return [_hysteresis(places, coil, _scale(extent, coil)) for coil in range(places.coils)]
 
 
-def hysteresis(places: Places, key: str, where: Sequence[str]) -> Effect | None:
+def hysteresis_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the hysteresis effect with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
     coils = [f"coil:{c}" for c in range(places.coils)]
@@ -41,7 +41,7 @@ def hysteresis(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     return _hysteresis(places, coils.index(where[0]), scale) if 0.0 < scale < inf else None
 
 
-def hysteretic_command(effect: Effect) -> str | None:
+def hysteresis_signal(effect: Effect) -> str | None:
     """Return the coil of a hysteresis effect; None for other effects."""
     return effect.where[0] if _KEY.fullmatch(effect.key) else None
 
@@ -61,7 +61,7 @@ def _hysteresis(places: Places, coil: int, scale: float) -> Effect:
         f"sum of c_k s_k, s_k' = F'/r_k within -1 .. 1, r_k = {widths} {places.coil_unit}",
         tuple(Quantity(f"c{k}", places.coil_unit) for k in range(1, len(_WIDTHS) + 1)),
         partial(_forces, coil=coil, scale=scale),
-        remains=partial(_remains, coil=coil, scale=scale),
+        initial_force_decay=partial(_remains, coil=coil, scale=scale),
         told_apart_by="excitation of this coil alone, with large slow and small minor loops",
     )
 

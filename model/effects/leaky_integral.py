@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof, on_sensor
-from .driven_range import Extent
 from .recursions import lagged
+from .search_range import Extent
 
 Array = NDArray[np.float64]
 
@@ -33,22 +33,22 @@ _TIMES_S = (0.1, 0.4, 1.6, 6.4)
 """Start values of the time constant; the factor 4 is small enough for values in between."""
 
 
-def lingerings(places: Places, extent: Extent) -> list[Effect]:
+def leaky_integral_effects(places: Places, extent: Extent) -> list[Effect]:
     """Return leaky integrals of beam and rotor signals (DOFs, sensors) and commands (sensors)."""
     found = []
     if places.beam:
         at = [*places.dof, *(f"sensor:{s}" for s in range(places.sensors))]
-        found += [_lingering(places, w, by, 0.0, _scale(extent, by)) for by in _BEAM for w in at]
+        found += [_build_effect(places, w, by, 0.0, _scale(extent, by)) for by in _BEAM for w in at]
     for c, (middle, sd) in enumerate(extent.commands):
         if sd > 0.0:
             found += [
-                _lingering(places, f"sensor:{s}", f"{_COIL}{c}", middle, sd)
+                _build_effect(places, f"sensor:{s}", f"{_COIL}{c}", middle, sd)
                 for s in range(places.sensors)
             ]
     return found
 
 
-def lingering(places: Places, key: str, where: Sequence[str]) -> Effect | None:
+def leaky_integral_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the leaky integral with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
     sensors = [f"sensor:{s}" for s in range(places.sensors)]
@@ -64,10 +64,10 @@ def lingering(places: Places, key: str, where: Sequence[str]) -> Effect | None:
         return None
     if not (0.0 < scale < inf and abs(middle) < inf):
         return None
-    return _lingering(places, where[0], found["by"], middle, scale)
+    return _build_effect(places, where[0], found["by"], middle, scale)
 
 
-def left_behind_by(effect: Effect) -> tuple[str, ...]:
+def leaky_integral_signals(effect: Effect) -> tuple[str, ...]:
     """Return the signals that a leaky integral integrates, as in keys; () for other effects."""
     found = _KEY.fullmatch(effect.key)
     if found is None:
@@ -81,7 +81,7 @@ def _scale(extent: Extent, by: str) -> float:
     return float(f"{ {'v_b': v, 'a_b': a, POWER: v * a, 'phi_speed': phi}[by]:.3g}")
 
 
-def _lingering(places: Places, where: str, by: str, middle: float, scale: float) -> Effect:
+def _build_effect(places: Places, where: str, by: str, middle: float, scale: float) -> Effect:
     coiled = by.startswith(_COIL)
     word = by.replace("_", ":") if coiled else _SPOKEN.get(by, by)
     if where in places.dof:

@@ -115,10 +115,10 @@ def jumping(x: Array, width: float, Ts_s: float) -> Array:
     return _with_past(_jumping, x, width, Ts_s)
 
 
-def held(x: Array, standing: NDArray[np.bool_]) -> Array:
-    """Return x (N,) with rows marked in `standing` (N,) replaced by the last unmarked value."""
+def held(x: Array, stuck: NDArray[np.bool_]) -> Array:
+    """Return x (N,) with rows marked in `stuck` (N,) replaced by the last unmarked value."""
     rows = np.arange(len(x))
-    return np.asarray(x[np.maximum.accumulate(np.where(standing, 0, rows))])
+    return np.asarray(x[np.maximum.accumulate(np.where(stuck, 0, rows))])
 
 
 def oscillator(force: Array, frequency_hz: float, damping: float, Ts_s: float) -> Array:

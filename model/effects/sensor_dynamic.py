@@ -16,8 +16,8 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
-from .driven_range import Extent
 from .recursions import held, jumping, lagged, play
+from .search_range import Extent
 
 _LAG_S = 2e-3
 _MOST_DEPTH = 2.0
@@ -78,7 +78,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             partial(_stand, sensor=s),
             told_apart_by="readings constant within their noise while the platform moves",
         )
-        for s in extent.standing
+        for s in extent.stuck
     ]
     return found
 
@@ -100,6 +100,6 @@ def _jump(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term
 
 def _stand(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
     h = signals.gap(sensor)
-    if signals.standing is None:
+    if signals.stuck is None:
         return [on_sensor(signals, sensor, np.zeros_like(h))]
-    return [on_sensor(signals, sensor, held(h, signals.standing[:, sensor]) - h)]
+    return [on_sensor(signals, sensor, held(h, signals.stuck[:, sensor]) - h)]

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
-from .driven_range import Extent
+from .search_range import Extent
 
 _WARM_S = 80.0
 _MOST_BENT = 0.4

@@ -16,8 +16,8 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .driven_range import Extent
-from .points import forces, heights
+from .point_forces import forces, heights
+from .search_range import Extent
 
 _WIDE = 3.0
 _CONTACTS = (-0.4, 0.0, 0.4)

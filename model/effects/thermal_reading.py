@@ -23,12 +23,12 @@ _BEFORE_S, _LONGEST_BEFORE_S = 3.0, 60.0
 """Time from lift-off to the first record: start value and upper bound."""
 
 
-def warmings(places: Places) -> list[Effect]:
+def thermal_reading_effects(places: Places) -> list[Effect]:
     """Return the thermal error of every sensor by every coil."""
     return [_warming(places, s, c) for s in range(places.sensors) for c in range(places.coils)]
 
 
-def warming(places: Places, key: str, where: Sequence[str]) -> Effect | None:
+def thermal_reading_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the thermal error with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
     sensors = [f"sensor:{s}" for s in range(places.sensors)]
@@ -40,7 +40,7 @@ def warming(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     return _warming(places, sensors.index(where[0]), coil)
 
 
-def warmed_by(effect: Effect) -> tuple[str, ...]:
+def thermal_reading_signals(effect: Effect) -> tuple[str, ...]:
     """Return the heating coil of a thermal error, such as coil:3; () for other effects."""
     found = _KEY.fullmatch(effect.key)
     return () if found is None else (f"coil:{found['coil']}",)

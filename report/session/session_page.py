@@ -25,7 +25,7 @@ from ..plotting.style import signed
 from ..plotting.svg import Picture, to_svg
 from .cycle_times import quantile_s, timing_histogram
 from .flight_data import Session, StepFlown, read_session
-from .pose_over_beam import beam_trajectory
+from .pose_vs_beam_position import beam_trajectory
 from .time_plot import session_plot
 
 _COIL = "coil:"

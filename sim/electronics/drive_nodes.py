@@ -43,8 +43,8 @@ from ...wire.can.cia402 import (
     rotor_limits,
 )
 from ...wire.device_protocol import CYCLES
-from ...wire.finite_differences import ROUNDED_COUNTS, Differences, most_bend
-from .core import Core
+from ...wire.velocity_from_positions import ROUNDED_COUNTS, Differences, most_bend
+from .emulated_devices import Core
 from .faults import Injector, Outgoing
 
 Send = Callable[[int, bytes], None]

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from .core import Core
+from .emulated_devices import Core
 
 AXES = ("x1", "x2", "phi")
 

@@ -21,9 +21,7 @@ from levid.benchmarks.bus import (
     plant_agreement,
     serial_transaction,
 )
-from levid.benchmarks.bus import (
-    flights as bus_flights,
-)
+from levid.benchmarks.bus import flights as bus_flights
 from levid.benchmarks.harness import empty_loop, kept_results
 from levid.drivers.base import DriverError, LinkError, SensorError, StaleError
 from levid.wire.bus_budget import check_budget

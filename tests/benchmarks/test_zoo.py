@@ -13,8 +13,8 @@ from levid.benchmarks.trace.zoo_flight import Found
 from levid.benchmarks.trace.zoo_score import score_plant, with_random_forces
 from levid.benchmarks.trace.zoo_truth import known, relative_errors
 from levid.config.sim import SimEffect
-from levid.model.effects.driven_range import Extent
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
+from levid.model.effects.search_range import Extent
 from levid.sim.effects import Effects
 
 CASE = {case.name: case for case in CASES + UNLISTED}

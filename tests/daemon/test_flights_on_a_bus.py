@@ -21,7 +21,7 @@ from levid.daemon.client import Client, DaemonError
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
 from levid.log.reader import read_log
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 
 pytestmark = pytest.mark.real_time
 

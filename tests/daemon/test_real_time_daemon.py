@@ -21,7 +21,7 @@ from levid.config.service import Service
 from levid.config.shipped import shipped
 from levid.daemon.api.control_server import Server, ServerError
 from levid.daemon.client import Client, DaemonError
-from levid.daemon.host.access_control import Access, peer_of
+from levid.daemon.host.peer_credentials import Access, peer_of
 from levid.log.reader import read_log
 
 RIG_FILE = shipped("rigs/loopback.yaml")

@@ -27,7 +27,7 @@ steps:
 TRAJECTORY = """
 import numpy as np
 from levid.model.effects.base import Signals
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 from levid.sim.effects.quintic import QuinticRods
 from rig_effects import moving, rig_places
 

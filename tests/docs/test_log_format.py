@@ -12,7 +12,7 @@ from repository import DOCS
 from levid.identification.identify import identify
 from levid.identification.records.from_log import from_log
 from levid.log.reader import read_log
-from levid.log.signals_file import SignalsFile
+from levid.log.signals_yaml import SignalsFile
 
 TEXT = (DOCS / "log-format.md").read_text()
 

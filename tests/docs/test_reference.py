@@ -17,7 +17,7 @@ from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.planning.plan import plan_session
 from levid.identification.greybox.model_file import declared_model
-from levid.log.signals_file import SignalsFile
+from levid.log.signals_yaml import SignalsFile
 from levid.model.geometry import decoupling_matrix
 
 PAGES = sorted(DOCS.glob("*.md"))

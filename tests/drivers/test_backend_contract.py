@@ -17,7 +17,7 @@ from levid.daemon.loop.warm_up import locate
 from levid.drivers.base import Context, Devices
 from levid.drivers.bus_backend import AnswerTime
 from levid.drivers.registry import open_devices
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 
 BACKENDS = ["loopback", "can", "canfd", "canlocal", "serial"]
 RATE_HZ = 100.0

@@ -22,7 +22,7 @@ from levid.daemon.planning.plan import plan_session
 from levid.drivers.base import AmplifierError, Context, StaleError
 from levid.drivers.registry import check_backends, names, open_devices
 from levid.log.reader import read_log
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 
 EXAMPLE = DOCS / "examples" / "backend"
 RATE_HZ = 250.0

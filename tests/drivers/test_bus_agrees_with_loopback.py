@@ -16,7 +16,7 @@ from levid.drivers.base import Devices
 from levid.drivers.bus_backend import AnswerTime
 from levid.log.reader import read_log
 from levid.log.signals import Stale
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 
 RATE_HZ = 250.0
 SESSION = """

@@ -27,8 +27,8 @@ from levid.drivers.base import (
 from levid.drivers.bus_backend import AnswerTime
 from levid.drivers.registry import open_devices
 from levid.log.signals import Stale
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.sim.electronics.faults import FAULTS, InjectionError
-from levid.sim.electronics.rig import Electronics
 from levid.wire.device_protocol import AmplifierState, DriveState
 
 pytestmark = pytest.mark.usefixtures("host_paced")

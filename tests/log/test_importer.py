@@ -12,11 +12,11 @@ from mcap_ros2.decoder import DecoderFactory
 from repository import ROOT
 
 from levid.config.base import ConfigError, parse_text
-from levid.log import matlab
+from levid.log import mat_file
 from levid.log.errors import LogError
 from levid.log.importer import import_file
 from levid.log.reader import read_log
-from levid.log.signals_file import SignalsFile
+from levid.log.signals_yaml import SignalsFile
 
 MEASURED = ROOT.parent / "shared" / "data"
 SIGNALS = ROOT / "config" / "signals"
@@ -221,7 +221,7 @@ def test_a_damaged_mat_file_does_not_take_the_program_along(tmp_path, seed):
 )
 def test_how_the_reader_of_mat_files_ended_is_said(tmp_path, monkeypatch, code, said):
     ended = subprocess.CompletedProcess([], code, b"", b"")
-    monkeypatch.setattr(matlab.subprocess, "run", lambda *_, **__: ended)
+    monkeypatch.setattr(mat_file.subprocess, "run", lambda *_, **__: ended)
     with pytest.raises(LogError, match=f"not a usable MAT file: its reader .*{said}"):
         run(tmp_path, mat(V1=U, V2=Y), HEAD + BY_NAME, name="a.mat")
 

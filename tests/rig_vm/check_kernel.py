@@ -9,7 +9,7 @@ import time
 from levid.config.buses import CanBus
 from levid.drivers.base import LinkError
 from levid.drivers.can.bus_link import CanLink
-from levid.sim.electronics.can_bus import _transmits_errors
+from levid.sim.electronics.can_emulator import _transmits_errors
 from levid.wire.can.can_bus import open_bus
 from levid.wire.can.kernel_frame import BUS_OFF_ID, ERROR
 from levid.wire.can.timestamps import SO_TIMESTAMPING, KernelStamps

@@ -27,7 +27,7 @@ for name in (
     "drivers.can.backend",
     "report.session.session_page",
     "sim.electronics.drive_nodes",
-    "sim.electronics.rig",
+    "sim.electronics.emulated_rig",
 ):
     import_module(f"levid.{name}")
 

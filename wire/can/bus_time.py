@@ -14,8 +14,8 @@ from ...config.base import ConfigError
 from ...config.buses import CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig, Role
 from ..bus_budget import Budget, BusTime, budget
-from .adapters import adapter_of, latency_s
 from .can_frames import ValueFrames, load_frames
+from .can_interfaces import adapter_of, latency_s
 from .cia402 import RPDO, TPDO
 
 _DRIVES = 3

@@ -17,7 +17,7 @@ from time import perf_counter, sleep, time
 from typing import Any, Protocol
 
 from ...config.buses import CanBus
-from .adapters import adapter_of, arguments
+from .can_interfaces import adapter_of, arguments
 from .kernel_frame import (
     ERROR,
     ERROR_BUS_OFF,

@@ -20,7 +20,7 @@ from ...greybox.discretisation import Motion
 from ...greybox.intersample_input import Hold, held_step, lagged_input, moments
 from ...greybox.noise_model import Filter
 from ..records.trace_record import TraceRecord
-from .force_moments import around, force_moments, polynomial_weights
+from .intersample_moments import around, force_moments, polynomial_weights
 
 Array = NDArray[np.float64]
 

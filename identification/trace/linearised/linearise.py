@@ -131,8 +131,8 @@ def _unknown_basis(point: WorkingPoint, here: Along, bank: FilterBank) -> Array:
     remembered = [
         term
         for p in point.placed
-        if p.effect.remains is not None
-        for term in p.effect.remains(here.signals, p.shape)
+        if p.effect.initial_force_decay is not None
+        for term in p.effect.initial_force_decay(here.signals, p.shape)
     ]
     return _extended(basis, bank.columns(remembered, len(remembered))) if remembered else basis
 
@@ -147,8 +147,8 @@ def _project_out_memory(
     at = 0
     for effect, shape in candidates:
         width = len(effect.amplitudes)
-        if effect.remains is not None and effect.effect_class == "unknown":
-            terms = effect.remains(here.signals, shape)
+        if effect.initial_force_decay is not None and effect.effect_class == "unknown":
+            terms = effect.initial_force_decay(here.signals, shape)
             held = _extended(basis, bank.columns(terms, len(terms)))[:, basis.shape[1] :]
             own = columns[:, at : at + width]
             own -= held @ (held.T @ own)

@@ -19,10 +19,10 @@ from ...greybox.noise_model import Filter, kalman_filter
 from ...greybox.prediction_errors import predict_along, settled
 from ...records.record import IdentificationError
 from ..records.effect_signals import measured_signals
-from ..records.noise_sources import Disturbance
+from ..records.sensor_and_amplifier_noise import Disturbance
 from ..records.trace_record import TraceRecord
-from .force_moments import force_moments
 from .innovations_filter_bank import thinned
+from .intersample_moments import force_moments
 
 Array = NDArray[np.float64]
 

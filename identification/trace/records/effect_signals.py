@@ -64,7 +64,7 @@ def trajectory(record: TraceRecord, q: Array, coil: Array, lag_s: float) -> Sign
         record.experiment.delay_cycles,
         record.places,
         lag_s,
-        standing=record.standing,
+        stuck=record.stuck,
     )
 
 

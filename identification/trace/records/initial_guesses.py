@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
-from ....model.effects.driven_range import Extent
+from ....model.effects.search_range import Extent
 from .effect_signals import trajectory
 from .resonances import resonances
 from .trace_record import TraceRecord

@@ -25,7 +25,7 @@ _TURNING = 200
 """Largest number of rows between two stuck intervals that are joined: the motion reverses."""
 
 
-def standing(readings: Array, shape: Array) -> Mask | None:
+def stuck_rows(readings: Array, shape: Array) -> Mask | None:
     """Return where readings are stuck (N, S), or None if there is no such row.
 
     readings (N, S) of sensors with shape (S, n): the other sensors give the expected reading, and

@@ -18,7 +18,7 @@ from ...greybox.experiment import Experiment, experiment_from_log
 from ...greybox.noise_model import Filter
 from ...records.from_log import cycles_at_limit, truncation_remarks
 from ...records.resampling import resample
-from .stuck_sensors import standing
+from .stuck_sensors import stuck_rows
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class TraceRecord:
     gap (N, S): as measured; coil, coil_excitation (N, C): commanded; beam and rotor (N, 3):
     position, velocity, acceleration (zeros without them); drive_n (N,): force of the beam's drives;
     time_s (N,): session time. `kind` names what moves; records of one kind are exchangeable.
-    standing (N, S): stuck readings; None without any. `remarks` describe events in the record.
+    stuck (N, S): stuck readings; None without any. `remarks` describe events in the record.
     """
 
     experiment: Experiment
@@ -50,7 +50,7 @@ class TraceRecord:
     rotor: Array
     drive_n: Array | None
     kind: str
-    standing: NDArray[np.bool_] | None = None
+    stuck: NDArray[np.bool_] | None = None
     remarks: tuple[str, ...] = ()
     filters: dict[bytes, Filter] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -97,7 +97,7 @@ class TraceRecord:
             beam=self.beam[rows],
             rotor=self.rotor[rows],
             drive_n=None if self.drive_n is None else self.drive_n[rows],
-            standing=None if self.standing is None else self.standing[rows],
+            stuck=None if self.stuck is None else self.stuck[rows],
         )
 
 
@@ -133,7 +133,7 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
         rotor,
         log.field("beam_force_n").astype(float),
         "",
-        standing(gap, places.sensor_shape),
+        stuck_rows(gap, places.sensor_shape),
         (*remarks, *resampling_remarks),
     )
     return replace(record, kind=_kind(record))

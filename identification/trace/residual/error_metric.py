@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from ...greybox.noise_floor import motion_covariance
+from ...greybox.free_run_noise_floor import motion_covariance
 from ..linearised.working_point import WorkingPoint
 from ..records.trace_record import TraceRecord
 from .free_run_with_effects import free_run

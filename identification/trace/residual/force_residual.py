@@ -10,9 +10,9 @@ from scipy.signal import welch
 
 from ....model.effects.base import Placed, Term
 from ...greybox.discretisation import Motion, input_moments
-from ...greybox.noise_floor import powers_of
+from ...greybox.free_run_noise_floor import powers_of
 from ..linearised.drive_force import beside_motion, calm, drive_errors
-from ..linearised.force_moments import force_moments
+from ..linearised.intersample_moments import force_moments
 from ..linearised.working_point import Along, WorkingPoint, along, corrected_experiment
 from ..records.trace_record import TraceRecord
 

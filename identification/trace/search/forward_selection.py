@@ -35,9 +35,9 @@ from .candidate_screening import (
     screened,
 )
 from .candidate_shortlist import sifted
-from .free_form_readings import asked_first, worth_columns
 from .gauss_newton import NEARLY, Candidate, gather, refine
 from .held_out_test import LOWERS, helps
+from .nonrigid_screening import asked_first, worth_columns
 from .regression import ColumnEvidence
 
 Progress = Callable[[str, float], None]

@@ -21,7 +21,7 @@ from levid.config.base import ConfigError
 from levid.config.service import Service
 from levid.daemon.api.control_server import LONGEST_LINE, LONGEST_SHORT, Reply, Server, ServerError
 from levid.daemon.client import Client
-from levid.daemon.host.access_control import Access, Peer, peer_of
+from levid.daemon.host.peer_credentials import Access, Peer, peer_of
 from levid.daemon.ipc.json_lines import Lines
 
 _GIVE_UP_S = 60.0

@@ -14,7 +14,7 @@ from levid.config.service import Service
 from levid.daemon.api import socket_paths
 from levid.daemon.api.control_server import Server
 from levid.daemon.client import Client, NoDaemonError
-from levid.daemon.host.access_control import Access
+from levid.daemon.host.peer_credentials import Access
 
 
 def test_a_stop_waits_for_no_library() -> None:

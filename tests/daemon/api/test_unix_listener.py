@@ -16,7 +16,7 @@ from levid.daemon.api import unix_listener
 from levid.daemon.api.control_server import Server, ServerError
 from levid.daemon.api.unix_listener import UnixListener
 from levid.daemon.client import Client
-from levid.daemon.host.access_control import Access
+from levid.daemon.host.peer_credentials import Access
 
 _GIVE_UP_S = 60.0
 

@@ -12,7 +12,7 @@ import pytest
 from levid.config.service import Service
 from levid.daemon.api.control_server import Server
 from levid.daemon.host import resource_monitor
-from levid.daemon.host.access_control import Access
+from levid.daemon.host.peer_credentials import Access
 from levid.daemon.host.resource_monitor import ResourceMonitor
 
 

@@ -17,8 +17,8 @@ from levid.config.shipped import shipped
 from levid.drivers.base import Context, Devices, LinkError, StaleError
 from levid.drivers.can.bus_link import CanLink
 from levid.drivers.registry import open_devices
-from levid.sim.electronics import can_bus
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics import can_emulator
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.can_bus import _KernelBus
 from levid.wire.can.kernel_frame import BUS_OFF_ID, pack_frame
 from levid.wire.can.local_bus import LocalBus, LocalFrames
@@ -133,9 +133,9 @@ def cycles(devices: Devices, numbers: range) -> None:
 def test_no_controller_is_told_to_send_an_error_frame(tmp_path: Path, monkeypatch) -> None:
     """It would send the ID that is left without the flags."""
     (tmp_path / "vcan0").mkdir()
-    monkeypatch.setattr(can_bus, "_WITHOUT_DEVICE", tmp_path)
+    monkeypatch.setattr(can_emulator, "_WITHOUT_DEVICE", tmp_path)
     found = {
-        (interface, channel): can_bus._transmits_errors(
+        (interface, channel): can_emulator._transmits_errors(
             CanBus(interface=interface, channel=channel)
         )
         for interface, channel in (
@@ -148,7 +148,7 @@ def test_no_controller_is_told_to_send_an_error_frame(tmp_path: Path, monkeypatc
 
 def test_error_frame_goes_over_an_interface_of_python_can(tmp_path: Path) -> None:
     config = CanBus(interface="virtual", channel=tmp_path.name)
-    link, other = CanLink("main", config), can_bus.open_bus(config)
+    link, other = CanLink("main", config), can_emulator.open_bus(config)
     link.open()
     other.send(BUS_OFF_ID, bytes(8))
     with pytest.raises(LinkError, match="bus-off"):

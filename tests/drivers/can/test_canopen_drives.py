@@ -19,7 +19,7 @@ from levid.drivers.base import Context, Devices, DriveError, DriverError, LinkEr
 from levid.drivers.can.bus_link import CanLink
 from levid.drivers.can.canopen_nodes import DriveNode
 from levid.drivers.registry import check_backends, open_devices
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import (
     NMT_ID,
     POSITION_M,
@@ -37,7 +37,7 @@ from levid.wire.can.cia402 import (
     sync_counter,
 )
 from levid.wire.device_protocol import CYCLES, DriveState
-from levid.wire.finite_differences import Differences
+from levid.wire.velocity_from_positions import Differences
 
 RATE_HZ = 100.0
 

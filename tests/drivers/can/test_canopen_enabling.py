@@ -17,7 +17,7 @@ from levid.drivers.base import Context, Devices, DriveError, DriverError
 from levid.drivers.can.canopen_nodes import DriveNode, interpolation
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.drive_nodes import Drive
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import (
     HOMING_ATTAINED,
     HOMING_ERROR,

@@ -15,17 +15,17 @@ from rig_effects import rig_places
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.records.record import IdentificationError
-from levid.identification.trace.records.noise_sources import require_noise
 from levid.identification.trace.records.read_records import read_records, require_live
+from levid.identification.trace.records.sensor_and_amplifier_noise import require_noise
 from levid.identification.trace.records.session_time import overlap, require_timeless, timeless
 from levid.identification.trace.records.trace_record import TraceRecord, split, trace_record
-from levid.identification.trace.study import Trace, trace
+from levid.identification.trace.trace_logs import Trace, trace
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log
 from levid.model.effects.base import Placed
-from levid.model.effects.driven_range import Extent
+from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
-from levid.model.effects.table import all_effects
+from levid.model.effects.search_range import Extent
 
 NOISE_M = 2e-7
 

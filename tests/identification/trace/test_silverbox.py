@@ -13,10 +13,10 @@ from levid.config.model import load_model
 from levid.identification.trace.linearised.working_point import WorkingPoint
 from levid.identification.trace.records.trace_record import trace_record
 from levid.identification.trace.residual.free_run_with_effects import free_run
-from levid.identification.trace.study import trace
+from levid.identification.trace.trace_logs import trace
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 
 TRAIN = ((40_650, 48_841), (65_226, 73_417), (89_802, 97_993))
 """Rows of three eighths of the usual training part, to be quick."""

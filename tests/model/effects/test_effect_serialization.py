@@ -15,9 +15,9 @@ from levid.identification.greybox.identify_greybox import to_yaml
 from levid.identification.trace.result import model_effect
 from levid.model.declared_model import ModelError
 from levid.model.effects.base import Placed, Places
-from levid.model.effects.driven_range import Extent
+from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.effect_serialization import placed_effects
-from levid.model.effects.table import all_effects
+from levid.model.effects.search_range import Extent
 from levid.model.effects.vibration import tone
 
 
@@ -46,7 +46,7 @@ def test_every_effect_of_the_table_is_read_back_from_a_file(places: Places) -> N
     ]
     read = in_file([model_effect(p) for p in placed])
     # Of records that show little of it: slow, and with sensors that never stand still.
-    little = replace(Extent.typical(places), fastest_hz=20.0, standing=())
+    little = replace(Extent.typical(places), fastest_hz=20.0, stuck=())
     for extent in (None, little):
         back = placed_effects(read.effects, places, extent)
         assert [p.effect.identity for p in back] == [p.effect.identity for p in placed]

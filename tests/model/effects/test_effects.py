@@ -13,9 +13,9 @@ from rig_effects import CLASSES, R_M, rig_places
 
 from levid.model.effects import drives, flexible, vibration
 from levid.model.effects.base import Effect, Loads, Placed, Places, Signals
-from levid.model.effects.driven_range import Extent
+from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.recursions import lagged_mean
-from levid.model.effects.table import all_effects
+from levid.model.effects.search_range import Extent
 
 TS = 1e-3
 OTHERS = {"stiffness", "damping", "inertia"}
@@ -131,7 +131,7 @@ def test_columns_to_screen_stay_few():
     # frequency is 3 forces, the floor, 9 readings and a common one, a cosine and a sine each: 28.
     # Frozen sensors are included only if readings are frozen. 470 take as long as 430 did.
     s, count = moving(), 0
-    usual = replace(Extent.typical(s.places), tones_hz=(), standing=())
+    usual = replace(Extent.typical(s.places), tones_hz=(), stuck=())
     for effect in all_effects(s.places, usual):
         for row in effect.grid:
             count += sum(any(p is not None for p in t.parts[:3]) for t in effect.build(s, row))
@@ -349,8 +349,8 @@ def test_saturation_runs_from_soft_to_hard():
 def test_saturation_of_which_there_is_all_loses_as_much_far_below_its_limit():
     s = coil_signals(np.linspace(-6, 6, moving().rows))
     effect = table(rig_places)["saturation@coil:2"]
-    assert effect.plain is not None
-    shape = effect.plain((0.3,), (25.0, 4.0))
+    assert effect.shape_of_unit_amplitude is not None
+    shape = effect.shape_of_unit_amplitude((0.3,), (25.0, 4.0))
     part = 0.3 * term("saturation@coil:2", (25.0, 4.0), s).held[:, 2]
     np.testing.assert_allclose(
         term("saturation@coil:2", shape, s).held[:, 2], part, atol=2e-3 * np.ptp(part)
@@ -536,14 +536,14 @@ def test_line_has_the_phase_of_the_session():
 
 
 def test_sensor_that_stands_shows_the_height_at_which_it_came_to_a_stand():
-    standing = np.zeros((moving().rows, 9), bool)
-    standing[100:120, 4] = standing[3000:3400, 4] = True
-    s = replace(moving(), standing=standing)
-    assert Extent.measured([moving(), s]).standing == (4,)
+    stuck = np.zeros((moving().rows, 9), bool)
+    stuck[100:120, 4] = stuck[3000:3400, 4] = True
+    s = replace(moving(), stuck=stuck)
+    assert Extent.measured([moving(), s]).stuck == (4,)
     (stand,) = (e for e in all_effects(s.places) if e.identity == "sensor_stuck.stand@sensor:4")
     (found,) = stand.build(s, ())
     shown = s.gap(4) + found.gap[:, 4]
-    assert np.all(shown[~standing[:, 4]] == s.gap(4)[~standing[:, 4]])
+    assert np.all(shown[~stuck[:, 4]] == s.gap(4)[~stuck[:, 4]])
     np.testing.assert_allclose(shown[100:120], s.gap(4)[99], rtol=1e-12)
     np.testing.assert_allclose(shown[3000:3400], s.gap(4)[2999], rtol=1e-12)
     assert not np.any(np.delete(found.gap, 4, axis=1))

@@ -12,8 +12,8 @@ from numpy.polynomial import chebyshev
 from rig_effects import acts, moving, rig_places
 from scipy.signal import lsim
 
-from levid.model.effects.driven_range import Extent
 from levid.model.effects.freeform import DEGREE, Form, depends_on, freeform_effect, freeform_effects
+from levid.model.effects.search_range import Extent
 
 
 def effects():
@@ -320,6 +320,6 @@ def test_hysteresis_of_a_coil_depends_on_reversals():
         np.testing.assert_allclose(own[:, 0], np.mean(held, axis=0), atol=1e-12)
     up, down = terms[1].held[110], terms[1].held[140]  # the same command, 16 ms before the turn
     assert np.abs(up - down).max() > np.abs(up).max()
-    assert len(effect.remains(s, ())) == len(terms)
+    assert len(effect.initial_force_decay(s, ())) == len(terms)
     assert freeform_effect(rig_places(), "unknown.hysteresis.command[0]", ("coil:6",)) is None
     assert freeform_effect(rig_places(), "unknown.hysteresis.command[1]", ("z",)) is None

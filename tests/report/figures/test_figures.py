@@ -35,7 +35,7 @@ from levid.report.plotting.style import (
 from levid.report.plotting.svg import to_svg
 from levid.report.session.cycle_times import quantile_s, timing_histogram
 from levid.report.session.flight_data import CycleTimes
-from levid.report.session.pose_over_beam import BeamRecord, beam_trajectory
+from levid.report.session.pose_vs_beam_position import BeamRecord, beam_trajectory
 
 pytestmark = pytest.mark.usefixtures("no_warnings")
 

@@ -13,7 +13,7 @@ from standing_drives import until, with_drives
 from levid.config.rig import RigConfig
 from levid.drivers.base import Context, Devices, DriveError
 from levid.drivers.registry import open_devices
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import POSITION_M, POSITION_RAD, RPDO1_ID
 from levid.wire.device_protocol import DriveState
 

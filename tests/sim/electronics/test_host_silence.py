@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from levid.config.shipped import shipped
-from levid.sim.electronics.can_bus import CanElectronics
-from levid.sim.electronics.core import Core
-from levid.sim.electronics.rig import Electronics
-from levid.sim.electronics.serial_port import SerialElectronics
+from levid.sim.electronics.can_emulator import CanElectronics
+from levid.sim.electronics.emulated_devices import Core
+from levid.sim.electronics.emulated_rig import Electronics
+from levid.sim.electronics.serial_emulator import SerialElectronics
 from levid.wire.can.can_frames import load_frames
 from levid.wire.can.kernel_frame import ReceivedFrame
 from levid.wire.device_protocol import (

@@ -13,7 +13,7 @@ import numpy as np
 
 from levid.config.buses import RoleOptions
 from levid.config.rig import RigConfig
-from levid.sim.electronics.core import Core
+from levid.sim.electronics.emulated_devices import Core
 from levid.sim.electronics.faults import Injector, Outgoing
 
 from .bus import UdpBus

@@ -40,11 +40,11 @@ from levid.identification.trace.linearised.working_point import (
     corrected_experiment,
     filtered,
 )
-from levid.identification.trace.records.noise_sources import Disturbance
+from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance
 from levid.identification.trace.records.trace_record import TraceRecord
 from levid.identification.trace.search.regression import ColumnEvidence
 from levid.model.effects.base import Effect, Placed, Quantity, Term, on_coil, on_dof
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 
 KINDS = ("fixed", "moving")
 
@@ -436,10 +436,12 @@ def test_what_a_free_form_may_have_held_before_is_no_part_of_its_columns() -> No
     basis, _ = np.linalg.qr(rng.standard_normal((300, 2)))
     held = rng.standard_normal((100, 3, 2))
     remembers = SimpleNamespace(
-        amplitudes=(1, 2, 3), effect_class="unknown", remains=lambda *_: [None, None]
+        amplitudes=(1, 2, 3), effect_class="unknown", initial_force_decay=lambda *_: [None, None]
     )
-    forgets = SimpleNamespace(amplitudes=(1,), effect_class="unknown", remains=None)
-    friction = SimpleNamespace(amplitudes=(1,), effect_class="friction", remains=lambda *_: [None])
+    forgets = SimpleNamespace(amplitudes=(1,), effect_class="unknown", initial_force_decay=None)
+    friction = SimpleNamespace(
+        amplitudes=(1,), effect_class="friction", initial_force_decay=lambda *_: [None]
+    )
     bank = SimpleNamespace(columns=lambda terms, count: held[:, :, :count])
     columns = rng.standard_normal((300, 5))
     columns -= basis @ (basis.T @ columns)

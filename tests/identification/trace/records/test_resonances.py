@@ -14,9 +14,9 @@ from levid.identification.records.record import PiController
 from levid.identification.trace.records.resonances import resonances
 from levid.identification.trace.records.trace_record import TraceRecord
 from levid.model.effects.base import Places
-from levid.model.effects.driven_range import Extent
+from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.flexible import PATTERNS, patterns
-from levid.model.effects.table import all_effects
+from levid.model.effects.search_range import Extent
 
 PLACES = rig_places()
 NAMES, OVER_SENSORS, OVER_COILS = patterns(PLACES)

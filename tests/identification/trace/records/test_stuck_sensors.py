@@ -7,7 +7,7 @@ import pytest
 from rig_effects import rig_places
 from scipy.signal import lfilter
 
-from levid.identification.trace.records.stuck_sensors import standing
+from levid.identification.trace.records.stuck_sensors import stuck_rows
 
 TS = 1e-3
 ROWS = 20_000
@@ -52,7 +52,7 @@ def test_stands_are_found_to_a_row_or_two(rows: int, repeats: bool) -> None:
     else:
         stuck = held_for(gaps, 4, rows)
         readings = gaps + noise(1)
-    found = standing(readings, SHAPE)
+    found = stuck_rows(readings, SHAPE)
     assert found is not None
     assert not np.any(np.delete(found, 4, axis=1))
     # Where the platform moves by 0.1 um in a row, its noise, nobody can tell one row from the next.
@@ -74,7 +74,7 @@ def test_two_sensors_that_stand_at_times_of_their_own_are_told_apart() -> None:
     gaps[:, 8] = np.roll(gaps[:, 8], -250)
     second = np.roll(held_for(gaps, 8, 30), 250)
     gaps[:, 8] = np.roll(gaps[:, 8], 250)
-    found = standing(gaps + noise(2), SHAPE)
+    found = stuck_rows(gaps + noise(2), SHAPE)
     assert found is not None
     assert set(np.flatnonzero(found.any(axis=0))) == {0, 8}
     for stuck, sensor in ((first, 0), (second, 8)):
@@ -99,10 +99,10 @@ def test_what_follows_the_platform_never_stands(wrong: str, seed: int) -> None:
     readings = gaps + own
     if wrong == "coarse":
         readings = np.round(readings / 31e-9) * 31e-9
-    assert standing(readings, SHAPE) is None
+    assert stuck_rows(readings, SHAPE) is None
 
 
 def test_without_sensors_to_spare_nobody_can_say() -> None:
     readings = (true_gaps(1) + noise(1))[:, :4]
     held_for(readings, 1, 40)
-    assert standing(readings, SHAPE[:4]) is None
+    assert stuck_rows(readings, SHAPE[:4]) is None

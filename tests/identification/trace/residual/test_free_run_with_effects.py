@@ -17,13 +17,13 @@ from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.records.record import IdentificationError, PiController
 from levid.identification.trace.linearised.working_point import WorkingPoint
-from levid.identification.trace.records.noise_sources import Disturbance
+from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance
 from levid.identification.trace.records.trace_record import TraceRecord
 from levid.identification.trace.residual.error_metric import pooled, record_error
 from levid.identification.trace.residual.free_run_with_effects import EffectFreeRun, free_run
 from levid.model.effects.base import Placed, Places
-from levid.model.effects.driven_range import Extent
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
+from levid.model.effects.search_range import Extent
 
 MASS, DAMPER, SPRING = 2.0, 12.0, 800.0  # 3.2 Hz, damping 0.15
 MODEL = f"""

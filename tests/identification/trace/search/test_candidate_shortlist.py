@@ -10,7 +10,7 @@ from rig_effects import rig_places
 
 from levid.identification.trace.search import candidate_shortlist
 from levid.identification.trace.search.candidate_screening import Round, Tried
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 
 EFFECTS = {effect.identity: effect for effect in all_effects(rig_places())}
 

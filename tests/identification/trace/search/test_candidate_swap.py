@@ -15,7 +15,7 @@ from levid.identification.trace.search import candidate_swap
 from levid.identification.trace.search.candidate_screening import HeldError, Round, Tried
 from levid.identification.trace.search.forward_selection import Grown
 from levid.model.effects.base import Placed
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 
 NAMED = {e.identity: e for e in all_effects(rig_places())}
 DAMPING, DRAG, COULOMB, GAIN = (

@@ -12,7 +12,7 @@ from rig_effects import rig_places
 from levid.identification.trace.search import forward_selection
 from levid.identification.trace.search.candidate_screening import HeldError, Round, Tried
 from levid.identification.trace.search.held_out_test import helps
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 
 NAMED = {e.identity: e for e in all_effects(rig_places())}
 FLOOR = 1.75

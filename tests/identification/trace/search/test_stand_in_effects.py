@@ -12,7 +12,7 @@ from search_points import Measured, Point
 from levid.identification.trace.search import backward_elimination, forward_selection
 from levid.identification.trace.search.candidate_screening import HeldError, Round, Tried
 from levid.model.effects.base import Placed
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 
 NAMED = {e.identity: e for e in all_effects(rig_places())}
 FIRST, SECOND, THIRD = "coil_gain@coil:1", "coil_gain@coil:2", "coil_gain@coil:3"

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from levid.identification.trace.records.coil_loads import loads_of
+from levid.identification.trace.records.coil_heating import loads_of
 
 
 def record(begin_s: float, seconds: float, force_n: float) -> SimpleNamespace:

@@ -28,7 +28,7 @@ class Extent:
 
     reach, speed (n,): RMS deviation and speed of each DOF, in the record with the largest ones.
     gap: RMS motion at a sensor. command: largest actuator command. beam_m: travel of the beam.
-    spans_s: begin and end of each record, in the session's time. standing: sensors with frozen
+    spans_s: begin and end of each record, in the session's time. stuck: sensors with frozen
     readings while the platform moves. tones_hz: frequencies of the lines to search. middle (n,),
     beam_middle_m: mean position of each DOF and of the beam, rounded to a tenth of their motion.
     fastest_hz: highest frequency without aliasing at the lowest sampling rate. late_s: sum of the
@@ -44,7 +44,7 @@ class Extent:
     beam_m: float
     spans_s: tuple[tuple[float, float], ...] = ()
     tones_hz: tuple[float, ...] = MAINS_HZ
-    standing: tuple[int, ...] = ()
+    stuck: tuple[int, ...] = ()
     middle: tuple[float, ...] = ()
     beam_middle_m: float = 0.0
     fastest_hz: float = math.inf
@@ -65,7 +65,7 @@ class Extent:
         speed = tuple(2 * math.pi * _TYPICAL_HZ * r for r in reach)
         return cls(
             reach, speed, _TYPICAL_GAP, _TYPICAL_COMMAND, _TYPICAL_BEAM_M,
-            standing=tuple(range(places.sensors)),
+            stuck=tuple(range(places.sensors)),
         )  # fmt: skip
 
     @classmethod
@@ -130,7 +130,7 @@ def _rounded(middle: float, size: float) -> float:
 
 def _standing(records: Sequence[Signals]) -> tuple[int, ...]:
     """Return the sensors with frozen readings in any record."""
-    masks = [r.standing.any(axis=0) for r in records if r.standing is not None]
+    masks = [r.stuck.any(axis=0) for r in records if r.stuck is not None]
     return tuple(np.flatnonzero(np.any(masks, axis=0)).tolist()) if masks else ()
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from .errors import LogError
-from .signals_file import SignalsFile
-from .tables import Columns, load_mat, read_variables
+from .signals_yaml import SignalsFile
+from .tabular_files import Columns, load_mat, read_variables
 
 _REFUSED = 3
 """Exit code of the child process for a file that does not fit; stdout holds the error."""

@@ -22,7 +22,7 @@ def with_plain_amplitudes(point: WorkingPoint, records: Fitted) -> WorkingPoint:
     """
     squares = None
     for i, placed in enumerate(point.placed):
-        if placed.effect.plain is None:
+        if placed.effect.shape_of_unit_amplitude is None:
             continue
         if squares is None:
             squares = gather(point, records.train(point)).squares
@@ -40,7 +40,7 @@ def free_numbers(point: WorkingPoint) -> NDArray[np.bool_]:
 
 
 def _held(placed: Placed) -> Placed:
-    effect, plain = placed.effect, placed.effect.plain
+    effect, plain = placed.effect, placed.effect.shape_of_unit_amplitude
     assert plain is not None
     amplitudes = tuple(replace(q, low=1.0, high=1.0) for q in effect.amplitudes)
     shape = [

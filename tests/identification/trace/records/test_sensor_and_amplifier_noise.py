@@ -16,13 +16,13 @@ from levid.config.model import load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.covariance import correlation
 from levid.identification.greybox.experiment import ControlLoop, Experiment
+from levid.identification.greybox.free_run_noise_floor import motion_covariance
 from levid.identification.greybox.model_file import declared_model
-from levid.identification.greybox.noise_floor import motion_covariance
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.greybox.prediction_errors import predict
 from levid.identification.records.record import PiController
 from levid.identification.trace.records.initial_guesses import tones
-from levid.identification.trace.records.noise_sources import disturbance, sensor_noise
+from levid.identification.trace.records.sensor_and_amplifier_noise import disturbance, sensor_noise
 from levid.identification.trace.records.trace_record import TraceRecord, split
 from levid.model.effects.base import Places
 

@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_limits
 
 from ...config.model import ModelConfig
 from ...model.effects.base import Effect, Places
-from ...model.effects.driven_range import Extent
 from ...model.effects.effect_serialization import placed_effects
 from ...model.effects.freeform import freeform_effects
+from ...model.effects.search_range import Extent
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.free_parameters import free_parameters
 from ..greybox.model_file import declared_model
@@ -24,17 +24,17 @@ from ..records.record import IdentificationError
 from .linearised.gram_matrices import BLOCK_S, Linearised
 from .linearised.linearise import blocks_in, linearise
 from .linearised.working_point import WorkingPoint, with_likely_noise
-from .records.coil_loads import loads_of
+from .records.coil_heating import loads_of
 from .records.initial_guesses import extent
-from .records.noise_sources import disturbance, require_noise
 from .records.read_records import read_records
+from .records.sensor_and_amplifier_noise import disturbance, require_noise
 from .records.session_time import overlap, require_timeless, timeless
 from .records.trace_record import SHORTEST_S, TraceRecord, split
 from .residual.error_metric import RecordError, pooled, record_error
 from .residual.random_vibration import RandomVibration, force_spectrum, shaking
 from .search.candidate_screening import HeldError
-from .search.free_form_readings import shown_beyond
 from .search.gauss_newton import NEARLY, Candidate, refine
+from .search.nonrigid_screening import shown_beyond
 from .search.regression import FOLDS
 from .search.search import Found, search, without_followers
 from .worker_pool import RecordSource, Workers

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
-from .base_magnets import PERIOD_M, at_the_beam, periods_m, waves_along
-from .driven_range import Extent
+from .magnet_attraction import PERIOD_M, at_the_beam, periods_m, waves_along
+from .search_range import Extent
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ _SPOKEN = {_SQUARED: "v_b^2"}
 _KEY = re.compile(r"unknown\.wave\.(?P<factor>\w+)(?:\[(?P<unit>[0-9.e+-]+)\])?")
 
 
-def waves(places: Places, extent: Extent) -> list[Effect]:
+def wave_effects(places: Places, extent: Extent) -> list[Effect]:
     """Return the waves of every DOF and sensor; empty for a plant without a beam.
 
     A force that depends on x_b only is the effect `external_field` and is not repeated here.
@@ -43,7 +43,7 @@ def waves(places: Places, extent: Extent) -> list[Effect]:
     return found + [_wave(places, where, _PLACE, 1.0, periods) for where in sensors]
 
 
-def wave(places: Places, key: str, where: Sequence[str]) -> Effect | None:
+def wave_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the wave with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
     sensors = [f"sensor:{s}" for s in range(places.sensors)]
@@ -63,7 +63,7 @@ def wave(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     return _wave(places, where[0], factor, unit, periods_m(Extent.typical(places)))
 
 
-def felt_by(effect: Effect) -> tuple[str, ...]:
+def wave_signals(effect: Effect) -> tuple[str, ...]:
     """Return the signals that a wave depends on; () for other effects."""
     found = _KEY.fullmatch(effect.key)
     if found is None:

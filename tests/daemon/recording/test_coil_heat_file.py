@@ -11,8 +11,8 @@ import pytest
 
 from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
-from levid.daemon.recording import coil_heat as heat_module
-from levid.daemon.recording.coil_heat import HeatFile, state_folder
+from levid.daemon.recording import coil_heat_file as heat_module
+from levid.daemon.recording.coil_heat_file import HeatFile, state_folder
 
 RIG = load_rig(shipped("rigs/loopback.yaml"))
 LIMITED = RIG.model_copy(update={"limits": RIG.limits.model_copy(update={"coil_rms_n": 8.0})})

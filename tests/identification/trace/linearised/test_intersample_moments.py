@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 
-from levid.identification.trace.linearised.force_moments import (
+from levid.identification.trace.linearised.intersample_moments import (
     POINTS,
     force_moments,
     polynomial_weights,

@@ -10,7 +10,7 @@ from ...config.base import ConfigError, load_yaml
 from ...config.buses import AmplifierOptions, RoleOptions
 from ...config.rig import RigConfig
 from ...config.sim import SimConfig
-from .core import Core
+from .emulated_devices import Core
 from .faults import Injector
 
 

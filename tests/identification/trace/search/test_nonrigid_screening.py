@@ -9,14 +9,14 @@ import pytest
 from declared_records import PLACES, SENSOR_SD, SHAPE, point, record
 
 from levid.identification.trace.linearised.linearise import linearise
-from levid.identification.trace.search import free_form_readings
+from levid.identification.trace.search import nonrigid_screening
 from levid.identification.trace.search.candidate_screening import DESCRIBES
 from levid.identification.trace.search.gauss_newton import Candidate, gather
 from levid.identification.trace.search.regression import ColumnEvidence, gains
 from levid.model.effects.base import Placed
-from levid.model.effects.driven_range import Extent
+from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
-from levid.model.effects.table import all_effects
+from levid.model.effects.search_range import Extent
 
 FORMS = freeform_effects(PLACES, Extent.typical(PLACES))
 ASKED: list[Candidate] = [(e, tuple(shape)) for e in FORMS for shape in e.grid]
@@ -36,7 +36,7 @@ def false():
 def test_what_is_gained_beyond_the_pose_is_most_of_what_there_is(false):
     few = [c for c in ASKED if c[0].where == ("sensor:4",) and c[0].key.startswith("unknown.x_b")]
     few += [c for c in ASKED if c[0].where == ("sensor:4",) and ".wave.place" in c[0].key]
-    shown = free_form_readings.shown_beyond(point(), false, few)
+    shown = nonrigid_screening.shown_beyond(point(), false, few)
     part = [g.sum() for g in gains(ColumnEvidence.gather([shown], np.zeros((0, 1))))]
     whole = [g.sum() for g in gains(gather(point(), [linearise(point(), false, few)]))]
     best = int(np.argmax(whole))
@@ -48,25 +48,25 @@ def test_what_is_gained_beyond_the_pose_is_most_of_what_there_is(false):
 
 
 def test_right_sensors_are_not_asked_further(false):
-    first, rest = free_form_readings.asked_first(point(), ASKED)
+    first, rest = nonrigid_screening.asked_first(point(), ASKED)
     assert len(first) + len(rest) == len(ASKED)
     assert {e.where[0].partition(":")[0] for e, _ in first} == {"sensor"}
     assert not {e.where[0].partition(":")[0] for e, _ in rest} & {"sensor"}
     least = DESCRIBES * gather(point(), [linearise(point(), false, [])]).excess
-    shown = [free_form_readings.shown_beyond(point(), false, first)]
-    kept = free_form_readings.worth_columns(first, shown, SHAPE, least)
+    shown = [nonrigid_screening.shown_beyond(point(), false, first)]
+    kept = nonrigid_screening.worth_columns(first, shown, SHAPE, least)
     # Of what the one in the middle shows too much, corners show a ninth too little.
     assert {e.where[0] for e, _ in kept} <= {"sensor:4", *(f"sensor:{s}" for s in (0, 2, 6, 8))}
     assert any(e.identity.startswith("unknown.x_b") and e.where == ("sensor:4",) for e, _ in kept)
     assert len({e.identity for e, _ in kept}) <= 60
-    assert not free_form_readings.worth_columns(first, shown, SHAPE, 1e9)
+    assert not nonrigid_screening.worth_columns(first, shown, SHAPE, 1e9)
 
 
 def test_a_sensor_with_something_found_is_asked_whole():
     """What comes beside it may only show together with that."""
     found = next(e for e in FORMS if e.identity == "unknown.time[10+-10]@sensor:4")
     at = replace(point(), placed=(Placed(found, (), (0.0,) * len(found.amplitudes)),))
-    first, rest = free_form_readings.asked_first(at, ASKED)
+    first, rest = nonrigid_screening.asked_first(at, ASKED)
     assert "sensor:4" not in {w for e, _ in first for w in e.where}
     assert "sensor:4" in {w for e, _ in rest for w in e.where}
     assert "sensor:5" not in {w for e, _ in rest for w in e.where}
@@ -74,4 +74,4 @@ def test_a_sensor_with_something_found_is_asked_whole():
 
 def test_what_has_a_name_is_asked_whole():
     named = [(e, tuple(e.grid[0])) for e in all_effects(PLACES)]
-    assert free_form_readings.asked_first(point(), named) == ([], named)
+    assert nonrigid_screening.asked_first(point(), named) == ([], named)

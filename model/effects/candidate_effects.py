@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from . import (
-    base_magnets,
     beam,
     bearing,
     coil_drift,
@@ -14,6 +13,7 @@ from . import (
     drives,
     flexible,
     friction,
+    magnet_attraction,
     mass,
     rotor,
     sensor_dynamic,
@@ -22,7 +22,7 @@ from . import (
     vibration,
 )
 from .base import Effect, Places, resolved
-from .driven_range import Extent
+from .search_range import Extent
 
 
 def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, ...]:
@@ -41,7 +41,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *beam.effects(places),
         *drives.effects(places, covered),
         *bearing.effects(places, covered),
-        *base_magnets.effects(places, covered),
+        *magnet_attraction.effects(places, covered),
         *rotor.effects(places),
         *coil_gain.effects(places),
         *coil_timing.effects(places, covered),

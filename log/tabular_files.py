@@ -16,7 +16,7 @@ import scipy.io
 from numpy.typing import NDArray
 
 from .errors import LogError
-from .signals_file import Column, RowRange, SignalsFile
+from .signals_yaml import Column, RowRange, SignalsFile
 
 Columns = list[NDArray[np.float64]]
 
@@ -101,7 +101,7 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
 def load_mat(path: Path) -> dict[str, Any]:
     """Return the variables of a MAT file by name, structs as dicts; raise LogError if damaged.
 
-    Some damaged files crash scipy's reader and this process: matlab.read_mat uses a child process.
+    Some damaged files crash scipy's reader and its process, which is a child: see mat_file.
     """
     try:
         loaded = scipy.io.loadmat(path, simplify_cells=True)

@@ -21,7 +21,7 @@ from ...config.rig import RigConfig
 from ...wire.frame_rejection import Rejected
 from ...wire.serial.frame_splitter import FrameStream
 from ...wire.serial.serial_frames import FrameContents, Kind, SerialFrames
-from .core import Core
+from .emulated_devices import Core
 from .faults import Injector, Outgoing
 
 _CHUNK = 4096

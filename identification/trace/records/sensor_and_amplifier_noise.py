@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from ....model.declared_model import DeclaredModel
 from ....model.second_order import discretise
 from ...greybox.experiment import Experiment
-from ...greybox.noise_floor import powers_of
+from ...greybox.free_run_noise_floor import powers_of
 from ...greybox.noise_model import Noise
 from ...records.record import IdentificationError
 from .sensor_white_noise import white_noise

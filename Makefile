@@ -11,11 +11,12 @@ DEV := $(VENV)/.installed-dev
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-rig bench lint format lock clean
+.PHONY: help demo test test-long test-rig bench lint format lock clean
 
 help:
 	@echo "make demo      fly, identify and trace the simulated rig; print the paths of the reports"
-	@echo "make test      run all tests"
+	@echo "make test      run the tests, about ten minutes on two processors"
+	@echo "make test-long run the tests that kill and restart processes in flight, about five minutes"
 	@echo "make test-rig  run the daemon on vcan in a virtual machine, also as a service (Debian, Ubuntu; root)"
 	@echo "make bench     run every benchmark with --quick"
 	@echo "make lint      run ruff, mypy and import-linter"
@@ -32,7 +33,10 @@ test: $(DEV)
 	@failed=0; \
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone" \
 	  --numprocesses auto --maxprocesses 4 --dist loadfile || failed=$$?; \
-	$(BIN)/python -m pytest -m alone && exit $$failed
+	$(BIN)/python -m pytest -m "alone and not long" && exit $$failed
+
+test-long: $(DEV)
+	$(BIN)/python -m pytest -m long
 
 test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh

@@ -36,6 +36,14 @@ _WAIT = (
     "wire/can/test_read_ahead",
 )
 """Tests among them that wait for clocks or processes."""
+_LONG = (
+    "benchmarks/test_watchdogs",
+    "daemon/supervision/test_first_lift_off",
+    "daemon/test_flights_on_a_bus",
+    "daemon/test_processes_killed",
+    "identification/trace/test_worker_pool",
+)
+"""Tests that take minutes: `make test-long` and `.ci/run` run them."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -44,6 +52,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         path = item.path.relative_to(_TESTS).as_posix()
         if path.startswith(_WAIT) or not path.startswith(_COMPUTE):
             item.add_marker(pytest.mark.alone)
+        if path.startswith(_LONG):
+            item.add_marker(pytest.mark.long)
 
 
 @pytest.fixture(scope="session", autouse=True)

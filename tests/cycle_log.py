@@ -1,4 +1,4 @@
-"""The log of a record of the rig, as read, made of rows that a test has made up."""
+"""Build a log of the rig from rows in memory, without a file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from levid.log.reader import Log
 
 
 def cycle_log(file: str, rows: np.ndarray, **changes: object) -> Log:
-    """Return the log NN-NAME.mcap of these rows at 1 kHz, complete, of the loopback rig."""
+    """Return a complete log NN-NAME.mcap of the loopback rig with these rows at 1 kHz."""
     log = Log(
         path=Path(file),
         rows=rows,

@@ -1,6 +1,6 @@
-"""The rig in a few lines of its own, so that identification is tested against an independent truth.
+"""A second, independent implementation of the rig: the truth that identification is compared with.
 
-Not a test file: tests take it as their fixture `rig`.
+Tests use it through the fixture `rig`.
 """
 
 from __future__ import annotations
@@ -111,10 +111,10 @@ def simulate(
 def fly_limited(
     plant: SampledPlant, v: Array, limit_n: float, seed: int = 0
 ) -> tuple[Array, Array, Array, Array]:
-    """Fly v (N, 3) as `simulate` does, each coil within +-limit_n; 7.63 N of it carry the weight.
+    """Fly v (N, 3) like `simulate` with coil forces within +-limit_n; 7.63 N carry the weight.
 
-    Return pose y, the wrench asked for and its feed-forward (N, 3), and the coils' forces (N, 9).
-    Integrators stand still while a coil is at its limit.
+    Return pose y, the commanded wrench and its feed-forward (N, 3), and the coil forces (N, 9).
+    The integrators are held while a coil is at its limit.
     """
     rng, n = np.random.default_rng(seed), len(v)
     sensor = rng.normal(0.0, SENSOR_NOISE_M, (n, 9))
@@ -139,8 +139,8 @@ def records(
 ) -> list[Record]:
     """Return a record of white noise at each input for each position, flown from rest.
 
-    They are named psi-0, theta-0, z-0, psi-1, ... by input and position. The density of the
-    excitation is the same at any rate. `at_rest`: whether they tell that they begin at rest.
+    Names are psi-0, theta-0, z-0, psi-1, ... by input and position. The power density of the
+    excitation is the same at any rate. `at_rest`: the value of the records' field `at_rest`.
     """
     controller, found = PiController(KP, KI), []
     for b, x_b_m in enumerate(beams_m):

@@ -1,4 +1,4 @@
-"""What tests of effects share: where they sit on the rig, what they are called, and fresh ones."""
+"""Shared helpers for tests of effects: the rig's geometry, effect classes, effects after reset."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ CLASSES = {
     "sensor_nonlinearity", "sensor_crosstalk", "sensor_lag", "sensor_stuck", "vibration",
     "external_field",
 }  # fmt: skip
-"""That `levid trace` names on the rig; `unknown` stands beside them."""
+"""Effect classes that `levid trace` can report on the rig, apart from `unknown`."""
 DT_S, R_M, BEAM_Z_M = 1e-4, 0.12, 0.06
 X_M, Y_M = R_M * np.repeat([1.0, 0.0, -1.0], 3), R_M * np.tile([1.0, 0.0, -1.0], 3)
-"""Of the coils, and of the sensors under them."""
+"""Positions of the coils, and of the sensors under them."""
 
 
 def rig_places(span_s: tuple[float, float] = (0.0, 60.0), lacks: int = 0) -> Places:
-    """Return where the rig can be acted on and looked at, in a session of this span.
+    """Return the rig's actuators and sensors, for a session of this time span.
 
-    The first `lacks` coils, and the sensors under them, are not there.
+    The first `lacks` coils, and the sensors under them, are left out.
     """
     shape, xy = shape_matrix(X_M, Y_M)[lacks:], np.stack([X_M, Y_M], axis=1)[lacks:]
     return Places(
@@ -40,23 +40,23 @@ def rig_places(span_s: tuple[float, float] = (0.0, 60.0), lacks: int = 0) -> Pla
 
 
 def effect_plant(seed: int = 1) -> EffectPlant:
-    """Return the plant that an effect is given on the rig."""
+    """Return the plant description that the rig passes to an effect."""
     geometry = EffectGeometry(R_M, X_M, Y_M, BEAM_Z_M, X_M, Y_M)
     return EffectPlant(DT_S, np.random.default_rng(seed), geometry)
 
 
 def fresh(effect: Any, seed: int = 1) -> Any:
-    """Return the effect after `reset`, where it has one, on the rig with steps of DT_S."""
+    """Reset the effect for the rig and steps of DT_S, if it has a `reset`; return it."""
     if hasattr(effect, "reset"):
         effect.reset(effect_plant(seed))
     return effect
 
 
 def shipped_effects() -> set[str]:
-    """Return module:Class of everything in sim.effects that has a hook and is no base of others."""
+    """Return module:Class of each class in sim.effects with a hook, except base classes."""
     found = {}
     for module in pkgutil.iter_modules(effects.__path__):
-        # The contract and its loader; and whatever a model file declares: no effects of their own.
+        # These modules hold no effects: the contract, its loader, and effects of model files.
         if module.name in ("contract", "declared", "loader"):
             continue
         name = f"{effects.__name__}.{module.name}"
@@ -78,6 +78,6 @@ def moving() -> Signals:
 
 
 def acts(term):
-    """What a term adds: a force, a reading, or what of a coil comes to the model's inputs."""
+    """Return the contribution of a term: a force, a reading or a coil input."""
     (there,) = (part for part in (term.force, term.gap, term.held) if part is not None)
     return there

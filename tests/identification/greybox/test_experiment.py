@@ -1,4 +1,4 @@
-"""A record as the declared model sees it: when its schedule moves, what its noise has in common."""
+"""Test experiments from logs: moving schedules, noise correlations, attached models."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TIME_S = 1e-3 * np.arange(4000)
 
 
 def flown(beam_m: np.ndarray) -> Log:
-    """Return the log of a beam that went that way, and of nothing else."""
+    """Return a log in which only the beam moves, along `beam_m`."""
     rows = np.zeros(len(TIME_S), cycle_dtype(9, 9))
     rows["cycle"] = np.arange(len(rows))
     rows["time_s"] = TIME_S
@@ -32,8 +32,8 @@ def flown(beam_m: np.ndarray) -> Log:
     return cycle_log("01-beam.mcap", rows)
 
 
-def derived() -> ModelConfig:
-    """Return the rig's model with the beam's speed from its place, as for a drive without it."""
+def model_with_derived_beam_speed() -> ModelConfig:
+    """Return the rig's model with the beam speed derived from its position."""
     model = load_model(shipped("models/rig.yaml"))
     v_b = Scheduling(unit="m/s", signal="beam_m", derivative=True)
     return model.model_copy(update={"scheduling": {**model.scheduling, "v_b": v_b}})
@@ -44,34 +44,36 @@ def derived() -> ModelConfig:
     [
         (np.full(4000, 0.05), False),
         (0.1 * TIME_S / 4, True),
-        # 0.1 mm of a range of 200 mm, but with 9 mm/s and 1.8 m/s^2.
+        # Only 0.1 mm of a range of 200 mm, but 9 mm/s and 1.8 m/s^2.
         (0.05 + 5e-5 * np.sin(2 * np.pi * 30 * TIME_S), True),
-        # An encoder's last digit: of a beam that stands, up to 8 mm/s.
+        # The encoder's last digit toggles: up to 8 mm/s for a still beam.
         (0.05 + 2e-6 * np.random.default_rng(1).normal(size=4000).round(), False),
         (0.05 + 2e-6 * (TIME_S > 2.0), False),
     ],
-    ids=["stands", "goes slowly", "shakes", "jitters", "one digit more"],
+    ids=["still", "slow", "oscillates", "encoder toggles", "one encoder step"],
 )
-def test_a_schedule_moves_by_its_derivatives_too(beam_m: np.ndarray, moving: bool) -> None:
-    assert experiment_from_log(flown(beam_m), derived()).moving == moving
+def test_schedule_with_small_position_but_large_velocity_is_moving(
+    beam_m: np.ndarray, moving: bool
+) -> None:
+    assert experiment_from_log(flown(beam_m), model_with_derived_beam_speed()).moving == moving
 
 
-def test_an_acceleration_alone_moves_the_schedule() -> None:
+def test_velocity_of_the_drive_alone_makes_the_schedule_moving() -> None:
     log = flown(0.05 + 5e-5 * np.sin(2 * np.pi * 30 * TIME_S))
     rows = log.rows.copy()
-    rows["beam_m"] = 0.05  # as read by a coarse encoder; the drive knows its speed
-    model = derived()
+    rows["beam_m"] = 0.05  # a coarse encoder; the drive measures its speed
+    model = model_with_derived_beam_speed()
     assert experiment_from_log(replace(log, rows=rows), model).moving
     rows["beam_m_s"] = 0.0
     assert not experiment_from_log(replace(log, rows=rows), model).moving
 
 
-def test_noise_of_wrench_and_pose_is_correlated_as_the_places_are() -> None:
+def test_noise_correlations_follow_from_coil_and_sensor_positions() -> None:
     log, model = flown(np.full(4000, 0.05)), load_model(shipped("models/rig.yaml"))
     for correlations in experiment_from_log(log, model).correlations or ():
         np.testing.assert_allclose(correlations, np.eye(3), atol=1e-15)  # the grid is balanced
-    # Without the corner at (R, R) sums of x^2 and y^2 are 5 R^2, of 1 are 8, of x, y, x y are -R,
-    # -R, -R^2; sensors average by the inverse.
+    # Without the corner at (R, R): sum x^2 = sum y^2 = 5 R^2, sum 1 = 8, sum x = sum y = -R,
+    # sum x y = -R^2. The pose's correlations are those of the inverse.
     text = log.attachments["rig.yaml"]
     for axis in (b"x", b"y"):
         before, after = text.split(b"coil_%s_m: [0.12, " % axis)
@@ -89,10 +91,10 @@ def test_noise_of_wrench_and_pose_is_correlated_as_the_places_are() -> None:
     np.testing.assert_allclose(pose, inverse / np.outer(size, size), rtol=1e-12)
 
 
-def test_logs_are_identified_with_the_model_of_the_rig_that_flew_them() -> None:
-    log, shipped_one = flown(np.full(4000, 0.05)), load_model(shipped("models/rig.yaml"))
-    assert rig_model(log) == shipped_one  # its rig.yaml is alone: what is shipped stands in
-    own = shipped_one.model_copy(update={"name": "mine"})
+def test_model_attached_to_the_log_is_used() -> None:
+    log, shipped_model = flown(np.full(4000, 0.05)), load_model(shipped("models/rig.yaml"))
+    assert rig_model(log) == shipped_model  # without model.yaml the shipped model is used
+    own = shipped_model.model_copy(update={"name": "mine"})
     text = own.model_dump_json(exclude_none=True).encode()
     assert rig_model(replace(log, attachments={**log.attachments, "model.yaml": text})) == own
     assert rig_model(replace(log, attachments={})) is None
@@ -101,8 +103,8 @@ def test_logs_are_identified_with_the_model_of_the_rig_that_flew_them() -> None:
         rig_model(replace(log, attachments=broken))
 
 
-def test_a_constant_force_of_the_model_changes_no_prediction() -> None:
-    # The weight, say: a record has a constant force of its own, fitted whatever the model has.
+def test_constant_force_of_the_model_does_not_change_predictions() -> None:
+    # Each record has its own fitted constant force, so the model's weight has no effect.
     log = flown(0.1 * np.sin(2 * np.pi * TIME_S))
     rng = np.random.default_rng(1)
     rows = log.rows.copy()

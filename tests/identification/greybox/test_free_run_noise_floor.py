@@ -1,4 +1,4 @@
-"""What noise leaves of a perfect model: the exact covariance against noise drawn many times."""
+"""Test the noise floor of a free run: the exact covariance against many random draws."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ K: [["{STIFFNESS} + {BY_SLIDE}*s"]]
 lag_s: {LAG_S}
 """
 MODEL = declared_model(parse_text(CART, ModelConfig, "cart"))
-# About as much motion by the force as false reading, so that either would be missed.
+# Force noise and sensor noise contribute about equally, so that a lack of either shows.
 NOISE = Noise.independent(np.array([1e-8]), np.array([4e-13]))
 CONTROLLER = PiController(np.array([60.0]), np.array([300.0]))
 RECORDS = 400
 
 
 def experiment(rows: int, looped: bool, moving: bool) -> Experiment:
-    """A record in which nothing is excited; the slide goes to and fro, or stays in the middle."""
+    """Return a record without excitation; the slide oscillates or stays in the middle."""
     s = 0.9 * np.sin(0.5 * TS_S * np.arange(rows)) if moving else np.zeros(rows)
     zero = np.zeros((rows, 1))
     loop = ControlLoop(zero, zero, zero, CONTROLLER) if looped else None
     return Experiment("still", TS_S, zero, zero, {"s": s}, frozenset(), moving, 1, loop)
 
 
-def left_by_noise(e: Experiment, first: int) -> np.ndarray:
-    """Return (rows, RECORDS): what RECORDS draws of the noise leave from row `first` on.
+def draw_outputs(e: Experiment, first: int) -> np.ndarray:
+    """Return outputs (rows, RECORDS) for RECORDS draws of the noise, from row `first` on.
 
-    Written out: exact steps of the cart with its current loop, the force constant over a period.
+    Exact steps of the cart with its current loop; the force is constant over a period.
     """
     rng = np.random.default_rng(11)
     x = np.zeros((3, RECORDS))  # position, velocity, lagged force
@@ -77,37 +77,37 @@ def left_by_noise(e: Experiment, first: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("looped", "moving"), [(True, False), (True, True), (False, False), (False, True)]
 )
-def test_the_floor_is_the_mean_over_all_noises(looped: bool, moving: bool) -> None:
+def test_floor_is_the_mean_over_noise_draws(looped: bool, moving: bool) -> None:
     e = experiment(9000, looped, moving)
     first = free_run(MODEL, e, "zoh", NOISE).counts_from
-    squares = np.mean(left_by_noise(e, first) ** 2, axis=0)
+    squares = np.mean(draw_outputs(e, first) ** 2, axis=0)
     floor = noise_floor(MODEL, e, "zoh", NOISE)
     # Four standard errors of the mean of RECORDS draws.
     chance = 4 * squares.std() / np.sqrt(RECORDS) / squares.mean()
     assert floor.rms[0] ** 2 == pytest.approx(squares.mean(), rel=chance)
     assert chance < 0.1
-    # The deviation of RECORDS draws is known to 3.5 %; the formula is that of long records, and
-    # this one lasts some 10 times as long as the cart rings.
+    # The standard deviation of RECORDS draws is known to 3.5 %. The formula holds for long
+    # records; this one lasts about 10 decay times of the cart.
     scatter = np.sqrt(squares).std() / np.sqrt(squares).mean()
     assert floor.spread[0] == pytest.approx(scatter, rel=0.25)
     assert floor_rms(MODEL, e, "zoh", NOISE) == floor.rms
 
 
-def test_motion_and_measurement_are_told_apart() -> None:
+def test_floor_is_the_sum_of_motion_and_sensor_noise() -> None:
     e = experiment(9000, True, False)
     floor = noise_floor(MODEL, e, "zoh", NOISE)
     assert floor.rms[0] ** 2 == pytest.approx(floor.motion[0, 0] + NOISE.output_variance[0])
-    # Without forces only the controller's answer to false readings moves the cart.
+    # Without force noise only the controller's response to sensor noise moves the cart.
     quiet = noise_floor(MODEL, e, "zoh", NOISE.scaled(force=0.0))
     assert 0 < quiet.motion[0, 0] < floor.motion[0, 0]
 
 
 @pytest.mark.parametrize("rows", [2000, 9000, 60_000])
-def test_long_records_are_taken_in_blocks_without_harm(rows: int) -> None:
-    """Of a record at rest the floor hardly depends on its length, however it is cut to blocks."""
+def test_floor_is_independent_of_the_number_of_blocks(rows: int) -> None:
+    """The floor of a record at rest hardly depends on its length."""
     long = floor_rms(MODEL, experiment(120_000, True, False), "zoh", NOISE)
-    # The start, where the state is known, leaves less for the time the loop needs to forget it:
-    # 1 s of the 1.3 s (2000 rows) to 55 s that count.
+    # The error is smaller near the start, where the state is known, until the loop has forgotten
+    # it: 1 s of the 1.3 s (2000 rows) to 55 s that count.
     share = {2000: 0.3, 9000: 0.05, 60_000: 0.005}[rows]
     assert floor_rms(MODEL, experiment(rows, True, False), "zoh", NOISE) == pytest.approx(
         long, rel=share
@@ -115,20 +115,20 @@ def test_long_records_are_taken_in_blocks_without_harm(rows: int) -> None:
 
 
 @pytest.mark.parametrize("looped", [True, False])
-def test_the_spectrum_holds_the_variance(looped: bool) -> None:
+def test_integral_of_the_spectrum_is_the_variance(looped: bool) -> None:
     e = experiment(120_000, looped, False)
     freq_hz = np.arange(2001) * 0.25
     psd = floor_psd(MODEL, e, "zoh", NOISE, freq_hz)
-    # The start, without motion, is a hundredth of the record.
+    # The start, without motion, is 1 % of the record.
     assert np.sqrt(np.trapezoid(psd[:, 0], freq_hz)) == pytest.approx(
         floor_rms(MODEL, e, "zoh", NOISE)[0], rel=0.01
     )
 
 
-def test_a_perfect_model_errs_by_the_floor() -> None:
-    """The record's own noise, as its own controller saw it, is left by the true model."""
+def test_true_model_has_an_error_at_the_floor() -> None:
+    """The error of the true model consists of the record's noise in the closed loop."""
     e = experiment(20_000, True, False)
-    y = left_by_noise(e, 0)[:, :1]
+    y = draw_outputs(e, 0)[:, :1]
     integral = np.cumsum(-CONTROLLER.ki * TS_S * y, axis=0)
     flown = replace(e, y=y, u=-CONTROLLER.kp * y + integral)
     v = validate(MODEL, flown, "zoh", NOISE)

@@ -1,4 +1,4 @@
-"""What a record's start and its constant forces add to its errors, and what is told of them."""
+"""Test prediction errors: columns of unknown constant forces and of the initial state."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def motion_of(M: Array, D: Array, K: Array, Ts_s: float, rows: int) -> Motion:
 
 @pytest.mark.parametrize("force_psd", [1e-14, 1e-8, 1e-2, 1e2])
 @pytest.mark.parametrize("stiffness", [1.0, 0.0, -1.0])
-def test_columns_are_those_of_one_filter_each(force_psd: float, stiffness: float) -> None:
-    # From a filter that forgets within seconds, and columns that never stand still, to one that
-    # forgets in a hundred rows.
+def test_each_column_equals_a_filter_run_alone(force_psd: float, stiffness: float) -> None:
+    # From a filter with a memory of seconds, whose columns never settle, to one with a memory of
+    # a hundred rows.
     rng, rows = np.random.default_rng(1), 6000
     M = np.array([[2.0, 0.1], [0.1, 1.5]])
     at = motion_of(M, np.diag([12.0, 5.0]), stiffness * np.diag([800.0, 200.0]), 1e-3, rows)
@@ -48,15 +48,15 @@ def test_columns_are_those_of_one_filter_each(force_psd: float, stiffness: float
             forcing += at.steady[:, c - 1]
         elif c >= 3:
             start[c - 3] = 1.0
-        alone = np.empty((rows, 2))
-        seen = y if c == 0 else np.zeros((rows, 2))
-        innovations_fixed(at.flow, kalman.gain[0], forcing, seen, start, alone)
-        # What stands still to 1e-14 over 64 rows is that near to its end, times its memory.
-        assert np.abs(out[:, :, c] - alone).max() < 1e-11 * np.abs(alone).max()
+        expected = np.empty((rows, 2))
+        y_or_zero = y if c == 0 else np.zeros((rows, 2))
+        innovations_fixed(at.flow, kalman.gain[0], forcing, y_or_zero, start, expected)
+        # A column that changes by 1e-14 over 64 rows is that near to its limit, times the memory.
+        assert np.abs(out[:, :, c] - expected).max() < 1e-11 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("blind", [0, 5, 130, 400])
-def test_a_start_that_is_forgotten_when_errors_begin_takes_no_share_of_the_force(
+def test_forgotten_initial_state_does_not_affect_the_force_estimate(
     blind: int,
 ) -> None:
     rows, force_n = 5000, 20.0
@@ -65,7 +65,7 @@ def test_a_start_that_is_forgotten_when_errors_begin_takes_no_share_of_the_force
     noise = SENSOR_SD * np.random.default_rng(0).normal(size=(rows, 1))
     kalman = kalman_filter(at, Noise.independent(np.array([1e-2]), np.array([SENSOR_SD**2])))
     found = predict_along(at, SimpleNamespace(name="held", y=force_n / 800 + noise), kalman)  # type: ignore[arg-type]
-    # What the filter takes for force noise, 0.1 N a root of Hz, over five seconds, three times.
+    # Force noise of 0.1 N/sqrt(Hz) over five seconds, three standard deviations.
     assert found.offset[0] == pytest.approx(force_n, abs=0.15)
     forgotten = blind > 5
     assert np.all(found.start == 0.0) == forgotten

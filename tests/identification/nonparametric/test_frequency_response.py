@@ -1,4 +1,4 @@
-"""Frequency responses: (15) is exact on exact data, and the stated errors are those that occur."""
+"""Test frequency responses: eq. (15) is exact, and intervals have the stated coverage."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def _exact(rig, x_b_m: float, Ts_s: float, freq_hz: np.ndarray):
     return P, S, controller
 
 
-def test_the_controller_is_the_discrete_one(rig):
+def test_controller_response_is_that_of_the_discrete_controller(rig):
     controller = PiController(rig.KP, rig.KI)
-    # Run C on an impulse: kp + ki Ts, then ki Ts for ever; its transform, a decaying factor apart.
+    # The impulse response of C is kp + ki Ts, ki Ts, ki Ts, ...; compare its z-transform.
     found = controller.response(np.array([0.0, 7.0]), 1e-3)
     z = np.exp(2j * np.pi * 7.0 * 1e-3)
     np.testing.assert_allclose(found[1], rig.KP + rig.KI * 1e-3 * z / (z - 1), rtol=1e-14)
@@ -31,14 +31,14 @@ def test_the_controller_is_the_discrete_one(rig):
 
 
 @pytest.mark.parametrize("x_b_m", [-0.1, 0.0, 0.1])
-def test_equation_15_is_exact_on_the_exact_sensitivity(rig, x_b_m):
-    freq = np.geomspace(0.01, 400.0, 50)  # from where S is 0.06 to where it is 1 - 4e-5
+def test_equation_15_is_exact_for_the_exact_sensitivity(rig, x_b_m):
+    freq = np.geomspace(0.01, 400.0, 50)  # S goes from 0.06 to 1 - 4e-5
     P, S, controller = _exact(rig, x_b_m, 1e-3, freq)
     estimate = frequency_response.ResponseEstimate(
         freq, S, np.ones((50, 3, 3)), np.zeros((50, 3, 3, 3, 3), complex), 1e-3
     )
     found = frequency_response.plant_from_sensitivity(estimate, controller)
-    # S itself is rounded to 1e-16, and I - S is as small as 4e-5: 1e-11 is left on the diagonal.
+    # S is rounded to 1e-16 and I - S is as small as 4e-5, so the diagonal is exact to 1e-11.
     diagonal = np.abs(np.einsum("fii->fi", P))
     size = np.sqrt(diagonal[:, :, None] * diagonal[:, None, :])
     assert np.abs((found.H - P) / size).max() < 1e-9
@@ -59,20 +59,20 @@ def _mimo(seed: int, rows: int, *, one_at_a_time: bool, noise: float):
 
 
 @pytest.mark.parametrize("one_at_a_time", [True, False])
-def test_stated_errors_are_those_that_occur(one_at_a_time):
+def test_confidence_intervals_have_95_percent_coverage(one_at_a_time):
     inside = []
     for seed in range(20):
         inputs, outputs, g = _mimo(seed, 6000, one_at_a_time=one_at_a_time, noise=0.5)
         found = frequency_response.frequency_response(inputs, outputs, TS, FREQ, 4.0)
         error = np.abs(found.H - markov_response(g, found.freq_hz, TS))
         inside.append(error < np.sqrt(-np.log(0.05)) * found.standard_deviation)
-    # 20 x 31 x 4 complex errors, half of them independent: 95 % within 2 %.
+    # 20 x 31 x 4 complex errors, half of them independent: the coverage is known to 2 %.
     assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
 
 
 @pytest.mark.parametrize("segments", [3, 5])
 @pytest.mark.parametrize("one_at_a_time", [True, False])
-def test_stated_errors_hold_with_few_segments(segments, one_at_a_time):
+def test_coverage_holds_with_few_segments(segments, one_at_a_time):
     length = 200
     inside = []
     for seed in range(100):
@@ -80,18 +80,18 @@ def test_stated_errors_hold_with_few_segments(segments, one_at_a_time):
         v = rng.normal(size=(3, (segments + 1) * length // 2, 3))
         if one_at_a_time:
             v *= np.eye(3)[:, None]
-        y = rng.normal(size=(3, v.shape[1], 2))  # of a plant that answers nothing
+        y = rng.normal(size=(3, v.shape[1], 2))  # the true response is zero
         found = frequency_response.frequency_response(list(v), list(y), TS, FREQ, length * TS)
         size = np.abs(found.H)
         inside.append(size < np.sqrt(-np.log(0.05)) * found.standard_deviation)
-    # 100 x 28 x 6 errors, half of them independent, scatter by 0.3 %; three of that, and 1 % since
-    # overlapping segments, and records of unlike weight, have their degrees of freedom but nearly.
+    # 100 x 28 x 6 errors, half of them independent, scatter by 0.3 %; three of that, and 1 % as the
+    # degrees of freedom of overlapping segments and unequal records are approximate.
     assert np.mean(inside) == pytest.approx(0.955, abs=0.015)
 
 
 @pytest.mark.parametrize("segments", [8, 30])
-def test_stated_errors_hold_for_inputs_that_repeat(segments):
-    """Of an input that is the same in every segment, noise that two of them share adds up."""
+def test_coverage_holds_for_periodic_inputs(segments):
+    """With equal inputs in all segments, the noise in overlapping parts adds up."""
     length = 200
     inside = []
     for seed in range(100):
@@ -102,7 +102,7 @@ def test_stated_errors_hold_for_inputs_that_repeat(segments):
         every_second = np.arange(2, 60, 2) / (length * TS)
         found = frequency_response.frequency_response([v], [y], TS, every_second, length * TS)
         inside.append(np.abs(found.H) < np.sqrt(-np.log(0.05)) * found.standard_deviation)
-    # 2900 errors scatter by 0.4 %, three of that; 91 % if segments counted as for white inputs.
+    # 2900 errors scatter by 0.4 %; three of that. With the count for white inputs it is 91 %.
     assert np.mean(inside) == pytest.approx(0.95, abs=0.012)
 
 
@@ -116,7 +116,7 @@ def test_coherence_lies_between_0_and_1_and_falls_with_noise(noise):
     assert expected[0] <= np.median(found.coherence) <= expected[1]
 
 
-def test_frequencies_are_bins_of_the_segments_each_once():
+def test_frequencies_are_unique_bins_of_the_segments():
     inputs, outputs, _ = _mimo(2, 3000, one_at_a_time=True, noise=0.0)
     found = frequency_response.frequency_response(inputs, outputs, TS, FREQ, 4.0)
     np.testing.assert_allclose(found.freq_hz * 4.0, np.rint(found.freq_hz * 4.0), atol=1e-9)
@@ -124,7 +124,7 @@ def test_frequencies_are_bins_of_the_segments_each_once():
     assert found.H.shape == (len(found.freq_hz), 2, 2)
 
 
-def test_joint_and_sensitivity_estimates_agree_where_the_controller_is_known(rig):
+def test_joint_and_sensitivity_estimates_agree_with_a_known_controller(rig):
     records = rig.records([0.0], 1000.0, 20.0, seed=3)
     grid = np.geomspace(2.0, 64.0, 30)
     controller = PiController(rig.KP, rig.KI)
@@ -132,13 +132,13 @@ def test_joint_and_sensitivity_estimates_agree_where_the_controller_is_known(rig
         frequency_response.sensitivity(records, grid, 8.0), controller
     )
     joint = frequency_response.plant_from_joint(records, grid, 8.0)
-    # They differ by the leakage of the integrators' states alone: far less than their errors.
+    # They differ only by leakage of the integrators' states, far less than their errors.
     for i in range(3):
         ratio = joint.H[:, i, i] / ours.H[:, i, i]
         assert np.abs(ratio - 1).max() < 0.05
 
 
-def test_what_cannot_be_estimated_is_an_error():
+def test_records_that_do_not_determine_the_response_are_rejected():
     v = np.random.default_rng(0).normal(size=(1000, 1))
     with pytest.raises(IdentificationError, match="at least two segments of 8 s, found a record"):
         frequency_response.frequency_response([v], [v], TS, FREQ, 8.0)

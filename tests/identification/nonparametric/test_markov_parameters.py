@@ -1,4 +1,4 @@
-"""Markov parameters: FFT gives the least-squares solution, and its errors are as stated."""
+"""Test Markov parameters: FFT and least squares agree, and standard errors are correct."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _record(v: np.ndarray, y: np.ndarray, *, at_rest: bool, name: str = "r") -> 
 
 
 def _explicit(records: list[Record], taps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return lstsq on the written-out matrix: g (L, m, p), and the diagonal of its covariance."""
+    """Solve with the explicit Toeplitz matrix: g (L, m, p) and the diagonal of its covariance."""
     rows, targets = [], []
     for number, record in enumerate(records):
         n, p = record.v.shape
@@ -51,12 +51,12 @@ def test_fft_solution_equals_least_squares_on_the_explicit_matrix(at_rest, p, m)
     gram = toeplitz_least_squares.ToeplitzGram.from_records(records, taps)
     by_fft = toeplitz_least_squares.solve(gram, gram.right_hand_side([r.y for r in records]))
     by_qr, _ = markov_parameters.solve_dense(records, taps)
-    # Condition numbers are below 100: rounding leaves 1e-12, whatever the algorithm.
+    # Condition numbers are below 100, so any algorithm is exact to 1e-12.
     np.testing.assert_allclose(by_fft, expected, atol=1e-12 * np.abs(expected).max())
     np.testing.assert_allclose(by_qr, expected, atol=1e-12 * np.abs(expected).max())
 
 
-def test_inputs_excited_one_record_each_are_solved_together():
+def test_records_that_each_excite_one_input_are_solved_together():
     rng = np.random.default_rng(1)
     g = rng.normal(size=(15, 2, 2))
     records = []
@@ -66,21 +66,21 @@ def test_inputs_excited_one_record_each_are_solved_together():
         records.append(_record(v, markov_parameters.convolve(v, g) + 3.0, at_rest=True))
     gram = toeplitz_least_squares.ToeplitzGram.from_records(records, 15)
     found = toeplitz_least_squares.solve(gram, gram.right_hand_side([r.y for r in records]))
-    # Exact data, so only rounding is left; the offset of 3 has been taken out.
+    # Exact data, so only rounding is left; the offset of 3 is estimated as well.
     np.testing.assert_allclose(found, g, atol=1e-11)
 
 
-def test_standard_error_by_circulant_is_near_the_exact_one():
+def test_circulant_approximation_of_standard_errors_is_accurate():
     rng = np.random.default_rng(2)
     records = [_record(rng.normal(size=(2000, 2)), rng.normal(size=(2000, 1)), at_rest=True)]
     _, variance = _explicit(records, 100)
     gram = toeplitz_least_squares.ToeplitzGram.from_records(records, 100)
-    # The circulant leaves out the coupling of taps to the record's ends: L / N = 5 %.
+    # The circulant approximation ignores the ends of the record: L / N = 5 %.
     np.testing.assert_allclose(gram.inverse_scale(), np.sqrt(variance.mean(axis=1)), rtol=0.05)
 
 
 @pytest.mark.parametrize("method", sorted(markov_parameters.ESTIMATORS))
-def test_error_is_as_large_as_the_standard_error_says(method):
+def test_errors_agree_with_the_standard_error(method):
     rng = np.random.default_rng(3)
     t = np.arange(200)
     g = np.exp(-t / 30.0)[:, None, None] * np.sin(t / 5.0)[:, None, None] * np.ones((200, 1, 1))
@@ -88,11 +88,12 @@ def test_error_is_as_large_as_the_standard_error_says(method):
     y = markov_parameters.convolve(v, g) + 0.5 * rng.normal(size=(20_000, 1))
     found = markov_parameters.estimate_markov([_record(v, y, at_rest=True)], 200, method)
     ratio = np.sqrt(np.mean((found.g - g) ** 2)) / found.standard_error[0, 0]
-    # 200 taps give the rms within 5 %; correlation's errors are alike over about 30 taps, so 30 %.
+    # 200 taps determine the rms to 5 %; with method correlation, errors of about 30 neighbouring
+    # taps are correlated, hence 30 %.
     assert ratio == pytest.approx(1.0, abs=0.3)
 
 
-def test_correlation_is_unbiased_at_taps_that_the_record_hardly_holds():
+def test_correlation_is_unbiased_at_taps_near_the_record_length():
     rows, length, tap, seeds = 400, 300, 100, 200
     g = np.zeros((length, 1, 1))
     g[tap] = 1.0
@@ -104,11 +105,11 @@ def test_correlation_is_unbiased_at_taps_that_the_record_hardly_holds():
         found.append(estimate.g[tap, 0, 0])
         others = np.delete(estimate.g[:, 0, 0], tap)
         ratios.append(np.mean(others**2) / estimate.standard_error[0, 0] ** 2)
-    # There is no noise; the output's mean, which is taken off, takes 1 / N of the tap along, and
-    # over so many seeds little else is left. With the power of all rows under it, it was 0.75.
+    # There is no noise. Subtracting the mean of the output removes 1 / N of the tap. Divided by
+    # the power of all rows, the estimate would be 0.75.
     assert np.mean(found) == pytest.approx(1.0, abs=0.01)
-    # 200 x 299 squares of taps that err by themselves are good to a percent; five of them, as error
-    # and stated error are ratios, of as few as 100 rows at the last taps.
+    # 200 x 299 independent squares determine the mean to 1 %; five times that, because the last
+    # taps are ratios over as few as 100 rows.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
 
 
@@ -118,7 +119,7 @@ def test_correlation_of_an_excitation_that_begins_late_is_finite():
     found = markov_parameters.estimate_markov([_record(v, v, at_rest=True)], 200, "correlation")
     assert np.all(np.isfinite(found.g))
     assert np.all(np.isfinite(found.standard_error))
-    # Of the answer after 100 rows and more the record holds nothing.
+    # The record contains no response at delays of 100 rows and more.
     assert found.g[0, 0, 0] == pytest.approx(1.0, rel=0.05)
     assert np.all(found.g[100:] == 0.0)
 
@@ -130,39 +131,42 @@ def test_least_squares_has_no_self_noise():
     record = _record(v, markov_parameters.convolve(v, g), at_rest=True)
     exact = markov_parameters.estimate_markov([record], 100, "least_squares")
     correlated = markov_parameters.estimate_markov([record], 100, "correlation")
-    # Without noise least squares errs by rounding, correlation by about 1 / sqrt(N) of the energy.
+    # Without noise the error of least squares is rounding; that of correlation is about
+    # 1 / sqrt(N) of the energy.
     assert np.abs(exact.g - g).max() < 1e-11
     assert np.abs(correlated.g - g).max() > 0.01
 
 
-def test_a_wrong_name_lists_the_right_ones():
+def test_unknown_method_is_rejected_with_the_known_methods():
     record = _record(np.ones((10, 1)), np.ones((10, 1)), at_rest=True)
     with pytest.raises(IdentificationError, match=r"correlation, least_squares, found 'least'"):
         markov_parameters.estimate_markov([record], 3, "least")
 
 
-def test_a_short_record_is_named():
+def test_short_record_is_rejected_with_its_name():
     record = _record(np.ones((10, 1)), np.ones((10, 1)), at_rest=False, name="left-psi")
     with pytest.raises(IdentificationError, match="'left-psi': expected at least 12 rows"):
         markov_parameters.estimate_markov([record], 6, "least_squares")
 
 
 @pytest.mark.parametrize("dense", [True, False])
-def test_more_unknowns_than_rows_have_no_answer(monkeypatch, dense):
+def test_fewer_rows_than_unknowns_are_rejected(monkeypatch, dense):
     monkeypatch.setattr(markov_parameters, "DENSE_ELEMENTS", 10**9 if dense else 0)
     v = np.random.default_rng(5).normal(size=(420, 3))
     record = _record(v, v, at_rest=False)
     assert markov_parameters.most_taps([record]) == 60
     markov_parameters.estimate_markov([record], 60, "least_squares")
-    # Iteration would find a response that fits the noise, and a standard error of next to nothing.
+    # An iterative solution would fit the noise and give a standard error near zero.
     with pytest.raises(IdentificationError, match="expected at least 840 usable rows"):
         markov_parameters.estimate_markov([record], 140, "least_squares")
     alone = [_record(v * (np.arange(3) == j), v, at_rest=False) for j in range(3)]
-    assert markov_parameters.most_taps(alone) == 140  # a third of each, if each excites one
+    assert (
+        markov_parameters.most_taps(alone) == 140
+    )  # a third of each record, if each excites one input
 
 
-def test_an_empty_band_of_the_excitation_is_an_error():
-    # Above an eighth-order low pass at a tenth of Nyquist 1e-16 of the power is left, or less.
+def test_excitation_without_power_in_a_band_is_rejected():
+    # An eighth-order low pass at a tenth of Nyquist leaves at most 1e-16 of the power above it.
     rng = np.random.default_rng(5)
     v = sosfilt(butter(8, 0.1, output="sos"), rng.normal(size=4000))[:, None]
     gram = toeplitz_least_squares.ToeplitzGram.from_records([_record(v, v, at_rest=True)], 200)
@@ -170,7 +174,7 @@ def test_an_empty_band_of_the_excitation_is_an_error():
         toeplitz_least_squares.solve(gram, gram.right_hand_side([rng.normal(size=(4000, 1))]))
 
 
-def test_taps_that_cannot_be_told_apart_are_an_error():
+def test_taps_that_the_excitation_does_not_determine_are_rejected():
     v = np.sin(2 * np.pi * 0.1 * np.arange(4000))[:, None]  # one line determines two taps, not 50
     with pytest.raises(IdentificationError, match="excitation that determines 50"):
         markov_parameters.solve_dense([_record(v, v, at_rest=False)], 50)

@@ -1,4 +1,4 @@
-"""The robust multisine method: exact without noise, honest intervals, distortion where it is."""
+"""Test the robust multisine method: exactness without noise, coverage, detection of distortion."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ def excitations(p: int, **more: object) -> list[Excitation]:
     ]
 
 
-def playing(p: int, realisations: int, seed: int) -> np.ndarray:
-    """Phases by `seed`, always at the same lines."""
+def multisines(p: int, realisations: int, seed: int) -> np.ndarray:
+    """Return orthogonal multisines; `seed` sets the phases, the lines are always the same."""
     plan = Orthogonal(realisations=realisations, periods=P)
     return orthogonal_multisines(excitations(p), plan, 0.0, RATE_HZ, 1, seed)
 
 
 def periodic(v: np.ndarray, y: np.ndarray, p: int, drop: int = 1) -> PeriodicRecord:
-    """Input and output in open loop, cut into experiments of P periods less the first."""
+    """Cut open-loop input and output into experiments of P periods, without the first `drop`."""
 
     def cut(x: np.ndarray) -> np.ndarray:
         return x.reshape(-1, P, N, x.shape[1])[:, drop:]
@@ -71,7 +71,7 @@ def periodic(v: np.ndarray, y: np.ndarray, p: int, drop: int = 1) -> PeriodicRec
 
 
 def impulse_response(m: int, p: int) -> np.ndarray:
-    """Taps that end within a second, so that one period leaves no transient."""
+    """Return taps shorter than a second, so that one dropped period removes the transient."""
     g = np.random.default_rng(7).normal(size=(60, m, p))
     return g * 0.9 ** np.arange(60)[:, None, None]
 
@@ -92,31 +92,33 @@ def response(g: np.ndarray, freq_hz: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("m", "p"), [(1, 1), (2, 2), (3, 3), (3, 2), (2, 4)])
 def test_without_noise_the_response_is_exact(m: int, p: int) -> None:
     g = impulse_response(m, p)
-    v = playing(p, 1, seed=1)
+    v = multisines(p, 1, seed=1)
     found = best_linear_approximation([periodic(v, filtered(v, g), p)])
-    # Steady state of a finite response, whole periods: nothing but rounding is left.
+    # Steady state of a finite response over whole periods: only rounding is left.
     np.testing.assert_allclose(found.H, response(g, found.freq_hz), atol=1e-11)
     assert np.all(found.odd.level < 1e-12)
     assert np.all(found.even.level < 1e-12)
 
 
 @pytest.mark.parametrize("stalls", [[(700, 8)], [(k, 2) for k in range(30, 9000, 90)]])
-def test_commands_held_over_skipped_cycles_are_no_lines(stalls: list[tuple[int, int]]) -> None:
+def test_commands_held_over_skipped_cycles_add_no_excited_lines(
+    stalls: list[tuple[int, int]],
+) -> None:
     g = impulse_response(2, 3)
-    v = playing(3, 2, seed=1)
+    v = multisines(3, 2, seed=1)
     smooth = best_linear_approximation([periodic(v, filtered(v, g), 3)])
     for row, length in stalls:
         v[row : row + length] = v[row]
-    # What is left of a skip passes for noise: that of the plant is not needed here.
+    # A skip acts like noise; no other noise is added here.
     found = best_linear_approximation([periodic(v, filtered(v, g), 3)])
     np.testing.assert_array_equal(found.freq_hz, smooth.freq_hz)
     assert len(found.odd.freq_hz) == len(smooth.odd.freq_hz)
     error = np.abs(found.H - response(g, found.freq_hz)) / np.abs(found.H).max()
-    assert np.median(error) < 0.05  # a stall's transient reaches over a period's end
+    assert np.median(error) < 0.05  # the transient of a stall continues into the next period
 
 
-def test_inputs_at_different_lines_are_refused() -> None:
-    v = playing(2, 2, seed=1)
+def test_inputs_with_different_lines_are_rejected() -> None:
+    v = multisines(2, 2, seed=1)
     spectrum = np.fft.rfft(v[:, 1].reshape(-1, N), axis=1)
     spectrum[:, np.flatnonzero(np.abs(spectrum[0]) > 1e-6)[10]] = 0.0
     v[:, 1] = np.fft.irfft(spectrum, N, axis=1).ravel()
@@ -125,28 +127,28 @@ def test_inputs_at_different_lines_are_refused() -> None:
 
 
 @pytest.mark.parametrize(("p", "realisations"), [(2, 1), (2, 2), (3, 2), (1, 4)])
-def test_intervals_hold_the_truth_as_often_as_they_say(p: int, realisations: int) -> None:
+def test_confidence_intervals_have_95_percent_coverage(p: int, realisations: int) -> None:
     g = impulse_response(2, p)
     colour = np.array([[1.0, 0.4], [0.0, 0.8]])
     inside, shared, noise_only = [], [], []
     for seed in range(20):
-        v = playing(p, realisations, seed)
+        v = multisines(p, realisations, seed)
         noise = 0.3 * np.random.default_rng(seed).normal(size=(len(v), 2)) @ colour
         found = best_linear_approximation([periodic(v, filtered(v, g) + noise, p)])
         error = np.abs(found.H - response(g, found.freq_hz))
         inside.append(error < found.radius())
         shared.append(error < 1.73 * response_estimate(found).standard_deviation)
         noise_only.append(error < 1.73 * found.noise_deviation)
-    # 20 x 59 lines x 2 p entries, of which a line's p columns share their variance: 0.5 % is two
-    # standard errors of 95 % of them.
+    # 20 x 59 lines x 2 p entries; the p columns of a line share their variance estimate. Two
+    # standard errors of the coverage are 0.5 %.
     assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
     assert np.mean(shared) == pytest.approx(0.95, abs=0.01)
-    # Plain Gaussian intervals with as few as 4 degrees of freedom hold less, by (1 + 3 / 4)^-4.
+    # Gaussian intervals with 4 degrees of freedom have less coverage: (1 + 3 / 4)^-4 are outside.
     assert 0.89 < np.mean(noise_only) < 0.96
 
 
 def test_one_realisation_leaves_distortion_unknown() -> None:
-    v = playing(2, 1, 1)
+    v = multisines(2, 1, 1)
     y = filtered(v, impulse_response(2, 2)) + np.random.default_rng(1).normal(size=v.shape)
     found = best_linear_approximation([periodic(v, y, 2)])
     assert found.freedom == found.noise_freedom == 2 * 2
@@ -156,15 +158,15 @@ def test_one_realisation_leaves_distortion_unknown() -> None:
 
 
 def distorted(seed: int, power: int, *, noise: float = 0.02, size: float = 0.05):
-    """Two channels that meet before a static nonlinearity: nothing is on one input alone."""
-    v = playing(2, 3, seed)
+    """Identify a plant whose two inputs are mixed before a static nonlinearity."""
+    v = multisines(2, 3, seed)
     mixed = v @ np.array([[1.0, 0.3], [-0.4, 0.8]])
     y = filtered(mixed + size * mixed**power, impulse_response(2, 2))
     y += noise * np.random.default_rng(seed).normal(size=y.shape)
     return best_linear_approximation([periodic(v, y, 2)])
 
 
-def test_intervals_hold_the_best_linear_approximation_of_a_nonlinear_plant() -> None:
+def test_intervals_cover_the_best_linear_approximation_of_a_nonlinear_plant() -> None:
     truth = np.mean([distorted(seed, 3).H for seed in range(1000, 1200)], axis=0)
     inside, noise_only = [], []
     for seed in range(40):
@@ -172,21 +174,21 @@ def test_intervals_hold_the_best_linear_approximation_of_a_nonlinear_plant() -> 
         error = np.abs(found.H - truth)
         inside.append(error < found.radius())
         noise_only.append(error < 1.73 * found.noise_deviation)
-    # 4 degrees of freedom that distortion, not quite Gaussian and alike at neighbouring lines,
-    # fills: 92 to 98 % were asked for.
+    # Distortion with 4 degrees of freedom, not exactly Gaussian and correlated between
+    # neighbouring lines: 92 to 98 % are required.
     assert 0.92 < np.mean(inside) < 0.98
-    assert np.mean(noise_only) < 0.5  # the noise alone would be far too sure
+    assert np.mean(noise_only) < 0.5  # intervals from the noise alone are far too narrow
 
 
 def cubic(seed: int, realisations: int, *, flights: int = 2) -> list[PeriodicRecord]:
-    """The same excitation flown several times, each with its own noise, on a cubic plant."""
-    v = playing(1, realisations, seed)
+    """Return several flights of the same excitation on a cubic plant, each with its own noise."""
+    v = multisines(1, realisations, seed)
     y = filtered(v + 0.05 * v**3, impulse_response(1, 1))
     rng = np.random.default_rng(seed)
     return [periodic(v, y + 0.02 * rng.normal(size=y.shape), 1) for _ in range(flights)]
 
 
-def test_a_session_flown_twice_is_no_further_realisation() -> None:
+def test_repeated_session_does_not_count_as_further_realisations() -> None:
     truth = np.mean(
         [best_linear_approximation(cubic(seed, 3, flights=1)).H for seed in range(1000, 1300)],
         axis=0,
@@ -199,10 +201,10 @@ def test_a_session_flown_twice_is_no_further_realisation() -> None:
         inside.append(error < found.radius())
         squares.append(error**2)
         stated.append(found.standard_deviation**2)
-    # Distortion is alike at neighbouring lines: 100 seeds hold some 1000 independent errors, whose
-    # share scatters by 0.7 %; three of that, and 1 % since distortion is not quite Gaussian.
+    # Distortion is correlated between neighbouring lines: 100 seeds give about 1000 independent
+    # errors and a coverage known to 0.7 %; three of that, and 1 % for non-Gaussian distortion.
     assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
-    # As many: a variance with 2 degrees of freedom scatters by 1 / sqrt(1000) and its own 2 %.
+    # 1000 variances with 2 degrees of freedom: their mean scatters by 1 / sqrt(1000).
     assert np.mean(squares) / np.mean(stated) == pytest.approx(1.0, abs=0.2)
     assert "3 of 6 experiments repeat the excitation of others" in found.remarks[0]
 
@@ -214,13 +216,13 @@ def test_one_realisation_flown_twice_leaves_distortion_unknown() -> None:
     assert np.all(np.isnan(found.test().p_value))
 
 
-def test_repeated_flights_count_as_periods_in_noise_and_detection_lines() -> None:
-    v = playing(2, 2, 1)
+def test_repeated_flights_add_degrees_of_freedom_to_the_noise_estimate() -> None:
+    v = multisines(2, 2, 1)
     y = filtered(v, impulse_response(2, 2))
     inside = []
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        # The first realisation is flown three times, the second once.
+        # The first realisation is flown three times, the second one once.
         parts = [(v, y), (v[: len(v) // 2], y[: len(v) // 2]), (v[: len(v) // 2], y[: len(v) // 2])]
         records = [periodic(a, b + 0.3 * rng.normal(size=b.shape), 2) for a, b in parts]
         found = best_linear_approximation(records)
@@ -230,13 +232,14 @@ def test_repeated_flights_count_as_periods_in_noise_and_detection_lines() -> Non
         assert np.all(found.odd.test().p_value > 1e-4)
         error = np.abs(found.H - response(impulse_response(2, 2), found.freq_hz))
         inside.append(error < np.sqrt(-np.log(0.05)) * found.noise_deviation)
-    # As above 0.5 % for one standard error; with 20 degrees of freedom (1 + 3 / 20)^-20 is 0.94.
+    # One standard error is 0.5 % as above; with 20 degrees of freedom the coverage is
+    # 1 - (1 + 3 / 20)^-20 = 0.94.
     assert np.mean(inside) == pytest.approx(0.94, abs=0.015)
 
 
-def test_levels_are_kept_apart() -> None:
+def test_records_of_different_levels_are_not_combined() -> None:
     def at(scale: float, seed: int) -> PeriodicRecord:
-        v = scale * playing(1, 3, seed)
+        v = scale * multisines(1, 3, seed)
         y = filtered(v + 0.05 * v**3, impulse_response(1, 1))
         return replace(periodic(v, y, 1), name=f"{scale:g}", beam_m=0.0)
 
@@ -248,29 +251,29 @@ def test_levels_are_kept_apart() -> None:
     assert [f.freedom for f in found] == [6 - 1, 3 - 1]
 
 
-def test_odd_and_even_distortion_show_at_their_lines() -> None:
+def test_odd_and_even_distortion_are_detected_at_their_lines() -> None:
     nothing, cubic, square = (distorted(3, power, size=s) for power, s in
                               ((3, 0.0), (3, 0.05), (2, 0.05)))  # fmt: skip
     for found, odd, even in ((nothing, False, False), (cubic, True, False), (square, False, True)):
-        # One chance in a thousand for each of 12 verdicts that nothing is there.
+        # A false alarm has a probability of 0.001 in each of 12 tests.
         assert np.all((found.odd.test().p_value < 1e-3) == odd)
         assert np.all((found.even.test().p_value < 1e-3) == even)
-    # An even distortion of odd lines falls on even ones alone, and spares the response.
+    # Even distortion of odd lines appears at even lines only and does not affect the response.
     assert np.all(nothing.test().p_value > 1e-3)
     assert np.all(square.test().p_value > 1e-3)
     assert np.all(cubic.test().p_value < 1e-12)
-    # Both ways measure the same: power of odd distortion at lines excited and lines left out. Its
-    # spectrum is smooth, 59 lines of 4 and 19 of 6 degrees of freedom make 10 %; excited lines
-    # lack the share that is in phase with the excitation, some percent.
+    # The power of odd distortion is equal at excited lines and at detection lines, because its
+    # spectrum is smooth. 59 lines with 4 and 19 lines with 6 degrees of freedom determine it to
+    # 10 %; excited lines lack a few percent that are in phase with the excitation.
     by_scatter = np.mean(cubic.total_level**2 - cubic.noise_level**2, axis=0)
     by_detection = np.mean(cubic.odd.level**2 - cubic.odd.noise**2, axis=0)
     np.testing.assert_allclose(by_scatter, by_detection, rtol=0.4)
 
 
 @pytest.mark.parametrize(("freedom", "noise_freedom"), [(3, 3), (6, 18)])
-def test_p_values_are_uniform_when_nothing_is_there(freedom: int, noise_freedom: int) -> None:
-    # 3 and 3: one realisation of three inputs, two periods in steady state. So few leave tails of
-    # the ratios that have no third moment; of 30 000 values 120 were below 1e-4, and 50 below 1e-6.
+def test_p_values_are_uniform_without_distortion(freedom: int, noise_freedom: int) -> None:
+    # 3 and 3: one realisation of three inputs, two periods in steady state. The ratios then have
+    # no third moment; an earlier version had 120 of 30 000 values below 1e-4 and 50 below 1e-6.
     rng = np.random.default_rng(4)
     values, lines = 30_000, 100
     power = rng.gamma(freedom, 1 / freedom, (lines, values))
@@ -280,31 +283,31 @@ def test_p_values_are_uniform_when_nothing_is_there(freedom: int, noise_freedom:
     for p in (1e-3, 0.05, 0.5, 0.95):
         four = 4 * np.sqrt(p * (1 - p) / values)
         assert np.mean(p_values < p) == pytest.approx(p, abs=four)
-    # 3 are expected; more than 9 by chance in one of a thousand tests (Poisson).
+    # 3 are expected; more than 9 have a probability of 0.001 (Poisson).
     assert np.count_nonzero(p_values < 1e-4) <= 9
 
 
-def test_p_values_tell_a_few_strong_lines_and_many_weak_ones() -> None:
+def test_p_values_detect_few_strong_lines_and_many_weak_lines() -> None:
     rng = np.random.default_rng(5)
     lines, values = 100, 300
     few, many = np.ones((lines, 1)), np.full((lines, 1), 1.6)
     few[:3] = 21.0
     power, noise = (rng.gamma(n, 1 / n, (lines, values)) for n in (6, 18))
     for amplified in (few, many):
-        # Simulated 3000 times, all but 5 had p < 1e-3; the mean normal score tells `few` in 16 %.
+        # Of 3000 simulations all but 5 had p < 1e-3; the mean normal score detects `few` in 16 %.
         assert np.mean(excess(amplified * power, noise, 6, 18).p_value < 1e-3) > 0.97
 
 
-def test_p_values_are_numbers_however_strong_a_line_is() -> None:
+def test_p_values_are_finite_for_extremely_strong_lines() -> None:
     power, noise = np.ones((20, 2)), np.ones((20, 2))
     power[3] = 0.0, 1e300
     assert excess(power, noise, 6, 18).p_value[1] < 1e-200
     assert excess(power, noise, 6, 18).p_value[0] > 0.01
 
 
-def test_a_transient_in_the_periods_is_told() -> None:
-    g = 0.995 ** np.arange(2000)[:, None, None]  # dies out by 1 / e in 2 s, half a period
-    v = playing(1, 3, 2)
+def test_transient_in_the_periods_gives_a_remark() -> None:
+    g = 0.995 ** np.arange(2000)[:, None, None]  # decays by 1 / e in 2 s, half a period
+    v = multisines(1, 3, 2)
     y = filtered(v, g) + 0.01 * np.random.default_rng(2).normal(size=v.shape)
     assert "transient" in best_linear_approximation([periodic(v, y, 1)]).remarks[0]
     fast = filtered(v, g[:50]) + 0.01 * np.random.default_rng(2).normal(size=v.shape)
@@ -312,7 +315,7 @@ def test_a_transient_in_the_periods_is_told() -> None:
 
 
 def test_names_and_units_of_the_records_are_kept() -> None:
-    v = playing(2, 1, 1)
+    v = multisines(2, 1, 1)
     record = replace(
         periodic(v, filtered(v, impulse_response(1, 2)), 2),
         input_names=("left", "right"),
@@ -327,8 +330,8 @@ def test_names_and_units_of_the_records_are_kept() -> None:
         best_linear_approximation([record, other])
 
 
-def test_records_that_do_not_fit_are_errors() -> None:
-    v = playing(2, 1, 1)
+def test_incompatible_or_insufficient_records_are_rejected() -> None:
+    v = multisines(2, 1, 1)
     good = periodic(v, v, 2)
     with pytest.raises(IdentificationError, match="at least one record"):
         best_linear_approximation([])
@@ -358,8 +361,8 @@ def test_records_that_do_not_fit_are_errors() -> None:
 
 
 @pytest.mark.parametrize("x_b_m", [-0.1, 0.0, 0.1])
-def test_the_plant_in_its_loop_against_the_truth(rig, x_b_m: float) -> None:
-    """Two realisations of 8 s, evaluated over two periods each: 144 s in all."""
+def test_plant_identified_in_the_loop_agrees_with_the_truth(rig, x_b_m: float) -> None:
+    """Two realisations with periods of 8 s, of which two count: 144 s in all."""
     R, periods, rate_hz = 2, 3, 1000.0
     played = parse_text(
         shipped("sessions/multisine-1khz.yaml").read_bytes(), SessionConfig, "session"
@@ -382,14 +385,14 @@ def test_the_plant_in_its_loop_against_the_truth(rig, x_b_m: float) -> None:
     band = (found.freq_hz >= 1) & (found.freq_hz <= 64)
     ratio = (found.H / true)[band]
     decibel, degree = np.abs(20 * np.log10(np.abs(ratio))), np.abs(np.angle(ratio, deg=True))
-    # 0.5 dB and 3 degrees were asked for; three times what is found over seeds.
+    # 0.5 dB and 3 degrees are required; the limits are three times the largest error over seeds.
     assert np.einsum("fii->fi", decibel).max() < 0.06
     assert np.einsum("fii->fi", degree).max() < 0.3
-    # Off the diagonal what stands 20 dB above its noise: 1 dB is one deviation, 2 dB two.
+    # Off-diagonal entries 20 dB above their noise: 1 dB is one standard deviation.
     stands = np.abs(found.H[band]) > 10 * found.radius()[band]
     assert decibel[stands].max() < 2.0
     inside = (np.abs(found.H - true) < found.radius())[band]
-    # 189 lines x 3 rows that are independent: 0.9 % is the standard error.
+    # 189 lines x 3 independent rows: the standard error is 0.9 %.
     assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
     assert np.all(found.test().p_value > 1e-4)
     assert np.all(found.odd.test().p_value > 1e-4)
@@ -444,7 +447,7 @@ def both(logs: list[Log]) -> list[BestLinearApproximation]:
     return [best_linear_approximation([record]) for record in records]
 
 
-def test_records_come_from_logs_and_others_are_refused_by_name(nominal: list[Log]) -> None:
+def test_logs_without_orthogonal_multisines_are_skipped_by_name(nominal: list[Log]) -> None:
     records, skipped = periodic_records(nominal)
     assert [r.name for r in records] == ["whole", "half"]
     assert records[0].v.shape == (6, 2, 8000, 3)
@@ -454,12 +457,12 @@ def test_records_come_from_logs_and_others_are_refused_by_name(nominal: list[Log
         periodic_record(nominal[4])
 
 
-def test_the_flown_plant_is_the_truth_and_linear(nominal: list[Log]) -> None:
+def test_flown_linear_plant_agrees_with_the_truth_without_distortion(nominal: list[Log]) -> None:
     config = load_yaml(shipped("sims/nominal.yaml"), SimConfig)
     for found in both(nominal):
         true = frequency_response(config, 0.1, found.freq_hz, 1000.0)
         inside = np.abs(found.H - true) < found.radius()
-        # 299 lines x 3 rows: 0.7 % is the standard error.
+        # 299 lines x 3 rows: the standard error is 0.7 %.
         assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
         for test in (found.test(), found.odd.test(), found.even.test()):
             assert np.all(test.p_value > 1e-4)
@@ -468,24 +471,24 @@ def test_the_flown_plant_is_the_truth_and_linear(nominal: list[Log]) -> None:
     assert [found.freedom for found in apart] == [6 - 3, 6 - 3]
 
 
-def test_a_hardening_spring_shows_at_odd_lines_and_grows_with_the_amplitude(
+def test_hardening_spring_gives_odd_distortion_that_grows_with_amplitude(
     nonlinear: list[Log],
 ) -> None:
     whole, half = both(nonlinear)
-    # z is what the rods' cubic stiffness moves most against its noise.
+    # The rods' cubic stiffness is largest in z, relative to the noise.
     assert whole.test().p_value[2] < 1e-12
-    # 99 odd lines of 6 degrees of freedom tell less than the 299 excited ones: 2e-9 here.
+    # 99 odd lines with 6 degrees of freedom are less powerful than 299 excited lines: p = 2e-9.
     assert whole.odd.test().p_value[2] < 1e-6
     assert whole.even.test().p_value[2] > 1e-6
     near = whole.freq_hz < 12.0
     level = [np.sqrt(np.mean(b.distortion_variance[near, 2, 2])) for b in (whole, half)]
-    # A cubic force falls by 8 at half the amplitude, by 4 relative to the response, and so from
-    # four times the noise to as much as the noise: what is left of it there is noise's own.
+    # At half the amplitude a cubic force is 1/8, relative to the response 1/4: it falls from four
+    # times the noise to the noise level, where it is no longer significant.
     assert level[0] > 2.0 * level[1]
     assert half.test().p_value[2] > 1e-6
 
 
-def test_a_log_that_was_cut_off_gives_its_complete_realisations(nominal: list[Log]) -> None:
+def test_truncated_log_gives_its_complete_realisations(nominal: list[Log]) -> None:
     log = nominal[2]
     begin, realisation = 3000, 3 * 3 * 8000
     cut = replace(log, rows=log.rows[: begin + realisation + 5000])
@@ -497,11 +500,11 @@ def test_a_log_that_was_cut_off_gives_its_complete_realisations(nominal: list[Lo
         periodic_record(replace(log, rows=log.rows[: begin + realisation - 1000]))
 
 
-def test_what_one_record_or_method_can_not_do_does_not_end_a_study(
+def test_unusable_record_or_method_does_not_end_a_study(
     nominal: list[Log], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     half = nominal[3]
-    rows = {half.path: half.rows[:50_000]}  # of 72 s; and 'white' excites psi alone, for 2 s
+    rows = {half.path: half.rows[:50_000]}  # 50 s of 72 s; record 'white' excites psi alone for 2 s
     logs = {log.path: replace(log, rows=rows.get(log.path, log.rows)) for log in nominal}
     monkeypatch.setattr(studies, "read_log", logs.__getitem__)
     found = studies.study(list(logs), lambda _log: None, Options())
@@ -513,7 +516,7 @@ def test_what_one_record_or_method_can_not_do_does_not_end_a_study(
 
 
 def test_a_position_without_an_approximation_does_not_end_a_study() -> None:
-    v = playing(2, 2, 1)
+    v = multisines(2, 2, 1)
     good = replace(periodic(v, v, 2), beam_m=0.0)
     silent = replace(good, v=good.v * [1.0, 0.0], beam_m=0.1)
     found, refused = studies._multisine([silent, good])
@@ -523,12 +526,10 @@ def test_a_position_without_an_approximation_does_not_end_a_study() -> None:
 
 
 @pytest.mark.parametrize("skipped", [1, 40])
-def test_periods_that_were_skipped_cost_their_realisation_alone(
-    nominal: list[Log], skipped: int
-) -> None:
+def test_skipped_cycles_discard_only_their_realisation(nominal: list[Log], skipped: int) -> None:
     log, complete = nominal[2], periodic_record(nominal[2])
     rows = log.rows.copy()
-    # The plan waits while periods are skipped: the row behind them is the next one of the plan.
+    # The plan waits during skipped cycles: the row after them is the next one of the plan.
     rows["cycle"][20_000:] += skipped
     record = periodic_record(replace(log, rows=rows))
     assert (record.realisations, complete.realisations) == (1, 2)
@@ -537,23 +538,23 @@ def test_periods_that_were_skipped_cost_their_realisation_alone(
     np.testing.assert_array_equal(record.y, complete.y[-len(record.y) :])
 
 
-def test_a_skip_between_periods_that_count_costs_nothing() -> None:
+def test_skipped_cycles_in_dropped_periods_discard_nothing() -> None:
     N, rows = 100, 1000
     at = np.arange(rows)
-    at[350:] += 1  # in the midst of the fourth hundred
+    at[350:] += 1  # within period 300 to 400, which is dropped
     begins = np.array([100, 200, 400])
     assert _complete(at, begins, N, rows + 1)
     assert not _complete(at, np.array([300]), N, rows + 1)
-    assert not _complete(at, np.array([900]), N, rows - 5)  # cut off before its end
+    assert not _complete(at, np.array([900]), N, rows - 5)  # truncated before its end
 
 
-def test_later_parts_of_a_record_are_left_out(nominal: list[Log]) -> None:
+def test_later_parts_of_a_split_record_are_rejected(nominal: list[Log]) -> None:
     log = nominal[2]
     with pytest.raises(IncompleteError, match=r"part 2 of record .* is unknown"):
         periodic_record(replace(log, metadata={**log.metadata, "part": "2"}))
 
 
-def test_a_period_that_is_not_the_sessions_is_refused(nominal: list[Log]) -> None:
+def test_period_other_than_the_sessions_is_rejected(nominal: list[Log]) -> None:
     log = nominal[2]
     text = log.attachments["session.yaml"].replace(b"period_s: 8", b"period_s: 7.9")
     wrong = replace(log, attachments={**log.attachments, "session.yaml": text})
@@ -561,7 +562,7 @@ def test_a_period_that_is_not_the_sessions_is_refused(nominal: list[Log]) -> Non
         periodic_record(wrong)
 
 
-def test_multisines_on_some_of_the_inputs_are_another_methods(nominal: list[Log]) -> None:
+def test_multisines_on_a_part_of_the_inputs_are_rejected(nominal: list[Log]) -> None:
     log = nominal[2]
     text = re.sub(rb"excite: \[[^]]*\]", b"excite: [z]", log.attachments["session.yaml"])
     alone = replace(log, attachments={**log.attachments, "session.yaml": text})

@@ -1,4 +1,4 @@
-"""Logs to records to operating points: fields, remarks, skipped logs and errors."""
+"""Test records from logs and operating points: fields, remarks, skipped logs and errors."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def _log(rows: np.ndarray, **changes: object) -> Log:
     return cycle_log("03-left-theta.mcap", rows, **changes)
 
 
-def test_a_record_holds_what_the_log_says():
+def test_record_has_the_signals_and_controller_of_the_log():
     record = from_log(_log(_cycles()))
     rows = _cycles()
     assert record.name == "left-theta"
     assert record.Ts_s == 1e-3
     np.testing.assert_array_equal(record.v[:, 1], rows["v_theta_n_m"].astype(float))
-    # Feed-forward is no part of v - C y: it is taken off, to the rounding of float32.
+    # Feed-forward is not part of v - C y; it is subtracted, with float32 rounding.
     assert record.u is not None
     np.testing.assert_allclose(record.u, record.v, atol=1e-6)
     np.testing.assert_array_equal(record.y[:, 1], rows["theta_rad"].astype(float))
@@ -65,7 +65,7 @@ def test_a_record_holds_what_the_log_says():
     assert record.controller is not None
     np.testing.assert_array_equal(record.controller.kp, [20.0, 20.0, 500.0])
     np.testing.assert_array_equal(record.controller.ki, [200.0, 200.0, 3000.0])
-    assert record.leading_zeros == 2  # the hold, and the cycle after which a force acts
+    assert record.leading_zeros == 2  # the hold, and one cycle of delay
     assert record.remarks == ()
 
 
@@ -90,7 +90,7 @@ def test_records_without_excitation_or_with_a_moving_beam_are_skipped():
         from_log(_log(moving))
 
 
-def test_what_disturbed_a_record_is_remarked():
+def test_saturation_faults_references_and_truncation_give_remarks():
     rows = _cycles()
     rows["saturated"][5:8] = 2
     rows["fault"][150:] = 3
@@ -103,7 +103,7 @@ def test_what_disturbed_a_record_is_remarked():
     assert "cut off" in text
 
 
-def test_rows_from_a_fault_on_are_left_out():
+def test_rows_after_a_fault_are_left_out():
     rows = _cycles()
     rows["fault"][150:] = 3
     rows["theta_rad"][150:] = 1e-2
@@ -114,7 +114,7 @@ def test_rows_from_a_fault_on_are_left_out():
         from_log(_log(rows))
 
 
-def test_a_log_without_its_rig_or_with_a_broken_one_is_an_error():
+def test_log_with_missing_or_invalid_contents_is_rejected():
     with pytest.raises(IdentificationError, match=r"expected the attachment rig\.yaml"):
         from_log(_log(_cycles(), attachments={}))
     with pytest.raises(IdentificationError, match=r"rig\.yaml"):
@@ -147,13 +147,13 @@ def test_imported_signals_take_their_roles_from_the_attachment():
     assert (record.input_names, record.input_units) == (("force",), ("N",))
     assert (record.output_names, record.output_units) == (("position",), ("m",))
     assert record.controller is None
-    assert record.leading_zeros == 0  # nothing is known: the output may react at once
+    assert record.leading_zeros == 0  # unknown delay: the output may respond at once
     assert record.Ts_s == 0.02
     assert record.beam_m is None
 
 
-def _drive(times_ns: np.ndarray, **changes: object) -> Log:
-    """Return a log of another program: a signals.yaml, but no cycle numbers."""
+def foreign_log(times_ns: np.ndarray, **changes: object) -> Log:
+    """Return a log of another program with a signals.yaml and without cycle numbers."""
     rows = np.zeros(len(times_ns), [("force", "<f8"), ("position", "<f8")])
     return _log(
         rows,
@@ -172,13 +172,13 @@ def test_missing_samples_are_an_error_and_late_messages_are_not():
     with pytest.raises(
         IdentificationError, match=r"missing samples: .* found 0.08 s before row 700"
     ):
-        from_log(_drive(lost))
+        from_log(foreign_log(lost))
     late = times_ns.copy()
-    late[700:703] = times_ns[703]  # in a bunch, as a busy machine writes them
-    assert len(from_log(_drive(late)).y) == 2000
-    late = times_ns + np.random.default_rng(0).integers(0, 15_000_000, 2000)  # each by chance
-    assert len(from_log(_drive(np.sort(late))).y) == 2000
-    (remark,) = from_log(_drive(times_ns, complete=False, problem="cut off")).remarks
+    late[700:703] = times_ns[703]  # in a burst, as on a busy machine
+    assert len(from_log(foreign_log(late)).y) == 2000
+    late = times_ns + np.random.default_rng(0).integers(0, 15_000_000, 2000)  # random delays
+    assert len(from_log(foreign_log(np.sort(late))).y) == 2000
+    (remark,) = from_log(foreign_log(times_ns, complete=False, problem="cut off")).remarks
     assert "truncated (cut off)" in remark
 
 
@@ -200,7 +200,7 @@ def _scheduled(**columns: tuple[str, np.ndarray]) -> Log:
     )
 
 
-def test_an_imported_position_is_the_operating_point_and_nothing_else_is():
+def test_imported_position_alone_is_an_operating_point():
     still = 0.2 + 1e-4 * np.sin(np.arange(100))
     assert from_log(_scheduled(slide=("m", still))).beam_m == pytest.approx(0.2, abs=1e-5)
     moving = _scheduled(slide=("m", np.linspace(0.0, 0.05, 100)))
@@ -214,7 +214,7 @@ def test_an_imported_position_is_the_operating_point_and_nothing_else_is():
         from_log(both)
 
 
-def test_a_declared_model_takes_any_scheduling():
+def test_declared_model_accepts_any_scheduling_signal():
     model = ModelConfig.model_validate(
         {
             "levid": "model",
@@ -251,40 +251,40 @@ def test_records_are_grouped_by_beam_position_within_a_millimetre():
     np.testing.assert_allclose(beams, [-0.0999, 0.0001, 0.1001], atol=1e-9)
 
 
-def test_creeping_positions_make_no_group_wider_than_a_millimetre():
+def test_slowly_drifting_positions_form_groups_within_a_millimetre():
     creeping = [_record(b, 0) for b in np.linspace(0.0, 2.7e-3, 7)]
     beams = [p.beam_m for p in operating_points(creeping)]
     np.testing.assert_allclose(np.array(beams, float), [0.45e-3, 1.8e-3, 2.7e-3], atol=1e-9)
-    nowhere = [replace(r, beam_m=None) for r in creeping[:2]]
-    groups = by_position([creeping[0], *nowhere, creeping[6]])
+    without_position = [replace(r, beam_m=None) for r in creeping[:2]]
+    groups = by_position([creeping[0], *without_position, creeping[6]])
     assert [len(group) for group in groups] == [2, 1, 1]
-    assert groups[0] == nowhere
+    assert groups[0] == without_position
 
 
-def test_an_input_that_no_record_excites_is_named_with_its_position():
+def test_input_without_excitation_is_reported_with_its_position():
     records = [_record(0.0, 0, "psi"), _record(0.0, 2, "z")]
     with pytest.raises(IdentificationError, match=r"\+0\.0 mm.*no excitation of theta in 'psi'"):
         identify(records)
 
 
-def test_records_of_different_rate_gains_or_controller_are_an_error():
+def test_records_of_different_rates_or_controllers_are_rejected():
     records = [_record(0.0, a, f"r{a}") for a in range(3)]
     with pytest.raises(IdentificationError, match="one sampling time in s in all records"):
         operating_points([*records[:2], replace(records[2], Ts_s=1e-4)])
     other = PiController(np.ones(3), 2 * np.ones(3))
     with pytest.raises(IdentificationError, match="different gains in 'r0' and 'r2'"):
         operating_points([*records[:2], replace(records[2], controller=other)])
-    away = [replace(_record(0.1, a), controller=None) for a in range(3)]
+    with_unknown_controller = [replace(_record(0.1, a), controller=None) for a in range(3)]
     with pytest.raises(IdentificationError, match="known controller"):
-        identify([*records, *away])
+        identify([*records, *with_unknown_controller])
 
 
-def test_no_records_at_all_is_an_error_with_the_reasons():
+def test_error_without_records_lists_the_reasons():
     with pytest.raises(IdentificationError, match=r"found none \(a: kind 'move'"):
         identify([], skipped=["a: kind 'move'"])
 
 
-def test_short_records_are_an_error_that_names_position_and_record():
+def test_short_record_is_reported_with_position_and_name():
     records = [_record(0.02, a, f"r{a}") for a in range(3)]
     with pytest.raises(IdentificationError, match=r"beam at \+20\.0 mm: record 'r0': expected at"):
         identify(records, Options(impulse_s=6.0))

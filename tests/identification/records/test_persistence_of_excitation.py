@@ -1,4 +1,4 @@
-"""Excitation that does not determine the Markov parameters is rejected, with a remedy."""
+"""Test persistence of excitation: insufficient excitation is rejected with a remedy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAMES = ("psi", "theta", "z")
 
 
 def _records(signals: list[np.ndarray]) -> list[Record]:
-    """Return records that excite an input each, of the given signals, as large as units make it."""
+    """Return one record for each signal, which excites one input, with different magnitudes."""
     records = []
     for axis, signal in enumerate(signals):
         v = np.zeros((len(signal), 3))
@@ -49,7 +49,7 @@ def _multisine(period: int, lines: np.ndarray, rows: int = ROWS) -> np.ndarray:
 @pytest.mark.parametrize("rows", [ROWS, 6000])
 def test_white_and_moderately_coloured_noise_are_accepted(rows):
     check_excitation(_records([_noise(a, rows) for a in range(3)]), LENGTH)
-    # Power falls by (1.9 / 0.1)^2 = 26 dB: badly known, but known, at the top of the band.
+    # Power falls by (1.9 / 0.1)^2 = 26 dB: inaccurate at the top of the band, but identifiable.
     coloured = [lfilter([1.0], [1.0, -0.9], _noise(a, rows)) for a in range(3)]
     check_excitation(_records(coloured), LENGTH)
 
@@ -79,12 +79,12 @@ def test_correlated_inputs_are_rejected():
         check_excitation([same], LENGTH)
 
 
-def test_a_multisine_shorter_than_the_impulse_response_repeats():
+def test_multisine_with_a_period_below_the_impulse_response_is_rejected():
     lines = np.arange(1, 700)
     records = _records([_multisine(1500, lines)])
     assert repetition(records, LENGTH) == pytest.approx(1500, abs=1)
     assert repetition(records, 1000) is None
-    # Odd lines turn over after half a period.
+    # With odd lines only, the signal changes sign after half a period.
     assert repetition(_records([_multisine(1500, lines[::2])]), 1000) == pytest.approx(750, abs=1)
     assert repetition(_records([_noise(0)]), LENGTH) is None
     with pytest.raises(PoorExcitationError, match=r"a period of 1\.5 s"):

@@ -1,4 +1,4 @@
-"""Short records are left out if they would shorten the impulse response."""
+"""Test short records: they are left out if they would shorten the impulse response."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RATE_HZ = 200.0
 
 
 def records(rows: Sequence[int], axes: Sequence[int] | None = None) -> list[Record]:
-    """Return a record of so many rows each, that excites one of two inputs, or both."""
+    """Return a record for each number of rows; it excites both inputs, or the one in `axes`."""
     out = []
     for number, count in enumerate(rows):
         v = np.random.default_rng(number).normal(size=(count, 2))
@@ -38,11 +38,11 @@ def left_out(some: Sequence[Record], wanted_rows: int) -> list[str]:
     ("rows", "expected"),
     [
         ([100, 1000, 1000], ["r0"]),
-        ([1000, 300, 1000], []),  # an eighth of all
+        ([1000, 300, 1000], []),  # an eighth of all rows
         ([1000, 100, 90, 1000], ["r1", "r2"]),
-        ([200, 100, 1000, 1000], ["r1"]),  # both together are a seventh of all
-        ([2000, 450, 1800], []),  # longer than what is wanted
-        ([100] * 20, []),  # nothing is gained by leaving out one of many alike
+        ([200, 100, 1000, 1000], ["r1"]),  # both together are a seventh of all rows
+        ([2000, 450, 1800], []),  # longer than required
+        ([100] * 20, []),  # equal records: leaving one out gains nothing
         ([100, *range(101, 121)], []),
         ([100], []),
     ],
@@ -54,7 +54,7 @@ def test_few_short_records_are_left_out(rows, expected):
 def test_short_record_with_the_only_excitation_of_an_input_is_kept():
     assert left_out(records([1000, 1000, 90], [0, 1, 1]), 400) == ["r2"]
     assert left_out(records([1000, 1000, 90], [0, 0, 1]), 400) == []
-    # The shortest can be spared, the next cannot: with it both stay, for nothing would be gained.
+    # The second shortest record is needed, so leaving out the shortest would gain nothing.
     assert left_out(records([1000, 80, 90], [0, 0, 1]), 400) == []
 
 

@@ -1,4 +1,4 @@
-"""Resampling of real-time logs: missing readings and late commands."""
+"""Test resampling of real-time logs: missing readings and late commands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from levid.log.signals import Stale, cycle_dtype
 LAG = 0.96
 NOISE_N = 1e-3
 NOISE_M = 1e-7
-# What a force of a coil does to the sensors in a period squared, some 1 / (7 kg) of 1 ms squared.
+# Displacement of the sensors per coil force in one period: about (1 ms)^2 / (7 kg).
 EFFECT = 1.4e-7 * np.random.default_rng(7).uniform(0.5, 1.5, (9, 9))
 
 
@@ -73,7 +73,7 @@ def test_log_without_missing_rows_is_unchanged() -> None:
 def test_readback_decides_which_command_acted_in_skipped_periods(own_clock: bool) -> None:
     n, first, end = 1000, 100, 105
     acting = held_until_next_cycle(n, first, end)
-    if own_clock:  # the amplifier takes the last command over in time, and holds it
+    if own_clock:  # the amplifier applies the last command on its own clock and holds it
         acting[first - 1 : end] = first - 1
     log = flown(n, acting)
     filled_in, remarks = resample(skipping(log, list(range(first, end))))
@@ -139,8 +139,8 @@ def test_stale_readings_are_filled_in_with_errors_of_the_sensor_noise() -> None:
     off_before = (log.rows["gap_m"] - truth.rows["gap_m"])[runs]
     rows, remarks = resample(log)
     off = (rows.rows["gap_m"] - truth.rows["gap_m"])[runs]
-    # The difference has the noise of the removed reading, and that of the curve through 24 rows,
-    # which is smaller. The stale readings are wrong by the motion in one period.
+    # The difference has the noise of the removed reading and the smaller noise of the curve
+    # through 24 rows. A stale reading is wrong by the motion in one period.
     assert np.std(off) < 1.5 * NOISE_M
     assert np.std(off_before) > 5 * NOISE_M
     np.testing.assert_allclose(rows.rows["z_m"], rows.rows["gap_m"].mean(axis=1), atol=1e-10)
@@ -231,7 +231,7 @@ def test_decreasing_cycle_numbers_are_an_error() -> None:
 
 def test_missing_rows_are_fillable_if_enough_rows_around_them_are_known() -> None:
     missing = np.zeros(100, bool)
-    missing[[3, 50, 51, 52]] = True  # the first is too near to the begin for a curve
+    missing[[3, 50, 51, 52]] = True  # row 3 is too near to the start for a curve
     missing[70:90] = True
     expected = np.zeros(100, bool)
     expected[50:53] = True

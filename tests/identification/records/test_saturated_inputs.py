@@ -1,4 +1,4 @@
-"""Saturated coils: the plant input is the wrench sent, not the wrench before the limits."""
+"""Test saturated coils: the plant input is the wrench sent, not the wrench before the limits."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def flown(rig: ModuleType, limit_n: float) -> tuple[list[Log], float]:
 
 
 def errors(rig: ModuleType, records: list[Record]) -> tuple[float, float]:
-    """Return the diagonal over the truth, less 1: rms by subspace, mean by joint spectra."""
+    """Return the relative error of the diagonal: rms by subspace, mean by joint spectra."""
     found = plant_by_subspace(records, lag_pole=np.exp(-TS / rig.LAG_S)).plant.response(FREQ_HZ)
     joint = plant_from_joint(records, FREQ_HZ, 4.0)
     by_subspace, by_spectra = (
@@ -71,8 +71,8 @@ def test_saturated_coils_do_not_bias_the_plant(rig: ModuleType) -> None:
     sent, unlimited = (
         errors(rig, list(map(from_log, ls))) for ls in (logs, without(logs, "coil_n"))
     )
-    # As without limits, 1.1e-4 and 0.2 % (noise, and leakage of spectra); with the wrench before
-    # the limits 2.9 and 2.6 %: the share of the wrench that the limits remove.
+    # The errors are 1.1e-4 and 0.2 % as without limits (noise, leakage). With the wrench before
+    # the limits they are 2.9 and 2.6 %, the share of the wrench that the limits remove.
     assert sent[0] < 5e-4
     assert sent[1] < 0.005
     assert min(unlimited) > 0.02
@@ -86,8 +86,8 @@ def test_sensitivity_uses_the_wrench_before_the_limits(rig: ModuleType) -> None:
     np.testing.assert_array_equal(S.H, without_coils.H)
     P = plant_from_sensitivity(S, PiController(rig.KP, rig.KI))
     true = rig.sampled_plant(X_B, TS).frequency_response(P.freq_hz)
-    # The limit removes 3 % of the input. Counted as controller output, which is small at high
-    # frequencies, it would make a mean error of 380 %.
+    # The limit removes 3 % of the input. If this counted as controller output, which is small at
+    # high frequencies, the mean error would be 380 %.
     assert abs(np.mean(np.einsum("fii->fi", P.H / true) - 1)) < 0.05
 
 

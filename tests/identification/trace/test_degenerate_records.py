@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mass_logs import MASS as CONFIG
-from mass_logs import imported
+from mass_on_spring_logs import MASS as CONFIG
+from mass_on_spring_logs import imported
 from rig_effects import rig_places
 
 from levid.config.base import parse_text

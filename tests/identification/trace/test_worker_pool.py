@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mass_logs import MASS as CONFIG
-from mass_logs import imported
+from mass_on_spring_logs import MASS as CONFIG
+from mass_on_spring_logs import imported
 from threadpoolctl import threadpool_info
 
 from levid.identification.records.record import IdentificationError

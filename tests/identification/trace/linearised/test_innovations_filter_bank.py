@@ -11,7 +11,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from declared_records import CONFIG, NOISE, PLACES, SENSOR_SD, SHAPE, TS, point, record, smooth
+from declared_model_records import (
+    CONFIG,
+    NOISE,
+    PLACES,
+    SENSOR_SD,
+    SHAPE,
+    TS,
+    point,
+    record,
+    smooth,
+)
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig

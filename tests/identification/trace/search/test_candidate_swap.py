@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rig_effects import rig_places
-from search_points import Point
+from search_working_points import Point
 
 from levid.identification.trace.search import candidate_swap
 from levid.identification.trace.search.candidate_screening import HeldError, Round, Tried

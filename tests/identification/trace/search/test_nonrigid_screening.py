@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from declared_records import PLACES, SENSOR_SD, SHAPE, point, record
+from declared_model_records import PLACES, SENSOR_SD, SHAPE, point, record
 
 from levid.identification.trace.linearised.linearise import linearise
 from levid.identification.trace.search import nonrigid_screening

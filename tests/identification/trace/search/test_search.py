@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mass_logs import imported
+from mass_on_spring_logs import imported
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig

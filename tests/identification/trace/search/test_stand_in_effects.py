@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 from rig_effects import rig_places
-from search_points import Measured, Point
+from search_working_points import Measured, Point
 
 from levid.identification.trace.search import backward_elimination, forward_selection
 from levid.identification.trace.search.candidate_screening import HeldError, Round, Tried

@@ -1,4 +1,4 @@
-"""A mass on a spring: its model, and logs that tests have made, imported as anybody's data are."""
+"""A mass on a spring: its declared model, and simulated records imported as logs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ columns:
 def imported(folder: Path, name: str, table: np.ndarray, columns: str = SIGNALS) -> Path:
     """Return the log of a record `name`, whose force in N and position in m are `table` (N, 2).
 
-    `columns` tells of others, as a signals.yaml.
+    `columns` is the text of the signals.yaml.
     """
     data, signals, log = folder / f"{name}.csv", folder / "signals.yaml", folder / f"{name}.mcap"
     np.savetxt(data, table, delimiter=",", fmt="%.17g")

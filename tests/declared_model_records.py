@@ -1,4 +1,4 @@
-"""Records made from the rig's declared model in open loop, whose truth is known."""
+"""Open-loop records simulated with the rig's declared model and known noise."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NOISE = Noise.independent(
 
 
 def smooth(rng: np.random.Generator, rows: int, columns: int, highest_hz: float) -> np.ndarray:
-    """Return sums of twelve sines, as smooth as what a platform does."""
+    """Return sums of twelve sines, as smooth as the platform's motion."""
     t, freq_hz = np.arange(rows) * TS, rng.uniform(0.5, highest_hz, (12, columns))
     phase = rng.uniform(0, 2 * np.pi, freq_hz.shape)
     return np.sin(2 * np.pi * freq_hz * t[:, None, None] + phase).sum(axis=1) / np.sqrt(6)
@@ -38,7 +38,7 @@ def smooth(rng: np.random.Generator, rows: int, columns: int, highest_hz: float)
 
 @cache
 def record(kind: str, rows: int = 3000) -> TraceRecord:
-    """Return a record of the declared model, weight held, on a beam that stands or moves."""
+    """Return a record of the declared model without weight; the beam is "still" or "moving"."""
     rng = np.random.default_rng(len(kind))
     t = np.arange(rows) * TS
     beam = np.full((rows, 3), [0.05, 0.0, 0.0])
@@ -53,7 +53,7 @@ def record(kind: str, rows: int = 3000) -> TraceRecord:
         kind == "moving", 1, hold="zoh",
     )  # fmt: skip
     at = motion(declared_model(CONFIG), e, "zoh")
-    # A filter without gain simulates: what it leaves of a pose of nothing is minus the pose.
+    # A filter without gain simulates: with y = 0 its innovation is minus the pose.
     q = -innovations(at, np.zeros((len(at.K), 6, 3)), e.y, np.zeros(6))
     gap = q @ SHAPE.T + SENSOR_SD * rng.standard_normal((rows, 9))
     return TraceRecord(

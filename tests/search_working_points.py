@@ -1,4 +1,4 @@
-"""A working point as far as the search looks at it: what is placed, and whether noise is known."""
+"""A minimal working point for tests of the search: the accepted effects and a noise flag."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from levid.model.effects.base import Placed
 
 @dataclass(frozen=True)
 class Measured:
-    """A disturbance that a still record told, or none did."""
+    """A disturbance; `measured` if its noise comes from a still record."""
 
     measured: bool = True
 
 
 @dataclass(frozen=True)
 class Point:
-    """What is placed, in order."""
+    """The accepted effects, in order."""
 
     placed: tuple[Placed, ...]
     disturbance: Measured = Measured()

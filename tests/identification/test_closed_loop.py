@@ -1,4 +1,4 @@
-"""The whole way, on records of 60 s with the rig's noise: order, plant, fit, against the truth."""
+"""Test closed-loop identification on records of 60 s with the rig's noise, against the truth."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def _worst(found: np.ndarray, true: np.ndarray, freq_hz: np.ndarray) -> tuple[fl
     )
 
 
-def test_nine_main_states_stand_out_with_least_squares_and_hardly_with_correlation(result):
+def test_least_squares_shows_the_order_nine_and_correlation_does_not(result):
     for point in _points(result):
         assert point.order.order == 9
         s = point.singular_values["least_squares"]
         assert len(s) >= 20
-        # Noise of 60 s leaves singular values of about 0.01, the integrators' reach 0.7: a ratio of
-        # 55 to 85 over seeds.
+        # After 60 s the singular values of the noise are about 0.01, those of the integrators 0.7:
+        # a ratio of 55 to 85 over seeds.
         assert s[8] / s[9] > 20
         # Self-noise of the correlation is a hundred times larger, as large as the integrators.
         s = point.singular_values["correlation"]
@@ -58,17 +58,17 @@ def test_plant_by_ho_kalman_agrees_with_the_truth(rig, result):
     for point, x_b in zip(_points(result), BEAM_M, strict=True):
         assert point.plant.core.A.shape == (6, 6)
         true = rig.sampled_plant(x_b, 1e-3).frequency_response(point.freq_hz)
-        # Over seeds 0.005 to 0.03 dB and 0.03 to 0.3 degrees; 2 dB and 15 degrees were asked for.
+        # Over seeds 0.005 to 0.03 dB and 0.03 to 0.3 degrees; 2 dB and 15 degrees are required.
         dB, degrees = _worst(point.from_ho_kalman, true, point.freq_hz)
         assert dB < 0.1
         assert degrees < 1.0
-        # Without realisation, all 6000 taps bring their noise along: up to 0.2 dB and 1.3 degrees.
+        # Without realisation, the noise of all 6000 taps counts: up to 0.2 dB and 1.3 degrees.
         dB, degrees = _worst(point.from_markov, true, point.freq_hz)
         assert dB < 0.5
         assert degrees < 3.0
 
 
-def test_plant_by_sensitivity_agrees_with_the_truth_as_well_as_it_says(rig, result):
+def test_plant_by_sensitivity_agrees_with_the_truth_within_its_intervals(rig, result):
     for point, x_b in zip(_points(result), BEAM_M, strict=True):
         true = rig.sampled_plant(x_b, 1e-3).frequency_response(point.freq_hz)
         for estimate in (point.from_sensitivity, point.from_joint):
@@ -82,18 +82,18 @@ def test_plant_by_sensitivity_agrees_with_the_truth_as_well_as_it_says(rig, resu
         assert np.all(point.loop_coherence <= 1.0)
 
 
-def test_held_out_rows_are_simulated_by_what_the_others_gave(result):
+def test_model_simulates_the_held_out_data(result):
     for point in _points(result):
         assert len(point.holdout) == 3
         for axis, holdout in enumerate(point.holdout):
             assert holdout.time_s[0] == pytest.approx(45.0)
             assert len(holdout.measured) == 15_000
-            # Sensor noise is 1e-3 of the excited axis' motion (psi 0.34 of 330 urad): 99.8 %.
+            # Sensor noise is 1e-3 of the excited axis' motion (0.34 of 330 urad in psi): 99.8 %.
             assert holdout.simulated_fit_percent[axis] > 99.5
 
 
-def test_ringing_from_the_record_before_does_no_harm(rig):
-    """Couplings are a hundredth of the diagonal: what rings there from before would hide them."""
+def test_transient_at_the_start_of_a_record_does_not_bias_couplings(rig):
+    """Couplings are 1 % of the diagonal, so an unmodelled transient would hide them."""
     records = []
     for axis, record in enumerate(rig.records([0.1], 1000.0, 66.0)):
         # Excitation of another input until row 6000, unknown to the record, which starts there.
@@ -112,7 +112,7 @@ def test_ringing_from_the_record_before_does_no_harm(rig):
         assert np.median(error) < 0.05
 
 
-def test_an_order_that_is_too_small_or_odd_is_taken_as_given(rig, result):
+def test_given_order_is_used_or_rejected_if_out_of_range(rig, result):
     records = rig.records([0.0], 1000.0, 40.0)
     (point,) = identify(records, Options(order=12, lag_s=rig.LAG_S)).points
     assert isinstance(point, ClosedLoopPoint)
@@ -120,57 +120,57 @@ def test_an_order_that_is_too_small_or_odd_is_taken_as_given(rig, result):
     assert point.plant.core.A.shape == (9, 9)
     true = rig.sampled_plant(0.0, 1e-3).frequency_response(point.freq_hz)
     assert point.remarks == ()
-    # Three states too many fit noise: coarser, but still the plant.
+    # Three additional states fit noise: less accurate, but still the plant.
     dB, _ = _worst(point.from_ho_kalman, true, point.freq_hz)
     assert dB < 0.3
     with pytest.raises(IdentificationError, match="expected an order of 1 to 24, found 99"):
         identify(records, Options(order=99))
 
 
-def test_10_khz_without_decimation_gives_the_same_plant(rig):
+def test_plant_at_10_khz_agrees_with_the_truth_without_decimation(rig):
     records = rig.records([0.1], 10_000.0, 16.0)
     (point,) = identify(records, Options(lag_s=rig.LAG_S, impulse_s=2.0, segment_s=4.0)).points
     assert isinstance(point, ClosedLoopPoint)
     assert point.order.order == 9
     true = rig.sampled_plant(0.1, 1e-4).frequency_response(point.freq_hz)
-    # A quarter of the data, and a response cut off after 2 s: 0.08 to 0.2 dB, 2 to 4 degrees.
+    # A quarter of the data and a response of 2 s: errors are 0.08 to 0.2 dB, 2 to 4 degrees.
     dB, degrees = _worst(point.from_ho_kalman, true, point.freq_hz)
     assert dB < 0.6
     assert degrees < 6.0
 
 
 def test_progress_rises_to_one_and_the_summary_is_finite_json(rig):
-    told: list[tuple[str, float]] = []
+    reported: list[tuple[str, float]] = []
     found = identify(
         rig.records([0.0, 0.1], 1000.0, 30.0),
-        progress=lambda what, share: told.append((what, share)),
+        progress=lambda what, share: reported.append((what, share)),
     )
-    shares = [share for _, share in told]
+    shares = [share for _, share in reported]
     assert shares == sorted(shares)
     assert shares[0] == 0.0
     assert shares[-1] == 1.0
-    assert {what for what, _ in told} == {"beam at +0.0 mm", "beam at +100.0 mm"}
+    assert {what for what, _ in reported} == {"beam at +0.0 mm", "beam at +100.0 mm"}
     text = json.loads(json.dumps(summary(found), allow_nan=False))
     assert text["Ts_s"] == 1e-3
     assert [p["order"] for p in text["points"]] == [9, 9]
 
 
-def test_short_records_give_less_and_say_so(rig):
+def test_short_records_limit_the_impulse_response_with_a_remark(rig):
     records = rig.records([0.0], 1000.0, 10.0, at_rest=False)
     (point,) = identify(records, Options(lag_s=rig.LAG_S)).points
     assert isinstance(point, ClosedLoopPoint)
     assert len(point.remarks) == 2
     assert "impulse response is limited to 2.5 s" in point.remarks[0]
     true = rig.sampled_plant(0.0, 1e-3).frequency_response(point.freq_hz)
-    # A sixth of the data, and slow states cut off after 2.5 s: 0.1 dB, 1 to 2.5 degrees.
+    # A sixth of the data and a response of 2.5 s: errors are 0.1 dB, 1 to 2.5 degrees.
     dB, degrees = _worst(point.from_ho_kalman, true, point.freq_hz)
     assert dB < 0.5
     assert degrees < 6.0
 
 
-def test_an_axis_without_feedback_takes_the_joint_estimate(rig):
+def test_joint_estimate_replaces_equation_15_for_an_axis_without_feedback(rig):
     records = rig.records([0.0], 1000.0, 10.0, at_rest=False)
-    # Flown with it: which estimate stands for (15) is all that is looked at here.
+    # The records have feedback on z; only the choice of the estimate is tested.
     controller = PiController(rig.KP * [1, 1, 0], rig.KI * [1, 1, 0])
     (point,) = identify(
         [replace(r, controller=controller) for r in records], Options(lag_s=rig.LAG_S)
@@ -180,7 +180,7 @@ def test_an_axis_without_feedback_takes_the_joint_estimate(rig):
     assert any("no feedback from z" in text for text in point.remarks)
 
 
-def test_wrong_options_are_errors():
+def test_invalid_options_are_rejected():
     with pytest.raises(IdentificationError, match="correlation, least_squares, found 'welch'"):
         Options(markov="welch")
     with pytest.raises(IdentificationError, match=r"holdout: expected a share of 0 to 0\.5"):

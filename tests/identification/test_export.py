@@ -1,4 +1,4 @@
-"""What other tools are given is the same model and the same response."""
+"""Test the export to other tools: they get the same model and the same response."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from levid.identification.subspace.simulation import simulate
 from levid.model.second_order import StateSpace, discretise
 
 FREQ_HZ = np.geomspace(0.5, 20.0, 15)
-# Both sides solve the same 4 x 4 equations in double precision, conditioned by 1e3 at most.
+# Both solve the same 4 x 4 equations in double precision with a condition of at most 1e3.
 SAME = 1e-12
 
 MODEL = StateSpace(
@@ -57,7 +57,7 @@ def control():
 
 
 @pytest.mark.parametrize("model", [MODEL, PLANT], ids=["model", "with delay and lag"])
-def test_control_evaluates_the_same_response(control, model):
+def test_python_control_evaluates_the_same_response(control, model):
     system = control_state_space(model, SIGNALS)
     assert isinstance(system, control.StateSpace)
     assert (system.dt, system.noutputs, system.ninputs) == (0.02, 2, 3)
@@ -66,7 +66,7 @@ def test_control_evaluates_the_same_response(control, model):
     np.testing.assert_allclose(theirs, model.response(FREQ_HZ), rtol=SAME, atol=SAME)
 
 
-def test_a_continuous_model_stays_continuous(control):
+def test_continuous_model_stays_continuous(control):
     model = StateSpace(
         np.array([[-2.0]]), np.array([[1.0]]), np.array([[3.0]]), np.zeros((1, 1)), 0
     )
@@ -75,7 +75,7 @@ def test_a_continuous_model_stays_continuous(control):
     np.testing.assert_allclose(control_state_space(model)(0), 1.5, rtol=SAME)
 
 
-def test_control_holds_the_measured_response(control):
+def test_python_control_object_has_the_measured_response(control):
     estimate = _estimate()
     frd = control_frd(estimate, SIGNALS)
     assert isinstance(frd, control.FRD)
@@ -84,8 +84,8 @@ def test_control_holds_the_measured_response(control):
         np.testing.assert_array_equal(frd.eval(2 * np.pi * freq_hz), estimate.H[f])
 
 
-def test_without_control_the_error_names_the_package(monkeypatch):
-    monkeypatch.setitem(sys.modules, "control", None)  # what an import of a missing package finds
+def test_missing_python_control_gives_an_error_with_the_package_name(monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)  # makes the import fail
     for call in (lambda: control_state_space(MODEL), lambda: control_frd(_estimate())):
         with pytest.raises(
             ModuleNotFoundError, match=r"python-control.*pip install levid\[control\]"
@@ -93,7 +93,7 @@ def test_without_control_the_error_names_the_package(monkeypatch):
             call()
 
 
-def test_scipy_simulates_the_same():
+def test_scipy_simulates_the_same_output():
     system = scipy_state_space(PLANT)
     assert isinstance(system, signal.dlti)
     assert system.dt == 0.02
@@ -112,7 +112,9 @@ def test_mat_file_holds_models_and_responses_of_all_positions(rig, tmp_path):
     assert mat["B"].shape == (n, 3, 2)
     assert mat["C"].shape == (3, n, 2)
     assert mat["D"].shape == (3, 3, 2)
-    assert mat["frf"].shape == mat["frf_sd"].shape == (3, 3, frequencies, 2)  # as idfrd has it
+    assert (
+        mat["frf"].shape == mat["frf_sd"].shape == (3, 3, frequencies, 2)
+    )  # the layout of MATLAB's idfrd
     assert mat["freq"].shape == (frequencies, 1)
     assert mat["Ts"].item() == 1e-3
     np.testing.assert_allclose(mat["beam_m"], [[-0.1, 0.1]])
@@ -129,7 +131,7 @@ def test_mat_file_holds_models_and_responses_of_all_positions(rig, tmp_path):
         )
 
 
-def test_mat_file_of_a_model_that_nothing_recommends_says_so(rig, tmp_path):
+def test_mat_file_marks_an_untrusted_model(rig, tmp_path):
     result = _identified(rig, (0.0,))
     (point,) = result.points
     doubted = replace(point, subspace=None, doubts=("it is unstable",))
@@ -181,7 +183,7 @@ def test_mat_file_loads_in_octave(rig, tmp_path):
     *numbers, name, unit = run.stdout.split()
     model, measured = (complex(float(a), float(b)) for a, b in (numbers[:2], numbers[2:]))
     point = result.points[1]
-    # Octave's own solver of 12 equations; then numbers printed exactly.
+    # Octave solves 12 equations with its own solver; numbers are printed exactly.
     np.testing.assert_allclose(model, point.plant.response(point.freq_hz[6:7])[0, 1, 2], rtol=1e-8)
     assert measured == point.from_sensitivity.H[6, 1, 2]
     assert (name, unit) == ("z", "rad")
@@ -234,7 +236,7 @@ def test_mat_file_of_multisines_has_response_errors_and_names(tmp_path):
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", "band_limited"])
-def test_mat_file_of_a_fitted_model_says_what_its_input_does(tmp_path, hold):
+def test_mat_file_of_a_fitted_model_has_its_input_hold(tmp_path, hold):
     grey = _fitted(hold)
     write_fitted_mat(tmp_path / "fitted.mat", grey)
     mat = loadmat(tmp_path / "fitted.mat")
@@ -251,7 +253,7 @@ def test_mat_file_of_a_fitted_model_says_what_its_input_does(tmp_path, hold):
 
 
 def test_mat_file_takes_parameters_of_any_name_with_their_errors(tmp_path):
-    # 63 characters are MATLAB's limit, 31 what scipy writes unless told otherwise.
+    # MATLAB allows 63 characters, scipy writes 31 by default.
     same = "mass_of_everything_that_hangs_below_the_platform_and_its_three_magnets"
     names = ("_k", "a" * 40, same + "_1", same + "_2", "p__k")
     grey = _fitted("zoh")
@@ -272,7 +274,7 @@ def test_mat_file_takes_parameters_of_any_name_with_their_errors(tmp_path):
 
 
 def _fitted(hold: str) -> GreyBox:
-    """Fit a circuit to an input that is held between samples, whatever the model says of it."""
+    """Fit a circuit to data with a zero-order hold; the model declares `hold`."""
     config = load_model(shipped("models/silverbox.yaml")).model_copy(update={"input": hold})
     rng, Ts_s = np.random.default_rng(1), 1 / 610.35
     u = rng.normal(size=(3000, 1))
@@ -288,6 +290,6 @@ def _estimate() -> ResponseEstimate:
 
 
 def _identified(rig, beams: tuple[float, ...], order: int = 9) -> IdentificationResult:
-    """Identify short records: what is tested is the file, not the estimates."""
+    """Identify short records: the tests check the file, not the estimates."""
     records = rig.records(beams, 1000.0, 8.0)
     return identify(records, Options(order=order, impulse_s=0.5, segment_s=2.0, lag_s=rig.LAG_S))

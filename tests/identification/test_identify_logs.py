@@ -1,4 +1,4 @@
-"""A study uses every log once, and goes on with what the other methods can do."""
+"""Test studies of several logs: each log is used once, and one failing method does not end it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RIG = Path(shipped("rigs/loopback.yaml")).read_bytes()
 
 @pytest.fixture
 def logs(tmp_path: Path) -> list[Path]:
-    """Return three logs of 4 s, an input each, excited by a slow sine: nothing for Markov."""
+    """Return three logs of 4 s, one per input, with a sine: too poor for Markov parameters."""
     paths = []
     dtype = cycle_dtype(9, 9)
     for axis, field in enumerate(("psi_n_m", "theta_n_m", "z_n")):
@@ -42,7 +42,7 @@ def logs(tmp_path: Path) -> list[Path]:
     return paths
 
 
-def test_poor_excitation_leaves_the_grey_box_and_says_why(logs, monkeypatch):
+def test_poor_excitation_skips_markov_parameters_and_fits_the_grey_box(logs, monkeypatch):
     def fitted(_model, experiments, *_rest):
         return SimpleNamespace(records=[e.name for e in experiments])
 

@@ -1,4 +1,4 @@
-"""Identification without a known controller, on a known system and on measured data."""
+"""Test identification without a known controller, on a known system and on measured data."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ def _records(seed: int, count: int = 1, rows: int = 2400) -> list[Record]:
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_a_known_system_is_found_from_coloured_inputs(count):
+def test_known_system_is_identified_from_coloured_inputs(count):
     (point,) = identify(_records(1, count)).points
     assert isinstance(point, OpenLoopPoint)
     assert point.order == 4
     true = TRUE.response(point.freq_hz)
     low = point.freq_hz < 10.0  # above, the inputs have less than 1 % of their power
     error = np.abs(point.from_ho_kalman - true)[low] / np.abs(true).max()
-    # Noise of 1 % over 1800 rows and 28 parameters: 1e-3, ten times that where inputs are weak.
+    # Noise of 1 %, 1800 rows and 28 parameters give 1e-3, and ten times that where inputs are weak.
     assert error.max() < 0.01
     for holdout in point.holdout:
-        # The noise itself leaves 1 %.
+        # The noise is 1 %.
         assert np.all(holdout.simulated_fit_percent > 98.5)
         assert holdout.predicted_fit_percent is not None
         assert np.all(holdout.predicted_fit_percent > 98.0)
@@ -63,23 +63,23 @@ def test_a_known_system_is_found_from_coloured_inputs(count):
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5, 6, 7])
-def test_the_order_is_the_systems_whatever_the_noise(seed):
+def test_true_order_is_found_for_every_noise_seed(seed):
     (point,) = identify(_records(seed)).points
     assert isinstance(point, OpenLoopPoint)
-    # With fewer states the error is 20 times the noise; what more states gain is a chance of 4 %.
+    # With fewer states the error is 20 times the noise; more states win with a probability of 4 %.
     assert point.order == 4
-    # The noise is not of the predictor's making, and takes it a state or two.
+    # The noise does not fit the predictor's structure, which costs a state or two.
     assert 4 <= point.predictor_order <= 6
 
 
-def test_a_given_order_is_kept():
+def test_given_order_is_used():
     (point,) = identify(_records(2), Options(order=6)).points
     assert isinstance(point, OpenLoopPoint)
     assert (point.order, point.predictor_order) == (6, 6)
     assert len(point.model.A) == 6
 
 
-def test_held_out_rows_do_not_touch_the_model():
+def test_held_out_data_do_not_affect_the_model():
     (record,) = _records(3)
     spoilt = record.y.copy()
     spoilt[1800:] = 0.0
@@ -92,7 +92,7 @@ def test_held_out_rows_do_not_touch_the_model():
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-6])
-def test_data_without_noise_are_no_failure(noise):
+def test_data_without_noise_are_identified(noise):
     (record,) = _records(1)
     rng = np.random.default_rng(1)
     y = simulate(TRUE, record.v, rng.normal(size=4))
@@ -101,13 +101,13 @@ def test_data_without_noise_are_no_failure(noise):
     assert isinstance(point, OpenLoopPoint)
     assert point.order == 4
     (holdout,) = point.holdout
-    # The impulse response, cut where 4 rows a tap are left, errs by 0.3 %; the predictor by noise.
+    # The impulse response, truncated to 4 rows per tap, has an error of 0.3 %.
     assert np.all(holdout.simulated_fit_percent > 99.0)
     assert holdout.predicted_fit_percent is not None
     assert np.all(holdout.predicted_fit_percent > 99.9)
 
 
-def test_a_system_of_one_state_without_noise_has_no_second():
+def test_first_order_system_without_noise_gets_order_one():
     rng = np.random.default_rng(2)
     u = rng.normal(size=(2000, 1))
     y = lfilter([0.0, 1.0], [1.0, -0.5], u, axis=0)
@@ -117,7 +117,7 @@ def test_a_system_of_one_state_without_noise_has_no_second():
     assert point.model.A[0, 0] == pytest.approx(0.5, abs=1e-6)
 
 
-def test_a_short_record_beside_a_long_one_does_no_harm():
+def test_short_record_beside_a_long_one_is_left_out():
     long, short = _records(1, 2)
     (alone,) = identify([long]).points
     (both,) = identify([short.rows(0, 60), long]).points
@@ -130,7 +130,7 @@ def test_a_short_record_beside_a_long_one_does_no_harm():
     )
 
 
-def test_a_short_record_that_alone_excites_an_input_is_used():
+def test_short_record_with_the_only_excitation_of_an_input_is_used():
     long, short = _records(1, 2)
     still = replace(long, v=long.v * [1.0, 0.0])
     (point,) = identify([still, short.rows(0, 200)]).points
@@ -138,7 +138,7 @@ def test_a_short_record_that_alone_excites_an_input_is_used():
     assert point.records == ("r0", "r1")
 
 
-def test_an_output_that_stands_still_is_named():
+def test_constant_output_is_rejected_with_its_name():
     (record,) = _records(1)
     y = record.y.copy()
     y[:, 1] = 0.1
@@ -146,10 +146,12 @@ def test_an_output_that_stands_still_is_named():
         identify([replace(record, y=y)])
     settled = record.y.copy()
     settled[1200:, 1] = settled[1199, 1]
-    identify([replace(record, y=settled)])  # still where the order is judged: another output tells
+    identify(
+        [replace(record, y=settled)]
+    )  # constant only in the validation part: the other output determines the order
 
 
-def test_an_order_without_a_predictor_is_passed_over(monkeypatch):
+def test_orders_without_a_predictor_are_skipped(monkeypatch):
     def failing(sequence, order, Ts_s):
         if order in refused:
             raise IdentificationError(f"no steady-state predictor of order {order}: test")
@@ -166,7 +168,7 @@ def test_an_order_without_a_predictor_is_passed_over(monkeypatch):
         identify(_records(3))
 
 
-def test_records_of_one_name_keep_their_own_initial_states():
+def test_records_of_equal_names_have_separate_initial_states():
     apart, alike = ([replace(r, name=n) for r, n in zip(_records(5, 2), names, strict=True)]
                     for names in (("a", "b"), ("a", "a")))  # fmt: skip
     (one,), (other,) = identify(apart).points, identify(alike).points
@@ -175,7 +177,7 @@ def test_records_of_one_name_keep_their_own_initial_states():
     np.testing.assert_array_equal(one.validation_error, other.validation_error)
 
 
-def test_a_short_record_that_alone_excites_an_input_counts_in_the_spectra():
+def test_short_record_with_the_only_excitation_of_an_input_sets_the_segment_length():
     records = _records(6, 2)
     inputs = [records[0].v * [1.0, 0.0], records[1].v[:480] * [0.0, 1.0]]
     parts = [
@@ -186,26 +188,26 @@ def test_a_short_record_that_alone_excites_an_input_counts_in_the_spectra():
     ]
     (point,) = identify(parts).points
     assert isinstance(point, OpenLoopPoint)
-    # Three quarters of 480 rows are two segments of 3.6 s.
+    # Three quarters of 480 rows give two segments of 3.6 s.
     assert point.from_spectra.freq_hz[0] == pytest.approx(1 / 3.6)
-    # A record that is not needed is left out as before, if an eighth of the longest is too long.
+    # A record that is not needed is left out, as in the test above.
     (point,) = identify([*parts, parts[1].rows(0, 100)]).points
     assert isinstance(point, OpenLoopPoint)
     assert point.from_spectra.freq_hz[0] == pytest.approx(1 / 3.6)
 
 
-def test_segments_that_fit_into_no_record_are_an_error():
+def test_segments_longer_than_every_record_are_rejected():
     with pytest.raises(IdentificationError, match=r"two segments of 40 s .*, found at most 30 s"):
         identify(_records(1, rows=2000), Options(segment_s=40.0))
 
 
-def test_a_record_too_short_for_a_predictor_is_an_error():
+def test_record_too_short_for_a_predictor_is_rejected():
     (record,) = _records(4, rows=40)
     with pytest.raises(IdentificationError):
         identify([record])
 
 
-def test_cd_player_arm():
+def test_measured_cd_player_arm_is_predicted_and_simulated():
     path = DATA / "daisy" / "CD_player_arm.dat"
     if not path.exists():
         pytest.skip(f"measured data not here: {path.name}")
@@ -217,7 +219,7 @@ def test_cd_player_arm():
     assert isinstance(point, OpenLoopPoint)
     (holdout,) = point.holdout
     assert len(holdout.measured) == 512
-    # Measured 75.8 and 84.6 % simulated, 95.9 and 94.9 % one step ahead; a margin for other BLAS.
+    # Found: 75.8 and 84.6 % simulated, 95.9 and 94.9 % one step ahead; a margin for other BLAS.
     assert np.all(holdout.simulated_fit_percent > [73.0, 82.0])
     assert holdout.predicted_fit_percent is not None
     assert np.all(holdout.predicted_fit_percent > [94.0, 93.0])

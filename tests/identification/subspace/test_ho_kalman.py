@@ -1,4 +1,4 @@
-"""Ho-Kalman: exact Markov parameters give back the system they came from, at any size and order."""
+"""Test Ho-Kalman realisation: exact Markov parameters give the original system, of any size."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ def _markov(A, B, C, D, length: int) -> np.ndarray:
 @pytest.mark.parametrize(("m", "p"), [(1, 1), (1, 3), (3, 1), (2, 2), (3, 3), (4, 2)])
 def test_exact_markov_parameters_give_back_the_system(n, m, p):
     g = _markov(*_system(n, m, p, seed=n + 10 * m + 100 * p), 61)
-    # Units far apart: the scaling must undo itself.
+    # Units of very different size: the scaling must cancel.
     scaling = Scaling(np.logspace(-4, 2, m), np.logspace(1, -1, p))
     decomposition = decompose(g, 0.01, scaling)
     choice = order_from_ratio(decomposition.singular_values)
     assert choice.order == n
     model = realise(decomposition, n)
     found = _markov(model.A, model.B, model.C, model.D, 61)
-    # Gaps of the random systems' singular values reach 1e5; squared with rounding, 1e-6 is safe.
+    # Singular values of the random systems differ by up to 1e5; with rounding, 1e-6 is safe.
     np.testing.assert_allclose(found, g, atol=1e-6 * np.abs(g).max())
 
 
-def test_the_hankel_operator_is_the_matrix():
+def test_hankel_operator_equals_the_dense_matrix():
     rng = np.random.default_rng(0)
     h = rng.normal(size=(60, 2, 3))
     operator = HankelOperator(h, 40, 20)
@@ -61,7 +61,7 @@ def test_the_hankel_operator_is_the_matrix():
     np.testing.assert_allclose(operator.matmat(X), dense @ X, atol=1e-13)
 
 
-def test_leading_triplets_equal_those_of_the_dense_matrix():
+def test_leading_singular_triplets_equal_those_of_the_dense_matrix():
     rng = np.random.default_rng(1)
     t = np.arange(600)[:, None, None]
     h = np.exp(-t / 80.0) * np.cos(t * np.array([0.1, 0.3])[:, None] * np.array([1.0, 0.7]))
@@ -70,7 +70,7 @@ def test_leading_triplets_equal_those_of_the_dense_matrix():
     found = leading_svd(operator, 12)
     U, s, _ = np.linalg.svd(operator.dense())
     np.testing.assert_allclose(found.s, s[:12], rtol=1e-10)
-    # Singular vectors up to sign, where the values stand apart.
+    # Singular vectors are unique up to sign if their singular values differ.
     ratio = (s[:11] - s[1:12]) / s[0] > 1e-3
     overlap = np.abs(np.sum(found.U[:, :11] * U[:, :11], axis=0))
     np.testing.assert_allclose(overlap[ratio], 1.0, atol=1e-9)
@@ -86,20 +86,20 @@ def test_weighting_by_coloured_inputs_leaves_exact_data_exact():
     np.testing.assert_allclose(found, g, atol=1e-7 * np.abs(g).max())
 
 
-def test_the_gap_below_rounding_does_not_count():
+def test_gap_below_rounding_does_not_determine_the_order():
     s = np.array([1.0, 0.5, 1e-3, 1e-16, 1e-22, 1e-30])
     choice = order_from_ratio(s)
     assert choice.order == 3
     assert choice.ratios[0] == 2.0
 
 
-def test_an_order_that_is_not_there_is_an_error():
+def test_order_above_the_number_of_states_is_rejected():
     g = _markov(*_system(2, 1, 1, seed=1), 21)
     decomposition = decompose(g, 1.0, Scaling(np.ones(1), np.ones(1)))
     with pytest.raises(IdentificationError, match="expected an order of 1 to 2, found 5"):
         realise(decomposition, 5)
 
 
-def test_too_few_markov_parameters_for_the_blocks_are_an_error():
+def test_too_few_markov_parameters_for_the_blocks_are_rejected():
     with pytest.raises(ValueError, match="expected 9 Markov parameters"):
         HankelOperator(np.zeros((5, 1, 1)), 5, 5)

@@ -1,4 +1,4 @@
-"""Checks of identified models: long responses, unstable loops, uncertain orders."""
+"""Test checks of identified models: long responses, unstable loops, uncertain orders."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from levid.model.second_order import StateSpace
 
 @pytest.fixture(scope="module")
 def ringing(rig) -> list[Record]:
-    """Return records of a rig with four coils' air damping instead of nine's: rings twice as long.
+    """Return records of a rig with 4/9 of the air damping, which rings twice as long.
 
-    Its loop's resonances decay by 1/e in 2.5 s, so that 4 % are left after 8 s.
+    The loop's resonances decay by 1/e in 2.5 s, so that 4 % are left after 8 s.
     """
     M, D, K = rig.matrices(0.0)
     with pytest.MonkeyPatch.context() as patch:
@@ -43,7 +43,7 @@ def _point(records: list[Record], options: Options) -> ClosedLoopPoint:
     return point
 
 
-def test_a_loop_that_rings_for_long_gets_a_longer_impulse_response(rig, ringing):
+def test_slowly_decaying_loop_gets_a_longer_impulse_response(rig, ringing):
     point = _point(ringing, Options(lag_s=rig.LAG_S))
     assert len(point.markov["least_squares"].g) > 10_000
     assert any("rings for more than" in text for text in point.remarks)
@@ -51,27 +51,27 @@ def test_a_loop_that_rings_for_long_gets_a_longer_impulse_response(rig, ringing)
     assert point.order.order == 9
     assert point.trusted
     for axis, holdout in enumerate(point.holdout):
-        # As with the damping of nine coils: sensor noise leaves 0.2 to 0.3 %.
+        # Sensor noise leaves 0.2 to 0.3 %, as with full damping.
         assert holdout.simulated_fit_percent[axis] > 99.5
 
 
-def test_a_model_that_cannot_be_true_is_not_to_be_trusted(rig, ringing):
-    """Of order 6, less three integrators, there are three states left for three axes."""
+def test_model_with_too_few_states_is_not_trusted(rig, ringing):
+    """Order 6 without three integrators leaves three states for three axes."""
     point = _point(ringing, Options(lag_s=rig.LAG_S, order=6, impulse_s=4.0))
     assert not point.trusted
     text = "; ".join(point.doubts)
     assert "3 degrees of freedom need at least 6 states, the plant has 3" in text
-    # The response from the sensitivity needs no model and stands.
+    # The response from the sensitivity needs no model and stays valid.
     assert np.all(np.isfinite(point.from_sensitivity.H))
 
 
-def test_data_kept_back_show_a_model_that_misses_them(rig, ringing):
-    # The end of the second axis' record moves as no linear model of the begin would have it.
+def test_held_out_data_show_a_fit_that_does_not_explain_them(rig, ringing):
+    # The end of the second record does not follow a linear model of its beginning.
     broken = ringing[1].y.copy()
     broken[45_000:] *= 1.2
     records = [ringing[0], Record(**{**ringing[1].__dict__, "y": broken}), ringing[2]]
     point = _point(records, Options(lag_s=rig.LAG_S))
-    # Both the impulse response and the model miss it alike: the rows are at fault, not the model.
+    # The impulse response has the same error as the model: the data are at fault, not the model.
     assert point.trusted
     assert point.holdout[1].simulated_fit_percent[1] < 90
 
@@ -83,41 +83,41 @@ def _markov(decay_per_s: float, noise: float) -> MarkovEstimate:
     return MarkovEstimate("made", g, np.full((2, 2), noise), np.ones(2), 1e-2)
 
 
-def test_the_end_of_an_impulse_response_is_judged_by_noise_and_size():
-    assert has_decayed(_markov(2.0, 1e-6))  # e^-10: too small to matter, if far above noise
+def test_decay_of_an_impulse_response_is_checked_against_noise_and_size():
+    assert has_decayed(_markov(2.0, 1e-6))  # e^-10: negligible, even if far above noise
     assert not has_decayed(_markov(0.5, 1e-6))  # e^-2.5
-    assert has_decayed(_markov(0.5, 0.1))  # hidden in noise: more taps would bring only more of it
+    assert has_decayed(_markov(0.5, 0.1))  # below the noise: more taps would only add noise
 
 
-def test_settling_time_is_that_of_the_slowest_motion_that_shows():
+def test_settling_time_is_that_of_the_slowest_observable_mode():
     Ts_s = 1e-2
     slow, fast = np.exp(-0.5 * Ts_s), np.exp(-5.0 * Ts_s)
     model = StateSpace(np.diag([slow, fast]), np.eye(2), np.eye(2), np.zeros((2, 2)), Ts_s)
-    # What is left falls as e^-0.5t for the slow one: to 3e-3 in 5.8 / 0.5 s.
+    # The slow mode decays as e^-0.5t: to 3e-3 in 5.8 / 0.5 s.
     assert settling_time(model, 1.0, 60.0) == pytest.approx(-np.log(3e-3) / 0.5, rel=0.02)
     assert settling_time(model, 20.0, 60.0) == 20.0
     unstable = StateSpace(np.diag([1.1, fast]), np.eye(2), np.eye(2), np.zeros((2, 2)), Ts_s)
     assert settling_time(unstable, 1.0, 60.0) == 60.0
 
 
-def test_an_order_that_no_gap_tells_is_a_guess():
+def test_order_without_a_gap_in_the_singular_values_is_doubtful():
     clear = order_from_ratio(np.array([5.0, 4.0, 3.0, 0.1, 0.09]), 2)
     assert clear.order == 3
     assert order_doubts(clear) == ()
     (reason,) = order_doubts(order_from_ratio(np.array([5.0, 4.0, 3.0, 2.2, 2.0]), 2))
     assert "do not determine the order: the largest ratio, s(3) / s(4), is 1.4" in reason
-    # No signal at all: whatever the length, the largest of all ratios is far from a gap.
+    # Noise alone has no large ratio of singular values, at any length.
     for length in (60, 200, 1000):
         noise = np.random.default_rng(length).normal(size=(length, 3, 3))
         scaling = Scaling(np.ones(3), np.ones(3))
         assert order_doubts(order_from_ratio(decompose(noise, 1e-3, scaling).singular_values))
 
 
-def test_a_loop_whose_order_no_gap_tells_is_not_to_be_trusted(rig, ringing):
-    """Sensor noise alone: excitation that is written down was never played."""
+def test_model_of_undetermined_order_is_not_trusted(rig, ringing):
+    """The outputs are sensor noise; the logged excitation was never applied."""
     rng = np.random.default_rng(0)
-    asleep = [
+    not_excited = [
         Record(**{**r.__dict__, "y": 1e-6 * rng.normal(size=r.y.shape), "u": r.v}) for r in ringing
     ]
-    point = _point(asleep, Options(lag_s=rig.LAG_S, impulse_s=1.0))
+    point = _point(not_excited, Options(lag_s=rig.LAG_S, impulse_s=1.0))
     assert any("do not determine the order" in text for text in point.doubts)

@@ -1,4 +1,4 @@
-"""The plant by predictor-based subspace identification, against truth that it cannot know."""
+"""Test predictor-based subspace identification against an independent simulation of the rig."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def test_without_noise_the_plant_is_exact_and_has_six_states(rig):
     )
     assert found.plant.core.A.shape == (6, 6)
     true = rig.sampled_plant(0.1, 1e-3).frequency_response(FREQ_HZ)
-    # What is added to the Gram matrices against rounding costs 1e-9.
+    # The regularisation of the Gram matrices costs 1e-9.
     assert np.abs(found.plant.response(FREQ_HZ) / true - 1).max() < 1e-7
 
 
-def test_a_lag_that_is_not_known_is_three_states_more(rig):
+def test_unknown_lag_adds_three_states(rig):
     found = plant_by_subspace(rig.records([0.1], 1e3, 10.0, noise=False), order=9)
     true = rig.sampled_plant(0.1, 1e-3).frequency_response(FREQ_HZ)
     assert np.abs(found.plant.response(FREQ_HZ) / true - 1).max() < 1e-7
@@ -34,26 +34,26 @@ def test_a_lag_that_is_not_known_is_three_states_more(rig):
 
 
 @pytest.mark.parametrize(("rate_hz", "duration_s"), [(1e3, 20.0), (1e4, 10.0)])
-def test_with_the_rigs_noise_the_diagonal_is_true_to_a_thousandth(rig, rate_hz, duration_s):
+def test_diagonal_is_accurate_to_0_2_percent_with_the_rigs_noise(rig, rate_hz, duration_s):
     found = plant_by_subspace(
         rig.records([0.1], rate_hz, duration_s), lag_pole=np.exp(-1 / rate_hz / rig.LAG_S)
     )
     assert found.plant.core.A.shape == (6, 6)
     true = rig.sampled_plant(0.1, 1 / rate_hz).frequency_response(FREQ_HZ)
     ratio = np.einsum("fii->fi", found.plant.response(FREQ_HZ)) / np.einsum("fii->fi", true)
-    # Over seeds the largest error is 2e-4 to 7e-4 (0.006 dB).
+    # The largest error over seeds is 2e-4 to 7e-4 (0.006 dB).
     assert np.abs(ratio - 1).max() < 2e-3
-    # The predictor leaves what the sensors and their 16 bits alone contribute to a pose.
+    # The innovation consists of the sensors' noise and their 16-bit quantisation.
     sensor_m = np.hypot(rig.SENSOR_NOISE_M, rig.SENSOR_STEP_M / np.sqrt(12))
     pose = np.linalg.norm(rig.T, axis=1) * sensor_m
-    # And the prediction's own error: a past of 10 to 100 samples averages it down to some percent.
+    # The prediction error adds a few percent with a past of 10 to 100 samples.
     np.testing.assert_allclose(np.sqrt(np.diag(found.innovation_covariance)), pose, rtol=0.1)
 
 
-def test_feedback_of_strong_noise_does_not_bias_it():
-    # 0.5 z^-2 / (1 - 1.5 z^-1 + 0.7 z^-2) under feedback, much of the output being coloured
-    # noise that the controller passes on to u: dividing spectra of y by those of u finds something
-    # else, where the noise is strong minus the inverse of the controller.
+def test_feedback_of_strong_noise_gives_no_bias():
+    # 0.5 z^-2 / (1 - 1.5 z^-1 + 0.7 z^-2) under feedback. Much of the output is coloured noise that
+    # the controller feeds back to u, so the ratio of the spectra of y and u is biased towards minus
+    # the inverse of the controller.
     rng = np.random.default_rng(1)
     rows, controller = 40_000, PiController(np.array([0.2]), np.array([0.0]))
     v = rng.normal(size=rows)
@@ -73,7 +73,7 @@ def test_feedback_of_strong_noise_does_not_bias_it():
     true = 0.5 / (z**2 - 1.5 * z + 0.7)
     largest = np.abs(true).max()
     error = np.abs(found.response(freq_hz)[:, 0, 0] - true) / largest
-    # Over seeds 0.01 to 0.04, at low frequencies, where the noise is as large as the signal.
+    # Over seeds the error is 0.01 to 0.04, at low frequencies where noise equals the signal.
     assert error.max() < 0.1
     freq, across = signal.csd(u, y, nperseg=400)
     direct = across / signal.welch(u, nperseg=400)[1]
@@ -81,17 +81,17 @@ def test_feedback_of_strong_noise_does_not_bias_it():
     assert (np.abs(direct[nearest] - true) / largest).max() > 0.5  # 0.9 to 1.0 over seeds
 
 
-def test_the_gram_matrix_is_that_of_the_written_out_lags():
+def test_gram_matrix_equals_that_of_explicit_lags():
     rng = np.random.default_rng(2)
     signals, lags = [rng.normal(1.0, 1.0, (n, 3)) for n in (300, 2000)], 7
     for z, gram in zip(signals, grams_of_lags(signals, lags), strict=True):
         rows = np.hstack([z[lags - a : len(z) - a] for a in range(lags + 1)])
         rows -= rows.mean(axis=0)
-        # Sums of 2000 products of order 1, by FFT: 1e-16 of their squares' sum.
+        # Sums of 2000 products of order 1, by FFT: rounding is 1e-16 of the sum of squares.
         np.testing.assert_allclose(gram, rows.T @ rows, atol=1e-10)
 
 
-def test_what_it_needs_is_said(rig):
+def test_unusable_records_are_rejected_with_the_reason(rig):
     records = rig.records([0.1], 1e3, 2.0)
     with pytest.raises(IdentificationError, match=r"'psi-0': expected the plant input"):
         plant_by_subspace([replace(r, u=None) for r in records])

@@ -1,4 +1,4 @@
-"""Standard errors of the subspace method: the right size, in a loop, over many seeds."""
+"""Test standard errors of the subspace method: coverage in a closed loop over many seeds."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GAIN = 0.3
 
 
 def flown(seed: int, rows: int, noise: float, noisier: float = 1.0) -> list[Record]:
-    """Return a record for each input, u = v - 0.3 y; the second has so many times the noise."""
+    """Return a record for each input, u = v - 0.3 y; `noisier` scales the noise of the second."""
     rng = np.random.default_rng(seed)
     records = []
     for axis in range(2):
@@ -57,8 +57,8 @@ def truth(freq_hz: np.ndarray) -> np.ndarray:
     return C @ np.linalg.solve(z * np.eye(4) - A, B) / z
 
 
-def inside(seeds: range, rows: int, past: int, noisier: float = 1.0) -> dict[str, float]:
-    """Return the share of 95 % intervals that hold the truth, pooled over entries and seeds."""
+def coverage(seeds: range, rows: int, past: int, noisier: float = 1.0) -> dict[str, float]:
+    """Return the share of 95 % intervals that contain the truth, over entries and seeds."""
     true = truth(FREQ_HZ)
     poles = np.log(np.linalg.eigvals(A).astype(complex))
     poles = poles[poles.imag > 0]
@@ -82,28 +82,28 @@ def inside(seeds: range, rows: int, past: int, noisier: float = 1.0) -> dict[str
 
 @pytest.fixture(scope="module")
 def exact() -> tuple[IdentifiedPlant, np.ndarray]:
-    """The true plant, and a covariance of [A B; C D] that is one of all entries by themselves."""
+    """Return the true plant and a covariance of [A B; C D] with independent entries."""
     core = StateSpace(A, B, C, np.zeros((2, 2)), 1.0)
     return IdentifiedPlant(core, 1), 1e-12 * np.eye(36).reshape(6, 6, 6, 6)
 
 
-# 60 seeds with some 8 independent numbers each: 95 % +- 2 % by chance, two standard deviations.
-def test_intervals_hold_the_truth_in_95_of_100_cases():
-    share = inside(range(60), 1200, 20)
+# 60 seeds with about 8 independent numbers each: two standard deviations of 95 % are 2 %.
+def test_confidence_intervals_have_95_percent_coverage():
+    share = coverage(range(60), 1200, 20)
     for name, value in share.items():
         assert 0.92 <= value <= 0.98, (name, share)
 
 
-def test_intervals_hold_it_when_one_record_is_noisier_than_the_other():
-    share = inside(range(60), 1200, 20, noisier=5.0)
+def test_coverage_holds_for_records_with_different_noise():
+    share = coverage(range(60), 1200, 20, noisier=5.0)
     for name, value in share.items():
         assert 0.92 <= value <= 0.98, (name, share)
 
 
-def test_intervals_of_short_records_are_little_too_narrow():
-    share = inside(range(60), 400, 20)
+def test_coverage_of_short_records_is_slightly_too_low():
+    share = coverage(range(60), 400, 20)
     for name, value in share.items():
-        # What 82 parameters of 760 rows do not say by first order is left: 93 to 94 %, less 2.
+        # The first-order covariance of 82 parameters from 760 rows gives 93 to 94 %, minus 2 %.
         assert 0.91 <= value <= 0.98, (name, share)
 
 
@@ -112,12 +112,12 @@ def test_standard_errors_fall_with_the_root_of_the_length():
         found = plant_by_subspace(flown(1, rows, 0.1), 4, past=20)
         return response_with_errors(found.plant, found.covariance, FREQ_HZ).standard_deviation
 
-    # Each is known to some 10 % from 40 blocks a record; their mean over frequencies to half that.
+    # 40 blocks per record determine each value to 10 %, their mean over frequencies to 5 %.
     assert np.mean(size(800) / size(7200)) == pytest.approx(3.0, rel=0.25)
 
 
-def test_the_slope_is_the_derivative_by_what_the_predictor_regresses_on():
-    """Products of innovation and past are nudged in the Gram matrix, and all is done anew."""
+def test_slope_is_the_derivative_with_respect_to_predictor_coefficients():
+    """Perturb products of innovation and past in the Gram matrix, and identify again."""
     seen = [pbsid._core_signals(r, 0.0) for r in flown(2, 20_000, 0.01)]
     z = [np.hstack([r.v, r.y]) for r in seen]
     past, p = 12, 2
@@ -135,11 +135,11 @@ def test_the_slope_is_the_derivative_by_what_the_predictor_regresses_on():
     regressors = np.concatenate([np.arange(4, len(gram)), np.arange(p)])
     rng = np.random.default_rng(0)
     normal = gram[np.ix_(regressors, regressors)]
-    # As an innovation of 1e-6 would make them.
+    # The size of an innovation of 1e-6.
     products = 1e-6 * rng.normal(size=(2, len(regressors))) @ np.linalg.cholesky(normal).T
-    nudged = gram.copy()
-    nudged[np.ix_([2, 3], regressors)] += products
-    nudged[np.ix_(regressors, [2, 3])] += products.T
+    perturbed = gram.copy()
+    perturbed[np.ix_([2, 3], regressors)] += products
+    perturbed[np.ix_(regressors, [2, 3])] += products.T
     theta = products @ np.linalg.inv(normal)
     change = np.einsum("abiq,iq->ab", slope, theta)
     inverse = np.linalg.inv(np.exp(2j * np.pi * FREQ_HZ)[:, None, None] * np.eye(4) - ABCD[:4, :4])
@@ -149,12 +149,12 @@ def test_the_slope_is_the_derivative_by_what_the_predictor_regresses_on():
         @ change
         @ np.concatenate([inverse @ ABCD[:4, 4:], ones], axis=1)
     )
-    difference = response(nudged)[0] - P
-    # Left out is what the states' own errors do to it: a tenth here, and the less the less noise.
+    difference = response(perturbed)[0] - P
+    # The slope ignores errors of the states: a tenth here, and less with less noise.
     assert np.abs(difference - expected).max() < 0.2 * np.abs(difference).max()
 
 
-def test_response_and_modes_err_as_nudged_matrices_do(exact):
+def test_errors_of_response_and_modes_agree_with_perturbed_matrices(exact):
     plant, covariance = exact
     rng = np.random.default_rng(3)
     draws = 1e-6 * rng.normal(size=(4000, 6, 6))
@@ -164,7 +164,7 @@ def test_response_and_modes_err_as_nudged_matrices_do(exact):
         H.append(IdentifiedPlant(core, 1).response(FREQ_HZ))
         f.append(modes(core, covariance))
     P, m = response_with_errors(plant, covariance, FREQ_HZ), modes(plant.core, covariance)
-    # 4000 draws know a standard deviation to 1.1 %; of 100 such the worst is off by 3 of these.
+    # 4000 draws determine a standard deviation to 1.1 %; the worst of 100 is off by 3 times this.
     tolerance = 0.04
     spread = np.abs(np.array(H)).std(axis=0) / P.magnitude_deviation
     np.testing.assert_allclose(spread, 1.0, atol=tolerance)
@@ -178,7 +178,7 @@ def test_response_and_modes_err_as_nudged_matrices_do(exact):
     )
 
 
-def test_real_poles_are_modes_too_and_those_below_zero_are_not():
+def test_positive_real_poles_are_modes_and_negative_ones_are_not():
     core = StateSpace(np.diag([0.5, -0.5, 0.0, 1.5]), B, C, np.zeros((2, 2)), 0.1)
     m = modes(core, np.zeros((6, 6, 6, 6)))
     np.testing.assert_allclose(m.frequency_hz, np.abs(np.log([1.5, 0.5])) / 0.1 / (2 * np.pi))
@@ -192,7 +192,7 @@ def point():
     return identify(flown(5, 4000, 0.02), options).points[0]
 
 
-def test_identify_gives_it_beside_ho_kalman_and_recommends_it(point):
+def test_identify_recommends_the_subspace_model_over_ho_kalman(point):
     found = point.subspace
     assert found.order.order == 4
     assert found.trusted
@@ -200,18 +200,18 @@ def test_identify_gives_it_beside_ho_kalman_and_recommends_it(point):
     np.testing.assert_array_equal(found.response.freq_hz, point.freq_hz)
     true = truth(point.freq_hz)
     off = np.abs(found.response.H - true) / found.response.standard_deviation
-    # 180 frequencies of 4 entries depend on some 24 numbers: none is off by 4 deviations.
+    # 180 frequencies with 4 entries depend on about 24 numbers: no error reaches 4 deviations.
     assert off.max() < 4.0
-    # The rows kept back have noise of 0.02 on outputs of some 0.5.
+    # The held-out data have noise of 0.02 on outputs of about 0.5.
     assert min(h.simulated_fit_percent.max() for h in found.holdout) > 90.0
     signals = SignalNames(("a", "b"), ("N", "N"), ("c", "d"), ("m", "m"), 1.0)
-    told = summary(IdentificationResult(signals, (point,)))["points"][0]
-    assert told["recommended"] == "subspace"
-    assert told["subspace"]["modes"][0]["frequency_se_hz"] == found.modes.frequency_se_hz[0]
-    assert len(told["subspace"]["response"]["magnitude_se"]) == 30
+    text = summary(IdentificationResult(signals, (point,)))["points"][0]
+    assert text["recommended"] == "subspace"
+    assert text["subspace"]["modes"][0]["frequency_se_hz"] == found.modes.frequency_se_hz[0]
+    assert len(text["subspace"]["response"]["magnitude_se"]) == 30
 
 
-def test_records_that_do_not_allow_it_leave_a_remark(point):
+def test_records_too_short_for_a_subspace_model_give_a_remark(point):
     short = [r.rows(0, 60) for r in flown(5, 4000, 0.02)]
     without = add_subspace_model(point, short, Options())
     assert without.subspace is None

@@ -1,4 +1,4 @@
-"""From the loop to the plant, (14): delay and lag out, integrators cancelled, six states left."""
+"""Test the plant from the identified loop, eq. (14): no delay, lag or integrators, six states."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def controller(rig):
 
 @pytest.fixture(scope="module")
 def exact(rig):
-    """The plant with the beam at +0.1 m, and 3 s of the exact Markov parameters of its loop."""
+    """Return the plant with the beam at +0.1 m and 3 s of exact Markov parameters of its loop."""
     true = rig.sampled_plant(0.1, TS)
     return true, rig.closed_loop_markov(true, 3000)
 
@@ -39,7 +39,7 @@ def test_series_inverse_is_exact():
     np.testing.assert_allclose(unit, expected, atol=1e-12)
 
 
-def test_without_delay_and_lag_the_loop_has_nine_states_to_rounding(rig, exact, controller):
+def test_loop_without_delay_and_lag_has_exactly_nine_states(rig, exact, controller):
     _, g = exact
     pole = np.exp(-TS / rig.LAG_S)
     core = delay_removal.without_delay(g, 2, pole, controller, TS)
@@ -47,8 +47,7 @@ def test_without_delay_and_lag_the_loop_has_nine_states_to_rounding(rig, exact, 
     choice = order_from_ratio(s)
     assert choice.order == 9  # six of the platform, three of the controller
     assert s[9] < 1e-12 * s[0]
-    # With the lag left in, three fast states stay, five orders below; with the delay left in too,
-    # nothing but the shift by two taps is taken off and more remains.
+    # Without removal of the lag, three fast states remain, five orders of magnitude smaller.
     lagged = decompose(
         delay_removal.without_delay(g, 2, 0.0, controller, TS), TS, SCALING
     ).singular_values
@@ -64,19 +63,19 @@ def test_plant_is_recovered_exactly_with_six_states(rig, exact, controller):
     P = plant_from_loop.IdentifiedPlant(plant_from_loop.plant_from_loop(model, controller), 2, pole)
     assert P.core.A.shape == (6, 6)
     expected = true.frequency_response(FREQ)
-    # Off-diagonals are down to 1e-4 of the diagonal: compare against the geometric mean of it.
+    # Off-diagonals are as small as 1e-4 of the diagonal: compare with its geometric mean.
     diagonal = np.abs(np.einsum("fii->fi", expected))
     size = np.sqrt(diagonal[:, :, None] * diagonal[:, None, :])
-    # Singular values reach down to 1 / 20 of the first: rounding of 1e-13 grows to 1e-8 at most.
+    # The smallest singular value is 1 / 20 of the first: rounding of 1e-13 grows to 1e-8 at most.
     assert np.abs((P.response(FREQ) - expected) / size).max() < 1e-8
     np.testing.assert_allclose(P.state_space().response(FREQ), P.response(FREQ), rtol=1e-9)
-    # The plant's poles, to rounding: decay 2.5 to 2.6 1/s, 19 to 56 rad/s.
+    # The plant's poles, to rounding: decay rates of 2.5 to 2.6 1/s, 19 to 56 rad/s.
     ours = np.sort(np.abs(np.linalg.eigvals(P.core.A)))
     theirs = np.sort(np.abs(np.linalg.eigvals(true.A)))[3:]
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
 
 
-def test_closing_the_loop_again_gives_the_identified_loop_back(rig, exact, controller):
+def test_closing_the_loop_with_the_plant_gives_the_identified_loop(rig, exact, controller):
     _, g = exact
     core = delay_removal.without_delay(g, 2, 0.0, controller, TS)
     model = realise(decompose(core, TS, SCALING), 12)
@@ -87,12 +86,12 @@ def test_closing_the_loop_again_gives_the_identified_loop_back(rig, exact, contr
     np.testing.assert_allclose(simulate(closed, impulse), g[:, :, 1], atol=1e-9 * np.abs(g).max())
 
 
-def test_what_cancels_is_split_off_even_when_noise_moves_it(exact, controller):
+def test_cancelling_states_are_removed_despite_noise(exact, controller):
     true, g = exact
     pole = float(np.exp(-TS / 0.3e-3))
     z = np.exp(2j * np.pi * FREQ * TS)[:, None, None]
     expected = true.frequency_response(FREQ)
-    # Couplings are judged by both axes that they couple.
+    # Errors of couplings are relative to both axes that they couple.
     diagonal = np.abs(np.einsum("fii->fi", expected))
     size = np.sqrt(diagonal[:, :, None] * diagonal[:, None, :])
     noise = 1e-9 * (SCALING.outputs / SCALING.outputs.max())[:, None] / SCALING.inputs
@@ -105,14 +104,14 @@ def test_what_cancels_is_split_off_even_when_noise_moves_it(exact, controller):
     assert len(found.core.A) == 6
     known = z**-2 * (1 - pole) / (1 - pole / z)
     pointwise = known * plant_from_loop_response(model.response(FREQ), controller, FREQ, TS)
-    # The noise costs some 1e-3; splitting is of second order in it, 2 to 16 % of that over seeds.
+    # The noise gives an error of about 1e-3; removing the states adds 2 to 16 % of it over seeds.
     cost = np.abs((pointwise - expected) / size).max()
     assert 1e-4 < cost < 1e-2
     assert np.abs((found.response(FREQ) - pointwise) / size).max() < 0.5 * cost
 
 
 @pytest.mark.parametrize("poles", [(0.99, 0.95), (1.0, 1.0), (1.01, 0.9)])
-def test_the_plant_may_be_stable_marginal_or_unstable(poles):
+def test_stable_marginal_and_unstable_plants_are_recovered(poles):
     true = StateSpace(
         np.array([[poles[0], 0.1], [0.0, poles[1]]]),
         np.array([[0.0], [0.1]]),
@@ -128,10 +127,10 @@ def test_the_plant_may_be_stable_marginal_or_unstable(poles):
     np.testing.assert_allclose(found.response(freq), true.response(freq), rtol=1e-9)
     np.testing.assert_allclose(
         np.sort(np.linalg.eigvals(found.A).real), np.sort(poles), atol=1e-6
-    )  # a double pole moves by the root of rounding
+    )  # a double pole has an error of the square root of rounding
 
 
-def test_without_integral_action_nothing_cancels():
+def test_controller_without_integral_action_cancels_no_states():
     true = StateSpace(
         np.array([[0.9]]), np.array([[1.0]]), np.array([[0.1]]), np.zeros((1, 1)), 0.1
     )
@@ -142,7 +141,7 @@ def test_without_integral_action_nothing_cancels():
     np.testing.assert_allclose(np.linalg.eigvals(found.A), [0.9], atol=1e-12)
 
 
-def test_equation_14_holds_point_by_point(rig, exact, controller):
+def test_equation_14_holds_at_each_frequency(rig, exact, controller):
     true, _ = exact
     P = true.frequency_response(FREQ)
     C = controller.response(FREQ, TS)
@@ -151,7 +150,7 @@ def test_equation_14_holds_point_by_point(rig, exact, controller):
     np.testing.assert_allclose(found, P, rtol=1e-9, atol=1e-12 * np.abs(P).max())
 
 
-def test_a_loop_smaller_than_its_controller_is_an_error(controller):
+def test_loop_with_fewer_states_than_its_controller_is_rejected(controller):
     small = StateSpace(np.eye(2) * 0.5, np.ones((2, 3)), np.ones((3, 2)), np.zeros((3, 3)), TS)
     with pytest.raises(IdentificationError, match="3 integrators"):
         plant_from_loop.plant_from_loop(small, controller)

@@ -1,4 +1,4 @@
-"""Running models: block simulation is the recursion, predictors predict, fits are in percent."""
+"""Test simulation and prediction: block simulation, predictors, fit in percent."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ def _record(v, y, name="r"):
 
 
 @pytest.mark.parametrize("rows", [1, 63, 64, 65, 300])
-def test_simulation_in_blocks_is_the_recursion(rows):
+def test_simulation_in_blocks_equals_the_recursion(rows):
     rng = np.random.default_rng(rows)
     u, x0 = rng.normal(size=(rows, 2)), rng.normal(size=3)
     expected = _recursion(MODEL, u, x0)
-    # Sums of at most 300 terms of order 10.
+    # Rounding of sums of at most 300 terms of order 10.
     np.testing.assert_allclose(simulate(MODEL, u, x0), expected, atol=1e-11)
 
 
@@ -62,7 +62,7 @@ def test_initial_state_and_input_matrices_follow_from_exact_data():
 
 
 def _innovations(rows: int, seed: int):
-    """Return u, y and e of MODEL with coloured disturbance through a known K."""
+    """Return u, y and e of MODEL with a coloured disturbance through a known K."""
     rng = np.random.default_rng(seed)
     K = np.array([[0.3, 0.0], [0.1, 0.2], [0.0, 0.1]])
     u, e = rng.normal(size=(rows, 2)), 0.2 * rng.normal(size=(rows, 2))
@@ -76,7 +76,7 @@ def _innovations(rows: int, seed: int):
     return u, simulate(both, np.hstack([u, e])), e
 
 
-def test_the_predictor_leaves_the_innovation_and_is_stable():
+def test_predictor_is_stable_and_its_error_is_the_innovation():
     u, y, e = _innovations(8000, seed=2)
     record = _record(u, y)
     sequence = state_sequence(choose_past([record], (10, 20, 30)), [record], 6)
@@ -85,33 +85,33 @@ def test_the_predictor_leaves_the_innovation_and_is_stable():
     assert spectral_radius(model.predictor().A) < 1.0
     predicted = simulate(model.predictor(), np.hstack([u, y]))
     rms = np.sqrt(np.mean((y - predicted)[100:] ** 2, axis=0))
-    # 8000 samples know the innovation's rms to 0.8 %, and 21 parameters cost 0.3 % more.
+    # 8000 samples determine the innovation's rms to 0.8 %; 21 parameters cost 0.3 % more.
     np.testing.assert_allclose(rms, e.std(axis=0), rtol=0.02)
     np.testing.assert_allclose(np.sqrt(np.diag(model.e_covariance)), e.std(axis=0), rtol=0.03)
     poles = np.sort_complex(np.linalg.eigvals(model.model.A))
-    # Errors of well-excited poles: about 1 / sqrt(N).
+    # Errors of well-excited poles are about 1 / sqrt(N).
     np.testing.assert_allclose(poles, np.sort_complex(np.linalg.eigvals(MODEL.A)), atol=0.03)
 
 
-def test_an_order_beyond_the_states_is_an_error():
+def test_order_above_the_number_of_states_is_rejected():
     u, y, _ = _innovations(500, seed=3)
     sequence = state_sequence(choose_past([_record(u, y)], (4,)), [_record(u, y)], 5)
     with pytest.raises(IdentificationError, match="expected an order of 1 to 5, found 9"):
         innovation_model(sequence, 9, 0.1)
 
 
-def test_signals_that_follow_from_others_are_an_error():
+def test_linearly_dependent_inputs_are_rejected():
     u, y, _ = _innovations(500, seed=4)
     twice = np.column_stack([u[:, 0], u[:, 0]])
     with pytest.raises(IdentificationError, match="independent"):
         choose_past([_record(twice, y)], (4,))
 
 
-def test_fit_in_percent():
+def test_fit_percent_of_exact_mean_and_halfway_predictions():
     y = np.array([[0.0, 5.0], [2.0, 5.0], [4.0, 5.0]])
     np.testing.assert_allclose(nrmse_fit_percent(y[:, :1], y[:, :1]), [100.0])
     mean = np.full((3, 1), 2.0)
     np.testing.assert_allclose(nrmse_fit_percent(y[:, :1], mean), [0.0], atol=1e-12)
     half = mean + (y[:, :1] - 2.0) / 2
     np.testing.assert_allclose(nrmse_fit_percent(y[:, :1], half), [50.0])
-    assert np.isnan(nrmse_fit_percent(y, y)[1])  # an output that never moves has no fit
+    assert np.isnan(nrmse_fit_percent(y, y)[1])  # a constant output has no fit

@@ -1,7 +1,7 @@
-"""Columns of a record around a working point: each is the change of the errors that it stands for.
+"""Test regression columns of a record: each equals the change of the prediction errors.
 
-The records are made from the rig's declared model itself, in open loop, so that the truth is known;
-a beam that stands or that moves gives a fixed or a moving schedule.
+The records are simulated with the rig's declared model in open loop; a still or moving beam gives
+a fixed or moving schedule.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def bank_of(record: TraceRecord, every: int = 1) -> FilterBank:
 
 
 def whitened(record: TraceRecord, added: Term) -> np.ndarray:
-    """Return the errors by the fit's own filter, of a record with a term taken into account."""
+    """Return the prediction errors of the fit's filter if the model includes the term."""
     here = point()
     at = motion(here.model, record.experiment, "zoh")
     kalman = kalman_filter(at, NOISE)
@@ -88,13 +88,13 @@ def terms(record: TraceRecord) -> dict[str, Term]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_flow_of_every_period_is_the_matrix_exponential(kind: str) -> None:
+def test_transition_of_every_period_is_the_matrix_exponential(kind: str) -> None:
     from scipy.linalg import expm
 
     at = motion(declared_model(CONFIG), record(kind).experiment, "zoh")
     Phi = transitions(at)
     for row in range(0, len(Phi), 700):
-        # The series is long enough for 1e-12 of the state, in units where speeds are as large.
+        # The series is accurate to 1e-12 of the state, with speeds scaled to the size of positions.
         scale = np.diag([1.0] * 3 + [TS] * 3)
         A, _ = at.continuous(row)
         exact = scale @ expm(A * TS) @ np.linalg.inv(scale)
@@ -103,16 +103,16 @@ def test_flow_of_every_period_is_the_matrix_exponential(kind: str) -> None:
 
 @pytest.mark.parametrize("what", ["held", "force", "gap"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_column_is_what_a_term_adds_to_the_errors_of_the_filter(kind: str, what: str) -> None:
+def test_column_equals_the_change_of_filter_errors_by_the_term(kind: str, what: str) -> None:
     made = record(kind)
     term = terms(made)[what]
     column = bank_of(made).columns([term], 1)[:, :, 0]
-    # A command that adds to the model lowers the errors as much as the same force outside raises
-    # them: a column is what a unit of the effect in the model does to them.
+    # A column is the change of the errors by a unit of the effect in the model; it has the opposite
+    # sign of the change by the same force on the plant.
     change = whitened(made, term) - whitened(made, Term())
     size = np.abs(change).max()
-    # Along a schedule each period has its own mobility and flow, but within a period the force
-    # meets one damping for all: half of what damping changes by, 2 m_b v_b / (J or m), times Ts.
+    # On a moving schedule the column uses one damping per period. The error is half the change of
+    # the damping in a period: 2 m_b v_b / (J or m) times Ts.
     tolerance = 1e-9 if kind == "fixed" or what == "gap" else 1e-3
     assert np.abs(column - change).max() < tolerance * size
 
@@ -121,27 +121,27 @@ def test_columns_do_not_depend_on_their_neighbours() -> None:
     made = record("fixed", 1200)
     some = list(terms(made).values())
     bank = bank_of(made, 4)
-    many = bank.columns([*some * 7, Term()], 22)  # more than go through at once
+    many = bank.columns([*some * 7, Term()], 22)  # more than one batch
     np.testing.assert_array_equal(many[:, :, 21], 0.0)
     for i in range(21):
         alone = bank.columns([some[i % 3]], 1)[:, :, 0]
-        # Sums in another order, of numbers that the filter forgets within a few hundred rows.
+        # Rounding: the sums are in another order.
         np.testing.assert_allclose(many[:, :, i], alone, atol=1e-10 * np.abs(alone).max())
 
 
-def test_constants_are_those_of_the_prediction() -> None:
+def test_columns_of_constant_forces_equal_those_of_the_prediction() -> None:
     made = record("moving", 1500)
     here = point()
     kalman = kalman_filter(motion(here.model, made.experiment, "zoh"), NOISE)
     expected = predict(here.model, made.experiment, "zoh", kalman).unknowns[:, :, :3]
     found = bank_of(made).constants()
     size = np.abs(expected).max(axis=(0, 1))
-    # As above: within a period constant forces meet one damping for all.
+    # As above: one damping per period.
     assert np.max(np.abs(found - expected) / size) < 1e-3
 
 
-def test_a_constant_force_of_a_candidate_is_nothing_along_a_moving_beam() -> None:
-    """A dead zone below every command is a constant: nobody can tell, nor does a column."""
+def test_constant_force_of_a_candidate_has_no_column() -> None:
+    """A dead zone below every command is a constant force, which is fitted for each record."""
     made, newton = record("moving", 1500), 5.0
     quantity = Quantity("width", "N")
     dead = Effect(
@@ -154,13 +154,13 @@ def test_a_constant_force_of_a_candidate_is_nothing_along_a_moving_beam() -> Non
     )  # fmt: skip
     there = linearise(point(), made, [(dead, ()), (grown, ())])
     idle, active = (float(np.trace(b.inner.sum(axis=0)) * b.size[0] ** 2) for b in there.beside)
-    # What its first row lacks, commands being delayed, is forgotten before noise would show it.
+    # Its first row, before the delayed command acts, is forgotten by the filter.
     assert idle < 1e-9 * active
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_friction_held_before_a_record_began_is_for_nobody_to_name(kind: str) -> None:
-    """Once friction that remembers is known of, a force that fades as it slips is its past."""
+def test_initial_force_of_known_friction_is_projected_out(kind: str) -> None:
+    """With known hysteretic friction, a force that decays with slip is its initial state."""
     made, break_away = record(kind, 1500), 5e-5
 
     def dahl(x: np.ndarray, f: float) -> np.ndarray:
@@ -182,7 +182,7 @@ def test_what_friction_held_before_a_record_began_is_for_nobody_to_name(kind: st
         for there in (point(), known)
         for b in linearise(there, made, [(began, ())]).beside
     )
-    # Rounding: to the same filter it is the same column.
+    # Rounding: both have the same column.
     assert taken < 1e-9 * free
 
 
@@ -220,16 +220,16 @@ def test_parameter_columns_are_finite_differences_of_the_errors(kind: str) -> No
         difference = (errors(name, by) - low) / (by if name == "delay" else 2 * by) * scale
         own, expected = free(columns[:, :, i]), free(difference)
         worst[name] = np.linalg.norm(own - expected) / np.linalg.norm(expected)
-    # Along the readings' own noise (0.1 um of some 100) rather than along the filter's path, and
-    # with accelerations by differences of fourth order: about a percent at most.
+    # Columns use noisy readings (0.1 um of about 100) instead of filtered ones, and fourth-order
+    # differences for accelerations: about 1 % at most.
     assert max(worst.values()) < 0.03, worst
-    # These know commands exactly; along a schedule they are taken to meet row 0's stiffness and
-    # damping within a period (FilterBank.held_forcing).
+    # These use exact commands; on a moving schedule a period has the stiffness and damping of row 0
+    # (FilterBank.held_forcing).
     assert max(worst["lag"], worst["delay"]) < 0.002, worst
 
 
 @pytest.mark.parametrize("key", ["friction.stribeck", "rod_stiffness.cubic"])
-def test_columns_of_a_shape_are_differences_of_its_terms(key: str) -> None:
+def test_columns_of_shape_parameters_are_finite_differences_of_the_terms(key: str) -> None:
     made = record("fixed")
     here = point()
     s, _ = filtered(here, made, motion(here.model, made.experiment, "zoh"))
@@ -249,52 +249,52 @@ def test_columns_of_a_shape_are_differences_of_its_terms(key: str) -> None:
         by = 1e-5 * value
         expected = (force(by) - force(-by)) / (2 * by)
         column = found[len(effect.amplitudes) + i].force
-        # Central differences a thousandth apart: that squared, times a third derivative.
+        # Central differences with a relative step of 1e-5 have errors of second order.
         np.testing.assert_allclose(column, expected, atol=1e-4 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("rows", [3000, 21_000])
-def test_blocks_of_time_sum_to_the_whole(rows: int) -> None:
+def test_gram_matrices_of_blocks_sum_to_that_of_the_record(rows: int) -> None:
     made, here = record("fixed", rows), point()
     found = linearise(here, made, [])
     near = along(here, made)
-    # Offset and start were fitted to single rows; to means of four they may be fitted once more.
+    # Offset and start were fitted to single rows; fit them again to means of four rows.
     unknowns = near.unknowns.reshape(-1, 9)
     flat = near.errors.reshape(-1)
     flat = flat - unknowns @ np.linalg.lstsq(unknowns, flat, rcond=1e-14)[0]
     pose = float(np.sum(flat**2))
     beyond = made.gap @ redundancy_basis(SHAPE) / SENSOR_SD
     total = pose + float(np.sum(thinned(beyond, near.every) ** 2))
-    # Rounding, of unknowns that are hard to tell apart.
+    # Rounding; the unknowns are ill-conditioned.
     assert found.gram[:, -1, -1].sum() == pytest.approx(total, rel=1e-7)
-    # Before the first command has come through there are no errors of the pose.
+    # There are no pose errors before the first command acts.
     assert found.count.sum() == rows // near.every * 9 - 3 * near.at.blind / near.every
     assert len(found.gram) == max(round(rows * TS / 4.0), 1)
-    for gram in found.gram:  # each is a Gram matrix by itself
+    for gram in found.gram:  # each is a Gram matrix
         np.testing.assert_allclose(gram, gram.T, atol=1e-12 * np.abs(gram).max())
         assert np.linalg.eigvalsh(gram).min() > -1e-9 * np.linalg.norm(gram)
 
 
-def test_a_true_model_leaves_unit_errors_per_sensor() -> None:
-    # Nine errors a row: three of the pose, six that no rigid platform can show. No force noise was
-    # made, so that the pose's lie below one; the six are pure noise.
+def test_true_model_leaves_errors_of_unit_variance_per_sensor() -> None:
+    # Nine errors per row: three of the pose, six non-rigid. The record has no force noise, so pose
+    # errors are below one; the six are sensor noise.
     made = record("fixed", 21_000)
     found = linearise(point(), made, [])
     rows = found.count.sum() / 9
     squares = found.gram[:, -1, -1].sum() - np.sum(along(point(), made).errors ** 2)
-    # A sum of 6 rows squared normal numbers: four standard deviations of it.
+    # A chi-square sum with 6 values per row: four standard deviations.
     assert squares / (6 * rows) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (6 * rows)))
 
 
-def test_thinned_white_errors_stay_white_and_of_unit_size() -> None:
+def test_thinned_white_errors_keep_unit_variance() -> None:
     errors = np.random.default_rng(1).normal(size=(40_003, 2))
     found = thinned(errors, 4)
     assert found.shape == (10_000, 2)
     assert found.var() == pytest.approx(1.0, abs=4 * np.sqrt(2 / found.size))
 
 
-def test_effects_found_are_in_the_errors_with_their_forces_and_readings() -> None:
-    # A force that the record does not hold, taken out and put back in, leaves what was there.
+def test_accepted_effects_are_included_in_the_prediction_errors() -> None:
+    # An effect and its negative cancel.
     made, here = record("fixed"), point()
     s, _ = filtered(here, made, motion(here.model, made.experiment, "zoh"))
     cubic = next(e for e in all_effects(PLACES) if e.key == "rod_stiffness.cubic")
@@ -309,15 +309,15 @@ def test_effects_found_are_in_the_errors_with_their_forces_and_readings() -> Non
     )
 
 
-def test_effects_found_are_in_the_accelerations_that_drives_work_against() -> None:
-    # A coil that is weaker is one that is told less. Were it not, what is missing of the platform's
-    # acceleration would be a force of the drives, and soon their cogging.
+def test_accepted_effects_are_included_in_the_accelerations_for_the_drives() -> None:
+    # A weaker coil equals a smaller command. Otherwise the missing acceleration of the platform
+    # would be taken for a force of the drives, and then for cogging.
     made, here = record("fixed"), point()
     s, _ = filtered(here, made, motion(here.model, made.experiment, "zoh"))
     gain = next(e for e in all_effects(PLACES) if e.identity == "coil_gain@coil:3")
     weak = Placed(gain, (), (-0.2,))
-    told_less = replace(made.experiment, u=made.experiment.u + weak.term(s).held)
-    less = along(here, replace(made, experiment=told_less))
+    smaller_command = replace(made.experiment, u=made.experiment.u + weak.term(s).held)
+    less = along(here, replace(made, experiment=smaller_command))
     drive = np.random.default_rng(1).standard_normal(made.rows)
     left = [beside_motion(at, drive) for at in (along(replace(here, placed=(weak,)), made), less)]
     assert np.ptp(left[0] - beside_motion(along(here, made), drive)) > 1e-3 * np.ptp(drive)
@@ -338,8 +338,8 @@ B: [[b1], [2.0]]
 """
 
 
-def test_what_a_force_does_to_one_dof_is_no_command() -> None:
-    # With fewer inputs than DOF no command does what a change of one entry of B does.
+def test_column_of_an_input_matrix_entry_with_fewer_inputs_than_dof() -> None:
+    # With fewer inputs than DOF, a change of one entry of B equals no change of the command.
     config = parse_text(UNDERACTUATED, ModelConfig, "two masses")
     one = np.eye(2)
     places = replace(
@@ -377,21 +377,21 @@ def test_what_a_force_does_to_one_dof_is_no_command() -> None:
     np.testing.assert_allclose(column[100:], expected[100:], atol=1e-3 * np.abs(expected).max())
 
 
-def test_long_records_have_columns_by_and_by(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_columns_of_long_records_are_computed_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
     some = [(e, e.grid[0]) for e in all_effects(PLACES)[:40]]
     whole = linearise(point(), record("fixed"), some)
-    monkeypatch.setattr(linearised, "_MAX_NUMBERS", 3 * 3000 // 4 * 7)  # of seven columns
+    monkeypatch.setattr(linearised, "_MAX_NUMBERS", 3 * 3000 // 4 * 7)  # seven columns per batch
     parts = linearise(point(), record("fixed"), some)
     np.testing.assert_allclose(parts.gram, whole.gram, rtol=1e-9, atol=1e-9)
     assert len(parts.beside) == len(whole.beside)
     for one, other in zip(parts.beside, whole.beside, strict=True):
-        # Sums of other shapes round otherwise.
+        # Sums of other shapes round differently.
         np.testing.assert_allclose(one.inner, other.inner, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(one.cross, other.cross, rtol=1e-9, atol=1e-9)
 
 
-def test_what_drives_hold_the_beam_against_is_no_friction_of_theirs() -> None:
-    # A cable's pull goes with the place, an imbalance turns with the rotor: both from outside.
+def test_external_forces_on_the_beam_are_not_attributed_to_drive_friction() -> None:
+    # A cable force depends on position, an imbalance on the rotor angle: both are external.
     made, here = record("fixed"), point()
     t = np.arange(made.rows) * made.experiment.Ts_s
     sweeping = np.column_stack([0.05 * np.sin(t), 0.05 * np.cos(t), -0.05 * np.sin(t)])
@@ -401,8 +401,8 @@ def test_what_drives_hold_the_beam_against_is_no_friction_of_theirs() -> None:
     assert np.abs(beside_motion(at, pull)).max() < 1e-6 * np.ptp(pull)
 
 
-def test_every_number_of_what_drives_feel_shows_in_their_force() -> None:
-    # What is taken out for good has no size: the fit would give it any.
+def test_every_drive_effect_is_observable_in_the_drive_force() -> None:
+    # The amplitude of an effect that is projected out would be arbitrary.
     made, here = record("fixed"), point()
     t = np.arange(made.rows) * made.experiment.Ts_s
     place, w = 0.05 * np.sin(7 * t), 7.0
@@ -415,8 +415,8 @@ def test_every_number_of_what_drives_feel_shows_in_their_force() -> None:
                 assert np.std(left) > 1e-3 * np.std(term.drive), effect.identity
 
 
-def test_force_of_drives_of_unknown_noise_says_nothing_of_how_large_errors_are() -> None:
-    # It is not white, so that its rows count for few, and what is found is taken out of it besides.
+def test_drive_force_of_unknown_noise_does_not_change_the_excess() -> None:
+    # Its noise is coloured, so its rows must not count as errors above the noise.
     made, here = record("moving"), point()
     shaken = np.convolve(np.random.default_rng(2).standard_normal(made.rows), np.ones(40), "same")
     excess = [
@@ -428,7 +428,7 @@ def test_force_of_drives_of_unknown_noise_says_nothing_of_how_large_errors_are()
     assert excess[1] == pytest.approx(excess[0], abs=1e-6 * made.rows)
 
 
-def test_a_start_of_the_filter_is_forgotten_as_the_fit_has_it() -> None:
+def test_response_to_the_initial_state_equals_that_of_the_fit() -> None:
     made = record("fixed", 1500)
     here = point()
     at = motion(here.model, made.experiment, "zoh")
@@ -441,7 +441,7 @@ def test_a_start_of_the_filter_is_forgotten_as_the_fit_has_it() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
-def test_what_a_free_form_may_have_held_before_is_no_part_of_its_columns() -> None:
+def test_initial_force_of_a_free_form_is_projected_out() -> None:
     rng = np.random.default_rng(0)
     basis, _ = np.linalg.qr(rng.standard_normal((300, 2)))
     held = rng.standard_normal((100, 3, 2))
@@ -464,7 +464,7 @@ def test_what_a_free_form_may_have_held_before_is_no_part_of_its_columns() -> No
     np.testing.assert_allclose(columns[:, 1:4], expected[:, 1:4], atol=1e-12)
 
 
-def test_the_column_of_a_lag_of_nothing_is_its_rate_from_there() -> None:
+def test_column_of_a_zero_lag_is_the_one_sided_derivative() -> None:
     made = record("fixed")
     (name,) = point().model.lag.names
     here = point(**{name: 0.0})

@@ -1,4 +1,4 @@
-"""What coils carried through a session, from its records alone."""
+"""Test coil loads of a session, computed from its records."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def record(begin_s: float, seconds: float, force_n: float) -> SimpleNamespace:
     )
 
 
-def test_loads_are_of_blocks_in_the_order_of_time_and_change_half_way_between_records() -> None:
+def test_coil_loads_are_block_means_in_order_of_time() -> None:
     loads = loads_of([record(20.0, 1.0, 3.0), record(5.0, 5.001, 8.0)])
     np.testing.assert_allclose(loads.times_s, [5.0, 7.0, 9.0, 15.0])
     assert loads.squares == ((64.0, 0.0), (64.0, 0.0), (64.0, 0.0), (9.0, 0.0))

@@ -1,4 +1,4 @@
-"""Resonances of a bending platform, read off its records; the mode is sampled by scipy."""
+"""Test the detection of flexible modes from records; scipy simulates the modes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SECONDS = 25.0
 
 
 def excited(seed: int, Ts_s: float = 1e-3, places: Places = PLACES) -> TraceRecord:
-    """A platform that is held still while its coils are excited one by one, without a mode."""
+    """Return a record of a rigid platform at rest with independent excitation of its coils."""
     rng, rows = np.random.default_rng(seed), round(SECONDS / Ts_s)
     nothing = np.zeros((rows, 3))
     schedule = {name: np.zeros(rows) for name in ("x_b", "v_b", "a_b")}
@@ -41,8 +41,8 @@ def excited(seed: int, Ts_s: float = 1e-3, places: Places = PLACES) -> TraceReco
     )  # fmt: skip
 
 
-def bent(record: TraceRecord, pattern: str, f_hz: float, zeta: float) -> TraceRecord:
-    """Add a mode's motion: forces act a cycle late and are held for one."""
+def with_mode(record: TraceRecord, pattern: str, f_hz: float, zeta: float) -> TraceRecord:
+    """Add the motion of a mode; forces act one cycle late with a zero-order hold."""
     i, w = NAMES.index(pattern), 2 * np.pi * f_hz
     mode = signal.StateSpace([[0, 1], [-(w**2), -2 * zeta * w]], [[0], [1]], [[1, 0]], [[0]])
     sampled = mode.to_discrete(record.experiment.Ts_s)
@@ -60,24 +60,26 @@ def bent(record: TraceRecord, pattern: str, f_hz: float, zeta: float) -> TraceRe
         ("wave_x", 210.0, 0.05),
     ],
 )
-def test_narrow_resonance_is_found_where_it_is(pattern: str, f_hz: float, zeta: float) -> None:
-    records = [bent(excited(seed), pattern, f_hz, zeta) for seed in (1, 2)]
+def test_narrow_resonance_is_found_with_its_frequency_and_damping(
+    pattern: str, f_hz: float, zeta: float
+) -> None:
+    records = [with_mode(excited(seed), pattern, f_hz, zeta) for seed in (1, 2)]
     (found,) = resonances(records)
     assert found.pattern == pattern
     assert found.frequency_hz == pytest.approx(f_hz, rel=0.005)
-    # Hann's window over 4 s is 0.36 Hz wide at half its height: of a half-width of 0.27 Hz, the
-    # narrowest here, it makes half as much again.
+    # A Hann window of 4 s has a width of 0.36 Hz at half its height. The narrowest resonance has a
+    # half-width of 0.27 Hz, which appears 50 % wider.
     assert found.damping == pytest.approx(zeta, rel=0.6)
 
 
 def test_two_resonances_of_one_pattern_are_both_found() -> None:
-    record = bent(bent(excited(3), "saddle", 60.0, 0.01), "saddle", 140.0, 0.01)
+    record = with_mode(with_mode(excited(3), "saddle", 60.0, 0.01), "saddle", 140.0, 0.01)
     found = resonances([record])
     assert {r.pattern for r in found} == {"saddle"}
     assert sorted(r.frequency_hz for r in found) == pytest.approx([60.0, 140.0], rel=0.005)
 
 
-def test_noise_and_false_gains_do_not_resonate() -> None:
+def test_noise_and_wrong_sensor_gains_give_no_resonance() -> None:
     for seed in range(6):
         record = excited(seed)
         moves = 1e-5 * np.sin(2 * np.pi * 20.0 * record.time_s)
@@ -86,8 +88,8 @@ def test_noise_and_false_gains_do_not_resonate() -> None:
         assert resonances([replace(record, gap=gap)]) == ()
 
 
-def test_records_of_another_rate_and_places_that_nobody_knows() -> None:
-    slow, fast = excited(1, 4e-3), bent(excited(2), "twist", 40.0, 0.01)
+def test_records_of_other_rates_unknown_positions_or_no_force_give_no_resonance() -> None:
+    slow, fast = excited(1, 4e-3), with_mode(excited(2), "twist", 40.0, 0.01)
     assert [r.pattern for r in resonances([slow, fast])] == ["twist"]
     unknown = replace(PLACES, sensor_xy_m=np.zeros((0, 2)), coil_xy_m=np.zeros((0, 2)))
     assert resonances([replace(fast, places=unknown)]) == ()
@@ -95,7 +97,7 @@ def test_records_of_another_rate_and_places_that_nobody_knows() -> None:
     assert resonances([nothing]) == ()
 
 
-def test_what_was_found_is_where_its_mode_is_looked_for() -> None:
+def test_detected_resonance_is_in_the_search_grid_of_its_mode_only() -> None:
     covered = replace(Extent.typical(PLACES), resonances=(("saddle", 115.0, 0.01),))
     modes = {e.key: e for e in all_effects(PLACES, covered)}
     assert modes["flexible_mode.saddle"].grid[-1][:2] == (115.0, 0.01)

@@ -1,4 +1,4 @@
-"""Where readings stand still though the platform moves: found to the row, and nowhere else."""
+"""Test the detection of stuck sensors: rows are found exactly, without false alarms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TIMES = range(500, ROWS - 500, 1000)
 
 
 def true_gaps(seed: int) -> np.ndarray:
-    """Heights (N, S) of a platform that tilts and lifts by some 20 um up to 15 Hz."""
+    """Return gaps (N, S) of a platform that tilts and lifts by about 20 um at up to 15 Hz."""
     rng = np.random.default_rng(seed)
     t = np.arange(ROWS) * TS
     size_m = 2e-5 / np.abs(SHAPE).max(axis=0)
@@ -32,8 +32,8 @@ def noise(seed: int) -> np.ndarray:
     return np.random.default_rng([seed, 1]).normal(0.0, SD_M, (ROWS, 9))
 
 
-def held_for(gaps: np.ndarray, sensor: int, rows: int) -> np.ndarray:
-    """Let a sensor stand for so many rows at TIMES, in place; returns where (N,)."""
+def hold_sensor(gaps: np.ndarray, sensor: int, rows: int) -> np.ndarray:
+    """Hold a sensor's value for `rows` rows at each of TIMES, in place; return the mask (N,)."""
     stuck = np.zeros(ROWS, bool)
     for first in TIMES:
         gaps[first : first + rows, sensor] = gaps[first - 1, sensor]
@@ -43,36 +43,36 @@ def held_for(gaps: np.ndarray, sensor: int, rows: int) -> np.ndarray:
 
 @pytest.mark.parametrize("rows", [15, 40, 200])
 @pytest.mark.parametrize("repeats", [False, True])
-def test_stands_are_found_to_a_row_or_two(rows: int, repeats: bool) -> None:
-    """With noise that goes on, or, where the converter itself repeats, with the noise kept too."""
+def test_rows_of_a_stuck_sensor_are_found(rows: int, repeats: bool) -> None:
+    """The noise continues, or is held as well if the converter repeats its value (`repeats`)."""
     gaps = true_gaps(1)
     if repeats:
         readings = gaps + noise(1)
-        stuck = held_for(readings, 4, rows)
+        stuck = hold_sensor(readings, 4, rows)
     else:
-        stuck = held_for(gaps, 4, rows)
+        stuck = hold_sensor(gaps, 4, rows)
         readings = gaps + noise(1)
     found = stuck_rows(readings, SHAPE)
     assert found is not None
     assert not np.any(np.delete(found, 4, axis=1))
-    # Where the platform moves by 0.1 um in a row, its noise, nobody can tell one row from the next.
+    # A motion of 0.1 um per row equals the noise, so single rows are uncertain.
     assert np.sum(found[:, 4] & ~stuck) < 5 * len(TIMES)
-    # What it moves by less than 2 um meanwhile is told by nothing.
+    # A sensor that should have moved by less than 2 um is not detectable.
     moved = [np.ptp(true_gaps(1)[first - 1 : first + rows, 4]) > 3e-6 for first in TIMES]
     assert sum(moved) >= len(TIMES) // 2
-    told = [
+    detected_share = [
         found[first : first + rows, 4].mean()
         for first, far in zip(TIMES, moved, strict=True)
         if far
     ]
-    assert min(told) > 0.8
+    assert min(detected_share) > 0.8
 
 
-def test_two_sensors_that_stand_at_times_of_their_own_are_told_apart() -> None:
+def test_two_stuck_sensors_are_found_separately() -> None:
     gaps = true_gaps(2)
-    first = held_for(gaps, 0, 30)
+    first = hold_sensor(gaps, 0, 30)
     gaps[:, 8] = np.roll(gaps[:, 8], -250)
-    second = np.roll(held_for(gaps, 8, 30), 250)
+    second = np.roll(hold_sensor(gaps, 8, 30), 250)
     gaps[:, 8] = np.roll(gaps[:, 8], 250)
     found = stuck_rows(gaps + noise(2), SHAPE)
     assert found is not None
@@ -84,7 +84,7 @@ def test_two_sensors_that_stand_at_times_of_their_own_are_told_apart() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("wrong", ["nothing", "gain", "lag", "noisy", "coarse", "at rest"])
-def test_what_follows_the_platform_never_stands(wrong: str, seed: int) -> None:
+def test_sensor_with_another_fault_is_not_reported_as_stuck(wrong: str, seed: int) -> None:
     gaps = true_gaps(seed)
     own = noise(seed)
     if wrong == "gain":
@@ -102,7 +102,7 @@ def test_what_follows_the_platform_never_stands(wrong: str, seed: int) -> None:
     assert stuck_rows(readings, SHAPE) is None
 
 
-def test_without_sensors_to_spare_nobody_can_say() -> None:
+def test_no_result_without_redundant_sensors() -> None:
     readings = (true_gaps(1) + noise(1))[:, :4]
-    held_for(readings, 1, 40)
+    hold_sensor(readings, 1, 40)
     assert stuck_rows(readings, SHAPE[:4]) is None

@@ -1,4 +1,4 @@
-"""What a model lacks, put back together from a record: the force, its noise, what it depends on."""
+"""Test the residual force of a model: its value, its noise and its dependence on signals."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def point(sensor_sd: float, force_psd: float) -> WorkingPoint:
 
 
 def moved_by(force: dict[float, complex], t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The steady motion x and the force itself (N,) for lines of force by frequency, Hz."""
+    """Return the steady-state motion x and the force (N,) for amplitudes by frequency in Hz."""
     x, f = np.zeros(len(t)), np.zeros(len(t))
     for hz, amplitude in force.items():
         s = 2j * np.pi * hz
@@ -80,18 +80,18 @@ def moved_by(force: dict[float, complex], t: np.ndarray) -> tuple[np.ndarray, np
     return x, f
 
 
-def test_missing_force_is_the_one_that_moved_it(places: Places) -> None:
+def test_residual_force_equals_the_applied_force(places: Places) -> None:
     t = TS * np.arange(8000)
     x, force = moved_by({1.5: 0.02, 7.25: 0.01j, 31.0: -0.015}, t)
     found = missing(point(1e-9, 1e-8), record(x[:, None], np.zeros((8000, 1)), places)).force[:, 0]
-    # Of each row it is the mean over the period that follows: the force half a period later.
+    # Each row has the mean over the following period, which is the force half a period later.
     _, later = moved_by({1.5: 0.02, 7.25: 0.01j, 31.0: -0.015}, t + TS / 2)
-    inner = slice(600, -600)  # both ends are faded
-    # A mean over 1 ms is smaller than the middle by (w Ts)^2 / 24, 0.16 % at 31 Hz.
+    inner = slice(600, -600)  # both ends are tapered
+    # A mean over 1 ms is smaller than the value at its middle by (w Ts)^2 / 24 = 0.16 % at 31 Hz.
     np.testing.assert_allclose(found[inner], later[inner], atol=3e-3 * np.abs(force).max())
 
 
-def test_noise_in_it_is_as_told(places: Places) -> None:
+def test_noise_of_the_residual_force_agrees_with_its_density(places: Places) -> None:
     rng = np.random.default_rng(2)
     sd = 1e-7
     y = sd * rng.standard_normal((60_000, 1))
@@ -100,15 +100,15 @@ def test_noise_in_it_is_as_told(places: Places) -> None:
     freq_hz, psd = density(left.force, TS)
     noise = noise_density(at, left.here, freq_hz)
     band = (freq_hz > 1) & (freq_hz < 60)
-    # 29 averages of 236 lines: the mean ratio scatters by 1.2 %; differences instead of
-    # derivatives lose (w Ts)^2 / 12 of M w^2, 2.4 % of its power at 60 Hz.
+    # 29 averages of 236 lines: the mean ratio scatters by 1.2 %. Differences instead of derivatives
+    # lose (w Ts)^2 / 12 of M w^2, which is 2.4 % of the power at 60 Hz.
     assert np.mean(psd[band] / noise[band]) == pytest.approx(1.0, abs=0.06)
-    # What is noise alone does not stand out.
+    # Noise alone gives no gain.
     gain = standing_out(psd, noise, freq_hz)
     assert np.mean(gain[freq_hz < 60]) < 0.02
 
 
-def test_noisy_sensor_is_no_force(places: Places) -> None:
+def test_noise_of_one_sensor_is_not_taken_for_a_force(places: Places) -> None:
     rng = np.random.default_rng(3)
     sd, three = 1e-7, replace(places, sensor_shape=np.ones((3, 1)))
     errors = sd * rng.standard_normal((60_000, 3)) * [1.0, 5.0, 1.0]
@@ -126,19 +126,19 @@ def test_noisy_sensor_is_no_force(places: Places) -> None:
     taken = noise_density(at, left.here, freq_hz)
     false = false_density(at, left.here, left.reading)
     band = (freq_hz > 5) & (freq_hz < 60)
-    # 27 of 3 parts are there; of that thirds of octaves tell all, but for 3 % of chance.
+    # The power is 27 / 3 of the expected one; third-octave bands detect all of it within 3 %.
     assert np.mean(psd[band] / taken[band]) == pytest.approx(9.0, rel=0.06)
     assert np.mean(psd[band] / (taken + false)[band]) == pytest.approx(1.0, abs=0.08)
-    # A motion that all of them show is none of theirs.
+    # A motion in all sensors is not a false reading.
     x, _ = moved_by({12.0: 0.02}, TS * np.arange(60_000))
-    honest = sd * rng.standard_normal((60_000, 3)) + x[:, None]
-    y = honest.mean(axis=1, keepdims=True)
-    left = missing(at, replace(record(y, np.zeros((60_000, 1)), three), gap=honest))
+    true_gap = sd * rng.standard_normal((60_000, 3)) + x[:, None]
+    y = true_gap.mean(axis=1, keepdims=True)
+    left = missing(at, replace(record(y, np.zeros((60_000, 1)), three), gap=true_gap))
     false = false_density(at, left.here, left.reading)
     assert np.mean((false / taken)[band]) < 0.15
 
 
-def test_what_stands_out_keeps_its_phase() -> None:
+def test_denoising_preserves_the_phase() -> None:
     t = TS * np.arange(10_000)
     wave = np.sin(2 * np.pi * 3 * t)
     noise = np.random.default_rng(1).standard_normal(len(t))
@@ -146,41 +146,41 @@ def test_what_stands_out_keeps_its_phase() -> None:
     gain = ((freq_hz > 1) & (freq_hz < 8)).astype(float)
     kept = denoised(wave + 0.1 * noise, gain, freq_hz, TS)
     inner = slice(1000, -1000)
-    # Of the noise 7 Hz out of 500 are left: 0.1 sqrt(7 / 500) = 0.012 RMS.
+    # 7 Hz of 500 Hz of the noise remain: 0.1 sqrt(7 / 500) = 0.012 RMS.
     assert np.sqrt(np.mean((kept - wave)[inner] ** 2)) < 0.02
 
 
-def test_a_rigid_pose_shows_nothing_beyond_itself() -> None:
+def test_rigid_pose_has_no_nonrigid_residual() -> None:
     rng = np.random.default_rng(0)
     pose = rng.standard_normal((50, 3))
     made = record(pose, np.zeros((50, 3)), rig_places())
     np.testing.assert_allclose(beyond_rigid(made, made.gap), 0.0, atol=1e-12)
     false = made.gap.copy()
     false[:, 4] += 1.0
-    # The middle of nine: a ninth of what it shows falsely is taken for height.
+    # A ninth of the false reading of the middle sensor is taken for height.
     np.testing.assert_allclose(beyond_rigid(made, false)[:, 4], 8 / 9, atol=1e-12)
 
 
-def test_dependence_tells_a_curve_from_chance() -> None:
+def test_dependence_is_found_for_a_curve_and_not_for_noise() -> None:
     rng = np.random.default_rng(4)
     x = rng.uniform(-1, 1, 20_000)
     block = np.repeat(np.arange(40), 500)
     noise = 0.1 * rng.standard_normal(len(x))
     found = dependence(x, x**3 + noise, block)
-    # Within a bin, a 24th of the range, a cube spreads by less than the noise.
+    # Within a bin, 1/24 of the range, x^3 varies by less than the noise.
     assert found.share == pytest.approx(1 - 0.01 / (1 / 7 + 0.01), abs=0.02)
     apart = np.abs(found.mean - found.at**3)
-    # A bin's mean of the cube is not the cube of its mean: off by 3 x var, 0.0004 x at most 3.
+    # The mean of x^3 in a bin differs from the cube of the mean by 3 x var < 0.002.
     assert np.mean(apart < 1.96 * found.error + 2e-3) > 0.85
     assert abs(dependence(rng.uniform(-1, 1, len(x)), x**3 + noise, block).share) < 0.01
 
 
-def test_errors_of_a_dependence_know_of_what_lasts() -> None:
-    # The same number all through a block is one number, however many rows have it.
+def test_standard_errors_account_for_correlation_within_blocks() -> None:
+    # A constant value in a block counts as one observation.
     rng = np.random.default_rng(7)
     x = rng.uniform(-1, 1, 20_000)
     block = np.repeat(np.arange(40), 500)
     lasting = np.repeat(rng.standard_normal(40), 500)
     found = dependence(x, lasting, block)
-    # The error of a mean of 40 numbers of unit variance; the estimate itself scatters by 11 %.
+    # The error of a mean of 40 values of unit variance; its estimate scatters by 11 %.
     assert np.mean(found.error) == pytest.approx(1 / np.sqrt(40), rel=0.3)

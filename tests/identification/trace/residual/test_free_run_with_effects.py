@@ -1,4 +1,4 @@
-"""Free runs with effects in them settle on what an integrator of another kind finds."""
+"""Test free runs of models with effects against independent numerical integration."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ KP, KI = np.array([2000.0]), np.array([8000.0])
 Force = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def waves(seed: int, rms_n: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a force of twenty sines between 0.5 and 15 Hz, at any time."""
+def multisine_force(seed: int, rms_n: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function of time in s: a force of twenty sines between 0.5 and 15 Hz."""
     rng = np.random.default_rng(seed)
     omega, phase = 2 * np.pi * rng.uniform(0.5, 15.0, 20), rng.uniform(0, 2 * np.pi, 20)
     size = rms_n / np.sqrt(10)
@@ -59,8 +59,8 @@ def waves(seed: int, rms_n: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def open_record(rms_n: float, force: Force) -> TraceRecord:
-    """Return a mass under waves and an unknown force, integrated to ten digits by scipy."""
-    u, t = waves(1, rms_n), np.arange(ROWS) * TS
+    """Return an open-loop record with an unknown force, integrated by scipy to ten digits."""
+    u, t = multisine_force(1, rms_n), np.arange(ROWS) * TS
 
     def motion(time: float, state: np.ndarray) -> np.ndarray:
         x, v = state
@@ -70,9 +70,9 @@ def open_record(rms_n: float, force: Force) -> TraceRecord:
     return _record(u(t)[:, None], solved.y[:1].T, None)
 
 
-def held_record(rms_n: float, force: Force) -> TraceRecord:
-    """Return the same in a loop, commands held and a cycle late, in steps of a twentieth."""
-    v = waves(2, rms_n)(np.arange(ROWS) * TS)
+def closed_loop_record(rms_n: float, force: Force) -> TraceRecord:
+    """Return a closed-loop record: commands held and one cycle late, 20 steps per period."""
+    v = multisine_force(2, rms_n)(np.arange(ROWS) * TS)
     x = speed = integral = acting = 0.0
     u, y, fine = np.empty((ROWS, 1)), np.empty((ROWS, 1)), TS / 20
 
@@ -83,7 +83,7 @@ def held_record(rms_n: float, force: Force) -> TraceRecord:
         y[k] = x
         integral -= KI[0] * TS * x
         u[k] = v[k] - KP[0] * x + integral
-        for _ in range(20):  # Heun's rule: (omega Ts / 20)^2 of a period, 1e-6
+        for _ in range(20):  # Heun's method: relative error (omega Ts / 20)^2, 1e-6
             a = acceleration(x, speed, acting)
             after, faster = x + fine * speed, speed + fine * a
             b = acceleration(after, faster, acting)
@@ -107,7 +107,7 @@ def point(hold: str, *placed: Placed) -> WorkingPoint:
     config = parse_text(MODEL.replace("HOLD", hold), ModelConfig, "mass")
     noise = Disturbance(Noise.independent(np.array([1e-12]), np.array([SD**2])), SD, measured=True)
     parameters = free_parameters(config)
-    # Effects are known: the trajectory may follow the model.
+    # The effects are known, so the trajectory may follow the model.
     return WorkingPoint(declared_model(config), parameters, placed, noise, config.input, trust=1.0)
 
 
@@ -116,8 +116,8 @@ def effect(key: str, amplitude: float, shape: tuple[float, ...] = ()) -> Placed:
     return Placed(next(e for e in table if e.key == key), shape, (amplitude,))
 
 
-def off(run: EffectFreeRun, record: TraceRecord) -> float:
-    """Return the rms error over the rms of the motion."""
+def relative_error(run: EffectFreeRun, record: TraceRecord) -> float:
+    """Return the rms error divided by the rms motion."""
     rest = slice(run.counts_from, None)
     y = record.experiment.y[rest]
     return float(np.sqrt(np.mean((run.q[rest] - y) ** 2)) / y.std())
@@ -137,69 +137,69 @@ def sliding(_x: np.ndarray, v: np.ndarray) -> np.ndarray:
 @cache
 def made(kind: str, rms_n: float, loop: bool) -> TraceRecord:
     force = {"cubic": hardening, "coulomb": sliding, "none": lambda x, v: 0.0 * x}[kind]
-    return (held_record if loop else open_record)(rms_n, force)
+    return (closed_loop_record if loop else open_record)(rms_n, force)
 
 
 @pytest.mark.parametrize("loop", [False, True])
-def test_a_linear_plant_runs_as_integrated(loop: bool) -> None:
+def test_free_run_of_a_linear_plant_agrees_with_integration(loop: bool) -> None:
     record = made("none", 2.0, loop)
     run = free_run(point("zoh" if loop else "band_limited"), record)
     assert run.settled
-    assert run.counts_from == ROWS // 3  # a third, of a record shorter than 15 s
-    # What lies between samples is straight over an eighth of one, and Heun's steps: some 1e-5.
-    assert off(run, record) < 1e-4
+    assert run.counts_from == ROWS // 3  # a third of a record shorter than 15 s
+    # Linear interpolation over an eighth of a period and Heun's steps: about 1e-5.
+    assert relative_error(run, record) < 1e-4
 
 
-def test_a_band_limited_run_starts_where_the_plant_was() -> None:
+def test_band_limited_free_run_starts_at_the_plants_state() -> None:
     record = made("none", 2.0, loop=False)
     run = free_run(point("band_limited"), record)
     rows = slice(run.counts_from, run.counts_from + 100)
     error = (run.q - record.experiment.y)[rows]
-    # Five deviations of the readings' noise, by which the state at the start is known better.
+    # Five standard deviations of the sensor noise; the initial state is known better than that.
     assert np.abs(error).max() < 5 * SD
 
 
 @pytest.mark.parametrize(
     ("rms_n", "loop"), [(6.0, False), (15.0, False), (6.0, True), (15.0, True)]
 )
-def test_a_strong_spring_is_found_by_repetition(rms_n: float, loop: bool) -> None:
+def test_free_run_with_a_strong_cubic_spring_converges(rms_n: float, loop: bool) -> None:
     record = made("cubic", rms_n, loop)
     y = record.experiment.y
     hold = "zoh" if loop else "band_limited"
-    # The cube is no small correction: it stiffens the spring at its largest 1.5 to 10 times over,
-    # and a run without it is of no use.
+    # The cubic stiffness is not a small correction: it is up to 1.5 to 10 times the linear one, and
+    # a run without it has a large error.
     assert 3 * CUBIC * np.max(y**2) > 1.5 * SPRING
-    assert off(free_run(point(hold), record), record) > 0.3
+    assert relative_error(free_run(point(hold), record), record) > 0.3
     run = free_run(point(hold, effect("stiffness.cubic", CUBIC)), record)
     assert run.settled
-    # A force told by six rows errs by (omega Ts)^6 / 300 within a period, 1e-4 at the harmonics of
-    # the stiffest motion, and the state at the start by noise; a motion this nonlinear carries
-    # differences on and makes a hundred times more of them before it forgets.
-    assert off(run, record) < 1e-2
+    # Interpolation of the force over six rows has an error of (omega Ts)^6 / 300, 1e-4 at the
+    # harmonics of the stiffest motion. The nonlinear motion amplifies this error and that of the
+    # initial state a hundred times before they decay.
+    assert relative_error(run, record) < 1e-2
 
 
 @pytest.mark.parametrize("loop", [False, True])
-def test_coulomb_friction_is_found_by_repetition(loop: bool) -> None:
+def test_free_run_with_coulomb_friction_converges(loop: bool) -> None:
     record = made("coulomb", 2.0, loop)
     hold = "zoh" if loop else "band_limited"
-    without = off(free_run(point(hold), record), record)
+    without = relative_error(free_run(point(hold), record), record)
     run = free_run(point(hold, effect("friction.coulomb", COULOMB, (SLOW,))), record)
     assert run.settled
-    # The force turns its sign within a few rows, between which no polynomial follows it: in one of
-    # hundred rows, by a tenth, of what friction does.
-    assert off(run, record) < 3e-3 * without
+    # The force changes sign within a few rows, faster than a polynomial can follow: an error of a
+    # tenth of the friction in one of a hundred rows.
+    assert relative_error(run, record) < 3e-3 * without
     assert without > 0.02
 
 
-def test_a_spring_that_pulls_apart_is_no_answer_but_is_told() -> None:
-    # Softening far beyond the linear spring: there is no bounded trajectory to settle on.
+def test_diverging_free_run_is_reported_as_not_settled() -> None:
+    # The softening exceeds the linear stiffness: there is no bounded trajectory.
     record = made("none", 10.0, loop=False)
     with np.errstate(all="ignore"):
         run = free_run(point("band_limited", effect("stiffness.cubic", -1e9)), record)
     assert not run.settled
 
 
-def test_error_of_the_truth_is_the_floor_and_of_a_wrong_model_its_bias() -> None:
+def test_error_of_a_wrong_model_is_its_bias() -> None:
     record = made("cubic", 10.0, loop=True)
     right, wrong = (
         record_error(point("zoh", *placed), record)
@@ -212,7 +212,7 @@ def test_error_of_the_truth_is_the_floor_and_of_a_wrong_model_its_bias() -> None
     assert wrong.squares * SD**2 == pytest.approx(bias, rel=1e-9)
     assert wrong.pose_squares[0] == pytest.approx(bias, rel=1e-9)
     assert wrong.squares > 1e3 * right.squares
-    # Welch's spectrum adds up to the mean square, but for the mean that it takes out first.
+    # Welch's spectrum sums to the mean square without the mean.
     spread = np.var(rest - run.q[ROWS // 3 :])
     assert np.sum(wrong.psd) * wrong.freq_hz[1] == pytest.approx(spread, rel=0.2)
     error, floor = pooled([right, right])
@@ -220,7 +220,7 @@ def test_error_of_the_truth_is_the_floor_and_of_a_wrong_model_its_bias() -> None
     assert floor == pytest.approx(np.sqrt(right.floor))
 
 
-def test_a_loop_whose_input_is_not_held_is_refused() -> None:
+def test_closed_loop_without_zoh_input_is_rejected() -> None:
     record = made("none", 2.0, loop=True)
     with pytest.raises(IdentificationError, match="'made': expected input: zoh in a closed loop"):
         free_run(point("band_limited"), record)

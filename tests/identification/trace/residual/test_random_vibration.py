@@ -1,4 +1,4 @@
-"""A random force is told by its power in a band, alike in still and in excited records."""
+"""Test the detection of random vibration: a force band present in still and excited records."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ RMS_N, BAND_HZ = 0.02, (8.0, 25.0)
 INSIDE = (BAND_HZ[0] <= FREQ_HZ) & (BAND_HZ[1] > FREQ_HZ)
 
 
-def spectrum(rng: np.random.Generator, still: bool, shaken: float = 1.0) -> ForceSpectrum:
-    """Return averages of ten spectra of noise, z shaken in the band."""
+def spectrum(rng: np.random.Generator, still: bool, vibration: float = 1.0) -> ForceSpectrum:
+    """Return averages of ten noise spectra with vibration of z in the band."""
     psd = np.repeat(QUIET[:, None], 3, axis=1)
-    psd[INSIDE, 2] += shaken * RMS_N**2 / (BAND_HZ[1] - BAND_HZ[0])
+    psd[INSIDE, 2] += vibration * RMS_N**2 / (BAND_HZ[1] - BAND_HZ[0])
     seen = psd * rng.chisquare(20, psd.shape) / 20
     return ForceSpectrum(FREQ_HZ, seen, np.repeat(QUIET[:, None], 3, axis=1), 10.0, still)
 
@@ -29,22 +29,22 @@ def records(seed: int, excited: float = 1.0, held: float = 1.0, all_: float = 1.
     return fitted, [spectrum(rng, True, all_ * held), spectrum(rng, False, all_ * held)]
 
 
-def test_random_force_has_its_band_its_size_and_an_honest_error() -> None:
+def test_vibration_is_found_with_its_band_rms_and_standard_error() -> None:
     errors = []
     for seed in range(40):
         (found,) = shaking(*records(seed))
         assert found.dof == 2
-        # A twentieth of the power lies beyond either end of what is told; bins are 0.25 Hz.
+        # 5 % of the power is outside either end of the reported band; bins are 0.25 Hz.
         assert found.band_hz == pytest.approx((8.85, 24.15), abs=0.6)
         assert found.statistic > 50
         errors.append((found.rms - RMS_N) / found.se)
-    # Bins drawn here are independent and vary by 1 / sqrt(1.5) of those of a window that leaks.
+    # Bins are independent here and scatter by 1 / sqrt(1.5) of those with a window.
     assert np.abs(np.mean(errors)) < 4 / np.sqrt(40) + 0.3
     assert 0.6 < np.std(errors) < 1.1
 
 
-def test_error_of_a_force_that_hardly_stands_out_has_the_noise_in_it() -> None:
-    """What is left of the power once the noise is taken off is known less well than the whole."""
+def test_standard_error_of_a_weak_vibration_includes_the_noise() -> None:
+    """After subtraction of the noise power, the relative error is larger."""
     errors = []
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -60,25 +60,26 @@ def test_error_of_a_force_that_hardly_stands_out_has_the_noise_in_it() -> None:
         true = np.sqrt(3e-9 * INSIDE.sum() * 0.25)
         errors += [(s.rms - true) / s.se for s in found if s.dof == 2]
     assert len(errors) > 190
-    # 0.74 for bins that are independent, and 0.98 of an error without the noise; of 200, 5 % off.
+    # 0.74 is expected for independent bins, and 0.98 if the standard error ignores the noise; 200
+    # values determine this to 5 %.
     assert 0.6 < np.std(errors) < 0.86
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_noise_alone_shakes_nothing(seed: int) -> None:
+def test_noise_alone_gives_no_vibration(seed: int) -> None:
     assert shaking(*records(seed, all_=0.0)) == ()
 
 
 @pytest.mark.parametrize(
     "more",
     [{"excited": 10.0}, {"excited": 0.0}, {"held": 0.0}, {"held": 5.0}],
-    ids=["grows with the motion", "not in motion", "not held out", "otherwise held out"],
+    ids=["larger in motion", "absent in motion", "absent in held-out", "larger in held-out"],
 )
-def test_what_is_not_always_there_is_something_else(more) -> None:
+def test_force_that_differs_between_records_is_not_vibration(more) -> None:
     assert shaking(*records(1, **more)) == ()
 
 
-def test_without_still_records_nothing_is_told() -> None:
+def test_vibration_needs_a_still_record_and_held_out_records() -> None:
     fitted, kept = records(1)
     moving = [replace(s, still=False) for s in fitted]
     assert shaking(moving, kept) == ()
@@ -86,9 +87,9 @@ def test_without_still_records_nothing_is_told() -> None:
     assert shaking([], []) == ()
 
 
-def test_of_several_rates_that_of_the_still_records_is_asked() -> None:
+def test_records_with_other_frequency_grids_than_the_still_record_are_ignored() -> None:
     fitted, kept = records(1)
-    # Ten times as fast: as many lines would be another step, and more of them the same.
+    # Ten times the rate: ten times as many lines of the same spacing.
     fast = np.arange(5001) * 0.25
     faster = ForceSpectrum(fast, np.full((5001, 3), 1e-9), np.full((5001, 3), 1e-9), 10.0, False)
     wider = replace(kept[0], freq_hz=2 * FREQ_HZ)

@@ -1,7 +1,7 @@
-"""Logs that an earlier version wrote, and configuration that it shipped, still load.
+"""Test logs and configuration of earlier versions: they still load and fly.
 
-tests/data/COMMIT holds them. `sh tests/data/COMMIT/make.sh` makes them with that commit's code; a
-release whose files differ gets a folder of its own beside it.
+They are in tests/data/COMMIT; `sh tests/data/COMMIT/make.sh` makes them with that commit's code.
+A release with a different file format gets another folder.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def test_configuration_in_a_log_still_loads(folder: Path, tmp_path: Path, levid:
     attached = read_log(folder / "short.mcap").attachments
     assert {"rig.yaml", "session.yaml", "versions.json", "host.json"} <= set(attached)
     assert {"python", "levid", "numpy"} <= set(json.loads(attached["versions.json"]))
-    rigs = tmp_path / "rigs"  # with the simulators beside it, as its paths have them
+    rigs = tmp_path / "rigs"  # its paths refer to ../sims
     rigs.mkdir()
     (tmp_path / "sims").symlink_to(folder / "sims")
     for name in ("rig.yaml", "session.yaml"):
@@ -75,7 +75,7 @@ def test_configuration_in_a_log_still_loads(folder: Path, tmp_path: Path, levid:
 def test_session_still_flies_and_logs_each_field_as_before(
     folder: Path, tmp_path: Path, levid: Callable
 ) -> None:
-    """What reads a field by its name and type today reads the logs of tomorrow."""
+    """A program that reads fields by name and type can still read new logs."""
     rig, sim = folder / "rigs" / "loopback.yaml", folder / "sims" / "nominal.yaml"
     options = ("--virtual", "--rig", rig, "--sim", sim, "--out", tmp_path / "out")
     code, _, err = levid("excite", folder / "short.yaml", *options)
@@ -93,7 +93,7 @@ def test_session_still_flies_and_logs_each_field_as_before(
 
 @old
 def test_log_is_still_identified(folder: Path, tmp_path: Path, levid: Callable) -> None:
-    """The masses come out as those of the simulator that flew, within five standard errors."""
+    """The masses agree with those of the simulator within five standard errors."""
     path = folder / "short.mcap"
     code, out, err = levid("identify", path, "--out", tmp_path / "out", "--json")
     assert code == 0, err

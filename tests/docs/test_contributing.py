@@ -1,4 +1,4 @@
-"""The worked examples of CONTRIBUTING.md, applied to a copy of the repository and run."""
+"""Test the examples of CONTRIBUTING.md: apply them to a copy of the repository and run it."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ np.testing.assert_allclose(2.0 * term.force[:, 2], simulated, rtol=1e-12)
 """
 
 
-def applied(text: str, change: str) -> str:
-    """Return a file's text after a diff block without line numbers."""
+def apply_diff(text: str, change: str) -> str:
+    """Return a file's text after applying a diff block without line numbers."""
     lines = [line for line in change.splitlines(keepends=True) if line.strip()]
     before = "".join(line[1:] for line in lines if line[0] in " -")
     after = "".join(line[1:] for line in lines if line[0] in " +")
-    assert text.count(before) == 1, f"not once in the file:\n{before}"
+    assert text.count(before) == 1, f"expected exactly once in the file:\n{before}"
     return text.replace(before, after)
 
 
 @pytest.fixture(scope="module")
-def extended(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
-    """A function that runs Python with a copy of levid to which every example was added."""
+def run_extended(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
+    """Return a function that runs Python with a copy of levid that includes every example."""
     folder = tmp_path_factory.mktemp("contributing")
     files = subprocess.run(
         ["git", "ls-files", "-z", "*.py", "config", "report", "drivers"],
@@ -65,7 +65,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
         path = folder / "levid" / name
         assert path.exists() == (kind == "diff"), name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(applied(path.read_text(), text) if kind == "diff" else text)
+        path.write_text(apply_diff(path.read_text(), text) if kind == "diff" else text)
 
     def run(*arguments: object) -> str:
         paths = (folder, ROOT / "tests")
@@ -80,11 +80,11 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
     return run
 
 
-def test_the_candidate_is_the_force_that_the_simulator_plays(extended) -> None:
-    extended("-c", TRAJECTORY)
+def test_candidate_and_simulated_effect_have_the_same_force(run_extended) -> None:
+    run_extended("-c", TRAJECTORY)
 
 
-def test_field_figure_verb_and_effect_appear_after_a_flight(extended, tmp_path: Path) -> None:
+def test_field_figure_verb_and_effect_appear_after_a_flight(run_extended, tmp_path: Path) -> None:
     (tmp_path / "lift.yaml").write_text(SESSION)
     effect = '{use: "levid.sim.effects.quintic:QuinticRods", dof: z, k5_n_m5: 1.0e+16}'
     nominal = (ROOT / "config" / "sims" / "nominal.yaml").read_text()
@@ -92,14 +92,14 @@ def test_field_figure_verb_and_effect_appear_after_a_flight(extended, tmp_path: 
     levid = ("-m", "levid.cli.main")
     rig = ROOT / "config" / "rigs" / "loopback.yaml"
     flown = tmp_path / "flown"
-    extended(
+    run_extended(
         *levid, "excite", tmp_path / "lift.yaml", "--rig", rig, "--sim", tmp_path / "sim.yaml",
         "--virtual", "--out", flown,
     )  # fmt: skip
     (log,) = flown.glob("*rest*.mcap")
-    rows = read_log(log).rows  # without the example: the log brings its schema
+    rows = read_log(log).rows  # the unmodified reader uses the log's schema
     # A sum of nine float32 values of some 8 N each.
     assert abs(rows["lift_n"] - rows["coil_n"].sum(axis=1)).max() < 1e-4
     assert "Lift force" in (flown / "report" / "index.html").read_text()
-    assert f"{rows['lift_n'].mean():.3f} N" in extended(*levid, "lift", log)
-    assert "lift" in extended(*levid, "--help")
+    assert f"{rows['lift_n'].mean():.3f} N" in run_extended(*levid, "lift", log)
+    assert "lift" in run_extended(*levid, "--help")

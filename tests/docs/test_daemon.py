@@ -1,4 +1,4 @@
-"""docs/daemon.md and README.md say what the daemon answers, and name every verb."""
+"""Test docs/daemon.md and README.md: answers of the daemon, table of verbs, links."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ steps:
 @pytest.fixture
 def socket_file(tmp_path, monkeypatch):
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # where the default socket lies
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # folder of the default socket
     rig_file = shipped("rigs/loopback.yaml")
     with daemon(calm(load_rig(rig_file), tmp_path), rig_file, tmp_path) as running:
         yield running.socket
 
 
-def test_requests_are_answered_with_the_keys_of_the_page(socket_file, tmp_path, capsys):
+def test_answers_have_the_documented_keys(socket_file, tmp_path, capsys):
     exec(compile(SNIPPET, "daemon.md", "exec"), {})
     assert capsys.readouterr().out == "NONE\n"
     out = str(tmp_path / "logs")
     quick = {"levitate": {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0}}
-    asked = [
+    requests = [
         ("status", {}),
         ("excite", {"session": SESSION, "out": out}),
         ("levitate", quick),
@@ -52,30 +52,30 @@ def test_requests_are_answered_with_the_keys_of_the_page(socket_file, tmp_path, 
         ("stop", {}),
         ("clear", {}),
     ]
-    assert {op for op, _ in asked} | {"watch"} == set(REQUESTS)
-    for op, more in asked:
+    assert {op for op, _ in requests} | {"watch"} == set(REQUESTS)
+    for op, arguments in requests:
         with Client(socket_file) as client:
-            answer = client.request(op, **more)
+            answer = client.request(op, **arguments)
         keys = REQUESTS[op]
-        if keys == {"excite"}:  # the page says: as excite
+        if keys == {"excite"}:  # the page refers to excite
             keys = REQUESTS["excite"]
-        # The page also names NONE, a value.
+        # The page also mentions the value NONE.
         assert set(answer) - {"ok"} == keys - {"NONE"}, op
 
 
-def test_watching_gives_the_keys_of_status(socket_file):
-    class Enough(Exception):  # noqa: N818
+def test_watch_gives_the_keys_of_status(socket_file):
+    class StopWatching(Exception):  # noqa: N818
         pass
 
     def look(line):
         assert set(line) == REQUESTS["status"]
-        raise Enough
+        raise StopWatching
 
-    with Client(socket_file) as client, pytest.raises(Enough):
+    with Client(socket_file) as client, pytest.raises(StopWatching):
         client.request("watch", look, every_s=0.1)
 
 
-def test_readme_has_every_verb():
+def test_readme_lists_every_verb():
     text = (ROOT / "README.md").read_text()
     named = re.findall(r"^\| `levid ([a-z-]+)", text, re.MULTILINE)
     assert sorted(named) == sorted(levid.list_commands(None))
@@ -84,6 +84,6 @@ def test_readme_has_every_verb():
 @pytest.mark.parametrize(
     "page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda p: p.name
 )
-def test_links_lead_to_files_that_exist(page):
+def test_links_refer_to_existing_files(page):
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
         assert target.startswith("https://") or (page.parent / target).is_file(), target

@@ -1,4 +1,4 @@
-"""The effects of docs/effects.md do what the page says they do."""
+"""Test docs/effects.md: its examples run, and its tables are complete."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ SNIPPET, SHIPPED = re.findall(r"```yaml\n(.*?)```", DOC, re.DOTALL)
 @pytest.fixture
 def plant(tmp_path):
     nominal = shipped("sims/nominal.yaml").read_text()
-    assert nominal.endswith("effects: []\n")  # the page says: a copy that ends in ...
+    assert nominal.endswith("effects: []\n")  # the page expects this ending
     (tmp_path / "warm.py").write_text(CODE)
     path = tmp_path / "my-sim.yaml"
     path.write_text(nominal.replace("effects: []\n", SNIPPET))
     return Plant(load_yaml(path, SimConfig), 1e-3, source=path)
 
 
-def test_example_changes_the_flight_and_nothing_that_is_logged_of_the_coils(plant):
+def test_example_changes_the_motion_and_not_the_coil_readback(plant):
     nominal = Plant(load_yaml(shipped("sims/nominal.yaml"), SimConfig), 1e-3)
-    coil_n = np.full(9, 7.0)  # 63 N of 69 N of weight: the platform stays on its lower stops
+    coil_n = np.full(9, 7.0)  # 63 N for a weight of 69 N: the platform stays on its lower stops
     for _ in range(100):
         for p in (plant, nominal):
             p.advance(coil_n, np.zeros(3), np.zeros(3))
@@ -44,50 +44,50 @@ def test_example_changes_the_flight_and_nothing_that_is_logged_of_the_coils(plan
     np.testing.assert_array_equal(plant.coil_readback_n, nominal.coil_readback_n)
 
 
-def test_example_s_floor_shakes_the_platform(plant):
+def test_floor_vibration_of_the_example_moves_the_platform(plant):
     coil_n, z = np.full(9, 7.0), []
     for _ in range(2 * 1000):
         plant.advance(coil_n, np.zeros(3), np.zeros(3))
         z.append(plant.pose[2])
     spectrum = np.abs(np.fft.rfft(np.array(z[1000:]) - np.mean(z[1000:])))
-    assert np.argmax(spectrum) == 17  # Hz, as lines of one second are
+    assert np.argmax(spectrum) == 17  # Hz, the line spacing of one second
 
 
-def test_example_s_coil_warms_up(tmp_path):
+def test_coil_of_the_example_warms_up(tmp_path):
     names = {}
     exec(compile(CODE, "warm.py", "exec"), names)
     coil = names["WarmCoil"](coil=4, loss=0.05, time_constant_s=60, rated_n=10)
 
-    class Told:
+    class FakePlant:
         dt_s = 1.0
 
-    coil.reset(Told)
-    for _ in range(600):  # ten time constants at the rated force: warm to 5e-5
+    coil.reset(FakePlant)
+    for _ in range(600):  # ten time constants at the rated force: steady state to 5e-5
         force_n = coil.coil_force(0.0, np.zeros(3), np.full(9, 10.0))
     np.testing.assert_allclose(force_n, [10.0] * 4 + [9.5] + [10.0] * 4, rtol=1e-4)
 
 
-def test_page_names_every_hook():
+def test_page_lists_every_hook():
     table = re.findall(r"^\| `(\w+)\(", DOC, re.MULTILINE)
     assert tuple(table) == HOOKS
 
 
 def test_page_lists_every_shipped_effect_with_its_keys():
     listed = dict(re.findall(r"^\| `(\w+:\w+)` \| (.*?) \|", DOC, re.MULTILINE))
-    shipped_ones = {}
+    shipped_effects = {}
     for module in pkgutil.iter_modules(effects.__path__):
         name = f"{effects.__name__}.{module.name}"
         for cls in vars(importlib.import_module(name)).values():
             hooked = inspect.isclass(cls) and any(hasattr(cls, hook) for hook in HOOKS)
             if hooked and cls.__module__ == name and module.name not in ("contract", "loader"):
-                shipped_ones[f"{module.name}:{cls.__name__}"] = cls
-    bases = {base for cls in shipped_ones.values() for base in cls.__mro__[1:]}
-    keys = {use: _keys(cls) for use, cls in shipped_ones.items() if cls not in bases}
+                shipped_effects[f"{module.name}:{cls.__name__}"] = cls
+    bases = {base for cls in shipped_effects.values() for base in cls.__mro__[1:]}
+    keys = {use: _keys(cls) for use, cls in shipped_effects.items() if cls not in bases}
     assert listed == keys
 
 
 def _keys(cls):
-    """Return the class's keyword arguments as the page writes them."""
+    """Return the keyword arguments of the class in the page's format."""
     shown = []
     for key, parameter in inspect.signature(cls).parameters.items():
         default = parameter.default

@@ -1,4 +1,4 @@
-"""docs/effects-table.md is what the table of candidate effects says."""
+"""Test docs/effects-table.md: it is up to date with the table of candidate effects."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import importlib.util
 from repository import DOCS
 
 
-def test_page_is_as_generated():
+def test_page_is_up_to_date():
     spec = importlib.util.spec_from_file_location(
         "make_effects_table", DOCS / "make_effects_table.py"
     )

@@ -1,4 +1,4 @@
-"""The Python of docs/identification.md runs as it stands on a short flight, and finds the plant."""
+"""Test docs/identification.md: its Python code runs on a short flight and finds the plant."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ steps:
 
 
 @pytest.fixture(scope="module")
-def names(tmp_path_factory):
-    """What the first snippet leaves behind."""
+def variables(tmp_path_factory):
+    """Return the variables after the first snippet."""
     folder = tmp_path_factory.mktemp("docs")
     rig_file = shipped("rigs/loopback.yaml")
     session = parse_text(SESSION, SessionConfig, "short")
@@ -50,32 +50,34 @@ def names(tmp_path_factory):
     return found
 
 
-def test_first_snippet_finds_the_plant(names):
-    (point,) = names["result"].points
+def test_first_snippet_finds_the_plant(variables):
+    (point,) = variables["result"].points
     sim = load_yaml(shipped("sims/nominal.yaml"), SimConfig)
     freq_hz = np.array([2.0, 8.0, 32.0])
     true = frequency_response(sim, 0.0, freq_hz, 500.0)
     found = point.plant.response(freq_hz)
     for i in range(3):
-        # Records of 9 s say it within some 10 %; a delay or a unit gone wrong is far more.
+        # Records of 9 s determine it to about 10 %; a wrong delay or unit gives a far larger error.
         np.testing.assert_allclose(found[:, i, i], true[:, i, i], rtol=0.3)
-    assert names["spread"].shape == names["P"].shape == (len(point.freq_hz), 3, 3)
-    assert names["model"].dt == 2e-3
-    assert len(names["left_out"]) == 2  # levitate, land
+    assert variables["spread"].shape == variables["P"].shape == (len(point.freq_hz), 3, 3)
+    assert variables["model"].dt == 2e-3
+    assert len(variables["left_out"]) == 2  # levitate, land
 
 
-def test_second_snippet_fits_the_declared_model(names, capsys):
-    exec(compile(FIT, "identification.md", "exec"), names)
-    fit = names["fit"]
-    # Nominal mass 5.6 kg; 27 s of records tell it to 0.5 g, ten of which are a wide margin.
+def test_second_snippet_fits_the_declared_model(variables, capsys):
+    exec(compile(FIT, "identification.md", "exec"), variables)
+    fit = variables["fit"]
+    # Nominal mass 5.6 kg; 27 s of records determine it to 0.5 g; ten times that is a wide margin.
     assert fit.values["m_p"] == pytest.approx(5.6, abs=0.005)
-    # With the beam at rest in the middle, the page says, neither m_b nor z_b can be told.
+    # As the page says, m_b and z_b are not identifiable with the beam at rest in the middle.
     assert {u.name for u in fit.unidentifiable} == {"m_b", "z_b"}
     assert "z_b cannot be identified" in capsys.readouterr().out
-    assert names["at"].M[1, 2] == pytest.approx(1.4 * 0.05)
+    assert variables["at"].M[1, 2] == pytest.approx(1.4 * 0.05)
 
 
-def test_third_snippet_gives_python_control(names):
+def test_third_snippet_gives_a_python_control_system(variables):
     pytest.importorskip("control")
-    exec(compile(CONTROL, "identification.md", "exec"), names)
-    assert names["plant"].nstates == 12  # six, and two cycles of delay for each of three inputs
+    exec(compile(CONTROL, "identification.md", "exec"), variables)
+    assert (
+        variables["plant"].nstates == 12
+    )  # six states, and two cycles of delay for each of three inputs

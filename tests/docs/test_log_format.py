@@ -1,4 +1,4 @@
-"""The examples of docs/log-format.md run, one after the other, as they stand."""
+"""Test docs/log-format.md: its examples run in order."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def blocks(language):
     return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
 
 
-def test_the_stranger_s_log_is_written_and_read_as_the_docs_say(tmp_path, monkeypatch):
+def test_foreign_log_of_the_docs_is_written_read_and_identified(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scripts = blocks("python")
     assert len(scripts) == 3
@@ -38,10 +38,10 @@ def test_the_stranger_s_log_is_written_and_read_as_the_docs_say(tmp_path, monkey
         (point,) = identify([from_log(log)]).points
     assert point.order == 1
     (pole,) = np.linalg.eigvals(point.model.A)
-    # The record has no noise; what is not there is what lies beyond 200 taps, 0.95^200 = 4e-5.
+    # The record has no noise; the error is the response beyond 200 taps, 0.95^200 = 4e-5.
     assert abs(pole - 0.95) < 1e-4
 
 
-def test_the_example_of_a_signals_file_is_one():
+def test_example_of_a_signals_file_is_valid():
     (example,) = blocks("yaml")
     assert SignalsFile.model_validate(yaml.safe_load(example)).rate_hz == 610.35

@@ -1,4 +1,4 @@
-"""The frames that docs/can.md and docs/serial-protocol.md give to try a device with are ours."""
+"""Test docs/can.md and docs/serial-protocol.md: their example frames are those of levid."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ READ_PROTOCOL = (Request.READ, DeviceParameter.PROTOCOL)
 
 
 def payload(text: str, begin: str) -> bytes:
-    """Return the bytes in the last cell of the table's row that begins so."""
+    """Return the bytes in the last cell of the table row that begins with `begin`."""
     (row,) = re.findall(rf"^\| {re.escape(begin)}.*\|$", text, re.M)
     return bytes.fromhex(row.split("|")[-2])
 
@@ -38,7 +38,7 @@ def frames():
     return load_frames(None, 9, 9, fd=False)
 
 
-def test_frames_of_can(frames):
+def test_can_frames_of_the_docs(frames):
     assert frames.sync.encode(18) == (0x010, payload(CAN, "`Sync` of"))
     forces = np.array([1.0, -0.5, *np.zeros(7)])
     assert frames.setpoint.encode(forces, 18, 5)[0] == (0x020, payload(CAN, "`Setpoints` of"))
@@ -46,24 +46,24 @@ def test_frames_of_can(frames):
     assert frames.answer.encode(DeviceParameter.PROTOCOL, 1) == (0x041, payload(CAN, "`Answer`:"))
 
 
-def test_frames_of_the_serial_protocol():
+def test_serial_frames_of_the_docs():
     frames = SerialFrames(FrameContents(9, 9, True))
     assert frames.request(1, *READ_PROTOCOL) == payload(SERIAL, "REQUEST, sequence 1")
     assert frames.answer(1, DeviceParameter.PROTOCOL, 1) == payload(SERIAL, "its ANSWER")
 
 
-def test_a_cycle_of_the_serial_protocol():
+def test_serial_cycle_of_the_docs():
     frames = SerialFrames(FrameContents(2, 1, True))
     beam, rotor = np.array([0.01, 0.1, 2.0]), np.array([-0.2, 0.5, -1.0])
-    told = frames.cycle(18, np.array([1.0, -0.5]), beam, rotor)
-    assert told == payload(SERIAL, "CYCLE 18")
+    command = frames.cycle(18, np.array([1.0, -0.5]), beam, rotor)
+    assert command == payload(SERIAL, "CYCLE 18")
     axes = np.array([[0.01, 0.1, 1.5], [0.01, 0.1, 1.25], [-0.2, 0.5, -0.25]])
     amplifiers = AmplifierState.ENABLED, np.array([0.999, -0.5])
     adc = SensorState.OK, np.array([-0.9e-3])
     readings = frames.readings(18, amplifiers, adc, (DriveState.OPERATING, 0, axes))
     assert readings == payload(SERIAL, "its READINGS")
-    # Without our own words for it: stuffing, checksum, and the fields where the page has them.
-    raw = unstuffed(readings)
+    # Decode without levid: byte stuffing, checksum, and the fields in the order of the page.
+    raw = decode_cobs(readings)
     assert zlib.crc32(raw[:-4]).to_bytes(4, "little") == raw[-4:]
     layout = "<BBH BBhh BBh BBH iff iff iff"
     version, kind, sequence, *fields = struct.unpack(layout, raw[:-4])
@@ -74,8 +74,8 @@ def test_a_cycle_of_the_serial_protocol():
     )
 
 
-def unstuffed(line: bytes) -> bytes:
-    """Return what is in a frame, by the definition of consistent overhead byte stuffing."""
+def decode_cobs(line: bytes) -> bytes:
+    """Decode a frame by the definition of consistent overhead byte stuffing (COBS)."""
     out, at = b"", 0
     while line[at]:
         out += line[at + 1 : at + line[at]] + b"\0"
@@ -83,7 +83,7 @@ def unstuffed(line: bytes) -> bytes:
     return out[:-1]
 
 
-def test_checksum_and_response():
+def test_crc_and_challenge_response_of_the_docs():
     (check,) = re.findall(r"CRC-8 of `123456789` is (0x\w+)", CAN)
     assert crc8(b"123456789") == int(check, 16)
     challenge, numbers, answer = re.findall(

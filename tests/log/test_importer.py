@@ -1,4 +1,4 @@
-"""Bringing in the data of others: what comes out, and what a wrong file is told."""
+"""Test the import of foreign data: imported values, and errors that name the faulty place."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def columns_of(log):
         ("a.log", "1 -2\n.5 3e-3\n-1e3 .25\n", "format: text\n" + BY_NUMBER),
     ],
 )
-def test_text_in_its_many_dresses(tmp_path, name, text, columns):
+def test_text_formats_are_imported(tmp_path, name, text, columns):
     log = run(tmp_path, text, HEAD + columns, name=name)
     assert columns_of(log) == GOOD
     assert log.complete
@@ -77,7 +77,7 @@ def test_text_in_its_many_dresses(tmp_path, name, text, columns):
     assert log.metadata["input_hold"] == "zoh"
 
 
-def test_the_log_carries_roles_and_units(tmp_path):
+def test_imported_log_has_roles_and_units(tmp_path):
     log = run(tmp_path, "1,2\n", HEAD + BY_NUMBER)
     signals = parse_text(log.attachments["signals.yaml"], SignalsFile, "signals.yaml")
     assert [c.name for c in signals.with_role("input")] == ["u_v"]
@@ -125,12 +125,12 @@ MATRIX = BY_NAME.replace("column: V1", "column: D, index: 0").replace(
         ("a.mat", mat(S={"u": U, "y": Y}), BY_NAME.replace("V1", "S.u").replace("V2", "S.y")),
     ],
 )
-def test_arrays_by_name(tmp_path, name, data, columns):
+def test_npz_and_mat_arrays_are_imported(tmp_path, name, data, columns):
     assert columns_of(run(tmp_path, data, HEAD + columns, name=name)) == GOOD
 
 
 @pytest.mark.parametrize(
-    ("text", "columns", "said"),
+    ("text", "columns", "expected_error"),
     [
         ("V1,V2\n1,2\n3\n", BY_NAME, "line 3: expected 2 cells, as in the first row, found 1"),
         ("V1,V2\n1,2\n3,4,5\n", BY_NAME, "line 3: expected 2 cells, as in the first row, found 3"),
@@ -152,7 +152,7 @@ def test_arrays_by_name(tmp_path, name, data, columns):
         ("1,2\n", "rows: {first: 5}\n" + BY_NUMBER, "expected rows 5 on, found 1 rows"),
         ("1,2\n", MATRIX, "column 'D', index 0: index is for variables of NPZ and MAT files"),
         ("\0\1,\2\n", BY_NUMBER, "data.csv: "),
-        # Decimal commas: no separators.
+        # Decimal commas are rejected.
         ("1,5;2,5\n3,5;4,5\n", BY_NUMBER, "column 0: expected a number, found '3,5'"),
         ('V1,V2,n\n1,2,ok\n3,4,"bad\n5,6,ok\n', BY_NAME, "cannot be read: unexpected end of data"),
         ("1,2\n3e300,4\n", "rate_hz: 1e-12\n" + BY_NUMBER, "expected 2 samples to last at most"),
@@ -163,17 +163,17 @@ def test_arrays_by_name(tmp_path, name, data, columns):
         ),
     ],
 )
-def test_a_table_that_does_not_fit_says_where(tmp_path, text, columns, said):
+def test_invalid_table_is_reported_with_line_and_column(tmp_path, text, columns, expected_error):
     head = "" if "rate_hz" in columns else HEAD
     with pytest.raises(LogError) as caught:
         run(tmp_path, text, (head or "levid: signals\n") + columns)
-    assert said in str(caught.value)
+    assert expected_error in str(caught.value)
     assert str(tmp_path) in str(caught.value)
     assert not (tmp_path / "out.mcap").exists()
 
 
 @pytest.mark.parametrize(
-    ("name", "data", "columns", "said"),
+    ("name", "data", "columns", "expected_error"),
     [
         ("a.npz", npz(V1=U), BY_NAME, "column 'V2': no such variable; there is V1"),
         ("a.npz", npz(V1=U, V2=Y[:2]), BY_NAME, "expected 3 samples, as column 'V1' has, found 2"),
@@ -190,16 +190,16 @@ def test_a_table_that_does_not_fit_says_where(tmp_path, text, columns, said):
         ("a.xls", "1,2\n", BY_NUMBER, "expected one of .csv, .txt, .dat"),
     ],
 )
-def test_arrays_that_do_not_fit_say_which(tmp_path, name, data, columns, said):
+def test_invalid_array_is_reported_with_its_name(tmp_path, name, data, columns, expected_error):
     with pytest.raises(LogError) as caught:
         run(tmp_path, data, HEAD + columns, name=name)
-    assert said in str(caught.value)
+    assert expected_error in str(caught.value)
     assert not (tmp_path / "out.mcap").exists()
 
 
 @pytest.mark.parametrize("seed", [11, 212, 235])
-def test_a_damaged_mat_file_does_not_take_the_program_along(tmp_path, seed):
-    """One to three wrong bytes of these seeds crash the reader of scipy 1.17; others may err."""
+def test_damaged_mat_file_does_not_crash_the_program(tmp_path, seed):
+    """One to three wrong bytes with these seeds crash the reader of scipy 1.17."""
     scipy.io.savemat(
         tmp_path / "a.mat",
         {
@@ -217,17 +217,18 @@ def test_a_damaged_mat_file_does_not_take_the_program_along(tmp_path, seed):
 
 
 @pytest.mark.parametrize(
-    ("code", "said"), [(-11, "was ended by SIGSEGV"), (-200, "by signal 200"), (1, "exit code 1")]
+    ("code", "expected_error"),
+    [(-11, "was ended by SIGSEGV"), (-200, "by signal 200"), (1, "exit code 1")],
 )
-def test_how_the_reader_of_mat_files_ended_is_said(tmp_path, monkeypatch, code, said):
+def test_exit_of_the_mat_reader_process_is_reported(tmp_path, monkeypatch, code, expected_error):
     ended = subprocess.CompletedProcess([], code, b"", b"")
     monkeypatch.setattr(mat_file.subprocess, "run", lambda *_, **__: ended)
-    with pytest.raises(LogError, match=f"not a usable MAT file: its reader .*{said}"):
+    with pytest.raises(LogError, match=f"not a usable MAT file: its reader .*{expected_error}"):
         run(tmp_path, mat(V1=U, V2=Y), HEAD + BY_NAME, name="a.mat")
 
 
-def test_matlab_7_3_is_told_what_to_do(tmp_path):
-    # The header of such a file as MATLAB writes it; HDF5 follows at byte 512.
+def test_matlab_7_3_file_is_rejected_with_a_remedy(tmp_path):
+    # The header that MATLAB writes; HDF5 follows at byte 512.
     text = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\0\2IM"
     data = text.ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n"
     with pytest.raises(LogError, match=r"found 7\.3 \(HDF5\); in MATLAB.*'-v7'"):
@@ -235,7 +236,7 @@ def test_matlab_7_3_is_told_what_to_do(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("signals", "said"),
+    ("signals", "expected_error"),
     [
         (HEAD.replace("100", "0") + BY_NAME, "rate_hz"),
         (HEAD.replace("rate_hz: 100\n", "") + BY_NAME, "rate_hz: required key is missing"),
@@ -250,13 +251,13 @@ def test_matlab_7_3_is_told_what_to_do(tmp_path):
         ("levid: rig\nrate_hz: 1\n" + BY_NAME, "levid"),
     ],
 )
-def test_a_signals_file_that_does_not_fit_names_the_key(tmp_path, signals, said):
+def test_invalid_signals_file_is_reported_with_its_key(tmp_path, signals, expected_error):
     with pytest.raises(ConfigError) as caught:
         run(tmp_path, "1,2\n", signals)
-    assert said in str(caught.value)
+    assert expected_error in str(caught.value)
 
 
-def test_missing_data_and_an_existing_log_are_errors(tmp_path):
+def test_missing_data_file_and_existing_log_are_rejected(tmp_path):
     with pytest.raises(LogError, match=r"data\.csv: expected a file, found none"):
         run(tmp_path, lambda _: None, HEAD + BY_NUMBER)
     run(tmp_path, "1,2\n", HEAD + BY_NUMBER)
@@ -266,15 +267,15 @@ def test_missing_data_and_an_existing_log_are_errors(tmp_path):
     assert (tmp_path / "out.mcap").read_bytes() == before
 
 
-def measured(name):
+def measured_data(name):
     path = MEASURED / name
     if not path.exists():
         pytest.skip(f"the measured data {name} are not beside this repository")
     return path
 
 
-def test_the_cd_players_arm(tmp_path):
-    data = measured("daisy/CD_player_arm.dat")
+def test_measured_cd_player_arm_is_imported(tmp_path):
+    data = measured_data("daisy/CD_player_arm.dat")
     out = tmp_path / "arm.mcap"
     assert import_file(data, SIGNALS / "cd-player-arm.yaml", out) == 2048
     log = read_log(out)
@@ -283,37 +284,37 @@ def test_the_cd_players_arm(tmp_path):
         np.testing.assert_array_equal(log.field(name), table[:, column])
 
 
-def test_the_silverbox(tmp_path):
-    data = measured("silverbox/SNLS80mV.csv")
+def test_measured_silverbox_is_imported(tmp_path):
+    data = measured_data("silverbox/SNLS80mV.csv")
     out = tmp_path / "box.mcap"
     assert import_file(data, SIGNALS / "silverbox.yaml", out) == 105_712 - 40_650
     log = read_log(out)
     table = np.loadtxt(data, delimiter=",", skiprows=1, usecols=(0, 1))[40_650:105_712]
     np.testing.assert_array_equal(log.field("u_v"), table[:, 0])
     np.testing.assert_array_equal(log.field("y_v"), table[:, 1])
-    assert log.rate_hz == pytest.approx(610.35, abs=0.01)  # as its authors state it
+    assert log.rate_hz == pytest.approx(610.35, abs=0.01)  # as its authors state
 
 
-def test_empty_cells_in_columns_that_nobody_asked_for_do_not_matter(tmp_path):
-    # Its overload flags stand in the first row only.
-    data = measured("silverbox/Schroeder80mV.csv")
+def test_empty_cells_in_unused_columns_are_ignored(tmp_path):
+    # The column of overload flags has a value in the first row only.
+    data = measured_data("silverbox/Schroeder80mV.csv")
     (tmp_path / "signals.yaml").write_text(HEAD + BY_NAME)
     assert import_file(data, tmp_path / "signals.yaml", tmp_path / "out.mcap") == 131_072
 
 
-def test_python_objects_that_nobody_asked_for_do_not_matter(tmp_path):
+def test_python_objects_in_unused_variables_are_ignored(tmp_path):
     log = run(tmp_path, npz(V1=U, V2=Y, meta=np.array({"a": 1})), HEAD + BY_NAME, name="a.npz")
     assert columns_of(log) == GOOD
 
 
-def test_a_file_with_a_name_that_is_no_text(tmp_path):
-    # Names of files are bytes; a log has text.
+def test_file_name_that_is_not_valid_text_is_imported(tmp_path):
+    # File names are bytes; a log contains text.
     log = run(tmp_path, "1,-2\n.5,3e-3\n-1e3,.25\n", HEAD + BY_NUMBER, name="a\udce9.csv")
     assert columns_of(log) == GOOD
     assert log.metadata["source"] == "a?.csv"
 
 
-def test_a_signal_named_like_one_of_the_loops_keeps_its_unit(tmp_path):
+def test_signal_with_the_name_of_a_cycle_field_keeps_its_unit(tmp_path):
     named = BY_NUMBER.replace("y_v", "z_m")
     run(tmp_path, "1,2\n3,4\n", HEAD + named)
     with (tmp_path / "out.mcap").open("rb") as file:

@@ -1,4 +1,4 @@
-"""Reading logs of our own and of strangers, whole, cut off and damaged."""
+"""Test reading logs: of levid and of other writers, complete, truncated and damaged."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def rows():
 
 @pytest.fixture(scope="module")
 def path(rows, tmp_path_factory):
-    """A log of eight chunks of 50 rows."""
+    """Return a log with eight chunks of 50 rows."""
     path = tmp_path_factory.mktemp("log") / "a.mcap"
     with LogWriter(
         path,
@@ -56,7 +56,7 @@ def path(rows, tmp_path_factory):
 
 
 def chunks_of(data):
-    """First byte and end of each chunk record of an MCAP file."""
+    """Return the first byte and the end of each chunk record of an MCAP file."""
     chunks, at = [], 8
     while at < len(data) - 8:
         opcode, length = RECORD_HEAD.unpack_from(data, at)
@@ -73,7 +73,7 @@ def read_bytes(tmp_path, data):
     return read_log(path)
 
 
-def test_round_trip_gives_every_bit_back(path, rows):
+def test_round_trip_preserves_every_bit(path, rows):
     log = read_log(path)
     assert log.rows.dtype == DTYPE
     assert log.rows.tobytes() == rows.tobytes()
@@ -85,14 +85,14 @@ def test_round_trip_gives_every_bit_back(path, rows):
     assert log.problem is None
 
 
-def test_a_field_is_an_array_and_a_misspelt_one_names_its_neighbours(path, rows):
+def test_misspelt_field_is_rejected_with_similar_names(path, rows):
     log = read_log(path)
     np.testing.assert_array_equal(log.field("gap_m"), rows["gap_m"])
     with pytest.raises(LogError, match="no field 'gap_mm'; there is gap_m"):
         log.field("gap_mm")
 
 
-def test_cut_off_anywhere_gives_the_whole_chunks_before_the_cut(path, rows, tmp_path):
+def test_truncated_log_gives_the_complete_chunks_before_the_cut(path, rows, tmp_path):
     data = path.read_bytes()
     ends = [end for _, end in chunks_of(data)]
     assert len(ends) == 8
@@ -115,8 +115,8 @@ def test_cut_off_anywhere_gives_the_whole_chunks_before_the_cut(path, rows, tmp_
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_damaged_bytes_give_an_error_or_the_rows_before_them(path, rows, tmp_path, seed):
-    # CRCs cover head, chunks and summary: no flipped bit may turn into a wrong row or label.
+def test_damaged_byte_gives_an_error_or_the_rows_before_it(path, rows, tmp_path, seed):
+    # CRCs cover head, chunks and summary: a flipped bit must not give a wrong row or label.
     data = path.read_bytes()
     rng = np.random.default_rng(seed)
     for _ in range(100):
@@ -134,7 +134,7 @@ def test_damaged_bytes_give_an_error_or_the_rows_before_them(path, rows, tmp_pat
         assert (log.rate_hz, log.metadata["kind"]) == (100.0, "record")
 
 
-def test_many_damaged_bytes_at_once_never_raise_anything_else(path, tmp_path):
+def test_many_damaged_bytes_raise_log_errors_only(path, tmp_path):
     data = path.read_bytes()
     rng = np.random.default_rng(5)
     for _ in range(100):
@@ -149,7 +149,7 @@ def test_many_damaged_bytes_at_once_never_raise_anything_else(path, tmp_path):
 
 @pytest.mark.parametrize("length", [2**31, 2**40, 2**63, 2**64 - 1])
 @pytest.mark.parametrize("which", [0, 5])
-def test_a_corrupt_length_asks_for_no_memory(path, rows, tmp_path, length, which):
+def test_corrupt_length_allocates_no_memory(path, rows, tmp_path, length, which):
     data = path.read_bytes()
     start, _ = chunks_of(data)[which]
     lengths = {
@@ -168,12 +168,12 @@ def test_a_corrupt_length_asks_for_no_memory(path, rows, tmp_path, length, which
             assert log.rows.tobytes() == rows[: 50 * which].tobytes(), what
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
-        # What the whole log takes; the least of these lengths is 40,000 times as much.
+        # The memory for the whole log; the smallest of these lengths is 40,000 times as large.
         assert peak < 10 * len(data), what
 
 
-def test_a_log_larger_than_the_memory_is_refused_before_it_is_unpacked(path, rows, monkeypatch):
-    """However little of a disk it takes: zstd packs zeros to nothing."""
+def test_log_larger_than_the_memory_is_rejected_before_decompression(path, rows, monkeypatch):
+    """Its file may be small: zstd compresses zeros to almost nothing."""
     claimed = sum(c.uncompressed_size for c in scan(memoryview(path.read_bytes())).chunks.values())
     monkeypatch.setattr(reader, "memory_bytes", lambda: claimed)
     assert read_log(path).rows.tobytes() == rows.tobytes()
@@ -185,7 +185,7 @@ def test_a_log_larger_than_the_memory_is_refused_before_it_is_unpacked(path, row
 
 
 @pytest.mark.parametrize("opcode", [Opcode.MESSAGE_INDEX, Opcode.SUMMARY_OFFSET, 0x86])
-def test_a_chunk_made_to_look_like_something_else_leaves_no_hole(path, rows, tmp_path, opcode):
+def test_rows_end_before_a_chunk_with_a_wrong_opcode(path, rows, tmp_path, opcode):
     data = path.read_bytes()
     start, _ = chunks_of(data)[2]
     log = read_bytes(tmp_path, data[:start] + bytes([opcode]) + data[start + 1 :])
@@ -193,7 +193,7 @@ def test_a_chunk_made_to_look_like_something_else_leaves_no_hole(path, rows, tmp
     assert log.rows.tobytes() == rows[:100].tobytes()
 
 
-def test_a_chunk_whose_length_covers_the_next_one_leaves_no_hole(path, rows, tmp_path):
+def test_rows_end_before_a_chunk_whose_length_includes_the_next(path, rows, tmp_path):
     data = path.read_bytes()
     (start, _), (_, end), (_, after) = chunks_of(data)[2:5]
     swallowed = data[: start + 1] + struct.pack("<Q", end - start - RECORD_HEAD.size)
@@ -203,8 +203,8 @@ def test_a_chunk_whose_length_covers_the_next_one_leaves_no_hole(path, rows, tmp
     assert log.rows.tobytes() == rows[:100].tobytes()
 
 
-def test_a_message_shorter_than_its_head_ends_the_rows_before_it(rows, tmp_path):
-    data = mcap_bytes(lambda w: fill(w, rows), use_chunking=False)
+def test_rows_end_before_a_message_shorter_than_its_header(rows, tmp_path):
+    data = mcap_bytes(lambda w: write_rows(w, rows), use_chunking=False)
     size = RECORD_HEAD.size + 22 + 4 + DTYPE.itemsize
     at = data.index(rows[200].tobytes()) + DTYPE.itemsize - size
     log = read_bytes(tmp_path, data[: at + 1] + struct.pack("<Q", 13) + data[at + 9 :])
@@ -214,7 +214,7 @@ def test_a_message_shorter_than_its_head_ends_the_rows_before_it(rows, tmp_path)
 
 
 def mcap_bytes(build, **options):
-    """An MCAP file by mcap's own writer; `build` puts in what it wants."""
+    """Return an MCAP file by the writer of the mcap package, filled by `build`."""
     file = io.BytesIO()
     writer = Writer(file, **options)
     writer.start("ros2")
@@ -223,7 +223,7 @@ def mcap_bytes(build, **options):
     return file.getvalue()
 
 
-def fill(writer, rows, *, topic="/levid/cycle", text=None, head=b"\0\1\0\0", tail=b""):
+def write_rows(writer, rows, *, topic="/levid/cycle", text=None, head=b"\0\1\0\0", tail=b""):
     schema = writer.register_schema("x/msg/Y", "ros2msg", (text or ros2msg(rows.dtype)).encode())
     channel = writer.register_channel(topic, "cdr", schema)
     for number, row in enumerate(rows):
@@ -234,19 +234,19 @@ def fill(writer, rows, *, topic="/levid/cycle", text=None, head=b"\0\1\0\0", tai
 
 @pytest.mark.parametrize("compression", CompressionType)
 @pytest.mark.parametrize("options", [{}, {"chunk_size": 1000}, {"use_chunking": False}])
-def test_a_log_by_mcaps_own_writer(rows, tmp_path, compression, options):
-    data = mcap_bytes(lambda w: fill(w, rows), compression=compression, **options)
+def test_log_by_the_mcap_package_is_read(rows, tmp_path, compression, options):
+    data = mcap_bytes(lambda w: write_rows(w, rows), compression=compression, **options)
     log = read_bytes(tmp_path, data)
     assert log.complete
     assert log.rows.tobytes() == rows.tobytes()
-    # No metadata "levid": the rate is that of the log times, 1 ms apart.
+    # Without the metadata "levid", the rate follows from the log times, 1 ms apart.
     assert log.rate_hz == pytest.approx(1000.0)
     assert (log.metadata, log.schema_name) == ({}, "x/msg/Y")
 
 
-def test_a_log_without_any_summary_or_index(rows, tmp_path):
+def test_log_without_summary_and_index_is_read(rows, tmp_path):
     data = mcap_bytes(
-        lambda w: fill(w, rows),
+        lambda w: write_rows(w, rows),
         index_types=IndexType.NONE,
         repeat_channels=False,
         repeat_schemas=False,
@@ -259,8 +259,8 @@ def test_a_log_without_any_summary_or_index(rows, tmp_path):
     assert log.rows.tobytes() == rows.tobytes()
 
 
-def test_damage_between_messages_outside_of_chunks_is_told_by_the_crc_of_all_data(rows, tmp_path):
-    data = mcap_bytes(lambda w: fill(w, rows), use_chunking=False, enable_data_crcs=True)
+def test_damage_outside_of_chunks_is_detected_by_the_crc_of_the_data_section(rows, tmp_path):
+    data = mcap_bytes(lambda w: write_rows(w, rows), use_chunking=False, enable_data_crcs=True)
     assert read_bytes(tmp_path, data).complete
     at = data.index(rows[200].tobytes()) + 50
     log = read_bytes(tmp_path, data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
@@ -268,22 +268,22 @@ def test_damage_between_messages_outside_of_chunks_is_told_by_the_crc_of_all_dat
     assert "data section: damaged: expected CRC" in log.problem
 
 
-def test_a_foreign_log_cut_off_opens_to_its_last_whole_chunk(rows, tmp_path):
-    data = mcap_bytes(lambda w: fill(w, rows), chunk_size=5000)
+def test_truncated_foreign_log_gives_its_complete_chunks(rows, tmp_path):
+    data = mcap_bytes(lambda w: write_rows(w, rows), chunk_size=5000)
     log = read_bytes(tmp_path, data[: chunks_of(data)[3][1] + 10])
     assert not log.complete
     assert 0 < log.rows.size < rows.size
     assert log.rows.tobytes() == rows[: log.rows.size].tobytes()
 
 
-def test_lz4_frames_that_do_not_say_their_size(rows, tmp_path, monkeypatch):
+def test_lz4_frames_without_a_stored_size_are_read(rows, tmp_path, monkeypatch):
     compress = lz4.frame.compress
     monkeypatch.setattr(lz4.frame, "compress", lambda data: compress(data, store_size=False))
-    data = mcap_bytes(lambda w: fill(w, rows), compression=CompressionType.LZ4)
+    data = mcap_bytes(lambda w: write_rows(w, rows), compression=CompressionType.LZ4)
     assert read_bytes(tmp_path, data).rows.tobytes() == rows.tobytes()
 
 
-def test_channels_that_take_turns(rows, tmp_path):
+def test_cycle_rows_are_read_between_messages_of_other_channels(rows, tmp_path):
     def build(writer):
         names = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
         chatter = writer.register_channel("/chatter", "cdr", names)
@@ -307,16 +307,16 @@ def test_channels_that_take_turns(rows, tmp_path):
         np.testing.assert_array_equal(log.log_time_ns, times_of(rows.size))
 
 
-def test_the_only_channel_of_fixed_size_will_do_but_two_of_them_are_a_question(tmp_path):
+def test_single_channel_of_fixed_size_is_read_and_two_are_ambiguous(tmp_path):
     text = "float64 force\nuint8 flag\nfloat32 gap"
     foreign = some_rows(20, dtype_from_ros2msg(text))
 
     def one(writer):
-        fill(writer, foreign, topic="/bench", text=text)
+        write_rows(writer, foreign, topic="/bench", text=text)
 
     def two(writer):
         one(writer)
-        fill(writer, foreign, topic="/other", text=text)
+        write_rows(writer, foreign, topic="/other", text=text)
 
     log = read_bytes(tmp_path, mcap_bytes(one))
     assert log.rows.dtype.names == ("force", "flag", "gap")
@@ -326,32 +326,34 @@ def test_the_only_channel_of_fixed_size_will_do_but_two_of_them_are_a_question(t
         read_bytes(tmp_path, mcap_bytes(two))
 
 
-def test_big_endian_messages_come_out_as_little_endian_numbers(rows, tmp_path):
+def test_big_endian_messages_are_converted_to_little_endian(rows, tmp_path):
     swapped = rows.astype(DTYPE.newbyteorder(">"))
     text = ros2msg(DTYPE)
-    data = mcap_bytes(lambda w: fill(w, swapped, text=text, head=b"\0\0\0\0"))
+    data = mcap_bytes(lambda w: write_rows(w, swapped, text=text, head=b"\0\0\0\0"))
     log = read_bytes(tmp_path, data)
     assert log.rows.dtype == DTYPE
     assert log.rows.tobytes() == rows.tobytes()
 
 
-def test_padding_after_the_last_field_is_no_harm(tmp_path):
-    text = "float64 force\nuint8 flag"  # 9 bytes; some writers round up to 12
+def test_padding_after_the_last_field_is_ignored(tmp_path):
+    text = "float64 force\nuint8 flag"  # 9 bytes; some writers pad to 12
     foreign = some_rows(20, dtype_from_ros2msg(text))
-    data = mcap_bytes(lambda w: fill(w, foreign, text=text, tail=bytes(3)))
+    data = mcap_bytes(lambda w: write_rows(w, foreign, text=text, tail=bytes(3)))
     assert read_bytes(tmp_path, data).rows.tobytes() == foreign.tobytes()
 
 
-def test_messages_that_do_not_fit_their_schema(rows, tmp_path):
-    short = mcap_bytes(lambda w: fill(w, some_rows(9, cycle_dtype(2, 3)), text=ros2msg(DTYPE)))
+def test_messages_that_do_not_fit_their_schema_are_rejected(rows, tmp_path):
+    short = mcap_bytes(
+        lambda w: write_rows(w, some_rows(9, cycle_dtype(2, 3)), text=ros2msg(DTYPE))
+    )
     with pytest.raises(LogError, match=r"expected messages of \d+ bytes, as their schema says"):
         read_bytes(tmp_path, short)
-    parameter_list = mcap_bytes(lambda w: fill(w, rows, head=b"\0\3\0\0"))
+    parameter_list = mcap_bytes(lambda w: write_rows(w, rows, head=b"\0\3\0\0"))
     with pytest.raises(LogError, match="found 00 03"):
         read_bytes(tmp_path, parameter_list)
 
 
-def test_schemas_and_files_that_cannot_be_read(tmp_path):
+def test_unreadable_schemas_and_files_are_rejected(tmp_path):
     def json(writer):
         schema = writer.register_schema("x", "jsonschema", b"{}")
         writer.add_message(writer.register_channel("/x", "json", schema), 0, b"{}", 0)
@@ -360,8 +362,8 @@ def test_schemas_and_files_that_cannot_be_read(tmp_path):
         schema = writer.register_schema("x/msg/Y", "ros2msg", b"std_msgs/Header header")
         writer.add_message(writer.register_channel("/x", "cdr", schema), 0, bytes(8), 0)
 
-    def silent(writer):
-        fill(writer, some_rows(0))
+    def empty(writer):
+        write_rows(writer, some_rows(0))
 
     with pytest.raises(
         LogError, match=r"/x: expected cdr with ros2msg, found json with jsonschema"
@@ -370,7 +372,7 @@ def test_schemas_and_files_that_cannot_be_read(tmp_path):
     with pytest.raises(LogError, match=r"/x: schema: field 'header'.*nested"):
         read_bytes(tmp_path, mcap_bytes(nested))
     with pytest.raises(LogError, match=r"expected messages on /levid/cycle, found none"):
-        read_bytes(tmp_path, mcap_bytes(silent))
+        read_bytes(tmp_path, mcap_bytes(empty))
     with pytest.raises(LogError, match="expected a channel with messages, found none"):
         read_bytes(tmp_path, mcap_bytes(lambda _: None))
     with pytest.raises(LogError, match="found an empty file"):
@@ -386,39 +388,39 @@ def test_schemas_and_files_that_cannot_be_read(tmp_path):
         read_log(tmp_path / "pipe")
 
 
-def test_a_rate_that_cannot_be_known_is_an_error(rows, tmp_path):
-    def still(writer):
+def test_unknown_rate_is_rejected(rows, tmp_path):
+    def with_equal_times(writer):
         schema = writer.register_schema("x/msg/Y", "ros2msg", ros2msg(DTYPE).encode())
         channel = writer.register_channel("/levid/cycle", "cdr", schema)
         for row in rows:
             writer.add_message(channel, 5, b"\0\1\0\0" + row.tobytes(), 5)
 
-    def wrong(writer):
+    def with_invalid_rate(writer):
         writer.add_metadata("levid", {"rate_hz": "fast"})
-        fill(writer, rows)
+        write_rows(writer, rows)
 
     with pytest.raises(LogError, match="expected rate_hz in a Metadata record"):
-        read_bytes(tmp_path, mcap_bytes(still))
+        read_bytes(tmp_path, mcap_bytes(with_equal_times))
     with pytest.raises(LogError, match="rate_hz: expected a positive number, found 'fast'"):
-        read_bytes(tmp_path, mcap_bytes(wrong))
+        read_bytes(tmp_path, mcap_bytes(with_invalid_rate))
 
 
-def test_a_private_record_between_chunks_is_skipped(path, rows, tmp_path):
+def test_private_record_between_chunks_is_skipped(path, rows, tmp_path):
     data = path.read_bytes()
     (_, before), (_, end) = chunks_of(data)[-2:]
     private = RECORD_HEAD.pack(0x90, 3) + b"abc"
-    # Without the summary, whose offsets would be wrong.
+    # The summary is cut off, because its offsets would be wrong.
     log = read_bytes(tmp_path, data[:before] + private + data[before:end])
     assert log.rows.tobytes() == rows.tobytes()
 
 
-def test_a_levid_log_copied_by_another_tool_is_read(path, rows, tmp_path):
-    # As the tools of MCAP do that recover or filter: every record, the one that vouches for the
-    # bytes before it too, which are others now.
+def test_levid_log_copied_by_another_tool_is_read(path, rows, tmp_path):
+    # MCAP's tools for recovery and filtering copy every record, including levid's checksum of the
+    # preceding bytes, which are then different.
     def copied(writer):
         for metadata in make_reader(io.BytesIO(path.read_bytes())).iter_metadata():
             writer.add_metadata(metadata.name, metadata.metadata)
-        fill(writer, rows)
+        write_rows(writer, rows)
 
     log = read_bytes(tmp_path, mcap_bytes(copied))
     assert log.complete
@@ -426,16 +428,16 @@ def test_a_levid_log_copied_by_another_tool_is_read(path, rows, tmp_path):
     assert log.metadata == read_log(path).metadata
 
 
-def test_statistics_that_count_no_messages_say_nothing(rows, tmp_path):
+def test_statistics_without_message_counts_are_ignored(rows, tmp_path):
     def build(writer):
-        fill(writer, rows)
+        write_rows(writer, rows)
         writer._Writer__statistics.channel_message_counts.clear()
 
     assert read_bytes(tmp_path, mcap_bytes(build)).complete
 
 
-def test_messages_outside_of_chunks_are_read_in_runs(rows, tmp_path, monkeypatch):
-    data = mcap_bytes(lambda w: fill(w, rows), use_chunking=False)
+def test_messages_outside_of_chunks_are_read_in_parts(rows, tmp_path, monkeypatch):
+    data = mcap_bytes(lambda w: write_rows(w, rows), use_chunking=False)
     monkeypatch.setattr(mcap_scan, "_RUN_BYTES", 3000)
     monkeypatch.setattr(mcap_scan, "MAX_CHUNK_BYTES", 10_000)
     assert len(scan(memoryview(data)).chunks) > 10

@@ -1,4 +1,4 @@
-"""The signal table, and the way between dtype and schema text."""
+"""Test the signal table and the conversion between dtype and schema text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from repository import DOCS
 from levid.log.errors import LogError
 from levid.log.signals import SIGNALS, cycle_dtype, dtype_from_ros2msg, markdown_table, ros2msg
 
-# A unit is the end of the name; the longest ending wins (`beam_m_s2` is m/s2, not s2).
+# The name of a signal ends with its unit; the longest ending counts (`beam_m_s2`: m/s2, not s2).
 UNIT_ENDINGS = {
     "_n_m": "N m",
     "_rad_s": "rad/s",
@@ -26,14 +26,14 @@ UNIT_ENDINGS = {
 
 
 @pytest.mark.parametrize("signal", SIGNALS, ids=lambda s: s.name)
-def test_the_name_of_a_signal_ends_with_its_unit(signal):
+def test_signal_name_ends_with_its_unit(signal):
     endings = [e for e in UNIT_ENDINGS if signal.name.endswith(e)]
     expected = UNIT_ENDINGS[max(endings, key=len)] if endings else "1"
     assert signal.unit == expected
 
 
 @pytest.mark.parametrize(("coils", "sensors"), [(9, 9), (4, 4), (3, 7), (16, 5), (1, 1)])
-def test_cycle_record_needs_no_padding_and_survives_the_schema(coils, sensors):
+def test_cycle_dtype_has_no_padding_and_round_trips_through_the_schema(coils, sensors):
     dtype = cycle_dtype(coils, sensors)
     assert dtype.itemsize == sum(dtype[name].itemsize for name in dtype.names)
     assert dtype["coil_n"].shape == (coils,)
@@ -41,20 +41,20 @@ def test_cycle_record_needs_no_padding_and_survives_the_schema(coils, sensors):
     assert dtype_from_ros2msg(ros2msg(dtype)) == dtype
 
 
-def test_schema_says_unit_and_meaning_of_every_field():
+def test_schema_has_unit_and_description_of_every_field():
     lines = ros2msg(cycle_dtype(9, 9)).splitlines()
     assert len(lines) == len(SIGNALS)
     for line, signal in zip(lines, SIGNALS, strict=True):
         assert line.endswith(f"  # [{signal.unit}] {signal.description}")
 
 
-def test_schema_of_other_fields_takes_their_units():
+def test_schema_of_other_fields_uses_their_units():
     dtype = np.dtype([("u_v", "<f8"), ("n", "u1")])
     assert ros2msg(dtype, {"u_v": "V"}) == "float64 u_v  # [V]\nuint8 n\n"
 
 
 @pytest.mark.parametrize(
-    ("dtype", "said"),
+    ("dtype", "expected_error"),
     [
         (np.dtype([("Gap", "<f4")]), "Gap"),
         (np.dtype([("a__b", "<f4")]), "a__b"),
@@ -66,12 +66,12 @@ def test_schema_of_other_fields_takes_their_units():
         (np.dtype("<f8"), "named fields"),
     ],
 )
-def test_dtype_that_no_schema_can_hold_is_refused(dtype, said):
-    with pytest.raises(LogError, match=said):
+def test_dtype_without_a_schema_is_rejected(dtype, expected_error):
+    with pytest.raises(LogError, match=expected_error):
         ros2msg(dtype)
 
 
-def test_foreign_schema_gets_cdr_offsets_as_the_independent_decoder_reads_them():
+def test_cdr_offsets_of_a_foreign_schema_agree_with_an_independent_decoder():
     text = """
 # a file-level comment
 uint8 MODE_FAST=1   # a constant is no field
@@ -103,7 +103,7 @@ string never_looked_at
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected_error"),
     [
         ("float64[] x", "'x'.*float64.* no fixed size"),
         ("float64[<=3] x", "'x'.*no fixed size"),
@@ -119,11 +119,11 @@ string never_looked_at
         ("\0\1\2", "type name"),
     ],
 )
-def test_schema_without_fixed_size_names_the_field(text, said):
-    with pytest.raises(LogError, match=said):
+def test_schema_without_fixed_size_is_rejected_with_the_field(text, expected_error):
+    with pytest.raises(LogError, match=expected_error):
         dtype_from_ros2msg(text)
 
 
-def test_the_table_of_the_docs_is_the_table_of_the_code():
+def test_signal_table_of_the_docs_is_up_to_date():
     text = (DOCS / "log-format.md").read_text()
     assert markdown_table() in text, "put levid.log.signals.markdown_table() into the docs"

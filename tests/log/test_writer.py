@@ -1,4 +1,4 @@
-"""What the writer leaves on disk, as others' MCAP readers see it."""
+"""Test the log writer: its files as other MCAP readers read them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def random_rows(count, dtype=DTYPE, seed=1):
-    """Rows of random bits (NaN and infinity among them), numbered from 2**32 - 100."""
+    """Return rows of random bits, including NaN and infinity, numbered from 2**32 - 100."""
     bits = np.random.default_rng(seed).integers(0, 256, (count, dtype.itemsize), np.uint8)
     rows = bits.view(dtype)[:, 0]
     rows["cycle"] = np.arange(count) + 2**32 - 100
@@ -58,7 +58,7 @@ def path(rows, tmp_path_factory):
     )
 
 
-def test_mcap_and_ros2_support_decode_every_field_of_every_row(path, rows):
+def test_mcap_ros2_decoder_reads_every_field_of_every_row(path, rows):
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         decoded = list(reader.iter_decoded_messages())
@@ -72,7 +72,7 @@ def test_mcap_and_ros2_support_decode_every_field_of_every_row(path, rows):
             )
 
 
-def test_streaming_reader_finds_all_crcs_right_and_all_records_in_place(path, rows):
+def test_streaming_reader_finds_correct_crcs_and_record_order(path, rows):
     with path.open("rb") as file:
         records = list(StreamReader(file, validate_crcs=True, emit_chunks=True).records)
     kinds = [kind for kind, _ in itertools.groupby(type(r).__name__ for r in records)]
@@ -91,7 +91,7 @@ def test_streaming_reader_finds_all_crcs_right_and_all_records_in_place(path, ro
         assert sum(1 for _ in reader.iter_messages(log_time_order=False)) == rows.size
 
 
-def test_summary_is_what_the_file_holds(path, rows):
+def test_summary_agrees_with_the_file(path, rows):
     with path.open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
@@ -119,7 +119,7 @@ def test_summary_is_what_the_file_holds(path, rows):
     assert schema.data.decode() == ros2msg(DTYPE)
 
 
-def test_index_leads_to_each_chunk_and_each_message(path):
+def test_index_has_the_offset_of_each_chunk_and_message(path):
     with path.open("rb") as file:
         indexes = make_reader(file).get_summary().chunk_indexes
         for index in indexes:
@@ -142,7 +142,7 @@ def test_index_leads_to_each_chunk_and_each_message(path):
         assert [m.log_time for _, _, m in found] == times_of(1200)[700:].tolist()
 
 
-def test_equal_input_gives_equal_bytes_however_it_is_cut_into_writes(path, rows, tmp_path):
+def test_file_is_independent_of_the_size_of_writes(path, rows, tmp_path):
     again = write(
         tmp_path / "b.mcap",
         rows,
@@ -154,14 +154,14 @@ def test_equal_input_gives_equal_bytes_however_it_is_cut_into_writes(path, rows,
     assert again.read_bytes() == path.read_bytes()
 
 
-def test_a_file_that_exists_is_left_alone(path, rows):
+def test_existing_file_is_not_overwritten(path, rows):
     before = path.read_bytes()
     with pytest.raises(LogError, match="exists"):
         LogWriter(path, DTYPE, rate_hz=1000, chunk_s=0.5, metadata={}, attachments={})
     assert path.read_bytes() == before
 
 
-def test_chunks_hold_at_most_their_time_and_8192_rows(tmp_path):
+def test_chunks_have_at_most_their_duration_and_8192_rows(tmp_path):
     for rate_hz, expected in ((10.0, 9), (1000.0, 900), (100_000.0, MAX_CHUNK_ROWS)):
         path = tmp_path / f"{rate_hz}.mcap"
         rows = random_rows(2 * expected)
@@ -171,7 +171,7 @@ def test_chunks_hold_at_most_their_time_and_8192_rows(tmp_path):
             assert len(make_reader(file).get_summary().chunk_indexes) == 2
 
 
-def test_what_was_written_before_a_crash_opens_to_its_last_whole_chunk(tmp_path, rows):
+def test_log_without_close_has_its_complete_chunks(tmp_path, rows):
     log = LogWriter(
         tmp_path / "a.mcap",
         DTYPE,
@@ -181,7 +181,7 @@ def test_what_was_written_before_a_crash_opens_to_its_last_whole_chunk(tmp_path,
         attachments={"a.txt": b"x"},
     )
     log.write(rows[:1750], times_of(1750))
-    # No close: what a killed process leaves is what the file holds now.
+    # Without close: the file as a killed process leaves it.
     found = read_log(log.path)
     assert not found.complete
     assert found.rows.tobytes() == rows[:1500].tobytes()
@@ -190,7 +190,7 @@ def test_what_was_written_before_a_crash_opens_to_its_last_whole_chunk(tmp_path,
     assert read_log(log.path).complete
 
 
-def test_an_error_in_the_middle_still_leaves_a_whole_log(tmp_path, rows):
+def test_log_is_complete_after_an_exception(tmp_path, rows):
     path = tmp_path / "a.mcap"
 
     def fly():
@@ -205,7 +205,7 @@ def test_an_error_in_the_middle_still_leaves_a_whole_log(tmp_path, rows):
     assert found.rows.size == 700
 
 
-def test_rows_of_another_kind_and_writes_after_close_are_refused(tmp_path, rows):
+def test_rows_of_another_dtype_and_writes_after_close_are_rejected(tmp_path, rows):
     log = LogWriter(
         tmp_path / "a.mcap", DTYPE, rate_hz=1000, chunk_s=0.5, metadata={}, attachments={}
     )
@@ -221,10 +221,10 @@ def test_rows_of_another_kind_and_writes_after_close_are_refused(tmp_path, rows)
 
 
 class FullDisk:
-    """A file on a disk that takes `room` bytes more."""
+    """A file on a disk with `room` free bytes."""
 
-    def __init__(self, file, room):
-        self.file, self.room = file, room
+    def __init__(self, file, free_bytes):
+        self.file, self.free_bytes = file, free_bytes
 
     @property
     def closed(self):
@@ -234,14 +234,14 @@ class FullDisk:
         self.file.close()
 
     def write(self, data):
-        if not self.room:
+        if not self.free_bytes:
             raise OSError(errno.ENOSPC, "No space left on device")
-        count = self.file.write(data[: self.room])
-        self.room -= count
+        count = self.file.write(data[: self.free_bytes])
+        self.free_bytes -= count
         return count
 
 
-def test_a_full_disk_is_an_error_and_the_log_ends_with_its_last_whole_chunk(tmp_path, rows):
+def test_full_disk_gives_an_error_and_a_log_of_complete_chunks(tmp_path, rows):
     path = tmp_path / "a.mcap"
 
     def fly():
@@ -258,12 +258,12 @@ def test_a_full_disk_is_an_error_and_the_log_ends_with_its_last_whole_chunk(tmp_
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, -1.0, np.nan, np.inf])
-def test_a_rate_that_is_none_is_refused_before_there_is_a_file(tmp_path, rate_hz):
+def test_invalid_rate_is_rejected_without_creating_a_file(tmp_path, rate_hz):
     with pytest.raises(LogError, match="positive rate"):
         LogWriter(tmp_path / "a.mcap", DTYPE, rate_hz=rate_hz, metadata={}, attachments={})
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_that_is_missing_is_a_clear_error(tmp_path):
+def test_missing_folder_is_reported(tmp_path):
     with pytest.raises(LogError, match="cannot be created: No such file"):
         LogWriter(tmp_path / "no" / "a.mcap", DTYPE, rate_hz=1, metadata={}, attachments={})

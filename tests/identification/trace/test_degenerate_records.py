@@ -1,4 +1,4 @@
-"""Sets of records that a trace cannot use, or not for everything, are told from those it can."""
+"""Test records that a trace cannot use: they are rejected or left out with a reason."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from levid.model.effects.search_range import Extent
 NOISE_M = 2e-7
 
 
-def waves(seed: int, seconds: float, noise_m: float) -> np.ndarray:
-    """Return a force and what it makes of the mass once it has settled (N, 2)."""
+def settled_response(seed: int, seconds: float, noise_m: float) -> np.ndarray:
+    """Return a multisine force and the steady-state position of the mass (N, 2)."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(250 * seconds)) / 250
     omega, phase = 2 * np.pi * rng.uniform(0.5, 15.0, 10), rng.uniform(0, 2 * np.pi, 10)
@@ -48,20 +48,20 @@ def traced(paths: Sequence[Path]) -> Trace:
     return trace(paths, CONFIG, all_effects, Alone(CONFIG), lambda *_: None)
 
 
-def test_too_little_to_judge_by_is_told_with_what_is_needed(tmp_path: Path) -> None:
-    # Three are left to fit to, of a block each: no effect could be fitted to four and tried on one.
-    short = [waves(i, 3.0, NOISE_M) for i in range(4)]
+def test_too_little_data_are_rejected_with_the_required_length(tmp_path: Path) -> None:
+    # Three records of one block each remain for the fit: too few for five-fold cross-validation.
+    short = [settled_response(i, 3.0, NOISE_M) for i in range(4)]
     with pytest.raises(IdentificationError, match=r"at least 20 s .* found 9 s in 3 records"):
         traced(logs(tmp_path, short))
 
 
-def test_records_without_noise_are_told(tmp_path: Path) -> None:
+def test_records_without_noise_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(IdentificationError, match="expected readings with sensor noise"):
-        traced(logs(tmp_path, [waves(i, 16.0, 0.0) for i in range(2)]))
+        traced(logs(tmp_path, [settled_response(i, 16.0, 0.0) for i in range(2)]))
 
 
-def test_a_record_with_a_frozen_sensor_is_left_out_and_named(tmp_path: Path) -> None:
-    tables = [waves(i, 4.0, NOISE_M) for i in range(3)]
+def test_record_with_a_frozen_output_is_left_out_with_its_name(tmp_path: Path) -> None:
+    tables = [settled_response(i, 4.0, NOISE_M) for i in range(3)]
     tables[1][:, 1] = 1e-4
     paths = logs(tmp_path, tables)
     records, notes = read_records(paths, CONFIG)
@@ -71,8 +71,8 @@ def test_a_record_with_a_frozen_sensor_is_left_out_and_named(tmp_path: Path) -> 
         read_records(paths[1:2], CONFIG)
 
 
-def test_one_frozen_sensor_of_nine_is_named_by_its_number(tmp_path: Path) -> None:
-    (path,) = logs(tmp_path, [waves(0, 4.0, NOISE_M)])
+def test_frozen_sensor_of_nine_is_reported_by_its_number(tmp_path: Path) -> None:
+    (path,) = logs(tmp_path, [settled_response(0, 4.0, NOISE_M)])
     made = trace_record(read_log(path), CONFIG)
     gap = np.random.default_rng(1).standard_normal((made.rows, 9))
     gap[:, 5] = -2e-4
@@ -81,8 +81,8 @@ def test_one_frozen_sensor_of_nine_is_named_by_its_number(tmp_path: Path) -> Non
         require_live(replace(made, places=places, gap=gap), path)
 
 
-def test_a_value_that_is_none_is_told_with_record_and_row(tmp_path: Path) -> None:
-    (path,) = logs(tmp_path, [waves(0, 4.0, NOISE_M)])
+def test_nan_is_reported_with_record_and_row(tmp_path: Path) -> None:
+    (path,) = logs(tmp_path, [settled_response(0, 4.0, NOISE_M)])
     log = read_log(path)
     rows = log.rows.copy()
     rows["x_m"][[700, 702]] = np.nan
@@ -93,25 +93,25 @@ def test_a_value_that_is_none_is_told_with_record_and_row(tmp_path: Path) -> Non
         trace_record(replace(log, rows=rows), CONFIG)
 
 
-def after(record: TraceRecord, by_s: float) -> TraceRecord:
+def later(record: TraceRecord, by_s: float) -> TraceRecord:
     return replace(record, time_s=record.time_s + by_s)
 
 
-def test_records_that_begin_at_one_time_do_not_tell_what_came_first(tmp_path: Path) -> None:
+def test_overlapping_records_are_reported(tmp_path: Path) -> None:
     made = [
         trace_record(read_log(path), CONFIG)
-        for path in logs(tmp_path, [waves(i, 4.0, NOISE_M) for i in range(2)])
+        for path in logs(tmp_path, [settled_response(i, 4.0, NOISE_M) for i in range(2)])
     ]
     assert overlap(made) == "made-0 0 to 3.996 s and made-1 0 to 3.996 s"
-    assert overlap([made[0], after(made[1], 4.0)]) == ""
-    assert overlap([after(made[0], 4.0), made[1]]) == ""
+    assert overlap([made[0], later(made[1], 4.0)]) == ""
+    assert overlap([later(made[0], 4.0), made[1]]) == ""
 
 
-def test_what_depends_on_the_time_of_a_session_is_told_from_what_does_not() -> None:
+def test_effects_that_depend_on_session_time_are_separated() -> None:
     places = rig_places((100.0, 160.0))
     covered = Extent.typical(places)
     kept, timed = timeless(all_effects(places, covered), places, covered)
-    # A payload comes at a time, a drift grows with it, a tone has its phase in it.
+    # A payload has a time of attachment, a drift grows with time, a tone has a phase.
     others = {e.key for e in timed if not e.key.startswith(("vibration.", "thermal_drift"))}
     assert others == {
         "payload", "force_offset.drift", "sensor_offset.drift", "sensor_offset.warm_up",
@@ -130,8 +130,8 @@ def test_what_depends_on_the_time_of_a_session_is_told_from_what_does_not() -> N
         require_timeless(placed, places, covered, "a and b")
 
 
-def test_a_log_given_twice_or_copied_is_used_once(tmp_path: Path) -> None:
-    first, second = logs(tmp_path, [waves(i, 4.0, NOISE_M) for i in range(2)])
+def test_log_given_twice_or_copied_is_used_once(tmp_path: Path) -> None:
+    first, second = logs(tmp_path, [settled_response(i, 4.0, NOISE_M) for i in range(2)])
     copy, link = tmp_path / "copy.mcap", tmp_path / "link.mcap"
     copy.write_bytes(first.read_bytes())
     link.symlink_to(second)
@@ -143,15 +143,15 @@ def test_a_log_given_twice_or_copied_is_used_once(tmp_path: Path) -> None:
     )
 
 
-def test_a_record_of_a_moment_is_left_out_and_named(tmp_path: Path) -> None:
-    paths = logs(tmp_path, [waves(0, 4.0, NOISE_M), waves(1, 0.5, NOISE_M)])
+def test_record_below_one_second_is_left_out_with_its_name(tmp_path: Path) -> None:
+    paths = logs(tmp_path, [settled_response(0, 4.0, NOISE_M), settled_response(1, 0.5, NOISE_M)])
     records, notes = read_records(paths, CONFIG)
     assert list(records) == paths[:1]
     assert notes == ("made-1.mcap: left out: expected at least 1 s, found 0.5 s",)
 
 
-def test_a_log_without_its_end_is_told(tmp_path: Path) -> None:
-    (path,) = logs(tmp_path, [waves(0, 8.0, NOISE_M)])
+def test_truncated_log_gives_a_note(tmp_path: Path) -> None:
+    (path,) = logs(tmp_path, [settled_response(0, 8.0, NOISE_M)])
     path.write_bytes(path.read_bytes()[:-2000])
     _, (note,) = read_records([path], CONFIG)
     assert note.startswith("made-0: the log is truncated (")
@@ -161,21 +161,21 @@ def test_a_log_without_its_end_is_told(tmp_path: Path) -> None:
     ("seconds", "fitted_s", "held_s"),
     [
         ((16.0, 16.0), [16.0], [16.0]),
-        # Of 2 s nothing could be judged: the end of the long one is held out as well.
+        # 2 s are too short for a test: the end of the long record is held out as well.
         ((20.0, 2.0), [12.0], [8.0, 2.0]),
         ((2.0, 20.0), [2.0], [20.0]),
         ((20.0,), [12.0], [8.0]),
         ((2.0,), [2.0], []),
     ],
 )
-def test_what_is_held_out_is_a_share_of_the_time(
+def test_held_out_data_are_a_share_of_the_total_time(
     tmp_path: Path, seconds: tuple[float, ...], fitted_s: list[float], held_s: list[float]
 ) -> None:
-    paths = logs(tmp_path, [waves(i, s, NOISE_M) for i, s in enumerate(seconds)])
+    paths = logs(tmp_path, [settled_response(i, s, NOISE_M) for i, s in enumerate(seconds)])
     records, _ = read_records(paths, CONFIG)
     parts = split(list(records.values()))
-    told = [[round(r.rows * r.experiment.Ts_s, 6) for r in part] for part in parts]
-    assert told == [fitted_s, held_s]
+    durations_s = [[round(r.rows * r.experiment.Ts_s, 6) for r in part] for part in parts]
+    assert durations_s == [fitted_s, held_s]
 
 
 TWO = """
@@ -204,16 +204,18 @@ columns:
 """
 
 
-@pytest.mark.parametrize(("unit", "louder", "fine"), [("m", 1, 1), ("m", 20, 0), ("rad", 1, 0)])
-def test_outputs_that_one_noise_cannot_stand_for_are_told(
-    tmp_path: Path, unit: str, louder: float, fine: bool
+@pytest.mark.parametrize(
+    ("unit", "noise_ratio", "accepted"), [("m", 1, 1), ("m", 20, 0), ("rad", 1, 0)]
+)
+def test_outputs_of_different_units_or_noise_are_rejected(
+    tmp_path: Path, unit: str, noise_ratio: float, accepted: bool
 ) -> None:
-    one, other = waves(0, 4.0, NOISE_M), waves(1, 4.0, louder * NOISE_M)
+    one, other = settled_response(0, 4.0, NOISE_M), settled_response(1, 4.0, noise_ratio * NOISE_M)
     rows = np.stack([one[:, 0], other[:, 0], one[:, 1], other[:, 1]], axis=1)
     path = imported(tmp_path, "two", rows, TWO_SIGNALS.replace("UNIT", unit))
     config = parse_text(TWO.replace("UNIT", unit), ModelConfig, "two")
     record = trace_record(read_log(path), config)
-    if fine:
+    if accepted:
         require_noise([record])
         return
     with pytest.raises(IdentificationError, match=r"in one unit and with similar noise.*x_m"):

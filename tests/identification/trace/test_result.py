@@ -1,4 +1,4 @@
-"""What a result says of itself: when its names are in doubt."""
+"""Test the verdict of a trace: when the named effects are in doubt."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ def result(before: float, after: float, *, named: bool = True) -> Outcome:
     return Outcome(effects, (), before, after, 1.0, (), after**2, 1.0, (), (), ())
 
 
-def nothing(mean_square: float = 1.0, *, measured: bool = True) -> Outcome:
+def without_effects(mean_square: float = 1.0, *, measured: bool = True) -> Outcome:
     return Outcome((), (), 1.0, 1.0, 1.0, (), mean_square, 1.0, (), (), (), noise_measured=measured)
 
 
 @pytest.mark.parametrize(
     ("before", "after", "doubtful"),
     [
-        (20.0, 14.0, True),  # half is left: something else is there
-        (20.0, 5.0, False),  # much is left, of an effect that explains 94 %
+        (20.0, 14.0, True),  # half of the error remains: another effect exists
+        (20.0, 5.0, False),  # much remains, but the effect explains 94 %
         (20.0, 1.0, False),
-        (2.5, 1.9, False),  # little is left, of whatever it was
+        (2.5, 1.9, False),  # little remains
         (2.5, 2.4, True),
         (20.0, 20.0, True),
     ],
 )
-def test_names_that_explain_little_of_much_are_in_doubt(
+def test_effects_that_explain_little_of_a_large_error_are_in_doubt(
     before: float, after: float, doubtful: bool
 ) -> None:
     found = result(before, after)
@@ -46,57 +46,60 @@ def test_names_that_explain_little_of_much_are_in_doubt(
     assert found.verdict.startswith("perhaps: Cubic" if doubtful else "found: Cubic")
 
 
-def test_a_name_beside_a_free_form_at_its_place_may_be_a_part_of_it() -> None:
+def test_effect_at_the_location_of_a_free_form_may_be_part_of_it() -> None:
     forms = freeform_effects(rig_places(), EXTENT)
     at_z, at_psi = (next(e for e in forms if e.where == (dof,)) for dof in ("z", "psi"))
     cubic = FoundEffect(Placed(CUBIC, (), (1.0,)), None)
-    for form, told in ((at_z, (at_z.name,)), (at_psi, ())):
+    for form, expected in ((at_z, (at_z.name,)), (at_psi, ())):
         free = FoundEffect(Placed(form, (), (0.0,) * len(form.amplitudes)), None)
         found = Outcome((cubic, free), (), 20.0, 2.0, 1.0, (), 4.0, 1.0, (), (), ())
-        assert found.perhaps_part_of(cubic) == told
+        assert found.perhaps_part_of(cubic) == expected
         assert found.perhaps_part_of(free) == ()
-        assert ("perhaps a part of" in found.verdict) == bool(told)
+        assert ("perhaps a part of" in found.verdict) == bool(expected)
 
 
-def test_what_all_coils_do_alike_may_be_a_part_of_a_force_on_any_dof() -> None:
-    """As of steel that draws the beam: the coils were blamed, and the rest described freely."""
+def test_common_effect_of_all_coils_may_be_part_of_a_free_force_on_a_dof() -> None:
+    """For example, steel attracts the beam, and the coils explain a part of this force."""
     forms = {e.where: e for e in freeform_effects(rig_places(), EXTENT)}
     effects = [e for e in all_effects(rig_places()) if e.key == "force_constant.linear"]
     of_all, of_one = (
         next(e for e in effects if len(e.where) == count and "coil:3" in e.where)
         for count in (9, 1)
     )
-    for where, told in ((("theta",), (True, False)), (("sensor:3",), (False, False))):
+    for where, expected in ((("theta",), (True, False)), (("sensor:3",), (False, False))):
         form = forms[where]
         free = FoundEffect(Placed(form, (), (0.0,) * len(form.amplitudes)), None)
-        for effect, doubted in zip((of_all, of_one), told, strict=True):
+        for effect, doubted in zip((of_all, of_one), expected, strict=True):
             named = FoundEffect(Placed(effect, (), (1.0,)), None)
             found = Outcome((named, free), (), 20.0, 2.0, 1.0, (), 4.0, 1.0, (), (), ())
             assert found.perhaps_part_of(named) == ((form.name,) if doubted else ())
 
 
-def test_who_names_nothing_is_in_no_doubt() -> None:
+def test_result_without_effects_is_not_in_doubt() -> None:
     assert not result(20.0, 19.0, named=False).doubtful
     assert math.isnan(result(0.9, 1.0).explained)
     assert not result(0.9, 1.0).doubtful
 
 
-def test_errors_far_below_the_noise_tell_that_it_was_none() -> None:
-    told = nothing(0.3)
-    assert told.overrated
-    assert not told.significant
-    assert told.verdict.startswith("no conclusion: the one-step errors have only 0.3 of")
-    assert not nothing(0.9).overrated
-    assert nothing(0.9).verdict == "nothing found: the model explains the records down to the noise"
+def test_errors_far_below_the_noise_show_an_overestimated_noise() -> None:
+    expected = without_effects(0.3)
+    assert expected.overrated
+    assert not expected.significant
+    assert expected.verdict.startswith("no conclusion: the one-step errors have only 0.3 of")
+    assert not without_effects(0.9).overrated
+    assert (
+        without_effects(0.9).verdict
+        == "nothing found: the model explains the records down to the noise"
+    )
 
 
-def test_noise_that_no_still_record_told_is_not_called_noise() -> None:
-    assert "the fit's noise estimate" in nothing(measured=False).verdict
+def test_verdict_mentions_noise_estimated_by_the_fit() -> None:
+    assert "the fit's noise estimate" in without_effects(measured=False).verdict
     assert result(20.0, 1.0).rest == "the residual is noise"
     assert replace(result(20.0, 1.0), noise_measured=False).rest.endswith("by the fit's estimate")
 
 
-def test_what_would_tell_two_apart_is_said_of_both() -> None:
+def test_distinguishing_experiments_are_listed_for_effect_and_rival() -> None:
     rival = next(e for e in all_effects(rig_places()) if e.identity == "air_damping.quadratic@z")
     evidence = Evidence(9.0, True, 100.0, 0.5, 1, (rival,))
     found = FoundEffect(Placed(CUBIC, (), (1.0,)), evidence)
@@ -104,12 +107,12 @@ def test_what_would_tell_two_apart_is_said_of_both() -> None:
     assert telling(replace(found, evidence=None)) == CUBIC.told_apart_by
 
 
-def test_every_free_form_says_what_would_tell_it() -> None:
+def test_every_free_form_has_a_distinguishing_experiment() -> None:
     assert all(e.told_apart_by for e in freeform_effects(rig_places(), EXTENT))
 
 
-def test_there_is_a_verdict_on_every_effect_beside_every_free_form() -> None:
-    """Bending modes have no one place."""
+def test_verdict_exists_for_every_effect_with_free_forms() -> None:
+    """Bending modes have no single location."""
     places = rig_places()
     free = tuple(
         FoundEffect(Placed(form, (), (0.0,) * len(form.amplitudes)), None)

@@ -1,4 +1,4 @@
-"""Workers of a trace end with whoever has them, however that ends; whoever loses them goes on."""
+"""Test the workers of a trace: none stays behind, and a lost worker does not end the trace."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from levid.identification.trace.worker_pool import (
     local_workers,
 )
 
-GIVE_UP_S = 60.0
+TIMEOUT_S = 60.0
 SCRIPT = """
 import multiprocessing, os, signal, sys, time
 from levid.config.model import load_model
@@ -38,7 +38,7 @@ from levid.config.shipped import shipped
 from levid.identification.trace.worker_pool import local_workers
 
 if __name__ == "__main__":
-    # A shell has its background jobs ignore it, and their children too.
+    # A shell lets background jobs and their children ignore SIGINT.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     with local_workers(load_model(shipped("models/rig.yaml")), 2) as workers:
         futures = [workers.executor.submit(time.sleep, 600.0) for _ in range(6)]
@@ -48,7 +48,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_no_worker_is_left_behind(tmp_path: Path, number: int) -> None:
+def test_workers_end_with_the_process_that_started_them(tmp_path: Path, number: int) -> None:
     script = tmp_path / "tracing.py"
     script.write_text(SCRIPT)
     process = subprocess.Popen(
@@ -57,20 +57,20 @@ def test_no_worker_is_left_behind(tmp_path: Path, number: int) -> None:
     assert process.stdout is not None
     pids = [int(word) for word in process.stdout.readline().split()]
     assert len(pids) == 2
-    time.sleep(1.0)  # they begin, and wait for what they are to do
+    time.sleep(1.0)  # workers start and wait for tasks
     process.send_signal(number)
-    _, said = process.communicate(timeout=GIVE_UP_S)  # its pipes are theirs as well
-    give_up_s = time.monotonic() + GIVE_UP_S
-    while any(_there(pid) for pid in pids):
-        assert time.monotonic() < give_up_s
+    _, stderr = process.communicate(timeout=TIMEOUT_S)  # the workers share its pipes
+    deadline_s = time.monotonic() + TIMEOUT_S
+    while any(_exists(pid) for pid in pids):
+        assert time.monotonic() < deadline_s
         time.sleep(0.05)
     if number == signal.SIGINT:
-        assert said.count("Traceback") == 1  # that of the script itself
+        assert stderr.count("Traceback") == 1  # the traceback of the script
     else:
-        assert "Traceback" not in said
+        assert "Traceback" not in stderr
 
 
-def _there(pid: int) -> bool:
+def _exists(pid: int) -> bool:
     with contextlib.suppress(ProcessLookupError):
         os.kill(pid, 0)
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
@@ -80,20 +80,20 @@ def _there(pid: int) -> bool:
 
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> list[RecordSource]:
-    """Records of 1000, 900, ... rows."""
+    """Return sources of records with 1000, 900 and 800 rows."""
     folder, rng = tmp_path_factory.mktemp("logs"), np.random.default_rng(0)
     paths = [imported(folder, f"r{k}", rng.normal(size=(1000, 2))) for k in range(3)]
     return [RecordSource.of(path, 0, 1000 - 100 * k, (0.0, 1.0)) for k, path in enumerate(paths)]
 
 
 def rows_unless_in_a_worker(record: TraceRecord) -> int:
-    """Die where somebody else works, as a process that takes too much memory does."""
+    """Kill this process if it is a worker, like the kernel does when memory runs out."""
     if multiprocessing.parent_process() is not None:
         os.kill(os.getpid(), signal.SIGKILL)
     return record.rows
 
 
-def refuse(record: TraceRecord) -> int:
+def reject(record: TraceRecord) -> int:
     raise IdentificationError(f"not {record.name}")
 
 
@@ -101,45 +101,45 @@ def threads_here(_: TraceRecord) -> list[int]:
     return [int(pool["num_threads"]) for pool in threadpool_info()]
 
 
-def test_who_loses_a_worker_goes_on_alone_and_says_so(sources: list[RecordSource]) -> None:
-    said: list[str] = []
-    with local_workers(CONFIG, 2, said.append) as spread:
+def test_trace_continues_in_one_process_when_a_worker_dies(sources: list[RecordSource]) -> None:
+    messages: list[str] = []
+    with local_workers(CONFIG, 2, messages.append) as spread:
         assert spread.map(rows_unless_in_a_worker, sources) == [1000, 900, 800]
         assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
-    (line,) = said
+    (line,) = messages
     assert line.startswith("lost a worker (BrokenProcessPool")
     assert line.endswith("; continuing in this process")
 
 
-def test_what_a_record_is_refused_for_is_no_loss(sources: list[RecordSource]) -> None:
-    said: list[str] = []
+def test_error_in_a_task_is_raised_and_no_worker_is_lost(sources: list[RecordSource]) -> None:
+    messages: list[str] = []
     with (
-        pytest.raises(IdentificationError, match="not r0") as refused,
-        local_workers(CONFIG, 2, said.append) as spread,
+        pytest.raises(IdentificationError, match="not r0") as rejected,
+        local_workers(CONFIG, 2, messages.append) as spread,
     ):
-        spread.map(refuse, sources)
-    assert said == []
-    # Where it happened is told to who looks for it.
-    assert any("in refuse" in note for note in refused.value.__notes__)
+        spread.map(reject, sources)
+    assert messages == []
+    # The notes of the error contain the worker's traceback.
+    assert any("in reject" in note for note in rejected.value.__notes__)
 
 
-def test_an_executor_without_anybody_is_left_after_a_while(
+def test_trace_continues_in_one_process_if_no_worker_is_free(
     sources: list[RecordSource], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker_pool, "_POLL_S", 0.05)
     monkeypatch.setattr(worker_pool, "_NO_WORKERS_TIMEOUT_S", 0.2)
-    said: list[str] = []
+    messages: list[str] = []
     with ThreadPoolExecutor(1) as pool:
-        busy = pool.submit(time.sleep, 1.0)  # nobody has time
-        spread = Spread(CONFIG, pool, "the others", said.append, lambda: False)
+        busy = pool.submit(time.sleep, 1.0)  # the only worker is busy
+        spread = Spread(CONFIG, pool, "the others", messages.append, lambda: False)
         assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
         assert not busy.done()
-    assert said == [
+    assert messages == [
         "lost the others (IdentificationError: no workers for 0 s); continuing in this process"
     ]
 
 
-def test_a_source_is_the_same_wherever_its_worker_stands(
+def test_source_is_independent_of_the_working_directory(
     sources: list[RecordSource], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     folder = sources[0].path.parent
@@ -149,7 +149,7 @@ def test_a_source_is_the_same_wherever_its_worker_stands(
     assert relative == sources[0]
 
 
-def test_another_file_at_the_path_of_a_log_is_refused(tmp_path: Path) -> None:
+def test_log_that_changed_is_rejected(tmp_path: Path) -> None:
     path = imported(tmp_path, "log", np.random.default_rng(1).normal(size=(500, 2)))
     source = RecordSource.of(path, 0, 500, (0.0, 1.0))
     path.write_bytes(path.read_bytes() + b"more")
@@ -157,18 +157,20 @@ def test_another_file_at_the_path_of_a_log_is_refused(tmp_path: Path) -> None:
         Alone(CONFIG).map(attrgetter("rows"), [source])
 
 
-def test_records_are_kept_up_to_so_many_bytes(sources: list[RecordSource]) -> None:
+def test_record_cache_keeps_recently_used_records_within_its_size(
+    sources: list[RecordSource],
+) -> None:
     record = worker_pool._read(sources[0], CONFIG.model_dump_json())
     assert record.nbytes > 1000 * 8 * 4
     kept = worker_pool._Kept(3 * record.nbytes)
     for key in range(5):
         kept.put(key, record)
         assert kept.get(0) is record
-    # The first was asked for after each: it stays, with the last two that came.
+    # The first was read after each: it stays, with the last two.
     assert [kept.get(key) is not None for key in range(5)] == [True, False, False, True, True]
 
 
-def test_a_part_keeps_no_whole(sources: list[RecordSource]) -> None:
+def test_part_of_a_record_does_not_keep_the_whole_in_memory(sources: list[RecordSource]) -> None:
     part = worker_pool._read(sources[1], CONFIG.model_dump_json())
     assert part.rows == 900
     assert part.gap.base is None or part.gap.base.nbytes <= part.gap.nbytes
@@ -176,7 +178,7 @@ def test_a_part_keeps_no_whole(sources: list[RecordSource]) -> None:
 
 @pytest.fixture(scope="module")
 def cluster():
-    """A real scheduler of dask.distributed, with a worker in a process of its own."""
+    """Start a scheduler of dask.distributed with one worker process."""
     distributed = pytest.importorskip("distributed", reason="levid[cluster] is not installed")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=2, host="127.0.0.1", dashboard_address=":0"
@@ -184,7 +186,7 @@ def cluster():
         yield cluster
 
 
-def test_workers_of_several_threads_have_one_for_the_algebra(
+def test_worker_threads_use_one_linear_algebra_thread_each(
     cluster, sources: list[RecordSource]
 ) -> None:
     with cluster_workers(CONFIG, cluster.scheduler_address) as spread:
@@ -192,7 +194,7 @@ def test_workers_of_several_threads_have_one_for_the_algebra(
     assert all(threads == 1 for pool in pools for threads in pool)
 
 
-def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scheduler_without_workers_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(worker_pool, "_CONNECT_TIMEOUT_S", 2.0)
     with (
@@ -203,31 +205,35 @@ def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) ->
         pass
 
 
-def test_who_loses_a_cluster_goes_on_alone(sources: list[RecordSource]) -> None:
+def test_trace_continues_in_one_process_when_the_cluster_closes(
+    sources: list[RecordSource],
+) -> None:
     distributed = pytest.importorskip("distributed")
-    said: list[str] = []
+    messages: list[str] = []
     with (
         distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"
-        ) as doomed,
-        cluster_workers(CONFIG, doomed.scheduler_address, said.append) as spread,
+        ) as closed_cluster,
+        cluster_workers(CONFIG, closed_cluster.scheduler_address, messages.append) as spread,
     ):
         assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
-        doomed.close()
+        closed_cluster.close()
         assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
         assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
-    (line,) = said
+    (line,) = messages
     assert line.startswith("lost --dask tcp://127.0.0.1")
 
 
-def test_a_cluster_that_is_long_gone_takes_nothing_back(sources: list[RecordSource]) -> None:
-    """A client that finds nobody for ten seconds closes by itself: it cannot be told to end."""
+def test_results_are_kept_when_the_cluster_client_closed_itself(
+    sources: list[RecordSource],
+) -> None:
+    """A client without a scheduler closes itself after ten seconds; closing it again must work."""
     distributed = pytest.importorskip("distributed")
     with (
         distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"
-        ) as doomed,
-        cluster_workers(CONFIG, doomed.scheduler_address, pytest.fail) as spread,
+        ) as closed_cluster,
+        cluster_workers(CONFIG, closed_cluster.scheduler_address, pytest.fail) as spread,
     ):
         assert spread.map(attrgetter("rows"), sources) == [1000, 900, 800]
         assert isinstance(spread, Spread)

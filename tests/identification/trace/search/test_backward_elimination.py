@@ -1,4 +1,4 @@
-"""Names that free forms make idle are given up, each by itself; what is not idle stays."""
+"""Test backward elimination: named effects that a free form makes redundant are removed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from levid.model.effects.search_range import Extent
 NAMED = {e.identity: e for e in all_effects(rig_places())}
 FORM = freeform_effects(rig_places(), Extent.typical(rig_places()))[0]
 WORTH = {"coil_gain@coil:1": 1e6, "coil_gain@coil:2": 0.0, "coil_gain@coil:3": 0.0}
-"""Squared errors that come back without each: the plant has the first alone."""
+"""Increase of the squared error without each effect; the plant has only the first."""
 
 
 @dataclass(frozen=True)
@@ -25,23 +25,23 @@ class Point:
     placed: tuple[Placed, ...]
 
 
-def squares(point: Point) -> float:
+def squared_error(point: Point) -> float:
     there = {p.effect.identity for p in point.placed}
     return 1000.0 + sum(worth for name, worth in WORTH.items() if name not in there)
 
 
-def refined(point: Point, _: object, within: float) -> tuple[Point, float]:
-    """A fit makes every effect anew, as one with other values."""
-    return replace(point, placed=tuple(replace(p) for p in point.placed)), squares(point)
+def refit(point: Point, _: object, within: float) -> tuple[Point, float]:
+    """Stand in for a fit, which returns new objects for all effects."""
+    return replace(point, placed=tuple(replace(p) for p in point.placed)), squared_error(point)
 
 
 @pytest.mark.parametrize("order", [(1, 2, 3), (2, 1, 3), (3, 2, 1)])
-def test_each_idle_name_is_given_up(order, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(backward_elimination, "refine", refined)
+def test_each_redundant_effect_is_removed(order, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backward_elimination, "refine", refit)
     monkeypatch.setattr(
         backward_elimination,
         "gather",
-        lambda point, _: SimpleNamespace(squares=squares(point), excess=10.0),
+        lambda point, _: SimpleNamespace(squares=squared_error(point), excess=10.0),
     )
     names = [f"coil_gain@coil:{i}" for i in order]
     effects = [*(NAMED[name] for name in names), FORM]

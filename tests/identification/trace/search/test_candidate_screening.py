@@ -1,4 +1,4 @@
-"""Who is asked whether an effect is there: records held out, or blocks of time of the others."""
+"""Test the screening of candidates: agreement of held-out records, thresholds to be fitted."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ NAMED = {e.identity: e for e in all_effects(rig_places())}
 @pytest.mark.parametrize(
     ("blocks", "shown", "agrees", "between", "told"),
     [
-        (20, 2.0, 1.0, 25.0, (25.0, False)),  # it does nothing in them
-        (20, 4.5, 4.5, 100.0, (100.0, False)),  # too little for them to agree by six
-        (20, 4.5, 1.0, 100.0, (1.0, True)),  # less than they should: they contradict
-        (20, 4.5, 4.5, 15.0, (4.5, True)),  # the others are in doubt
+        (20, 2.0, 1.0, 25.0, (25.0, False)),  # no effect in held-out records
+        (20, 4.5, 4.5, 100.0, (100.0, False)),  # too small in them to reach a statistic of six
+        (20, 4.5, 1.0, 100.0, (1.0, True)),  # less than expected: they contradict
+        (20, 4.5, 4.5, 15.0, (4.5, True)),  # the fitted records are uncertain
         (20, 4.5, 6.5, 100.0, (6.5, True)),
         (20, 30.0, 4.0, 100.0, (4.0, True)),
-        (4, 30.0, 30.0, 12.0, (12.0, True)),  # what four blocks scatter by nobody knows
+        (4, 30.0, 30.0, 12.0, (12.0, True)),  # too few blocks for a scatter
         (4, 30.0, 8.0, 50.0, (8.0, True)),
     ],
 )
-def test_who_can_be_asked_is(
+def test_agreement_comes_from_held_out_records_that_show_the_effect(
     monkeypatch: pytest.MonkeyPatch,
     blocks: int,
     shown: float,
@@ -48,16 +48,16 @@ def test_who_can_be_asked_is(
 @pytest.mark.parametrize(
     ("identity", "share", "chance", "fitted"),
     [
-        # At two thirds too wide it acts in records held out, in which the right one does nothing.
+        # A dead zone two thirds too wide acts in held-out records, the right one does not.
         ("dead_zone@coil:7", 0.6, -0.9, True),
         ("dead_zone@coil:7", 0.4, -0.9, False),
         ("dead_zone@coil:7", 0.4, 2.5, True),
-        # No fit makes another of what has no shape.
+        # A fit cannot improve an effect without shape parameters.
         ("coil_gain@coil:7", 0.6, -0.9, False),
         ("coil_gain@coil:7", 0.6, 6.5, True),
     ],
 )
-def test_who_explains_most_of_it_is_fitted_if_it_has_a_shape_to_move(
+def test_candidate_with_shape_parameters_that_explains_half_is_fitted(
     identity: str, share: float, chance: float, fitted: bool
 ) -> None:
     effect = NAMED[identity]
@@ -72,17 +72,17 @@ def test_who_explains_most_of_it_is_fitted_if_it_has_a_shape_to_move(
     ("identity", "taken"),
     [
         ("rod_stiffness.cubic@psi", False),
-        # Another law of friction may be the right one, and is asked about that elsewhere.
+        # Another law of friction may be the right one; that is decided elsewhere.
         ("friction.dahl@psi", True),
         ("rod_stiffness.cubic@z", True),
         ("coil_gain@coil:7", True),
-        ("flexible_mode.saddle@", True),  # of no one place
+        ("flexible_mode.saddle@", True),  # without a single location
     ],
 )
-def test_what_another_law_of_friction_leaves_is_no_effect_at_its_place(
+def test_small_residual_of_friction_gives_no_further_effect_at_its_dof(
     identity: str, taken: bool
 ) -> None:
-    """As eight springs that slip leave it of twenty: a five-hundredth of all that there was."""
+    """For example, eight slip elements instead of twenty leave 1/500 of the friction's share."""
     effect = NAMED[identity]
     least = candidate_screening.Least(2e5, 1e8, little=False, unshown=False, rubbed={"psi": 1e8})
     tried = candidate_screening.Tried(effect, effect.grid[0], 2e5, np.ones(3), (1.0,), 90.0)
@@ -90,7 +90,7 @@ def test_what_another_law_of_friction_leaves_is_no_effect_at_its_place(
     assert least.taken_by(replace(tried, gain=3e5))
 
 
-def test_of_two_forms_the_one_that_depends_on_less_is_told() -> None:
+def test_free_form_of_fewer_signals_is_preferred() -> None:
     forms = {e.identity: e for e in freeform_effects(rig_places(), Extent.typical(rig_places()))}
     alone, product = (
         next(e for name, e in forms.items() if name.startswith(key) and name.endswith("@theta"))
@@ -106,10 +106,10 @@ def test_of_two_forms_the_one_that_depends_on_less_is_told() -> None:
     ("share", "first_guess", "taken"),
     [(0.2, False, True), (0.05, False, False), (0.05, True, True), (0.02, True, False)],
 )
-def test_a_first_guess_of_a_resonance_may_take_less(
+def test_initial_guess_of_a_resonance_has_a_lower_threshold(
     share: float, first_guess: bool, taken: bool
 ) -> None:
-    """At 3 Hz and broad, one of 2 Hz that rings takes a twentieth; where it is, all of it."""
+    """A broad guess at 3 Hz explains 1/20 of a narrow resonance at 2 Hz, which the fit finds."""
     forms = freeform_effects(rig_places(), Extent.typical(rig_places()))
     kind = "unknown.answer.x_b" if first_guess else "unknown.psi["
     effect = next(e for e in forms if e.key.startswith(kind) and e.where == ("theta",))

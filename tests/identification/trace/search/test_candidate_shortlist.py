@@ -1,4 +1,4 @@
-"""Which candidates are said to fit as well as the one that is taken."""
+"""Test the shortlist: which candidates are reported as alternatives to the accepted one."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ EFFECTS = {effect.identity: effect for effect in all_effects(rig_places())}
 
 
 def tried(identity: str, gain: float, *shape: float) -> Tried:
-    """Return a candidate that gains so much, all of it in the first of two records."""
+    """Return a candidate with this gain, all of it in the first of two records."""
     effect = EFFECTS[identity]
     return Tried(effect, shape, gain, np.array([gain, 0.0]), (1.0,), 9.0)
 
 
 @pytest.fixture
-def alike(monkeypatch):
-    """Return what is kept beside the best, if fits of the records that tell most end alike."""
+def alternatives_of(monkeypatch):
+    """Return a function that gives the alternatives to the first of some candidates.
+
+    Fits to the most informative records end with equal errors.
+    """
 
     def fitted(point, *_):
         return SimpleNamespace(placed=(point.tried,), tried=point.tried), 50.0
@@ -50,28 +53,33 @@ def alike(monkeypatch):
 COIL_6, COIL_0, SATURATION = "coil_gain@coil:6", "coil_gain@coil:0", "saturation@coil:6"
 
 
-def test_another_coil_is_no_alternative_where_all_records_tell(alike):
+def test_all_records_rule_out_another_coil_as_alternative(alternatives_of):
     saturates = tried(SATURATION, 600.0, 14.0, 6.0)
-    # That with a shape may fit better than on its grid: the fits decide.
-    assert alike(tried(COIL_6, 950.0), tried(COIL_0, 900.0), saturates) == [SATURATION]
-    assert alike(tried(COIL_6, 950.0), tried(COIL_0, 945.0), saturates) == [COIL_0, SATURATION]
+    # A candidate with a shape may fit better than at its grid point: the fits decide.
+    assert alternatives_of(tried(COIL_6, 950.0), tried(COIL_0, 900.0), saturates) == [SATURATION]
+    assert alternatives_of(tried(COIL_6, 950.0), tried(COIL_0, 945.0), saturates) == [
+        COIL_0,
+        SATURATION,
+    ]
 
 
-def test_without_shapes_all_records_decide(alike):
-    assert alike(tried(COIL_6, 950.0), tried(COIL_0, 900.0)) == []
-    assert alike(tried(COIL_6, 950.0), tried(COIL_0, 945.0)) == [COIL_0]
-    assert alike(tried(COIL_6, 90.0), tried(COIL_0, 79.0)) == [COIL_0]  # three deviations
+def test_gain_in_all_records_decides_between_candidates_without_shape(alternatives_of):
+    assert alternatives_of(tried(COIL_6, 950.0), tried(COIL_0, 900.0)) == []
+    assert alternatives_of(tried(COIL_6, 950.0), tried(COIL_0, 945.0)) == [COIL_0]
+    assert alternatives_of(tried(COIL_6, 90.0), tried(COIL_0, 79.0)) == [
+        COIL_0
+    ]  # three standard deviations
 
 
-def test_who_has_far_to_go_from_a_guess_goes_on_from_where_it_came_to(monkeypatch):
-    """A yielding spring fell by two fifths first, and in the end below a plain one."""
+def test_slowly_converging_fit_continues_from_its_last_point(monkeypatch):
+    """The fit of a yielding spring starts at a high error and ends below that of a plain one."""
     plain, yielding = "flexible_mode.loose_mass@psi", "friction.bearing@beam+psi"
     leaves = {plain: [100.0], yielding: [900.0, 400.0, 50.0]}
-    came_to = {plain: [0], yielding: [0]}
+    reached = {plain: [0], yielding: [0]}
 
     def fitted(point, *_):
-        left, steps = leaves[point.tried.effect.identity], came_to[point.tried.effect.identity]
-        assert point.at == steps[-1]  # with the model as it was fitted beside it
+        left, steps = leaves[point.tried.effect.identity], reached[point.tried.effect.identity]
+        assert point.at == steps[-1]  # the refit starts from the last fit
         steps.append(min(point.at + 1, len(left)))
         after = SimpleNamespace(tried=point.tried, placed=(point.tried,), at=steps[-1])
         return after, left[steps[-1] - 1]

@@ -1,4 +1,4 @@
-"""What was beaten narrowly is tried in the place of what was taken, where much is left."""
+"""Test the swap of an accepted effect with a close rival if much error remains."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def tried(identity: str, gain: float, chance: float = 100.0, held: bool = True) 
     return Tried(effect, effect.grid[0], gain, np.ones(1), (1.0,), chance, held)
 
 
-def named(found: Grown) -> list[str]:
+def effect_names(found: Grown) -> list[str]:
     return [p.effect.identity for p in found.point.placed]
 
 
@@ -44,22 +44,22 @@ def round_of(taken: Tried | None, *others: Tried) -> Round:
 
 
 @pytest.fixture
-def begun(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """Return the names that each way begins with; what a way leaves is told by `leaves`."""
-    seen: list[list[str]] = []
+def starting_points(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """Return the effects at the start of each alternative search; `leaves` sets its error."""
+    reported: list[list[str]] = []
 
     def grown(so_far: Grown, effects: object, most: int, *_: object) -> Grown:
-        seen.append(named(so_far))
+        reported.append(effect_names(so_far))
         return so_far
 
     monkeypatch.setattr(candidate_swap, "grown", grown)
     monkeypatch.setattr(candidate_swap, "refine", lambda point, *_, **__: (point, 1e3))
     monkeypatch.setattr(candidate_swap, "asked_again", lambda _, rival, *__: rival)
-    return seen
+    return reported
 
 
 def leaves(**left: float) -> Any:
-    """Return records of which an effect of such a name leaves so much beyond noise."""
+    """Return records whose held-out error above noise depends on the placed effects."""
 
     def held_error(point: Point) -> HeldError:
         classes = [p.effect.identity.partition("@")[0].replace(".", "_") for p in point.placed]
@@ -68,97 +68,113 @@ def leaves(**left: float) -> Any:
     return SimpleNamespace(held_error=held_error)
 
 
-def told(*_: object) -> None:
-    """Say nothing."""
+def no_progress(*_: object) -> None:
+    """Ignore the progress."""
 
 
-def test_a_rival_takes_the_place_of_what_was_taken_if_it_leaves_less_than_half(
-    begun: list[list[str]],
+def test_rival_replaces_the_accepted_effect_if_it_halves_the_error(
+    starting_points: list[list[str]],
 ) -> None:
     so_far = found(
         round_of(tried(GAIN, 9e5)),
         round_of(tried(DAMPING, 5e5), tried(DRAG, 4.5e5)),
         round_of(None, tried(COULOMB, 4e3)),
     )
-    way = candidate_swap.otherwise(so_far, (), 4, leaves(air_damping_quadratic=0.1), told)
-    assert begun == [[GAIN, DRAG]]
-    assert named(way) == [GAIN, DRAG]
-    # The rounds tell it as if it had been taken then.
-    assert [r.taken and r.taken.effect.identity for r in way.rounds] == [GAIN, DRAG]
-    assert not way.rounds[1].alternatives
-    assert way.rounds[1].instead_of is NAMED[DAMPING]
-    same = candidate_swap.otherwise(so_far, (), 4, leaves(air_damping_quadratic=0.6 * LEFT), told)
+    swapped = candidate_swap.otherwise(
+        so_far, (), 4, leaves(air_damping_quadratic=0.1), no_progress
+    )
+    assert starting_points == [[GAIN, DRAG]]
+    assert effect_names(swapped) == [GAIN, DRAG]
+    # The rounds report the rival as accepted in that round.
+    assert [r.taken and r.taken.effect.identity for r in swapped.rounds] == [GAIN, DRAG]
+    assert not swapped.rounds[1].alternatives
+    assert swapped.rounds[1].instead_of is NAMED[DAMPING]
+    same = candidate_swap.otherwise(
+        so_far, (), 4, leaves(air_damping_quadratic=0.6 * LEFT), no_progress
+    )
     assert same is so_far
 
 
-def test_of_several_ways_the_one_that_leaves_least_is_gone(begun: list[list[str]]) -> None:
+def test_rival_with_the_smallest_error_is_chosen(starting_points: list[list[str]]) -> None:
     so_far = found(round_of(tried(DAMPING, 5e5), tried(DRAG, 4.8e5), tried(COULOMB, 4.6e5)))
-    way = candidate_swap.otherwise(
-        so_far, (), 4, leaves(air_damping_quadratic=4.0, friction_coulomb=2.0), told
+    swapped = candidate_swap.otherwise(
+        so_far, (), 4, leaves(air_damping_quadratic=4.0, friction_coulomb=2.0), no_progress
     )
-    assert begun == [[DRAG], [COULOMB]]
-    assert named(way) == [COULOMB]
-    # Where little is left no other is tried.
-    del begun[:]
-    way = candidate_swap.otherwise(so_far, (), 4, leaves(air_damping_quadratic=0.5), told)
-    assert (begun, named(way)) == ([[DRAG]], [DRAG])
+    assert starting_points == [[DRAG], [COULOMB]]
+    assert effect_names(swapped) == [COULOMB]
+    # After a small error no other rival is tried.
+    del starting_points[:]
+    swapped = candidate_swap.otherwise(
+        so_far, (), 4, leaves(air_damping_quadratic=0.5), no_progress
+    )
+    assert (starting_points, effect_names(swapped)) == ([[DRAG]], [DRAG])
 
 
 @pytest.mark.parametrize(
     "rival",
     [
-        tried(DRAG, 3.9e5),  # beaten clearly
-        tried(DRAG, 4.9e5, chance=5.0),  # others do not agree
+        tried(DRAG, 3.9e5),  # much smaller gain
+        tried(DRAG, 4.9e5, chance=5.0),  # held-out data do not agree
         tried(DRAG, 4.9e5, chance=15.0, held=False),
     ],
 )
-def test_who_was_beaten_clearly_or_contradicted_is_not_tried(
-    rival: Tried, begun: list[list[str]]
+def test_rival_with_small_gain_or_without_agreement_is_not_tried(
+    rival: Tried, starting_points: list[list[str]]
 ) -> None:
     so_far = found(round_of(tried(DAMPING, 5e5), rival))
     assert (
-        candidate_swap.otherwise(so_far, (), 4, leaves(air_damping_quadratic=0.1), told) is so_far
+        candidate_swap.otherwise(so_far, (), 4, leaves(air_damping_quadratic=0.1), no_progress)
+        is so_far
     )
-    assert not begun
+    assert not starting_points
 
 
-def test_what_is_there_or_was_given_up_has_no_rival(begun: list[list[str]]) -> None:
-    there = found(round_of(tried(DAMPING, 5e5), tried(DRAG, 4.9e5)), round_of(tried(DRAG, 1e5)))
-    assert candidate_swap.otherwise(there, (), 4, leaves(), told) is there
-    given_up = there._replace(point=replace(there.point, placed=there.point.placed[1:]))
-    assert candidate_swap.otherwise(given_up, (), 4, leaves(), told) is given_up
-    assert not begun
+def test_no_swap_if_the_rival_is_placed_or_the_effect_was_removed(
+    starting_points: list[list[str]],
+) -> None:
+    with_rival = found(
+        round_of(tried(DAMPING, 5e5), tried(DRAG, 4.9e5)), round_of(tried(DRAG, 1e5))
+    )
+    assert candidate_swap.otherwise(with_rival, (), 4, leaves(), no_progress) is with_rival
+    with_removed_effect = with_rival._replace(
+        point=replace(with_rival.point, placed=with_rival.point.placed[1:])
+    )
+    assert (
+        candidate_swap.otherwise(with_removed_effect, (), 4, leaves(), no_progress)
+        is with_removed_effect
+    )
+    assert not starting_points
 
 
-def test_three_ways_are_tried_and_one_that_fits_nowhere_is_none(
-    begun: list[list[str]], monkeypatch: pytest.MonkeyPatch
+def test_at_most_three_rivals_are_tried_and_failed_fits_are_ignored(
+    starting_points: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rivals = [tried(f"coil_gain@coil:{n}", 4.9e5 - n) for n in range(2, 7)]
     so_far = found(round_of(tried(GAIN, 5e5), *rivals))
-    assert candidate_swap.otherwise(so_far, (), 4, leaves(), told) is so_far
-    assert begun == [[f"coil_gain@coil:{n}"] for n in (2, 3, 4)]
-    del begun[:]
+    assert candidate_swap.otherwise(so_far, (), 4, leaves(), no_progress) is so_far
+    assert starting_points == [[f"coil_gain@coil:{n}"] for n in (2, 3, 4)]
+    del starting_points[:]
 
-    def runs_away(*_: object, **__: object) -> None:
+    def diverges(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError
 
-    # What fails on the way takes nothing of what was found.
+    # A failed fit does not change the result.
     for fails in ("grown", "refine"):
-        monkeypatch.setattr(candidate_swap, fails, runs_away)
-        assert candidate_swap.otherwise(so_far, (), 4, leaves(), told) is so_far
-    assert not begun
+        monkeypatch.setattr(candidate_swap, fails, diverges)
+        assert candidate_swap.otherwise(so_far, (), 4, leaves(), no_progress) is so_far
+    assert not starting_points
 
 
-def test_progress_goes_back_on_no_way(
-    begun: list[list[str]], monkeypatch: pytest.MonkeyPatch
+def test_progress_never_decreases(
+    starting_points: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def grown(so_far: Grown, _: object, most: int, *rest: Any) -> Grown:
         rest[-1]("screening", 0.15)
         return so_far
 
     monkeypatch.setattr(candidate_swap, "grown", grown)
-    seen: list[float] = []
+    reported: list[float] = []
     so_far = found(round_of(tried(GAIN, 5e5), tried(DRAG, 4.9e5)))
-    candidate_swap.otherwise(so_far, (), 4, leaves(), lambda _, done: seen.append(done))
-    assert len(seen) == 2
-    assert seen == sorted(seen)
+    candidate_swap.otherwise(so_far, (), 4, leaves(), lambda _, done: reported.append(done))
+    assert len(reported) == 2
+    assert reported == sorted(reported)

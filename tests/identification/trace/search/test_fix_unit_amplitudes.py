@@ -1,4 +1,4 @@
-"""What there is all of in books has an amplitude of one, where that fits about as well."""
+"""Test amplitudes that physics sets to one: they are fixed at one if the fit hardly changes."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SATURATION, GAIN = "saturation@coil:2", "coil_gain@coil:1"
 
 
 @dataclass(frozen=True)
-class Named:
+class Parameters:
     names: tuple[str, ...] = ("m", "k")
 
 
 @dataclass(frozen=True)
 class Point:
     placed: tuple[Placed, ...]
-    parameters: Named = Named()
+    parameters: Parameters = Parameters()
 
 
 @dataclass(frozen=True)
@@ -35,23 +35,23 @@ class Records:
 
 
 @pytest.fixture(autouse=True)
-def begun_with_a_thousand(monkeypatch: pytest.MonkeyPatch) -> None:
+def initial_squared_error_of_1000(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fix_unit_amplitudes, "gather", lambda *_: SimpleNamespace(squares=1000.0))
 
 
 @pytest.mark.parametrize(("costs", "held"), [(0.0, True), (0.5 * LEAST, True), (1e4, False)])
-def test_an_amplitude_is_held_at_one_where_that_costs_little(
+def test_amplitude_is_fixed_at_one_if_the_error_hardly_grows(
     costs: float, held: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun = Point((Placed(NAMED[GAIN], (), (0.1,)), Placed(NAMED[SATURATION], (23.0, 4.0), (0.2,))))
+    start = Point((Placed(NAMED[GAIN], (), (0.1,)), Placed(NAMED[SATURATION], (23.0, 4.0), (0.2,))))
     monkeypatch.setattr(
         fix_unit_amplitudes, "refine", lambda point, *_, within: (point, 1000.0 + costs)
     )
-    point = fix_unit_amplitudes.with_plain_amplitudes(begun, Records())  # type: ignore[arg-type]
+    point = fix_unit_amplitudes.with_plain_amplitudes(start, Records())  # type: ignore[arg-type]
     gain, saturation = point.placed
-    assert gain == begun.placed[0]
+    assert gain == start.placed[0]
     if not held:
-        assert point is begun
+        assert point is start
         return
     assert saturation.amplitudes == (1.0,)
     assert saturation.shape[0] == pytest.approx(23.0 * 0.2**-0.25)
@@ -60,9 +60,9 @@ def test_an_amplitude_is_held_at_one_where_that_costs_little(
     assert fix_unit_amplitudes.with_plain_amplitudes(point, Records()) == point  # type: ignore[arg-type]
 
 
-def test_a_limit_keeps_to_its_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shape_parameter_stays_within_its_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fix_unit_amplitudes, "refine", lambda point, *_, within: (point, 0.0))
     high = NAMED[SATURATION].shape[0].high
-    begun = Point((Placed(NAMED[SATURATION], (high, 1.5), (1e-6,)),))
-    point = fix_unit_amplitudes.with_plain_amplitudes(begun, Records())  # type: ignore[arg-type]
+    start = Point((Placed(NAMED[SATURATION], (high, 1.5), (1e-6,)),))
+    point = fix_unit_amplitudes.with_plain_amplitudes(start, Records())  # type: ignore[arg-type]
     assert point.placed[0].shape[0] == high

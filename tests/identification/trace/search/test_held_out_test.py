@@ -1,4 +1,4 @@
-"""When held-out records agree with an effect: by their errors, or because they do not show it."""
+"""Test the agreement of held-out records with an effect: smaller errors, or no effect in them."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ def tried(identity: str, held: bool) -> Tried:
 @pytest.mark.parametrize(
     ("identity", "held", "before", "after", "gone", "explained", "agree"),
     [
-        # Who shows it has to gain by it.
+        # Records with the effect must have smaller errors.
         ("dead_zone@coil:7", True, 36.0, 20.0, 0.9, False, True),
         ("dead_zone@coil:7", True, 36.0, 36.7, 0.99, False, False),
         ("dead_zone@coil:7", True, 36.0, 35.95, 0.9, False, False),
-        # Who does not may lose as little as others gain much.
+        # Records without the effect may get slightly worse if others improve much.
         ("dead_zone@coil:7", False, 36.0, 36.7, 0.99, False, True),
         ("dead_zone@coil:7", False, 36.0, 39.7, 0.58, False, False),
         ("dead_zone@coil:7", False, 36.0, 36.7, 0.05, False, False),
-        # At the floor there is nothing to gain; what does not show costs next to nothing.
+        # At the noise floor there is nothing to gain; an absent effect must cost almost nothing.
         ("dead_zone@coil:7", False, FLOOR, FLOOR * 1.001, 0.99, True, True),
         ("dead_zone@coil:7", False, FLOOR, FLOOR * 1.1, 0.99, True, False),
         ("dead_zone@coil:7", True, FLOOR * 1.05, FLOOR, 0.99, True, False),
-        # What the drives alone feel moves no platform.
+        # Effects on the drives alone do not move the platform.
         ("cogging@beam", True, FLOOR, FLOOR * 1.001, 0.5, True, True),
         ("cogging@beam", True, FLOOR, FLOOR * 1.1, 0.5, True, False),
     ],
 )
-def test_held_out_records_agree_or_are_not_asked(
+def test_held_out_records_accept_or_reject_an_effect(
     identity: str,
     held: bool,
     before: float,
@@ -57,20 +57,20 @@ def test_held_out_records_agree_or_are_not_asked(
 
 
 @pytest.mark.parametrize(
-    ("explained", "excess", "asked"),
+    ("explained", "excess", "expected_screenings"),
     [(False, -4e3, ["all"]), (True, -4e3, ["drives"]), (True, 7e6, ["drives", "all"])],
 )
-def test_all_are_screened_where_others_show_what_held_out_records_do_not(
-    explained: bool, excess: float, asked: list[str], monkeypatch: pytest.MonkeyPatch
+def test_all_candidates_are_screened_if_only_fitted_records_have_a_residual(
+    explained: bool, excess: float, expected_screenings: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     candidates = [
         (NAMED[name], NAMED[name].grid[0]) for name in ("dead_zone@coil:7", "cogging@beam")
     ]
     evidence = SimpleNamespace(excess=excess, count=SimpleNamespace(sum=lambda: 5e5))
-    seen: list[str] = []
+    screenings: list[str] = []
 
     def train(_: object, some: list[Any]) -> None:
-        seen.append("all" if len(some) == 2 else "drives")
+        screenings.append("all" if len(some) == 2 else "drives")
 
     monkeypatch.setattr(forward_selection, "gather", lambda *_: evidence)
 
@@ -85,7 +85,7 @@ def test_all_are_screened_where_others_show_what_held_out_records_do_not(
         return Round(excess, 5e5, (), tuple(survivors), (), None, ())
 
     monkeypatch.setattr(forward_selection, "screened", screened)
-    answered, _ = forward_selection._screened(
+    screened_round, _ = forward_selection._screened(
         SimpleNamespace(placed=()),  # type: ignore[arg-type]
         candidates,
         HeldError(FLOOR, FLOOR),
@@ -94,9 +94,9 @@ def test_all_are_screened_where_others_show_what_held_out_records_do_not(
         SimpleNamespace(train=train),  # type: ignore[arg-type]
         lambda *_: None,
     )
-    assert seen == asked
-    # What could be asked of records that are explained has nothing to explain there.
-    names = [(t.effect.effect_class, t.held) for t in answered.survivors]
+    assert screenings == expected_screenings
+    # Explained held-out records give no evidence for effects that they show.
+    names = [(t.effect.effect_class, t.held) for t in screened_round.survivors]
     drives = [("cogging", True), ("cogging", False)]
     coil = [("dead_zone", True)] * (not explained) + [("dead_zone", False)]
-    assert names == (coil + drives if asked[-1] == "all" else drives)
+    assert names == (coil + drives if expected_screenings[-1] == "all" else drives)

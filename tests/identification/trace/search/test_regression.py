@@ -1,4 +1,4 @@
-"""Columns that help: solved, tried on blocks that did not fit them, and told from chance."""
+"""Test the regression on columns: least squares, cross-validation, significance."""
 
 import numpy as np
 import pytest
@@ -19,14 +19,14 @@ from levid.identification.trace.search.regression import (
 )
 
 BLOCKS, ROWS, COLUMNS = 15, 60, 4
-NOTHING_KNOWN = np.zeros((0, 1))
+NO_PRIOR = np.zeros((0, 1))
 
 
 def drawn(seed: int, effect: float = 0.0, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return columns (blocks, rows, Q - 1) and errors (blocks, rows): -effect of column 2."""
+    """Return columns (blocks, rows, Q - 1) and errors (blocks, rows), -effect times column 2."""
     rng = np.random.default_rng(seed)
     X = rng.normal(size=(BLOCKS, ROWS, COLUMNS))
-    X[:, :, 1] += 0.5 * X[:, :, 2]  # the base can do half of what the candidate does
+    X[:, :, 1] += 0.5 * X[:, :, 2]  # column 1 correlates with the candidate's column 2
     e = noise * rng.normal(size=(BLOCKS, ROWS)) - effect * X[:, :, 2]
     return X, e
 
@@ -36,9 +36,9 @@ def gram(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def evidence(
-    X: np.ndarray, e: np.ndarray, prior: np.ndarray = NOTHING_KNOWN, base: int = COLUMNS
+    X: np.ndarray, e: np.ndarray, prior: np.ndarray = NO_PRIOR, base: int = COLUMNS
 ) -> ColumnEvidence:
-    """Return blocks as linearise gives them; columns from `base` on are candidates, one each."""
+    """Return evidence in the form of `linearise`; columns from `base` on are candidates."""
     squares = np.sum(X**2, axis=(0, 1))
     size = np.where(squares > 0, np.sqrt(squares), 1.0)
     wide = np.concatenate([X[:, :, :base] / size[:base], e[:, :, None]], axis=2)
@@ -57,13 +57,13 @@ def test_coefficients_are_those_of_least_squares() -> None:
     coefficients = solve(found.whole, range(COLUMNS)) / found.size[:-1]
     flat = X.reshape(-1, COLUMNS)
     wanted = np.linalg.lstsq(flat, -e.reshape(-1), rcond=None)[0]
-    # The ridge is 1e-11 of the columns' own squares; the rest is rounding of normal equations.
+    # The ridge is 1e-11 of the squares of the columns; the rest is rounding of normal equations.
     np.testing.assert_allclose(coefficients, wanted, rtol=1e-8, atol=1e-10)
     spread = covariance(found.whole, range(COLUMNS)) / np.outer(found.size[:-1], found.size[:-1])
     np.testing.assert_allclose(spread, np.linalg.inv(flat.T @ flat), rtol=1e-8, atol=1e-10)
 
 
-def test_what_is_left_is_the_sum_of_squares_block_by_block() -> None:
+def test_remaining_error_is_the_sum_of_squares_per_block() -> None:
     X, e = drawn(2, 0.3)
     found = evidence(X, e)
     some = [0, 2]
@@ -74,7 +74,7 @@ def test_what_is_left_is_the_sum_of_squares_block_by_block() -> None:
     )
 
 
-def test_every_block_is_judged_by_coefficients_that_never_saw_it() -> None:
+def test_each_block_is_validated_with_coefficients_of_the_other_folds() -> None:
     X, e = drawn(3, 0.3)
     fold = np.arange(BLOCKS) % FOLDS
     expected = np.empty(BLOCKS)
@@ -85,14 +85,14 @@ def test_every_block_is_judged_by_coefficients_that_never_saw_it() -> None:
     np.testing.assert_allclose(cross_validated(evidence(X, e), range(COLUMNS)), expected, rtol=1e-8)
 
 
-def test_no_column_at_all_leaves_the_errors_as_they_are() -> None:
+def test_without_columns_the_errors_stay_the_same() -> None:
     X, e = drawn(4)
     np.testing.assert_allclose(
         cross_validated(evidence(X, e), []), np.sum(e**2, axis=1), rtol=1e-12
     )
 
 
-def test_a_candidate_joins_the_columns_as_if_it_had_been_there() -> None:
+def test_joined_candidate_equals_a_column_from_the_start() -> None:
     X, e = drawn(9, 0.3)
     row = np.array([[2.0, 0.0, 1.0]])
     whole, joined = evidence(X, e, row), evidence(X, e, row, COLUMNS - 1).joined(0)
@@ -101,7 +101,7 @@ def test_a_candidate_joins_the_columns_as_if_it_had_been_there() -> None:
     np.testing.assert_allclose(joined.prior, whole.prior, rtol=1e-12)
 
 
-def test_a_column_of_nothing_changes_nothing() -> None:
+def test_zero_column_has_no_gain() -> None:
     X, e = drawn(5, 0.3)
     X[:, :, 3] = 0.0
     with np.errstate(all="raise", under="ignore"):
@@ -110,16 +110,16 @@ def test_a_column_of_nothing_changes_nothing() -> None:
     assert there.sum() > 0.0
 
 
-def test_a_column_that_is_there_gains_what_it_explains_and_noise_costs_a_little() -> None:
+def test_gain_of_a_column_is_what_it_explains_and_an_idle_column_loses_little() -> None:
     X, e = drawn(6, 0.3)
     there, idle = (found.sum() for found in gains(evidence(X, e, base=2)))
-    # Column 2 free of column 1 keeps 1 / 1.25 of its square: 0.3^2 * 0.8 a row of 900, within
-    # its own chance, 2 sqrt(65) = 16; an idle column loses about one, at most 15 by chance.
+    # Column 2 orthogonal to column 1 has 1 / 1.25 of its square: 0.3^2 * 0.8 per row, 900 rows,
+    # standard deviation 2 sqrt(65) = 16. An idle column loses about one, at most 15.
     assert there == pytest.approx(0.09 * 0.8 * BLOCKS * ROWS, abs=4 * 16)
     assert -15.0 < idle < 15.0
 
 
-def test_gathered_records_are_as_one() -> None:
+def test_gathered_records_equal_one_record() -> None:
     X, e = drawn(7, 0.2)
     parts = [slice(0, 5), slice(5, BLOCKS)]
     lines = []
@@ -129,7 +129,7 @@ def test_gathered_records_are_as_one() -> None:
         count, time_s = np.full(len(wide), float(ROWS)), np.arange(len(wide), dtype=float)
         scaled = gram(wide, wide) / size / size[:, None]
         lines.append(Linearised(str(i), scaled, size, count, time_s))
-    both, one = ColumnEvidence.gather(lines, NOTHING_KNOWN), evidence(X, e)
+    both, one = ColumnEvidence.gather(lines, NO_PRIOR), evidence(X, e)
     both_physical = both.whole * both.size * both.size[:, None]
     one_physical = one.whole * one.size * one.size[:, None]
     np.testing.assert_allclose(both_physical, one_physical, rtol=1e-11, atol=1e-9)
@@ -138,16 +138,16 @@ def test_gathered_records_are_as_one() -> None:
     np.testing.assert_array_equal(both.record, [0] * 5 + [1] * 10)
 
 
-def test_what_is_known_beforehand_counts_as_one_more_row() -> None:
+def test_prior_counts_as_one_more_row() -> None:
     X, e = drawn(8, 0.2)
-    row = np.array([[2.0, 0.0, 1.0]])  # of the first two columns: 2 c0 + 1 should be nothing
+    row = np.array([[2.0, 0.0, 1.0]])  # for the first two columns: 2 c0 + 1 = 0
     found = evidence(X, e, row)
     coefficients = solve(found.whole, [0, 1]) / found.size[:2]
     flat = np.vstack([X[:, :, :2].reshape(-1, 2), row[:, :2]])
     target = np.append(e.reshape(-1), 1.0)
     wanted = np.linalg.lstsq(flat, -target, rcond=None)[0]
     np.testing.assert_allclose(coefficients, wanted, rtol=1e-8)
-    assert found.squares == pytest.approx(np.sum(e**2))  # it is no error of a record
+    assert found.squares == pytest.approx(np.sum(e**2))  # the prior is no error of a record
 
 
 def agreement(seed: int, effect: float, noise: float) -> float:
@@ -158,20 +158,20 @@ def agreement(seed: int, effect: float, noise: float) -> float:
 
 
 @pytest.mark.parametrize("noise", [1.0, 3.0])
-def test_agreement_under_noise_alone_is_a_standard_normal_number(noise: float) -> None:
-    # Errors larger than noise are taken for what they are: the statistic stays the same.
+def test_agreement_statistic_of_noise_is_standard_normal(noise: float) -> None:
+    # The statistic is normalised by the actual errors, so it is the same for larger errors.
     found = np.array([agreement(seed, 0.0, noise) for seed in range(600)])
     # Mean and variance of 600 standard normal numbers: four standard deviations of each.
     assert abs(found.mean()) < 4 / np.sqrt(600)
     assert abs(found.var() - 1.0) < 4 * np.sqrt(2 / 600)
-    # Beyond three lie 2.7 in a thousand: 1.6 expected, more than seven once in 1500 runs.
+    # 0.27 % exceed three: 1.6 are expected, more than seven have a probability of 1 / 1500.
     assert np.sum(np.abs(found) > 3) <= 7
 
 
 def uneven(seed: int, effect: float = 0.0, noise: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same where 18 of 60 rows are of a DOF that is not explained, and the rest is.
+    """Return columns and errors of which 18 of 60 rows belong to a DOF with larger errors.
 
-    The columns show in that DOF alone: readings beyond the rigid pose know nothing of a force.
+    The columns act on that DOF alone: non-rigid readings do not depend on forces.
     """
     X, e = drawn(seed, effect)
     X[:, 18:] = 0.0
@@ -182,49 +182,49 @@ def uneven(seed: int, effect: float = 0.0, noise: float = 3.0) -> tuple[np.ndarr
     return X, e
 
 
-def test_agreement_knows_that_errors_are_larger_where_the_candidate_acts() -> None:
-    """One variance for all rows would let the agreement scatter by 9 / 3.4."""
+def test_agreement_uses_the_error_variance_where_the_candidate_acts() -> None:
+    """With one variance for all rows, the statistic would have a variance of 9 / 3.4."""
     found = []
     for seed in range(600):
         train, held = (evidence(*uneven(2 * seed + i)) for i in (0, 1))
         pick = [0, 1, 2]
         there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
         found.append(chance(held, [0, 1], [2], there))
-    # Of the larger of two estimates, one of them from 15 blocks: less than one, by a quarter.
+    # The larger of two estimates is used, one of them from 15 blocks: up to a quarter below one.
     assert 0.7 < np.var(found) < 1.0 + 4 * np.sqrt(2 / 600)
     between = [chance_between(evidence(*uneven(s)), [0, 1], [2]) for s in range(300)]
     assert np.var(between) < 2.0 + 4 * np.sqrt(8 / 300)
 
 
 @pytest.mark.parametrize("make", [drawn, uneven])
-def test_standard_errors_are_what_coefficients_scatter_by(make) -> None:
+def test_standard_errors_agree_with_the_scatter_of_coefficients(make) -> None:
     pick, found, told = [0, 1, 2], [], []
     for seed in range(300):
         some = evidence(*make(seed))
         found.append(solve(some.whole, pick) / some.size[pick])
         told.append(standard_errors(some, pick))
     ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(told), axis=0))
-    # A spread of 300 is good to 4 %; the larger of two estimates is too large by a tenth or so.
+    # 300 values determine the scatter to 4 %; the larger of two estimates is about 10 % too large.
     assert np.all((ratio > 0.8) & (ratio < 1.1))
 
 
-def test_errors_below_the_noise_make_no_agreement_larger() -> None:
-    # A noise taken too large must not turn into evidence: the spread never falls below one.
+def test_overestimated_noise_does_not_increase_the_agreement() -> None:
+    # The assumed standard deviation of errors is never below one.
     found = np.array([agreement(seed, 0.0, 0.3) for seed in range(300)])
     assert found.std() == pytest.approx(0.3, rel=4 / np.sqrt(600))
 
 
-def test_agreement_grows_as_the_effect_does() -> None:
+def test_agreement_is_proportional_to_the_effect() -> None:
     weak, strong = (
         np.mean([agreement(seed, effect, 1.0) for seed in range(40)]) for effect in (0.2, 0.6)
     )
-    # The predicted part over noise: effect sqrt(0.8 * 900), each mean of 40 within 0.16; weaker
-    # ones are predicted from coefficients that err too, hence a little less.
+    # Signal over noise is effect sqrt(0.8 * 900), a mean of 40 is known to 0.16; for weak effects
+    # errors of the coefficients lower it slightly.
     assert strong == pytest.approx(0.6 * np.sqrt(720), rel=0.1)
     assert weak == pytest.approx(0.2 * np.sqrt(720), rel=0.1)
 
 
-def test_agreement_is_as_large_as_expected_where_the_rest_is_noise() -> None:
+def test_agreement_equals_its_expected_value_for_white_residuals() -> None:
     sizes = []
     for seed in range(100):
         train, held = (evidence(*drawn(2 * seed + i, 0.3)) for i in (0, 1))
@@ -232,25 +232,24 @@ def test_agreement_is_as_large_as_expected_where_the_rest_is_noise() -> None:
         there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
         sizes.append((chance(held, [0, 1], [2], there), expected(held, [0, 1], [2], there)))
     difference = np.array([found - wanted for found, wanted in sizes])
-    # A prediction's own error lowers what it meets, by half a variance over its size: 0.07.
+    # The error of the coefficients lowers the statistic by half a variance over its size: 0.07.
     assert abs(difference.mean()) < 4 / np.sqrt(100) + 0.07
     assert expected(held, [0, 1], [2], np.zeros(3)) == 0.0
 
 
-def test_blocks_agree_with_each_other_on_what_is_there_and_on_nothing_else() -> None:
+def test_agreement_between_blocks_is_found_for_an_effect_and_not_for_noise() -> None:
     nothing = np.array([chance_between(evidence(*drawn(s)), [0, 1], [2]) for s in range(600)])
-    # Folds that do not agree predict each other's opposite: on average it is below zero.
+    # Without an effect, folds predict each other with the opposite sign: the mean is below zero.
     assert nothing.mean() < 4 * np.sqrt(2 / 600)
-    # Products of noise have longer tails than noise; a normal number of variance two would reach
-    # 4.5 in 600.
+    # Products of noise have longer tails than noise; 600 normal values of variance two reach 4.5.
     assert nothing.max() < 8.0
     for effect in (0.3, 0.6):
         there = [chance_between(evidence(*drawn(s, effect)), [0, 1], [2]) for s in range(20)]
-        # As strong as in other records of the same length: 0.3 sqrt(0.8 900) = 8.
+        # As large as in other records of the same length: 0.3 sqrt(0.8 900) = 8.
         assert np.mean(there) == pytest.approx(effect * np.sqrt(0.8 * BLOCKS * ROWS), rel=0.15)
 
 
-def test_what_happens_in_a_few_blocks_alone_is_seen_there() -> None:
+def test_effect_in_a_few_blocks_is_found() -> None:
     X, e = drawn(3, 0.0)
     X[:, :, 2] = 0.0
     X[4:7, :, 2] = np.random.default_rng(1).normal(size=(3, ROWS))

@@ -1,6 +1,6 @@
-"""From logs to effects: a plant's one undeclared effect is found, and none where there is none.
+"""Test the search for effects in logs: one undeclared effect is found, and no false one.
 
-The plant is a mass on a spring, integrated here; its logs come in as anybody's data would.
+The plant is a mass on a spring, integrated here; its records are imported from CSV.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ TRUTH = {"none": {}, "cubic": {"k3": 1e6}, "coulomb": {"friction": 0.1}}
 def flown(
     seed: int, rms_n: float, k3: float = 0.0, friction: float = 0.0, clip_n: float = np.inf
 ) -> np.ndarray:
-    """Return force and reading (N, 2) of the mass, by Runge-Kutta's rule ten times a row."""
+    """Return force and reading (N, 2) of the mass, by ten Runge-Kutta steps per row."""
     rng = np.random.default_rng(seed)
     omega, phase = 2 * np.pi * rng.uniform(0.3, 15.0, 30), rng.uniform(0, 2 * np.pi, 30)
     half = np.arange(2 * FINE * ROWS + 1) * (0.5 * TS / FINE)
     force = np.zeros_like(half)
     for w, p in zip(omega, phase, strict=True):
         force += rms_n / np.sqrt(15) * np.sin(w * half + p)
-    # White forces, each held for a row: their density is their variance times Ts.
+    # White force noise held for a row: its density is the variance times Ts.
     unknown = np.repeat(rng.normal(0.0, np.sqrt(FORCE_PSD / TS), ROWS), 2 * FINE)
     acting = np.clip(force, -clip_n, clip_n) + np.append(unknown, 0.0)
     u, acting_list = force[:: 2 * FINE], acting.tolist()
@@ -88,7 +88,7 @@ def flown(
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
-    """Logs of three plants: as declared, with a spring that hardens, with friction."""
+    """Return logs of three plants: as declared, with a hardening spring, with friction."""
     folder = tmp_path_factory.mktemp("trace")
     return {
         name: [
@@ -108,17 +108,17 @@ def traces(logs: dict[str, list[Path]]) -> dict[str, Trace]:
     return {name: traced(paths) for name, paths in logs.items()}
 
 
-def test_a_plant_as_declared_lacks_nothing(traces: dict[str, Trace]) -> None:
+def test_plant_as_declared_has_no_effect(traces: dict[str, Trace]) -> None:
     found = traces["none"]
     assert found.found.point.placed == ()
     assert pooled(found.after) == pooled(found.before)
 
 
 @pytest.mark.parametrize("name", TRUTH)
-def test_what_is_left_of_held_out_records_is_noise(traces: dict[str, Trace], name: str) -> None:
+def test_remaining_error_of_held_out_records_is_noise(traces: dict[str, Trace], name: str) -> None:
     error, floor = pooled(traces[name].after)
-    # 11 s of a motion that forgets within a third of a second: the rms of noise is within a tenth
-    # of what it is on average; three of them.
+    # 11 s of a motion that decays within 0.3 s determine the rms of the noise to 10 %; three times
+    # that.
     assert error == pytest.approx(floor, rel=0.3)
 
 
@@ -126,22 +126,22 @@ def test_what_is_left_of_held_out_records_is_noise(traces: dict[str, Trace], nam
     ("name", "key", "amplitude"),
     [("cubic", "stiffness.cubic", 1e6), ("coulomb", "friction.coulomb", 0.1)],
 )
-def test_the_one_effect_is_found_with_its_size(
+def test_undeclared_effect_is_found_with_its_amplitude(
     traces: dict[str, Trace], name: str, key: str, amplitude: float
 ) -> None:
     found = traces[name]
     assert [p.effect.key for p in found.found.point.placed] == [key]
     placed = found.found.point.placed[0]
     se = placed.standard_errors[placed.effect.amplitudes[0].name]
-    # Four standard errors; beside them what the derivatives of readings leave, 1 %.
+    # Four standard errors, and 1 % for numerical derivatives of the readings.
     assert abs(placed.amplitudes[0] - amplitude) < 4 * se + 0.01 * amplitude
     assert se < 0.05 * amplitude
     assert pooled(found.before)[0] > 3 * pooled(found.after)[0]
 
 
-def test_a_limit_far_below_where_it_is_looked_for_first_is_found(tmp_path: Path) -> None:
-    # At the grid's one limit, 0.85 of the largest command, a hard limit of half of it is more than
-    # all of what is lost there.
+def test_saturation_far_below_its_initial_grid_is_found(tmp_path: Path) -> None:
+    # The grid has one limit, 0.85 of the largest command. A hard limit at half of this loses more
+    # force than an amplitude of one explains.
     logs = [
         imported(tmp_path, f"clipped-{i}", flown(i, rms_n, clip_n=4.0))
         for i, rms_n in enumerate(RMS_N)
@@ -150,17 +150,17 @@ def test_a_limit_far_below_where_it_is_looked_for_first_is_found(tmp_path: Path)
     (placed,) = found.found.point.placed
     assert placed.effect.key == "saturation"
     assert placed.shape[0] == pytest.approx(4.0, rel=0.02)
-    # Nobody has more than all of it.
+    # An amplitude of one is the maximum.
     assert placed.amplitudes[0] == pytest.approx(1.0, abs=0.02)
     assert placed.amplitudes[0] <= 1.0
     error, floor = pooled(found.after)
     assert error == pytest.approx(floor, rel=0.3)
 
 
-def test_a_plant_that_runs_away_has_to_be_traced_in_its_loop(tmp_path: Path) -> None:
+def test_unstable_plant_is_rejected_in_open_loop(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     pushed = rng.standard_normal(ROWS)
-    # x'' = 100 x + f / m falls away from any start; these are readings of one that somebody held.
+    # The declared plant is unstable from any initial state; the readings stay near zero.
     held = np.stack([pushed, 1e-4 * rng.standard_normal(ROWS)], axis=1)
     config = parse_text(
         MODEL.replace("{value: 700.0, unit: N/m, min: 1, max: 10000}",
@@ -172,17 +172,17 @@ def test_a_plant_that_runs_away_has_to_be_traced_in_its_loop(tmp_path: Path) -> 
         traced(logs, config)
 
 
-def test_parameters_of_the_model_are_free_of_what_the_effect_did_to_them(
+def test_parameters_of_the_model_are_not_biased_by_the_effect(
     traces: dict[str, Trace],
 ) -> None:
     point = traces["cubic"].found.point
     for name, value in {"m": MASS, "d": DAMPER, "k": SPRING}.items():
-        # A refitted model without the cube is stiffer by percents; with it the truth is met to the
-        # noise, which leaves some 1e-3.
+        # A model refitted without the cubic spring is a few percent stiffer; with it the error is
+        # that of the noise, about 1e-3.
         assert point.model.values[name] == pytest.approx(value, rel=0.01)
 
 
-def test_what_was_held_out_fitted_nothing(traces: dict[str, Trace]) -> None:
+def test_held_out_records_are_not_fitted(traces: dict[str, Trace]) -> None:
     for name, found in traces.items():
         assert found.held == (f"{name}-1",)
         assert found.fitted == tuple(f"{name}-{i}" for i in (0, 2, 3))
@@ -195,10 +195,10 @@ def sources(paths: list[Path]) -> list[RecordSource]:
     return [*whole, *(RecordSource.of(path, 700, 2950, span) for path in paths)]
 
 
-def same(found: Trace, logs: list[Path], others: Workers) -> None:
-    """Compare what workers answer with what this process does, to the last digit."""
+def assert_same_results(found: Trace, logs: list[Path], others: Workers) -> None:
+    """Compare the results of workers with those of this process, to the last digit."""
     alone, point, parts = Alone(CONFIG), found.found.point, sources(logs)
-    assert point.placed  # else there would be little to compare
+    assert point.placed  # otherwise the comparison would be trivial
     some = [(e, e.grid[0]) for e in all_effects(found.places)[:6]]
     here, there = (
         w.map(partial(linearise, point, candidates=some), parts) for w in (alone, others)
@@ -221,24 +221,24 @@ def processes() -> Iterator[Workers]:
         yield workers
 
 
-def test_processes_give_the_same_to_the_last_digit(
+def test_worker_processes_give_the_same_results_to_the_last_digit(
     traces: dict[str, Trace], logs: dict[str, list[Path]], processes: Workers
 ) -> None:
-    same(traces["cubic"], logs["cubic"], processes)
+    assert_same_results(traces["cubic"], logs["cubic"], processes)
 
 
-def test_answers_come_in_the_order_of_the_questions(
+def test_results_have_the_order_of_the_tasks(
     logs: dict[str, list[Path]], processes: Workers
 ) -> None:
     paths = logs["none"]
-    asked = [
+    tasks = [
         RecordSource.of(paths[i % 4], 0, 100 + 300 * (i * 5 % 7), (0.0, 1.0)) for i in range(12)
     ]
-    answers = processes.map(attrgetter("name", "rows"), asked)
-    assert answers == [(s.path.stem, s.stop) for s in asked]
+    answers = processes.map(attrgetter("name", "rows"), tasks)
+    assert answers == [(s.path.stem, s.stop) for s in tasks]
 
 
-def test_records_of_one_name_in_two_folders_stay_two(tmp_path: Path) -> None:
+def test_records_of_equal_names_are_distinguished_by_their_folder(tmp_path: Path) -> None:
     paths = []
     for seed, day in enumerate(("monday", "tuesday")):
         (tmp_path / day).mkdir()
@@ -246,14 +246,14 @@ def test_records_of_one_name_in_two_folders_stay_two(tmp_path: Path) -> None:
     records, _ = read_records(paths, CONFIG)
     names = [r.name for r in records.values()]
     assert names == ["still (monday/still.mcap)", "still (tuesday/still.mcap)"]
-    # Workers read them anew, and call them the same.
-    asked = [
+    # Workers read them again and use the same names.
+    tasks = [
         RecordSource.of(p, 0, ROWS, (0.0, 1.0), name=n) for p, n in zip(paths, names, strict=True)
     ]
-    assert Alone(CONFIG).map(attrgetter("name"), asked) == names
+    assert Alone(CONFIG).map(attrgetter("name"), tasks) == names
 
 
-def test_sessions_of_equal_names_are_seen_whole(
+def test_all_records_of_sessions_with_equal_names_are_used(
     tmp_path: Path, logs: dict[str, list[Path]]
 ) -> None:
     (tmp_path / "again").mkdir()
@@ -268,22 +268,22 @@ def test_sessions_of_equal_names_are_seen_whole(
     assert {record.name for record in seen.records if record.held} == set(found.held)
 
 
-def test_a_log_written_anew_is_read_anew(tmp_path: Path, logs: dict[str, list[Path]]) -> None:
+def test_changed_log_is_read_again(tmp_path: Path, logs: dict[str, list[Path]]) -> None:
     path, workers = tmp_path / "again.mcap", Alone(CONFIG)
     answers = []
     for log in (logs["none"][0], logs["cubic"][0]):
         path.write_bytes(log.read_bytes())
-        asked = [RecordSource.of(path, 0, ROWS, (0.0, 1.0))]
-        answers += workers.map(attrgetter("gap"), asked)
+        tasks = [RecordSource.of(path, 0, ROWS, (0.0, 1.0))]
+        answers += workers.map(attrgetter("gap"), tasks)
     assert np.any(answers[0] != answers[1])
 
 
-def test_a_record_too_short_to_hold_anything_out_is_told(tmp_path: Path) -> None:
+def test_record_too_short_to_hold_data_out_is_rejected(tmp_path: Path) -> None:
     log = imported(tmp_path, "short", flown(0, 3.0)[:500])
     with pytest.raises(IdentificationError):
         traced([log])
 
 
-def test_no_record_is_told() -> None:
+def test_no_records_are_rejected() -> None:
     with pytest.raises(IdentificationError, match="expected records among the 0 logs, found none"):
         traced([])

@@ -1,4 +1,4 @@
-"""What was taken in place of an effect goes when that comes; what has its own share stays."""
+"""Test the removal of effects that stood in for another one once that one is accepted."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def round_of(taken: Tried | None, *alternatives: Tried) -> Round:
     return Round(EXCESS, 1e5, (), (), (), taken, alternatives)
 
 
-def with_the_first(point: Point, found: Round, *_: object) -> tuple[Round, Point]:
-    """Return the round with its first survivor taken, and the point with that."""
+def accept_first(point: Point, found: Round, *_: object) -> tuple[Round, Point]:
+    """Return the round with its first survivor accepted, and the point with this effect."""
     taken = found.survivors[0]
     added = Placed(taken.effect, (), taken.amplitudes)
     return replace(found, taken=taken), replace(point, placed=(*point.placed, added))
 
 
 @pytest.mark.parametrize(("back", "stands_in"), [(0.0, True), (1e3, True), (5e3, False)])
-def test_stand_in_is_one_if_little_comes_back_without_it(
+def test_effect_is_a_stand_in_if_the_error_hardly_grows_without_it(
     back: float, stands_in: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refined(point: Point, _: object, within: float) -> tuple[Point, float]:
@@ -58,12 +58,12 @@ def test_stand_in_is_one_if_little_comes_back_without_it(
         return
     assert names == [THIRD, SECOND]
     assert (squares, number) == (1000.0 + back, 1)
-    told = backward_elimination.taken_instead(rounds[1], SECOND)
-    assert told.taken is rounds[1].alternatives[1]  # it explained this much then
-    assert [t.effect.identity for t in told.alternatives] == [FIRST, THIRD]
+    report = backward_elimination.taken_instead(rounds[1], SECOND)
+    assert report.taken is rounds[1].alternatives[1]  # with its gain in that round
+    assert [t.effect.identity for t in report.alternatives] == [FIRST, THIRD]
 
 
-def test_what_was_no_alternative_or_is_gone_is_no_stand_in(
+def test_removed_effect_or_other_alternative_is_no_stand_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(backward_elimination, "refine", lambda point, _, within: (point, 0.0))
@@ -77,9 +77,11 @@ def test_what_was_no_alternative_or_is_gone_is_no_stand_in(
         assert answer == (begun, 1000.0, None)
 
 
-@pytest.mark.parametrize(("back", "led_on"), [(-1e4, True), (0.0, True), (5e3, True), (5e4, False)])
-def test_what_has_only_led_another_out_of_its_valley_goes(
-    back: float, led_on: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("back", "removed"), [(-1e4, True), (0.0, True), (5e3, True), (5e4, False)]
+)
+def test_effect_that_only_helped_another_out_of_a_local_minimum_is_removed(
+    back: float, removed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refined(point: Point, _: object, within: float) -> tuple[Point, float]:
         return point, 1000.0 + back
@@ -87,22 +89,22 @@ def test_what_has_only_led_another_out_of_its_valley_goes(
     monkeypatch.setattr(backward_elimination, "refine", refined)
     begun = placed(FIRST, SECOND)
     alone = backward_elimination.without_guide(begun, 1000.0, 1000.0 + 1e5, None)
-    assert (alone is not None) is led_on
+    assert (alone is not None) is removed
     assert alone is None or alone.placed == begun.placed[:1]
     assert backward_elimination.without_guide(placed(FIRST), 1000.0, 1e5, None) is None
 
 
 @pytest.mark.parametrize(("after", "kept"), [(1.0, [FIRST]), (9.99, [FIRST, SECOND])])
-def test_search_goes_on_without_who_led_on_if_held_out_records_gain_by_that(
+def test_search_continues_without_the_helper_if_held_out_errors_fall(
     after: float, kept: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun, alone = placed(FIRST), replace(placed(FIRST), disturbance=Measured(True))
     train = SimpleNamespace(squares=1e5, excess=EXCESS)
-    asked = [round_of(None), round_of(None)]
-    asked[0] = replace(asked[0], survivors=(tried(SECOND, 9e4),))
-    rounds = iter(asked)
+    screened_names = [round_of(None), round_of(None)]
+    screened_names[0] = replace(screened_names[0], survivors=(tried(SECOND, 9e4),))
+    rounds = iter(screened_names)
     monkeypatch.setattr(forward_selection, "_screened", lambda *_: (next(rounds), train))
-    monkeypatch.setattr(forward_selection, "sifted", with_the_first)
+    monkeypatch.setattr(forward_selection, "sifted", accept_first)
     monkeypatch.setattr(forward_selection, "refine", lambda point, *_, **__: (point, 1e3))
     monkeypatch.setattr(forward_selection, "asked_again", lambda _, taken, *__: taken)
     monkeypatch.setattr(forward_selection, "without_guide", lambda *_: alone)
@@ -113,7 +115,7 @@ def test_search_goes_on_without_who_led_on_if_held_out_records_gain_by_that(
         with_estimated_noise=lambda point: point,
         held_error=lambda point: HeldError(errors.get(id(point), 5.0), 1.0),
     )
-    point, error, told = forward_selection.grown(
+    point, error, report = forward_selection.grown(
         forward_selection.Grown(begun, HeldError(10.0, 1.0), ()),
         [NAMED[SECOND]],
         3,
@@ -123,19 +125,19 @@ def test_search_goes_on_without_who_led_on_if_held_out_records_gain_by_that(
     )
     assert [p.effect.identity for p in point.placed] == kept
     assert error.squares == min(after, 5.0)
-    assert [found.taken is None for found in told] == [len(kept) == 1, True]
+    assert [found.taken is None for found in report] == [len(kept) == 1, True]
 
 
-@pytest.mark.parametrize("convinced", [True, False])
-def test_who_was_refused_is_asked_once_more_when_another_is_there(
-    convinced: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("accepted_with_second", [True, False])
+def test_rejected_effect_is_tried_again_after_another_is_accepted(
+    accepted_with_second: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Held-out records refuse FIRST while SECOND is missing."""
-    asked: list[tuple[str, ...]] = []
+    """Held-out records reject FIRST without SECOND."""
+    screened_names: list[tuple[str, ...]] = []
 
     def screened(point: Point, candidates, *_: object) -> tuple[Round, SimpleNamespace]:
         there = [effect.identity for effect, _ in candidates]
-        asked.append(tuple(there))
+        screened_names.append(tuple(there))
         survivors = tuple(tried(name, 9e4) for name in (FIRST, SECOND, THIRD) if name in there)
         train = SimpleNamespace(squares=1e5, excess=1e5)
         return replace(round_of(None), survivors=survivors), train
@@ -143,12 +145,12 @@ def test_who_was_refused_is_asked_once_more_when_another_is_there(
     def answer(point: Point, taken: Tried, *_: object) -> Tried:
         names = [p.effect.identity for p in point.placed]
         refused = taken.effect.identity == THIRD or (
-            taken.effect.identity == FIRST and not (convinced and SECOND in names)
+            taken.effect.identity == FIRST and not (accepted_with_second and SECOND in names)
         )
         return replace(taken, chance=-20.0 if refused else 100.0)
 
     monkeypatch.setattr(forward_selection, "_screened", screened)
-    monkeypatch.setattr(forward_selection, "sifted", with_the_first)
+    monkeypatch.setattr(forward_selection, "sifted", accept_first)
     monkeypatch.setattr(forward_selection, "refine", lambda point, *_, **__: (point, 1e3))
     monkeypatch.setattr(forward_selection, "asked_again", answer)
     monkeypatch.setattr(
@@ -162,7 +164,7 @@ def test_who_was_refused_is_asked_once_more_when_another_is_there(
         held_error=lambda point: HeldError(5.0 / (1 + len(point.placed)), 1.0),
     )
     effects = [NAMED[name] for name in (FIRST, SECOND, THIRD)]
-    point, _, told = forward_selection.grown(
+    point, _, report = forward_selection.grown(
         forward_selection.Grown(placed(), HeldError(10.0, 1.0), ()),
         effects,
         6,
@@ -171,14 +173,14 @@ def test_who_was_refused_is_asked_once_more_when_another_is_there(
         lambda *_: None,
     )
     names = [p.effect.identity for p in point.placed]
-    assert names == ([SECOND, FIRST] if convinced else [SECOND])
-    # Whoever is refused twice is not asked a third time, and the search ends.
-    assert [FIRST in there for there in asked[:3]] == [True, False, True]
-    assert asked[-1] == ()
-    assert told[-1].taken is None
+    assert names == ([SECOND, FIRST] if accepted_with_second else [SECOND])
+    # An effect rejected twice is not tried again, and the search ends.
+    assert [FIRST in there for there in screened_names[:3]] == [True, False, True]
+    assert screened_names[-1] == ()
+    assert report[-1].taken is None
 
 
-def test_who_took_little_of_what_is_random_has_followed_it() -> None:
+def test_platform_effect_with_a_small_gain_may_follow_random_forces() -> None:
     drives = tried("cogging@beam", 0.001 * EXCESS)
     rounds = [
         round_of(tried(FIRST, 0.5 * EXCESS)), round_of(None), round_of(drives),
@@ -187,7 +189,7 @@ def test_who_took_little_of_what_is_random_has_followed_it() -> None:
     assert backward_elimination.followers(rounds) == {SECOND}
 
 
-def test_friction_is_told_by_what_it_takes_at_each_dof(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_share_of_friction_is_reported_for_each_dof(monkeypatch: pytest.MonkeyPatch) -> None:
     both = placed("rod_stiffness.cubic@psi", "friction.bearing@beam+psi", "friction.dahl@psi")
     monkeypatch.setattr(forward_selection, "brought", lambda *_: [9e5, 7e5, 3e5])
     assert forward_selection._rubbed(both, None) == {"psi": 7e5}

@@ -27,7 +27,7 @@ FRAMES = load_frames(None, 9, 9, True)
 
 
 class Command:
-    """The command in its own process; queues hold the lines that it prints."""
+    """Run the command in a process; queues contain the lines that it prints."""
 
     def __init__(self, *arguments: object) -> None:
         self.process = subprocess.Popen(
@@ -123,12 +123,12 @@ def test_electronics_answer_on_the_bus_until_sigterm(command: Command, tmp_path:
         answers(bus, 10, WAIT_S)
     command.answer("clear")
     assert command.process.stdin is not None
-    command.process.stdin.close()  # the end of standard input does not end it
+    command.process.stdin.close()  # the process continues without standard input
     assert len(answers(bus, 11, WAIT_S)) == 2
     bus.shutdown()
     command.process.send_signal(signal.SIGTERM)
     assert command.process.wait(WAIT_S) == 0
-    assert list((tmp_path / "bus").iterdir()) == []  # it has left the bus
+    assert list((tmp_path / "bus").iterdir()) == []  # its bus node is removed
     assert command.err.empty()
 
 

@@ -32,7 +32,7 @@ def session(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_help_ends_in_examples(levid, verb: str) -> None:
+def test_help_ends_with_examples(levid, verb: str) -> None:
     outcome = levid(verb, "--help")
     assert outcome.code == 0
     assert re.search(rf"Examples:\n\s+levid {verb}", outcome.out)
@@ -44,7 +44,7 @@ def test_help_names_every_verb(levid) -> None:
 
 
 @pytest.mark.parametrize("arguments", [["fly"], ["excite"], ["check"], ["excite", "x", "--level"]])
-def test_wrong_usage_is_exit_code_2(levid, arguments: list[str]) -> None:
+def test_wrong_usage_gives_exit_code_2(levid, arguments: list[str]) -> None:
     outcome = levid(*arguments)
     assert outcome.code == 2
     assert "Usage:" in outcome.err

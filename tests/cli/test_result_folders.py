@@ -48,7 +48,7 @@ def test_many_logs_become_a_pattern_only_if_they_are_all_logs_of_the_folder(tmp_
     assert same_logs(paths[:5]) == f"{monday} {quoted(*paths[3:5])}"
 
 
-def test_paths_in_the_way_of_results_are_rejected_before_the_work(tmp_path: Path) -> None:
+def test_paths_that_block_results_are_rejected_before_the_work(tmp_path: Path) -> None:
     for name in ("model.yaml", "figures/x"):
         (tmp_path / "a" / name).mkdir(parents=True)
     writable_folder(tmp_path / "a", ("index.html",), ("figures",))

@@ -38,7 +38,7 @@ then: [trace]
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory, run_levid: Callable[..., int]) -> Path:
-    """Logs of a plant with cubic rods; trace/ holds the results of `then: [trace]`."""
+    """Return logs of a plant with cubic rods; trace/ contains the results of `then: [trace]`."""
     folder = tmp_path_factory.mktemp("trace")
     (folder / "session.yaml").write_text(SESSION)
     sim = yaml.safe_load(shipped("sims/nominal.yaml").read_text())
@@ -55,7 +55,7 @@ def logs(flown: Path) -> list[Path]:
     return sorted(flown.glob("*.mcap"))
 
 
-def test_a_session_ends_with_a_trace_that_names_the_effect(flown: Path) -> None:
+def test_trace_at_the_end_of_a_session_finds_the_effect(flown: Path) -> None:
     model = load_model(flown / "trace" / "model.yaml")
     (effect,) = model.effects
     assert (effect.effect, effect.where) == ("rod_stiffness.cubic", ("z",))

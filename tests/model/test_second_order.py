@@ -51,11 +51,11 @@ def test_moving_beam_adds_the_forces_of_its_acceleration() -> None:
 @pytest.mark.parametrize("delay_periods", [0.0, 0.25, 1.0, 1.4, 3.0])
 @pytest.mark.parametrize("lag_s", [0.0, 3e-4])
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
-def test_sampled_response_equals_the_held_continuous_one(
+def test_sampled_response_equals_the_continuous_response_with_hold(
     delay_periods: float, lag_s: float, hold: Literal["zoh", "foh"]
 ) -> None:
-    # Poisson's formula: the sampled response of a held input is a sum over aliases. The rig's own
-    # response falls with the cube of frequency and more, so that 200 aliases leave nothing.
+    # Poisson's formula: the sampled response with hold is a sum over aliases. The rig's response
+    # falls at least with the cube of frequency, so 200 aliases are enough.
     Ts = 1e-3
     model = replace(declared().at({"x_b": 0.1}), lag_s=lag_s, delay_s=delay_periods * Ts)
     freq = np.array([0.5, 5.0, 64.0, 300.0])
@@ -65,7 +65,7 @@ def test_sampled_response_equals_the_held_continuous_one(
         f = freq + alias / Ts
         s = 2j * np.pi * f
         held = (1 - np.exp(-s * Ts)) / (s * Ts)
-        if hold == "foh":  # a triangle about each sample is a held step, held again, and earlier
+        if hold == "foh":  # foh is zoh applied twice, one period earlier
             held = held**2 * np.exp(s * Ts)
         shape = held * np.exp(-s * model.delay_s) / (1 + s * lag_s)
         total += state_space(model).response(f) * shape[:, None, None]
@@ -82,7 +82,7 @@ def test_static_gain_is_the_inverse_stiffness() -> None:
     "m", [[["a", "a"], ["a", "a"]], [[0.1, 0.3], [0.1, 0.3]], [[0, 0], [0, 1]]]
 )
 def test_singular_mass_matrix_is_rejected(m: list[list[str | float]]) -> None:
-    eye = [[1e-9, 0.0], [0.0, 1e9]]  # units may be as they like
+    eye = [[1e-9, 0.0], [0.0, 1e9]]  # units of any size
     DeclaredModel.build("xy", "fg", {}, {"s": 0.1}, {"M": eye, "D": eye, "K": eye}).at()
     model = DeclaredModel.build("xy", "fg", {"a": 0.3}, {"s": 0.1}, {"M": m, "D": eye, "K": eye})
     with pytest.raises(ModelError, match=r"M: expected a mass matrix .* at s = 0\.2"):
@@ -94,7 +94,7 @@ def test_one_mass_model_of_any_size() -> None:
         ["x"], ["f"], {"m": 2.0, "k": 8.0}, {}, {"M": [["m"]], "D": [[0]], "K": [["k"]]}
     ).at()
     assert isinstance(model, SecondOrder)
-    # Undamped, 2 rad/s: half a period under a constant force gives twice the static deflection.
+    # Undamped, 2 rad/s: after half a period, a constant force gives twice the static deflection.
     step = discretise(model, np.pi / 2)
     x = step.B[:, 0]
     np.testing.assert_allclose((step.C @ x)[0], 2 / 8.0, rtol=1e-12)
@@ -104,13 +104,13 @@ def test_one_mass_model_of_any_size() -> None:
     "text",
     ["__import__('os')", "a.b", "x[0]", "lambda: 1", "1 if x else 2", "'text'", "m_p +", "a<b"],
 )
-def test_formula_is_arithmetic_only(text: str) -> None:
+def test_formula_other_than_arithmetic_is_rejected(text: str) -> None:
     with pytest.raises(ExpressionError):
         Expression.parse(text)
 
 
 @pytest.mark.parametrize("source", ["1e400", "9" * 4000, "9" * 6000, float("nan"), float("inf")])
-def test_a_number_in_a_formula_is_finite(source: str | float) -> None:
+def test_non_finite_number_in_a_formula_is_rejected(source: str | float) -> None:
     with pytest.raises(ExpressionError, match="expected") as caught:
         Expression.parse(source)
     assert len(str(caught.value)) < 200  # the message quotes only the first digits
@@ -126,7 +126,7 @@ def test_a_number_in_a_formula_is_finite(source: str | float) -> None:
         ("10**400", "the result is too large"),
     ],
 )
-def test_a_formula_has_a_real_and_finite_value_or_none(text: str, why: str) -> None:
+def test_formula_without_a_real_finite_value_is_rejected(text: str, why: str) -> None:
     with pytest.raises(ExpressionError, match=f"has no value.*{why}"):
         Expression.parse(text)({"x": -8.0})
     along = np.array([1.0, -8.0])
@@ -136,11 +136,11 @@ def test_a_formula_has_a_real_and_finite_value_or_none(text: str, why: str) -> N
 
 
 @pytest.mark.parametrize("lag", [-1e-3, "tau - 2", "1/(tau - 1)"])
-def test_a_lag_is_not_negative(lag: str | float) -> None:
+def test_negative_lag_is_rejected(lag: str | float) -> None:
     parts = {"M": [[1]], "D": [[0]], "K": [[1]]}
     with pytest.raises(ModelError, match="lag: "):
         DeclaredModel.build(["x"], ["f"], {"tau": 1.0}, {}, parts, lag=lag)
-    # A delay counts from the cycle that backends bring: it may take some of that back.
+    # A delay is relative to the backends' cycle of delay, so it may be negative.
     ahead = DeclaredModel.build(["x"], ["f"], {}, {}, parts, delay=-1e-4)
     assert ahead.at().delay_s == -1e-4
 

@@ -27,7 +27,7 @@ def places() -> Places:
 
 
 def in_file(effects: list[ModelEffect]) -> ModelConfig:
-    """A model file with effects, written and read again."""
+    """Write a model file with effects, and read it again."""
     model = load_model(shipped("models/rig.yaml")).model_copy(update={"effects": tuple(effects)})
     return parse_text(to_yaml(model), ModelConfig, "model.yaml")
 
@@ -45,7 +45,7 @@ def test_every_effect_of_the_table_is_read_back_from_a_file(places: Places) -> N
         for effect in listed
     ]
     read = in_file([model_effect(p) for p in placed])
-    # Of records that show little of it: slow, and with sensors that never stand still.
+    # The extent of other records: slow, and without stuck sensors.
     little = replace(Extent.typical(places), fastest_hz=20.0, stuck=())
     for extent in (None, little):
         back = placed_effects(read.effects, places, extent)
@@ -57,12 +57,12 @@ def test_every_effect_of_the_table_is_read_back_from_a_file(places: Places) -> N
 
 def test_shape_outside_the_records_range_is_kept(places: Places) -> None:
     effect = next(e for e in all_effects(places) if e.shape and e.amplitudes)
-    there = tuple(2.0 * q.high for q in effect.shape)
-    placed = Placed(effect, there, tuple(1.0 for _ in effect.amplitudes), {})
+    outside = tuple(2.0 * q.high for q in effect.shape)
+    placed = Placed(effect, outside, tuple(1.0 for _ in effect.amplitudes), {})
     (back,) = placed_effects(in_file([model_effect(placed)]).effects, places)
-    assert back.shape == there
-    # A fit may stay where the file is and go back to where the table ends, not further out.
-    for ours, of_table, value in zip(back.effect.shape, effect.shape, there, strict=True):
+    assert back.shape == outside
+    # The bounds of a fit reach from the table's lower limit to the value in the file.
+    for ours, of_table, value in zip(back.effect.shape, effect.shape, outside, strict=True):
         assert (ours.low, ours.high) == (of_table.low, value)
 
 
@@ -74,7 +74,7 @@ CUBIC = {"k3": EffectParameter(value=1e8, unit="N/m^3")}
 
 
 @pytest.mark.parametrize(
-    ("effects", "said"),
+    ("effects", "expected_error"),
     [
         (
             [ModelEffect(effect="rod_stiffness.kubic", where=("z",), parameters=CUBIC)],
@@ -98,6 +98,8 @@ CUBIC = {"k3": EffectParameter(value=1e8, unit="N/m^3")}
         ),
     ],
 )
-def test_wrong_entry_is_reported(places: Places, effects: list[ModelEffect], said: str) -> None:
-    with pytest.raises(ModelError, match=said):
+def test_wrong_entry_is_reported(
+    places: Places, effects: list[ModelEffect], expected_error: str
+) -> None:
+    with pytest.raises(ModelError, match=expected_error):
         placed_effects(effects, places)

@@ -29,7 +29,7 @@ def one_dof() -> Places:
 
 @cache
 def moving(places_of=rig_places, rows: int = 6000) -> Signals:
-    """A platform that tilts and lifts, whole periods of 6 s, with exact derivatives."""
+    """Return periodic tilting and lifting over 6 s, with exact derivatives."""
     places = places_of()
     n, t = len(places.dof), np.arange(rows) * TS + 20.0
     rng = np.random.default_rng(3)
@@ -60,7 +60,7 @@ def table(places_of=rig_places) -> dict[str, Effect]:
 
 
 def term(identity: str, shape=None, signals: Signals | None = None, places_of=rig_places):
-    """The first term of an effect at the first row of its grid, or at another shape."""
+    """Return the first term of an effect, at the first row of its grid or at `shape`."""
     effect = table(places_of)[identity]
     return effect.build(
         moving(places_of) if signals is None else signals,
@@ -95,26 +95,26 @@ def test_every_effect_gives_a_term_for_each_amplitude_of_the_right_shape(places_
 
 
 @BOTH
-def test_no_two_effects_have_one_identity(places_of):
+def test_identities_of_effects_are_unique(places_of):
     effects = all_effects(places_of())
     assert len({e.identity for e in effects}) == len(effects)
 
 
-def test_rig_s_table_has_every_class_at_places_that_results_may_name():
+def test_table_of_the_rig_has_every_class_with_valid_locations():
     effects = table().values()
     assert {e.effect_class for e in effects} == CLASSES
     for effect in effects:
         assert all(WHERE.fullmatch(w) for w in effect.where), effect.identity
 
 
-def test_other_plants_have_their_own_classes_and_nothing_of_a_beam():
+def test_table_of_another_plant_has_no_beam_effects():
     classes = {e.effect_class for e in table(one_dof).values()}
     assert OTHERS | {"friction"} <= classes
     assert not classes & {"beam_motion", "cogging", "rotor", "external_field", "payload"}
 
 
 @BOTH
-def test_effects_go_to_other_processes_and_give_the_same_there(places_of):
+def test_pickled_effects_give_the_same_terms(places_of):
     s = moving(places_of)
     for effect in table(places_of).values():
         there = pickle.loads(pickle.dumps(effect))
@@ -126,10 +126,10 @@ def test_effects_go_to_other_processes_and_give_the_same_there(places_of):
                 assert one is None or np.array_equal(one, other)
 
 
-def test_columns_to_screen_stay_few():
-    # What the drives' force is screened with is no column of the platform's filter. A line at a
-    # frequency is 3 forces, the floor, 9 readings and a common one, a cosine and a sine each: 28.
-    # Frozen sensors are included only if readings are frozen. 470 take as long as 430 did.
+def test_number_of_screened_columns_is_limited():
+    # Effects on the drives alone are no columns of the platform's filter. A tone has 3 forces, the
+    # floor, 9 readings and a common reading, each with a cosine and a sine: 28. Stuck sensors count
+    # only if readings are stuck. 470 columns take as long as 430 did.
     s, count = moving(), 0
     usual = replace(Extent.typical(s.places), tones_hz=(), stuck=())
     for effect in all_effects(s.places, usual):
@@ -146,7 +146,7 @@ def test_quantities_have_units_and_shapes_lie_within_bounds(places_of):
         for row in effect.grid:
             assert len(row) == len(effect.shape)
             for value, q in zip(row, effect.shape, strict=True):
-                # A search steps by ratios, or else by shares of the range that there must be.
+                # The search takes logarithmic steps, or steps relative to a finite range.
                 assert np.isfinite([q.low, q.high]).all(), (effect.identity, q.name)
                 assert q.low <= value <= q.high, (effect.identity, q.name)
                 assert not q.log or q.low > 0
@@ -157,25 +157,25 @@ def test_terms_are_smooth_in_their_shape(places_of):
     s = moving(places_of)
     for effect in table(places_of).values():
         if effect.key == "sensor_stuck.jump":
-            continue  # It jumps at other times with another width, and no derivative says so.
+            continue  # It jumps at other times with another width, so it has no derivative.
         row = effect.grid[0]
         for i, q in enumerate(effect.shape):
-            nudge = 1e-3 * row[i] if q.log else 1e-6 * (q.high - q.low)
-            slopes = [_slope(effect, s, row, i, h) for h in (nudge, nudge / 2)]
-            # What clips turns a few rows from one branch to the other, which is less than a tenth
-            # of the slope's square; everything else differs by the square of the nudge.
+            step = 1e-3 * row[i] if q.log else 1e-6 * (q.high - q.low)
+            slopes = [_slope(effect, s, row, i, h) for h in (step, step / 2)]
+            # Clipping moves a few rows from one branch to the other, which is less than a tenth
+            # of the slope's square; otherwise the slopes differ by the square of the step.
             apart = np.linalg.norm(slopes[0] - slopes[1])
             assert apart <= 0.3 * np.linalg.norm(slopes[1]), (effect.identity, q.name)
 
 
-def _slope(effect: Effect, s: Signals, row, i: int, nudge: float) -> np.ndarray:
+def _slope(effect: Effect, s: Signals, row, i: int, step: float) -> np.ndarray:
     ends = []
     for sign in (1, -1):
         there = list(row)
-        there[i] += sign * nudge
+        there[i] += sign * step
         terms = effect.build(s, there)
         ends.append(np.concatenate([p.ravel() for t in terms for p in t.parts if p is not None]))
-    return (ends[0] - ends[1]) / (2 * nudge)
+    return (ends[0] - ends[1]) / (2 * step)
 
 
 def test_extent_is_the_range_of_the_records():
@@ -188,7 +188,7 @@ def test_extent_is_the_range_of_the_records():
     assert extent.beam_m == np.ptp(s.x_b_m)
 
 
-# Energy: what a force does to a platform that comes back to where it was.
+# Energy of forces along a closed path of the platform.
 
 
 def test_stiffness_conserves_energy():
@@ -196,8 +196,8 @@ def test_stiffness_conserves_energy():
     for identity, effect in table().items():
         if effect.effect_class == "rod_stiffness":
             p = power(term(identity).force, s)
-            # A periodic motion's sum over whole periods is its integral, but for rounding; a kink
-            # between two samples costs the square of their distance.
+            # The sum over whole periods of a periodic motion is its integral, up to rounding. Kinks
+            # between two samples give an error of the square of their distance.
             within = 1e-3 if "one_sided" in identity else 1e-9
             assert abs(p.sum()) < within * np.abs(p).sum(), identity
 
@@ -216,8 +216,8 @@ def test_damping_and_friction_dissipate_energy(places_of):
 
 
 @BOTH
-def test_dissipative_effects_have_bounds_that_keep_them_passive(places_of):
-    # Excesses over a damping that is fitted; a chain that the beam drags pulls to either side.
+def test_bounds_of_dissipative_effects_keep_them_passive(places_of):
+    # These may be negative: changes of a fitted damping, and the beam's cable chain.
     free = ("air_damping.linear", "damping.outward", "damping.one_sided", "friction.beam_chain")
     for effect in table(places_of).values():
         dissipates = effect.effect_class in ("friction", "air_damping", "damping")
@@ -226,7 +226,7 @@ def test_dissipative_effects_have_bounds_that_keep_them_passive(places_of):
                 assert quantity.low == 0.0, (effect.identity, quantity.name)
 
 
-def test_squeezed_air_resists_more_below_and_less_above_than_declared():
+def test_squeeze_film_damping_is_larger_below_and_smaller_above():
     s = moving()
     force = term("air_damping.squeeze_film_lift@z").force[:, 2]
     z, zd = s.q[:, 2], s.qd[:, 2]
@@ -236,7 +236,7 @@ def test_squeezed_air_resists_more_below_and_less_above_than_declared():
 
 
 @pytest.mark.parametrize(("name", "m"), [("linear", lambda q: q), ("quadratic", lambda q: q**2)])
-def test_inertia_that_changes_takes_what_its_kinetic_energy_gains(name, m):
+def test_power_of_variable_inertia_equals_the_rate_of_its_kinetic_energy(name, m):
     s = moving(one_dof)
     q, qd = s.q[:, 0], s.qd[:, 0]
     p = power(term(f"inertia.{name}@q", places_of=one_dof).force, s)
@@ -244,13 +244,13 @@ def test_inertia_that_changes_takes_what_its_kinetic_energy_gains(name, m):
 
 
 @pytest.mark.parametrize(("axis", "tilt"), [("psi", 0), ("theta", 1)])
-def test_centre_of_mass_takes_what_its_kinetic_energy_gains(axis, tilt):
+def test_power_of_an_offset_centre_of_mass_equals_the_rate_of_its_energy(axis, tilt):
     s = moving()
     p = power(term(f"centre_of_mass@{axis}+z").force, s)
     _same_as_rate(-p, s.qd[:, tilt] * s.qd[:, 2])
 
 
-def test_payload_takes_what_its_kinetic_and_potential_energy_gain():
+def test_power_of_a_payload_equals_the_rate_of_its_energy():
     s, x, y = moving(), 0.05, -0.08
     found = term("payload@psi+theta+z", (s.time_s[0] - 1.0, 0.01, x, y))
     height, rise = (f @ [y, x, 1.0] for f in (s.q, s.qd))
@@ -260,13 +260,13 @@ def test_payload_takes_what_its_kinetic_and_potential_energy_gain():
 def test_payload_has_no_force_before_its_time():
     s = moving()
     force = term("payload@psi+theta+z", (s.time_s[3000], 0.1, 0.0, 0.0)).force
-    # Ten rises before it, tanh is 1 to the last digit; so it is after.
+    # Ten rise times before and after, tanh is exactly -1 and 1.
     assert not np.any(force[:1900])
     np.testing.assert_allclose(force[4100:, 2], -(9.81 + s.qdd[4100:, 2]))
 
 
 def _same_as_rate(power_w: np.ndarray, energy_j: np.ndarray) -> None:
-    # Central differences of fourth order leave (w Ts)^4 / 30 = 1e-4 at 40 Hz, which products reach.
+    # Fourth-order differences have errors of (w Ts)^4 / 30 = 1e-4 at 40 Hz, the highest frequency.
     rate = (8 * (energy_j[3:-1] - energy_j[1:-3]) - energy_j[4:] + energy_j[:-4]) / (12 * TS)
     np.testing.assert_allclose(power_w[2:-2], rate, atol=1e-3 * np.abs(rate).max())
 
@@ -281,20 +281,20 @@ def coil_signals(F: np.ndarray) -> Signals:
     return replace(s, coil=coil)
 
 
-def test_coil_s_gain_adds_its_share_at_its_arm():
+def test_coil_gain_adds_a_wrench_at_the_coils_position():
     s = moving()
     held = term("coil_gain@coil:2").held
     np.testing.assert_allclose(held, np.outer(s.coil[:, 2], [-R_M, R_M, 1.0]))
 
 
-def test_force_constant_takes_the_height_in_the_period_in_which_a_command_acts():
+def test_force_constant_uses_the_height_while_the_command_acts():
     s = moving()
     held = term("force_constant.linear@coil:2").held[:, 2]
     h = s.q @ [-R_M, R_M, 1.0]
     k = 100
     # delay_cycles = 1: the command of row 100 acts from row 101 to row 102.
     assert held[k] == pytest.approx(s.coil[k, 2] * (h[k + 1] + h[k + 2]) / 2)
-    # Lagged with the command, the height would be late: it is taken as much ahead.
+    # The lag acts on command and height alike, so the height is taken ahead by the lag.
     effect = table()["force_constant.linear@coil:2"]
     (late,) = effect.build(replace(s, lag_s=3e-4), ())
     ahead = h + 3e-4 * (s.qd @ [-R_M, R_M, 1.0])
@@ -318,13 +318,13 @@ def test_dead_zone_is_zero_inside_and_reduced_by_its_width_outside():
 
 @pytest.mark.parametrize(
     ("key", "shape", "most"),
-    # Four points in a period are exact to a ten-thousandth for a curve that bends there, and to a
-    # hundredth for one with a corner; of commands taken as forces it would be 0.03 and 0.09.
+    # Four points per period are accurate to 1e-4 for a smooth curve and to 1e-2 for one with a
+    # corner. With the command in place of the force, the errors are 0.03 and 0.09.
     [("saturation@coil:2", (10.0, 4.0), 1e-3), ("dead_zone@coil:2", (3.0,), 1e-2)],
 )
-def test_a_coil_s_limits_are_those_of_its_force_not_of_its_command(key: str, shape, most: float):
-    told = np.random.default_rng(1).normal(7.6, 16, (moving().rows, 4)).mean(axis=1)
-    s = replace(coil_signals(np.convolve(told, [0.25, 0.5, 0.25], "same")), lag_s=3e-4)
+def test_saturation_and_dead_zone_act_on_the_lagged_force(key: str, shape, most: float):
+    command_noise = np.random.default_rng(1).normal(7.6, 16, (moving().rows, 4)).mean(axis=1)
+    s = replace(coil_signals(np.convolve(command_noise, [0.25, 0.5, 0.25], "same")), lag_s=3e-4)
     found = -lagged_mean(term(key, shape, s).held[:, 2], s.lag_s, TS)
     fine, expected, force = np.arange(0.5, 200) / 200 * TS, [], s.coil[0, 2]
     for command in s.coil[:300, 2]:
@@ -335,18 +335,18 @@ def test_a_coil_s_limits_are_those_of_its_force_not_of_its_command(key: str, sha
     assert np.std(found[:300] - expected) < most * np.std(expected)
 
 
-def test_saturation_runs_from_soft_to_hard():
+def test_saturation_ranges_from_soft_to_hard():
     s = moving()
     F = np.linspace(-30, 30, s.rows)
     soft, hard = (
         F + term("saturation@coil:2", (10.0, p), coil_signals(F)).held[:, 2] for p in (2.0, 40.0)
     )
     np.testing.assert_allclose(soft, F / np.sqrt(1 + (F / 10) ** 2), atol=1e-12)
-    # At the limit itself it gives 2^(-1/40) of it: 1.7 % less than a clip, and nowhere more.
+    # At the limit it is 2^(-1/40) of it: 1.7 % less than a clip, the largest difference.
     np.testing.assert_allclose(hard, np.clip(F, -10, 10), atol=0.18)
 
 
-def test_saturation_of_which_there_is_all_loses_as_much_far_below_its_limit():
+def test_unit_amplitude_saturation_loses_the_same_force_far_below_its_limit():
     s = coil_signals(np.linspace(-6, 6, moving().rows))
     effect = table(rig_places)["saturation@coil:2"]
     assert effect.shape_of_unit_amplitude is not None
@@ -357,36 +357,36 @@ def test_saturation_of_which_there_is_all_loses_as_much_far_below_its_limit():
     )
 
 
-def test_delay_and_short_lag_are_one_and_a_long_lag_is_its_own():
+def test_short_lag_equals_a_delay_and_long_lag_is_exact():
     s = moving()
     t = s.time_s
     F = 7.6 + np.sin(2 * np.pi * 5 * t)
     signals = coil_signals(F)
     delay = term("delay@coil:2", (2e-4,), signals)
     short = term("actuator_lag@coil:2", (2e-4,), signals)
-    # At 5 Hz a lag of 0.2 ms has a tail of its own of w tau = 0.6 % beside the delay.
+    # At 5 Hz a lag of 0.2 ms differs from a delay by w tau = 0.6 %.
     np.testing.assert_allclose(short.held[5:, 2], delay.held[5:, 2], atol=0.01 * 2 * np.pi * 5)
     tau = 0.02
     late = F + tau * term("actuator_lag@coil:2", (tau,), signals).held[:, 2]
     w = 2 * np.pi * 5
-    # Held samples come half a period late, and the mean over the next takes it back.
+    # The half period of the zero-order hold cancels with the mean over the next period.
     expected = 7.6 + np.imag(np.exp(1j * w * t) / (1 + 1j * w * tau))
     np.testing.assert_allclose(late[500:], expected[500:], atol=2e-3)
 
 
-def test_a_plain_delay_is_one_of_as_much_as_it_goes_back():
+def test_delay_effect_equals_the_mean_of_the_delayed_command():
     s = moving()
     F = np.cumsum(np.random.default_rng(5).normal(size=s.rows))  # steps, held for a period each
     for back_s in (4e-4, 1e-3, 3.4e-3):
         late = F + back_s * term("delay@coil:2", (back_s,), coil_signals(F)).held[:, 2]
-        # By the mean over 100 instants of each period, of which whole tenths of one are behind.
+        # The mean over 100 instants of each period, shifted by the delay.
         fine = np.repeat(F, 100)
         back = round(back_s / TS * 100)
         shifted = np.concatenate([np.full(back, F[0]), fine])[: len(fine)]
         np.testing.assert_allclose(late, shifted.reshape(-1, 100).mean(axis=1), atol=1e-9)
 
 
-def test_a_coil_is_quicker_than_declared_by_no_more_than_that():
+def test_negative_delay_is_bounded_by_the_declared_delay_and_lag():
     s = replace(moving(), delay_cycles=2, lag_s=3e-4)
     found = {e.identity: e for e in all_effects(s.places, Extent.measured([s]))}
     for name in ("delay@coil:4", "actuator_lag@coil:4"):
@@ -400,7 +400,7 @@ def test_heat_rises_with_the_square_of_the_force_since_the_session_began():
     np.testing.assert_allclose(held, -6.0 * 36.0 * (1 - np.exp(-(s.time_s + before) / tau)))
 
 
-def test_heat_at_a_records_begin_follows_from_the_session():
+def test_heat_at_the_start_of_a_record_follows_from_the_session():
     # 8 N from 2 s before 0 s, 3 N from 6 s, nothing known from 10 s on; the record begins at 20 s.
     loads = Loads((0.0, 6.0, 10.0), tuple((0.0, 0.0, f * f, *[0.0] * 6) for f in (8.0, 3.0, 3.0)))
     s = coil_signals(np.zeros(moving().rows))
@@ -412,17 +412,17 @@ def test_heat_at_a_records_begin_follows_from_the_session():
     np.testing.assert_allclose(held, -(1 + (began - 1) * np.exp(-t / tau)), rtol=1e-9)
 
 
-# Sensors and the platform that bends.
+# Sensors and the flexible platform.
 
 
-def test_sensor_s_lag_is_late_by_its_amplitude():
+def test_sensor_lag_is_a_first_order_lag():
     t = moving().time_s
     w, tau = 2 * np.pi * 3.0, 0.01
     q = np.zeros((len(t), 3))
     q[:, 2] = 1e-4 * np.sin(w * t)
     late = q[:, 2] + tau * term("sensor_lag@sensor:4", (tau,), replace(moving(), q=q)).gap[:, 4]
     expected = 1e-4 * np.imag(np.exp(1j * w * t) / (1 + 1j * w * tau))
-    # Straight lines between samples leave (w Ts)^2 / 12.
+    # Linear interpolation between samples has an error of (w Ts)^2 / 12.
     np.testing.assert_allclose(late[500:], expected[500:], atol=1e-4 * 1e-4)
 
 
@@ -465,11 +465,11 @@ def test_mode_far_below_its_frequency_is_a_compliance():
     saddle = phi[:, 4]
     acting = np.roll(F - 7.6, 1, axis=0) @ saddle  # delay_cycles = 1
     expected = np.outer(acting, saddle) / (2 * np.pi * f) ** 2
-    # A row shows the command of the period before it: w Ts = 0.6 % late at 1 Hz.
+    # A row has the command of the previous period: a delay of w Ts = 0.6 % at 1 Hz.
     np.testing.assert_allclose(bent.gap[100:], expected[100:], atol=0.01 * np.abs(expected).max())
 
 
-def test_loose_mass_is_mass_below_its_frequency_and_gone_above():
+def test_loose_mass_acts_below_its_frequency_and_decouples_above():
     t = moving().time_s
     for f, wanted, within in ((2.0, 1.0, 0.02), (60.0, 0.0, 0.2)):
         w = 2 * np.pi * f
@@ -480,26 +480,26 @@ def test_loose_mass_is_mass_below_its_frequency_and_gone_above():
         )
         force = found.force[3000:, 2]  # after it has settled
         share = 2 * np.mean(force * np.sin(w * t[3000:])) / (w * w)
-        # (f / 20 Hz)^2 = 1 % more than all of it at 2 Hz; (20 Hz / f)^2 = 11 % are left at 60 Hz.
+        # (f / 20 Hz)^2 = 1 % more than the full mass at 2 Hz; (20 Hz / f)^2 = 11 % of it at 60 Hz.
         assert share == pytest.approx(wanted, abs=within)
 
 
-# Beam, rotor, lines.
+# Beam, rotor, tones.
 
 
-def test_unbalanced_rotor_pushes_against_its_acceleration():
+def test_rotor_imbalance_force_is_opposite_to_its_acceleration():
     s = moving()
     pushed = [t.force[:, 2] for t in table()["rotor.imbalance@rotor+z"].build(s, ())]
     for found, place in zip(pushed, (np.cos(s.phi_rad), np.sin(s.phi_rad)), strict=True):
         second = np.gradient(np.gradient(place, TS), TS)
         inner = slice(5, -5)
-        # Second differences of what turns at up to 40 rad/s: (w Ts)^2 / 6, and more in products.
+        # Second differences at up to 40 rad/s have errors of (w Ts)^2 / 6, and more for products.
         np.testing.assert_allclose(
             found[inner], -second[inner], atol=2e-3 * np.abs(second[inner]).max()
         )
 
 
-def test_rotor_s_weight_follows_from_where_it_hangs():
+def test_weight_of_an_unbalanced_rotor_follows_its_angle():
     s = moving()
     at = table()["rotor.weight@rotor+psi+theta"].build(s, ())
     angle = s.phi_rad + 0.3
@@ -508,7 +508,7 @@ def test_rotor_s_weight_follows_from_where_it_hangs():
     np.testing.assert_allclose(force[:, 1], -np.cos(angle), atol=1e-12)  # sum of x F
 
 
-def test_cogging_repeats_with_its_pitch_and_reaches_the_drives_alone():
+def test_cogging_is_periodic_in_its_pitch_and_acts_on_the_drives_only():
     s = moving()
     effect = drives.cogging(0.024)
     shifted = replace(s, x_b_m=s.x_b_m + 0.024)
@@ -517,14 +517,14 @@ def test_cogging_repeats_with_its_pitch_and_reaches_the_drives_alone():
         np.testing.assert_allclose(one.drive, other.drive, atol=1e-12)
 
 
-def test_pitches_lie_close_enough_to_miss_none():
+def test_grid_of_cogging_pitches_is_dense_enough():
     (cogging,) = (e for e in all_effects(rig_places()) if e.key == "cogging")
     lines = np.sort([1 / pitch for (pitch,) in cogging.grid])
-    # Over 0.2 m of travel, lines closer than 1 / 0.2 m look alike in part.
+    # Over 0.2 m of travel, lines closer than 1 / 0.2 m are correlated.
     assert np.diff(lines).max() * 0.2 < 1.5
 
 
-def test_line_has_the_phase_of_the_session():
+def test_tone_has_its_phase_in_session_time():
     effect = vibration.tone(rig_places(), 50.0)[2]
     placed = Placed(effect, (50.0,), (3.0, 4.0))
     s = moving()
@@ -535,7 +535,7 @@ def test_line_has_the_phase_of_the_session():
     )
 
 
-def test_sensor_that_stands_shows_the_height_at_which_it_came_to_a_stand():
+def test_stuck_sensor_keeps_its_last_reading():
     stuck = np.zeros((moving().rows, 9), bool)
     stuck[100:120, 4] = stuck[3000:3400, 4] = True
     s = replace(moving(), stuck=stuck)
@@ -547,40 +547,39 @@ def test_sensor_that_stands_shows_the_height_at_which_it_came_to_a_stand():
     np.testing.assert_allclose(shown[100:120], s.gap(4)[99], rtol=1e-12)
     np.testing.assert_allclose(shown[3000:3400], s.gap(4)[2999], rtol=1e-12)
     assert not np.any(np.delete(found.gap, 4, axis=1))
-    # A simulated plant tells nobody when its readings will stand.
+    # Without known stuck rows the effect is zero.
     assert not np.any(stand.build(moving(), ())[0].gap)
 
 
-def test_beam_in_stiff_bearings_adds_nothing_but_its_own_inertia():
-    """That is in the mass of a declared model: what is left is -m q'' and vanishes at rest."""
+def test_beam_in_stiff_bearings_adds_only_its_inertia():
+    """The force is -m q'', as the mass of the declared model has it, and zero at rest."""
     s = moving()
     stiff = (300.0, 0.5, 1.0, 0.06)
     for dof, axis in ((1, "theta"), (0, "psi")):
         found = term(f"friction.bearing@beam+{axis}", stiff).force
         assert not np.any(np.delete(found, dof, axis=1))
         qdd = s.qdd[:, dof]
-        # Up to 7 Hz below 300 Hz the shift is a two-thousandth of the motion.
+        # At up to 7 Hz, far below 300 Hz, the shift is 1/2000 of the motion.
         off = found[200:, dof] + qdd[200:]
         assert np.std(off) < 0.02 * np.std(qdd)
 
 
-def test_beam_that_is_sped_up_shifts_along_its_rails_alone():
+def test_accelerated_beam_shifts_along_its_rails_only():
     still = replace(moving(), q=0 * moving().q, qd=0 * moving().qd, qdd=0 * moving().qdd)
     s = replace(still, a_b_m_s2=np.full(still.rows, 2.0))
     frequency, height = 30.0, 0.06
     shape = (frequency, 0.1, 1e3, height)
     along = term("friction.bearing@beam+theta", shape, s).force[:, 1]
-    # Its weight hangs by the shift a_b / w^2 beside the place that the drives see. It begins on
-    # Iwan's curve, which its elements follow in steps: off by a_b / (h w^2) / (2 x_s) of the pull,
-    # which is 1e-4 of this.
+    # The weight is shifted by a_b / w^2 from the position of the drives. The first part of Iwan's
+    # curve deviates from linear by a_b / (h w^2) / (2 x_s) of the force, which is 1e-4.
     np.testing.assert_allclose(
         along, 9.81 / height * 2.0 / height / (2 * np.pi * frequency) ** 2, rtol=1e-3
     )
     assert not np.any(term("friction.bearing@beam+psi", shape, s).force)
 
 
-def test_resonances_are_looked_for_below_what_sampling_tells_from_others():
-    # At 50 Hz a resonance of 60 Hz looks like one of 10 Hz.
+def test_resonances_are_searched_below_the_nyquist_frequency():
+    # At 50 Hz sampling, a resonance at 60 Hz has an alias at 10 Hz.
     places = rig_places()
     slow = replace(Extent.typical(places), fastest_hz=20.0)
     modes = [e for e in all_effects(places, slow) if e.effect_class == "flexible_mode"]
@@ -589,10 +588,10 @@ def test_resonances_are_looked_for_below_what_sampling_tells_from_others():
         assert [row[0] for row in effect.grid] == [15.0]
         assert effect.shape[0].high == 20.0
     lines = {row[0] for e in all_effects(places, slow) if "vibration" in e.key for row in e.grid}
-    assert lines == {50.0, 60.0}  # they are read off the records
+    assert lines == {50.0, 60.0}  # mains; other tones are found in the records
 
 
-def test_records_without_any_command_have_candidates_that_are_numbers():
+def test_terms_are_finite_for_records_without_commands():
     places = rig_places()
     s = moving()
     covered = Extent.measured([replace(s, coil=np.zeros_like(s.coil))])

@@ -49,11 +49,11 @@ def test_form_acts_at_its_location_only():
                 continue
             own = [int(number) if kind == "sensor" else rig_places().dof.index(kind)]
             if effect.key.startswith("unknown.wave") and kind == "z":
-                own.append(1)  # a force where the beam is
+                own.append(1)  # a force at the beam's position
             assert not np.any(np.delete(acts(term), own, axis=1))
 
 
-def test_what_depends_on_commands_is_of_coils_and_readings_alone():
+def test_only_forms_of_coils_and_sensors_depend_on_commands():
     by = {e.identity: e for e in effects() if any(w.startswith("coil") for w in depends_on(e))}
     kinds = {e.where[0].partition(":")[0] for e in by.values()}
     assert kinds == {"sensor", "coil"}
@@ -61,7 +61,7 @@ def test_what_depends_on_commands_is_of_coils_and_readings_alone():
     assert depends_on(stray) == ("coil:3",)
     assert stray.name == "Reading that depends on the command of coil:3 at sensor:0"
     s = moving()
-    # A field is there when the coil's force is: a cycle after its command, between two of them.
+    # The field acts together with the coil force, one cycle after the command.
     columns = np.stack([acts(t)[:, 0] for t in stray.build(s, ())], axis=1)
     acting = s.acting(s.coil)[:, 3]
     left = acting**2 - columns @ np.linalg.lstsq(columns, acting**2, rcond=None)[0]
@@ -73,23 +73,23 @@ def test_what_depends_on_commands_is_of_coils_and_readings_alone():
     columns = np.stack([acts(t) @ alone / (alone @ alone) for t in shared.build(s, ())], axis=1)
     left = product - columns @ np.linalg.lstsq(columns, product, rcond=None)[0]
     assert np.abs(left).max() < 1e-9
-    # Of another coil it would be another effect.
+    # The key is invalid at another coil or at a DOF.
     assert freeform_effect(rig_places(), shared.key, ("coil:6",)) is None
     assert freeform_effect(rig_places(), stray.key, ("theta",)) is None
 
 
 @pytest.mark.parametrize("by", ["x_b", "time", "z", "z_rate", "phi"])
-def test_no_sum_of_functions_is_constant(by: str):
-    """A constant force is an unknown of every record already; that of a reading stands apart."""
+def test_functions_of_a_form_do_not_contain_a_constant(by: str):
+    """Each record already has a constant force as an unknown; readings have a separate constant."""
     s = np.linspace(-1.0, 1.0, 400) * (np.pi if by == "phi" else 1.0)
     functions = Form(by, 1.0)._shapes(s, DEGREE)
     best, *_ = np.linalg.lstsq(functions, np.ones(400), rcond=None)
-    # What is left of a constant: all of it for harmonics, a peak as wide as a piece for splines.
+    # The residual of a constant: all of it for harmonics, one spline segment for splines.
     assert np.mean((1.0 - functions @ best) ** 2) > 1e-3
 
 
-def test_force_of_a_coil_is_any_function_of_its_command():
-    """As an amplifier whose second stage comes in beyond a force, and has another offset."""
+def test_coil_form_can_represent_a_step_over_the_command():
+    """For example, an amplifier with a second stage that has another offset."""
     s = moving()
     s = replace(s, coil=6.0 + s.coil)
     extent = Extent.measured([s])
@@ -108,22 +108,22 @@ def test_force_of_a_coil_is_any_function_of_its_command():
         - (columns - columns.mean(axis=0))
         @ np.linalg.lstsq(columns - columns.mean(axis=0), step - step.mean(), rcond=None)[0]
     )
-    # A cube leaves two fifths of it; twelve pieces over six deviations a blur of half of one.
+    # A cubic polynomial leaves 40 %; twelve segments over six standard deviations less than 15 %.
     assert np.var(left) < 0.15 * np.var(step)
-    words = chebyshev.chebvander((s.coil[:, 3] - 6.0) / 3.0, 3)
-    cube = step - words @ np.linalg.lstsq(words, step, rcond=None)[0]
-    assert np.var(cube) > 0.3 * np.var(step)
+    polynomials = chebyshev.chebvander((s.coil[:, 3] - 6.0) / 3.0, 3)
+    cubic_residual = step - polynomials @ np.linalg.lstsq(polynomials, step, rcond=None)[0]
+    assert np.var(cubic_residual) > 0.3 * np.var(step)
 
 
-def test_reading_error_can_be_local():
-    """As near a magnet that passes. A sensor has a zero of its own, which single readings show."""
+def test_sensor_form_can_represent_a_local_error():
+    """For example, near a passing magnet. Sensor forms include an offset."""
     s = replace(moving(), x_b_m=np.linspace(-0.1, 0.1, 200))
     effect = freeform_effect(rig_places(), "unknown.x_b[0.1]", ("sensor:4",))
     assert effect is not None
     columns = np.stack([acts(t)[:, 4] for t in effect.build(s, ())], axis=1)
     bump = np.exp(-(((s.x_b_m - 0.01) / 0.03) ** 2))
     left = bump - columns @ np.linalg.lstsq(columns, bump, rcond=None)[0]
-    assert np.abs(left).max() < 0.02  # cubic pieces of 22 mm
+    assert np.abs(left).max() < 0.02  # cubic segments of 22 mm
     assert len(columns.T) == len(effect.amplitudes) == 12
 
 
@@ -131,19 +131,21 @@ def test_reading_error_can_be_local():
     ("by", "signals"), [("v_b", ("v_b",)), ("a_b_v_b", ("a_b", "v_b")), ("phi_speed", ("phi'",))]
 )
 def test_leaky_integral_is_a_first_order_lag(by: str, signals: tuple[str, ...]):
-    """As of a capacitor that braking charges, or of what friction heats."""
+    """For example, a capacitor that braking charges, or heating by friction."""
     s, tau_s = moving(), 0.4
     (effect,) = (e for e in effects() if e.where == ("sensor:2",) and f".lingering.{by}[" in e.key)
     assert depends_on(effect) == signals
     u = {"v_b": s.v_b_m_s, "a_b_v_b": s.a_b_m_s2 * s.v_b_m_s, "phi_speed": s.phi_rad_s}[by]
     scale = float(effect.key.partition("[")[2].rstrip("]"))
     for term, side in zip(effect.build(s, (tau_s,)), (u, -u), strict=True):
-        fed = np.maximum(side, 0.0) / scale
-        _, held, _ = lsim(([1.0], [tau_s, 1.0]), fed - fed[0], s.Ts_s * np.arange(len(fed)))
-        np.testing.assert_allclose(acts(term)[:, 2], fed[0] + held, atol=1e-9)
+        lag_input = np.maximum(side, 0.0) / scale
+        _, held, _ = lsim(
+            ([1.0], [tau_s, 1.0]), lag_input - lag_input[0], s.Ts_s * np.arange(len(lag_input))
+        )
+        np.testing.assert_allclose(acts(term)[:, 2], lag_input[0] + held, atol=1e-9)
 
 
-def test_what_a_command_leaves_behind_is_of_its_mean_and_of_readings_alone():
+def test_lingering_forms_of_commands_are_relative_to_the_mean_and_for_sensors_only():
     s = moving()
     s = replace(s, coil=6.0 + s.coil)
     found = [
@@ -169,13 +171,13 @@ def test_what_a_command_leaves_behind_is_of_its_mean_and_of_readings_alone():
         "v_b[0.1+-0.4]", "coil_3[2]", "coil_9[6+-2]", "coil_3[nan+-2]", "coil_3[1e999+-2]",
     ],
 )  # fmt: skip
-def test_what_lingers_has_a_signal_and_a_scale(key: str):
+def test_lingering_form_with_an_invalid_key_is_rejected(key: str):
     assert freeform_effect(rig_places(), f"unknown.lingering.{key}", ("sensor:1",)) is None
     assert freeform_effect(rig_places(), "unknown.lingering.v_b[0.4]", ("coil:1",)) is None
 
 
-def test_a_reading_may_be_bent_over_a_small_part_of_a_tilt():
-    """As of an oscillator that is locked to its neighbour where their gaps are nearly alike."""
+def test_fine_sensor_form_can_represent_a_narrow_part_of_the_range():
+    """For example, sensor oscillators that lock to each other at nearly equal gaps."""
     s = moving()
     s = replace(s, q=np.linspace(-3e-3, 3e-3, len(s.q))[:, None] * np.ones(3))
     effect = freeform_effect(rig_places(), "unknown.psi[0+-0.003]~", ("sensor:4",))
@@ -185,21 +187,21 @@ def test_a_reading_may_be_bent_over_a_small_part_of_a_tilt():
     off, width = s.q[:, 0] - 4e-4, 3e-4
     lock = off - np.sign(off) * np.sqrt(np.maximum(off**2 - width**2, 0.0))
     left = lock - columns @ np.linalg.lstsq(columns, lock, rcond=None)[0]
-    words = chebyshev.chebvander(s.q[:, 0] / 3e-3, 6)
-    smooth = lock - words @ np.linalg.lstsq(words, lock, rcond=None)[0]
-    # A polynomial has no room for it. What cubic pieces of 0.35 mrad leave is at its two edges.
+    polynomials = chebyshev.chebvander(s.q[:, 0] / 3e-3, 6)
+    smooth = lock - polynomials @ np.linalg.lstsq(polynomials, lock, rcond=None)[0]
+    # A polynomial cannot represent it. Cubic segments of 0.35 mrad leave its two edges.
     assert np.var(left) < 0.25 * np.var(smooth)
 
 
 @pytest.mark.parametrize("key", ["unknown.z_rate[1]*phi", "unknown.z[1]*phi", "unknown.phi"])
 @pytest.mark.parametrize("where", ["z", "sensor:4"])
-def test_every_function_of_a_model_file_has_its_amplitude(key: str, where: str):
+def test_form_from_a_key_has_one_amplitude_per_term(key: str, where: str):
     effect = freeform_effect(rig_places(), key, (where,))
     assert effect is not None
     assert len(effect.build(moving(), ())) == len(effect.amplitudes)
 
 
-def test_what_happens_at_one_end_of_the_beam_says_nothing_of_the_other():
+def test_functions_of_the_beam_position_are_local():
     form = Form("x_b", 0.1)
     ends = replace(moving(), x_b_m=np.linspace(-0.1, 0.1, 200))
     left, right = (
@@ -218,17 +220,17 @@ def test_invalid_keys_give_no_effect():
         assert freeform_effect(rig_places(), "unknown.x_b[0.1]", nowhere) is None
 
 
-def test_resonant_response_is_that_of_a_mass_on_a_spring():
-    """But for what a model has already: mass, damping and stiffness between the two DOF."""
+def test_resonant_response_equals_that_of_a_mass_on_a_spring():
+    """Mass, damping and stiffness between the two DOF are excluded; the model has them."""
     Ts_s, rows, w, zeta, m = 1e-3, 8000, 2 * np.pi * 14.0, 0.05, 0.2
     t = np.arange(rows) * Ts_s
     f_hz = np.array([3.0, 7.0, 11.0, 13.5, 15.0, 22.0])[:, None]
     s = 2j * np.pi * f_hz
     waves = np.exp(s * t) * np.exp(1j * np.arange(6))[:, None]
     h, rate, twice = ((1e-4 * s**k * waves).sum(axis=0).imag for k in range(3))
-    # From the transfer function of a mass on a spring and a damper, not from any simulation.
-    gives = -m * s**2 * (w**2 + 2 * zeta * w * s) / (s**2 + 2 * zeta * w * s + w**2)
-    force = (1e-4 * gives * waves).sum(axis=0).imag
+    # The transfer function of a mass on a spring and damper, without a simulation.
+    transfer = -m * s**2 * (w**2 + 2 * zeta * w * s) / (s**2 + 2 * zeta * w * s + w**2)
+    force = (1e-4 * transfer * waves).sum(axis=0).imag
     q = np.stack([h, 0 * h, 0 * h], axis=1)
     signals = replace(moving(), Ts_s=Ts_s, time_s=t, q=q)
     effect = freeform_effect(rig_places(), "unknown.answer.psi", ("z",))
@@ -243,13 +245,13 @@ def test_resonant_response_is_that_of_a_mass_on_a_spring():
         best, *_ = np.linalg.lstsq(columns[settled], force[settled])
         return float(np.std((force - columns @ best)[settled]) / np.std(force[settled]))
 
-    # Inputs straight between rows leave (w Ts)^2 / 12 of an answer five to ten times the motion.
+    # Linear interpolation of inputs: (w Ts)^2 / 12 of a response five to ten times the motion.
     assert left(14.0) < 0.01
     assert left(20.0) > 0.2
 
 
-def test_time_means_the_same_to_those_who_know_no_session():
-    # The simulator and identify read a model without the records it was found in.
+def test_time_of_a_form_is_independent_of_the_session_span():
+    # The simulator and `levid identify` use a model without the records of the trace.
     session, alone = rig_places((200.0, 300.0)), rig_places((0.0, 1.0))
     effect = next(
         e
@@ -269,8 +271,8 @@ def test_time_means_the_same_to_those_who_know_no_session():
         assert np.ptp(acts(ours)) > 0
 
 
-def test_functions_lie_where_the_motion_is():
-    # A beam that is swept on one side, and a platform that hangs off its middle.
+def test_functions_cover_the_range_of_the_motion():
+    # The beam moves on one side, and the platform is off its centre.
     places = rig_places()
     s = moving()
     there = np.linspace(0.0, 0.2, s.rows)
@@ -279,7 +281,7 @@ def test_functions_lie_where_the_motion_is():
     found = {e.identity: e for e in freeform_effects(places, covered)}
     by_beam = found["unknown.x_b[0.1+-0.1]@z"]
     columns = [acts(t) for t in by_beam.build(replace(s, x_b_m=there), ())]
-    # Each of its splines has its own part of the way.
+    # Each spline covers a part of the travel.
     assert all(np.ptp(column) > 0.1 for column in columns)
     (by_z,) = (
         e
@@ -288,14 +290,14 @@ def test_functions_lie_where_the_motion_is():
     )
     form = Form.of(by_z.key)
     assert form is not None
-    assert form.middle == pytest.approx(0.05, abs=0.2 * form.scale)  # tones are not symmetric
+    assert form.middle == pytest.approx(0.05, abs=0.2 * form.scale)  # the motion is not symmetric
     again = freeform_effect(places, by_z.key, by_z.where)
     for ours, theirs in zip(by_z.build(s, ()), again.build(s, ()), strict=True):
         np.testing.assert_array_equal(acts(ours), acts(theirs))
 
 
 def test_hysteresis_of_a_coil_depends_on_reversals():
-    """A loop of the command: there and back give forces apart, and no sum of stops is smooth."""
+    """The force at equal commands differs between increasing and decreasing commands."""
     s = moving()
     t = np.arange(200) / 100
     command = 7.6 + 2.0 * np.sin(2 * np.pi * t)
@@ -311,14 +313,14 @@ def test_hysteresis_of_a_coil_depends_on_reversals():
     for term, width in zip(terms, (0.05, 0.15, 0.4, 1.0, 2.5), strict=True):
         own = term.held @ np.linalg.pinv(np.atleast_2d(s.places.coil_shape[6]))
         held, r = [], 1.41 * width
-        for start in (1.0, -1.0):  # a stop by its definition
+        for start in (1.0, -1.0):  # the definition of a stop operator
             f, path = start, [start]
             for a, b in pairwise(command):
                 f = min(max(f + (b - a) / r, -1.0), 1.0)
                 path.append(f)
             held.append(path)
         np.testing.assert_allclose(own[:, 0], np.mean(held, axis=0), atol=1e-12)
-    up, down = terms[1].held[110], terms[1].held[140]  # the same command, 16 ms before the turn
+    up, down = terms[1].held[110], terms[1].held[140]  # equal commands before and after a reversal
     assert np.abs(up - down).max() > np.abs(up).max()
     assert len(effect.initial_force_decay(s, ())) == len(terms)
     assert freeform_effect(rig_places(), "unknown.hysteresis.command[0]", ("coil:6",)) is None

@@ -1,4 +1,4 @@
-"""Test free forms over the beam's travel and a coil's heat against explicit equations."""
+"""Test free forms over beam travel and coil heat against explicit equations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from levid.model.effects.search_range import Extent
 
 
 def swept(hz_s: float = 0.02):
-    """A beam that goes to and fro over 0.2 m, faster each time."""
+    """Return signals of a beam that oscillates over 0.2 m at increasing frequency."""
     t = 0.01 * np.arange(2000)
     angle = 2 * np.pi * (0.2 * t + 0.5 * hz_s * t**2)
     rate = 2 * np.pi * (0.2 + hz_s * t)
@@ -35,8 +35,8 @@ def explained(columns, wanted):
     return 1.0 - np.linalg.norm(left) / np.linalg.norm(wanted)
 
 
-def test_an_uneven_rail_lifts_the_beam_with_its_speed_squared():
-    """m w'' of w = A cos(2 pi x_b / p + f), by numbers: of v_b^2 and of a_b is a part each."""
+def test_wave_forms_represent_the_lift_by_an_uneven_rail():
+    """m w'' with w = A cos(2 pi x_b / p + f) has a part in v_b^2 and a part in a_b."""
     s, period = swept(), 0.02
     dt = 1e-6
 
@@ -53,7 +53,7 @@ def test_an_uneven_rail_lifts_the_beam_with_its_speed_squared():
     of_theta = [acts(t)[:, 1] for terms in parts for t in terms]
     assert explained(of_z, lift) > 0.999
     np.testing.assert_allclose(of_theta, s.x_b_m * of_z)
-    assert explained(of_z[:2], lift) > 0.9  # a_b / (k v_b^2) is a twentieth where it is fast
+    assert explained(of_z[:2], lift) > 0.9  # at high speed a_b / (k v_b^2) is 1/20
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_an_uneven_rail_lifts_the_beam_with_its_speed_squared():
         ("place", "sensor:3", ("x_b",)),
     ],
 )
-def test_wave_names_its_signals(key: str, where: str, signals: tuple[str, ...]):
+def test_wave_form_depends_on_its_signals(key: str, where: str, signals: tuple[str, ...]):
     effect = freeform_effect(rig_places(), f"unknown.wave.{key}", (where,))
     assert depends_on(effect) == signals
     s = swept()
@@ -81,21 +81,21 @@ def test_wave_names_its_signals(key: str, where: str, signals: tuple[str, ...]):
     np.testing.assert_allclose(sine, factor / unit * np.sin(2 * np.pi * s.x_b_m / 0.05))
 
 
-def test_a_reading_follows_the_losses_of_a_coil_through_a_session():
-    """Against the whole session at once: a record knows what was carried before it."""
+def test_warming_form_follows_the_coil_losses_through_a_session():
+    """The heat at the start of a record agrees with a simulation of the whole session."""
     rng, Ts_s, tau_s, before_s = np.random.default_rng(3), 0.01, 11.0, 4.0
-    told = np.repeat(6.0 + rng.standard_normal(30), 200)  # 2 s each: as loads are kept
-    t = Ts_s * np.arange(len(told))
+    coil_n = np.repeat(6.0 + rng.standard_normal(30), 200)  # 2 s each, the block length of loads
+    t = Ts_s * np.arange(len(coil_n))
     loads = Loads(
-        tuple(2.0 * np.arange(30)), tuple((*[0.0] * 7, float(f**2), 0.0) for f in told[::200])
+        tuple(2.0 * np.arange(30)), tuple((*[0.0] * 7, float(f**2), 0.0) for f in coil_n[::200])
     )
     long_t = np.concatenate([np.arange(-before_s, 0.0, Ts_s), t])
-    fed = np.concatenate([np.full(round(before_s / Ts_s), told[0] ** 2), told**2])
-    _, heat, _ = lsim(([1.0], [tau_s, 1.0]), fed, long_t + before_s, interp=False)
+    squares = np.concatenate([np.full(round(before_s / Ts_s), coil_n[0] ** 2), coil_n**2])
+    _, heat, _ = lsim(([1.0], [tau_s, 1.0]), squares, long_t + before_s, interp=False)
     heat = heat[-len(t) :]
     rows = slice(2000, 6000)
     coil = np.zeros((4000, 9))
-    coil[:, 7] = told[rows]
+    coil[:, 7] = coil_n[rows]
     places = replace(rig_places(), loads=loads)
     s = replace(moving(), time_s=t[rows], coil=coil, places=places)
     effect = freeform_effect(rig_places(), "unknown.warming.coil_7", ("sensor:4",))
@@ -105,7 +105,7 @@ def test_a_reading_follows_the_losses_of_a_coil_through_a_session():
     np.testing.assert_allclose(warm, heat[rows], rtol=1e-3)  # blocks of 2 s, steps of 10 ms
 
 
-def test_there_is_one_of_every_pair_and_none_of_a_beam_where_there_is_none():
+def test_number_of_wave_and_warming_forms_with_and_without_a_beam():
     places = rig_places()
     found = [e for e in freeform_effects(places, Extent.typical(places)) if "wave" in e.key]
     assert len(found) == 3 * (3 + 9) + 9
@@ -123,11 +123,11 @@ def test_there_is_one_of_every_pair_and_none_of_a_beam_where_there_is_none():
         "warming.v_b", "warming",
     ],
 )  # fmt: skip
-def test_invalid_keys_give_none(key: str):
+def test_invalid_keys_give_no_effect(key: str):
     assert freeform_effect(rig_places(), f"unknown.{key}", ("sensor:1",)) is None
 
 
-def test_invalid_locations_give_none():
+def test_invalid_locations_give_no_effect():
     for key, where in (
         ("wave.place", "theta"), ("wave.v_b[0.4]", "coil:1"), ("warming.coil_1", "theta"),
         ("warming.coil_1", "sensor:9"), ("answer.x_b*x_b", "sensor:1"), ("answer.x_b", "coil:1"),
@@ -137,7 +137,7 @@ def test_invalid_locations_give_none():
 
 @pytest.mark.parametrize("where", ["theta", "sensor:6"])
 def test_resonant_response_of_the_base_to_the_beam(where: str):
-    """Pushed by a_b and pressed by x_b, with parts of it that a model has: weight and reaction."""
+    """The base is driven by a_b and loaded by x_b; the model has the weight and the reaction."""
     s, f_hz, zeta = swept(0.15), 1.9, 0.08
     w = 2 * np.pi * f_hz
     push = 0.4 * s.a_b_m_s2 - 9.81 * s.x_b_m
@@ -146,7 +146,7 @@ def test_resonant_response_of_the_base_to_the_beam(where: str):
     effect = freeform_effect(rig_places(), "unknown.answer.x_b", (where,))
     assert depends_on(effect) == ("x_b",)
     at = {"theta": 1, "sensor:6": 6}[where]
-    settled = slice(400, None)  # exp(-zeta w 4 s) is a fiftieth
+    settled = slice(400, None)  # exp(-zeta w 4 s) is 2 %
 
     def share(frequency_hz: float) -> float:
         answered = [acts(t)[settled, at] for t in effect.build(s, (frequency_hz, zeta))]
@@ -158,5 +158,5 @@ def test_resonant_response_of_the_base_to_the_beam(where: str):
         assert depends_on(itself) == ("x_b",)
         for one, other in zip(*(e.build(s, (f_hz, zeta)) for e in (effect, itself)), strict=True):
             np.testing.assert_allclose(acts(one)[:, at] * s.x_b_m, acts(other)[:, at])
-    assert share(f_hz) > 0.97  # rows of 10 ms, and what is left of the start
+    assert share(f_hz) > 0.97  # sampling of 10 ms, and 2 % of the transient
     assert share(2.5) < 0.9

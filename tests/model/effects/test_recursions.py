@@ -1,4 +1,4 @@
-"""Test hysteresis, lags and oscillators along signals with known responses."""
+"""Test hysteresis, lag and oscillator recursions along signals with known responses."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from levid.model.effects import recursions
 TS = 1e-3
 
 
-def test_dahl_s_friction_follows_its_exponential_and_is_independent_of_the_rate():
+def test_dahl_friction_follows_its_exponential_at_any_rate():
     x = np.concatenate([np.linspace(0, 1e-4, 50), np.linspace(1e-4, -2e-4, 200)])
     f = recursions._dahl(x, 3e-5)
     np.testing.assert_allclose(f[:50], 1 - np.exp(-x[:50] / 3e-5), atol=1e-12)
     np.testing.assert_allclose(f[-1], -1 + (1 + f[49]) * np.exp(-3e-4 / 3e-5), atol=1e-12)
 
 
-def test_bouc_and_wen_s_hysteresis_holds_dahl_s_and_lugre_s_too():
+def test_bouc_wen_and_lugre_include_dahl_as_a_special_case():
     x = 1e-4 * np.sin(2 * np.pi * np.arange(3000) / 1000)
     f = recursions.dahl(x, 3e-5, TS)
-    # The midpoint rule in steps of at most a fifth of the break-away.
+    # Midpoint rule with steps of at most 1/5 of the break-away distance.
     np.testing.assert_allclose(recursions.bouc_wen(x, 3e-5, 1.0, 1.0, TS), f, atol=2e-3)
     np.testing.assert_allclose(recursions.lugre(x, x, 3e-5, 0.0, 1.0, TS), f, atol=1e-12)
 
@@ -39,7 +39,7 @@ def test_maxwell_elements_approximate_other_loops():
         for x_s in np.geomspace(2e-6, 1e-4, 12):
             basis = [recursions.slip(x, x_s * ratio, TS) for ratio in (1, 4, 16)]
             left.append(_left(loop, [*basis, x, v]) / _left(loop, [x, v]))
-        # Of what stiffness and damping leave of it; measured 0.10 to 0.2.
+        # Relative to the residual with stiffness and damping alone; found: 0.10 to 0.2.
         assert min(left) < 0.25
 
 
@@ -54,13 +54,13 @@ def test_slip_element_follows_masing_loop():
     f = recursions.slip(x, 2e-5, TS)
     assert f.max() == 1
     assert f.min() == -1
-    # It slips 2 * 5e-5 - 2 * 2e-5 each way at a force of 1; straight pieces of a thousandth of a
-    # period cut corners by less than 1 %.
+    # It slips 2 * 5e-5 - 2 * 2e-5 in each direction at a force of 1. The error of 1000 linear
+    # segments per period is below 1 %.
     loop = np.sum(0.5 * (f[1001:2001] + f[1000:2000]) * np.diff(x[1000:2001]))
     assert loop == pytest.approx(4 * (5e-5 - 2e-5), rel=0.01)
 
 
-def test_hysteresis_has_no_transient_where_motion_is_periodic():
+def test_hysteresis_of_periodic_motion_has_no_transient():
     x = 1e-4 * np.sin(2 * np.pi * np.arange(8000) / 500)
     for kernel in (recursions.dahl, recursions.slip, recursions.play, recursions.jumping):
         f = kernel(x, 2e-5, TS)
@@ -74,7 +74,7 @@ def test_play_stays_within_its_width_and_sticks():
     assert p.max() == pytest.approx(8e-5)
     stuck = recursions.jumping(x, 2e-5, TS)
     assert np.abs(stuck - x).max() <= 2e-5
-    # In a period it goes 4e-4 in steps of at least 2e-5.
+    # It moves 4e-4 per period in steps of at least 2e-5.
     assert np.count_nonzero(np.diff(stuck[1000:2001])) <= 20
 
 
@@ -83,24 +83,24 @@ def test_lag_of_a_ramp_is_its_time_constant():
     np.testing.assert_allclose(recursions.lagged(ramp, 0.02, TS)[1000:], ramp[1000:] - 0.02)
 
 
-def test_mean_of_a_lagged_command_is_that_of_the_exact_step_response():
+def test_mean_of_a_lagged_command_agrees_with_the_exact_step_response():
     held, tau = np.repeat([0.0, 1.0], 5), 0.7e-3
     mean = recursions.lagged_mean(held, tau, TS)
     fine = np.arange(0.5e-6, TS, 1e-6)
     for k in range(3):
-        # The midpoint rule at 1 us is off by (Ts / tau 1e-3)^2 / 24.
+        # The midpoint rule at 1 us has an error of (Ts / tau 1e-3)^2 / 24.
         expected = np.mean(1 - np.exp(-(fine + k * TS) / tau))
         assert mean[5 + k] == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("tau", [0.05e-3, 0.3e-3, 1e-3, 20e-3])
-def test_commands_are_found_that_come_to_a_mean_behind_a_lag(tau: float):
+def test_commands_are_recovered_from_means_of_the_lagged_command(tau: float):
     held = np.random.default_rng(1).normal(size=400)
     mean = recursions.lagged_mean(held, tau, TS)
     np.testing.assert_allclose(recursions.held_for(mean, tau, TS), held, atol=1e-9)
 
 
-def test_a_lagged_command_is_its_exponential_anywhere_in_a_period():
+def test_lagged_command_is_exact_at_any_time_in_a_period():
     held, tau = np.repeat([0.0, 1.0], 5), 0.7e-3
     for share in (0.0, 0.3, 1.0):
         found = recursions.lagged_within(held, tau, TS, share)
@@ -119,25 +119,25 @@ def test_oscillator_step_response_is_exact():
     np.testing.assert_allclose(eta[10:, 1], np.exp(-zeta * w * t) * np.sin(wd * t) / wd, atol=1e-12)
 
 
-def test_mass_on_a_yielding_spring_that_does_not_yield_is_one_on_a_plain_spring():
+def test_yielding_spring_below_its_limit_equals_a_linear_spring():
     t = np.arange(4000) * TS
     w, zeta = 2 * np.pi * 20.0, 0.1
     wd = 2 * np.pi * 17.0
     q = 1e-4 * np.sin(wd * t)
     x, taken = recursions.yielding(q, wd * 1e-4 * np.cos(wd * t), 0 * q, w, zeta, 1e3, TS)
     answer = wd**2 / (w**2 - wd**2 + 2j * zeta * w * wd)
-    # Settled: exp(-zeta w 2 s) is 1e-11. The resonance is off by a thousandth, and here, where the
-    # answer turns by 1/(2 zeta) of what the frequency does, by 20 times that.
+    # The transient has decayed: exp(-zeta w 2 s) is 1e-11. An error of 0.1 % in the resonance
+    # frequency is amplified 20 times near resonance.
     expected = np.imag(answer * 1e-4 * np.exp(1j * wd * t))
     np.testing.assert_allclose(x[2000:], expected[2000:], atol=0.02 * np.abs(answer) * 1e-4)
-    # What the spring takes is what it takes to move the mass: x'' + q'' = -taken.
+    # The spring force accelerates the mass: x'' + q'' = -taken.
     rate = np.gradient(np.gradient(x + q, TS), TS)
     np.testing.assert_allclose(taken[2000:-2], -rate[2000:-2], atol=0.03 * np.abs(taken).max())
 
 
 @pytest.mark.parametrize("pull", [0.5, -0.5, 3.0])
-def test_yielding_spring_carries_a_pull_at_rest(pull: float):
-    """Iwan's first curve: of x_s, a shift of x carries x - x^2 / (2 x_s)."""
+def test_static_deflection_of_a_yielding_spring(pull: float):
+    """Iwan's initial loading curve: a deflection x carries the force x - x^2 / (2 x_s)."""
     w, x_s, rest = 10.0, 0.1, np.zeros(3000)
     x, taken = recursions.yielding(rest, rest, rest + pull, w, 0.5, x_s, TS)
     carried = abs(pull) / w**2
@@ -145,20 +145,20 @@ def test_yielding_spring_carries_a_pull_at_rest(pull: float):
     np.testing.assert_allclose(taken, pull, rtol=0.01)
 
 
-def test_yielding_spring_takes_energy_the_more_the_further_it_is_driven():
+def test_relative_loss_of_a_yielding_spring_grows_with_amplitude():
     t = np.arange(6000) * TS
     wd, x_s = 2 * np.pi * 2.0, 1e-4
     lost = []
     for size in (1e-5, 1e-4, 1e-3):
         q, qd = size * np.sin(wd * t), size * wd * np.cos(wd * t)
-        # Far below its resonance the mass goes along: all work of a period goes into the pull.
+        # Far below resonance the mass follows: the work per period is that of the external force.
         x, taken = recursions.yielding(q, qd, size * 1e3 * np.sin(wd * t), 50.0, 0.01, x_s, TS)
         lost.append(float(np.sum(taken[3000:5999] * np.diff(x[3000:]))) / size**2)
     assert lost[0] < lost[1] < lost[2]
 
 
-def test_slip_element_lies_within_its_range():
-    """Stop operators keep their order: of all starts the ends bound what comes."""
+def test_slip_element_stays_within_its_range():
+    """Stop operators preserve order: the extreme initial forces bound all others."""
     rng = np.random.default_rng(3)
     x = np.cumsum(rng.normal(0.0, 3e-6, 4000))
     middle, half = recursions.slip_range(x, 4e-5)
@@ -167,6 +167,8 @@ def test_slip_element_lies_within_its_range():
     for held in np.linspace(-1.0, 1.0, 9):
         f = recursions._slip(x, 4e-5, held)
         assert np.all(np.abs(f - middle) <= half + 1e-12)
-    went = np.maximum.accumulate(x) - np.minimum.accumulate(x)
-    assert np.all(half[went > 8e-5] == 0.0)  # to and fro by twice its break-away: all forgotten
-    assert half[went < 4e-5][-1] > 0.0
+    travel = np.maximum.accumulate(x) - np.minimum.accumulate(x)
+    assert np.all(
+        half[travel > 8e-5] == 0.0
+    )  # a travel of twice the break-away distance erases the initial force
+    assert half[travel < 4e-5][-1] > 0.0

@@ -59,7 +59,7 @@ def curve(k=0, freq_hz=FREQ_HZ, m=3, p=3, deviation=None):
 
 
 def drawn(figure):
-    """The figure as SVG, which must be sound XML and below 300 KB."""
+    """Return the figure as SVG, which must be valid XML and below 300 KB."""
     svg = to_svg(figure)
     ElementTree.fromstring(svg)
     assert len(svg) < 300_000
@@ -110,7 +110,7 @@ def test_bode_grid_on_paper_has_its_width():
 
 
 def test_dense_responses_are_thinned_within_the_range():
-    """0.01 Hz to 5 kHz in steps of 0.01 Hz: half a million points would be 60 MB of SVG."""
+    """0.01 Hz to 5 kHz in steps of 0.01 Hz are half a million points, or 60 MB of SVG."""
     f = np.arange(0, 5000, 0.01)
     thin = inside(curve(freq_hz=f), RIG)
     assert len(thin.freq_hz) <= 400
@@ -121,8 +121,8 @@ def test_dense_responses_are_thinned_within_the_range():
 
 def test_ratio_of_a_response_with_itself_is_one_on_any_grid():
     reference = curve(freq_hz=np.geomspace(0.4, 300, 2000))
-    # Linear interpolation in the logarithms between points 0.33 % apart, at a resonance of
-    # zeta 0.04: the curvature leaves some 1e-4.
+    # Linear interpolation of logarithms between points 0.33 % apart, at a resonance with
+    # zeta = 0.04, has an error of about 1e-4.
     assert np.abs(ratio(curve(), reference) - 1).max() < 1e-3
     outside = ratio(curve(), curve(freq_hz=np.geomspace(2, 3, 50)))
     assert np.isnan(outside[0]).all()
@@ -132,7 +132,7 @@ def test_worst_error_is_the_given_one():
     response = np.ones((len(FREQ_HZ), 3, 3), complex)
     at = int(np.argmin(np.abs(FREQ_HZ - 9)))
     response[at, 1, 1] = 10 ** (-1.5 / 20) * np.exp(1j * np.radians(-12))
-    response[FREQ_HZ > 64] = 10.0  # beyond the range, and off the diagonal, nothing is evaluated
+    response[FREQ_HZ > 64] = 10.0  # outside the range and off the diagonal, errors do not count
     response[:, 0, 1] = 10.0
     worst = worst_on_diagonal(Curve("", line_of(0), FREQ_HZ, response), RIG)
     assert worst[1].decibel == pytest.approx(1.5)
@@ -143,7 +143,7 @@ def test_worst_error_is_the_given_one():
     assert not worst[1].within(Bounds(1.0, 15.0))
 
 
-def test_an_unknown_error_is_not_within_any_bounds():
+def test_unknown_error_is_not_within_any_bounds():
     nothing = np.full((len(FREQ_HZ), 3, 3), np.nan, complex)
     unknown = Curve("nothing", line_of(0), FREQ_HZ, nothing)
     worst = worst_on_diagonal(unknown, RIG)
@@ -152,8 +152,8 @@ def test_an_unknown_error_is_not_within_any_bounds():
 
 
 @pytest.mark.parametrize(("factor", "near"), [(1.1, True), (1.001, False)])
-def test_deviation_draws_its_bounds_unless_all_errors_are_far_within(factor, near):
-    """An error of 0.8 dB is held against the 2 dB; one of 0.009 dB would be a flat line there."""
+def test_error_figure_draws_the_bounds_unless_all_errors_are_far_below(factor, near):
+    """The bounds of 2 dB are drawn for an error of 0.8 dB; 0.009 dB would be a flat line."""
     response = factor * np.ones((len(FREQ_HZ), 3, 3), complex)
     curves = [Curve("left", line_of(0), FREQ_HZ, response)]
     figure = deviation(curves, AXES)
@@ -243,7 +243,7 @@ def test_timing_histogram_and_its_quantiles():
     drawn(timing_histogram(CycleTimes(edges, 0 * counts, 0 * counts, 1e-3)))
 
 
-def test_an_envelope_loses_no_peak():
+def test_envelope_preserves_every_peak():
     x = np.random.default_rng(3).normal(size=60_000).astype(np.float32)
     x[12_345], x[54_321] = 40.0, -50.0
     band = envelope(np.arange(60_000.0), x, 700)
@@ -253,7 +253,7 @@ def test_an_envelope_loses_no_peak():
     assert np.all(band.low <= band.high)
 
 
-def test_an_envelope_over_columns_spans_them():
+def test_envelope_over_columns_spans_all_columns():
     x = np.stack([np.full(1000, -2.0), np.full(1000, 3.0)], axis=1)
     band = envelope(np.arange(1000.0), x, 10)
     assert set(band.low) == {-2.0}
@@ -268,7 +268,7 @@ def test_envelope_ignores_nan():
     assert set(band.high[2:]) == {1.0}
 
 
-def test_parts_over_time_break_where_time_is_missing():
+def test_curves_over_time_have_gaps_between_records():
     t = np.arange(1000) * 1e-3
     first, second = (Envelope(t + start, t, t) for start in (0.0, 5.0))
     band = over_time([first, second], 100)
@@ -281,8 +281,8 @@ def test_parts_over_time_break_where_time_is_missing():
     assert len(whole.t) <= 101
 
 
-def test_bins_over_time_are_of_equal_time_though_parts_are_not():
-    """A step of 5 s beside a record of 60 s must not take as many bins."""
+def test_bins_over_time_have_equal_duration():
+    """A step of 5 s must not have as many bins as a record of 60 s."""
     short = envelope(np.arange(5_000) * 1e-3, np.ones(5_000), 1024)
     long = envelope(5 + np.arange(60_000) * 1e-3, np.ones(60_000), 1024)
     band = over_time([short, long], 650)

@@ -42,7 +42,7 @@ def levels(m=3, freq_hz=FREQ_HZ):
 
 
 def drawn(figure):
-    """The figure as SVG, which must be sound XML and below 300 KB."""
+    """Return the figure as SVG, which must be valid XML and below 300 KB."""
     svg = to_svg(figure)
     ElementTree.fromstring(svg)
     assert len(svg) < 300_000
@@ -58,15 +58,15 @@ def test_both_figures_have_labels():
         assert text in svg
 
 
-def test_colours_are_those_of_the_palette():
-    """The page swaps a colour for its dark variant by its value."""
+def test_figure_uses_palette_colours_only():
+    """The page replaces each palette colour by its dark variant."""
     svg = drawn(detection_levels(levels(), AXES))
     for role in ("blue", "vermillion", "green", "muted"):
         assert colour(role) in svg
 
 
 @pytest.mark.parametrize(("m", "p"), [(1, 1), (2, 3)])
-def test_other_systems(m, p):
+def test_figures_of_systems_of_other_sizes(m, p):
     signals = SignalLabels(("a", "b", "c")[:p], ("",) * p, ("d", "e")[:m], ("1",) * m)
     shown = Range(1.0, 50.0)
     drawn(response_with_distortion(response(m, p), signals, shown=shown))
@@ -82,7 +82,7 @@ def test_nan_is_omitted(broken):
     drawn(response_with_distortion(Response(r.freq_hz, nothing, nothing, nothing), AXES))
 
 
-def test_without_detection_lines_or_within_no_range():
+def test_figures_without_detection_lines_or_without_lines_in_range():
     none = Levels(np.zeros(0), np.zeros((0, 3)))
     everything = levels()
     drawn(detection_levels(OutputLevels(everything.excited, none, none, none), AXES))
@@ -91,14 +91,14 @@ def test_without_detection_lines_or_within_no_range():
 
 
 def test_many_lines_are_pooled():
-    """A period of 100 s has 10,000 lines to 100 Hz; drawn are 60 a decade."""
+    """A period of 100 s has 10,000 lines up to 100 Hz; the figure has 60 per decade."""
     f = np.arange(1.0, 100.0, 0.01)
     drawn(detection_levels(levels(freq_hz=f), AXES))
     drawn(response_with_distortion(response(freq_hz=f), AXES))
 
 
 def test_levels_of_an_approximation_keep_every_line_of_noise():
-    """The floor is known at excited lines and at those left out: one curve of all."""
+    """The noise is known at excited lines and at detection lines, drawn as one curve."""
     lines = {"freq_hz": np.array([1.0, 3.0]), "output_level": np.ones((2, 3))}
     left_out = [
         SimpleNamespace(freq_hz=np.array([f]), level=np.ones((1, 3)), noise=np.full((1, 3), f))

@@ -47,7 +47,7 @@ MODEL = {
 
 
 def record(name, seed, moving, rows=600, substeps=20):
-    """A record of the cart, by small steps of semi-implicit Euler."""
+    """Simulate a record of the cart with small steps of semi-implicit Euler."""
     rng = np.random.default_rng(seed)
     s = 0.8 * np.sin(3.0 * TS_S * np.arange(rows)) if moving else np.zeros(rows)
     u, y, x, v = rng.standard_normal((rows, 1)), np.zeros((rows, 1)), 0.0, 0.0
@@ -68,7 +68,7 @@ def grey():
 
 
 def truth(_beam_m, freq_hz):
-    """The cart with its slide in the middle, sampled, its input held over each period."""
+    """Return the response of the cart with the slide in the middle and a zero-order hold."""
     block = np.zeros((3, 3))
     block[:2] = [[0, 1, 0], [-STIFFNESS / MASS, -DAMPING / MASS, 1 / MASS]]
     step = expm(block * TS_S)[:2]
@@ -101,7 +101,7 @@ def test_a_report_of_a_fitted_model_alone(grey, tmp_path):
     assert max(f.stat().st_size for f in (tmp_path / "figures").iterdir()) < 300_000
 
 
-def test_figure_14_is_the_first_moving_record_alone(grey, tmp_path):
+def test_figure_14_shows_only_the_first_moving_record(grey, tmp_path):
     again = replace(
         grey,
         validations=(*grey.validations, replace(grey.validations[1], record="moved again")),
@@ -132,7 +132,7 @@ def test_table_distinguishes_fitted_held_and_fixed_parameters(grey):
     assert held in ("m", "e")
     assert rows[held][4:] == ("held", "—", "—", "—")
     assert rows["g"][4] == "fixed"
-    # c was declared as 2 and is 20: changed by 900 %, within a few standard errors of 0.3 / 20.
+    # c is declared as 2 and is 20: a change of 900 %, with a standard error of 0.3 / 20.
     assert float(rows["c"][6].removeprefix("+")) == pytest.approx(900, rel=0.1)
 
 
@@ -144,26 +144,26 @@ def test_parameter_at_its_bound_is_marked(grey):
     assert "(at bound)" in page_text(grey_box_sections(report))
 
 
-def test_places_are_those_that_the_records_reached(grey):
-    """The slide went over ±0.8 m; one record out of two held it at 0."""
+def test_positions_of_the_report_are_those_reached_in_the_records(grey):
+    """The slide moves over ±0.8 m in one record and stays at 0 in the other."""
     low, mean, high = (p.schedule["s"] for p in places_of(grey, ()))
     assert (low, high) == pytest.approx((-0.8, 0.8), abs=0.01)
     assert low < mean < high
 
 
 def test_response_is_compared_with_the_truth(grey):
-    """At the slide's middle: by definition of the report, the truth's own place."""
-    middle = identify_once_still(grey)
+    """The report compares with the truth at the middle of the slide."""
+    middle = with_slide_in_the_middle(grey)
     report = grey_box_report(middle, (), AXES, truth)
     decibel, degree = largest(report.ratios["fitted model / truth"], report.shown)
-    # The damping is known to 3.6 %, so the resonance to 0.3 dB and 2 degrees: three times that.
+    # The damping is known to 3.6 %, the resonance to 0.3 dB and 2 degrees; three times that.
     assert decibel < 1.0
     assert degree < 6.0
     assert page_text(grey_box_sections(report)).count("truth of the simulator") == 1
 
 
-def identify_once_still(grey):
-    """The same fit as if all records had kept the slide in the middle."""
+def with_slide_in_the_middle(grey):
+    """Return the fit with the slide in the middle in all records."""
     predictions = tuple(
         replace(
             p,
@@ -174,19 +174,19 @@ def identify_once_still(grey):
     return replace(grey, fit=replace(grey.fit, predictions=predictions))
 
 
-def test_without_a_moving_record_there_is_no_figure_14(grey):
-    sections = grey_box_sections(grey_box_report(identify_once_still(grey), (), AXES))
+def test_report_without_a_moving_record_has_no_figure_14(grey):
+    sections = grey_box_sections(grey_box_report(with_slide_in_the_middle(grey), (), AXES))
     names = [p.name for s in sections for p in s.parts if isinstance(p, Picture)]
     assert "simulated-1" not in names
     assert "No record has a moving schedule" in page_text(sections)
 
 
-def test_a_model_without_schedule_has_one_place(grey):
+def test_model_without_schedule_has_one_position(grey):
     still = replace(grey, declared=grey.declared.model_copy(update={"scheduling": {}}))
     assert [p.label for p in places_of(still, ())] == ["<cart>"]
 
 
-def test_errors_that_are_not_white_are_reported(grey):
+def test_coloured_errors_are_reported(grey):
     def coloured(v):
         return replace(v, whiteness=replace(v.whiteness, p_value=np.array([1e-9])))
 
@@ -198,8 +198,8 @@ def test_errors_that_are_not_white_are_reported(grey):
     assert "bad" in [n.verdict for n in grey_box_numbers(report) if "white" in n.value]
 
 
-def test_an_error_far_above_the_noise_is_bad(grey):
-    """Three times the noise in amplitude: the model misses eight parts of nine of the power."""
+def test_error_far_above_the_noise_is_rated_bad(grey):
+    """An error of three times the noise amplitude has 8/9 of its power outside the noise."""
     worse = tuple(replace(v, error_rms=3.0 * v.floor_rms) for v in grey.validations)
     numbers = grey_box_numbers(grey_box_report(replace(grey, validations=worse), (), AXES))
     assert [n.verdict for n in numbers if n.value == "3.00"] == ["bad"]
@@ -225,7 +225,7 @@ def test_nan_has_no_rating(grey, broken, tmp_path):
     assert len(numbers) == 1
 
 
-def test_without_validations(grey, tmp_path):
+def test_report_without_validations(grey, tmp_path):
     none = replace(grey, fit=replace(grey.fit, predictions=()), validations=())
     text = identification_report(None, None, tmp_path, grey=none).read_text(encoding="utf-8")
     assert "Response of the fitted model" in text

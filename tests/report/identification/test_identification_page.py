@@ -1,4 +1,4 @@
-"""Test the report on an identification with and without truth."""
+"""Test the identification report with and without truth."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DOF = ("psi", "theta", "z")
 AXES = SignalLabels(
     ("tau_psi", "tau_theta", "tau_z"), ("N m", "N m", "N"), DOF, ("rad", "rad", "m")
 )
-# Short records and responses: what is tested is the report, not the estimates.
+# Short records and responses: the tests check the report, not the estimates.
 OPTIONS = Options(impulse_s=0.6, segment_s=3.0, lag_s=0.3e-3)
 
 
@@ -62,7 +62,7 @@ def result(rig):
 
 @pytest.fixture(scope="module")
 def open_result():
-    """A resonance with one input and two outputs, coloured input, no controller known."""
+    """Return the result for a resonance with one input, two outputs and no known controller."""
     rng = np.random.default_rng(6)
     u = signal.lfilter([1], [1, -0.6], rng.normal(size=1200))
     y = np.stack([signal.lfilter(b, [1, -1.5, 0.8], u) for b in ([0, 1], [0, 0.2, 0.3])], axis=1)
@@ -120,7 +120,7 @@ def test_page_without_truth_does_not_mention_it(without_truth):
     assert "No truth was given" in text
     assert "truth of the simulator" not in text
     assert not re.search(r"agreement-2", text)
-    assert "--virtual" not in text  # a rig that is no simulator
+    assert "--virtual" not in text  # the records come from a real rig
 
 
 def test_equal_results_give_equal_bytes(result, truth, with_truth, tmp_path):
@@ -128,8 +128,8 @@ def test_equal_results_give_equal_bytes(result, truth, with_truth, tmp_path):
     assert again.read_bytes() == with_truth.read_bytes()
 
 
-def test_errors_are_those_against_the_truth_that_was_given(result):
-    """Against itself turned by 10 degrees and 1 dB louder, an estimate is off by just that."""
+def test_errors_are_relative_to_the_given_truth(result):
+    """With the estimate itself as truth, changed by 10 degrees and 1 dB, these are the errors."""
     plants = {p.beam_m: p.plant for p in result.points}
 
     def turned(beam_m, freq_hz):
@@ -160,7 +160,7 @@ def test_nan_truth_does_not_count_as_agreement(result, tmp_path):
 
 
 def doubtful(result, *positions):
-    """The same result with models that are not to be trusted at these positions alone."""
+    """Return the result with untrusted models at these positions only."""
     points = [
         replace(p, doubts=("it is <unstable>",) if k in positions else ())
         for k, p in enumerate(result.points)
@@ -169,7 +169,7 @@ def doubtful(result, *positions):
 
 
 def test_unreliable_model_is_marked_and_not_evaluated(result, truth, tmp_path):
-    """Whatever it says: here of the first position 20 dB too much."""
+    """Its value is ignored, here 20 dB too large at the first position."""
     worse = replace(result.points[0], from_ho_kalman=10.0 * result.points[0].from_ho_kalman)
     one = doubtful(replace(result, points=(worse, *result.points[1:])), 0)
     report = closed_loop_report(one.points, AXES, truth)
@@ -177,7 +177,7 @@ def test_unreliable_model_is_marked_and_not_evaluated(result, truth, tmp_path):
     others = closed_loop_report(one.points[1:], AXES, truth)
     assert report.largest(name) == others.largest(name)
     assert report.ho_kalman[0].doubtful
-    assert not report.sensitivity[0].doubtful  # which needs no model
+    assert not report.sensitivity[0].doubtful  # it needs no model
     text = words(identification_report(one, None, tmp_path, truth))
     assert "beam left (−100 mm), is not to be trusted: it is &lt;unstable&gt;" in text
     assert 'class="doubt"><dt>model by Ho-Kalman, beam left (−100 mm): it is' in text
@@ -201,7 +201,7 @@ def test_each_figure_number_of_the_paper_appears_once(with_truth):
     assert len(claimed) == len(set(claimed)) >= 3
 
 
-def test_one_beam_position(rig, tmp_path):
+def test_report_of_one_beam_position(rig, tmp_path):
     single = identify(flown(rig, {"middle": 0.02}), OPTIONS)
     text = words(identification_report(single, None, tmp_path))
     assert "+20 mm" in text
@@ -215,7 +215,7 @@ def test_responses_with_missing_frequencies_are_drawn(result, truth, tmp_path):
     identification_report(replace(result, points=(broken,)), None, tmp_path, truth)
 
 
-def test_a_system_without_known_controller(open_result, tmp_path):
+def test_report_without_a_known_controller(open_result, tmp_path):
     text = words(identification_report(open_result, None, tmp_path))
     assert "Identification of measured" in text
     assert "m/V" in text

@@ -24,13 +24,13 @@ EXPERIMENTS, PERIODS = 9, 4
 
 
 def plant(_beam_m, freq_hz):
-    """Three equal oscillators at 5 Hz, uncoupled."""
+    """Return the response of three uncoupled, equal oscillators at 5 Hz."""
     s = 2j * np.pi * freq_hz
     return (1.0 / (s**2 + 3.0 * s + 1000.0))[:, None, None] * np.eye(3)
 
 
 def approximation(beam_m=0.0, distorted=1.0, m=3):
-    """An exact H, known to 1e-3 of its size; excess scatter `distorted` (in power) in output 0."""
+    """Return an exact H with noise of 1e-3; `distorted` scales the scatter power of output 0."""
     rng = np.random.default_rng(round(1e3 * beam_m) + 500)
     H = plant(beam_m, FREQ_HZ)[:, :m, :m]
     F = len(FREQ_HZ)
@@ -72,23 +72,23 @@ def approximation(beam_m=0.0, distorted=1.0, m=3):
     )
 
 
-def said(texts):
+def text_of(texts):
     return " ".join(t.text for t in texts)
 
 
 def test_linear_plant_is_reported_as_linear():
     report = multisine_report([approximation(b) for b in (-0.1, 0.0, 0.1)], RIG_SIGNALS)
-    assert "No nonlinear distortion" in said(multisine_words(report))
+    assert "No nonlinear distortion" in text_of(multisine_words(report))
     assert report.labels == ("left (−100 mm)", "middle (0 mm)", "right (+100 mm)")
     # Radius at 95 %: sqrt(n (0.05^(-1/n) - 1)) = 1.97 deviations of 1e-3 for n = 6: 0.017 dB.
     assert report.uncertainty_db() == pytest.approx(0.0171, rel=0.01)
 
 
 def test_distortion_is_reported_with_output_kind_and_position():
-    """Four times the power of noise at 199 lines is far from chance."""
+    """Four times the noise power at 199 lines is significant."""
     blas = [approximation(-0.1), approximation(0.1, distorted=4.0)]
     report = multisine_report(blas, RIG_SIGNALS)
-    text = said(multisine_words(report))
+    text = text_of(multisine_words(report))
     assert "stands above the noise in ψ, most in ψ, beam right (+100 mm)" in text
     assert "an odd nonlinearity" in text
     # Three times the noise, 1e-6 of the output: -55 dB.
@@ -105,18 +105,18 @@ def test_one_realisation_does_not_separate_distortion(tmp_path):
     nothing = np.full((len(FREQ_HZ), 3, 3), np.nan)
     single = replace(approximation(), distortion_variance=nothing)
     report = multisine_report([single], RIG_SIGNALS)
-    assert "cannot be told apart" in said(multisine_words(report))
+    assert "cannot be told apart" in text_of(multisine_words(report))
     identification_report(None, None, tmp_path, multisine=[single])
-    # But lines left out do, of distortion that is there.
+    # Detection lines show it if there is distortion.
     distorted = replace(approximation(distorted=4.0), distortion_variance=nothing)
     report = multisine_report([distorted], RIG_SIGNALS)
-    assert "is not told by one realisation: lines left out show an odd" in said(
+    assert "is not told by one realisation: lines left out show an odd" in text_of(
         multisine_words(report)
     )
     assert "odd" in [n.value for n in multisine_numbers(report)]
 
 
-def test_a_page_of_multisines_alone(tmp_path):
+def test_page_of_multisines_alone(tmp_path):
     blas = [approximation(b, distorted=4.0) for b in (-0.1, 0.0, 0.1)]
     page = identification_report(None, None, tmp_path, plant, multisine=blas)
     text = page.read_text(encoding="utf-8").replace("\u00a0", " ")

@@ -27,7 +27,7 @@ DOF, UNITS = ("psi", "theta", "z"), ("N m", "N m", "N")
 @pytest.fixture(scope="module")
 def points(rig):
     records = rig.records([0.05], 1e3, 10.0)
-    # A short response: what is tested is the report, not Ho-Kalman.
+    # A short response: the tests check the report, not Ho-Kalman.
     return identify(records, Options(impulse_s=0.6, segment_s=3.0, lag_s=0.3e-3)).points
 
 
@@ -41,7 +41,7 @@ def _tables(report):
     return [part for part in section.parts if isinstance(part, Table)]
 
 
-def test_the_modes_are_those_of_the_rig_within_their_errors(points, rig):
+def test_modes_agree_with_the_rig_within_their_errors(points, rig):
     model = points[0].subspace
     M, D, K = rig.matrices(0.05)
     zero, inverse = np.zeros((3, 3)), np.linalg.inv(M)
@@ -54,7 +54,7 @@ def test_the_modes_are_those_of_the_rig_within_their_errors(points, rig):
         modes.rows, model.modes.frequency_hz, model.modes.frequency_se_hz, strict=True
     ):
         value, half = (float(x) for x in row[1].split(" ± "))
-        # Half of the 95 % interval has two digits, and the value the same last digit.
+        # Half of the 95 % interval has two digits; the value ends at the same decimal place.
         assert half == pytest.approx(1.96 * se, rel=0.06)
         assert value == pytest.approx(f, abs=0.06 * half)
 
@@ -93,7 +93,7 @@ def test_positions_without_a_model_are_left_out(points):
 
 
 def test_phases_have_their_own_uncertainty(points):
-    # At a resonance whose frequency is uncertain the response errs along the circle.
+    # At a resonance of uncertain frequency, the response varies along its circle.
     (curve,) = subspace_report(points, RIG_SIGNALS).curves
     r = points[0].subspace.response
     at = int(np.argmax(np.abs(r.H[:, 2, 2])))

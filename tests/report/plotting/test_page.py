@@ -1,4 +1,4 @@
-"""Test the page: complete, standalone, escaped, reproducible."""
+"""Test the report page: complete, self-contained, escaped, reproducible."""
 
 from __future__ import annotations
 
@@ -96,24 +96,24 @@ def test_every_section_and_every_part_is_on_the_page():
         assert f"#{anchor}" in parser.references
 
 
-def test_the_page_stands_alone():
-    """Nothing is fetched: references stay in the page or go to the figures beside it."""
+def test_page_is_self_contained():
+    """All references are within the page or to the figures beside it."""
     page = render("Title", sections())
     parser = parsed(page)
     assert parser.scripts == 0
     assert all(r.startswith(("#", "figures/")) for r in parser.references)
     assert not re.search(r"@import|url\((?!#)", page)
-    # The only addresses are the names of XML namespaces, which nothing ever fetches.
+    # The only addresses are names of XML namespaces, which are not downloaded.
     addresses = set(re.findall(r"https?://[^\s\"'<>]+", page))
     assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
 
 
-def test_ids_are_unique_although_matplotlib_repeats_them_in_every_figure():
+def test_ids_of_all_figures_are_unique():
     ids = parsed(render("Title", sections())).ids
     assert len(ids) == len(set(ids))
 
 
-def test_references_inside_a_figure_lead_to_its_own_parts():
+def test_references_inside_a_figure_refer_to_its_own_parts():
     parser = parsed(render("Title", sections()))
     local = {r[1:] for r in parser.references if r.startswith("#")}
     assert local <= set(parser.ids)
@@ -148,7 +148,7 @@ def test_equal_sections_give_equal_bytes(tmp_path):
         assert one.read_bytes() == other.read_bytes()
 
 
-def test_figures_beside_the_page_are_svg_files_that_need_no_page(tmp_path):
+def test_figures_beside_the_page_are_complete_svg_files(tmp_path):
     write_report(tmp_path, "Title", sections(title=NASTY))
     text = (tmp_path / "figures" / "one.svg").read_text(encoding="utf-8")
     root = ElementTree.fromstring(text)
@@ -157,7 +157,7 @@ def test_figures_beside_the_page_are_svg_files_that_need_no_page(tmp_path):
     assert "date" not in text.lower()
 
 
-def test_a_report_is_written_over_an_older_one(tmp_path):
+def test_older_report_is_overwritten(tmp_path):
     write_report(tmp_path, "Old", sections())
     page = write_report(tmp_path, "New", sections())
     assert "New" in page.read_text(encoding="utf-8")
@@ -169,18 +169,18 @@ def test_two_pictures_of_one_name_are_rejected(tmp_path):
         write_report(tmp_path, "Title", twice)
 
 
-def test_drawing_leaves_the_settings_of_matplotlib_alone():
+def test_drawing_does_not_change_the_settings_of_matplotlib():
     before = dict(mpl.rcParams)
     to_svg(figure())
     assert dict(mpl.rcParams) == before
 
 
-def test_light_colours_are_distinct_so_that_each_finds_its_variable():
+def test_light_colours_are_distinct():
     assert len({c.light for c in COLOURS}) == len(COLOURS)
 
 
 @pytest.mark.parametrize("variant", ["light", "dark"])
-def test_text_and_lines_stand_out_from_the_page(variant):
+def test_text_and_lines_have_sufficient_contrast(variant):
     """Contrast by WCAG 2: 7 for text, 4.5 for labels, 3 for the lines of the beam positions."""
     value = {c.role: getattr(c, variant) for c in COLOURS}
 
@@ -213,7 +213,7 @@ def test_surplus_figures_of_an_older_report_are_removed(
     assert report(1) == {"effect-1.svg", own.name}
 
 
-def test_a_file_that_cannot_be_replaced_stays_as_it_was(
+def test_file_stays_unchanged_if_it_cannot_be_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "model.yaml"

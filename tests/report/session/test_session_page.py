@@ -24,7 +24,7 @@ RATE_HZ = 500.0
 
 
 def rows_of(states, start_s, dtype=DTYPE):
-    """Rows in the given states, quiet at the working point."""
+    """Return rows in the given states, at rest at the working point."""
     rows = np.zeros(len(states), dtype)
     rows["time_s"] = start_s + np.arange(len(states)) / RATE_HZ
     rows["cycle"] = np.arange(len(states)) + round(start_s * RATE_HZ)
@@ -46,7 +46,7 @@ def write(path, rows, dtype=DTYPE, **metadata):
 
 @pytest.fixture
 def logs(tmp_path):
-    """Taking off, exciting psi with the beam on the left, sweeping the beam, landing."""
+    """Return logs of lift-off, excitation of psi with the beam on the left, a sweep, landing."""
     rng = np.random.default_rng(4)
     up = rows_of([State.IDLE] * 100 + [State.LEVITATING] * 900, 0.0)
     up["z_m"][:400], up["gap_m"][:400] = -0.9e-3, -0.9e-3
@@ -112,7 +112,7 @@ def test_the_page_of_a_session(logs, tmp_path):
     assert again.read_bytes() == page.read_bytes()
 
 
-def test_ten_minutes_at_a_kilohertz_stay_below_300_kb(tmp_path):
+def test_page_of_ten_minutes_at_1_khz_is_below_300_kb(tmp_path):
     paths = []
     rng = np.random.default_rng(5)
     for number in range(6):
@@ -135,7 +135,7 @@ def test_names_from_logs_are_escaped(tmp_path):
     assert "&lt;b&gt;&amp;" in text
 
 
-def test_problems_are_remarked(tmp_path):
+def test_problems_give_remarks(tmp_path):
     rows = rows_of([State.EXCITING] * 300 + [State.FAULT] * 100, 0.0)
     rows["saturated"][10:13] = 2
     rows["skipped"][50] = 7
@@ -170,7 +170,7 @@ def test_missing_readings_are_left_out(tmp_path):
     session_report([tmp_path / "x.mcap"], tmp_path / "out")
 
 
-def test_real_time_brings_a_section_on_timing(tmp_path):
+def test_page_of_a_real_time_session_has_a_timing_section(tmp_path):
     rows = rows_of([State.EXCITING] * 400, 0.0)
     rows["lateness_s"], rows["execution_s"] = 14e-6, 6e-6
     path = write(tmp_path / "x.mcap", rows)
@@ -180,7 +180,7 @@ def test_real_time_brings_a_section_on_timing(tmp_path):
     assert "Timing" in session_report([path], tmp_path / "out").read_text(encoding="utf-8")
 
 
-def test_a_log_of_other_signals_has_no_time_plot_and_no_states(tmp_path):
+def test_log_of_other_signals_has_no_time_plot_and_no_states(tmp_path):
     dtype = np.dtype([("cycle", "<u8"), ("u1", "<f8"), ("y1", "<f8")])
     rows = np.zeros(100, dtype)
     rows["cycle"] = np.arange(100)

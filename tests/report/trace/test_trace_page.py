@@ -44,7 +44,7 @@ from levid.report.trace.trace_figures import (
         (1.5e-7, None, "1", "1.5·10⁻⁷"),
     ],
 )
-def test_value_has_the_digits_of_its_interval(
+def test_value_has_as_many_digits_as_its_interval(
     value: float, se: float | None, unit: str, text: str
 ) -> None:
     assert with_interval(EffectParameter(value=value, unit=unit, se=se)) == text
@@ -110,10 +110,10 @@ ONES = [np.ones(3), np.ones(2)]
         lambda: sensors_alone(None, np.ones(9)),
     ],
 )
-def test_figures_are_the_same_each_time_in_the_colours_of_the_page(draw) -> None:
+def test_figures_are_reproducible_and_use_palette_colours(draw) -> None:
     svg = to_svg(draw())
     assert svg == to_svg(draw())
-    # The page finds colours by their value: one that is in no table would not go dark.
+    # The page replaces colours by value, so a colour outside the palette has no dark variant.
     known = {c.light for c in COLOURS} | {"#000000"}
     assert set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", svg)) <= known
 

@@ -102,7 +102,7 @@ def test_scipy_simulates_the_same_output():
     np.testing.assert_allclose(theirs, simulate(PLANT.state_space(), u), rtol=SAME, atol=SAME)
 
 
-def test_mat_file_holds_models_and_responses_of_all_positions(rig, tmp_path):
+def test_mat_file_has_models_and_responses_of_all_positions(rig, tmp_path):
     result = _identified(rig, (-0.1, 0.1))
     write_mat(tmp_path / "plant.mat", result)
     mat = loadmat(tmp_path / "plant.mat")

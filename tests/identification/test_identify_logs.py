@@ -61,7 +61,7 @@ def test_poor_excitation_without_a_model_is_an_error(logs):
         studies.study(logs, lambda _log: None, Options())
 
 
-def test_a_log_given_twice_is_used_once(logs, monkeypatch, tmp_path):
+def test_log_given_twice_is_used_once(logs, monkeypatch, tmp_path):
     counted = []
 
     def fitted(_model, experiments, *_rest):

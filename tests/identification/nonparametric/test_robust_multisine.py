@@ -515,7 +515,7 @@ def test_unusable_record_or_method_does_not_end_a_study(
     assert "no Markov parameters: beam at +100.0 mm: expected records that excite psi" in notes
 
 
-def test_a_position_without_an_approximation_does_not_end_a_study() -> None:
+def test_position_without_an_approximation_does_not_end_a_study() -> None:
     v = multisines(2, 2, 1)
     good = replace(periodic(v, v, 2), beam_m=0.0)
     silent = replace(good, v=good.v * [1.0, 0.0], beam_m=0.1)

@@ -64,15 +64,15 @@ def test_only_forms_of_coils_and_sensors_depend_on_commands():
     # The field acts together with the coil force, one cycle after the command.
     columns = np.stack([acts(t)[:, 0] for t in stray.build(s, ())], axis=1)
     acting = s.acting(s.coil)[:, 3]
-    left = acting**2 - columns @ np.linalg.lstsq(columns, acting**2, rcond=None)[0]
-    assert np.abs(left).max() < 1e-9
+    residual = acting**2 - columns @ np.linalg.lstsq(columns, acting**2, rcond=None)[0]
+    assert np.abs(residual).max() < 1e-9
     shared = by["unknown.coil_5[12]*coil_4[12]@coil:5"]
     assert depends_on(shared) == ("coil:5", "coil:4")
     product = s.coil[:, 5] * (s.coil[:, 4] / 7.0 - 1.0)
     alone = rig_places().coil_shape[5]
     columns = np.stack([acts(t) @ alone / (alone @ alone) for t in shared.build(s, ())], axis=1)
-    left = product - columns @ np.linalg.lstsq(columns, product, rcond=None)[0]
-    assert np.abs(left).max() < 1e-9
+    residual = product - columns @ np.linalg.lstsq(columns, product, rcond=None)[0]
+    assert np.abs(residual).max() < 1e-9
     # The key is invalid at another coil or at a DOF.
     assert freeform_effect(rig_places(), shared.key, ("coil:6",)) is None
     assert freeform_effect(rig_places(), stray.key, ("theta",)) is None
@@ -102,14 +102,14 @@ def test_coil_form_can_represent_a_step_over_the_command():
     alone = s.places.coil_shape[3]
     columns = np.stack([acts(t) @ alone / (alone @ alone) for t in again.build(s, ())], axis=1)
     step = 0.1 * (s.coil[:, 3] > 7.0)
-    left = (
+    residual = (
         step
         - step.mean()
         - (columns - columns.mean(axis=0))
         @ np.linalg.lstsq(columns - columns.mean(axis=0), step - step.mean(), rcond=None)[0]
     )
     # A cubic polynomial leaves 40 %; twelve segments over six standard deviations less than 15 %.
-    assert np.var(left) < 0.15 * np.var(step)
+    assert np.var(residual) < 0.15 * np.var(step)
     polynomials = chebyshev.chebvander((s.coil[:, 3] - 6.0) / 3.0, 3)
     cubic_residual = step - polynomials @ np.linalg.lstsq(polynomials, step, rcond=None)[0]
     assert np.var(cubic_residual) > 0.3 * np.var(step)
@@ -122,8 +122,8 @@ def test_sensor_form_can_represent_a_local_error():
     assert effect is not None
     columns = np.stack([acts(t)[:, 4] for t in effect.build(s, ())], axis=1)
     bump = np.exp(-(((s.x_b_m - 0.01) / 0.03) ** 2))
-    left = bump - columns @ np.linalg.lstsq(columns, bump, rcond=None)[0]
-    assert np.abs(left).max() < 0.02  # cubic segments of 22 mm
+    residual = bump - columns @ np.linalg.lstsq(columns, bump, rcond=None)[0]
+    assert np.abs(residual).max() < 0.02  # cubic segments of 22 mm
     assert len(columns.T) == len(effect.amplitudes) == 12
 
 
@@ -186,11 +186,11 @@ def test_fine_sensor_form_can_represent_a_narrow_part_of_the_range():
     assert len(columns.T) == len(effect.amplitudes) == 20
     off, width = s.q[:, 0] - 4e-4, 3e-4
     lock = off - np.sign(off) * np.sqrt(np.maximum(off**2 - width**2, 0.0))
-    left = lock - columns @ np.linalg.lstsq(columns, lock, rcond=None)[0]
+    residual = lock - columns @ np.linalg.lstsq(columns, lock, rcond=None)[0]
     polynomials = chebyshev.chebvander(s.q[:, 0] / 3e-3, 6)
     smooth = lock - polynomials @ np.linalg.lstsq(polynomials, lock, rcond=None)[0]
     # A polynomial cannot represent it. Cubic segments of 0.35 mrad leave its two edges.
-    assert np.var(left) < 0.25 * np.var(smooth)
+    assert np.var(residual) < 0.25 * np.var(smooth)
 
 
 @pytest.mark.parametrize("key", ["unknown.z_rate[1]*phi", "unknown.z[1]*phi", "unknown.phi"])
@@ -204,11 +204,11 @@ def test_form_from_a_key_has_one_amplitude_per_term(key: str, where: str):
 def test_functions_of_the_beam_position_are_local():
     form = Form("x_b", 0.1)
     ends = replace(moving(), x_b_m=np.linspace(-0.1, 0.1, 200))
-    left, right = (
+    first_end, last_end = (
         form.functions(ends, constant=False)[rows] for rows in (slice(80), slice(-80, None))
     )
-    assert not np.any(np.any(left != 0.0, axis=0)[-3:])
-    assert not np.any(np.any(right != 0.0, axis=0)[:3])
+    assert not np.any(np.any(first_end != 0.0, axis=0)[-3:])
+    assert not np.any(np.any(last_end != 0.0, axis=0)[:3])
 
 
 def test_invalid_keys_give_no_effect():
@@ -238,7 +238,7 @@ def test_resonant_response_equals_that_of_a_mass_on_a_spring():
     assert depends_on(effect) == ("psi",)
     settled = slice(4000, None)  # exp(-zeta w 4 s) is 2e-8
 
-    def left(frequency_hz: float) -> float:
+    def residual(frequency_hz: float) -> float:
         terms = effect.build(signals, (frequency_hz, zeta))
         columns = np.stack([h, rate, twice, *(term.force[:, 2] for term in terms)], axis=1)
         columns /= np.linalg.norm(columns, axis=0)
@@ -246,8 +246,8 @@ def test_resonant_response_equals_that_of_a_mass_on_a_spring():
         return float(np.std((force - columns @ best)[settled]) / np.std(force[settled]))
 
     # Linear interpolation of inputs: (w Ts)^2 / 12 of a response five to ten times the motion.
-    assert left(14.0) < 0.01
-    assert left(20.0) > 0.2
+    assert residual(14.0) < 0.01
+    assert residual(20.0) > 0.2
 
 
 def test_time_of_a_form_is_independent_of_the_session_span():

@@ -31,8 +31,8 @@ def swept(hz_s: float = 0.02):
 
 def explained(columns, wanted):
     columns = np.stack(columns, axis=1)
-    left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
-    return 1.0 - np.linalg.norm(left) / np.linalg.norm(wanted)
+    residual = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    return 1.0 - np.linalg.norm(residual) / np.linalg.norm(wanted)
 
 
 def test_wave_forms_represent_the_lift_by_an_uneven_rail():

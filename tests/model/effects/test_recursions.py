@@ -35,15 +35,15 @@ def test_maxwell_elements_approximate_other_loops():
         recursions.bouc_wen(x, 6e-5, 2.0, 0.5, TS),
         recursions.lugre(x, v, 4e-5, 0.4, 1e-3, TS),
     ):
-        left = []
+        ratios = []
         for x_s in np.geomspace(2e-6, 1e-4, 12):
             basis = [recursions.slip(x, x_s * ratio, TS) for ratio in (1, 4, 16)]
-            left.append(_left(loop, [*basis, x, v]) / _left(loop, [x, v]))
+            ratios.append(_residual_norm(loop, [*basis, x, v]) / _residual_norm(loop, [x, v]))
         # Relative to the residual with stiffness and damping alone; found: 0.10 to 0.2.
-        assert min(left) < 0.25
+        assert min(ratios) < 0.25
 
 
-def _left(values, columns) -> float:
+def _residual_norm(values, columns) -> float:
     A = np.stack([*columns, np.ones_like(values)], axis=1)
     A /= np.linalg.norm(A, axis=0)
     return float(np.linalg.norm(values - A @ np.linalg.lstsq(A, values, rcond=None)[0]))

@@ -80,7 +80,7 @@ def page_text(parts_of):
     return render("test", parts_of).replace("\u00a0", " ")
 
 
-def test_a_report_of_a_fitted_model_alone(grey, tmp_path):
+def test_report_of_a_fitted_model_alone(grey, tmp_path):
     page = identification_report(None, None, tmp_path, grey=grey)
     text = page.read_text(encoding="utf-8").replace("\u00a0", " ")
     for expected in (
@@ -113,8 +113,8 @@ def test_figure_14_shows_only_the_first_moving_record(grey, tmp_path):
 
 
 def test_contradictions_of_model_and_records_are_reported(grey, tmp_path):
-    told = replace(grey, remarks=("record 'x': <held>",))
-    text = identification_report(None, None, tmp_path, grey=told).read_text(encoding="utf-8")
+    with_remark = replace(grey, remarks=("record 'x': <held>",))
+    text = identification_report(None, None, tmp_path, grey=with_remark).read_text(encoding="utf-8")
     assert "contradict each other: record &#39;x&#39;: &lt;held&gt;." in text
 
 

@@ -85,7 +85,7 @@ def words(page):
     return page.read_text(encoding="utf-8").replace("\u00a0", " ")
 
 
-def test_the_page_shows_the_figures_of_the_paper(result, with_truth):
+def test_page_has_the_figures_of_the_paper(result, with_truth):
     text = words(with_truth)
     for expected in (
         *("Summary", "How many states", "The plant", "How well it agrees", "What it rests on"),
@@ -140,7 +140,7 @@ def test_errors_are_relative_to_the_given_truth(result):
     assert f"{SENSITIVITY} / truth" in report.ratios
 
 
-def test_an_error_out_of_bounds_is_marked_and_followed_by_advice(result, tmp_path):
+def test_error_out_of_bounds_is_marked_with_advice(result, tmp_path):
     def wrong(beam_m, freq_hz):
         point = next(p for p in result.points if p.beam_m == beam_m)
         return 2.0 * point.plant.response(freq_hz)

@@ -95,7 +95,7 @@ def test_distortion_is_reported_with_output_kind_and_position():
     assert "−55 dB" in [n.value for n in multisine_numbers(report)]
 
 
-def test_the_order_of_positions_does_not_matter():
+def test_order_of_positions_does_not_matter():
     blas = [approximation(b) for b in (0.1, -0.1, 0.0)]
     beams = [bla.beam_m for bla in multisine_report(blas, RIG_SIGNALS).blas]
     assert beams == [-0.1, 0.0, 0.1]

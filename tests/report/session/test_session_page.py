@@ -97,7 +97,7 @@ def test_logs_in_any_order_give_the_same_session(logs):
     assert to_svg(session_plot(forward)) == to_svg(session_plot(backward))
 
 
-def test_the_page_of_a_session(logs, tmp_path):
+def test_page_of_a_session(logs, tmp_path):
     page = session_report(logs, tmp_path / "report")
     text = page.read_text(encoding="utf-8")
     for expected in ("Session a-session", "What was flown", "The moving beam", "What next"):

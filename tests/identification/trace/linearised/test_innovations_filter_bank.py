@@ -319,9 +319,11 @@ def test_accepted_effects_are_included_in_the_accelerations_for_the_drives() -> 
     smaller_command = replace(made.experiment, u=made.experiment.u + weak.term(s).held)
     less = along(here, replace(made, experiment=smaller_command))
     drive = np.random.default_rng(1).standard_normal(made.rows)
-    left = [beside_motion(at, drive) for at in (along(replace(here, placed=(weak,)), made), less)]
-    assert np.ptp(left[0] - beside_motion(along(here, made), drive)) > 1e-3 * np.ptp(drive)
-    np.testing.assert_allclose(left[0], left[1], atol=1e-6 * np.ptp(drive))
+    residual = [
+        beside_motion(at, drive) for at in (along(replace(here, placed=(weak,)), made), less)
+    ]
+    assert np.ptp(residual[0] - beside_motion(along(here, made), drive)) > 1e-3 * np.ptp(drive)
+    np.testing.assert_allclose(residual[0], residual[1], atol=1e-6 * np.ptp(drive))
 
 
 UNDERACTUATED = """
@@ -411,8 +413,8 @@ def test_every_drive_effect_is_observable_in_the_drive_force() -> None:
     for effect in all_effects(PLACES):
         for term in effect.build(at.signals, effect.grid[0]) if "beam" in effect.where else ():
             if term.drive is not None and np.ptp(term.drive) > 0:
-                left = beside_motion(at, term.drive)
-                assert np.std(left) > 1e-3 * np.std(term.drive), effect.identity
+                residual = beside_motion(at, term.drive)
+                assert np.std(residual) > 1e-3 * np.std(term.drive), effect.identity
 
 
 def test_drive_force_of_unknown_noise_does_not_change_the_excess() -> None:

@@ -96,9 +96,9 @@ def test_noise_of_the_residual_force_agrees_with_its_density(places: Places) -> 
     sd = 1e-7
     y = sd * rng.standard_normal((60_000, 1))
     at = point(sd, 1e-20)
-    left = missing(at, record(y, np.zeros((60_000, 1)), places))
-    freq_hz, psd = density(left.force, TS)
-    noise = noise_density(at, left.here, freq_hz)
+    residual = missing(at, record(y, np.zeros((60_000, 1)), places))
+    freq_hz, psd = density(residual.force, TS)
+    noise = noise_density(at, residual.here, freq_hz)
     band = (freq_hz > 1) & (freq_hz < 60)
     # 29 averages of 236 lines: the mean ratio scatters by 1.2 %. Differences instead of derivatives
     # lose (w Ts)^2 / 12 of M w^2, which is 2.4 % of the power at 60 Hz.
@@ -121,21 +121,21 @@ def test_noise_of_one_sensor_is_not_taken_for_a_force(places: Places) -> None:
             at.disturbance, noise=Noise.independent(*np.array([[1e-20], [sd**2 / 3]]))
         ),
     )
-    left = missing(at, logged)
-    freq_hz, psd = density(left.force, TS)
-    taken = noise_density(at, left.here, freq_hz)
-    false = false_density(at, left.here, left.reading)
+    residual = missing(at, logged)
+    freq_hz, psd = density(residual.force, TS)
+    expected_psd = noise_density(at, residual.here, freq_hz)
+    false = false_density(at, residual.here, residual.reading)
     band = (freq_hz > 5) & (freq_hz < 60)
     # The power is 27 / 3 of the expected one; third-octave bands detect all of it within 3 %.
-    assert np.mean(psd[band] / taken[band]) == pytest.approx(9.0, rel=0.06)
-    assert np.mean(psd[band] / (taken + false)[band]) == pytest.approx(1.0, abs=0.08)
+    assert np.mean(psd[band] / expected_psd[band]) == pytest.approx(9.0, rel=0.06)
+    assert np.mean(psd[band] / (expected_psd + false)[band]) == pytest.approx(1.0, abs=0.08)
     # A motion in all sensors is not a false reading.
     x, _ = moved_by({12.0: 0.02}, TS * np.arange(60_000))
     true_gap = sd * rng.standard_normal((60_000, 3)) + x[:, None]
     y = true_gap.mean(axis=1, keepdims=True)
-    left = missing(at, replace(record(y, np.zeros((60_000, 1)), three), gap=true_gap))
-    false = false_density(at, left.here, left.reading)
-    assert np.mean((false / taken)[band]) < 0.15
+    residual = missing(at, replace(record(y, np.zeros((60_000, 1)), three), gap=true_gap))
+    false = false_density(at, residual.here, residual.reading)
+    assert np.mean((false / expected_psd)[band]) < 0.15
 
 
 def test_denoising_preserves_the_phase() -> None:

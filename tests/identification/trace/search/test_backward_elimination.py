@@ -46,5 +46,5 @@ def test_each_redundant_effect_is_removed(order, monkeypatch: pytest.MonkeyPatch
     names = [f"coil_gain@coil:{i}" for i in order]
     effects = [*(NAMED[name] for name in names), FORM]
     point = Point(tuple(Placed(e, (), (1.0,) * len(e.amplitudes)) for e in effects))
-    left = backward_elimination.without_guesses(point, SimpleNamespace(train=lambda _: ()))
-    assert [p.effect.identity for p in left.placed] == ["coil_gain@coil:1", FORM.identity]
+    reduced = backward_elimination.without_guesses(point, SimpleNamespace(train=lambda _: ()))
+    assert [p.effect.identity for p in reduced.placed] == ["coil_gain@coil:1", FORM.identity]

@@ -18,7 +18,7 @@ NAMED = {e.identity: e for e in all_effects(rig_places())}
 
 
 @pytest.mark.parametrize(
-    ("blocks", "shown", "agrees", "between", "told"),
+    ("blocks", "expected_statistic", "held_out_statistic", "between_blocks", "evidence"),
     [
         (20, 2.0, 1.0, 25.0, (25.0, False)),  # no effect in held-out records
         (20, 4.5, 4.5, 100.0, (100.0, False)),  # too small in them to reach a statistic of six
@@ -33,16 +33,16 @@ NAMED = {e.identity: e for e in all_effects(rig_places())}
 def test_agreement_comes_from_held_out_records_that_show_the_effect(
     monkeypatch: pytest.MonkeyPatch,
     blocks: int,
-    shown: float,
-    agrees: float,
-    between: float,
-    told: tuple[float, bool],
+    expected_statistic: float,
+    held_out_statistic: float,
+    between_blocks: float,
+    evidence: tuple[float, bool],
 ) -> None:
-    monkeypatch.setattr(candidate_screening, "expected", lambda *_: shown)
-    monkeypatch.setattr(candidate_screening, "chance", lambda *_: agrees)
-    monkeypatch.setattr(candidate_screening, "chance_between", lambda *_: between)
+    monkeypatch.setattr(candidate_screening, "expected", lambda *_: expected_statistic)
+    monkeypatch.setattr(candidate_screening, "chance", lambda *_: held_out_statistic)
+    monkeypatch.setattr(candidate_screening, "chance_between", lambda *_: between_blocks)
     held = SimpleNamespace(size=np.ones(3), blocks=blocks)
-    assert candidate_screening._agrees(SimpleNamespace(), held, 1, np.ones(2)) == told
+    assert candidate_screening._agrees(SimpleNamespace(), held, 1, np.ones(2)) == evidence
 
 
 @pytest.mark.parametrize(

@@ -74,15 +74,18 @@ def test_gain_in_all_records_decides_between_candidates_without_shape(alternativ
 def test_slowly_converging_fit_continues_from_its_last_point(monkeypatch):
     """The fit of a yielding spring starts at a high error and ends below that of a plain one."""
     plain, yielding = "flexible_mode.loose_mass@psi", "friction.bearing@beam+psi"
-    leaves = {plain: [100.0], yielding: [900.0, 400.0, 50.0]}
+    errors_of_steps = {plain: [100.0], yielding: [900.0, 400.0, 50.0]}
     reached = {plain: [0], yielding: [0]}
 
     def fitted(point, *_):
-        left, steps = leaves[point.tried.effect.identity], reached[point.tried.effect.identity]
+        errors, steps = (
+            errors_of_steps[point.tried.effect.identity],
+            reached[point.tried.effect.identity],
+        )
         assert point.at == steps[-1]  # the refit starts from the last fit
-        steps.append(min(point.at + 1, len(left)))
+        steps.append(min(point.at + 1, len(errors)))
         after = SimpleNamespace(tried=point.tried, placed=(point.tried,), at=steps[-1])
-        return after, left[steps[-1] - 1]
+        return after, errors[steps[-1] - 1]
 
     monkeypatch.setattr(candidate_shortlist, "refine", fitted)
     monkeypatch.setattr(

@@ -45,7 +45,7 @@ def round_of(taken: Tried | None, *others: Tried) -> Round:
 
 @pytest.fixture
 def starting_points(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """Return the effects at the start of each alternative search; `leaves` sets its error."""
+    """Return the effects at the start of each alternative search."""
     reported: list[list[str]] = []
 
     def grown(so_far: Grown, effects: object, most: int, *_: object) -> Grown:
@@ -58,12 +58,12 @@ def starting_points(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     return reported
 
 
-def leaves(**left: float) -> Any:
+def records_with_errors(**error_with: float) -> Any:
     """Return records whose held-out error above noise depends on the placed effects."""
 
     def held_error(point: Point) -> HeldError:
         classes = [p.effect.identity.partition("@")[0].replace(".", "_") for p in point.placed]
-        return HeldError(1.0 + min((left.get(c, LEFT) for c in classes), default=LEFT), 1.0)
+        return HeldError(1.0 + min((error_with.get(c, LEFT) for c in classes), default=LEFT), 1.0)
 
     return SimpleNamespace(held_error=held_error)
 
@@ -81,7 +81,7 @@ def test_rival_replaces_the_accepted_effect_if_it_halves_the_error(
         round_of(None, tried(COULOMB, 4e3)),
     )
     swapped = candidate_swap.otherwise(
-        so_far, (), 4, leaves(air_damping_quadratic=0.1), no_progress
+        so_far, (), 4, records_with_errors(air_damping_quadratic=0.1), no_progress
     )
     assert starting_points == [[GAIN, DRAG]]
     assert effect_names(swapped) == [GAIN, DRAG]
@@ -90,7 +90,7 @@ def test_rival_replaces_the_accepted_effect_if_it_halves_the_error(
     assert not swapped.rounds[1].alternatives
     assert swapped.rounds[1].instead_of is NAMED[DAMPING]
     same = candidate_swap.otherwise(
-        so_far, (), 4, leaves(air_damping_quadratic=0.6 * LEFT), no_progress
+        so_far, (), 4, records_with_errors(air_damping_quadratic=0.6 * LEFT), no_progress
     )
     assert same is so_far
 
@@ -98,14 +98,18 @@ def test_rival_replaces_the_accepted_effect_if_it_halves_the_error(
 def test_rival_with_the_smallest_error_is_chosen(starting_points: list[list[str]]) -> None:
     so_far = found(round_of(tried(DAMPING, 5e5), tried(DRAG, 4.8e5), tried(COULOMB, 4.6e5)))
     swapped = candidate_swap.otherwise(
-        so_far, (), 4, leaves(air_damping_quadratic=4.0, friction_coulomb=2.0), no_progress
+        so_far,
+        (),
+        4,
+        records_with_errors(air_damping_quadratic=4.0, friction_coulomb=2.0),
+        no_progress,
     )
     assert starting_points == [[DRAG], [COULOMB]]
     assert effect_names(swapped) == [COULOMB]
     # After a small error no other rival is tried.
     del starting_points[:]
     swapped = candidate_swap.otherwise(
-        so_far, (), 4, leaves(air_damping_quadratic=0.5), no_progress
+        so_far, (), 4, records_with_errors(air_damping_quadratic=0.5), no_progress
     )
     assert (starting_points, effect_names(swapped)) == ([[DRAG]], [DRAG])
 
@@ -123,7 +127,9 @@ def test_rival_with_small_gain_or_without_agreement_is_not_tried(
 ) -> None:
     so_far = found(round_of(tried(DAMPING, 5e5), rival))
     assert (
-        candidate_swap.otherwise(so_far, (), 4, leaves(air_damping_quadratic=0.1), no_progress)
+        candidate_swap.otherwise(
+            so_far, (), 4, records_with_errors(air_damping_quadratic=0.1), no_progress
+        )
         is so_far
     )
     assert not starting_points
@@ -135,12 +141,15 @@ def test_no_swap_if_the_rival_is_placed_or_the_effect_was_removed(
     with_rival = found(
         round_of(tried(DAMPING, 5e5), tried(DRAG, 4.9e5)), round_of(tried(DRAG, 1e5))
     )
-    assert candidate_swap.otherwise(with_rival, (), 4, leaves(), no_progress) is with_rival
+    assert (
+        candidate_swap.otherwise(with_rival, (), 4, records_with_errors(), no_progress)
+        is with_rival
+    )
     with_removed_effect = with_rival._replace(
         point=replace(with_rival.point, placed=with_rival.point.placed[1:])
     )
     assert (
-        candidate_swap.otherwise(with_removed_effect, (), 4, leaves(), no_progress)
+        candidate_swap.otherwise(with_removed_effect, (), 4, records_with_errors(), no_progress)
         is with_removed_effect
     )
     assert not starting_points
@@ -151,7 +160,7 @@ def test_at_most_three_rivals_are_tried_and_failed_fits_are_ignored(
 ) -> None:
     rivals = [tried(f"coil_gain@coil:{n}", 4.9e5 - n) for n in range(2, 7)]
     so_far = found(round_of(tried(GAIN, 5e5), *rivals))
-    assert candidate_swap.otherwise(so_far, (), 4, leaves(), no_progress) is so_far
+    assert candidate_swap.otherwise(so_far, (), 4, records_with_errors(), no_progress) is so_far
     assert starting_points == [[f"coil_gain@coil:{n}"] for n in (2, 3, 4)]
     del starting_points[:]
 
@@ -161,7 +170,7 @@ def test_at_most_three_rivals_are_tried_and_failed_fits_are_ignored(
     # A failed fit does not change the result.
     for fails in ("grown", "refine"):
         monkeypatch.setattr(candidate_swap, fails, diverges)
-        assert candidate_swap.otherwise(so_far, (), 4, leaves(), no_progress) is so_far
+        assert candidate_swap.otherwise(so_far, (), 4, records_with_errors(), no_progress) is so_far
     assert not starting_points
 
 
@@ -175,6 +184,8 @@ def test_progress_never_decreases(
     monkeypatch.setattr(candidate_swap, "grown", grown)
     reported: list[float] = []
     so_far = found(round_of(tried(GAIN, 5e5), tried(DRAG, 4.9e5)))
-    candidate_swap.otherwise(so_far, (), 4, leaves(), lambda _, done: reported.append(done))
+    candidate_swap.otherwise(
+        so_far, (), 4, records_with_errors(), lambda _, done: reported.append(done)
+    )
     assert len(reported) == 2
     assert reported == sorted(reported)

@@ -22,7 +22,7 @@ BLOCKS, ROWS, COLUMNS = 15, 60, 4
 NO_PRIOR = np.zeros((0, 1))
 
 
-def drawn(seed: int, effect: float = 0.0, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def draw(seed: int, effect: float = 0.0, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Return columns (blocks, rows, Q - 1) and errors (blocks, rows), -effect times column 2."""
     rng = np.random.default_rng(seed)
     X = rng.normal(size=(BLOCKS, ROWS, COLUMNS))
@@ -52,7 +52,7 @@ def evidence(
 
 
 def test_coefficients_are_those_of_least_squares() -> None:
-    X, e = drawn(1, 0.3)
+    X, e = draw(1, 0.3)
     found = evidence(X, e)
     coefficients = solve(found.whole, range(COLUMNS)) / found.size[:-1]
     flat = X.reshape(-1, COLUMNS)
@@ -64,18 +64,20 @@ def test_coefficients_are_those_of_least_squares() -> None:
 
 
 def test_remaining_error_is_the_sum_of_squares_per_block() -> None:
-    X, e = drawn(2, 0.3)
+    X, e = draw(2, 0.3)
     found = evidence(X, e)
-    some = [0, 2]
-    coefficients = solve(found.whole, some)
-    left = e + X[:, :, some] @ (coefficients / found.size[some])
+    chosen = [0, 2]
+    coefficients = solve(found.whole, chosen)
+    residual = e + X[:, :, chosen] @ (coefficients / found.size[chosen])
     np.testing.assert_allclose(
-        remaining(found.gram, some, coefficients), np.sum(left**2, axis=1), rtol=1e-10
+        remaining(found.gram, chosen, coefficients),
+        np.sum(residual**2, axis=1),
+        rtol=1e-10,
     )
 
 
 def test_each_block_is_validated_with_coefficients_of_the_other_folds() -> None:
-    X, e = drawn(3, 0.3)
+    X, e = draw(3, 0.3)
     fold = np.arange(BLOCKS) % FOLDS
     expected = np.empty(BLOCKS)
     for k in range(FOLDS):
@@ -86,14 +88,14 @@ def test_each_block_is_validated_with_coefficients_of_the_other_folds() -> None:
 
 
 def test_without_columns_the_errors_stay_the_same() -> None:
-    X, e = drawn(4)
+    X, e = draw(4)
     np.testing.assert_allclose(
         cross_validated(evidence(X, e), []), np.sum(e**2, axis=1), rtol=1e-12
     )
 
 
 def test_joined_candidate_equals_a_column_from_the_start() -> None:
-    X, e = drawn(9, 0.3)
+    X, e = draw(9, 0.3)
     row = np.array([[2.0, 0.0, 1.0]])
     whole, joined = evidence(X, e, row), evidence(X, e, row, COLUMNS - 1).joined(0)
     np.testing.assert_allclose(joined.gram, whole.gram, rtol=1e-12, atol=1e-12)
@@ -102,7 +104,7 @@ def test_joined_candidate_equals_a_column_from_the_start() -> None:
 
 
 def test_zero_column_has_no_gain() -> None:
-    X, e = drawn(5, 0.3)
+    X, e = draw(5, 0.3)
     X[:, :, 3] = 0.0
     with np.errstate(all="raise", under="ignore"):
         there, nothing = gains(evidence(X, e, base=2))
@@ -111,7 +113,7 @@ def test_zero_column_has_no_gain() -> None:
 
 
 def test_gain_of_a_column_is_what_it_explains_and_an_idle_column_loses_little() -> None:
-    X, e = drawn(6, 0.3)
+    X, e = draw(6, 0.3)
     there, idle = (found.sum() for found in gains(evidence(X, e, base=2)))
     # Column 2 orthogonal to column 1 has 1 / 1.25 of its square: 0.3^2 * 0.8 per row, 900 rows,
     # standard deviation 2 sqrt(65) = 16. An idle column loses about one, at most 15.
@@ -120,7 +122,7 @@ def test_gain_of_a_column_is_what_it_explains_and_an_idle_column_loses_little() 
 
 
 def test_gathered_records_equal_one_record() -> None:
-    X, e = drawn(7, 0.2)
+    X, e = draw(7, 0.2)
     parts = [slice(0, 5), slice(5, BLOCKS)]
     lines = []
     for i, part in enumerate(parts):
@@ -139,7 +141,7 @@ def test_gathered_records_equal_one_record() -> None:
 
 
 def test_prior_counts_as_one_more_row() -> None:
-    X, e = drawn(8, 0.2)
+    X, e = draw(8, 0.2)
     row = np.array([[2.0, 0.0, 1.0]])  # for the first two columns: 2 c0 + 1 = 0
     found = evidence(X, e, row)
     coefficients = solve(found.whole, [0, 1]) / found.size[:2]
@@ -151,7 +153,7 @@ def test_prior_counts_as_one_more_row() -> None:
 
 
 def agreement(seed: int, effect: float, noise: float) -> float:
-    train, held = (evidence(*drawn(2 * seed + i, effect, noise)) for i in (0, 1))
+    train, held = (evidence(*draw(2 * seed + i, effect, noise)) for i in (0, 1))
     pick = [0, 1, 2]
     there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
     return chance(held, [0, 1], [2], there)
@@ -168,12 +170,14 @@ def test_agreement_statistic_of_noise_is_standard_normal(noise: float) -> None:
     assert np.sum(np.abs(found) > 3) <= 7
 
 
-def uneven(seed: int, effect: float = 0.0, noise: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
+def draw_with_larger_errors(
+    seed: int, effect: float = 0.0, noise: float = 3.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return columns and errors of which 18 of 60 rows belong to a DOF with larger errors.
 
     The columns act on that DOF alone: non-rigid readings do not depend on forces.
     """
-    X, e = drawn(seed, effect)
+    X, e = draw(seed, effect)
     X[:, 18:] = 0.0
     e[:, 18:] = np.random.default_rng(10_000 + seed).normal(size=(BLOCKS, ROWS - 18))
     e[:, :18] += np.sqrt(noise**2 - 1) * np.random.default_rng(20_000 + seed).normal(
@@ -186,24 +190,26 @@ def test_agreement_uses_the_error_variance_where_the_candidate_acts() -> None:
     """With one variance for all rows, the statistic would have a variance of 9 / 3.4."""
     found = []
     for seed in range(600):
-        train, held = (evidence(*uneven(2 * seed + i)) for i in (0, 1))
+        train, held = (evidence(*draw_with_larger_errors(2 * seed + i)) for i in (0, 1))
         pick = [0, 1, 2]
         there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
         found.append(chance(held, [0, 1], [2], there))
     # The larger of two estimates is used, one of them from 15 blocks: up to a quarter below one.
     assert 0.7 < np.var(found) < 1.0 + 4 * np.sqrt(2 / 600)
-    between = [chance_between(evidence(*uneven(s)), [0, 1], [2]) for s in range(300)]
+    between = [
+        chance_between(evidence(*draw_with_larger_errors(s)), [0, 1], [2]) for s in range(300)
+    ]
     assert np.var(between) < 2.0 + 4 * np.sqrt(8 / 300)
 
 
-@pytest.mark.parametrize("make", [drawn, uneven])
+@pytest.mark.parametrize("make", [draw, draw_with_larger_errors])
 def test_standard_errors_agree_with_the_scatter_of_coefficients(make) -> None:
-    pick, found, told = [0, 1, 2], [], []
+    pick, found, stated_errors = [0, 1, 2], [], []
     for seed in range(300):
-        some = evidence(*make(seed))
-        found.append(solve(some.whole, pick) / some.size[pick])
-        told.append(standard_errors(some, pick))
-    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(told), axis=0))
+        one_draw = evidence(*make(seed))
+        found.append(solve(one_draw.whole, pick) / one_draw.size[pick])
+        stated_errors.append(standard_errors(one_draw, pick))
+    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(stated_errors), axis=0))
     # 300 values determine the scatter to 4 %; the larger of two estimates is about 10 % too large.
     assert np.all((ratio > 0.8) & (ratio < 1.1))
 
@@ -227,7 +233,7 @@ def test_agreement_is_proportional_to_the_effect() -> None:
 def test_agreement_equals_its_expected_value_for_white_residuals() -> None:
     sizes = []
     for seed in range(100):
-        train, held = (evidence(*drawn(2 * seed + i, 0.3)) for i in (0, 1))
+        train, held = (evidence(*draw(2 * seed + i, 0.3)) for i in (0, 1))
         pick = [0, 1, 2]
         there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
         sizes.append((chance(held, [0, 1], [2], there), expected(held, [0, 1], [2], there)))
@@ -238,19 +244,19 @@ def test_agreement_equals_its_expected_value_for_white_residuals() -> None:
 
 
 def test_agreement_between_blocks_is_found_for_an_effect_and_not_for_noise() -> None:
-    nothing = np.array([chance_between(evidence(*drawn(s)), [0, 1], [2]) for s in range(600)])
+    nothing = np.array([chance_between(evidence(*draw(s)), [0, 1], [2]) for s in range(600)])
     # Without an effect, folds predict each other with the opposite sign: the mean is below zero.
     assert nothing.mean() < 4 * np.sqrt(2 / 600)
     # Products of noise have longer tails than noise; 600 normal values of variance two reach 4.5.
     assert nothing.max() < 8.0
     for effect in (0.3, 0.6):
-        there = [chance_between(evidence(*drawn(s, effect)), [0, 1], [2]) for s in range(20)]
+        there = [chance_between(evidence(*draw(s, effect)), [0, 1], [2]) for s in range(20)]
         # As large as in other records of the same length: 0.3 sqrt(0.8 900) = 8.
         assert np.mean(there) == pytest.approx(effect * np.sqrt(0.8 * BLOCKS * ROWS), rel=0.15)
 
 
 def test_effect_in_a_few_blocks_is_found() -> None:
-    X, e = drawn(3, 0.0)
+    X, e = draw(3, 0.0)
     X[:, :, 2] = 0.0
     X[4:7, :, 2] = np.random.default_rng(1).normal(size=(3, ROWS))
     e[4:7] -= 2.0 * X[4:7, :, 2]

@@ -1,9 +1,6 @@
-"""Drives that stand still on a bus, cycle by cycle, and what tests wait for in them."""
+"""Drives that stand still on a bus, cycle by cycle."""
 
 from __future__ import annotations
-
-import time
-from collections.abc import Callable
 
 import numpy as np
 
@@ -29,11 +26,3 @@ def run(devices: Devices, cycles: range) -> None:
             devices.drives.read(beam, rotor)
         finally:
             devices.drives.write(np.zeros(3), np.zeros(3))
-
-
-def until(true: Callable[[], bool]) -> None:
-    """Wait for another thread, at most 10 s."""
-    give_up_s = time.monotonic() + 10.0
-    while not true():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.001)

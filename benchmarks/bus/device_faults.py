@@ -156,7 +156,7 @@ def _play(devices: Devices, electronics: Electronics, line: str) -> Played:
         if electronics.injector.receives:
             _wait_for(device, cycle)
         else:  # its own clock goes on, in step with the host's
-            device._period()
+            device.pass_period()
         acts = bool(device.acting_n.any())
         if after:
             came_back += acts

@@ -113,7 +113,7 @@ def setpoints_taken(n: int, rng: np.random.Generator) -> Outcome:
     """
     path = shipped("rigs/can.yaml")
     electronics = Electronics(load_rig(path), path.parent)
-    bus = next(b for b in electronics._buses if isinstance(b, CanElectronics) and b._amplifiers)
+    bus = next(b for b in electronics.emulators if isinstance(b, CanElectronics) and b._amplifiers)
     group = bus._frames.setpoint
     told: list[np.ndarray] = []
     bus._core.setpoints = lambda coil_n: told.append(coil_n.copy())  # type: ignore[method-assign]

@@ -19,13 +19,16 @@ Listener = Callable[[int, bytes], None]
 
 
 class CanLink:
-    """A bus that can be lost and reopened; a failure is a LinkError that names bus and cause."""
+    """A bus that can be lost and reopened; a failure is a LinkError that names bus and cause.
 
-    def __init__(self, name: str, bus: CanBus) -> None:
+    `opened` is used until it is lost, so that a caller can bring a bus of its own.
+    """
+
+    def __init__(self, name: str, bus: CanBus, opened: FrameBus | None = None) -> None:
         self.what = f"can {name} ({bus.interface} {bus.channel})"
         self._config = bus
         self._listeners: dict[int, Listener] = {}
-        self._bus: FrameBus | None = None
+        self._bus = opened
         self._to_close: list[FrameBus] = []  # lost, not shut down yet
         self._ages, self._stamped = Ages(bus.interface), False
         self.received_s = 0.0

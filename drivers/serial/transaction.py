@@ -27,11 +27,16 @@ class TransactionPort:
     """Setpoints of the next cycle and readings of this one, on one port.
 
     `sync` sends `coil_n` (C,) in N, `beam` and `rotor` (3,). After `collect`, `frames` holds the
-    readings: of this cycle if `fresh`, else of an earlier one.
+    readings: of this cycle if `fresh`, else of an earlier one. `line` is used instead of a new one.
     """
 
     def __init__(
-        self, name: str, bus: SerialBus, contents: FrameContents, answers: AnswerTime
+        self,
+        name: str,
+        bus: SerialBus,
+        contents: FrameContents,
+        answers: AnswerTime,
+        line: SerialLine | None = None,
     ) -> None:
         self.what = f"serial {name} ({bus.port})"
         self.frames = SerialFrames(contents)
@@ -42,7 +47,7 @@ class TransactionPort:
         self.watch = Watch(self.what, bus.stale_cycles)
         self.amplifiers: AmplifierWatch | None = None
         self.fresh = False
-        self._line = SerialLine(name, bus)
+        self._line = line or SerialLine(name, bus)
         self._stream = FrameStream(self.frames.longest)
         self._reading = SerialFrames(contents)
         self._answers = answers

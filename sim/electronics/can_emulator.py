@@ -33,7 +33,10 @@ _ERROR_BYTES = 8
 
 
 class CanElectronics:
-    """Answers on one bus from `start` to `stop`."""
+    """Answers on one bus from `start` to `stop`; `opened` is a bus that is open already.
+
+    `drives` are its CANopen nodes, None without any.
+    """
 
     def __init__(
         self,
@@ -43,6 +46,7 @@ class CanElectronics:
         roles: Mapping[str, RoleOptions],
         core: Core,
         injector: Injector,
+        opened: FrameBus | None = None,
     ) -> None:
         self._config, self._core, self._injector = rig.can[name], core, injector
         check_bus(f"can.{name}", self._config)
@@ -67,24 +71,25 @@ class CanElectronics:
             self._handlers[frames.sensor_request.can_id] = self._request_handler(
                 frames.sensor_request, frames.sensor_answer
             )
-        self._drives: Any = None
+        self.drives: Any = None
         options = roles.get("drives")
         if isinstance(options, CanDriveOptions):
             from .drive_nodes import DriveNodes
 
             eds = folder / options.eds if options.eds else None
-            self._drives = DriveNodes(rig, options, eds, core, injector, self._send)
+            self.drives = DriveNodes(rig, options, eds, core, injector, self._send)
             self._handlers[SYNC_ID] = self._drives_sync
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"levid-{name}", daemon=True)
-        self._bus: FrameBus | None = None
+        self._thread = threading.Thread(target=self.serve, name=f"levid-{name}", daemon=True)
+        self._bus = opened
         self._off = False
 
     def start(self) -> None:
         """Open the bus and answer from now on; raises ConfigError."""
-        self._open()
-        if self._drives is not None:
-            self._drives.boot()
+        if self._bus is None:
+            self._open()
+        if self.drives is not None:
+            self.drives.boot()
         self._thread.start()
 
     def stop(self) -> None:
@@ -106,7 +111,8 @@ class CanElectronics:
         if bus is not None:
             bus.shutdown()
 
-    def _run(self) -> None:
+    def serve(self) -> None:
+        """Answer in the calling thread until `stop`."""
         patience_s = min(1.5 * self._core.period_s, 0.1)
         while not self._stopping.is_set():
             silent_s = time.monotonic() + patience_s
@@ -116,8 +122,8 @@ class CanElectronics:
             except Exception:  # noqa: BLE001 - an interface that is down may come back
                 time.sleep(max(silent_s - time.monotonic(), 0.0))
                 frame = None
-            if frame is None and self._drives is not None and self._injector.receives:
-                self._drives.poll()
+            if frame is None and self.drives is not None and self._injector.receives:
+                self.drives.poll()
             self._send_bus_off()
             if frame is None or not self._injector.receives:
                 self._core.tick(min(silent_s, time.monotonic()))
@@ -126,8 +132,8 @@ class CanElectronics:
             handler = self._handlers.get(can_id)
             if handler is not None:
                 handler(can_id, data)
-            elif self._drives is not None and can_id >= 0:
-                self._drives.handle_frame(can_id, data)
+            elif self.drives is not None and can_id >= 0:
+                self.drives.handle_frame(can_id, data)
             # All frames before this one have been handled.
             self._core.tick(time.monotonic() - (self._ages.of(stamp_s) or 0.0))
 
@@ -163,14 +169,14 @@ class CanElectronics:
             self._send(*frame)
 
     def _drives_sync(self, _: int, data: bytes) -> None:
-        if self._drives.counts_syncs:
+        if self.drives.counts_syncs:
             if len(data) != 1 or not 1 <= data[0] <= SYNC_COUNTER:
                 return
-            self._core.begin(*cycle_of_sync(data[0], self._drives.every))
+            self._core.begin(*cycle_of_sync(data[0], self.drives.every))
         elif data:
             return
-        self._drives.poll()
-        for frame in self._drives.sync():
+        self.drives.poll()
+        for frame in self.drives.sync():
             self._send(*frame)
 
     def _setpoint(self, can_id: int, data: bytes) -> None:

@@ -214,7 +214,10 @@ class DriveNodes:
 
 
 class Drive:
-    """One node: object dictionary, CiA 402 states, arbitrary origin of counts until homed."""
+    """One node: object dictionary, CiA 402 states, arbitrary origin of counts until homed.
+
+    `node` has the objects; a homing takes `homing_s`.
+    """
 
     def __init__(
         self,
@@ -229,22 +232,23 @@ class Drive:
     ) -> None:
         self.axis, self.node_id = axis, node_id
         self._unit, self._per_mille = unit, 1e-3 * RATED * rated
-        self._node: Any = canopen.LocalNode(node_id, eds)
-        network.add_node(self._node)
+        self.node: Any = canopen.LocalNode(node_id, eds)
+        network.add_node(self.node)
         # Nothing is mapped: the host has to map the PDOs.
         unmapped = {(Object.RPDO1_MAP, 0): 0, (Object.TPDO1_MAP, 0): 0}
         for (index, sub), value in ({(Object.RATED_FORCE, 0): rated} | unmapped | limits).items():
-            entry = self._node.object_dictionary[int(index)]
+            entry = self.node.object_dictionary[int(index)]
             variable = (
                 entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[sub]
             )
-            self._node.set_data(int(index), sub, variable.encode_raw(value))
+            self.node.set_data(int(index), sub, variable.encode_raw(value))
         self.counts_syncs = self._syncs_are_counted()
         """Whether SYNC has a counter, read at power-on."""
-        self._node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
-        self._node.add_write_callback(self._written)  # type: ignore[no-untyped-call]
+        self.node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
+        self.node.add_write_callback(self._written)  # type: ignore[no-untyped-call]
         self.state = DriveStates.SWITCH_ON_DISABLED
         self.mode = 0
+        self.homing_s = _HOMING_S
         self.error = 0
         self.has_setpoint = False
         self._mapped: bool | None = None
@@ -265,7 +269,7 @@ class Drive:
         """Whether PDOs are exchanged: the node is operational, the PDOs are mapped and valid."""
         if self._mapped is None:  # a mapping object was written
             self._mapped = self._has_mapping()
-        return bool(self._node.nmt._state == Node.OPERATIONAL) and self._mapped
+        return bool(self.node.nmt._state == Node.OPERATIONAL) and self._mapped
 
     @property
     def operating(self) -> bool:
@@ -300,8 +304,8 @@ class Drive:
 
     def boot(self) -> None:
         """Send the boot-up message and enter pre-operational."""
-        self._node.nmt.send_command(Node.BOOT_UP.value)
-        self._node.nmt.send_command(Node.PRE_OPERATIONAL.value)
+        self.node.nmt.send_command(Node.BOOT_UP.value)
+        self.node.nmt.send_command(Node.PRE_OPERATIONAL.value)
 
     def update_readings(self, position: float, force: float) -> None:
         """Update position and force, in SI units; complete a homing whose time has passed."""
@@ -309,13 +313,18 @@ class Drive:
         if self._homed_at_s and time.monotonic() >= self._homed_at_s:
             self._homed, self._homed_at_s, self._origin = True, 0.0, 0.0
 
+    @property
+    def has_rpdo(self) -> bool:
+        """Whether an RPDO is stored for the next SYNC."""
+        return self._stored is not None
+
     def store_rpdo(self, controlword: int, target: int) -> None:
         """Store a received RPDO until the next SYNC; a later one replaces it."""
         self._stored = controlword, target
 
     def drop_unless_cyclic(self) -> None:
         """Discard the stored RPDO if PDOs are no longer exchanged."""
-        if self._stored is not None and not self.cyclic:
+        if self.has_rpdo and not self.cyclic:
             self._stored = None
 
     def apply_rpdo(self) -> None:
@@ -344,31 +353,31 @@ class Drive:
         )
 
     def _value(self, index: Object, sub: int) -> int:
-        return int(self._node.sdo[int(index)][sub].raw)
+        return int(self.node.sdo[int(index)][sub].raw)
 
     def _syncs_are_counted(self) -> bool:
         index = int(Object.SYNC_OVERFLOW)
-        known = index in self._node.object_dictionary
-        return known and int(self._node.sdo[index].raw) == SYNC_COUNTER
+        known = index in self.node.object_dictionary
+        return known and int(self.node.sdo[index].raw) == SYNC_COUNTER
 
     def fail(self, error: int, register: int) -> None:
         """Enter the fault state and send an emergency."""
         if self.state is not DriveStates.FAULT:
             self.state, self.error, self._homed_at_s = DriveStates.FAULT, error, 0.0
-            self._node.emcy.send(error, register)
+            self.node.emcy.send(error, register)
 
     @property
     def event_timer_s(self) -> float:
         """Longest time without targets in s; 0: no limit."""
-        return 1e-3 * int(self._node.sdo[int(Object.RPDO1)][EVENT_TIMER].raw)
+        return 1e-3 * int(self.node.sdo[int(Object.RPDO1)][EVENT_TIMER].raw)
 
     def heartbeat(self, now_s: float) -> None:
         """Send a heartbeat if it is due."""
-        period_s = 1e-3 * int(self._node.sdo[int(Object.HEARTBEAT_MS)].raw)
+        period_s = 1e-3 * int(self.node.sdo[int(Object.HEARTBEAT_MS)].raw)
         if period_s and now_s - self._heartbeat_s >= period_s:
             self._heartbeat_s = now_s
-            state = bytes((self._node.nmt._state,))
-            self._node.network.send_message(HEARTBEAT_ID + self.node_id, state)
+            state = bytes((self.node.nmt._state,))
+            self.node.network.send_message(HEARTBEAT_ID + self.node_id, state)
 
     @property
     def statusword(self) -> int:
@@ -429,7 +438,7 @@ class Drive:
             self._homed_at_s = 0.0
         starts = word & 0x10 and not last & 0x10
         if self.mode == Mode.HOMING and starts and self.state is DriveStates.OPERATION_ENABLED:
-            self._homed, self._homed_at_s = False, time.monotonic() + _HOMING_S
+            self._homed, self._homed_at_s = False, time.monotonic() + self.homing_s
 
 
 _OBJECTS = frozenset(Object)

@@ -175,7 +175,7 @@ class Core:
             enabled = self.amplifier_state is AmplifierState.ENABLED
             self._ahead = self._ahead - simulated if enabled else 0
             for _ in range(periods - simulated):
-                self._period()
+                self.pass_period()
             self._sample()
             return True
 
@@ -210,10 +210,30 @@ class Core:
                 return
             periods = min(silent, _NEW_COUNT)  # do not catch up after a long sleep
             for _ in range(periods):
-                self._period()
+                self.pass_period()
             self._ahead += periods
             self._last_s = now if periods < silent else self._last_s + periods * self.period_s
             self._expire_setpoints()
+
+    def pass_period(self) -> None:
+        """Simulate one period with the acting forces, zero after their expiry."""
+        with self.lock:
+            self._expire_setpoints()
+            plant, acting = self._plant, self._acting_n
+            plant.push(np.array([0.0, 0.0, self.injected.push_n]))
+            plant.advance(acting, self._motion[0], self._motion[1])
+            self.forced_periods += bool(acting.any())
+            self._missed += 1
+            self._apply_injected()
+            if self.amplifier_state is not AmplifierState.ENABLED:
+                acting[:] = 0.0
+            if self._plan:
+                self._motion[:] = self._plan.pop(0)
+                self._drives_missed = 0
+            else:
+                self._drives_missed += 1
+                if self._drives_missed > self._expire:
+                    self._hold_drives()
 
     def setpoints(self, coil_n: Array) -> None:
         """Store forces (C,) in N for the next cycle; ignore them if any is not finite."""
@@ -310,25 +330,6 @@ class Core:
         if not self._tripped and self.amplifier_state is AmplifierState.TRIPPED:
             self.amplifier_state = AmplifierState.OFF
         return DeviceParameter.TRIPPED_COILS, self._tripped
-
-    def _period(self) -> None:
-        """Simulate one period with the acting forces, zero after their expiry."""
-        self._expire_setpoints()
-        plant, acting = self._plant, self._acting_n
-        plant.push(np.array([0.0, 0.0, self.injected.push_n]))
-        plant.advance(acting, self._motion[0], self._motion[1])
-        self.forced_periods += bool(acting.any())
-        self._missed += 1
-        self._apply_injected()
-        if self.amplifier_state is not AmplifierState.ENABLED:
-            acting[:] = 0.0
-        if self._plan:
-            self._motion[:] = self._plan.pop(0)
-            self._drives_missed = 0
-        else:
-            self._drives_missed += 1
-            if self._drives_missed > self._expire:
-                self._hold_drives()
 
     def _expire_setpoints(self) -> None:
         """Set zero force if setpoints were missing for too long."""

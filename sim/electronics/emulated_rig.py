@@ -25,7 +25,9 @@ class Emulator(Protocol):
 
 
 class Electronics:
-    """A context manager that emulates the electronics. `core` and `injector` are for tests.
+    """A context manager that emulates the electronics.
+
+    `core`, `injector` and `emulators`, one for each bus, are for tests.
 
     Raises:
         ConfigError: a role is on no bus, its backend has no emulator, or there is no SIM.yaml.
@@ -44,7 +46,7 @@ class Electronics:
                 expire_cycles = options.expire_cycles
         self.core = Core(rig, load_yaml(source, SimConfig), source, expire_cycles)
         self.injector = Injector(self.core)
-        self._buses: list[Emulator] = [
+        self.emulators: list[Emulator] = [
             load_part(_emulator(backend), backend)(
                 name, rig, folder, roles, self.core, self.injector
             )
@@ -53,13 +55,13 @@ class Electronics:
 
     def __enter__(self) -> Electronics:
         """Start every emulator."""
-        for bus in self._buses:
+        for bus in self.emulators:
             bus.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Stop every emulator."""
-        for bus in self._buses:
+        for bus in self.emulators:
             bus.stop()
 
     def status(self) -> dict[str, object]:

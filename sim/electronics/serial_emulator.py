@@ -11,6 +11,7 @@ import time
 import tty
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Protocol
 from urllib.parse import urlparse
 
 import numpy as np
@@ -31,7 +32,7 @@ class SerialElectronics:
     """Answers on one port until `stop`; `start` opens it.
 
     `port` in RIG.yaml is a path, created as a link to a pseudo terminal, or socket://HOST:PORT,
-    where the electronics listen.
+    where the electronics listen. `line` is used instead of that port if there is one.
     """
 
     def __init__(
@@ -42,10 +43,12 @@ class SerialElectronics:
         roles: Mapping[str, RoleOptions],
         core: Core,
         injector: Injector,
+        line: Line | None = None,
     ) -> None:
         port, contents = rig.serial[name].port, FrameContents.of(rig, roles)
         self._contents, self._core, self.injector = contents, core, injector
-        self._line: _Line = _TcpLine(name, port) if "://" in port else _Pty(name, port)
+        kind = _TcpLine if "://" in port else _Pty
+        self._line: Line = line or kind(name, port)
         self._frames = SerialFrames(contents)
         self._stream = FrameStream(self._frames.longest)
         self._outgoing = Outgoing(injector)
@@ -53,7 +56,7 @@ class SerialElectronics:
         self._motion = np.zeros((2, 3))
         self._sequence = -1
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"levid-{name}", daemon=True)
+        self._thread = threading.Thread(target=self.serve, name=f"levid-{name}", daemon=True)
 
     def start(self) -> None:
         """Open the port and answer from now on."""
@@ -67,7 +70,8 @@ class SerialElectronics:
             self._thread.join()
         self._line.close()
 
-    def _run(self) -> None:
+    def serve(self) -> None:
+        """Answer in the calling thread until `stop`."""
         patience_s = min(1.5 * self._core.period_s, 0.1)
         while not self._stopping.is_set():
             silent_s = time.monotonic() + patience_s
@@ -128,23 +132,23 @@ class SerialElectronics:
             self._core.drive_setpoints([self._motion])
 
 
-class _Line:
+class Line(Protocol):
     """Bytes in and out; `open` and `close` may be repeated."""
 
     def open(self) -> None:
-        raise NotImplementedError
+        """Open the line."""
 
     def close(self) -> None:
-        raise NotImplementedError
+        """Close the line."""
 
     def read(self, timeout_s: float) -> bytes:
-        raise NotImplementedError
+        """Return what came, empty if nothing came in time."""
 
     def write(self, data: bytes) -> None:
-        raise NotImplementedError
+        """Send bytes, which are lost if there is no other end."""
 
 
-class _Pty(_Line):
+class _Pty:
     def __init__(self, name: str, port: str) -> None:
         self._path = Path(port)
         self._master = -1
@@ -190,7 +194,7 @@ class _Pty(_Line):
             os.write(self._master, data)
 
 
-class _TcpLine(_Line):
+class _TcpLine:
     def __init__(self, name: str, url: str) -> None:
         parts = urlparse(url)
         if parts.scheme != "socket" or parts.hostname is None or parts.port is None:

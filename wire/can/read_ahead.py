@@ -21,7 +21,6 @@ polling."""
 QUEUE_FRAMES = 4096
 """Size of the queue in frames: 0.25 s of the busiest bus, and more than arrive while a stalled loop
 sends no Sync."""
-_JOIN_S = 1.0
 _PRIORITY_S = 0.1
 
 
@@ -49,8 +48,8 @@ class ReadAhead:
     because some errors concern a single frame.
     """
 
-    def __init__(self, source: FrameSource) -> None:
-        self._source = source
+    def __init__(self, source: FrameSource, join_s: float = 1.0) -> None:
+        self._source, self._join_s = source, join_s
         self._queue: SimpleQueue[ReceivedFrame | Exception] = SimpleQueue()
         self._lost = 0
         self._reader = threading.get_native_id()
@@ -84,11 +83,11 @@ class ReadAhead:
     def shutdown(self) -> None:
         """End the thread and close the bus.
 
-        A thread that does not end within 1 s is abandoned: closing the bus mostly ends it, the end
-        of the process always does.
+        A thread that does not end within `join_s` is abandoned: closing the bus mostly ends it, the
+        end of the process always does.
         """
         self._ending.set()
-        self._thread.join(_JOIN_S)
+        self._thread.join(self._join_s)
         self._source.shutdown()
 
     def _run(self) -> None:

@@ -44,8 +44,8 @@ def kernel() -> Iterator[tuple[CanLink, Callable[[bytes], object]]]:
     for end in ends:
         end.bind(("127.0.0.1", 0))
     ends[1].connect(ends[0].getsockname())
-    link = CanLink("main", CanBus(interface="socketcan", channel="can0"))
-    link._bus = _KernelBus(None, ends[0])
+    config = CanBus(interface="socketcan", channel="can0")
+    link = CanLink("main", config, _KernelBus(None, ends[0]))
     yield link, ends[1].send
     for end in ends:
         end.close()
@@ -105,9 +105,9 @@ def test_tools_of_python_can_see_bus_off_as_an_error_frame(tmp_path: Path) -> No
     ],
 )
 def test_host_tells_bus_off_from_silence(
-    bus: str, line: str, error: type[Exception], words: str, rig_on, monkeypatch
+    bus: str, line: str, error: type[Exception], words: str, rig_on, patience
 ) -> None:
-    monkeypatch.setattr("levid.drivers.bus_backend._ANSWER_SHARE", 2.5)
+    patience.seconds = 2.5 / RATE_HZ
     rig: RigConfig = rig_on(bus, RATE_HZ, shipped("sims/nominal.yaml"))
     with Electronics(rig, Path()) as electronics:
         devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from levid.config.shipped import shipped
 from levid.drivers.base import DriveError, DriverError, StaleError
 from levid.drivers.can.bus_link import CanLink
 from levid.drivers.can.canopen_drives import CanDrives
+from levid.drivers.can.canopen_nodes import DriveNode
 from levid.drivers.stale_readings import Watch
 from levid.log.signals import Stale
 from levid.wire.can.cia402 import (
@@ -68,12 +70,16 @@ class Wire:
 
 
 class Bench:
-    def __init__(self, rig: RigConfig, every: int) -> None:
+    """Drives on a bus that a test plays; they count SYNCs as if they had been configured so."""
+
+    def __init__(self, rig: RigConfig, every: int, stale_cycles: int = 2) -> None:
         options = rig.on_bus("drives")[1].model_copy(update={"every": every})
         self.wire, self.deadline_s = Wire(), math.inf
-        link = CanLink("main", rig.can[options.bus])
-        link._bus = self.wire
-        self.drives = CanDrives(link, rig, options, Path(), 2, lambda: self.deadline_s)
+        self.link = CanLink("main", rig.can[options.bus], self.wire)
+        self.drives = CanDrives(
+            self.link, rig, options, Path(), stale_cycles, lambda: self.deadline_s
+        )
+        self.drives._counted = True
         self.beam, self.rotor = np.zeros(3), np.zeros(3)
 
     def read(self) -> None:
@@ -120,8 +126,8 @@ def test_bus_that_is_busy_with_other_things_is_not_waited_for(rig: RigConfig) ->
 
 @pytest.mark.parametrize("stamped", [False, True])
 def test_draining_ends_on_a_bus_that_is_busy(rig: RigConfig, stamped: bool) -> None:
-    link, wire = CanLink("main", rig.can["main"]), Wire()
-    link._bus, seen = wire, []
+    wire, seen = Wire(), []
+    link = CanLink("main", rig.can["main"], wire)
     link.listen(0x7F0, lambda *_: seen.append(time.time()))
 
     def busy(_: float) -> ReceivedFrame:
@@ -139,22 +145,20 @@ def test_id_that_somebody_listens_to_is_refused(rig: RigConfig) -> None:
         link.listen(0x181, lambda *_: None)
 
 
-def test_answers_that_nobody_waits_for_are_not_kept(rig: RigConfig) -> None:
-    """They come all the same: a quick stop by SDO is answered, and others may ask a drive too."""
-    bench = Bench(rig, 1)
-    answer = ReceivedFrame(SDO_ANSWER_ID + 1, bytes(8), time.time())
-    (node, *_) = bench.drives._nodes
-
-    def queued() -> int:
-        bench.wire.coming.append(answer)
-        bench.drives._link.drain()
-        return int(node._node.sdo.responses.qsize())
-
-    assert queued() == 0
-    node.listen(True)
-    assert queued() == 1
-    node.listen(False)
-    assert queued() == 1
+def test_sdo_answers_without_a_request_are_not_kept(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A quick stop by SDO is answered too, and other masters may read a drive."""
+    wire, kept = Wire(), []
+    link = CanLink("main", rig.can["main"], wire)
+    node = DriveNode("x1", 1, None, link)
+    monkeypatch.setattr("canopen.Network.notify", lambda *answer: kept.append(answer))
+    for waits, so_far in ((None, 0), (True, 1), (False, 1)):
+        if waits is not None:
+            node.listen(waits)
+        wire.coming.append(ReceivedFrame(SDO_ANSWER_ID + 1, bytes(8), time.time()))
+        link.drain()
+        assert len(kept) == so_far
 
 
 def syncs(wire: Wire) -> list[int]:
@@ -163,7 +167,6 @@ def syncs(wire: Wire) -> list[int]:
 
 def test_syncs_come_at_multiples_and_count_by_one(rig: RigConfig) -> None:
     bench = Bench(rig, 4)
-    bench.drives._counted = True
     bench.drives.watch = Watch("drives", 100)  # nobody answers
     for k in (0, 0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12, 13):  # 7 and 8 were skipped
         before = len(syncs(bench.wire))
@@ -177,7 +180,6 @@ def test_syncs_come_at_multiples_and_count_by_one(rig: RigConfig) -> None:
 def test_release_sends_no_sync_out_of_turn(rig: RigConfig, released: int) -> None:
     """The regular one after it would have the same counter, and drives that look at it a fault."""
     bench = Bench(rig, 4)
-    bench.drives._counted = True
     bench.drives.watch = Watch("drives", 100)
     for k in range(17):
         bench.drives.sync(k)
@@ -193,7 +195,6 @@ def test_release_sends_no_sync_out_of_turn(rig: RigConfig, released: int) -> Non
 
 def test_last_sync_makes_the_quick_stop_act_and_counts_on(rig: RigConfig) -> None:
     bench = Bench(rig, 4)
-    bench.drives._counted = True
     for k in range(6):
         bench.drives.sync(k)
     bench.wire.sent.clear()
@@ -258,7 +259,7 @@ def test_drives_are_told_to_stop_once_one_is_in_fault(rig: RigConfig) -> None:
 @pytest.mark.parametrize("every", [1, 4])
 @pytest.mark.parametrize("how", ["heartbeat", "emergency"])
 def test_others_stop_beside_a_drive_that_is_off_the_bus(
-    rig: RigConfig, every: int, how: str
+    rig: RigConfig, every: int, how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its readings are missing in every cycle; that is an error of its own, and not the last."""
     bench = Bench(rig, every)
@@ -267,11 +268,12 @@ def test_others_stop_beside_a_drive_that_is_off_the_bus(
         if k != 5 * every:  # by then more of them are missing than are bridged
             pass
         elif how == "heartbeat":
-            bench.drives._axes[0].heard_s -= 1.0  # five periods of it
+            later = partial(float, time.perf_counter() + 1.0)  # five periods of it
+            monkeypatch.setattr("levid.drivers.can.canopen_drives.perf_counter", later)
         else:
             error = ReceivedFrame(EMERGENCY_ID + 1, bytes((0x05, 0x73, 1)) + bytes(5), time.time())
             bench.wire.coming.append(error)
-            bench.drives._link.drain()
+            bench.link.drain()
         for call in (
             lambda k=k: bench.drives.sync(k),
             bench.read,
@@ -285,7 +287,7 @@ def test_others_stop_beside_a_drive_that_is_off_the_bus(
             data = TPDO.pack(OPERATING, 0, 0)
             bench.wire.coming.extend(ReceivedFrame(TPDO1_ID + i, data, time.time()) for i in (2, 3))
         while bench.wire.coming:
-            bench.drives._link.drain()
+            bench.link.drain()
     words = [RPDO.unpack(d)[0] for i, d in bench.wire.sent if i == RPDO1_ID + 2]
     drive = [error for error in raised if isinstance(error, DriveError)]
     assert len(drive) == 1  # told once
@@ -323,7 +325,7 @@ def test_node_that_leaves_operation_by_itself_is_a_fault(
     bench = Bench(rig, 1)
     for state in said:
         bench.wire.coming.append(ReceivedFrame(HEARTBEAT_ID + 2, bytes((state,)), time.time()))
-    bench.drives._link.drain()
+    bench.link.drain()
     bench.drives.sync(0)
     bench.wire.answer(0, time.time())
     if fault:
@@ -348,7 +350,7 @@ def test_drives_beside_one_in_fault_are_stopped_in_this_cycle(rig: RigConfig, ev
             bench.read()
             bench.drives.write(np.zeros(3), np.zeros(3))
             cycles += 1
-            bench.drives._link.drain()  # as the backend does first
+            bench.link.drain()  # as the backend does first
             bench.drives.sync(cycles)
     bench.drives.write(np.zeros(3), np.zeros(3))
     assert cycles <= 1  # slower drives have until the next cycle to answer
@@ -359,15 +361,31 @@ def test_drives_beside_one_in_fault_are_stopped_in_this_cycle(rig: RigConfig, ev
 def test_staleness_is_bounded_in_cycles_however_slow_the_drives_are(
     rig: RigConfig, every: int, stale_cycles: int, syncs: int
 ) -> None:
-    bench = Bench(rig, every)
-    options = rig.on_bus("drives")[1].model_copy(update={"every": every})
-    link = CanLink("main", rig.can[options.bus])
-    link._bus = Wire()
-    drives = CanDrives(link, rig, options, Path(), stale_cycles, lambda: 0.0)
+    bench = Bench(rig, every, stale_cycles)
+    bench.deadline_s = 0.0
     k = 0
     with pytest.raises(StaleError):  # noqa: PT012
         for k in range(100):
-            drives.sync(k)
-            drives.read(bench.beam, bench.rotor)
+            bench.drives.sync(k)
+            bench.read()
     # So many answers may be missing; the one too many is told as the next is asked for.
     assert k == (syncs + 1) * every if every > 1 else k == syncs
+
+
+def test_positions_count_once_all_three_of_a_sync_have_come(rig: RigConfig) -> None:
+    """A beam at speed is not skewed because X1 of this SYNC is read beside X2 of the last."""
+    bench = Bench(rig, 4)
+    moved = round(1.2e-3 / POSITION_M)  # twelve times the skew that is allowed
+
+    def answer(node: int, counts: int) -> None:
+        data = TPDO.pack(OPERATING, counts, 0)
+        bench.wire.coming.append(ReceivedFrame(TPDO1_ID + node, data, time.time()))
+        bench.link.drain()
+        bench.read()
+
+    bench.drives.sync(4)
+    answer(1, moved)
+    assert bench.beam[0] == 0.0
+    answer(2, moved)
+    answer(3, 0)
+    assert bench.beam[0] == pytest.approx(1.2e-3, abs=1e-9)

@@ -6,10 +6,13 @@ import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from standing_drives import run, until, with_drives
+from standing_drives import run, with_drives
+from waiting import wait_until
 
 from levid.config.base import ConfigError
 from levid.config.buses import CanBus
@@ -22,13 +25,10 @@ from levid.drivers.registry import check_backends, open_devices
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import (
     NMT_ID,
-    POSITION_M,
     SDO_ANSWER_ID,
     SDO_REQUEST_ID,
     SYNC_COUNTER,
     TOWARDS_OPERATION,
-    TPDO,
-    TPDO1_ID,
     DriveStates,
     Object,
     beam_limits,
@@ -36,6 +36,7 @@ from levid.wire.can.cia402 import (
     state_of,
     sync_counter,
 )
+from levid.wire.can.kernel_frame import ReceivedFrame
 from levid.wire.device_protocol import CYCLES, DriveState
 from levid.wire.velocity_from_positions import Differences
 
@@ -137,53 +138,52 @@ def load() -> RigConfig:
 
 @pytest.mark.parametrize("can_id", [NMT_ID, SDO_REQUEST_ID + 1])
 def test_frame_without_a_byte_does_not_end_the_electronics(rig: RigConfig, can_id: int) -> None:
-    buses = Electronics(rig, Path())._buses
-    drives = next(found for bus in buses if (found := getattr(bus, "_drives", None)))
-    drives.handle_frame(can_id, b"")  # in the thread that answers
+    nodes_on(Electronics(rig, Path())).handle_frame(can_id, b"")  # in the thread that answers
 
 
 class Answering:
     """A bus whose one node answers every request by SDO at once, with what it is told to."""
 
-    def __init__(self, node: DriveNode, link: CanLink, answer: Callable[[bytes], bytes]) -> None:
+    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
         self.asked, self._answer = 0, answer
-        self._listener = link._listeners[SDO_ANSWER_ID + 1]
-        node._node.sdo.RESPONSE_TIMEOUT = 0.01
-        node.listen(True)
+        self._coming: list[ReceivedFrame] = []
+        self.link = CanLink("main", CanBus(interface="virtual", channel="sdo"), self)
+        self.node = DriveNode("x1", 1, None, self.link)
+        self.node.listen(True)
 
     def send(self, can_id: int, data: bytes) -> None:
         if can_id == SDO_REQUEST_ID + 1 and data[0] != 0x80:
             self.asked += 1
-            self._listener(SDO_ANSWER_ID + 1, self._answer(data))
+            self._coming.append(ReceivedFrame(SDO_ANSWER_ID + 1, self._answer(data), 0.0))
+            self.link.receive(0.0)
 
+    def receive(self, _: float) -> ReceivedFrame:
+        return self._coming.pop()
 
-def answering(answer: Callable[[bytes], bytes]) -> tuple[DriveNode, Answering]:
-    link = CanLink("main", CanBus(interface="virtual", channel="sdo"))
-    node = DriveNode("x1", 1, None, link)
-    link._bus = bus = Answering(node, link, answer)  # type: ignore[assignment]
-    return node, bus
+    def shutdown(self) -> None:
+        return
 
 
 @pytest.mark.parametrize("length", [6, 8, 12])
 def test_answer_by_sdo_has_eight_bytes(length: int) -> None:
-    answer = struct.pack("<BHBHH4x", 0x4B, Object.STATUSWORD, 0, 0x1637, 0)[:length]
-    node, _ = answering(lambda _: answer)
+    answer = struct.pack("<BHBi4x", 0x43, Object.ACTUAL_POSITION, 0, 1637)[:length]
+    node = Answering(lambda _: answer).node
     if length == 8:
-        assert node._read(Object.STATUSWORD) == 0x1637
+        assert node.position() == 1637
     else:
-        with pytest.raises(LinkError, match="STATUSWORD"):
-            node._read(Object.STATUSWORD)
+        with pytest.raises(LinkError, match="ACTUAL_POSITION"):
+            node.position()
 
 
 def test_drive_whose_answer_has_no_end_is_not_read_for_ever() -> None:
     def segment(request: bytes) -> bytes:
         if request[0] & 0xE0 == 0x40:
-            return struct.pack("<BHB4x", 0x40, Object.STATUSWORD, 0)
+            return struct.pack("<BHB4x", 0x40, Object.ACTUAL_POSITION, 0)
         return bytes((request[0] & 0x10, *range(1, 8)))  # in turns, and never the last
 
-    node, bus = answering(segment)
-    with pytest.raises(LinkError, match="STATUSWORD"):
-        node._read(Object.STATUSWORD)
+    bus = Answering(segment)
+    with pytest.raises(LinkError, match="ACTUAL_POSITION"):
+        bus.node.position()
     assert bus.asked < 20
 
 
@@ -198,7 +198,7 @@ def test_slower_drives_follow_in_between(rig: RigConfig, every: int) -> None:
     slow = with_drives(rig, every=every)
     with Electronics(slow, Path()) as electronics:
         devices = open_devices(Context(slow, 1 / RATE_HZ, Path()))
-        drives = devices.backends[0]._roles["drives"]
+        drives: Any = devices.drives
         beam, rotor, gap, coil = np.zeros(3), np.zeros(3), np.zeros(9), np.zeros(9)
         speed, cycles = 0.02, 60
         for k in range(cycles):
@@ -221,69 +221,78 @@ def test_slower_drives_follow_in_between(rig: RigConfig, every: int) -> None:
     assert beam[1] == pytest.approx(speed, rel=1e-4)
 
 
-def test_drive_that_falls_silent_is_a_fault(rig: RigConfig) -> None:
+def test_drive_without_heartbeats_is_a_fault(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with Electronics(rig, Path()) as electronics:
         devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
-        drives = devices.backends[0]._roles["drives"]
-        drives._axes[2].heard_s -= 31.0
+        later_s = time.perf_counter() + 31.0  # three heartbeats of 10 s are missing
+        monkeypatch.setattr("levid.drivers.can.canopen_drives.perf_counter", lambda: later_s)
         beam, rotor = np.zeros(3), np.zeros(3)
-        with pytest.raises(DriveError, match=r"drive phi \(node 3\).*no heartbeat"):
+        with pytest.raises(DriveError, match=r"drive x1 \(node 1\).*no heartbeat"):
             devices.drives.read(beam, rotor)
         devices.close()
         assert electronics.core.axes.shape == (3, 3)
 
 
+def nodes_on(electronics: Electronics) -> Any:
+    """Return the emulated nodes of the drives."""
+    emulators: Any = electronics.emulators
+    return next(emulator.drives for emulator in emulators if emulator.drives is not None)
+
+
 def run_to(devices: Devices, electronics: Electronics, cycles: range) -> None:
     """Cycles of standing still, told every time."""
-    nodes = next(bus._drives for bus in electronics._buses if bus._drives is not None)
+    nodes = nodes_on(electronics)
     for k in cycles:
         run(devices, range(k, k + 1))
         # The three targets have come, and wait for the next SYNC.
-        until(lambda: all(drive._stored is not None for drive in nodes.drives))
+        wait_until(lambda: all(drive.has_rpdo for drive in nodes.drives))
 
 
-def test_drive_whose_pdos_nobody_maps_exchanges_none(
-    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+def test_drive_with_empty_pdo_mapping_exchanges_none(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch, patience
 ) -> None:
-    """What its EDS says of its mapping is what it may have been sold with, no more."""
-    monkeypatch.setattr(DriveNode, "_map", lambda *_: None)
-    monkeypatch.setattr("levid.drivers.bus_backend._ANSWER_SHARE", 0.5)  # nothing is waited for
+    """The mapping in the EDS may be a default; only what the host has mapped counts."""
+    for mapping in ("RPDO_MAPPING", "TPDO_MAPPING"):
+        monkeypatch.setattr(f"levid.drivers.can.canopen_nodes.{mapping}", ())
+    patience.seconds = 0.5 / RATE_HZ
     with Electronics(rig, Path()) as electronics:
         devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
         with pytest.raises(StaleError):
             run(devices, range(10))
-        assert not any(drive.cyclic for drive in electronics._buses[0]._drives.drives)
+        assert not any(drive.cyclic for drive in nodes_on(electronics).drives)
         devices.close()
 
 
-def test_drives_that_are_told_nothing_any_more_stop_in_fault(rig: RigConfig) -> None:
-    """As when the host hangs: time goes on, and after expire_s they are in fault by themselves."""
+def test_drives_without_targets_stop_in_fault(rig: RigConfig) -> None:
+    """The host hangs: after expire_s the drives enter fault by themselves."""
     brief = with_drives(rig, expire_s=0.1)
     with Electronics(brief, Path()) as electronics:
         devices = open_devices(Context(brief, 1 / RATE_HZ, Path()))
         run_to(devices, electronics, range(10))
         core = electronics.core
         for _ in range(round(0.1 * RATE_HZ)):
-            core._period()
+            core.pass_period()
         assert core.drive_state is DriveState.OPERATING
-        core._period()
-        until(lambda: core.drive_state is DriveState.FAULT)
+        core.pass_period()
+        wait_until(lambda: core.drive_state is DriveState.FAULT)
         assert not core.motion[:, 1:].any()
         with pytest.raises(DriveError, match="emergency, error code 0x8250"):
-            until(lambda: bool(run_to(devices, electronics, range(10, 11))))
+            wait_until(lambda: bool(run_to(devices, electronics, range(10, 11))))
         devices.recover()
         run_to(devices, electronics, range(11, 20))
         assert core.drive_state is DriveState.OPERATING
         devices.close()
 
 
-def test_who_goes_on_purpose_leaves_drives_that_are_off(rig: RigConfig) -> None:
+def test_close_switches_the_drives_off(rig: RigConfig) -> None:
     with Electronics(rig, Path()) as electronics:
         devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))
         run_to(devices, electronics, range(5))
         assert electronics.core.drive_state is DriveState.OPERATING
         devices.close()
-        until(lambda: electronics.core.drive_state is DriveState.OFF)
+        wait_until(lambda: electronics.core.drive_state is DriveState.OFF)
 
 
 def test_drives_that_are_released_do_not_bring_the_plant_ahead(rig: RigConfig) -> None:
@@ -292,11 +301,11 @@ def test_drives_that_are_released_do_not_bring_the_plant_ahead(rig: RigConfig) -
     with Electronics(slow, Path()) as electronics:
         devices = open_devices(Context(slow, 1 / RATE_HZ, Path()))
         run(devices, range(6))
-        until(lambda: electronics.core.cycle == 5)
+        wait_until(lambda: electronics.core.cycle == 5)
         devices.drives.release()
-        until(lambda: electronics.core.drive_state is DriveState.OFF)
+        wait_until(lambda: electronics.core.drive_state is DriveState.OFF)
         run(devices, range(6, 7))  # by then everything has been heard
-        until(lambda: electronics.core.cycle >= 6)
+        wait_until(lambda: electronics.core.cycle >= 6)
         assert electronics.core.cycle == 6
         devices.close()
 
@@ -365,8 +374,8 @@ def test_other_pdos_of_a_drive_are_switched_off(rig: RigConfig, tmp_path: Path) 
     (tmp_path / "more.eds").write_text(text)
     more = with_drives(rig, eds=str(tmp_path / "more.eds"))
     with Electronics(more, Path()) as electronics:
-        nodes = next(bus._drives for bus in electronics._buses if bus._drives is not None)
-        found = lambda drive, index: drive._node.sdo[index][1].raw  # noqa: E731
+        nodes = nodes_on(electronics)
+        found = lambda drive, index: drive.node.sdo[index][1].raw  # noqa: E731
         valid = [index for index in others if not found(nodes.drives[0], index) >> 31]
         assert valid == [0x1401, 0x1403, 0x1801]  # as they are switched on
         devices = open_devices(Context(more, 1 / RATE_HZ, Path()))
@@ -382,9 +391,7 @@ def test_expiry_shorter_than_two_syncs_is_refused(rig: RigConfig) -> None:
         check_backends(Context(with_drives(rig, every=4, expire_s=0.05), 1 / RATE_HZ, Path()))
 
 
-def test_an_eds_that_is_none_is_refused_before_anything_is_opened(
-    rig: RigConfig, tmp_path: Path
-) -> None:
+def test_invalid_eds_is_refused_before_anything_is_opened(rig: RigConfig, tmp_path: Path) -> None:
     for eds in ("nowhere.eds", "text.eds"):
         (tmp_path / "text.eds").write_text("no such thing")
         context = Context(with_drives(rig, eds=eds), 1 / RATE_HZ, tmp_path)
@@ -409,37 +416,11 @@ def test_frames_of_one_id_are_refused_before_anything_is_opened(
         check_backends(Context(taken, 1 / RATE_HZ, Path()))
 
 
-def test_positions_count_once_all_three_of_a_sync_have_come(rig: RigConfig) -> None:
-    """A beam at speed is not askew because X1 of this SYNC is read beside X2 of the last."""
-    slow = with_drives(rig, every=4)
-    with Electronics(slow, Path()):
-        devices = open_devices(Context(slow, 1 / RATE_HZ, Path()))
-        drives = devices.backends[0]._roles["drives"]
-        beam, rotor = np.zeros(3), np.zeros(3)
-        operating = DriveStates.OPERATION_ENABLED.value[1]
-        for node in (1, 2, 3):
-            drives._by_id[TPDO1_ID + node].received = False
-        drives._waiting, drives._cycle, drives._sync_cycle = 3, 4, 4
-        moved = round(1.2e-3 / POSITION_M)  # twelve times the skew that is allowed
-        drives._handle_tpdo(TPDO1_ID + 1, TPDO.pack(operating, moved, 0))
-        drives.read(beam, rotor)
-        assert beam[0] == pytest.approx(0.0, abs=1e-9)
-        drives._handle_tpdo(TPDO1_ID + 2, TPDO.pack(operating, moved, 0))
-        drives._handle_tpdo(TPDO1_ID + 3, TPDO.pack(operating, 0, 0))
-        drives.read(beam, rotor)
-        assert beam[0] == pytest.approx(1.2e-3, abs=1e-9)
-        devices.close()
-
-
 def test_stamps_of_the_interface_are_converted_to_the_loops_clock() -> None:
     stamps = iter([time.time() - 0.25, 0.0])
 
-    class Bus:
-        def receive(self, wait_s: float) -> tuple[int, bytes, float]:
-            return 0x7F0, b"", next(stamps)
-
-    link = CanLink("main", load().can["main"])
-    link._bus = Bus()
+    bus: Any = SimpleNamespace(receive=lambda _: ReceivedFrame(0x7F0, b"", next(stamps)))
+    link = CanLink("main", load().can["main"], bus)
     before = time.perf_counter()
     link.receive(0.0)  # a frame that the kernel saw a quarter of a second ago
     # The clocks are read one after the other; the process may be put to sleep in between.

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from standing_drives import run, until, with_drives
+from standing_drives import run, with_drives
+from waiting import wait_until
 
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
@@ -21,9 +22,10 @@ from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import (
     HOMING_ATTAINED,
     HOMING_ERROR,
+    POSITION_M,
+    POSITION_RAD,
     TARGET_REACHED,
     TPDO,
-    TPDO1_ID,
     DriveStates,
     Mode,
     Object,
@@ -46,14 +48,16 @@ def opened(rig: RigConfig) -> Devices:
 
 
 def nodes_of(electronics: Electronics) -> list:
-    return electronics._buses[0]._drives.drives  # type: ignore[attr-defined]
+    (emulator,) = electronics.emulators
+    return emulator.drives.drives  # type: ignore[attr-defined]
 
 
-def never_home(drive) -> Callable[[], None]:
-    """Let a drive's homing take for ever; returns what ends that."""
-    update = drive.update_readings
-    drive.update_readings = lambda position, _: setattr(drive, "_position", position)
-    return lambda: setattr(drive, "update_readings", update)
+@pytest.fixture
+def brief_homing() -> Iterator[pytest.MonkeyPatch]:
+    """Give the drives 0.3 s to home; `undo` gives them back their time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 0.3)
+        yield patch
 
 
 def do_not_home(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,22 +78,24 @@ def off_by(devices: Devices, electronics: Electronics, cycles: range) -> np.ndar
 
 
 def test_positions_are_right_once_drives_are_homed(rig: RigConfig) -> None:
-    """Each counts from another place until then: one that is trusted before is wrong by far."""
+    """Until then each drive counts from an arbitrary origin."""
     with Electronics(rig, Path()) as electronics:
         drives = nodes_of(electronics)
         for drive, (position, _, force) in zip(drives, electronics.core.axes, strict=True):
             drive.update_readings(position, force)
-        wrong_m = [(d._counts * d._unit - d._position) for d in drives[:2]]
+        counts = [TPDO.unpack(drive.tpdo()[1])[1] for drive in drives]
+        positions = electronics.core.axes[:, 0]
+        wrong_m = [POSITION_M * counts[i] - positions[i] for i in (0, 1)]
         assert min(map(abs, wrong_m)) > 1e-3
         assert max(map(abs, wrong_m)) < rig.limits.beam_m  # within its travel, as it would be
         assert abs(wrong_m[0] - wrong_m[1]) > 1e-3
-        assert abs(drives[2]._counts * drives[2]._unit - drives[2]._position) > 0.1
+        assert abs(POSITION_RAD * counts[2] - positions[2]) > 0.1
         devices = opened(rig)
         np.testing.assert_allclose(off_by(devices, electronics, range(3)), 0.0, atol=2e-7)
         devices.close()
 
 
-def test_host_that_trusts_what_was_not_homed_is_found_out(
+def test_drives_that_were_not_homed_are_skewed(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     do_not_home(monkeypatch)
@@ -120,34 +126,31 @@ def test_drive_whose_encoder_was_lost_knows_its_place_when_it_is_homed_again(
 
 
 def test_start_that_fails_leaves_no_drive_powered_and_the_next_homes_again(
-    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+    rig: RigConfig, brief_homing: pytest.MonkeyPatch
 ) -> None:
-    """A node that is pre-operational ignores PDOs; and homing starts with an edge, every time."""
-    monkeypatch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 0.3)
+    """A pre-operational node ignores PDOs; homing starts with an edge, every time."""
     with Electronics(rig, Path()) as electronics:
         drives = nodes_of(electronics)
-        mend = never_home(drives[1])
+        in_time_s, drives[1].homing_s = drives[1].homing_s, 1e9
         with pytest.raises(DriveError, match=r"drive x2 \(node 2\).*: not homed after 0.3 s by"):
             opened(rig)
-        until(lambda: all(drive.state is not OPERATING for drive in drives))
-        mend()
-        monkeypatch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 10.0)
+        wait_until(lambda: all(drive.state is not OPERATING for drive in drives))
+        drives[1].homing_s = in_time_s
+        brief_homing.undo()
         devices = opened(rig)
         assert all(drive.operating for drive in drives)
         devices.close()
 
 
-def test_recovery_that_fails_leaves_no_drive_powered(
-    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("brief_homing")
+def test_recovery_that_fails_leaves_no_drive_powered(rig: RigConfig) -> None:
     with Electronics(rig, Path()) as electronics:
         devices, drives = opened(rig), nodes_of(electronics)
         run(devices, range(5))
-        never_home(drives[2])  # X1 and X2 are homed again by then
-        monkeypatch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 0.3)
+        drives[2].homing_s = 1e9  # X1 and X2 are homed again by then
         with pytest.raises(DriveError, match="drive phi"):
             devices.recover()
-        until(lambda: all(drive.state is not OPERATING for drive in drives))
+        wait_until(lambda: all(drive.state is not OPERATING for drive in drives))
         devices.close()
 
 
@@ -159,7 +162,7 @@ def test_drives_beside_one_in_fault_are_stopped(rig: RigConfig) -> None:
         with pytest.raises(DriveError, match="x2"):
             run(devices, range(5, 20))
         run(devices, range(20, 25))
-        until(lambda: all(drive.state is not OPERATING for drive in drives))
+        wait_until(lambda: all(drive.state is not OPERATING for drive in drives))
         electronics.injector.clear()
         devices.recover()
         run(devices, range(25, 30))
@@ -189,11 +192,12 @@ def test_motors_of_the_gantry_start_together(
 def test_gantry_that_goes_askew_while_it_is_homed_is_stopped(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("levid.sim.electronics.drive_nodes._HOMING_S", 1e9)
     real, asked = DriveNode.homing, []
 
     with Electronics(rig, Path()) as electronics:
         core, drives = electronics.core, nodes_of(electronics)
+        for drive in drives:
+            drive.homing_s = 1e9
 
         def homing(node: DriveNode) -> tuple[bool, bool]:
             asked.append(node)
@@ -205,39 +209,45 @@ def test_gantry_that_goes_askew_while_it_is_homed_is_stopped(
         monkeypatch.setattr(DriveNode, "homing", homing)
         with pytest.raises(DriveError, match=r"X1 and X2 .* found 0\.500 mm"):
             opened(rig)
-        until(lambda: all(drive.state is not OPERATING for drive in drives))
+        wait_until(lambda: all(drive.state is not OPERATING for drive in drives))
 
 
+@pytest.mark.usefixtures("brief_homing")
 def test_homing_is_done_once_the_target_is_reached(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With bit 12 alone the drive is still on its way to its home."""
     monkeypatch.setattr("levid.sim.electronics.drive_nodes.TARGET_REACHED", 0)
-    monkeypatch.setattr("levid.drivers.can.canopen_drives._HOMING_S", 0.3)
     with Electronics(rig, Path()), pytest.raises(DriveError, match=r"drive x1.*not homed"):
         opened(rig)
 
 
 @pytest.mark.parametrize("before", [TARGET_REACHED | HOMING_ATTAINED, HOMING_ERROR])
-def test_statusword_of_before_the_start_is_not_of_this_homing(
+def test_result_of_the_previous_homing_is_ignored(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch, before: int
 ) -> None:
-    """A drive that was homed before, or failed to be, says so for a moment more."""
-    # Twice as long as such a word is doubted; it lags by half of that.
-    monkeypatch.setattr("levid.sim.electronics.drive_nodes._HOMING_S", 0.2)
+    """The statusword shows the result of the last homing for a moment after the next has begun."""
     real, follow, at_home = Drive.statusword.fget, DriveNode.follow, []
+    begun_s: dict[int, float] = {}
     assert real is not None
 
     def lagging(drive: Drive) -> int:
-        left_s = drive._homed_at_s - time.monotonic()
-        return int(real(drive)) | (before if left_s > 0.15 else 0)
+        word = int(real(drive))
+        homing = drive.mode == Mode.HOMING and not word & TARGET_REACHED
+        if homing and drive.state is OPERATING:
+            began_s = begun_s.setdefault(drive.node_id, time.monotonic())
+            # Half as long as the host ignores a result.
+            return word | (before if time.monotonic() - began_s < 0.05 else 0)
+        return word
 
     monkeypatch.setattr(Drive, "statusword", property(lagging))
     with Electronics(rig, Path()) as electronics:
         drives = {drive.node_id: drive for drive in nodes_of(electronics)}
+        for drive in drives.values():
+            drive.homing_s = 0.2  # twice as long
 
         def noted(node: DriveNode) -> None:
-            at_home.append(drives[node.node_id]._homed)
+            at_home.append(bool(real(drives[node.node_id]) & HOMING_ATTAINED))
             follow(node)
 
         monkeypatch.setattr(DriveNode, "follow", noted)
@@ -245,7 +255,7 @@ def test_statusword_of_before_the_start_is_not_of_this_homing(
     assert at_home == [True] * 3
 
 
-def test_drive_that_is_home_at_once_is_believed(
+def test_drive_that_is_home_at_once_is_accepted(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By methods 35 and 37 home is where it stands: bit 12 may never be seen low."""
@@ -260,23 +270,20 @@ def test_drive_that_is_home_at_once_is_believed(
 def test_forces_are_in_parts_of_what_is_rated(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("levid.sim.electronics.drive_nodes._RATED_BEAM", 4000)
+    acting, update = (0.25, 0.25, 2.5e-3), Drive.update_readings
+    monkeypatch.setattr(
+        Drive, "update_readings", lambda drive, at, _: update(drive, at, acting[drive.axis])
+    )
+    beam, rotor = np.zeros(3), np.zeros(3)
     with Electronics(rig, Path()) as electronics:
         devices = opened(rig)
-        drives = devices.backends[0]._roles["drives"]
-        told, force = nodes_of(electronics), np.zeros(2)
-        for drive, newtons, per_mille in zip(told, (1.0, 1.0, 2.5e-3), (250,) * 3, strict=True):
-            drive.update_readings(0.0, newtons)
-            assert TPDO.unpack(drive.tpdo()[1])[2] == per_mille
-        drives._deadline = lambda: np.inf
-        drives.sync(0)
-        drives._waiting = 3
-        for drive in told:
-            drives._by_id[TPDO1_ID + drive.node_id].received = False
-            drives._handle_tpdo(*drive.tpdo())
-        force[:] = sum(axis.force for axis in drives._axes[:2]), drives._axes[2].force
-        np.testing.assert_allclose(force, [2.0, 2.5e-3], rtol=1e-12)
+        for sync in devices.syncs:
+            sync(0)
+        devices.drives.read(beam, rotor)
+        sent = [TPDO.unpack(drive.tpdo()[1])[2] for drive in nodes_of(electronics)]
         devices.close()
+    assert sent == [250] * 3
+    np.testing.assert_allclose([beam[2], rotor[2]], [0.5, 2.5e-3], rtol=1e-12)
 
 
 SECTION = re.compile(r"(\[1019\].*?AccessType=)rw(\nDefaultValue=)240", re.DOTALL)
@@ -297,8 +304,7 @@ def test_sync_is_counted_where_the_drives_say_so(
     other = with_overflow(rig, tmp_path, overflow)
     with Electronics(other, Path()) as electronics:
         devices = opened(other)
-        assert devices.backends[0]._roles["drives"]._counted is bool(overflow)
-        run(devices, range(5))
+        run(devices, range(5))  # a SYNC of the other kind would not be answered
         assert all(drive.operating for drive in nodes_of(electronics))
         devices.close()
 
@@ -312,7 +318,7 @@ def test_sync_of_another_count_is_refused(rig: RigConfig, tmp_path: Path) -> Non
 
 def test_sync_that_some_of_them_count_is_refused(rig: RigConfig) -> None:
     with Electronics(rig, Path()) as electronics:
-        nodes_of(electronics)[1]._node.set_data(Object.SYNC_OVERFLOW, 0, b"\0")
+        nodes_of(electronics)[1].node.set_data(Object.SYNC_OVERFLOW, 0, b"\0")
         with pytest.raises(DriverError, match="only in x1, phi"):
             opened(rig)
 
@@ -331,27 +337,29 @@ def test_homing_starts_where_the_last_host_left_while_it_was_homing(rig: RigConf
     """The drive is enabled, and the bit that starts homing is set already."""
     with Electronics(rig, Path()) as electronics:
         for drive in nodes_of(electronics):
-            drive.state, drive.mode, drive._controlword = OPERATING, Mode.HOMING, 0x1F
+            drive.state, drive.mode = OPERATING, Mode.HOMING
+            drive.store_rpdo(0x1F, 0)
+            drive.apply_rpdo()
         opened(rig).close()
 
 
-def test_fault_is_reset_though_it_did_not_go_the_first_time(rig: RigConfig) -> None:
+def test_fault_that_returns_after_the_first_reset_is_reset_again(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, returned = Drive.statusword.fget, []
+    assert real is not None
+
+    def returning(drive: Drive) -> int:
+        if drive.axis == 2 and drive.state is not DriveStates.FAULT and not returned:
+            returned.append(drive.axis)
+            drive.fail(0x7305, 1)
+        return int(real(drive))
+
     with Electronics(rig, Path()) as electronics:
-        drive = nodes_of(electronics)[2]
-        drive.state, control, left = DriveStates.FAULT, drive._control, [2]
-
-        def again(word: int) -> None:
-            if word & 0x80 and left and not drive._controlword & 0x80:
-                left[0] -= 1
-                if left[0]:
-                    drive._controlword = word
-                    return
-                left.clear()
-            control(word)
-
-        drive._control = again
+        nodes_of(electronics)[2].fail(0x7305, 1)
+        monkeypatch.setattr(Drive, "statusword", property(returning))
         opened(rig).close()
-        assert not left
+    assert returned
 
 
 def test_drive_that_fails_while_it_is_homed_says_why(
@@ -360,7 +368,7 @@ def test_drive_that_fails_while_it_is_homed_says_why(
     """Not after ten seconds, as one that is not homed: at once, with its error code."""
     with Electronics(rig, Path()) as electronics:
         drives = nodes_of(electronics)
-        never_home(drives[2])
+        drives[2].homing_s = 1e9
         begun = DriveNode.start_homing
 
         def start(node: DriveNode) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from standing_drives import until, with_drives
+from standing_drives import with_drives
+from waiting import wait_until
 
 from levid.config.rig import RigConfig
 from levid.drivers.base import Context, Devices, DriveError
@@ -47,7 +48,7 @@ class Bench:
         send, link.send = link.send, lambda at, data: at - RPDO1_ID in lost or send(at, data)
         self.devices.drives.write(beam, rotor)
         link.send = send
-        until(lambda: self.core.cycle == self.cycle)
+        wait_until(lambda: self.core.cycle == self.cycle)
 
     def stand(self, beam_m: float = 0.0, cycles: int = 8) -> None:
         for _ in range(cycles):
@@ -144,7 +145,7 @@ def test_target_that_is_clearly_beyond_them_is_a_fault(bench: Bench, what: str, 
 
     with pytest.raises(DriveError, match="0x8611"):
         fly()
-    until(lambda: bench.core.drive_state is DriveState.FAULT)
+    wait_until(lambda: bench.core.drive_state is DriveState.FAULT)
     assert abs(bench.core.axes[0, 0]) < 1.1 * moved
     bench.devices.recover()
     bench.cycle += 1
@@ -165,7 +166,7 @@ def test_encoders_that_lied_until_drives_were_switched_on_are_no_following_error
     bench.devices.drives.release()
     bench.cycle += 1
     bench.stand(cycles=4)  # quick stops alone
-    until(lambda: bench.core.drive_state is not DriveState.OPERATING)
+    wait_until(lambda: bench.core.drive_state is not DriveState.OPERATING)
     with bench.core.lock:
         bench.core.axes[:2, 0] += 0.09
     bench.devices.recover()

@@ -8,11 +8,12 @@ import sys
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
+from waiting import wait_until
 
 from levid.config.buses import CanBus
 from levid.drivers.base import LinkError
@@ -25,13 +26,6 @@ LONG_S = 10.0
 """Nothing here takes as long, on any machine."""
 
 
-def until(true: Callable[[], bool]) -> None:
-    give_up_s = time.monotonic() + LONG_S
-    while not true():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.002)
-
-
 class Source:
     """A bus that brings what a test puts there."""
 
@@ -39,6 +33,7 @@ class Source:
         self.coming: queue.Queue[ReceivedFrame | Exception] = queue.Queue()
         self.sent: list[tuple[int, bytes]] = []
         self.readers: set[int] = set()
+        self.taken = self.handled = 0  # frames that the reader took, and has done with
         self.closed = False
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -46,10 +41,12 @@ class Source:
 
     def receive(self, wait_s: float) -> ReceivedFrame | None:
         self.readers.add(threading.get_native_id())
+        self.handled = self.taken
         try:
             came = self.coming.get(timeout=wait_s)
         except queue.Empty:
             return None
+        self.taken += 1
         if isinstance(came, Exception):
             raise came
         return came
@@ -69,7 +66,7 @@ def ahead(source: Source) -> Iterator[ReadAhead]:
     yield bus
     bus.shutdown()
     assert source.closed
-    assert not bus._thread.is_alive()
+    assert source.readers.isdisjoint(thread.native_id for thread in threading.enumerate())
 
 
 def test_frames_come_in_order_with_the_stamp_of_hardware_or_of_their_arrival(source, ahead) -> None:
@@ -99,7 +96,7 @@ def test_what_the_interface_raises_comes_behind_the_frames_before_it(source, ahe
 def test_frames_that_nobody_takes_are_counted_and_told(source, ahead) -> None:
     for k in range(QUEUE_FRAMES + 5):
         source.coming.put(ReceivedFrame(k & 0x7FF, b"", 1.0))
-    until(lambda: ahead._lost == 5)
+    wait_until(lambda: source.handled == QUEUE_FRAMES + 5)
     with pytest.raises(OverrunError, match=f"5 frames lost: .* {QUEUE_FRAMES} frames was full"):
         ahead.receive(0.0)
     assert all(ahead.receive(0.0) is not None for _ in range(QUEUE_FRAMES))
@@ -110,8 +107,7 @@ def test_frames_that_nobody_takes_are_counted_and_told(source, ahead) -> None:
     ("error", "words"), [(BusOffError(), "bus-off"), (OSError("gone"), "receiving failed: gone")]
 )
 def test_a_link_says_what_its_thread_met(source, ahead, error, words) -> None:
-    link = CanLink("main", CanBus(interface="virtual", channel="read ahead"))
-    link._bus = ahead
+    link = CanLink("main", CanBus(interface="virtual", channel="read ahead"), ahead)
     source.coming.put(error)
     with pytest.raises(LinkError, match=words):
         link.receive(time.perf_counter() + LONG_S)
@@ -124,17 +120,16 @@ def test_the_thread_runs_by_the_policy_of_who_asks(source, ahead) -> None:
     try:
         ahead.receive(0.0)
         (reader,) = source.readers
-        until(lambda: os.sched_getscheduler(reader) == os.SCHED_BATCH)
+        wait_until(lambda: os.sched_getscheduler(reader) == os.SCHED_BATCH)
     finally:
         os.sched_setscheduler(0, before, os.sched_param(0))
 
 
-def test_a_bus_that_does_not_let_go_does_not_hold_up_who_leaves(monkeypatch) -> None:
+def test_shutdown_does_not_wait_for_a_bus_that_hangs() -> None:
     """gs_usb waits for good where what is left of a wait is below half a millisecond."""
-    monkeypatch.setattr("levid.wire.can.read_ahead._JOIN_S", 0.05)
     source, let_go = Source(), threading.Event()
     source.receive = lambda _: let_go.wait(LONG_S) and None  # type: ignore[method-assign]
-    ahead = ReadAhead(source)
+    ahead = ReadAhead(source, join_s=0.05)
     assert ahead.receive(0.0) is None
     ahead.shutdown()
     assert source.closed
@@ -296,7 +291,7 @@ def test_slcan_is_told_the_data_rate(slcan: Slcan, tmp_path: Path) -> None:
     bus = open_bus(config)
     try:
         bus.send(0x24, bytes(range(20)))
-        until(lambda: any(command.startswith("b") for command in slcan.commands))
+        wait_until(lambda: any(command.startswith("b") for command in slcan.commands))
         assert slcan.commands[-1] == f"b024B{bytes(range(20)).hex().upper()}"
         assert {"S6", "Y2"} <= set(slcan.commands)
     finally:

@@ -16,6 +16,7 @@ from levid.cli.main import main
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
+from levid.drivers.bus_backend import AnswerTime
 
 _TESTS = Path(__file__).parent
 _WATCH = pytest.StashKey[Watch]()
@@ -193,16 +194,30 @@ sim: {sim}
     return rig_on
 
 
+class Patience:
+    """Deadline of answers on a bus: `seconds` after SYNC, which a test may change at any time."""
+
+    seconds = 100.0
+
+    def deadline_s(self, now_s: float, _: float) -> float:
+        return now_s + self.seconds
+
+
 @pytest.fixture
-def host_paced(monkeypatch: pytest.MonkeyPatch) -> None:
+def patience(monkeypatch: pytest.MonkeyPatch) -> Patience:
+    """The deadline of all backends that the test opens; by default nothing is late."""
+    patience = Patience()
+    monkeypatch.setattr(AnswerTime, "of", lambda _: patience)
+    return patience
+
+
+@pytest.fixture
+def host_paced(monkeypatch: pytest.MonkeyPatch, patience: Patience) -> None:
     """The host alone sets the pace, however slow the machine is: nothing on a bus is late.
 
-    The electronics never go on by themselves, and the host waits for 10,000 periods instead of
-    half of one.
+    The electronics never go on by themselves, and the host waits for `patience`.
     """
-    monkeypatch.setattr("levid.sim.electronics.emulated_devices._SILENT_PERIODS", 1e9)
-    for share in ("_ANSWER_SHARE", "_SETPOINTS_SHARE"):
-        monkeypatch.setattr(f"levid.drivers.bus_backend.{share}", 1e4)
+    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
 
 
 @pytest.fixture

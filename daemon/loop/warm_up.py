@@ -13,8 +13,6 @@ from ...drivers.base import Devices, DriveError, StaleError
 from ..control.control_cycle import BEAM_MARGIN_M, Controller
 from ..control.segment import Segment, idle_segment
 
-_TIMEOUT_S = 1.0
-
 
 def warm_up(
     controller: Controller,
@@ -33,14 +31,20 @@ def warm_up(
     locate(controller, devices, rig, cycle)
 
 
-def locate(controller: Controller, devices: Devices, rig: RigConfig, cycle: int) -> None:
+def locate(
+    controller: Controller,
+    devices: Devices,
+    rig: RigConfig,
+    cycle: int,
+    timeout_s: float = 1.0,
+) -> None:
     """Read the manipulator position in this cycle and set it as setpoint, to hold it there.
 
-    A lost or late answer is requested again. Raises DriveError if no position comes within 1 s or
-    the beam is out of range; then the setpoints stay unchanged.
+    A lost or late answer is requested again. Raises DriveError if no position comes within
+    `timeout_s` or the beam is out of range; then the setpoints stay unchanged.
     """
     beam, rotor = controller.beam, controller.rotor
-    deadline_s = perf_counter() + _TIMEOUT_S
+    deadline_s = perf_counter() + timeout_s
     while True:
         for sync in devices.syncs:
             sync(cycle)
@@ -49,7 +53,7 @@ def locate(controller: Controller, devices: Devices, rig: RigConfig, cycle: int)
         if np.isfinite(beam[0]) and np.isfinite(rotor[0]):
             break
         if perf_counter() > deadline_s:
-            raise DriveError(f"the drives reported no position within {_TIMEOUT_S:g} s")
+            raise DriveError(f"the drives reported no position within {timeout_s:g} s")
     reach = rig.limits.beam_m + BEAM_MARGIN_M
     if not abs(beam[0]) <= reach:
         raise DriveError(

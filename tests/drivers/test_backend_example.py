@@ -146,10 +146,10 @@ def test_a_session_flies_over_it(slow_rig: RigConfig, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("installed", "host_paced")
 @pytest.mark.parametrize(("fault", "error"), [("trip 3", AmplifierError), ("corrupt", StaleError)])
 def test_faults_of_its_electronics_are_detected(
-    slow_rig: RigConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, error: type
+    slow_rig: RigConfig, tmp_path: Path, patience, fault: str, error: type
 ) -> None:
     # A corrupt answer never counts: its wait has to end soon.
-    monkeypatch.setattr("levid.drivers.bus_backend._ANSWER_SHARE", 2.0)
+    patience.seconds = 2.0 / RATE_HZ
     coil_n, gap_m = np.zeros(9), np.zeros(9)
     with Electronics(slow_rig, tmp_path) as electronics:
         devices = open_devices(Context(slow_rig, 1 / RATE_HZ, tmp_path))

@@ -13,7 +13,7 @@ from levid.daemon.loop.clock import VirtualClock
 from levid.daemon.loop.virtual_flight import Flight
 from levid.daemon.planning.plan import plan_session
 from levid.drivers.base import Devices
-from levid.drivers.bus_backend import AnswerTime
+from levid.drivers.registry import open_devices
 from levid.log.reader import read_log
 from levid.log.signals import Stale
 from levid.sim.electronics.emulated_rig import Electronics
@@ -66,28 +66,31 @@ def test_session_over_a_bus_is_that_of_loopback(
 
 
 @pytest.mark.parametrize("bus", ["canfd", "serial"])
-def test_rows_with_an_earlier_reading_say_so(bus: str, rig_on, quiet_sim, tmp_path) -> None:
+def test_rows_with_an_earlier_reading_say_so(
+    bus: str, rig_on, quiet_sim, tmp_path, patience, monkeypatch
+) -> None:
     rig = rig_on(bus, RATE_HZ, quiet_sim)
     dropped = [70, 90, 91]
     with Electronics(rig, tmp_path) as electronics:
-        flight = Flight(rig, tmp_path, RATE_HZ, VirtualClock())
-        (backend,) = flight.devices.backends
 
         class Dropping(Devices):
             @property
             def syncs(self):  # type: ignore[no-untyped-def]
-                return (sync,)
+                return (self.drop_and_sync,)
 
-        def sync(cycle: int, late_s: float = 0.0) -> None:
-            lost = cycle in dropped
-            electronics.injector.command("drop" if lost else "clear")
-            # Only where nothing is to come is the wait a short one.
-            for waiting in getattr(backend, "_ports", {"": backend}).values():
-                waiting._answers = AnswerTime(0.1 if lost else 30.0)
-            backend.sync(cycle)
+            def drop_and_sync(self, cycle: int, late_s: float = 0.0) -> None:
+                lost = cycle in dropped
+                electronics.injector.command("drop" if lost else "clear")
+                # The wait is short only where no answer comes.
+                patience.seconds = 0.1 if lost else 30.0
+                (backend,) = self.backends
+                backend.sync(cycle)
 
-        flight.loop._devices = Dropping(*vars(flight.devices).values())
-        with flight:
+        monkeypatch.setattr(
+            "levid.daemon.loop.virtual_flight.open_devices",
+            lambda context: Dropping(*vars(open_devices(context)).values()),
+        )
+        with Flight(rig, tmp_path, RATE_HZ, VirtualClock()) as flight:
             flight.idle(120)
             rows = flight._ring.rows[:120].copy()
     everything = Stale.SENSORS | Stale.AMPLIFIERS | Stale.DRIVES

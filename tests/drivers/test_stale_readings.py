@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numba import typeof
+from numba.core.dispatcher import Dispatcher
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
@@ -110,9 +111,7 @@ def test_a_challenge_is_answered_while_they_are_to_be_enabled_alone(late: str) -
     assert asked[-1][0] == Request.ENABLE
 
 
-def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up() -> None:
     controller, syncs = Controller(RIG, 1e-3), []
 
     def read(beam: np.ndarray, rotor: np.ndarray) -> None:
@@ -126,9 +125,8 @@ def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up(
     assert controller.beam_ref[0] == 0.02
     assert syncs == [7, 7, 7]
     comes_at = 1 << 40
-    monkeypatch.setattr("levid.daemon.loop.warm_up._TIMEOUT_S", 0.01)
     with pytest.raises(DriveError, match="no position"):
-        locate(controller, devices, RIG, 7)  # type: ignore[arg-type]
+        locate(controller, devices, RIG, 7, timeout_s=0.01)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("bus", ["can", "serial"])
@@ -145,11 +143,10 @@ def test_nothing_is_compiled_in_the_first_cycle(monkeypatch: pytest.MonkeyPatch,
 
         monkeypatch.setattr(module, name, noting)
 
-    modules = {can_frames: ("_pack", "_unpack"), cobs: ("_encode", "_decode")}
-    modules |= {int16_scaling: ("_quantise", "_scale"), reading_checks: ("_check",)}
-    for module, names in modules.items():
-        for name in names:
-            note(module, name)
+    for module in (can_frames, cobs, int16_scaling, reading_checks):
+        for name, member in list(vars(module).items()):
+            if isinstance(member, Dispatcher):
+                note(module, name)
     coils, gaps = np.zeros(9), np.zeros(9)
     watch = SensorWatch("sensors", RIG.geometry, 1e-3)
     if bus == "can":
@@ -216,7 +213,5 @@ def test_sensor_that_is_back_does_not_make_others_look_frozen() -> None:
         with contextlib.suppress(SensorError):
             watch.judge(lost)
     watch.reset()
-    watch._repeats[4] = 5
-    watch.judge(down.copy())
     for _ in range(30):
         watch.judge(down.copy())

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import select
 import socket
 import threading
 import time
 from pathlib import Path
+from typing import Any
 from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+import serial
 from claims import is_for_one_loop
 from serial import rfc2217
 
 from levid.config.buses import SerialBus
 from levid.config.rig import RigConfig
-from levid.drivers.base import Context, DriverError, LinkError
+from levid.drivers.base import Context, DriverError, LinkError, StaleError
 from levid.drivers.bus_backend import AnswerTime
 from levid.drivers.registry import open_devices
 from levid.drivers.serial.serial_line import SerialLine
@@ -117,12 +120,25 @@ def test_port_that_cannot_be_opened_says_so(url: str) -> None:
         line.open()
 
 
-def test_port_over_tcp_sends_at_once() -> None:
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The ports that pyserial has opened."""
+    opened, open_url = [], serial.serial_for_url
+
+    def noted(*arguments: Any, **options: Any) -> Any:
+        opened.append(open_url(*arguments, **options))
+        return opened[-1]
+
+    monkeypatch.setattr(serial, "serial_for_url", noted)
+    return opened
+
+
+def test_port_over_tcp_sends_at_once(opened: list[Any]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         url = f"socket://127.0.0.1:{server.getsockname()[1]}"
         line = SerialLine("main", SerialBus(port=url, baud=115_200))
         line.open()
-        assert line._port._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        assert opened[0]._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         line.close()
 
 
@@ -132,7 +148,7 @@ def test_two_loops_do_not_fly_on_one_device_over_tcp() -> None:
         is_for_one_loop(SerialLine("main", bus), SerialLine("main", bus))
 
 
-def test_port_that_is_lost_is_closed_after_the_cycle() -> None:
+def test_port_that_is_lost_is_closed_after_the_cycle(opened: list[Any]) -> None:
     """pyserial sleeps 0.3 s as it closes one over TCP; other ports still wait for zero force."""
     took_s = []
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -140,7 +156,7 @@ def test_port_that_is_lost_is_closed_after_the_cycle() -> None:
         line = SerialLine("main", SerialBus(port=url, baud=115_200))
         for _ in range(2):
             line.open()
-            lost = line._port
+            lost = opened[-1]
             server.accept()[0].close()
             began_s = time.perf_counter()
             with pytest.raises(LinkError, match="closed by the other end"):
@@ -154,10 +170,11 @@ def test_port_that_is_lost_is_closed_after_the_cycle() -> None:
     assert min(took_s) < 0.25
 
 
-def test_port_without_a_descriptor_is_read_up_to_the_deadline() -> None:
+def test_port_without_a_descriptor_is_read_up_to_the_deadline(opened: list[Any]) -> None:
     line = SerialLine("main", SerialBus(port="loop://", baud=3_000_000))
     line.open()
-    assert line._fd < 0
+    with pytest.raises(io.UnsupportedOperation):
+        opened[0].fileno()
     assert line.read(0.0) == b""
     began_s = time.perf_counter()
     assert line.read(began_s + 0.02) == b""
@@ -186,14 +203,22 @@ class Babble:
 
 def port_on(babble: Babble, wait_s: float) -> TransactionPort:
     bus = SerialBus(port="loop://", baud=3_000_000, stale_cycles=1000)
-    port = TransactionPort("main", bus, CONTENTS, AnswerTime(wait_s))
-    port._line = babble  # type: ignore[assignment]
-    return port
+    line: Any = babble
+    return TransactionPort("main", bus, CONTENTS, AnswerTime(wait_s), line)
 
 
 def readings(cycle: int) -> bytes:
     frames, zeros = SerialFrames(CONTENTS), np.zeros(9)
     return frames.readings(cycle % CYCLES, (1, zeros), (0, zeros), (0, 0, np.zeros((3, 3))))
+
+
+def rejected(port: TransactionPort) -> str:
+    """Return the reasons that a port reports once no clean reading comes any more."""
+    with pytest.raises(StaleError) as error:  # noqa: PT012
+        for _ in range(2000):
+            port.watch.begin()
+            port.watch.missing()
+    return str(error.value).partition("received: ")[2]
 
 
 def test_wait_ends_at_its_deadline_whatever_comes() -> None:
@@ -204,30 +229,33 @@ def test_wait_ends_at_its_deadline_whatever_comes() -> None:
 
 
 def test_answer_to_setpoints_at_once_is_not_waited_for_beyond_its_cycle() -> None:
-    """One that was lost must not make a repeated reading of later count."""
-    port = port_on(Babble(b""), 0.01)
+    """An answer that was lost must not make a repeated reading of a later cycle count."""
+    line = Babble(b"")
+    port = port_on(line, 0.01)
     port.sync(0)
     port.send_setpoints()  # its answer is lost
     port.collect()
     port.sync(1)
-    port._line.last = readings(1) + readings(1)  # type: ignore[attr-defined]
+    line.last = readings(1) + readings(1)
     port.collect()
     assert port.fresh
-    assert port.watch._reasons[Rejected.REPEATED.value] == 1
+    assert rejected(port) == f"1 frames {Rejected.REPEATED.value}"
 
 
 def test_block_that_is_too_long_makes_a_cycle_unclean() -> None:
-    port = port_on(Babble(b""), 0.01)
+    line = Babble(b"")
+    port = port_on(line, 0.01)
     port.sync(0)
-    port._line.last = b"\x01" * 1000 + b"\0" + readings(0)  # type: ignore[attr-defined]
+    line.last = b"\x01" * 1000 + b"\0" + readings(0)
     port.collect()
     assert port.fresh
-    assert port.watch._unclean
-    assert port.watch._reasons[Rejected.FRAMING.value] == 1
+    assert rejected(port) == f"1 frames {Rejected.FRAMING.value}"
 
 
-def test_a_port_that_takes_nothing_more_holds_no_cycle_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody reads at the other end: what the kernel does not take is a port that is gone."""
+def test_full_send_buffer_is_a_lost_link_at_once(
+    opened: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other end reads nothing: the cycle does not wait for room."""
     master, slave = os.openpty()
     line = SerialLine("main", SerialBus(port=os.ttyname(slave), baud=3_000_000))
 
@@ -238,7 +266,7 @@ def test_a_port_that_takes_nothing_more_holds_no_cycle_up(monkeypatch: pytest.Mo
     try:
         line.open()
         patient = MagicMock()
-        monkeypatch.setattr(line._port, "write", patient)
+        monkeypatch.setattr(opened[0], "write", patient)
         with pytest.raises(LinkError, match=r"buffer full|unavailable"):
             fill()
         assert not patient.called  # it waits for a tenth of a second

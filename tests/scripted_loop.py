@@ -49,7 +49,8 @@ class ScriptedClock(Clock):
 class ScriptedLoop:
     """A loop at 1 kHz and a supervisor that gives signs of life every ten cycles unless `silent`.
 
-    `forces` is what was last written to the coils, in N, all together.
+    `forces` is the sum of the forces last written to the coils, in N. `recover` recovers the devices
+    after a fault. Only with `timed` cycles may a cycle be too slow, by time.perf_counter_ns.
     """
 
     def __init__(
@@ -57,6 +58,8 @@ class ScriptedLoop:
         wrap: Callable[[Devices], Devices] = lambda devices: devices,
         before_fault_s: float = 10.0,
         limits: dict[str, Any] | None = None,
+        recover: Callable[[], None] = lambda: None,
+        timed: bool = False,
         **service: Any,
     ) -> None:
         plain = load_rig(RIG).model_dump()
@@ -68,7 +71,7 @@ class ScriptedLoop:
         self.shared = SharedMemory(rig)
         self.board = self.shared.board
         self.controller = Controller(rig, 1e-3, self.shared.control)
-        devices = wrap(open_devices(Context(rig, 1e-3, RIG.parent)))
+        self.devices = devices = wrap(open_devices(Context(rig, 1e-3, RIG.parent)))
         warm_up(self.controller, devices, np.zeros(1, self.shared.dtype), rig, -1)
         self.parent, self.silent, self.forces = os.getppid(), False, 0.0
         self.plans = 0
@@ -81,12 +84,22 @@ class ScriptedLoop:
             write(coil_n)
 
         devices.amplifiers.write = seen  # type: ignore[method-assign]
+        self.clock, self._recover = ScriptedClock(self._cycle), recover
+        self.restart()
+        if not timed:  # there is no clock: how long a cycle takes says nothing
+            self.loop._longest_ns = 1 << 62
+
+    def restart(self) -> None:
+        """Replace the loop, as the supervisor does after it has died."""
         self.loop = TimedLoop(
-            rig, self.controller, devices, ScriptedClock(self._cycle), self.shared,
-            lambda: None, self.parent,
+            self.rig, self.controller, self.devices, self.clock, self.shared,
+            self._recover, self.parent,
         )  # fmt: skip
-        self.longest_ns = self.loop._longest_ns
-        self.loop._longest_ns = 1 << 62  # there is no clock: how long a cycle takes says nothing
+
+    def feed(self) -> None:
+        """Pass on as many segments of the plan as the loop has room for."""
+        assert self._feeder is not None
+        self._feeder.feed()
 
     def fly(self, *steps: dict[str, Any]) -> None:
         """Announce a plan of these steps, from the manipulator's zero."""
@@ -110,5 +123,5 @@ class ScriptedLoop:
         if not n % 10 and not self.silent:
             self.board[Word.BEAT] += 1
             if self._feeder is not None:
-                self._feeder.feed()
+                self.feed()
         self._script(n)

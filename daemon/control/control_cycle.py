@@ -78,7 +78,8 @@ class Controller:
         self._law = np.concatenate([np.asarray(part, float) for part in law])
         self._memory = np.zeros(memory_shape(coils, sensors)) if memory is None else memory
         self._memory[:_ROWS] = 0.0
-        self._heat, _, self._before = np.split(self._memory[_ROWS:].ravel(), [coils, coils + 1])
+        self.heat, _, self._before = np.split(self._memory[_ROWS:].ravel(), [coils, coils + 1])
+        """Mean square force (C,) in N^2 over limits.coil_time_constant_s."""
         self._coil_time_constant_s = limits.coil_time_constant_s
         self._before[:] = np.nan
         self._engaged = False
@@ -120,7 +121,7 @@ class Controller:
 
     def detail(self, fault: Fault) -> str:
         """Return the reading that caused `fault` as text; empty if no reading did."""
-        gap, heat = np.abs(self.gap_m), self._heat
+        gap, heat = np.abs(self.gap_m), self.heat
         if fault is Fault.GAP:
             return f"{1e3 * gap.max():.3f} mm at sensor {gap.argmax()}"
         if fault is Fault.POSE:
@@ -140,7 +141,7 @@ class Controller:
 
     def cool(self, seconds: float) -> None:
         """Cool the coils for `seconds` at zero force that were not computed as cycles."""
-        self._heat *= math.exp(-max(seconds, 0.0) / self._coil_time_constant_s)
+        self.heat *= math.exp(-max(seconds, 0.0) / self._coil_time_constant_s)
 
     def move(self, k: int) -> None:
         """Set only the manipulator setpoints of cycle `k`, as `step` would."""

@@ -262,14 +262,14 @@ def test_coils_cool_down_in_cycles_that_were_not_computed() -> None:
     bench = Bench(rig)
     bench.control.readback_n[:] = 7.0
     bench.run(flying(5000), np.zeros((5000, 9)))
-    hot = bench.control._heat.copy()
+    hot = bench.control.heat.copy()
     bench.control.halt()
     bench.control.readback_n[:] = 0.0
     bench.control.begin(idle_segment(1, 9, np.zeros(3), np.zeros(3)))
     bench.control.step(bench.rows, 0, bench.cycle + 9_999, 0.0, 0)
-    np.testing.assert_allclose(bench.control._heat, hot * np.exp(-1.0), rtol=1e-3)
+    np.testing.assert_allclose(bench.control.heat, hot * np.exp(-1.0), rtol=1e-3)
     bench.control.cool(20.0)
-    np.testing.assert_allclose(bench.control._heat, hot * np.exp(-3.0), rtol=1e-3)
+    np.testing.assert_allclose(bench.control.heat, hot * np.exp(-3.0), rtol=1e-3)
 
 
 def test_coils_carry_on_in_periods_that_are_skipped() -> None:
@@ -278,15 +278,15 @@ def test_coils_carry_on_in_periods_that_are_skipped() -> None:
     told = bench.control.coil_n.copy()
     assert told.min() > 5.0
     bench.control.step(bench.rows, 0, bench.cycle + 30_000, 0.0, 0)
-    np.testing.assert_allclose(bench.control._heat, told**2, rtol=1e-3)
+    np.testing.assert_allclose(bench.control.heat, told**2, rtol=1e-3)
 
 
 def test_coil_that_says_nothing_cools_down_as_it_was_told() -> None:
     bench = Bench(limited(coil_rms_n=8.0, coil_time_constant_s=1.0))
     bench.run(flying(500), np.zeros((500, 9)))
-    hot = bench.control._heat.copy()
+    hot = bench.control.heat.copy()
     bench.control.halt()
     bench.control.readback_n[:] = np.nan
     for cycle in range(500, 1500):
         bench.control.step(bench.rows, cycle, cycle, cycle * PERIOD, 0)
-    np.testing.assert_allclose(bench.control._heat, hot * np.exp(-1.0), rtol=1e-2)
+    np.testing.assert_allclose(bench.control.heat, hot * np.exp(-1.0), rtol=1e-2)

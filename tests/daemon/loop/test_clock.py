@@ -72,7 +72,7 @@ def test_loop_counts_the_wake_ups_of_its_clock() -> None:
     flight = ScriptedLoop()
 
     def script(n: int) -> None:
-        flight.loop._clock.overslept_ns = -1 if n % 2 else 20_000
+        flight.clock.overslept_ns = -1 if n % 2 else 20_000
 
     flight.run(script, 400)
     counts = flight.shared.wake_ups.counts

@@ -128,15 +128,22 @@ def test_a_fault_in_virtual_time_brakes_the_beam_too(tmp_path: Path) -> None:
     plan = plan_steps([Step(levitate=LIFT), Step(move={"beam_m": 0.09})], "braked", rig, 0.0, 0.0)
     with Flight(rig, RIG.parent, 1000.0, VirtualClock()) as flight:
         read, fly = flight.devices.sensors.read, flight.loop.fly
+        write, beam_m_s = flight.devices.drives.write, 0.0
+
+        def writing(beam: NDArray[np.float64], rotor: NDArray[np.float64]) -> None:
+            nonlocal beam_m_s
+            beam_m_s = beam[1]
+            write(beam, rotor)
 
         def failing(gap_m: NDArray[np.float64]) -> None:
             read(gap_m)
-            if abs(flight._controller.beam_ref[1]) > 0.1 and not broken:
+            if abs(beam_m_s) > 0.1 and not broken:
                 broken.append(flight.loop.cycle)
                 gap_m[0] = np.nan
 
         broken: list[int] = []
         flight.devices.sensors.read = failing  # type: ignore[method-assign]
+        flight.devices.drives.write = writing  # type: ignore[method-assign]
         flight.loop.fly = fly  # type: ignore[method-assign]
         with pytest.raises(FlightFault, match="READING"):
             flight.fly(plan, tmp_path, {})
@@ -171,7 +178,7 @@ def test_a_beam_that_is_where_it_may_not_be_is_told_and_not_moved() -> None:
 
 def test_late_cycles_on_the_ground_are_not_held_against_the_flight() -> None:
     flight = ScriptedLoop()
-    clock, limits = flight.loop._clock, flight.rig.limits
+    clock, limits = flight.clock, flight.rig.limits
 
     def script(n: int) -> None:
         late = n < 2 * limits.late_in_window + 600 and n % 2
@@ -332,13 +339,11 @@ def test_drives_that_nobody_located_are_told_nothing() -> None:
         devices.drives.release = lambda: released.append(True)  # type: ignore[method-assign]
         return told(devices)
 
-    flight = ScriptedLoop(watched)
-
     def recover() -> None:
         if refused:
             raise DriveError("the beam is at 0.15 m")
 
-    flight.loop._recover = recover
+    flight = ScriptedLoop(watched, recover=recover)
 
     def script(n: int) -> None:
         if n == 300:

@@ -18,9 +18,8 @@ from levid.drivers.base import Backend, Devices, StaleError
 
 def test_homing_is_no_cycle() -> None:
     """A clear that takes 10 s was a cycle of 10 s, and the next one late by as much."""
-    flight = ScriptedLoop()
-    clock = flight.loop._clock
-    flight.loop._recover = lambda: time.sleep(0.2)
+    flight = ScriptedLoop(recover=lambda: time.sleep(0.2))
+    clock = flight.clock
 
     def script(n: int) -> None:
         clock.skipped = {401: 200, 501: 3}.get(n, 0)
@@ -34,7 +33,7 @@ def test_homing_is_no_cycle() -> None:
     figures = flight.shared.timing.figures()
     assert figures["execution_us"]["max"] < 0.15e6
     assert sum(figures["late_by"].values()) == 1  # the one that was
-    assert flight.loop._lateness.late == 1
+    assert flight.board[Word.LATE] == 1
     rows = flight.shared.ring.last(300).rows
     assert rows["execution_s"].max() < 0.15
     assert rows["skipped"].max() == 200
@@ -51,9 +50,9 @@ def test_homing_is_no_cycle() -> None:
 )
 def test_time_is_counted_to_whoever_took_it(slow: str, part: str, cause: str) -> None:
     flight = ScriptedLoop()
-    loop, clock = flight.loop, flight.loop._clock
+    loop, clock = flight.loop, flight.clock
     whose, name = slow.split(".")
-    one = loop.course if whose == "course" else getattr(loop._devices, whose)
+    one = loop.course if whose == "course" else getattr(flight.devices, whose)
     takes_long = False
 
     def script(n: int) -> None:
@@ -91,7 +90,7 @@ def sum_at(flight: ScriptedLoop) -> float:
 def test_counters_go_on_where_every_cycle_is_late() -> None:
     """With every other period skipped the cycle is odd for ever, and no multiple of 64."""
     flight = ScriptedLoop()
-    clock = flight.loop._clock
+    clock = flight.clock
 
     def script(n: int) -> None:
         clock.skipped = 1 if n > 100 else 0
@@ -104,11 +103,8 @@ def test_loop_that_follows_a_dead_one_counts_on() -> None:
     flight = ScriptedLoop()
     board = flight.board
     board[Word.LATE], board[Word.STALE] = 7, 11
-    flight.loop.__init__(  # type: ignore[misc]
-        flight.rig, flight.controller, flight.loop._devices, flight.loop._clock, flight.shared,
-        lambda: None, flight.parent,
-    )  # fmt: skip
-    clock = flight.loop._clock
+    flight.restart()
+    clock = flight.clock
 
     def script(n: int) -> None:
         clock.skipped = 2 if n == 50 else 0
@@ -119,7 +115,7 @@ def test_loop_that_follows_a_dead_one_counts_on() -> None:
 
 def test_row_of_the_cycle_that_was_too_late_has_the_forces_that_were_sent() -> None:
     flight = ScriptedLoop()
-    clock = flight.loop._clock
+    clock = flight.clock
 
     def script(n: int) -> None:
         clock.skipped = 1500 if n == 1500 else 0  # more than limits.stall_s
@@ -151,8 +147,7 @@ def test_move_that_is_asked_for_as_somebody_lands_is_dropped(late: int) -> None:
             board.land()
         if n == 2000 + late:
             flight.fly({"move": {"beam_m": 0.01}})
-            assert flight._feeder is not None
-            flight._feeder.feed()
+            flight.feed()
             board.land()
         seen.append(board.state)
 
@@ -182,7 +177,7 @@ def test_devices_are_told_how_late_a_cycle_begins_without_those_that_were_skippe
     flight = ScriptedLoop(
         lambda devices: replace(devices, backends=(Listening(devices.backends[0]),))
     )
-    clock = flight.loop._clock
+    clock = flight.clock
 
     def script(n: int) -> None:
         clock.skipped, clock.late_s = (3, 3.4e-3) if n == 50 else (0, 2e-5)
@@ -222,7 +217,7 @@ def test_readings_that_stay_away_at_rest_are_counted_where_others_see_it() -> No
         return replace(devices, backends=(Counting(devices.backends[0]),))
 
     flight = ScriptedLoop(failing)
-    clock, board, seen = flight.loop._clock, flight.board, []
+    clock, board, seen = flight.clock, flight.board, []
 
     def script(n: int) -> None:
         clock.skipped = 2 if n == 399 else 0

@@ -114,7 +114,7 @@ def test_loop_that_stood_still_for_too_long_sends_no_force(
         ) -> None:
             if n == 300:
                 flight.fly({"levitate": {**LIFT, "settle_s": 4.0}})
-            flight.loop._clock.skipped = skipped if n == 1500 else 0
+            flight.clock.skipped = skipped if n == 1500 else 0
             if n >= 1500:
                 written.append(flight.forces)
 
@@ -148,8 +148,7 @@ def test_cycle_that_is_held_up_before_it_writes_sends_no_force(
     monkeypatch.setattr(
         "levid.daemon.loop.real_time_loop.time.perf_counter_ns", lambda: began + ahead[0]
     )
-    flight, written = ScriptedLoop(holding, limits={"stall_s": 0.15}), []
-    flight.loop._longest_ns = flight.longest_ns
+    flight, written = ScriptedLoop(holding, limits={"stall_s": 0.15}, timed=True), []
 
     def script(n: int) -> None:
         if n == 300:
@@ -255,8 +254,7 @@ def test_who_asks_to_land_before_the_first_row_stays_on_the_ground() -> None:
     def script(n: int) -> None:
         if n == 300:
             flight.fly({"levitate": LIFT})
-            assert flight._feeder is not None
-            flight._feeder.feed()
+            flight.feed()
             board.land()
         states.add(board.state)
         if n == 2000:
@@ -326,7 +324,7 @@ def test_bus_that_is_gone_for_days_costs_no_memory() -> None:
 
 def test_a_machine_that_stood_still_did_not_lose_its_supervisor() -> None:
     flight = ScriptedLoop(supervisor_s=1.0)
-    clock = flight.loop._clock
+    clock = flight.clock
 
     def script(n: int) -> None:
         clock.skipped = 1500 if n == 1500 else 0
@@ -347,10 +345,10 @@ def test_heat_of_the_coils_outlasts_the_loop() -> None:
             flight.fly({"levitate": {**LIFT, "settle_s": 2.0}})
 
     flight.run(script, 2000)
-    hot = flight.controller._heat.copy()
+    hot = flight.controller.heat.copy()
     assert hot.min() > 0.0
     again = type(flight.controller)(flight.rig, 1e-3, flight.shared.control)
-    assert again._heat == pytest.approx(hot)
+    assert again.heat == pytest.approx(hot)
     assert not again.pose.any()
 
 
@@ -358,7 +356,7 @@ def test_coils_cool_down_while_readings_fail() -> None:
     """A link that was gone for hours left them as hot: the next lift-off ended as fault HEAT."""
     gone = SimpleNamespace(now=False)
     flight = ScriptedLoop(failing_while(gone, LinkError("unplugged")))
-    clock, heat = flight.loop._clock, []
+    clock, heat = flight.clock, []
 
     def script(n: int) -> None:
         if n == 300:

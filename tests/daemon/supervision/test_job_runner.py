@@ -90,7 +90,7 @@ def test_client_is_told_that_a_slow_disk_is_waited_for(monkeypatch: pytest.Monke
     flight, told = ScriptedLoop(), []
     job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = job_of(flight, told, Step(levitate=LIFT), Step(land={"ramp_s": 0.2, "release_s": 0.1}))
-    ring, clock, now_s = flight.shared.ring, flight.loop._clock, 0.0
+    ring, clock, now_s = flight.shared.ring, flight.clock, 0.0
     over = 300 + job.plan.cycles
     monkeypatch.setattr(pilot_module.time, "monotonic", lambda: now_s)
 
@@ -232,7 +232,7 @@ def test_late_cycle_in_the_push_of_a_reversed_coil_hides_nothing(late: int) -> N
     flight = ScriptedLoop(with_coil_3_reversed)
     job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = checked(flight, told)
-    clock, pushed = flight.loop._clock, first_push(job)
+    clock, pushed = flight.clock, first_push(job)
 
     def script(n: int) -> None:
         # In the push of coil 0, which is sound, and of coil 3.
@@ -258,7 +258,7 @@ def test_coil_whose_push_was_held_for_long_is_told_of_and_stays_unknown(
     flight = ScriptedLoop()
     job_runner = JobRunner(flight.rig, flight.shared, Recorder(), said.append)  # type: ignore[arg-type]
     job, again = checked(flight, told), checked(flight, told)
-    clock, pushed = flight.loop._clock, first_push(job)
+    clock, pushed = flight.clock, first_push(job)
     over = pushed + 9 * TURN + 200
 
     def script(n: int) -> None:

@@ -49,8 +49,8 @@ class ScriptedClock(Clock):
 class ScriptedLoop:
     """A loop at 1 kHz and a supervisor that gives signs of life every ten cycles unless `silent`.
 
-    `forces` is the sum of the forces last written to the coils, in N. `recover` recovers the devices
-    after a fault. Only with `timed` cycles may a cycle be too slow, by time.perf_counter_ns.
+    `forces` is the sum of the forces last written to the coils, in N. `recover` recovers the
+    devices after a fault. Only with `timed` may a cycle be too slow, by time.perf_counter_ns.
     """
 
     def __init__(

@@ -13,19 +13,19 @@ from pathlib import Path
 
 from ...log.writer import LogWriter
 
-_INTERVAL_S = 0.5
 _MAX_QUEUED = 256
 """Queued files. More are left to the kernel, which writes them back within half a minute."""
 _POLL_S = 0.01
 
 
 class FsyncWorker:
-    """Sync the current file every half second, and each closed file, in a thread of its own.
+    """Sync the current file every `interval_s`, and each closed file, in a thread of its own.
 
     The kernel reports a disk error only once, to the process that syncs: `failures` returns it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, interval_s: float = 0.5) -> None:
+        self._interval_s = interval_s
         self._jobs: queue.SimpleQueue[tuple[Path, Callable[[], None]]] = queue.SimpleQueue()
         self._failures: deque[tuple[Path, str]] = deque(maxlen=_MAX_QUEUED)
         self._queued = self._done = 0
@@ -39,11 +39,11 @@ class FsyncWorker:
         return self._done == self._queued
 
     def sync_growing(self, writer: LogWriter | None) -> None:
-        """Sync the current file if it has grown and the last sync is half a second ago."""
+        """Sync the current file if it has grown and the last sync is `interval_s` ago."""
         if writer is None or writer.size == self._size or not self.idle:
             return
         now_s = time.monotonic()
-        if now_s - self._synced_s < _INTERVAL_S:
+        if now_s - self._synced_s < self._interval_s:
             return
         self._synced_s, self._size = now_s, writer.size
         with suppress(OSError, ValueError):

@@ -71,34 +71,7 @@ class HeatFile:
         if self._thread.ident is not None:
             self._thread.join(wait_s)
 
-    def _load(self) -> NDArray[np.float64]:
-        with self._path.open("rb") as file:
-            found: dict[str, Any] = json.loads(file.read(_MAX_BYTES))
-        heat = np.array(found["heat_n2"], dtype=np.float64)
-        max_n2 = (2.0 * self._limits.coil_n) ** 2
-        if heat.shape != self._heat.shape or not np.all((heat >= 0.0) & (heat <= max_n2)):
-            raise ValueError(f"heat_n2: expected {self._heat.size} numbers from 0 to {max_n2:g}")
-        return self._cooled(heat, found, _now())
-
-    def _cooled(
-        self, heat: NDArray[np.float64], then: dict[str, Any], now: dict[str, Any]
-    ) -> NDArray[np.float64]:
-        # Within one boot use the uptime, which cannot be set; otherwise the time of day.
-        clock = "uptime_s" if now["boot"] and then["boot"] == now["boot"] else "time_s"
-        passed_s = max(float(now[clock]) - float(then[clock]), 0.0)
-        return np.asarray(heat * math.exp(-passed_s / self._limits.coil_time_constant_s))
-
-    def _run(self) -> None:
-        write = True  # update an old file once, even if the coils are cold
-        while True:
-            ended = self._end.wait(INTERVAL_S)
-            hot = bool(self._heat.max(initial=0.0) > _COLD * self._limit_n2)
-            if hot or write:
-                write = not self._write() or hot
-            if ended:
-                return
-
-    def _write(self) -> bool:
+    def save(self) -> bool:
         """Write the file; return whether it holds the present heat."""
         cycle, now, heat = float(self._heated[0]), _now(), self._heat.copy()
         if self._saved is not None and self._saved[0] == cycle:
@@ -128,6 +101,33 @@ class HeatFile:
         self._failure_logged = False
         self._saved = cycle, now, heat
         return True
+
+    def _load(self) -> NDArray[np.float64]:
+        with self._path.open("rb") as file:
+            found: dict[str, Any] = json.loads(file.read(_MAX_BYTES))
+        heat = np.array(found["heat_n2"], dtype=np.float64)
+        max_n2 = (2.0 * self._limits.coil_n) ** 2
+        if heat.shape != self._heat.shape or not np.all((heat >= 0.0) & (heat <= max_n2)):
+            raise ValueError(f"heat_n2: expected {self._heat.size} numbers from 0 to {max_n2:g}")
+        return self._cooled(heat, found, _now())
+
+    def _cooled(
+        self, heat: NDArray[np.float64], then: dict[str, Any], now: dict[str, Any]
+    ) -> NDArray[np.float64]:
+        # Within one boot use the uptime, which cannot be set; otherwise the time of day.
+        clock = "uptime_s" if now["boot"] and then["boot"] == now["boot"] else "time_s"
+        passed_s = max(float(now[clock]) - float(then[clock]), 0.0)
+        return np.asarray(heat * math.exp(-passed_s / self._limits.coil_time_constant_s))
+
+    def _run(self) -> None:
+        write = True  # update an old file once, even if the coils are cold
+        while True:
+            ended = self._end.wait(INTERVAL_S)
+            hot = bool(self._heat.max(initial=0.0) > _COLD * self._limit_n2)
+            if hot or write:
+                write = not self.save() or hot
+            if ended:
+                return
 
     def _saved_is_colder(self, heat: NDArray[np.float64], now: dict[str, Any]) -> bool:
         """Return whether the present file, cooled down until `now`, is below `heat`."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable
-from errno import EIO, ENOMEM, ENOSPC
+from errno import EIO, ENOSPC
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,14 +16,11 @@ from levid.config.rig import load_rig
 from levid.config.service import Recording
 from levid.config.shipped import shipped
 from levid.daemon.control.faults import Fault
-from levid.daemon.host.child_process import ChildSilence
 from levid.daemon.host.fsync_worker import FsyncWorker
 from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.row_ring import Ring
 from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.daemon.recording.fault_recorder import NO_ROWS, FaultLog
-from levid.daemon.recording.log_router import Event, LogFile
-from levid.daemon.recording.recorder_link import RecorderLink
 from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype
 from levid.log.writer import LogWriter
@@ -57,8 +53,7 @@ def test_a_disk_that_refuses_is_heard_of_once(
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "fdatasync", refuse)
-    monkeypatch.setattr("levid.daemon.host.fsync_worker._INTERVAL_S", 0.0)
-    syncer, rows = FsyncWorker(), np.zeros(20_000, DTYPE)
+    syncer, rows = FsyncWorker(interval_s=0.0), np.zeros(20_000, DTYPE)
     with LogWriter(
         tmp_path / "01-z.mcap", DTYPE, rate_hz=1e3, metadata={"kind": "record"}, attachments={}
     ) as writer:
@@ -209,165 +204,6 @@ def test_a_fault_before_the_first_row_is_told_too(tmp_path: Path) -> None:
     log.write(Fault.LOOP)
     assert told == [(Fault.LOOP, "", NO_ROWS)]
     assert not list(tmp_path.iterdir())
-
-
-def test_a_recorder_that_follows_a_dead_one_writes_what_was_asked_of_that(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sent: list[dict[str, object]] = []
-    board = {Word.RECORDER_BEAT: 0}
-    monkeypatch.setattr(RecorderLink, "_send", lambda _, message: sent.append(message))
-    link = RecorderLink(b"{}", -1, board, tmp_path, lambda *_: None)  # type: ignore[arg-type]
-    monkeypatch.setattr(link._child, "start", lambda *_: None)
-    link.fault(Fault.LOOP)
-    link._start(0.0)
-    assert sent == [{"fault": "LOOP"}] * 2
-    link.forget()  # a flight has begun since: it is no part of that fault
-    link._start(0.0)
-    assert sent[2:] == [{"forget": 0}]
-    del sent[2:]
-    link.fault(Fault.LOOP)
-    del sent[2:]
-    link._process({"event": "fault", "fault": "LOOP", "path": str(tmp_path / "a.mcap"), "why": ""})
-    link._start(1.0)
-    assert len(sent) == 2
-
-
-def test_recorder_that_waits_for_a_disk_in_the_kernel_records_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said: list[str] = []
-    now_s, board = 1000.0, {Word.RECORDER_BEAT: 0}
-    link = RecorderLink(b"{}", -1, board, tmp_path, said.append)  # type: ignore[arg-type]
-    child: Any = SimpleNamespace(
-        running=True, kill=lambda _: None, end="it runs", waited_s=0.0
-    )  # it is in no hurry
-    monkeypatch.setattr(link, "_child", child)
-    monkeypatch.setattr(link, "_silence", ChildSilence(child))
-    monkeypatch.setattr("levid.daemon.recording.recorder_link.time.monotonic", lambda: now_s)
-    board[Word.RECORDER_BEAT] += 1  # it has begun
-    link.watch()
-    now_s += 60.0
-    link.watch()  # the machine stood still
-    assert not said
-    for _ in range(1010):
-        now_s += 0.01
-        link.watch()
-    assert said == ["killed the recorder: it hung for 10 s"]
-    assert "hangs" in link.problem
-    board[Word.RECORDER_BEAT] += 1  # its disk answers
-    link.watch()
-    assert not link.problem
-
-
-def linked(tmp_path: Path, said: list[str], board: Any = None) -> RecorderLink:
-    """Return a link whose recorder runs as far as anybody can see."""
-    link = RecorderLink(b"{}", -1, board or {Word.RECORDER_BEAT: 0}, tmp_path, said.append)
-    link._child = cast("Any", SimpleNamespace(running=True, end="exit code 1"))
-    return link
-
-
-def fault_of(path: str, why: str = "") -> dict[str, str]:
-    return {"event": "fault", "fault": "GAP", "path": path, "why": why}
-
-
-def test_a_flight_recording_that_failed_shows_until_something_is_written(tmp_path: Path) -> None:
-    link = linked(tmp_path, [])
-    link._process(fault_of("/a.mcap"))
-    link._process(fault_of("", NO_ROWS))
-    assert not link.problem  # nothing failed
-    before = link.define(LogFile(tmp_path / "0.mcap", {}, {}))
-    of_log = {"log": before, "path": str(tmp_path / "0.mcap"), "why": ""}
-    link._process({"event": Event.OPENED, **of_log})
-    link._process(fault_of("", "No space left on device"))
-    assert link.problem == "flight recording of GAP: No space left on device"
-    assert link.last_fault_log == "/a.mcap"
-    link._process({"event": Event.CLOSED, **of_log})  # for its end there was room
-    link.forget()
-    assert "No space left" in link.problem
-    of_log = {"log": link.define(LogFile(tmp_path / "1.mcap", {}, {})), "path": "1", "why": ""}
-    link._process({"event": Event.OPENED, **of_log})
-    assert link.problem
-    link._process({"event": Event.CLOSED, **of_log})
-    assert not link.problem
-    link._process(fault_of("", "No space left on device"))
-    link._process(fault_of("/b.mcap"))
-    assert (link.problem, link.last_fault_log) == ("", "/b.mcap")
-
-
-def test_a_log_that_failed_shows_until_a_flight_recording_is_written(tmp_path: Path) -> None:
-    link = linked(tmp_path, [])
-    tag = link.define(LogFile(tmp_path / "1.mcap", {}, {}))
-    link._process({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
-    assert link.problem == "No space left"
-    link._process(fault_of("/a.mcap"))
-    assert not link.problem
-    assert link.failed == {tag: "No space left"}  # whoever asked for the log hears of it
-    link._process({"event": Event.FAILED, "log": tag, "path": "1", "why": "No space left"})
-    link.forget()
-    assert not link.problem
-
-
-@pytest.mark.parametrize("beats", [False, True])
-def test_a_recorder_that_dies_of_each_start_is_tried_ever_more_seldom(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, beats: bool
-) -> None:
-    said: list[str] = []
-    starts: list[float] = []
-    now_s, board = 1000.0, {Word.RECORDER_BEAT: 0}
-    link = linked(tmp_path, said, board)
-    monkeypatch.setattr("levid.daemon.recording.recorder_link.time.monotonic", lambda: now_s)
-
-    def start(*_: object) -> None:
-        starts.append(now_s)
-        link._child.running = True
-
-    link._child.start, link._child.running = start, False
-
-    def live(seconds: float, lives_s: float) -> None:
-        nonlocal now_s
-        for _ in range(round(seconds / 0.05)):
-            now_s += 0.05
-            board[Word.RECORDER_BEAT] += beats or lives_s > 1.0
-            link.watch()
-            link._child.running = now_s - starts[-1] < lives_s
-
-    live(0.05, 20.0)
-    live(20.0, 20.0)
-    live(0.1, 0.1)
-    assert [s - 1000.0 for s in starts] == pytest.approx([0.05, 20.1], abs=0.06)  # at once
-    live(3600.0, 0.1)
-    assert 60 < len(starts) < 75
-    assert starts[-1] - starts[-2] == pytest.approx(60.0, abs=0.2)
-    assert 55 < len(said) <= 62
-    assert "the recorder ended (exit code 1)" in said[-1]
-    assert "similar events" in said[1]
-    live(75.0, 15.0)  # whatever was wrong is mended, and it dies of something else
-    assert 58.0 < starts[-3] - starts[-4] < 62.0
-    assert starts[-1] - starts[-2] == pytest.approx(15.0, abs=0.2)
-    live(15.0, 1000.0)
-    link._child.running = False
-    count = len(starts)
-    live(0.1, 1000.0)
-    assert len(starts) == count + 1
-
-
-def test_a_recorder_that_the_kernel_does_not_start_is_told_of_once_a_minute(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said: list[str] = []
-    now_s = 1000.0
-    link = linked(tmp_path, said)
-    monkeypatch.setattr("levid.daemon.recording.recorder_link.time.monotonic", lambda: now_s)
-
-    def start(*_: object) -> None:
-        raise OSError(ENOMEM, os.strerror(ENOMEM))
-
-    link._child.start, link._child.running = start, False
-    for _ in range(20 * 50):
-        now_s += 0.05
-        link.watch()
-    assert said == ["cannot start the recorder: [Errno 12] Cannot allocate memory"]
 
 
 def test_rows_that_a_hung_recorder_has_lost_count_at_once() -> None:

@@ -32,9 +32,10 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
 
 
 def kept(folder: Path, heat: np.ndarray, rig: RigConfig = LIMITED) -> None:
-    file = HeatFile(rig, folder, np.zeros(9), np.zeros(1))
+    at, heated = np.zeros(9), np.zeros(1)
+    file = HeatFile(rig, folder, at, heated)
     file.start()
-    file._heat[:], file._heated[:] = heat, 1.0  # a daemon flies meanwhile
+    at[:], heated[:] = heat, 1.0  # a daemon flies meanwhile
     file.close(10.0)
 
 
@@ -80,9 +81,7 @@ def test_without_a_limit_there_is_no_file(tmp_path: Path) -> None:
     ["", "[]", "{}", '{"heat_n2": "hot"}', json.dumps({"heat_n2": [1e9] * 9}),
      json.dumps({"heat_n2": [math.nan] * 9}), json.dumps({"heat_n2": [1.0] * 8})],
 )  # fmt: skip
-def test_a_file_that_is_none_is_told_and_made_anew(
-    tmp_path: Path, text: str, machine: Machine
-) -> None:
+def test_invalid_file_is_reported_and_replaced(tmp_path: Path, text: str, machine: Machine) -> None:
     kept(tmp_path, np.full(9, 50.0))
     (path,) = tmp_path.iterdir()
     path.write_text(text)
@@ -92,14 +91,14 @@ def test_a_file_that_is_none_is_told_and_made_anew(
     assert json.loads(path.read_text())["boot"] == machine.boot
 
 
-def test_a_folder_that_takes_nothing_is_told_once(tmp_path: Path) -> None:
+def test_failing_folder_is_reported_once(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     said: list[str] = []
     file = HeatFile(
         LIMITED, tmp_path / "file" / "below", np.full(9, 50.0), np.zeros(1), said.append
     )
     file.start()
-    file._write()
+    file.save()
     file.close(10.0)
     assert len([line for line in said if "cannot save" in line]) == 1
 
@@ -116,11 +115,10 @@ def test_file_is_of_the_time_of_its_heat_where_no_cycle_counts_it(
     tmp_path: Path, machine: Machine
 ) -> None:
     """A link that was gone over the weekend had coils found on Monday as hot as on Friday."""
-    file = HeatFile(LIMITED, tmp_path, np.zeros(9), np.zeros(1))
-    file._heat[:], file._heated[:] = 60.0, 1000.0
-    file._write()
+    file = HeatFile(LIMITED, tmp_path, np.full(9, 60.0), np.full(1, 1000.0))
+    file.save()
     machine.uptime_s += 120.0
-    file._write()
+    file.save()
     file.start()
     file.close(10.0)
     np.testing.assert_allclose(taken_over(tmp_path), 60.0 * math.exp(-2.0))
@@ -132,21 +130,22 @@ def test_after_a_write_that_failed_coils_are_not_taken_for_colder_than_they_are(
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    file = HeatFile(LIMITED, tmp_path, np.full(9, 5.0), np.zeros(1))
-    assert file._write()
+    heat, heated = np.full(9, 5.0), np.zeros(1)
+    file = HeatFile(LIMITED, tmp_path, heat, heated)
+    assert file.save()
     (path,) = tmp_path.iterdir()
     with monkeypatch.context() as patched:
         patched.setattr(heat_module.os, "fsync", full)
-        file._heated[:] = 1.0
-        assert not file._write()
+        heated[:] = 1.0
+        assert not file.save()
         assert path.stat().st_size > 0, "it says what is so"
-        file._heat[:] = 60.0
-        assert not file._write()
+        heat[:] = 60.0
+        assert not file.save()
     assert [path] == list(tmp_path.iterdir())
     said: list[str] = []
     assert (taken_over(tmp_path, said) == 64.0).all()
     assert "heat limit" in said[0]
-    assert file._write()  # as soon as there is room
+    assert file.save()  # as soon as there is room
     np.testing.assert_allclose(taken_over(tmp_path), 60.0)
 
 

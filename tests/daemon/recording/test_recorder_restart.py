@@ -5,20 +5,25 @@ from __future__ import annotations
 import json
 import os
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.records import Header
 from mcap.writer import MCAP0_MAGIC
+from waiting import wait_until
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control.faults import Fault
 from levid.daemon.ipc.control_words import Word
+from levid.daemon.ipc.json_lines import Lines
 from levid.daemon.ipc.row_ring import HUNG_S, Ring
 from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.recording.fault_recorder import FaultLog
 from levid.daemon.recording.log_router import BLOCK, Event, LogFile, LogRouter
 from levid.daemon.recording.recorder_process import RecorderProcess, without_empty_part
 from levid.log.reader import read_log
@@ -36,7 +41,7 @@ def log(path: Path, rows: int) -> None:
 
 
 @pytest.mark.parametrize("cut", ["whole", "in its head", "before its first byte"])
-def test_part_that_nobody_was_told_of_is_taken_up_again(tmp_path: Path, cut: str) -> None:
+def test_part_without_rows_is_replaced(tmp_path: Path, cut: str) -> None:
     path = tmp_path / "01-z.mcap"
     log(path, 0)
     size = {"whole": path.stat().st_size, "in its head": 20, "before its first byte": 0}[cut]
@@ -63,7 +68,7 @@ def test_part_with_rows_stays(tmp_path: Path) -> None:
         MCAP0_MAGIC + record_bytes(Header("", "libmcap 1.0"))[:12],
     ],
 )
-def test_what_somebody_else_has_put_there_stays(tmp_path: Path, data: bytes) -> None:
+def test_file_of_another_program_stays(tmp_path: Path, data: bytes) -> None:
     file = LogFile(tmp_path / "01-z.mcap", METADATA, {}, part=2)
     log(file.path, 10)
     for part in (2, 3):
@@ -73,7 +78,7 @@ def test_what_somebody_else_has_put_there_stays(tmp_path: Path, data: bytes) -> 
         assert file.path_of(part).read_bytes() == data
 
 
-def test_part_before_without_rows_goes(tmp_path: Path) -> None:
+def test_previous_part_without_rows_is_replaced(tmp_path: Path) -> None:
     file = LogFile(tmp_path / "01-z.mcap", METADATA, {}, part=3)
     log(file.path, 10)
     log(file.path_of(2), 0)
@@ -81,47 +86,34 @@ def test_part_before_without_rows_goes(tmp_path: Path) -> None:
     assert not file.path_of(2).exists()
 
 
-def test_flight_that_was_closed_before_the_new_recorder_began_is_written(tmp_path: Path) -> None:
-    rig = load_rig(shipped("rigs/loopback.yaml"))
-    shared = SharedMemory(rig)
-    ours, theirs = socket.socketpair()
-    with ours, theirs:
-        recorder = RecorderProcess(rig, shared, theirs, tmp_path)
-
-        def tell(*messages: dict[str, object]) -> None:
-            ours.sendall(b"".join(json.dumps(m).encode() + b"\n" for m in messages))
-            recorder._receive(1.0)
-
-        def log_of(tag: int) -> dict[str, object]:
-            path = str(tmp_path / f"{tag}.mcap")
-            return {"log": tag, "path": path, "metadata": METADATA, "part": 1, "again": False}
-
-        shared.ring.tags[:6] = [1, 1, 1, 2, 2, 2]
-        shared.ring.head = 6
-        tell(log_of(1), {"forget": 1}, log_of(2))
-        while len(recorder._scribe.work().rows):
-            pass
-        recorder._scribe.finish()
-        assert [len(read_log(tmp_path / f"{tag}.mcap").rows) for tag in (1, 2)] == [3, 3]
-        assert recorder._scribe.dropped == 0
-        tell({"forget": 2}, {"forget": 2})
-        assert not recorder._logs  # nothing is kept for ever
-    shared.close()
-
-
 class Recording:
-    """A recorder in this process, and the supervisor's end of its conversation."""
+    """A recorder in a thread, and the supervisor's end of its conversation."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.shared = folder, SharedMemory(load_rig(shipped("rigs/loopback.yaml")))
-        rig = load_rig(shipped("rigs/loopback.yaml"))
-        self.rig = rig
+        self.folder, self.rig = folder, load_rig(shipped("rigs/loopback.yaml"))
+        self.shared = SharedMemory(self.rig)
         self.ours, self.theirs = socket.socketpair()
-        self.recorder = RecorderProcess(rig, self.shared, self.theirs, folder / "faults")
+        self._lines = Lines(self.ours, 1 << 20, 1 << 20)
+        self._thread: threading.Thread | None = None
+        self.events: list[dict[str, Any]] = []
+
+    def start(self) -> None:
+        """Start the recorder, which reads the rows and messages that are there."""
+        made = RecorderProcess(self.rig, self.shared, self.theirs, self.folder / "faults")
+        self._thread = threading.Thread(target=made.run, args=(os.getppid(),))
+        self._thread.start()
+
+    def finish(self) -> None:
+        """Have the recorder write what is left, and wait for its end."""
+        self.tell({"end": True})
+        assert self._thread is not None
+        self._thread.join(30.0)
+        assert not self._thread.is_alive()
+        self.event("")
 
     def tell(self, *messages: dict[str, object]) -> None:
-        self.ours.sendall(b"".join(json.dumps(m).encode() + b"\n" for m in messages))
-        self.recorder._receive(1.0)
+        for message in messages:
+            self._lines.put(message)
 
     def define(self, tag: int) -> None:
         path = str(self.folder / f"{tag}.mcap")
@@ -129,15 +121,28 @@ class Recording:
         self.tell({"log": tag, **file})
 
     def write(self, *tags: int) -> None:
-        ring = self.shared.ring
-        ring.tags[ring.head : ring.head + len(tags)] = tags
-        ring.head += len(tags)
-        while len(self.recorder._scribe.work().rows):
-            pass
+        """Append rows with these tags."""
+        ring, count = self.shared.ring, len(tags)
+        ring.tags[ring.head : ring.head + count] = tags
+        ring.rows["cycle"][ring.head : ring.head + count] = range(ring.head, ring.head + count)
+        ring.head += count
+
+    def event(self, kind: str, **content: object) -> bool:
+        """Return whether the recorder has sent an event of this kind and content."""
+        while self._lines.receive():
+            self.events += map(json.loads, self._lines.lines())
+        wanted = {"event": kind, **content}
+        return any(wanted.items() <= event.items() for event in self.events)
+
+    def cycles(self, name: str) -> list[int]:
+        """Return the cycles in a log."""
+        return list(read_log(self.folder / name).rows["cycle"])
 
     def close(self) -> None:
-        self.ours.close()
-        self.recorder._lines.close()
+        if self._thread is not None and self._thread.is_alive():
+            self.finish()
+        for end in (self.ours, self.theirs):
+            end.close()
         self.shared.close()
 
 
@@ -148,85 +153,102 @@ def recording(tmp_path: Path) -> Iterator[Recording]:
     made.close()
 
 
-def test_log_that_is_gone_on_with_after_others_has_another_part(recording: Recording) -> None:
+def test_flight_that_was_closed_before_the_new_recorder_began_is_written(
+    recording: Recording,
+) -> None:
+    recording.write(1, 1, 1, 2, 2, 2)
+    recording.define(1)
+    recording.tell({"forget": 1})
+    recording.define(2)
+    recording.start()
+    wait_until(lambda: recording.event("closed", log=1))
+    recording.tell({"forget": 2}, {"forget": 2})
+    recording.finish()
+    assert recording.cycles("1.mcap") == [0, 1, 2]
+    assert recording.cycles("2.mcap") == [3, 4, 5]
+    assert recording.shared.board[Word.DROPPED] == 0
+
+
+def test_log_that_was_forgotten_twice_is_unknown(recording: Recording) -> None:
+    """Definitions are not kept for ever."""
+    recording.define(1)
+    recording.tell({"forget": 1}, {"forget": 1})
+    recording.start()
+    recording.write(1)
+    recording.finish()
+    assert recording.event("failed", log=1, why="log 1 is unknown")
+
+
+def test_log_that_continues_after_another_has_a_further_part(recording: Recording) -> None:
     recording.define(1)
     recording.write(1, 1, 1)
-    recording.tell({"fault": "LOOP"})  # it ends the log at hand
+    recording.start()
+    recording.tell({"fault": "LOOP"})  # it ends the present log
+    wait_until(lambda: recording.event("fault", fault="LOOP"))
     recording.write(1, 1, 0, 1)
-    recording.recorder._scribe.finish()
-    assert recording.recorder._scribe.error is None
+    recording.finish()
+    assert not recording.event("failed")
     names = ("1.mcap", "1.2.mcap", "1.3.mcap")
-    assert [len(read_log(recording.folder / name).rows) for name in names] == [3, 2, 1]
+    assert [recording.cycles(name) for name in names] == [[0, 1, 2], [3, 4], [6]]
 
 
 @pytest.mark.parametrize(("behind_s", "lacking_s"), [(HUNG_S + 4.0, 0.0), (HUNG_S + 7.0, 2.0)])
 def test_fault_as_the_recorder_began_to_hang_is_recorded_as_far_as_rows_are_there(
-    tmp_path: Path, behind_s: float, lacking_s: float
+    recording: Recording, behind_s: float, lacking_s: float
 ) -> None:
     """It is killed after HUNG_S, and the next one takes its time to begin."""
-    recording, rate_hz, at = Recording(tmp_path), 1000, 40_000
-    try:
-        shared = recording.shared
-        ring, head = shared.ring, at + round(behind_s * rate_hz)
-        numbers = np.arange(head - ring.capacity, head)
-        ring.rows["cycle"][numbers % ring.capacity] = numbers
-        ring.rows["fault"][numbers % ring.capacity] = Fault.GAP * (numbers >= at)
-        ring.head, ring.tail, ring.durable = head, at, at
-        shared.board[Word.FAULTS_SEEN] = at
-        again = RecorderProcess(recording.rig, shared, recording.theirs.dup(), tmp_path / "faults")
-        while len((taken := again._scribe.work()).rows):
-            again._faults.scan(taken)
-        again._lines.close()
-        (told,) = map(json.loads, recording.ours.recv(4096).splitlines())
-        found = read_log(told["path"])
-        assert found.rows["cycle"][-1] == at + 0.5 * rate_hz - 1
-        before_s = (at - int(found.rows["cycle"][0])) / rate_hz
-        assert before_s == pytest.approx(10.0 - lacking_s, abs=2.0 / rate_hz)
-        assert float(found.metadata.get("lacks_s", 0.0)) == pytest.approx(10.0 - before_s)
-        assert ("first 2.0 of 10 s" in told["why"]) == (lacking_s > 0.0)
-        assert bool(told["why"]) == (lacking_s > 0.0)
-    finally:
-        recording.close()
+    rate_hz, at, shared = 1000, 40_000, recording.shared
+    ring, head = shared.ring, at + round(behind_s * rate_hz)
+    numbers = np.arange(head - ring.capacity, head)
+    ring.rows["cycle"][numbers % ring.capacity] = numbers
+    ring.rows["fault"][numbers % ring.capacity] = Fault.GAP * (numbers >= at)
+    ring.head, ring.tail, ring.durable = head, at, at
+    shared.board[Word.FAULTS_SEEN] = at
+    recording.start()
+    recording.finish()
+    (told,) = recording.events
+    found = read_log(told["path"])
+    assert found.rows["cycle"][-1] == at + 0.5 * rate_hz - 1
+    before_s = (at - int(found.rows["cycle"][0])) / rate_hz
+    assert before_s == pytest.approx(10.0 - lacking_s, abs=2.0 / rate_hz)
+    assert float(found.metadata.get("lacks_s", 0.0)) == pytest.approx(10.0 - before_s)
+    assert ("first 2.0 of 10 s" in told["why"]) == (lacking_s > 0.0)
+    assert bool(told["why"]) == (lacking_s > 0.0)
 
 
-def test_fault_that_is_asked_for_as_the_scribe_waits_for_a_log_comes_after_its_work(
+def test_flight_recording_requested_between_two_logs_keeps_their_rows_in_order(
     recording: Recording,
 ) -> None:
-    """It has the scribe work: in the middle of its work rows would be written in another order."""
-    recorder, ring = recording.recorder, recording.shared.ring
-    ring.rows["cycle"][:6] = range(6)
-    ring.tags[:6] = [1, 1, 1, 2, 2, 2]
-    ring.head = 6
+    """The recorder waits for the definition of log 2; the recording needs all rows before it."""
     recording.define(1)
-    file = {"path": str(recording.folder / "2.mcap"), "metadata": METADATA, "part": 1}
-    messages = ({"fault": "LOOP"}, {"log": 2, **file, "again": False})
-    recording.ours.sendall(b"".join(json.dumps(m).encode() + b"\n" for m in messages))
-    while len(recorder._scribe.work().rows):
-        pass
-    assert not (recording.folder / "faults").exists()
-    recorder._receive(0.0)
+    recording.write(1, 1, 1, 2, 2, 2)
+    recording.start()
+    wait_until(lambda: recording.event("closed", log=1))
+    recording.tell({"fault": "LOOP"})
+    recording.define(2)
+    recording.finish()
     (path,) = (recording.folder / "faults").iterdir()
-    assert read_log(path).rows["cycle"].tolist() == list(range(6))
-    for tag, cycles in ((1, [0, 1, 2]), (2, [3, 4, 5])):
-        assert read_log(recording.folder / f"{tag}.mcap").rows["cycle"].tolist() == cycles
-    assert recorder._scribe.dropped == 0
+    assert recording.cycles(str(path)) == list(range(6))
+    assert [recording.cycles(f"{tag}.mcap") for tag in (1, 2)] == [[0, 1, 2], [3, 4, 5]]
+    assert recording.shared.board[Word.DROPPED] == 0
 
 
-def test_late_failure_of_a_flight_that_is_over_stops_no_other(recording: Recording) -> None:
-    (recording.folder / "1.mcap").touch()  # no log is written over
+def test_late_failure_of_an_earlier_flight_does_not_stop_the_next(recording: Recording) -> None:
+    (recording.folder / "1.mcap").touch()  # no log is overwritten
     (recording.folder / "3.mcap").touch()
     recording.define(1)
     recording.tell({"forget": 1})
     for tag in (2, 3, 4):
         recording.define(tag)
     recording.write(1, 1, 2, 2, 3, 3, 4)  # the last rows of the first flight come after all
-    recording.recorder._scribe.finish()
-    assert len(read_log(recording.folder / "2.mcap").rows) == 2
-    assert recording.recorder._scribe.dropped == 5
+    recording.start()
+    recording.finish()
+    assert recording.cycles("2.mcap") == [2, 3]
+    assert recording.shared.board[Word.DROPPED] == 5
     assert not (recording.folder / "4.mcap").exists()  # but a flight's own failure ends its logs
 
 
-def test_log_that_nobody_knows_is_told_and_keeps_no_other_from_being_written(
+def test_unknown_log_is_reported_and_the_next_is_written(
     tmp_path: Path,
 ) -> None:
     told: list[tuple[Event, int]] = []
@@ -251,19 +273,22 @@ def test_recorder_pauses_unless_a_whole_block_waits(
     shared = SharedMemory(rig)
     ours, theirs = socket.socketpair()
     came, waits = [1, 1, 2 * BLOCK, 0, 1], []
+
+    def select(*of: Any) -> tuple[list[object], list[object], list[object]]:
+        waits.append(of[-1])
+        if came:
+            return [], [], []
+        ours.sendall(b'{"end": true}\n')
+        return [theirs], [], []
+
+    def scan(*_: object) -> None:
+        if came:  # while it works: at 10 kHz there is always one more row
+            shared.ring.head += came.pop(0)
+
+    monkeypatch.setattr("levid.daemon.recording.recorder_process.select.select", select)
     with ours, theirs:
         recorder = RecorderProcess(rig, shared, theirs, tmp_path)
-
-        def receive(wait_s: float) -> None:
-            waits.append(wait_s)
-            recorder._ending = not came
-
-        def scan(_: object) -> None:
-            if came:  # while it works: there is always one more at 10 kHz
-                shared.ring.head += came.pop(0)
-
-        monkeypatch.setattr(recorder, "_receive", receive)
-        monkeypatch.setattr(recorder._faults, "scan", scan)
+        monkeypatch.setattr(FaultLog, "scan", scan)
         recorder.run(os.getppid())
         assert [wait_s > 0.0 for wait_s in waits] == [True, True, True, False, False, True, True]
         assert shared.ring.tail == shared.ring.head

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,8 +19,7 @@ from levid.config.shipped import shipped
 from levid.daemon.api.control_server import ServerError
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
-from levid.daemon.host.child_process import Child
-from levid.daemon.host.peer_credentials import Access
+from levid.daemon.host.access_control import Access
 from levid.daemon.ipc.control_words import Word
 from levid.daemon.supervision import supervisor as supervisor_module
 from levid.daemon.supervision.supervisor import Supervisor
@@ -110,20 +107,6 @@ def test_lost_rows_are_logged(supervisor: Supervisor, monkeypatch: pytest.Monkey
     now_s += 2.0
     supervisor._tick()
     assert any("lost 42 rows" in line for line in said)
-
-
-@pytest.mark.parametrize(
-    ("number", "words"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGRTMIN + 1, "signal 35")]
-)
-def test_child_that_was_killed_says_by_what(number: int, words: str) -> None:
-    child = Child("sleep", "", b"")
-    child._process = subprocess.Popen(["sleep", "60"])
-    assert child.end == "still running"
-    assert child.pid == child._process.pid
-    child._process.send_signal(number)
-    assert child.wait(60.0)
-    assert child.end == f"killed by {words}"
-    assert child.pid is None
 
 
 def test_failed_loop_start_is_reported_and_can_be_retried(

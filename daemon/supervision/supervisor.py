@@ -21,8 +21,6 @@ from ..control.feed_forward import feed_forward
 from ..control.states import IN_FLIGHT, State
 from ..host.child_process import Child, module_of
 from ..host.clock_steps import ClockWatch
-from ..host.monotonic_clock import ProcessClock
-from ..host.peer_credentials import Access
 from ..host.resource_monitor import ResourceMonitor
 from ..ipc.control_words import Word
 from ..ipc.shared_memory import SharedMemory
@@ -35,17 +33,13 @@ from ..recording.session_logs import attachments
 from ..service.journal import moment
 from ..service.systemd_notify import Notify
 from .job_runner import JobRunner
-from .pending_clears import OPENING_S, PendingClears
+from .loop_monitor import LoopMonitor
+from .pending_clears import PendingClears
 from .request_handlers import Requests
 from .rig_reload import RigReader
 from .stale_monitor import StaleMonitor
 
 _TICK_S = 0.01
-_STOP_S = 0.25
-"""Time limit for the loop to react to a stop; it needs one cycle."""
-_STOPPING_S = 2.0
-_KILL_S = 0.5
-"""Time limit to wait for the end of a killed loop."""
 _LANDING_S = 10.0
 _RECORDER_S = 30.0
 _HEAT_S = 2.0
@@ -77,7 +71,14 @@ class Supervisor:
         self.board = self._shared.board
         rig_json = rig.model_dump_json().encode()
         self._folder = folder
-        self._loop = Child("loop", module_of("loop.loop_process"), rig_json)
+        self._notify = Notify()
+        self._loop = LoopMonitor(
+            Child("loop", module_of("loop.loop_process"), rig_json),
+            self.board,
+            rig.service.loop_s,
+            self._notify.alive,
+            self._loop_lost,
+        )
         self.recorder = RecorderLink(
             rig_json, self._shared.fd, self.board, fault_folder(rig, folder), log
         )
@@ -101,13 +102,9 @@ class Supervisor:
             lambda new, access: self.post(lambda: self._apply_rig(new, access)),
             lambda error: self.log_soon(f"RIG.yaml is not reloaded: {error}"),
         )
-        self._process_clock = ProcessClock()
-        self._loop_beat, self._loop_beat_s, self._busy_s = -1, 0.0, 0.0
-        self._stop_s: float | None = None
         self._logged_fault = Fault.NONE
         self._clock = ClockWatch()
         self._resources, self._stale_monitor = ResourceMonitor(log), StaleMonitor(log)
-        self._notify = Notify()
         shared = self._shared
         self._heat = HeatFile(rig, state_folder(), shared.heat, shared.heated, self.log_soon)
 
@@ -173,7 +170,7 @@ class Supervisor:
             self._land_and_end()
         finally:
             self._notify.stopping()
-            self._end_loop_at_once()
+            self._loop.end_at_once()
             self.planner.end()
             self.recorder.end(_RECORDER_S)
             self._resources.end(self._shared.lost)
@@ -196,7 +193,7 @@ class Supervisor:
             reply.done(cleared=Fault.NONE.name)
             return
         self.job_runner.note_fault()  # before it is cleared
-        self._stop_s = None
+        self._loop.forget_stop()
         if not self._loop.running:
             board[Word.CLEAR_STOPS] = stops
             board.cancel_stop()
@@ -270,7 +267,7 @@ class Supervisor:
             self._failed = "the control socket failed"
             self._log(f"{self._failed}: landing, then ending the daemon")
             self._stopping = True
-        self._watch_loop()
+        self._loop.watch(self._stopping)
         self.recorder.watch()
         self.planner.watch()
         self.job_runner.tick()
@@ -288,68 +285,10 @@ class Supervisor:
         self._requests.tick(time.monotonic(), self.status)
 
     def _start_loop(self) -> None:
-        board = self.board
-        board[Word.STATE] = State.OFF
-        board[Word.BUSY] = 1
-        self._busy_s = self._process_clock.update(time.monotonic())
         fd = self._shared.fd
         self._loop.start((fd, os.getpid(), self._folder), (fd,))
 
-    def _watch_loop(self) -> None:
-        """Detect a loop that died, hangs, or ignores a stop."""
-        # The time that the whole machine was suspended does not count.
-        board, now_s = self.board, self._process_clock.update(time.monotonic())
-        if not self._loop.running:
-            ended_normally = self.stopping and board.state is State.OFF
-            if board.fault is not Fault.LOOP and not ended_normally:
-                stopped = board[Word.BUSY] and board[Word.ZERO]
-                reason = "stopped while its devices were being opened; " if stopped else ""
-                self._loop_lost(f"{reason}{self._loop.end}")
-            return
-        if board.fault is Fault.LOOP:  # killed, but not ended yet
-            self._loop.kill(0.0)
-            return
-        beat = board[Word.CYCLE] + board[Word.WAITING]
-        if beat != self._loop_beat or board[Word.BUSY]:
-            self._loop_beat, self._loop_beat_s = beat, now_s
-            self._notify.alive()
-        if board[Word.BUSY]:
-            if board[Word.ZERO]:
-                self._loop.terminate()  # it may be homing and not read the control words
-            if now_s - self._busy_s > OPENING_S:
-                self._end_loop(f"its devices did not open within {OPENING_S:g} s")
-            return
-        self._busy_s = now_s
-        if now_s - self._loop_beat_s > self.rig.service.loop_s:
-            self._end_loop(f"it did not advance for {now_s - self._loop_beat_s:.1f} s")
-        elif board[Word.ZERO] and board.fault is Fault.NONE:
-            self._stop_s = now_s if self._stop_s is None else self._stop_s
-            if now_s - self._stop_s > _STOP_S:
-                self._end_loop("it did not react to a stop")
-        else:
-            self._stop_s = None
-
-    def _end_loop_at_once(self) -> None:
-        """Command zero force and end the loop if it still runs."""
-        if self._loop.running:
-            self.board.stop(Fault.SUPERVISOR, "the supervisor is ending")
-            self.board[Word.END] = 1
-            if self.board[Word.BUSY]:
-                self._loop.terminate()
-            self._loop.wait(_STOPPING_S)
-        self._loop.kill()
-
-    def _end_loop(self, reason: str) -> None:
-        self._loop.kill(_KILL_S)
-        self._loop_lost(f"{reason}; {self._loop.end}")
-
     def _loop_lost(self, reason: str) -> None:
-        """Set the fault LOOP for a loop that has ended; its devices expire to zero force."""
-        board = self.board
-        board.detail = reason
-        board[Word.FAULT_CYCLE], board[Word.FAULT_PLAN] = board[Word.CYCLE], board[Word.PLAN]
-        board[Word.BUSY] = 0
-        board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
         self.job_runner.abort(Fault.LOOP, reason)
         self.recorder.fault(Fault.LOOP)
 
@@ -386,8 +325,7 @@ class Supervisor:
             self._log("landing")
         deadline_s = time.monotonic() + planned_s + _LANDING_S
         while self._loop.running and time.monotonic() < deadline_s:
-            if board[Word.BUSY]:  # opening devices: it does not read the control words
-                self._loop.terminate()
+            self._loop.interrupt_opening()
             self._tick()
             time.sleep(_TICK_S)
         if self._loop.running:

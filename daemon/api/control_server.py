@@ -28,7 +28,6 @@ LONGEST_SHORT = 1024
 _MAX_CLIENTS = 64
 _MAX_UNREAD = 1 << 18
 _BACK_OFF_S = 0.05
-_POLL_S = 1.0
 """Interval of checking that the socket path still exists."""
 _EXECUTED_AFTER_HANG_UP = frozenset(("stop", "land"))
 """Operations that are executed even if the client disconnected before they were reached."""
@@ -82,7 +81,8 @@ class Server:
     A line longer than LONGEST_SHORT bytes is passed to `on_long` unparsed, or refused if that is
     None. Handlers run in the server thread and must return at once; they answer slow requests later
     through the Reply. An invalid request, a client that does not read, or any error closes that
-    connection only. With too many connections, the one that was idle longest is closed.
+    connection only. With too many connections, the one that was idle longest is closed. A removed
+    socket is restored within `poll_s`.
     """
 
     def __init__(
@@ -92,9 +92,10 @@ class Server:
         access: Access,
         log: Callable[[str], None] = lambda _: None,
         on_long: Callable[[bytes, Reply], None] | None = None,
+        poll_s: float = 1.0,
     ) -> None:
         self._path, self._handlers, self.access, self._log = path, dict(handlers), access, log
-        self._on_long = on_long
+        self._on_long, self._poll_s = on_long, poll_s
         self._listener = UnixListener(path)
         self._socket: socket.socket | None = None
         self._polled_s, self._reported_missing = 0.0, False
@@ -154,7 +155,7 @@ class Server:
 
     def _run(self) -> None:
         while not self._ending:
-            for key, events in self._selector.select(0.0 if self._ready else _POLL_S):
+            for key, events in self._selector.select(0.0 if self._ready else self._poll_s):
                 if key.fileobj is self._socket:
                     self._accept_all()
                 elif key.fileobj == self._wake_read:
@@ -183,7 +184,7 @@ class Server:
     def _restore_socket(self) -> None:
         """Open the socket again if its path was removed, possibly in flight."""
         now_s = time.monotonic()
-        if now_s - self._polled_s < _POLL_S:
+        if now_s - self._polled_s < self._poll_s:
             return
         self._polled_s = now_s
         if self._listener.in_place:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from daemon_process import Daemon, daemon
+from waiting import wait_until
 
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig
@@ -142,9 +142,9 @@ def test_bus_that_goes_away_and_comes_back(rig: Rig, tmp_path: Path) -> None:
     with pytest.raises(DaemonError, match="clear it first"):
         rig.fly(SESSION, tmp_path / "no")
     # Left alone, the amplifiers go to zero force by themselves, after expire_cycles.
-    until(lambda: not rig.electronics.core.acting_n.any())
+    wait_until(lambda: not rig.electronics.core.acting_n.any(), _GIVE_UP_S)
     injector.clear()
-    until(lambda: cleared(rig))  # the port needs its moment to be there again
+    wait_until(lambda: cleared(rig), _GIVE_UP_S)  # the port is not open again at once
     rig.fly(SESSION, tmp_path / "again")
 
 
@@ -154,10 +154,3 @@ def cleared(rig: Rig) -> bool:
     except DaemonError:
         return False
     return True
-
-
-def until(condition) -> None:
-    give_up_s = time.monotonic() + _GIVE_UP_S
-    while not condition():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.01)

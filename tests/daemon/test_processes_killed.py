@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
@@ -20,6 +21,7 @@ import numpy as np
 import pytest
 import yaml
 from daemon_process import CALM, GIVE_UP_S, Daemon, calm, daemon, refused
+from waiting import wait_until
 
 from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
@@ -109,8 +111,8 @@ def test_dead_recorder_is_started_anew_and_no_row_is_lost(
         first = tmp_path / "out" / "01-tilt.mcap"
         ready.until(lambda _: first.exists() and first.stat().st_size > 20_000)
     os.kill(ready.ask("status")["pids"]["recorder"], signal.SIGKILL)
-    ready.until(lambda s: s["recorder_restarts"] == before + 1 and not s["recording"])
-    time.sleep(0.5)  # so that there is something for it to write
+    status = ready.until(lambda s: s["recorder_restarts"] == before + 1 and not s["recording"])
+    ready.until(lambda s: s["cycle"] > status["cycle"] + 125)  # rows for the new recorder
     answer = flying.land()
     assert answer["lost"] == 0
     names = [Path(path).name for path in answer["records"]]
@@ -142,11 +144,7 @@ def test_flight_that_is_to_be_logged_waits_on_the_ground_for_the_recorder(
     os.kill(pid, signal.SIGSTOP)
     try:
         flying = Flying(ready, tmp_path / "out", waits=False)
-        turn = ready.supervisor._requests
-        give_up_s = time.monotonic() + GIVE_UP_S
-        while turn._turn is None or turn._turn.now != "recorder":
-            assert time.monotonic() < give_up_s
-            time.sleep(0.01)
+        wait_until(lambda: not ready.supervisor.recorder.is_ready, GIVE_UP_S)
         cycle = ready.ask("status")["cycle"]
         assert ready.until(lambda s: s["cycle"] > cycle + 100)["state"] == "IDLE"
     finally:
@@ -379,15 +377,14 @@ def test_nothing_lifts_off_that_was_called_off_while_it_was_planned(
     # Another is taken up only when that one is over; this one flies.
     monkeypatch.undo()
     again = {"op": "levitate", "levitate": {"unload_s": 0.1, "ramp_s": 0.2, "settle_s": 0.1}}
-    give_up_s = time.monotonic() + 60.0
-    while True:
+
+    def accepted() -> bool:
         try:
-            ready.ask(**again)
+            return bool(ready.ask(**again))
         except DaemonError:
-            assert time.monotonic() < give_up_s
-            time.sleep(0.02)
-        else:
-            break
+            return False
+
+    wait_until(accepted, GIVE_UP_S)
     ready.ask("land")
     ready.until(lambda s: s["state"] == "IDLE")
 
@@ -438,15 +435,14 @@ def affinities(pid: int) -> list[set[int]]:
 
 
 def until_idle(process: subprocess.Popen[bytes], running: Daemon) -> None:
-    give_up_s = time.monotonic() + GIVE_UP_S
-    while True:
+    def idle() -> bool:
         assert process.poll() is None
-        assert time.monotonic() < give_up_s
         try:
-            if running.ask("status")["state"] == "IDLE":
-                return
+            return bool(running.ask("status")["state"] == "IDLE")
         except DaemonError:
-            time.sleep(0.05)
+            return False
+
+    wait_until(idle, GIVE_UP_S)
 
 
 def gone(pid: int) -> bool:
@@ -502,10 +498,8 @@ def test_dead_supervisor_takes_all_along_and_leaves_whole_logs(
             pids = running.until(lambda s: s["step"] == "tilt")["pids"]
             process.kill()
             process.wait()
-        give_up_s = time.monotonic() + GIVE_UP_S
-        while not all(gone(pids[name]) for name in ("loop", "recorder", "planner")):
-            assert time.monotonic() < give_up_s
-            time.sleep(0.05)
+        children = [pids[name] for name in ("loop", "recorder", "planner")]
+        wait_until(lambda: all(map(gone, children)), GIVE_UP_S)
         log = read_log(tmp_path / "out" / "01-tilt.mcap")
         assert log.complete
         lands = supervisor_gone == "land"
@@ -532,20 +526,18 @@ def test_dead_supervisor_takes_all_along_and_leaves_whole_logs(
 
 
 def nth_recording(folder: Path, n: int) -> Log:
-    """Wait for the n-th flight recording, of nobody whom one could ask, and return it."""
-    give_up_s = time.monotonic() + GIVE_UP_S
-    while True:
-        assert time.monotonic() < give_up_s
-        time.sleep(0.05)
+    """Wait for the n-th flight recording of a supervisor that does not answer, and return it."""
+    logs: list[Log] = []
+
+    def complete() -> bool:
         found = sorted(folder.glob("*.mcap"))
-        if len(found) < n:
-            continue
-        try:
-            log = read_log(found[-1])
-        except LogError:  # not whole yet
-            continue
-        if log.complete:
-            return log
+        if len(found) >= n:
+            with contextlib.suppress(LogError):  # not complete yet
+                logs.append(read_log(found[-1]))
+        return bool(logs) and logs[-1].complete
+
+    wait_until(complete, GIVE_UP_S)
+    return logs[-1]
 
 
 def test_stopped_supervisor_is_noticed_and_can_go_on(
@@ -554,7 +546,7 @@ def test_stopped_supervisor_is_noticed_and_can_go_on(
     process, running = alone
     running.ask("levitate", levitate={"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.1})
     process.send_signal(signal.SIGSTOP)
-    time.sleep(0.5)  # one that is silent is given 2 s
+    time.sleep(0.5)  # shorter than supervisor_s, which is 2 s
     process.send_signal(signal.SIGCONT)
     cycle = running.ask("status")["cycle"]
     assert running.until(lambda s: s["cycle"] > cycle + 50)["state"] == "LEVITATING"

@@ -15,6 +15,7 @@ import pytest
 from daemon_process import calm, daemon
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from waiting import wait_until
 
 from levid.config.rig import load_rig
 from levid.config.service import Service
@@ -189,10 +190,7 @@ def test_every_request_is_answered_and_none_ends_the_daemon(socket_file: Path, l
     with Client(socket_file) as client:
         if client.request("status")["state"] not in ("IDLE", "SELF_TEST"):
             client.request("land")  # some are requests
-            give_up_s = time.monotonic() + 60.0
-            while client.request("status")["state"] != "IDLE":
-                assert time.monotonic() < give_up_s
-                time.sleep(0.02)
+            wait_until(lambda: client.request("status")["state"] == "IDLE", 60.0)
         assert client.request("status")["fault"] == "NONE"
 
 

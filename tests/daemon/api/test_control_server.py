@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import wait_until
 
 from levid.config.base import ConfigError
 from levid.config.service import Service
@@ -165,9 +166,7 @@ def test_what_goes_wrong_with_one_connection_ends_no_other(
     with bench.connect() as patient, bench.connect() as odd:
         patient.sendall(b'{"op": "wait"}\n')
         odd.sendall(b'{"op": "wait"}\n')
-        deadline_s = time.monotonic() + _GIVE_UP_S
-        while len(bench.waiting) < 2 and time.monotonic() < deadline_s:
-            time.sleep(0.001)
+        wait_until(lambda: len(bench.waiting) == 2, _GIVE_UP_S)
         bench.waiting[1].done(said={1, 2})  # JSON has no sets
         assert odd.recv(1) == b""
         monkeypatch.setattr("levid.daemon.api.control_server.peer_of", lambda _: 1 / 0)
@@ -211,10 +210,7 @@ def test_stop_of_a_client_that_does_not_wait_is_heard(bench: Bench, before: byte
         connection.sendall(before + b'\n{"op": "stop"}\n')
         connection.shutdown(socket.SHUT_WR)
         connection.makefile("rb").read()
-    deadline_s = time.monotonic() + _GIVE_UP_S
-    while len(bench.stops) < 21 and time.monotonic() < deadline_s:
-        time.sleep(0.01)
-    assert len(bench.stops) == 21
+    wait_until(lambda: len(bench.stops) == 21, _GIVE_UP_S)
 
 
 @pytest.mark.parametrize("line", [b"", b"stop", b'{"op": "echo"}'])
@@ -271,8 +267,7 @@ def test_client_that_is_left_is_gone_whoever_still_holds_it(bench: Bench) -> Non
         stream = daemon._stream  # as the traceback of an interrupt does
         stream.write(b'{"op": "wait"}\n')
         stream.flush()
-        while not bench.waiting:
-            time.sleep(0.01)
+        wait_until(lambda: bench.waiting, _GIVE_UP_S)
     assert bench.gone.wait(_GIVE_UP_S)
 
 

@@ -6,10 +6,11 @@ import shutil
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 from levid.config.service import Service
 from levid.daemon.api import unix_listener
@@ -21,62 +22,79 @@ from levid.daemon.host.peer_credentials import Access
 _GIVE_UP_S = 60.0
 
 
-def until(condition: Callable[[], object]) -> None:
-    give_up_s = time.monotonic() + _GIVE_UP_S
-    while not condition():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.005)
-
-
 class Running:
     def __init__(self, folder: Path) -> None:
         self.path, self.said = folder / "run" / "levid.sock", list[str]()
         handlers = {"echo": lambda _, reply: reply.done(said=1)}
-        self.server = Server(self.path, handlers, Access(Service()), self.said.append)
+        self.server = Server(self.path, handlers, Access(Service()), self.said.append, poll_s=0.02)
         self.server.start()
+        self._closed = False
 
     def answers(self) -> bool:
         with Client(self.path) as client:
             return client.request("echo") == {"ok": True, "said": 1}
 
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            self.server.close()
+
 
 @pytest.fixture
-def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
-    monkeypatch.setattr("levid.daemon.api.control_server._POLL_S", 0.02)
+def checks(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """The results of the server's checks of its path."""
+    checks, in_place = [], UnixListener.in_place.fget
+
+    def noted(listener: UnixListener) -> bool:
+        checks.append(in_place(listener))
+        return checks[-1]
+
+    monkeypatch.setattr(UnixListener, "in_place", property(noted))
+    return checks
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[Running]:
     made = Running(tmp_path)
     yield made
-    if not made.server._ending:
-        made.server.close()
+    made.close()
+
+
+def log_once(running: Running, checks: list[bool]) -> None:
+    """Check that five more checks of the path add no line to the log."""
+    so_far = len(checks)
+    wait_until(lambda: len(checks) > so_far + 5, _GIVE_UP_S)
+    assert len(running.said) == 1
 
 
 @pytest.mark.parametrize("folder", [False, True])
-def test_socket_whose_path_vanished_is_opened_anew(running: Running, folder: bool) -> None:
+def test_socket_whose_path_vanished_is_opened_again(
+    checks: list[bool], running: Running, folder: bool
+) -> None:
     with Client(running.path) as connected:
         if folder:  # as that of a user's session, when he logs out
             shutil.rmtree(running.path.parent)
         else:
             running.path.unlink()
-        until(lambda: running.said)
+        wait_until(lambda: running.said, _GIVE_UP_S)
         assert running.said == [f"the control socket was removed: {running.path} is open again"]
         assert running.answers()
         assert connected.request("echo")["said"] == 1  # who was there stays
     assert running.path.stat().st_mode & 0o777 == 0o660
-    time.sleep(0.1)
-    assert len(running.said) == 1
+    log_once(running, checks)
 
 
-def test_socket_of_somebody_else_stays_in_its_place(running: Running) -> None:
+def test_socket_of_another_program_stays(checks: list[bool], running: Running) -> None:
     running.path.unlink()
     with socket.socket(socket.AF_UNIX) as other:
         other.bind(str(running.path))
         other.listen()
-        until(lambda: running.said)
+        wait_until(lambda: running.said, _GIVE_UP_S)
         assert len(running.said) == 1
         assert "another daemon already uses this socket" in running.said[0]
         place = running.path.stat().st_ino
-        time.sleep(0.1)
-        assert len(running.said) == 1
-        running.server.close()
+        log_once(running, checks)
+        running.close()
         assert running.path.stat().st_ino == place
     made = Server(running.path, {}, Access(Service()))  # what it left behind is nobody's
     made.start()

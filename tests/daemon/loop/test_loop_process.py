@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from daemon_process import GIVE_UP_S, calm
+from waiting import wait_until
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
@@ -122,7 +123,7 @@ def test_loop_that_is_ended_while_a_driver_blocks_closes_its_devices(
 ) -> None:
     rig = calm(load_rig(RIG_FILE), tmp_path)
     shared = SharedMemory(rig)
-    board, give_up_s = shared.board, time.monotonic() + GIVE_UP_S
+    board = shared.board
     process = subprocess.Popen(
         [sys.executable, "-c", LOOP, slow, str(shared.fd), str(os.getpid()), str(RIG_FILE.parent)],
         stdin=subprocess.PIPE,
@@ -136,9 +137,7 @@ def test_loop_that_is_ended_while_a_driver_blocks_closes_its_devices(
             pipe.write(rig.model_dump_json().encode())
         if slow == "recover":
             for state, then in ((State.IDLE, board.stop), (State.FAULT, lambda: None)):
-                while board.state is not state:
-                    assert time.monotonic() < give_up_s
-                    time.sleep(0.01)
+                wait_until(lambda state=state: board.state is state, GIVE_UP_S)
                 then()
             board.clear()
         said = [process.stdout.readline().decode().strip()]
@@ -158,7 +157,7 @@ def test_coils_cool_down_while_devices_are_opened_for_the_first_time(tmp_path: P
     """There are no cycles yet to count that by, and it may have failed for hours."""
     rig = calm(load_rig(RIG_FILE), tmp_path)
     shared = SharedMemory(rig)
-    board, give_up_s = shared.board, time.monotonic() + GIVE_UP_S
+    board = shared.board
     shared.heat[:] = 50.0
     board[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns() - 60_000_000_000
     process = subprocess.Popen(
@@ -171,9 +170,7 @@ def test_coils_cool_down_while_devices_are_opened_for_the_first_time(tmp_path: P
         assert process.stdin is not None
         with process.stdin as pipe:
             pipe.write(rig.model_dump_json().encode())
-        while board.state is not State.IDLE:
-            assert time.monotonic() < give_up_s
-            time.sleep(0.01)
+        wait_until(lambda: board.state is State.IDLE, GIVE_UP_S)
         process.kill()
         process.wait()
         most = 50.0 * math.exp(-60.0 / rig.limits.coil_time_constant_s)

@@ -6,12 +6,10 @@ import fcntl
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,12 +19,14 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from waiting import wait_until
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.client import DaemonError
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
+from levid.daemon.host.child_process import Child
 from levid.daemon.ipc.control_words import Word
 from levid.daemon.planning.plan_file import PlanFileError, memory_file, read_plan, write_plan
 from levid.daemon.planning.planner import Planner, RefusedError, Situation
@@ -277,11 +277,15 @@ def planner() -> Iterator[PlannerLink]:
 
 def answer_of(link: PlannerLink, data: bytes, work: Work = Work.PLAN) -> Any:
     link.start(work, data, AT_REST)
-    give_up_s = time.monotonic() + _GIVE_UP_S
-    while (answer := link.answer()) is None:
-        assert time.monotonic() < give_up_s
+    answer = None
+
+    def answered() -> bool:
+        nonlocal answer
         link.watch()
-        time.sleep(0.005)
+        answer = link.answer()
+        return answer is not None
+
+    wait_until(answered, _GIVE_UP_S)
     return answer
 
 
@@ -343,25 +347,33 @@ def test_a_planner_that_dies_is_started_anew(planner: PlannerLink) -> None:
     os.kill(planner.pid, signal.SIGKILL)
     with pytest.raises(RefusedError, match=r"the planner .*: try again"):
         answer_of(planner, b'{"op": "levitate"}')
-    give_up_s = time.monotonic() + _GIVE_UP_S
-    while True:
+
+    def plans() -> bool:
         planner.watch()
         try:
-            assert answer_of(planner, b'{"op": "levitate"}').op == "levitate"
-            break
+            return bool(answer_of(planner, b'{"op": "levitate"}').op == "levitate")
         except RefusedError:
-            assert time.monotonic() < give_up_s
-            time.sleep(0.05)
+            return False
+
+    wait_until(plans, _GIVE_UP_S)
 
 
-def test_client_of_a_planner_that_dies_is_refused_at_once(tmp_path: Path) -> None:
-    """The supervisor looks for the planner first, and for what it answers then."""
+def test_client_of_a_planner_that_dies_is_refused_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from daemon_process import calm, daemon
 
     file = shipped("rigs/loopback.yaml")
     with daemon(calm(RIG, tmp_path), file, tmp_path) as running:
-        link = running.supervisor.planner
         answers: list[str] = []
+        started: list[Work] = []
+        start = running.supervisor.planner.start
+
+        def noted(work: Work, *of: Any) -> None:
+            start(work, *of)
+            started.append(work)
+
+        monkeypatch.setattr(running.supervisor.planner, "start", noted)
 
         def ask() -> None:
             try:
@@ -373,10 +385,7 @@ def test_client_of_a_planner_that_dies_is_refused_at_once(tmp_path: Path) -> Non
         os.kill(pid, signal.SIGSTOP)
         client = threading.Thread(target=ask)
         client.start()
-        give_up_s = time.monotonic() + _GIVE_UP_S
-        while link._task is None:
-            assert time.monotonic() < give_up_s
-            time.sleep(0.01)
+        wait_until(lambda: started, _GIVE_UP_S)
         os.kill(pid, signal.SIGKILL)
         client.join(_GIVE_UP_S)
         assert ["the planner ended" in answer for answer in answers] == [True]
@@ -393,11 +402,7 @@ def test_planner_that_does_not_come_back_is_started_anew(
     os.kill(pid, signal.SIGSTOP)
     planner.start(Work.PLAN, b'{"op": "levitate"}', AT_REST)
     planner.discard()
-    give_up_s = time.monotonic() + _GIVE_UP_S
-    while planner.pid in (pid, None):
-        assert time.monotonic() < give_up_s
-        planner.watch()
-        time.sleep(0.01)
+    wait_until(lambda: planner.watch() or planner.pid not in (pid, None), _GIVE_UP_S)
     assert answer_of(planner, b'{"op": "levitate"}').op == "levitate"
 
 
@@ -445,17 +450,20 @@ planner_process.PlannerProcess(planner, socket.socket(fileno=int(sys.argv[1]))).
 def test_limits_end_a_request_and_not_the_planner(
     monkeypatch: pytest.MonkeyPatch, limits: tuple[int, ...], why: str
 ) -> None:
+    class Limited(Child):
+        """A planner with these limits."""
+
+        def start(self, _: object, fds: Sequence[int]) -> None:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", SERVER, str(fds[0]), *map(str, limits)],
+                pass_fds=fds,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            )
+
+    monkeypatch.setattr("levid.daemon.planning.planner_link.Child", Limited)
     link = PlannerLink(b"", 9, print)
+    link.watch()
     monkeypatch.setattr(link, "watch", lambda: None)
-    link._end, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    link._end.setblocking(False)
-    with theirs:
-        process = subprocess.Popen(
-            [sys.executable, "-c", SERVER, str(theirs.fileno()), *map(str, limits)],
-            pass_fds=(theirs.fileno(),),
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )
-    monkeypatch.setattr(link._child, "_process", process)
     try:
         long = SESSION.replace("duration_s: 1.5", "duration_s: 1000")
         line = json.dumps({"op": "excite", "session": long, "out": "x"}).encode()

@@ -6,16 +6,17 @@ import contextlib
 import os
 import signal
 import socket
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
 from daemon_process import GIVE_UP_S, calm, daemon
+from waiting import wait_until
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
+from levid.daemon.ipc.control_words import Word
 from levid.daemon.service.systemd_notify import Notify
 
 RIG_FILE = shipped("rigs/loopback.yaml")
@@ -41,11 +42,7 @@ class Manager:
 
     def until(self, text: str) -> None:
         """Listen until this has come, now or before."""
-        give_up_s = time.monotonic() + GIVE_UP_S
-        while text not in self.heard:
-            assert time.monotonic() < give_up_s, self.heard
-            self.listen()
-            time.sleep(0.01)
+        wait_until(lambda: self.listen() is None or text in self.heard, GIVE_UP_S)
 
     def close(self) -> None:
         self._socket.close()
@@ -71,7 +68,10 @@ def test_watchdog_is_fed_only_while_the_loop_advances(manager: Manager, tmp_path
         running.until(lambda s: s["fault"] == "LOOP")
         manager.until("STATUS=LOOP")
         manager.listen()
-        time.sleep(0.5)  # the watchdog wants to be fed every 0.2 s
+        board = running.supervisor.board
+        ticks = board[Word.BEAT]
+        # 0.5 s of the supervisor, while the watchdog has to be fed every 0.2 s.
+        wait_until(lambda: board[Word.BEAT] > ticks + 50, GIVE_UP_S)
         assert "WATCHDOG=1" not in manager.listen()
         manager.heard.clear()
         running.ask("clear")
@@ -113,7 +113,4 @@ def test_reload_takes_over_what_it_can_and_says_what_it_cannot(tmp_path: Path) -
 
 
 def until_said(said: list[str], words: str) -> None:
-    give_up_s = time.monotonic() + GIVE_UP_S
-    while not any(words in line for line in said):
-        assert time.monotonic() < give_up_s, said
-        time.sleep(0.02)
+    wait_until(lambda: any(words in line for line in said), GIVE_UP_S)

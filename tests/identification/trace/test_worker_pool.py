@@ -18,6 +18,7 @@ import pytest
 from mass_on_spring_logs import MASS as CONFIG
 from mass_on_spring_logs import imported
 from threadpoolctl import threadpool_info
+from waiting import wait_until
 
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace import worker_pool
@@ -37,11 +38,13 @@ from levid.config.model import load_model
 from levid.config.shipped import shipped
 from levid.identification.trace.worker_pool import local_workers
 
+TASK = "import os, pathlib, time; pathlib.Path('FOLDER', str(os.getpid())).touch(); time.sleep(600)"
+
 if __name__ == "__main__":
     # A shell lets background jobs and their children ignore SIGINT.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     with local_workers(load_model(shipped("models/rig.yaml")), 2) as workers:
-        futures = [workers.executor.submit(time.sleep, 600.0) for _ in range(6)]
+        futures = [workers.executor.submit(exec, TASK) for _ in range(6)]
         print(*[child.pid for child in multiprocessing.active_children()], flush=True)
         futures[0].result()
 """
@@ -50,20 +53,17 @@ if __name__ == "__main__":
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_workers_end_with_the_process_that_started_them(tmp_path: Path, number: int) -> None:
     script = tmp_path / "tracing.py"
-    script.write_text(SCRIPT)
+    script.write_text(SCRIPT.replace("FOLDER", str(tmp_path)))
     process = subprocess.Popen(
         [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     pids = [int(word) for word in process.stdout.readline().split()]
     assert len(pids) == 2
-    time.sleep(1.0)  # workers start and wait for tasks
+    wait_until(lambda: all((tmp_path / str(pid)).exists() for pid in pids), GIVE_UP_S)
     process.send_signal(number)
-    _, stderr = process.communicate(timeout=TIMEOUT_S)  # the workers share its pipes
-    deadline_s = time.monotonic() + TIMEOUT_S
-    while any(_exists(pid) for pid in pids):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)
+    _, said = process.communicate(timeout=GIVE_UP_S)  # its pipes are theirs as well
+    wait_until(lambda: not any(map(_there, pids)), GIVE_UP_S)
     if number == signal.SIGINT:
         assert stderr.count("Traceback") == 1  # the traceback of the script
     else:

@@ -1,4 +1,4 @@
-"""Every fault that electronics can play ends in zero force within three cycles, and is named."""
+"""Every injected fault of the electronics leads to zero force within three cycles, and is named."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ pytestmark = pytest.mark.usefixtures("host_paced")
 RATE_HZ = 50.0
 WITHIN_CYCLES = 3
 LONG, SHORT = 20, 2
-"""Cycles until setpoints expire: so long that nothing but zero force that was sent ends the force
-in time, and so short as it has to be where nothing gets through."""
+"""Cycles until setpoints expire. With LONG, only a zero force that is sent can end the force in
+time; faults in which no frame arrives need SHORT."""
 
 # What is injected: the error that the host raises, and words that name the cause.
 _WORDS = fault_messages
@@ -88,7 +88,7 @@ def on_bench(rig: RigConfig, patience: Any) -> Iterator[Bench]:
 
 
 def fly(bench: Bench) -> None:
-    """Enable, then ask for force, as in flight."""
+    """Enable the amplifiers, then command a force, as in flight."""
     for _ in range(50):
         bench.run(0.0)
     for _ in range(5):
@@ -109,11 +109,11 @@ def cycles_of_force(bench: Bench, most: int = 10) -> tuple[int, DriverError | No
             raised = raised or error
             with suppress(LinkError):
                 bench.devices.amplifiers.release(np.zeros(9))
-        time.sleep(0.01)  # what comes behind an answer comes within the cycle
+        time.sleep(0.01)  # the rest of the period, in which further frames may arrive
         if bench.electronics.injector.receives:
             until_heard(bench)
         else:
-            core.pass_period()  # its own clock goes on, in step with the host's
+            core.pass_period()  # without a host the plant runs on its own clock
         acted += bool(core.acting_n.any())
         if raised and not core.acting_n.any():
             break
@@ -133,7 +133,7 @@ def until_heard(bench: Bench) -> None:
 
 @pytest.mark.parametrize("bus", ["can", "serial"])
 @pytest.mark.parametrize("line", EXPECTED)
-def test_fault_ends_in_zero_force_is_named_and_mended(
+def test_fault_ends_in_zero_force_is_named_and_recovered(
     bus: str, line: str, rig_on, patience
 ) -> None:
     expire_cycles = SHORT if line in _WORDS.UNHEARD else LONG
@@ -149,10 +149,10 @@ def ends_in_zero_force_is_named_and_mended(bench: Bench, line: str) -> None:
     acted, raised = cycles_of_force(bench)
     assert _WORDS.names(raised, line), raised
     assert acted <= WITHIN_CYCLES
-    # Once it is mended, the same devices carry on.
+    # Without the fault, the same devices continue.
     bench.electronics.injector.clear()
     bench.patience.seconds = 2.0
-    for _ in range(1000):  # a port that was closed needs its moment to be there again
+    for _ in range(1000):  # the port is not open again at once
         try:
             bench.devices.recover()
             break
@@ -161,15 +161,15 @@ def ends_in_zero_force_is_named_and_mended(bench: Bench, line: str) -> None:
     fly(bench)
 
 
-def test_every_fault_is_tested_or_said_to_be_slower() -> None:
+def test_every_fault_is_tested() -> None:
     faults = {line.split()[0] for line in _WORDS.EXPECTED}
     assert faults == set(FAULTS) - _WORDS.NO_FAULT_OF_A_DEVICE
-    assert len(EXPECTED) == len(faults) - 1  # frozen has a test of its own
+    assert len(EXPECTED) == len(faults) - 1  # frozen has its own test
 
 
-def test_frozen_channel_is_found_within_cycles_where_the_platform_moves(bench: Bench) -> None:
+def test_frozen_channel_is_detected_while_the_platform_moves(bench: Bench) -> None:
     fly(bench)
-    for k in range(10):  # a force that swings moves it by 10 um in a cycle, and more
+    for k in range(10):  # an alternating force moves the platform by more than 10 um in a cycle
         bench.run(7.0 + 0.5 * (k // 5 % 2))
     bench.electronics.injector.command("frozen 6")
     with pytest.raises(SensorError, match="sensor 6: frozen"):  # noqa: PT012
@@ -179,10 +179,10 @@ def test_frozen_channel_is_found_within_cycles_where_the_platform_moves(bench: B
 
 
 @pytest.mark.parametrize("why", ["askew", "released"])
-def test_motors_do_not_stay_powered_where_the_host_alone_finds_a_fault(
+def test_motors_are_switched_off_at_a_fault_that_only_the_host_detects(
     bench: Bench, why: str
 ) -> None:
-    """Two that stand askew would push against each other until somebody clears the fault."""
+    """Two skewed motors would push against each other until the fault is cleared."""
     devices, core = bench.devices, bench.electronics.core
     for _ in range(5):
         bench.run(0.0)
@@ -196,9 +196,9 @@ def test_motors_do_not_stay_powered_where_the_host_alone_finds_a_fault(
             bench.run(0.0)
         except DriveError as error:
             raised.append(error)
-            devices.drives.write(np.zeros(3), np.zeros(3))  # as the loop does, all the same
+            devices.drives.write(np.zeros(3), np.zeros(3))  # as the loop does after an error
         until_heard(bench)
-    assert len(raised) == (why == "askew")  # told once
+    assert len(raised) == (why == "askew")  # raised once
     assert core.drive_state is DriveState.OFF
     bench.electronics.injector.clear()
     devices.recover()
@@ -208,13 +208,13 @@ def test_motors_do_not_stay_powered_where_the_host_alone_finds_a_fault(
     assert core.drive_state is DriveState.OPERATING
 
 
-def test_setpoint_that_is_lost_shows_in_the_next_answer(bench: Bench) -> None:
+def test_lost_setpoint_is_marked_in_the_next_answer(bench: Bench) -> None:
     fly(bench)
     injector = bench.electronics.injector
     injector.command("drop-setpoints")
     bench.run(7.0)
     amplifiers = bench.devices.amplifiers
-    if amplifiers.stale == 0:  # on CAN they follow the answer: it is the next that tells
+    if amplifiers.stale == 0:  # on CAN setpoints follow the answer: the next one reports it
         injector.command("clear")
         bench.run(7.0)
     assert amplifiers.stale == Stale.SETPOINTS
@@ -224,7 +224,7 @@ def test_setpoint_that_is_lost_shows_in_the_next_answer(bench: Bench) -> None:
     assert amplifiers.stale == 0
 
 
-def test_setpoints_that_are_lost_in_a_row_are_named_before_they_expire(rig_on, patience) -> None:
+def test_consecutive_lost_setpoints_are_reported_before_they_expire(rig_on, patience) -> None:
     rig = rig_on("canfd", RATE_HZ, shipped("sims/nominal.yaml"), 10)
     with on_bench(rig, patience) as bench:
         fly(bench)
@@ -235,7 +235,7 @@ def test_setpoints_that_are_lost_in_a_row_are_named_before_they_expire(rig_on, p
                 bench.run(7.0)
 
 
-def test_trip_whose_cause_is_not_gone_stays(bench: Bench) -> None:
+def test_trip_stays_while_its_cause_remains(bench: Bench) -> None:
     fly(bench)
     bench.electronics.injector.command("trip 1")
     with pytest.raises(AmplifierError):  # noqa: PT012
@@ -260,13 +260,13 @@ def test_single_missed_answer_is_counted_and_bridged(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("line", ["", "fly", "trip", "trip 9", "trip x", "drop 1", "encoder z"])
-def test_injection_that_is_not_understood_is_refused(bench: Bench, line: str) -> None:
+def test_invalid_injection_is_refused(bench: Bench, line: str) -> None:
     with pytest.raises((InjectionError, ValueError)):
         bench.electronics.injector.command(line)
 
 
 def test_amplifiers_that_expired_at_zero_force_are_enabled_again_at_once(bench: Bench) -> None:
-    """A stall on the ground is made good by itself."""
+    """No clear is needed after a stall on the ground."""
     core = bench.electronics.core
     for _ in range(50):
         bench.run(0.0)
@@ -354,7 +354,7 @@ def unplug(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 @pytest.mark.parametrize(
     ("text", "lost"), [(TWO_BUSES, "-motion"), (TWO_PORTS, "/motion"), (TWO_BACKENDS, "/port")]
 )
-def test_bus_that_is_lost_keeps_no_force_on_another(
+def test_lost_bus_keeps_no_force_on_another(
     text: str, lost: str, tmp_path: Path, patience, unplug: Callable[[str], None]
 ) -> None:
     with on_bench(rig_of(text, tmp_path), patience) as bench:

@@ -1,4 +1,4 @@
-"""What devices say of themselves is believed, whatever their numbers look like."""
+"""Missing, faulty and frozen readings; states and challenges of amplifiers."""
 
 from __future__ import annotations
 
@@ -32,20 +32,21 @@ from levid.wire.serial import cobs, serial_frames
 RIG = load_rig(shipped("rigs/loopback.yaml"))
 
 
-def test_a_reading_that_the_adc_calls_faulty_is_an_error_though_it_is_a_number() -> None:
+def test_faulty_state_of_the_adc_is_an_error() -> None:
     watch = SensorWatch("sensors", RIG.geometry, 1e-3)
     draw = np.random.default_rng(1).normal
     watch.judge(draw(0, 1e-7, 9), SensorState.OK)
     with pytest.raises(SensorError, match="the ADC reports a faulty channel"):
         watch.judge(draw(0, 1e-7, 9), SensorState.FAULTY)
-    watch.judge(draw(0, 1e-7, 9), SensorState.FAULTY)  # told once
+    watch.judge(draw(0, 1e-7, 9), SensorState.FAULTY)  # raised once
     watch.reset()
     with pytest.raises(SensorError):
-        watch.judge(draw(0, 1e-7, 9), 7)  # a state that no page knows
+        watch.judge(draw(0, 1e-7, 9), 7)  # an undefined state
     watch.reset()
     gap = draw(0, 1e-7, 9)
     gap[4] = np.nan
-    with pytest.raises(SensorError, match="sensor 4: no reading"):  # what says more goes first
+    # The more specific error comes first.
+    with pytest.raises(SensorError, match="sensor 4: no reading"):
         watch.judge(gap, SensorState.FAULTY)
 
 
@@ -60,25 +61,23 @@ def test_a_reading_that_the_adc_calls_faulty_is_an_error_though_it_is_a_number()
         ((1, 9, 1), 9),
     ],
 )
-def test_of_several_amplifiers_the_one_that_is_worst_off_is_told(
-    states: tuple[int, ...], told: int
-) -> None:
+def test_worst_amplifier_state_is_reported(states: tuple[int, ...], told: int) -> None:
     assert worst_state(states) == told
 
 
-def test_amplifiers_that_failed_in_flight_stay_off_until_that_is_cleared() -> None:
+def test_amplifiers_that_failed_in_flight_stay_off_until_cleared() -> None:
     asked: list[tuple[Request, int, int]] = []
     watch = AmplifierWatch(
         "amplifiers", expected_parameters(RIG, 3), lambda *what: asked.append(what), 2
     )
     coil_n, zero_n = np.full(9, 7.0), np.zeros(9)
     watch.judge(AmplifierState.OFF, coil_n)
-    assert asked  # nothing is commanded: they are to be enabled
+    assert asked  # no force is commanded: they may be enabled
     watch.judge(AmplifierState.ENABLED, coil_n)
     watch.commanding(coil_n)
     with pytest.raises(AmplifierError, match="switched off"):
         watch.judge(AmplifierState.OFF, coil_n)
-    watch.commanding(zero_n)  # as every fault does
+    watch.commanding(zero_n)  # as after every fault
     asked.clear()
     for _ in range(20):
         watch.judge(AmplifierState.OFF, coil_n)
@@ -89,7 +88,7 @@ def test_amplifiers_that_failed_in_flight_stay_off_until_that_is_cleared() -> No
 
 
 @pytest.mark.parametrize("late", ["in flight", "after a fault", "in time"])
-def test_a_challenge_is_answered_while_they_are_to_be_enabled_alone(late: str) -> None:
+def test_challenge_is_answered_only_while_amplifiers_are_being_enabled(late: str) -> None:
     """It was asked for on the ground; what it leads to is force, or amplifiers on after a fault."""
     asked = []
     watch = AmplifierWatch(
@@ -111,7 +110,7 @@ def test_a_challenge_is_answered_while_they_are_to_be_enabled_alone(late: str) -
     assert asked[-1][0] == Request.ENABLE
 
 
-def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up() -> None:
+def test_missing_position_is_requested_again() -> None:
     controller, syncs = Controller(RIG, 1e-3), []
 
     def read(beam: np.ndarray, rotor: np.ndarray) -> None:
@@ -130,8 +129,8 @@ def test_a_position_that_does_not_come_is_asked_for_again_and_never_made_up() ->
 
 
 @pytest.mark.parametrize("bus", ["can", "serial"])
-def test_nothing_is_compiled_in_the_first_cycle(monkeypatch: pytest.MonkeyPatch, bus: str) -> None:
-    """That takes seconds where no cache holds it."""
+def test_first_cycle_compiles_nothing(monkeypatch: pytest.MonkeyPatch, bus: str) -> None:
+    """Compiling takes seconds if there is no cache."""
     called: set[object] = set()
 
     def note(module: object, name: str) -> None:
@@ -165,7 +164,7 @@ def test_nothing_is_compiled_in_the_first_cycle(monkeypatch: pytest.MonkeyPatch,
     assert called == before
 
 
-def test_channel_that_is_mended_leaves_no_suspicion_of_others() -> None:
+def test_repaired_channel_makes_no_other_suspect() -> None:
     watch = SensorWatch("sensors", RIG.geometry, 1e-3)
     mended, ended = np.full(9, 1e-7), np.full(9, 1e-7)
     ended[1] = 1e-3
@@ -173,11 +172,11 @@ def test_channel_that_is_mended_leaves_no_suspicion_of_others() -> None:
     with pytest.raises(SensorError, match="sensor 1: at the end of its range"):
         watch.judge(ended.copy())
     watch.reset()
-    for _ in range(5):  # it reads what it should; by chance the others repeat themselves
+    for _ in range(5):  # it reads correctly; by chance the others repeat
         watch.judge(mended.copy())
 
 
-def test_channel_that_is_still_frozen_is_found_again() -> None:
+def test_channel_that_is_still_frozen_is_detected_again() -> None:
     watch = SensorWatch("sensors", RIG.geometry, 1e-3)
     draw = np.random.default_rng(1).normal
     gaps = 1e-5 * np.arange(60.0)[:, None] + draw(0, 1e-7, (60, 9))
@@ -193,8 +192,8 @@ def test_channel_that_is_still_frozen_is_found_again() -> None:
         watch.reset()
 
 
-def test_sensor_that_is_back_does_not_make_others_look_frozen() -> None:
-    """The platform has dropped meanwhile: where the missing one is now moves the plane of all."""
+def test_returned_sensor_makes_no_other_look_frozen() -> None:
+    """The platform has dropped meanwhile: the returned reading shifts the plane through all."""
     watch = SensorWatch("sensors", RIG.geometry, 1e-3)
     flying, down = np.zeros(9), np.full(9, -5e-4)
     watch.judge(flying.copy())
@@ -202,7 +201,7 @@ def test_sensor_that_is_back_does_not_make_others_look_frozen() -> None:
     lost[6] = np.nan
     with pytest.raises(SensorError, match="sensor 6: no reading"):
         watch.judge(lost.copy())
-    for _ in range(5):  # at rest, and by chance the others repeat themselves
+    for _ in range(5):  # at rest, by chance, the others repeat
         lost = down.copy()
         lost[6] = np.nan
         watch.judge(lost)

@@ -76,7 +76,7 @@ def works(bench: Bench) -> bool:
         return answer == {"ok": True, "said": 1}
 
 
-def test_long_line_is_handed_on_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_line_is_passed_on_unparsed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What takes long to parse would keep the supervisor from its heartbeat."""
     parsed, handed = [], []
     loads = json.loads
@@ -108,7 +108,7 @@ def test_requests_on_one_connection_are_answered_in_order(bench: Bench) -> None:
         assert [a["said"] for a in bench.ask(connection, *lines)] == list(range(500))
 
 
-def test_request_behind_one_that_takes_time_waits_for_it(bench: Bench) -> None:
+def test_request_waits_for_the_one_before(bench: Bench) -> None:
     with bench.connect() as connection:
         connection.sendall(b'{"op": "wait"}\n{"op": "echo", "say": 2}\n')
         assert works(bench)  # others do not wait
@@ -119,7 +119,7 @@ def test_request_behind_one_that_takes_time_waits_for_it(bench: Bench) -> None:
         assert [json.loads(stream.readline())["said"] for _ in range(2)] == [1, 2]
 
 
-def test_silent_clients_make_room_and_those_who_wait_for_an_answer_stay(bench: Bench) -> None:
+def test_idle_clients_make_room_and_waiting_clients_stay(bench: Bench) -> None:
     with bench.connect() as patient, contextlib.ExitStack() as stack:
         patient.sendall(b'{"op": "wait"}\n')
         while not bench.waiting:
@@ -131,7 +131,7 @@ def test_silent_clients_make_room_and_those_who_wait_for_an_answer_stay(bench: B
         assert json.loads(patient.makefile("rb").readline())["said"] == "still here"
 
 
-def test_client_that_takes_nothing_is_hung_up_on(bench: Bench) -> None:
+def test_client_that_reads_nothing_is_disconnected(bench: Bench) -> None:
     with bench.connect() as slow:
         slow.sendall(b'{"op": "flood"}\n')
         assert works(bench)
@@ -160,7 +160,7 @@ def test_flood_of_requests_does_not_keep_others_waiting(bench: Bench) -> None:
             thread.join()
 
 
-def test_what_goes_wrong_with_one_connection_ends_no_other(
+def test_error_of_one_connection_ends_no_other(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with bench.connect() as patient, bench.connect() as odd:
@@ -178,7 +178,9 @@ def test_what_goes_wrong_with_one_connection_ends_no_other(
     assert works(bench)
 
 
-def test_server_whose_thread_ended_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_server_reports_that_its_thread_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(threading, "excepthook", lambda _: None)
     server = Server(tmp_path / "test.sock", {}, Access(Service()))
     assert not server.dead  # it has not begun
@@ -202,7 +204,7 @@ def test_line_without_an_end_is_refused(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("before", [b'{"op": "echo"}', b'{"op": "wait"}', b"nonsense"])
-def test_stop_of_a_client_that_does_not_wait_is_heard(bench: Bench, before: bytes) -> None:
+def test_stop_of_a_disconnected_client_is_executed(bench: Bench, before: bytes) -> None:
     for _ in range(20):
         with bench.connect() as connection:
             connection.sendall(before + b'\n{"op": "echo"}\n{"op": "stop"}\n')
@@ -214,7 +216,7 @@ def test_stop_of_a_client_that_does_not_wait_is_heard(bench: Bench, before: byte
 
 
 @pytest.mark.parametrize("line", [b"", b"stop", b'{"op": "echo"}'])
-def test_flood_of_a_client_that_goes_holds_nobody_up(bench: Bench, line: bytes) -> None:
+def test_flood_of_a_disconnected_client_delays_no_other(bench: Bench, line: bytes) -> None:
     flood = (line + b"\n") * (1_900_000 // (len(line) + 1))
     with bench.connect() as connection:
         connection.sendall(b'{"op": "wait"}\n' + flood)
@@ -224,7 +226,7 @@ def test_flood_of_a_client_that_goes_holds_nobody_up(bench: Bench, line: bytes) 
     assert time.monotonic() - began_s < 0.7
 
 
-def test_what_is_left_of_a_conversation_is_searched_for_words() -> None:
+def test_remaining_lines_are_searched_for_words() -> None:
     ours, theirs = socket.socketpair()
     with ours, theirs:
         lines = Lines(ours, 1000, 1000)
@@ -235,7 +237,7 @@ def test_what_is_left_of_a_conversation_is_searched_for_words() -> None:
         assert lines.next_line() is None
 
 
-def test_who_is_being_hung_up_on_is_read_no_more(bench: Bench) -> None:
+def test_client_that_is_being_disconnected_is_not_read(bench: Bench) -> None:
     """His answers fill his own buffers, and then he may say what he likes."""
     with bench.connect() as connection:
         connection.sendall(b'{"op": "echo", "say": "' + b"x" * 200_000 + b'"}\n')
@@ -253,7 +255,7 @@ def test_who_is_being_hung_up_on_is_read_no_more(bench: Bench) -> None:
     assert works(bench)
 
 
-def test_client_that_vanishes_is_noticed(bench: Bench) -> None:
+def test_disconnected_client_is_detected(bench: Bench) -> None:
     with bench.connect() as connection:
         connection.sendall(b'{"op": "wait"}\n')
     assert bench.gone.wait(_GIVE_UP_S)
@@ -262,7 +264,7 @@ def test_client_that_vanishes_is_noticed(bench: Bench) -> None:
     assert works(bench)
 
 
-def test_client_that_is_left_is_gone_whoever_still_holds_it(bench: Bench) -> None:
+def test_closed_client_is_gone_though_its_stream_is_referenced(bench: Bench) -> None:
     with Client(bench.path) as daemon:
         stream = daemon._stream  # as the traceback of an interrupt does
         stream.write(b'{"op": "wait"}\n')
@@ -271,7 +273,7 @@ def test_client_that_is_left_is_gone_whoever_still_holds_it(bench: Bench) -> Non
     assert bench.gone.wait(_GIVE_UP_S)
 
 
-def test_kernel_says_who_asks() -> None:
+def test_kernel_reports_the_peer() -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX)
     with ours, theirs:
         peer = peer_of(ours)
@@ -302,7 +304,7 @@ def test_access() -> None:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
-def test_another_user_is_told_so_and_hung_up_on() -> None:
+def test_other_user_is_refused_and_disconnected() -> None:
     with tempfile.TemporaryDirectory() as folder:
         Path(folder).chmod(0o755)
         bench = Bench(Path(folder), Access(Service(allow_users=(54_322,))))
@@ -323,7 +325,7 @@ def test_another_user_is_told_so_and_hung_up_on() -> None:
             bench.server.close()
 
 
-def test_socket_where_so_many_ask_that_nobody_gets_in_is_not_taken_over(tmp_path: Path) -> None:
+def test_socket_with_a_full_backlog_is_not_taken_over(tmp_path: Path) -> None:
     busy = socket.socket(socket.AF_UNIX)
     busy.bind(str(tmp_path / "test.sock"))
     busy.listen(1)
@@ -339,13 +341,13 @@ def test_socket_where_so_many_ask_that_nobody_gets_in_is_not_taken_over(tmp_path
         end.close()
 
 
-def test_whoever_is_let_in_later_finds_the_door_open(bench: Bench) -> None:
+def test_allowed_users_can_reach_the_socket(bench: Bench) -> None:
     assert bench.path.stat().st_mode & 0o777 == 0o660
     bench.server.set_access(Access(Service(allow_users=["nobody"])))
     assert bench.path.stat().st_mode & 0o777 == 0o666
 
 
-def test_refused_clients_take_nobodys_place(bench: Bench) -> None:
+def test_refused_clients_take_no_connection(bench: Bench) -> None:
     mine = [bench.connect() for _ in range(64)]
     for connection in mine:
         bench.ask(connection, b'{"op": "echo"}')

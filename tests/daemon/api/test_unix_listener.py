@@ -102,7 +102,7 @@ def test_socket_of_another_program_stays(checks: list[bool], running: Running) -
     assert not running.path.exists()
 
 
-def test_of_two_daemons_that_start_at_once_one_is_refused(
+def test_one_of_two_daemons_started_at_once_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, ends = tmp_path / "levid.sock", list[object]()

@@ -25,7 +25,7 @@ class Starved:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
-def test_silence_counts_the_time_that_a_child_had(share: float) -> None:
+def test_silence_excludes_time_without_a_processor(share: float) -> None:
     child: Any = Starved(share)
     silence = ChildSilence(child)
     silence.begin(0.0)

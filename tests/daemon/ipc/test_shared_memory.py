@@ -15,6 +15,7 @@ from levid.daemon.control.states import TRANSITIONS, State
 from levid.daemon.ipc.control_words import ControlWords, Word
 from levid.daemon.ipc.row_ring import Ring
 from levid.daemon.ipc.segment_stream import Logged, SegmentFeeder, SegmentStream
+from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.daemon.planning import point_to_point
 
 DTYPE = np.dtype([("cycle", "<u8"), ("payload", "<f4", 3)])
@@ -184,3 +185,15 @@ def test_every_state_can_end_in_a_fault_and_come_back() -> None:
 def test_every_fault_says_cause_check_and_cure() -> None:
     assert set(FAULTS) == set(Fault)
     assert all(t.cause and t.check and t.cleared for f, t in FAULTS.items() if f)
+
+
+def test_rows_lost_by_a_hung_recorder_are_counted_at_once() -> None:
+    shared = SharedMemory(RIG)
+    ring = shared.ring
+    shared.board[Word.DROPPED] = 5
+    for waiting, lost in ((0, 0), (ring.capacity - 1, 0), (ring.capacity + 9, 10)):
+        ring.head = waiting
+        assert shared.lost == 5 + lost
+    ring.take(1)
+    assert (shared.lost, ring.lost) == (15, 10)
+    shared.close()

@@ -16,8 +16,8 @@ from levid.daemon.ipc.control_words import Word
 from levid.drivers.base import Backend, Devices, StaleError
 
 
-def test_homing_is_no_cycle() -> None:
-    """A clear that takes 10 s was a cycle of 10 s, and the next one late by as much."""
+def test_homing_is_not_counted_as_a_cycle() -> None:
+    """A clear may take 10 s; it must not count as a cycle of 10 s, nor the next one as late."""
     flight = ScriptedLoop(recover=lambda: time.sleep(0.2))
     clock = flight.clock
 
@@ -32,7 +32,7 @@ def test_homing_is_no_cycle() -> None:
     assert flight.board.fault is Fault.NONE
     figures = flight.shared.timing.figures()
     assert figures["execution_us"]["max"] < 0.15e6
-    assert sum(figures["late_by"].values()) == 1  # the one that was
+    assert sum(figures["late_by"].values()) == 1  # the cycle that was late
     assert flight.board[Word.LATE] == 1
     rows = flight.shared.ring.last(300).rows
     assert rows["execution_s"].max() < 0.15
@@ -48,7 +48,7 @@ def test_homing_is_no_cycle() -> None:
         ("course.advance", "control", "control"),
     ],
 )
-def test_time_is_counted_to_whoever_took_it(slow: str, part: str, cause: str) -> None:
+def test_time_is_counted_to_its_part_of_the_cycle(slow: str, part: str, cause: str) -> None:
     flight = ScriptedLoop()
     loop, clock = flight.loop, flight.clock
     whose, name = slow.split(".")
@@ -59,7 +59,7 @@ def test_time_is_counted_to_whoever_took_it(slow: str, part: str, cause: str) ->
         nonlocal takes_long
         takes_long = n == 300
         clock.skipped = 19 if n == 301 else 0
-        if n == 300 and whose == "course":  # it changes its method as what is flown changes
+        if n == 300 and whose == "course":  # it changes its method with each segment
             slowly()
 
     def slowly() -> None:
@@ -87,8 +87,8 @@ def sum_at(flight: ScriptedLoop) -> float:
     return float(1e6 * flight.shared.ring.last(300).rows["execution_s"].max())
 
 
-def test_counters_go_on_where_every_cycle_is_late() -> None:
-    """With every other period skipped the cycle is odd for ever, and no multiple of 64."""
+def test_counters_are_published_if_every_cycle_is_late() -> None:
+    """With every other period skipped the cycle number stays odd, and is no multiple of 64."""
     flight = ScriptedLoop()
     clock = flight.clock
 
@@ -99,7 +99,7 @@ def test_counters_go_on_where_every_cycle_is_late() -> None:
     assert flight.board[Word.LATE] >= 400 - 100 - 64
 
 
-def test_loop_that_follows_a_dead_one_counts_on() -> None:
+def test_restarted_loop_continues_the_counts() -> None:
     flight = ScriptedLoop()
     board = flight.board
     board[Word.LATE], board[Word.STALE] = 7, 11
@@ -113,7 +113,7 @@ def test_loop_that_follows_a_dead_one_counts_on() -> None:
     assert (board[Word.LATE], board[Word.STALE]) == (8, 11)
 
 
-def test_row_of_the_cycle_that_was_too_late_has_the_forces_that_were_sent() -> None:
+def test_row_of_a_cycle_that_was_too_late_has_zero_force() -> None:
     flight = ScriptedLoop()
     clock = flight.clock
 
@@ -133,8 +133,8 @@ def test_row_of_the_cycle_that_was_too_late_has_the_forces_that_were_sent() -> N
 
 
 @pytest.mark.parametrize("late", [1, 100])
-def test_move_that_is_asked_for_as_somebody_lands_is_dropped(late: int) -> None:
-    """Who announces it looks for a landing before, and asks for one again after."""
+def test_move_requested_during_a_landing_is_dropped(late: int) -> None:
+    """The supervisor checks for a landing before it announces the move, and lands again after."""
     flight = ScriptedLoop()
     board, seen = flight.board, []
 
@@ -159,8 +159,8 @@ def test_move_that_is_asked_for_as_somebody_lands_is_dropped(late: int) -> None:
     assert board[Word.PLAN_DONE] == board[Word.PLAN_CUT] == flight.plans
 
 
-def test_devices_are_told_how_late_a_cycle_begins_without_those_that_were_skipped() -> None:
-    """A reading is waited for until this cycle's end: what was missed before has no part in it."""
+def test_devices_get_the_lateness_without_skipped_periods() -> None:
+    """Readings are awaited until the end of this cycle, whatever was skipped before."""
     heard: list[tuple[int, float]] = []
 
     class Listening:
@@ -189,8 +189,8 @@ def test_devices_are_told_how_late_a_cycle_begins_without_those_that_were_skippe
     assert told[48] == told[50] == 2e-5
 
 
-def test_readings_that_stay_away_at_rest_are_counted_where_others_see_it() -> None:
-    """Cycles that raise write no row: counters that are published by rows stood still."""
+def test_missing_readings_at_rest_are_published() -> None:
+    """A cycle with an error writes no row; the counters have to advance all the same."""
     silent = SimpleNamespace(now=False, stale=0)
 
     class Counting:

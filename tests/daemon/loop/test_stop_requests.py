@@ -21,7 +21,7 @@ from levid.drivers.base import Backend, Devices, FirstError, LinkError, StaleErr
 
 
 def failing_while(when: SimpleNamespace, error: Exception) -> Callable[[Devices], Devices]:
-    """Return what makes readings raise this error for as long as `when.now` says so."""
+    """Return a wrapper of devices whose readings raise this error while `when.now` is true."""
 
     def failing(devices: Devices) -> Devices:
         read = devices.sensors.read
@@ -37,7 +37,7 @@ def failing_while(when: SimpleNamespace, error: Exception) -> Callable[[Devices]
     return failing
 
 
-def test_clear_does_not_take_back_a_stop_that_nobody_has_looked_at() -> None:
+def test_clear_does_not_cancel_a_later_stop() -> None:
     flight = ScriptedLoop()
     supervisor = SimpleNamespace(
         board=flight.board, _stop_s=None, _loop=SimpleNamespace(running=True),
@@ -56,11 +56,11 @@ def test_clear_does_not_take_back_a_stop_that_nobody_has_looked_at() -> None:
     flight.run(script, 1510)
     assert flight.forces == 0.0
     assert flight.board.state is not State.LEVITATING
-    assert not flight.board[Word.ZERO]  # and it is cleared: the next flight is not stopped by it
+    assert not flight.board[Word.ZERO]  # it is cleared and does not stop the next flight
 
 
 @pytest.mark.parametrize("gone", ["zero", "land"])
-def test_silent_supervisor_is_a_landing_or_zero_force_as_configured(gone: str) -> None:
+def test_silent_supervisor_leads_to_a_landing_or_zero_force(gone: str) -> None:
     flight = ScriptedLoop(supervisor_s=0.5, supervisor_gone=gone)
     board, landing, at_zero = flight.board, [], []
 
@@ -78,10 +78,10 @@ def test_silent_supervisor_is_a_landing_or_zero_force_as_configured(gone: str) -
     assert "no heartbeat" in board.detail
     if gone == "zero":
         assert not landing
-        assert 1995 <= at_zero[0] <= 2015  # the last beat came ten cycles before, at most
+        assert 1995 <= at_zero[0] <= 2015  # the last heartbeat is at most ten cycles old
     else:
         assert 1995 <= landing[0] <= 2015
-        assert abs(len(landing) - 700) <= 2  # the landing that the flight was given
+        assert abs(len(landing) - 700) <= 2  # the landing of this flight
         assert at_zero[0] >= landing[-1]
 
 
@@ -99,9 +99,7 @@ def test_supervisor_stopped_for_less_than_its_time_is_no_fault() -> None:
 
 
 @pytest.mark.parametrize(("stall_s", "periods"), [(None, 13), (0.3, 300)])
-def test_loop_that_stood_still_for_too_long_sends_no_force(
-    stall_s: float | None, periods: int
-) -> None:
+def test_stalled_loop_commands_zero_force(stall_s: float | None, periods: int) -> None:
     """1 kHz on loopback, gap_m 0.85 mm: a free fall takes 13.2 ms, unless the rig says more."""
     for skipped in (periods, periods + 1):
         flight, written = ScriptedLoop(limits={"stall_s": stall_s}), []
@@ -122,12 +120,12 @@ def test_loop_that_stood_still_for_too_long_sends_no_force(
         late = skipped > periods
         assert flight.board.fault is (Fault.LATE if late else Fault.NONE)
         assert ("stalled" in flight.board.detail) is late
-        # The first that is written after the stall is zero already.
+        # The first force after the stall is zero.
         assert written[0] > 10.0
         assert (max(written[1:]) == 0.0) is late
 
 
-def test_cycle_that_is_held_up_before_it_writes_sends_no_force(
+def test_slow_cycle_commands_zero_force(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     held, now = SimpleNamespace(now=False), time.perf_counter_ns
@@ -143,7 +141,7 @@ def test_cycle_that_is_held_up_before_it_writes_sends_no_force(
         devices.sensors.read = reading  # type: ignore[method-assign]
         return devices
 
-    # A clock that stands still but for what is held up: machines are busy.
+    # A clock that advances during the delay only: the machine may be busy.
     began = now()
     monkeypatch.setattr(
         "levid.daemon.loop.real_time_loop.time.perf_counter_ns", lambda: began + ahead[0]
@@ -167,7 +165,7 @@ def test_cycle_that_is_held_up_before_it_writes_sends_no_force(
     assert (rows["state"][rows["fault"] == Fault.LATE] == State.FAULT).all()
 
 
-def test_who_asked_for_a_flight_is_told_of_a_supervisor_that_was_silent() -> None:
+def test_client_is_told_of_a_silent_supervisor() -> None:
     flight = ScriptedLoop(supervisor_s=0.5)
     board = flight.board
 
@@ -182,9 +180,7 @@ def test_who_asked_for_a_flight_is_told_of_a_supervisor_that_was_silent() -> Non
 
 
 @pytest.mark.parametrize("silence", ["in flight, and a stop as it lands", "as it lands"])
-def test_orphan_lands_whatever_happened_to_its_supervisor_before(
-    silence: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_loop_without_supervisor_lands(silence: str, monkeypatch: pytest.MonkeyPatch) -> None:
     flight = ScriptedLoop(supervisor_gone="land", supervisor_s=0.2)
     board, landing, seen = flight.board, [], []
 
@@ -220,10 +216,10 @@ def test_orphan_lands_whatever_happened_to_its_supervisor_before(
 
 
 @pytest.mark.parametrize("land", [{"ramp_s": 8.0}, {"ramp_s": 2.0, "release_s": 7.0}])
-def test_orphan_goes_on_with_a_landing_that_it_has_no_more_rows_of(
+def test_loop_without_supervisor_completes_its_landing(
     land: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rows are announced a few seconds ahead; then the loop goes on from the last of them."""
+    """Rows are sent a few seconds ahead; then the loop continues from the last one."""
     flight = ScriptedLoop(supervisor_gone="land", supervisor_s=0.2)
     board, forces, landing = flight.board, [], []
     ramp, release = round(1e3 * land["ramp_s"]), round(1e3 * land.get("release_s", 0.5))
@@ -240,14 +236,14 @@ def test_orphan_goes_on_with_a_landing_that_it_has_no_more_rows_of(
             monkeypatch.setattr(os, "getppid", lambda: 1)
 
     flight.run(script, 14_000)
-    # A landing that began again, or ended early, would have other cycles.
+    # A landing that started again or ended early would have another length.
     assert abs(len(landing) - (ramp + release)) <= 2
     # What the coils carry changes from one cycle to the next by noise of the readings alone.
     assert np.abs(np.diff(forces)).max() < 0.1 * forces[0]
     assert board.fault is Fault.SUPERVISOR
 
 
-def test_who_asks_to_land_before_the_first_row_stays_on_the_ground() -> None:
+def test_landing_requested_before_lift_off_stays_on_the_ground() -> None:
     flight = ScriptedLoop()
     board, states = flight.board, set()
 
@@ -267,7 +263,7 @@ def test_who_asks_to_land_before_the_first_row_stays_on_the_ground() -> None:
     assert State.LEVITATING in states
 
 
-def test_stop_in_the_cycle_that_readings_fail_in_is_written() -> None:
+def test_stop_in_a_cycle_with_failed_readings_is_written() -> None:
     stale = SimpleNamespace(now=False)
     flight = ScriptedLoop(failing_while(stale, StaleError("no clean reading")))
 
@@ -283,8 +279,8 @@ def test_stop_in_the_cycle_that_readings_fail_in_is_written() -> None:
     assert flight.forces == 0.0
 
 
-def test_bus_that_is_gone_for_days_costs_no_memory() -> None:
-    """Nobody collects in the loop's process: what every cycle raises must not hold itself."""
+def test_lost_bus_takes_no_memory() -> None:
+    """Garbage collection is off in the loop: exceptions of each cycle must not form cycles."""
     dead = SimpleNamespace(now=False)
 
     class Broken:
@@ -318,11 +314,11 @@ def test_bus_that_is_gone_for_days_costs_no_memory() -> None:
     finally:
         gc.enable()
     assert flight.board.fault is Fault.LINK
-    # Objects alive that were made since the collector last looked.
+    # Living objects that were created since the last collection.
     assert counts[1] - counts[0] < 100
 
 
-def test_a_machine_that_stood_still_did_not_lose_its_supervisor() -> None:
+def test_suspended_machine_has_not_lost_its_supervisor() -> None:
     flight = ScriptedLoop(supervisor_s=1.0)
     clock = flight.clock
 
@@ -353,7 +349,7 @@ def test_heat_of_the_coils_outlasts_the_loop() -> None:
 
 
 def test_coils_cool_down_while_readings_fail() -> None:
-    """A link that was gone for hours left them as hot: the next lift-off ended as fault HEAT."""
+    """Otherwise a lift-off after a lost link of hours ends in the fault HEAT."""
     gone = SimpleNamespace(now=False)
     flight = ScriptedLoop(failing_while(gone, LinkError("unplugged")))
     clock, heat = flight.clock, []

@@ -19,7 +19,7 @@ LIMITED = RIG.model_copy(update={"limits": RIG.limits.model_copy(update={"coil_r
 
 
 class Machine:
-    """Its clocks, and the number of its boot."""
+    """The clocks of a machine and its boot id."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.boot, self.uptime_s, self.time_s = "one", 100.0, 1e9
@@ -35,7 +35,7 @@ def kept(folder: Path, heat: np.ndarray, rig: RigConfig = LIMITED) -> None:
     at, heated = np.zeros(9), np.zeros(1)
     file = HeatFile(rig, folder, at, heated)
     file.start()
-    at[:], heated[:] = heat, 1.0  # a daemon flies meanwhile
+    at[:], heated[:] = heat, 1.0  # as a flying daemon does
     file.close(10.0)
 
 
@@ -48,19 +48,15 @@ def taken_over(folder: Path, said: list[str] | None = None) -> np.ndarray:
     return found
 
 
-def test_the_next_daemon_finds_the_coils_as_hot_but_for_the_time_between(
-    tmp_path: Path, machine: Machine
-) -> None:
+def test_saved_heat_cools_down_by_the_uptime_since(tmp_path: Path, machine: Machine) -> None:
     hot = np.arange(9.0) * 7.0
     kept(tmp_path, hot)
     machine.uptime_s += 60.0
-    machine.time_s -= 5000.0  # somebody set the clock: the other one counts
+    machine.time_s -= 5000.0  # the clock was set: the uptime counts
     np.testing.assert_allclose(taken_over(tmp_path), hot * math.exp(-1.0))
 
 
-def test_after_a_boot_the_time_of_day_counts_and_never_backwards(
-    tmp_path: Path, machine: Machine
-) -> None:
+def test_after_a_boot_heat_cools_down_by_the_time_of_day(tmp_path: Path, machine: Machine) -> None:
     hot = np.full(9, 50.0)
     kept(tmp_path, hot)
     machine.boot, machine.uptime_s, machine.time_s = "two", 1.0, 1e9 - 10.0
@@ -86,7 +82,7 @@ def test_invalid_file_is_reported_and_replaced(tmp_path: Path, text: str, machin
     (path,) = tmp_path.iterdir()
     path.write_text(text)
     said: list[str] = []
-    assert (taken_over(tmp_path, said) == 64.0).all()  # the most that they may be
+    assert (taken_over(tmp_path, said) == 64.0).all()  # at the limit
     assert "cannot read the coil heat" in said[0]
     assert json.loads(path.read_text())["boot"] == machine.boot
 
@@ -103,18 +99,18 @@ def test_failing_folder_is_reported_once(tmp_path: Path) -> None:
     assert len([line for line in said if "cannot save" in line]) == 1
 
 
-def test_a_boot_without_a_number_is_not_the_same_one(tmp_path: Path, machine: Machine) -> None:
-    """Uptime after a reboot is less than before it: nothing would have cooled down."""
+def test_unknown_boot_is_not_the_same_boot(tmp_path: Path, machine: Machine) -> None:
+    """After a reboot the uptime is smaller than before: the coils would not cool down."""
     machine.boot = ""
     kept(tmp_path, np.full(9, 50.0))
     machine.uptime_s, machine.time_s = 1.0, machine.time_s + 60.0
     np.testing.assert_allclose(taken_over(tmp_path), 50.0 * math.exp(-1.0))
 
 
-def test_file_is_of_the_time_of_its_heat_where_no_cycle_counts_it(
+def test_file_keeps_the_time_of_its_heat_without_new_cycles(
     tmp_path: Path, machine: Machine
 ) -> None:
-    """A link that was gone over the weekend had coils found on Monday as hot as on Friday."""
+    """Otherwise coils are as hot after a weekend without a link as before it."""
     file = HeatFile(LIMITED, tmp_path, np.full(9, 60.0), np.full(1, 1000.0))
     file.save()
     machine.uptime_s += 120.0
@@ -124,7 +120,7 @@ def test_file_is_of_the_time_of_its_heat_where_no_cycle_counts_it(
     np.testing.assert_allclose(taken_over(tmp_path), 60.0 * math.exp(-2.0))
 
 
-def test_after_a_write_that_failed_coils_are_not_taken_for_colder_than_they_are(
+def test_failed_write_does_not_leave_a_colder_file(
     tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(_: int) -> None:
@@ -149,6 +145,6 @@ def test_after_a_write_that_failed_coils_are_not_taken_for_colder_than_they_are(
     np.testing.assert_allclose(taken_over(tmp_path), 60.0)
 
 
-def test_a_service_keeps_it_in_its_own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_service_uses_its_state_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/levid:/var/lib/other")
     assert state_folder() == Path("/var/lib/levid")

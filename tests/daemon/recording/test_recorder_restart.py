@@ -63,7 +63,7 @@ def test_part_with_rows_stays(tmp_path: Path) -> None:
     "data",
     [
         b"notes of an operator",
-        # Another's log that has no rows, or was cut off.
+        # A log of another program, without rows or truncated.
         MCAP0_MAGIC + record_bytes(Header("", "libmcap 1.0")),
         MCAP0_MAGIC + record_bytes(Header("", "libmcap 1.0"))[:12],
     ],
@@ -153,7 +153,7 @@ def recording(tmp_path: Path) -> Iterator[Recording]:
     made.close()
 
 
-def test_flight_that_was_closed_before_the_new_recorder_began_is_written(
+def test_flight_closed_before_the_new_recorder_began_is_written(
     recording: Recording,
 ) -> None:
     recording.write(1, 1, 1, 2, 2, 2)
@@ -193,7 +193,7 @@ def test_log_that_continues_after_another_has_a_further_part(recording: Recordin
 
 
 @pytest.mark.parametrize(("behind_s", "lacking_s"), [(HUNG_S + 4.0, 0.0), (HUNG_S + 7.0, 2.0)])
-def test_fault_as_the_recorder_began_to_hang_is_recorded_as_far_as_rows_are_there(
+def test_fault_before_a_hang_is_recorded_from_the_remaining_rows(
     recording: Recording, behind_s: float, lacking_s: float
 ) -> None:
     """It is killed after HUNG_S, and the next one takes its time to begin."""

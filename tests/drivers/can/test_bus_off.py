@@ -104,7 +104,7 @@ def test_tools_of_python_can_see_bus_off_as_an_error_frame(tmp_path: Path) -> No
         ("drop", StaleError, "received: nothing"),
     ],
 )
-def test_host_tells_bus_off_from_silence(
+def test_host_distinguishes_bus_off_from_silence(
     bus: str, line: str, error: type[Exception], words: str, rig_on, patience
 ) -> None:
     patience.seconds = 2.5 / RATE_HZ
@@ -130,7 +130,7 @@ def cycles(devices: Devices, numbers: range) -> None:
         devices.sensors.read(gap_m)
 
 
-def test_no_controller_is_told_to_send_an_error_frame(tmp_path: Path, monkeypatch) -> None:
+def test_error_frames_are_sent_on_software_interfaces_only(tmp_path: Path, monkeypatch) -> None:
     """It would send the ID that is left without the flags."""
     (tmp_path / "vcan0").mkdir()
     monkeypatch.setattr(can_emulator, "_WITHOUT_DEVICE", tmp_path)

@@ -63,7 +63,7 @@ class Wire:
         self.coming.extend(ReceivedFrame(TPDO1_ID + i, data, stamp_s) for i in (1, 2, 3))
 
     def targets(self) -> list[tuple[int, int]]:
-        """Controlwords and positions of X1 that were sent since this was asked last."""
+        """Controlwords and positions of X1 that were sent since the last call."""
         found = [RPDO.unpack(data) for can_id, data in self.sent if can_id == RPDO1_ID + 1]
         self.sent.clear()
         return found
@@ -91,8 +91,8 @@ def rig() -> RigConfig:
     return load_rig(shipped("rigs/canfd.yaml"))
 
 
-def test_answer_that_came_after_its_deadline_is_stale(rig: RigConfig) -> None:
-    """By its stamp, whenever this process looks: a reading of another moment is none."""
+def test_answer_after_its_deadline_is_stale(rig: RigConfig) -> None:
+    """The timestamp decides, not the time at which this process reads the frame."""
     bench = Bench(rig, 1)
     with pytest.raises(StaleError, match="too late"):  # noqa: PT012
         for k in range(3):
@@ -105,7 +105,7 @@ def test_answer_that_came_after_its_deadline_is_stale(rig: RigConfig) -> None:
     assert bench.drives.watch.stale == 3
 
 
-def test_answer_that_came_in_time_counts_however_late_it_is_looked_at(rig: RigConfig) -> None:
+def test_answer_in_time_counts_however_late_it_is_read(rig: RigConfig) -> None:
     bench = Bench(rig, 1)
     bench.drives.sync(0)
     bench.deadline_s = time.perf_counter() - 0.1
@@ -115,17 +115,17 @@ def test_answer_that_came_in_time_counts_however_late_it_is_looked_at(rig: RigCo
     assert bench.drives.stale == 0
 
 
-def test_bus_that_is_busy_with_other_things_is_not_waited_for(rig: RigConfig) -> None:
+def test_read_ends_at_its_deadline_on_a_busy_bus(rig: RigConfig) -> None:
     bench = Bench(rig, 1)
     bench.wire.always = ReceivedFrame(0x7F0, b"", 0.0)
     bench.drives.sync(0)
     bench.deadline_s = time.perf_counter() + 0.01
-    bench.read()  # this is what would not end
+    bench.read()  # it must return
     assert bench.drives.stale == Stale.DRIVES
 
 
 @pytest.mark.parametrize("stamped", [False, True])
-def test_draining_ends_on_a_bus_that_is_busy(rig: RigConfig, stamped: bool) -> None:
+def test_draining_ends_on_a_busy_bus(rig: RigConfig, stamped: bool) -> None:
     wire, seen = Wire(), []
     link = CanLink("main", rig.can["main"], wire)
     link.listen(0x7F0, lambda *_: seen.append(time.time()))
@@ -138,7 +138,7 @@ def test_draining_ends_on_a_bus_that_is_busy(rig: RigConfig, stamped: bool) -> N
     assert len(seen) <= 1000
 
 
-def test_id_that_somebody_listens_to_is_refused(rig: RigConfig) -> None:
+def test_second_listener_of_an_id_is_refused(rig: RigConfig) -> None:
     link = CanLink("main", rig.can["main"])
     link.listen(0x181, lambda *_: None)
     with pytest.raises(DriverError, match="ID 0x181 is used by two devices"):
@@ -165,7 +165,7 @@ def syncs(wire: Wire) -> list[int]:
     return [data[0] for can_id, data in wire.sent if can_id == SYNC_ID]
 
 
-def test_syncs_come_at_multiples_and_count_by_one(rig: RigConfig) -> None:
+def test_syncs_are_sent_at_multiples_and_counted_by_one(rig: RigConfig) -> None:
     bench = Bench(rig, 4)
     bench.drives.watch = Watch("drives", 100)  # nobody answers
     for k in (0, 0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12, 13):  # 7 and 8 were skipped
@@ -177,8 +177,8 @@ def test_syncs_come_at_multiples_and_count_by_one(rig: RigConfig) -> None:
 
 
 @pytest.mark.parametrize("released", [4, 5, 7])
-def test_release_sends_no_sync_out_of_turn(rig: RigConfig, released: int) -> None:
-    """The regular one after it would have the same counter, and drives that look at it a fault."""
+def test_release_sends_no_extra_sync(rig: RigConfig, released: int) -> None:
+    """The next regular SYNC would have the same counter, which drives may detect as a fault."""
     bench = Bench(rig, 4)
     bench.drives.watch = Watch("drives", 100)
     for k in range(17):
@@ -193,7 +193,7 @@ def test_release_sends_no_sync_out_of_turn(rig: RigConfig, released: int) -> Non
     assert syncs(bench.wire) == [1, 2, 3, 4, 5]
 
 
-def test_last_sync_makes_the_quick_stop_act_and_counts_on(rig: RigConfig) -> None:
+def test_leave_sends_quick_stops_and_the_next_sync(rig: RigConfig) -> None:
     bench = Bench(rig, 4)
     for k in range(6):
         bench.drives.sync(k)
@@ -206,10 +206,8 @@ def test_last_sync_makes_the_quick_stop_act_and_counts_on(rig: RigConfig) -> Non
 
 
 @pytest.mark.parametrize("written", [1, 2])
-def test_targets_of_a_cycle_that_is_skipped_are_carried_forward(
-    rig: RigConfig, written: int
-) -> None:
-    """The drives have a target for every SYNC: where they would be had nothing been skipped."""
+def test_targets_of_a_skipped_cycle_are_extrapolated(rig: RigConfig, written: int) -> None:
+    """The drives get a target for every SYNC, as if no cycle had been skipped."""
     T, speed, acceleration = 1 / rig.rate_hz, 0.1, 2.0
 
     def setpoint(k: int) -> np.ndarray:
@@ -232,8 +230,8 @@ def test_targets_of_a_cycle_that_is_skipped_are_carried_forward(
     assert expected[1] > 0
 
 
-def test_targets_from_long_ago_are_not_carried_forward(rig: RigConfig) -> None:
-    """After a stall the drives stand; where the reference is by now they hear with the next."""
+def test_targets_before_a_stall_are_not_extrapolated(rig: RigConfig) -> None:
+    """After a stall the drives stand still; the next targets follow the present reference."""
     bench = Bench(rig, 4)
     bench.drives.sync(0)
     bench.drives.write(np.array([0.0, 0.1, 0.0]), np.zeros(3))
@@ -241,7 +239,7 @@ def test_targets_from_long_ago_are_not_carried_forward(rig: RigConfig) -> None:
     assert bench.wire.targets() == []
 
 
-def test_drives_are_told_to_stop_once_one_is_in_fault(rig: RigConfig) -> None:
+def test_all_drives_get_a_quick_stop_if_one_is_in_fault(rig: RigConfig) -> None:
     bench = Bench(rig, 1)
     bench.drives.sync(0)
     bench.wire.answer(0, time.time())
@@ -258,14 +256,14 @@ def test_drives_are_told_to_stop_once_one_is_in_fault(rig: RigConfig) -> None:
 
 @pytest.mark.parametrize("every", [1, 4])
 @pytest.mark.parametrize("how", ["heartbeat", "emergency"])
-def test_others_stop_beside_a_drive_that_is_off_the_bus(
+def test_other_drives_stop_if_one_has_left_the_bus(
     rig: RigConfig, every: int, how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its readings are missing in every cycle; that is an error of its own, and not the last."""
+    """Its readings are missing in every cycle, which is another error."""
     bench = Bench(rig, every)
     raised: list[Exception] = []
     for k in range(8 * every):
-        if k != 5 * every:  # by then more of them are missing than are bridged
+        if k != 5 * every:  # by then more readings are missing than are tolerated
             pass
         elif how == "heartbeat":
             later = partial(float, time.perf_counter() + 1.0)  # five periods of it
@@ -290,14 +288,14 @@ def test_others_stop_beside_a_drive_that_is_off_the_bus(
             bench.link.drain()
     words = [RPDO.unpack(d)[0] for i, d in bench.wire.sent if i == RPDO1_ID + 2]
     drive = [error for error in raised if isinstance(error, DriveError)]
-    assert len(drive) == 1  # told once
+    assert len(drive) == 1  # raised once
     assert ("no heartbeat" if how == "heartbeat" else "0x7305") in str(drive[0])
     assert any(isinstance(error, StaleError) for error in raised)
     assert words[-1] == QUICK_STOP
 
 
-def test_drives_that_were_released_hear_of_nothing_but_a_stop(rig: RigConfig) -> None:
-    """As where a fault cannot be cleared: the loop goes on with its cycles."""
+def test_released_drives_get_quick_stops_only(rig: RigConfig) -> None:
+    """The loop continues its cycles if a fault cannot be cleared."""
     bench = Bench(rig, 1)
     bench.drives.release()
     assert [word for word, _ in bench.wire.targets()] == [QUICK_STOP]
@@ -313,13 +311,13 @@ def test_drives_that_were_released_hear_of_nothing_but_a_stop(rig: RigConfig) ->
     ("said", "fault"),
     [
         ((Node.OPERATIONAL, Node.OPERATIONAL), ""),
-        ((Node.PRE_OPERATIONAL, Node.OPERATIONAL), ""),  # said before it was started
+        ((Node.PRE_OPERATIONAL, Node.OPERATIONAL), ""),  # sent before it was started
         ((Node.BOOT_UP,), "boot-up"),
         ((Node.OPERATIONAL, Node.PRE_OPERATIONAL), "pre-operational"),
         ((Node.OPERATIONAL, Node.STOPPED, Node.OPERATIONAL), "stopped"),
     ],
 )
-def test_node_that_leaves_operation_by_itself_is_a_fault(
+def test_node_that_leaves_operational_state_is_a_fault(
     rig: RigConfig, said: tuple[Node, ...], fault: str
 ) -> None:
     bench = Bench(rig, 1)
@@ -338,8 +336,8 @@ def test_node_that_leaves_operation_by_itself_is_a_fault(
 
 
 @pytest.mark.parametrize("every", [1, 4])
-def test_drives_beside_one_in_fault_are_stopped_in_this_cycle(rig: RigConfig, every: int) -> None:
-    """Also where the next targets are some cycles away: two motors of a gantry are on."""
+def test_other_drives_are_stopped_in_the_cycle_of_a_fault(rig: RigConfig, every: int) -> None:
+    """Even if the next targets are some cycles away: the second motor of the gantry is powered."""
     bench = Bench(rig, every)
     bench.drives.sync(0)
     bench.wire.answer(0, time.time(), DriveStates.FAULT.value[1])
@@ -358,7 +356,7 @@ def test_drives_beside_one_in_fault_are_stopped_in_this_cycle(rig: RigConfig, ev
 
 
 @pytest.mark.parametrize(("every", "stale_cycles", "syncs"), [(1, 2, 2), (4, 20, 5), (4, 2, 1)])
-def test_staleness_is_bounded_in_cycles_however_slow_the_drives_are(
+def test_stale_cycles_are_limited_for_slow_drives_too(
     rig: RigConfig, every: int, stale_cycles: int, syncs: int
 ) -> None:
     bench = Bench(rig, every, stale_cycles)
@@ -368,11 +366,11 @@ def test_staleness_is_bounded_in_cycles_however_slow_the_drives_are(
         for k in range(100):
             bench.drives.sync(k)
             bench.read()
-    # So many answers may be missing; the one too many is told as the next is asked for.
+    # `syncs` answers may be missing; the next SYNC after one more raises the error.
     assert k == (syncs + 1) * every if every > 1 else k == syncs
 
 
-def test_positions_count_once_all_three_of_a_sync_have_come(rig: RigConfig) -> None:
+def test_positions_are_used_once_all_three_of_a_sync_are_received(rig: RigConfig) -> None:
     """A beam at speed is not skewed because X1 of this SYNC is read beside X2 of the last."""
     bench = Bench(rig, 4)
     moved = round(1.2e-3 / POSITION_M)  # twelve times the skew that is allowed

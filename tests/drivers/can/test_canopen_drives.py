@@ -52,7 +52,7 @@ def rig(rig_on, quiet_sim: Path) -> RigConfig:
 
 
 @pytest.mark.parametrize("state", DriveStates)
-def test_every_state_is_told_from_every_other(state: DriveStates) -> None:
+def test_statusword_gives_one_state(state: DriveStates) -> None:
     mask, value = state.value
     for noise in range(0x10000):
         word = value | (noise & ~mask & 0xFFFF)
@@ -61,7 +61,7 @@ def test_every_state_is_told_from_every_other(state: DriveStates) -> None:
         assert state_of(word) is state
 
 
-def test_from_every_state_operation_is_reached() -> None:
+def test_every_state_has_a_transition_towards_operation() -> None:
     after = {
         DriveStates.FAULT: DriveStates.SWITCH_ON_DISABLED,
         DriveStates.QUICK_STOP_ACTIVE: DriveStates.SWITCH_ON_DISABLED,
@@ -74,7 +74,7 @@ def test_from_every_state_operation_is_reached() -> None:
 
 @pytest.mark.parametrize("every", range(1, 101))
 def test_counters_of_the_buses_stay_in_step(every: int) -> None:
-    """A SYNC tells the cycle that it begins as far as it can, however cycles are counted."""
+    """The counter of a SYNC gives the cycle modulo 240 SYNCs."""
     counters = [sync_counter(number) for number in range(1000)]
     assert set(counters) == set(range(1, SYNC_COUNTER + 1))
     for number in (0, 239, 240, 255, 256, CYCLES - 1, CYCLES, 10**7 + 1):
@@ -97,8 +97,8 @@ def test_differences_are_exact_for_a_cubic_and_a_quadratic() -> None:
     assert acceleration == pytest.approx(-6.0, rel=1e-6)
 
 
-def test_position_that_makes_up_for_a_period_has_the_speed_of_the_last_one() -> None:
-    """One target that came late, at 0.25 m/s: third order says 1 m/s, and the flight is over."""
+def test_position_after_a_late_target_keeps_the_last_speed() -> None:
+    """One late target at 0.25 m/s: third-order differences would give 1 m/s, a fault."""
     T, v = 0.004, 0.25
     differences = Differences(T, 5.0 * 10.0 * T**2)
     steps = [differences.push(k * v * T)[0] for k in range(4)]
@@ -107,14 +107,14 @@ def test_position_that_makes_up_for_a_period_has_the_speed_of_the_last_one() -> 
     assert after == pytest.approx([0.0, 2.0, 1.0, 1.0, 1.0])
 
 
-def test_limits_that_differ_are_refused_and_named(rig: RigConfig) -> None:
+def test_differing_limits_are_refused_and_named(rig: RigConfig) -> None:
     slower = rig.limits.model_copy(update={"beam_velocity_m_s": 0.4, "coil_n": 19.0})
     with (
         Electronics(rig.model_copy(update={"limits": slower}), Path()),
         pytest.raises(DriverError) as error,
     ):
         open_devices(Context(rig, 1 / RATE_HZ, Path()))
-    # The amplifiers are looked at first; the drives of the rig itself would be refused likewise.
+    # The amplifiers are compared first.
     assert "COIL_LIMIT_MN: expected 20000, found 19000" in str(error.value)
     only_drives = rig.limits.model_copy(update={"beam_velocity_m_s": 0.4})
     with (
@@ -137,12 +137,12 @@ def load() -> RigConfig:
 
 
 @pytest.mark.parametrize("can_id", [NMT_ID, SDO_REQUEST_ID + 1])
-def test_frame_without_a_byte_does_not_end_the_electronics(rig: RigConfig, can_id: int) -> None:
+def test_empty_frame_does_not_end_the_electronics(rig: RigConfig, can_id: int) -> None:
     nodes_on(Electronics(rig, Path())).handle_frame(can_id, b"")  # in the thread that answers
 
 
 class Answering:
-    """A bus whose one node answers every request by SDO at once, with what it is told to."""
+    """A bus whose one node answers every request by SDO at once."""
 
     def __init__(self, answer: Callable[[bytes], bytes]) -> None:
         self.asked, self._answer = 0, answer
@@ -165,7 +165,7 @@ class Answering:
 
 
 @pytest.mark.parametrize("length", [6, 8, 12])
-def test_answer_by_sdo_has_eight_bytes(length: int) -> None:
+def test_sdo_answer_has_eight_bytes(length: int) -> None:
     answer = struct.pack("<BHBi4x", 0x43, Object.ACTUAL_POSITION, 0, 1637)[:length]
     node = Answering(lambda _: answer).node
     if length == 8:
@@ -175,11 +175,11 @@ def test_answer_by_sdo_has_eight_bytes(length: int) -> None:
             node.position()
 
 
-def test_drive_whose_answer_has_no_end_is_not_read_for_ever() -> None:
+def test_endless_sdo_answer_is_a_lost_link() -> None:
     def segment(request: bytes) -> bytes:
         if request[0] & 0xE0 == 0x40:
             return struct.pack("<BHB4x", 0x40, Object.ACTUAL_POSITION, 0)
-        return bytes((request[0] & 0x10, *range(1, 8)))  # in turns, and never the last
+        return bytes((request[0] & 0x10, *range(1, 8)))  # toggled, and never the last
 
     bus = Answering(segment)
     with pytest.raises(LinkError, match="ACTUAL_POSITION"):
@@ -187,14 +187,14 @@ def test_drive_whose_answer_has_no_end_is_not_read_for_ever() -> None:
     assert bus.asked < 20
 
 
-def test_node_that_is_not_there_is_named(rig: RigConfig) -> None:
+def test_missing_node_is_named(rig: RigConfig) -> None:
     other = with_drives(rig, nodes={"x1": 1, "x2": 2, "phi": 9})
     with Electronics(rig, Path()), pytest.raises(DriverError, match=r"drive phi \(node 9\)"):
         open_devices(Context(other, 1 / RATE_HZ, Path()))
 
 
 @pytest.mark.parametrize("every", [2, 4, 5])
-def test_slower_drives_follow_in_between(rig: RigConfig, every: int) -> None:
+def test_slower_drives_follow_between_their_syncs(rig: RigConfig, every: int) -> None:
     slow = with_drives(rig, every=every)
     with Electronics(slow, Path()) as electronics:
         devices = open_devices(Context(slow, 1 / RATE_HZ, Path()))
@@ -242,11 +242,10 @@ def nodes_on(electronics: Electronics) -> Any:
 
 
 def run_to(devices: Devices, electronics: Electronics, cycles: range) -> None:
-    """Cycles of standing still, told every time."""
+    """Run cycles at rest; wait after each until its targets have arrived."""
     nodes = nodes_on(electronics)
     for k in cycles:
         run(devices, range(k, k + 1))
-        # The three targets have come, and wait for the next SYNC.
         wait_until(lambda: all(drive.has_rpdo for drive in nodes.drives))
 
 
@@ -295,8 +294,8 @@ def test_close_switches_the_drives_off(rig: RigConfig) -> None:
         wait_until(lambda: electronics.core.drive_state is DriveState.OFF)
 
 
-def test_drives_that_are_released_do_not_bring_the_plant_ahead(rig: RigConfig) -> None:
-    """A SYNC out of turn has a counter that says so many cycles more: the force would act on."""
+def test_release_does_not_advance_the_plant(rig: RigConfig) -> None:
+    """An extra SYNC would count further cycles, in which the force acts."""
     slow = with_drives(rig, every=4)
     with Electronics(slow, Path()) as electronics:
         devices = open_devices(Context(slow, 1 / RATE_HZ, Path()))
@@ -304,16 +303,14 @@ def test_drives_that_are_released_do_not_bring_the_plant_ahead(rig: RigConfig) -
         wait_until(lambda: electronics.core.cycle == 5)
         devices.drives.release()
         wait_until(lambda: electronics.core.drive_state is DriveState.OFF)
-        run(devices, range(6, 7))  # by then everything has been heard
+        run(devices, range(6, 7))  # by then all frames have been handled
         wait_until(lambda: electronics.core.cycle >= 6)
         assert electronics.core.cycle == 6
         devices.close()
 
 
-def test_drives_that_count_no_syncs_get_none_that_are_counted(
-    rig: RigConfig, tmp_path: Path
-) -> None:
-    """A drive without object 0x1019 takes a SYNC with a byte in it for an error."""
+def test_drives_without_sync_counter_get_empty_syncs(rig: RigConfig, tmp_path: Path) -> None:
+    """A drive without object 0x1019 rejects a SYNC with data."""
     text = shipped("drive.eds").read_text()
     (tmp_path / "plain.eds").write_text(
         text.replace("22=0x1019", "22=0x1002").replace("[1019]", "[1002]"),
@@ -364,7 +361,7 @@ PDOMapping=0
 
 
 def test_other_pdos_of_a_drive_are_switched_off(rig: RigConfig, tmp_path: Path) -> None:
-    """Drives come with TPDOs that are valid and sent by events: no bus has room for it."""
+    """Drives are delivered with valid event-driven TPDOs, for which the bus has no room."""
     others = {0x1401: 0x300, 0x1403: 0x500, 0x1801: 0x280, 0x1803: 0x8000_0480}
     text = shipped("drive.eds").read_text()
     for index, cob_id in others.items():
@@ -377,12 +374,12 @@ def test_other_pdos_of_a_drive_are_switched_off(rig: RigConfig, tmp_path: Path) 
         nodes = nodes_on(electronics)
         found = lambda drive, index: drive.node.sdo[index][1].raw  # noqa: E731
         valid = [index for index in others if not found(nodes.drives[0], index) >> 31]
-        assert valid == [0x1401, 0x1403, 0x1801]  # as they are switched on
+        assert valid == [0x1401, 0x1403, 0x1801]  # at power-on
         devices = open_devices(Context(more, 1 / RATE_HZ, Path()))
         for drive in nodes.drives:
             for index, cob_id in others.items():
                 assert found(drive, index) == cob_id + drive.node_id | 1 << 31
-        run_to(devices, electronics, range(5))  # those that are asked for are exchanged
+        run_to(devices, electronics, range(5))  # the mapped PDOs are exchanged
         devices.close()
 
 
@@ -399,7 +396,7 @@ def test_invalid_eds_is_refused_before_anything_is_opened(rig: RigConfig, tmp_pa
             check_backends(context)
 
 
-def test_frames_of_one_id_are_refused_before_anything_is_opened(
+def test_duplicate_ids_are_refused_before_anything_is_opened(
     rig: RigConfig, tmp_path: Path
 ) -> None:
     twice = with_drives(rig, nodes={"x1": 1, "x2": 1, "phi": 3})
@@ -422,8 +419,8 @@ def test_stamps_of_the_interface_are_converted_to_the_loops_clock() -> None:
     bus: Any = SimpleNamespace(receive=lambda _: ReceivedFrame(0x7F0, b"", next(stamps)))
     link = CanLink("main", load().can["main"], bus)
     before = time.perf_counter()
-    link.receive(0.0)  # a frame that the kernel saw a quarter of a second ago
+    link.receive(0.0)  # the kernel received it a quarter of a second ago
     # The clocks are read one after the other; the process may be put to sleep in between.
     assert link.received_s == pytest.approx(before - 0.25, abs=0.05)
-    link.receive(0.0)  # one that nobody has stamped
+    link.receive(0.0)  # without a timestamp
     assert link.received_s >= before

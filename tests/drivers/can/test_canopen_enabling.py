@@ -1,4 +1,4 @@
-"""Drives between cycles: homed together, switched off where that fails, asked what they count."""
+"""Drives between cycles: homing, switching off after a failure, SYNC with or without counter."""
 
 from __future__ import annotations
 
@@ -61,15 +61,15 @@ def brief_homing() -> Iterator[pytest.MonkeyPatch]:
 
 
 def do_not_home(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let hosts take drives for homed that are merely enabled."""
+    """Let hosts skip the homing."""
     monkeypatch.setattr(DriveNode, "start_homing", lambda _: None)
     monkeypatch.setattr(DriveNode, "homing", lambda _: (True, True))
 
 
 def off_by(devices: Devices, electronics: Electronics, cycles: range) -> np.ndarray:
-    """Return how far what the host reads of beam and rotor is from where they are."""
+    """Return the error of the beam and rotor positions that the host reads."""
     beam, rotor = np.zeros(3), np.zeros(3)
-    for k in cycles:  # without a word on where to go
+    for k in cycles:  # without targets
         for sync in devices.syncs:
             sync(k)
         devices.drives.read(beam, rotor)
@@ -87,7 +87,7 @@ def test_positions_are_right_once_drives_are_homed(rig: RigConfig) -> None:
         positions = electronics.core.axes[:, 0]
         wrong_m = [POSITION_M * counts[i] - positions[i] for i in (0, 1)]
         assert min(map(abs, wrong_m)) > 1e-3
-        assert max(map(abs, wrong_m)) < rig.limits.beam_m  # within its travel, as it would be
+        assert max(map(abs, wrong_m)) < rig.limits.beam_m  # within its travel
         assert abs(wrong_m[0] - wrong_m[1]) > 1e-3
         assert abs(POSITION_RAD * counts[2] - positions[2]) > 0.1
         devices = opened(rig)
@@ -106,7 +106,7 @@ def test_drives_that_were_not_homed_are_skewed(
         devices.close()
 
 
-def test_drive_whose_encoder_was_lost_knows_its_place_when_it_is_homed_again(
+def test_drive_with_lost_encoder_is_homed_again(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with Electronics(rig, Path()) as electronics:
@@ -125,7 +125,7 @@ def test_drive_whose_encoder_was_lost_knows_its_place_when_it_is_homed_again(
         devices.close()
 
 
-def test_start_that_fails_leaves_no_drive_powered_and_the_next_homes_again(
+def test_failed_start_leaves_no_drive_powered_and_the_next_homes_again(
     rig: RigConfig, brief_homing: pytest.MonkeyPatch
 ) -> None:
     """A pre-operational node ignores PDOs; homing starts with an edge, every time."""
@@ -143,7 +143,7 @@ def test_start_that_fails_leaves_no_drive_powered_and_the_next_homes_again(
 
 
 @pytest.mark.usefixtures("brief_homing")
-def test_recovery_that_fails_leaves_no_drive_powered(rig: RigConfig) -> None:
+def test_failed_recovery_leaves_no_drive_powered(rig: RigConfig) -> None:
     with Electronics(rig, Path()) as electronics:
         devices, drives = opened(rig), nodes_of(electronics)
         run(devices, range(5))
@@ -189,7 +189,7 @@ def test_motors_of_the_gantry_start_together(
     assert {name for do, name in done[started:]} == {"phi"}
 
 
-def test_gantry_that_goes_askew_while_it_is_homed_is_stopped(
+def test_gantry_that_skews_during_homing_is_stopped(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real, asked = DriveNode.homing, []
@@ -202,7 +202,7 @@ def test_gantry_that_goes_askew_while_it_is_homed_is_stopped(
         def homing(node: DriveNode) -> tuple[bool, bool]:
             asked.append(node)
             with core.lock:
-                core.axes[0, 0] = 3e-3  # wherever they are when it begins
+                core.axes[0, 0] = 3e-3  # any position at the begin
                 core.axes[1, 0] = 2e-3 if len(asked) < 8 else 1.5e-3
             return real(node)
 
@@ -216,7 +216,7 @@ def test_gantry_that_goes_askew_while_it_is_homed_is_stopped(
 def test_homing_is_done_once_the_target_is_reached(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With bit 12 alone the drive is still on its way to its home."""
+    """With bit 12 (homing attained) alone the drive is still moving."""
     monkeypatch.setattr("levid.sim.electronics.drive_nodes.TARGET_REACHED", 0)
     with Electronics(rig, Path()), pytest.raises(DriveError, match=r"drive x1.*not homed"):
         opened(rig)
@@ -258,7 +258,7 @@ def test_result_of_the_previous_homing_is_ignored(
 def test_drive_that_is_home_at_once_is_accepted(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By methods 35 and 37 home is where it stands: bit 12 may never be seen low."""
+    """With methods 35 and 37 home is the present position: bit 12 may never be low."""
     real = Drive.statusword.fget
     assert real is not None
     word = property(lambda drive: int(real(drive)) | TARGET_REACHED | HOMING_ATTAINED)
@@ -267,7 +267,7 @@ def test_drive_that_is_home_at_once_is_accepted(
         opened(rig).close()
 
 
-def test_forces_are_in_parts_of_what_is_rated(
+def test_forces_are_per_mille_of_the_rated_force(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     acting, update = (0.25, 0.25, 2.5e-3), Drive.update_readings
@@ -290,7 +290,7 @@ SECTION = re.compile(r"(\[1019\].*?AccessType=)rw(\nDefaultValue=)240", re.DOTAL
 
 
 def with_overflow(rig: RigConfig, folder: Path, overflow: int) -> RigConfig:
-    """The rig with drives whose 0x1019 can only be read, as many have it."""
+    """Return the rig with drives whose object 0x1019 is read-only."""
     text, found = SECTION.subn(rf"\g<1>ro\g<2>{overflow}", shipped("drive.eds").read_text())
     assert found == 1
     (folder / "other.eds").write_text(text)
@@ -298,7 +298,7 @@ def with_overflow(rig: RigConfig, folder: Path, overflow: int) -> RigConfig:
 
 
 @pytest.mark.parametrize("overflow", [0, 240])
-def test_sync_is_counted_where_the_drives_say_so(
+def test_sync_is_counted_if_the_drives_require_it(
     rig: RigConfig, tmp_path: Path, overflow: int
 ) -> None:
     other = with_overflow(rig, tmp_path, overflow)
@@ -309,14 +309,14 @@ def test_sync_is_counted_where_the_drives_say_so(
         devices.close()
 
 
-def test_sync_of_another_count_is_refused(rig: RigConfig, tmp_path: Path) -> None:
+def test_other_sync_overflow_is_refused(rig: RigConfig, tmp_path: Path) -> None:
     other = with_overflow(rig, tmp_path, 10)
     words = r"0x1019\): expected 240, or 0 for a SYNC without counter, found 10"
     with Electronics(other, Path()), pytest.raises(DriverError, match=words):
         opened(other)
 
 
-def test_sync_that_some_of_them_count_is_refused(rig: RigConfig) -> None:
+def test_sync_counted_by_some_drives_only_is_refused(rig: RigConfig) -> None:
     with Electronics(rig, Path()) as electronics:
         nodes_of(electronics)[1].node.set_data(Object.SYNC_OVERFLOW, 0, b"\0")
         with pytest.raises(DriverError, match="only in x1, phi"):
@@ -327,13 +327,11 @@ def test_sync_that_some_of_them_count_is_refused(rig: RigConfig) -> None:
     ("sync_s", "expected"),
     [(1e-3, (1, -3)), (4e-3, (4, -3)), (1 / 3000, (33, -5)), (1e-4, (1, -4)), (2.5e-4, (25, -5))],
 )
-def test_interpolation_period_is_the_nearest_there_is(
-    sync_s: float, expected: tuple[int, int]
-) -> None:
+def test_interpolation_period_is_the_nearest(sync_s: float, expected: tuple[int, int]) -> None:
     assert interpolation(sync_s) == expected
 
 
-def test_homing_starts_where_the_last_host_left_while_it_was_homing(rig: RigConfig) -> None:
+def test_homing_starts_again_after_a_host_that_left_during_homing(rig: RigConfig) -> None:
     """The drive is enabled, and the bit that starts homing is set already."""
     with Electronics(rig, Path()) as electronics:
         for drive in nodes_of(electronics):
@@ -362,10 +360,10 @@ def test_fault_that_returns_after_the_first_reset_is_reset_again(
     assert returned
 
 
-def test_drive_that_fails_while_it_is_homed_says_why(
+def test_drive_failure_during_homing_names_its_error_code(
     rig: RigConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not after ten seconds, as one that is not homed: at once, with its error code."""
+    """At once, not at the time limit of homing."""
     with Electronics(rig, Path()) as electronics:
         drives = nodes_of(electronics)
         drives[2].homing_s = 1e9

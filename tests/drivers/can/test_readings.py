@@ -1,4 +1,4 @@
-"""A CAN reading counts if it came by the deadline, by its stamp, whenever this process looks."""
+"""A CAN reading counts if its timestamp is before the deadline, whenever this process reads it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def on_bus(**methods: Any) -> CanLink:
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_reading_that_came_after_its_deadline_is_stale(late: bool) -> None:
+def test_reading_after_its_deadline_is_stale(late: bool) -> None:
     link, device = CanLink("main", CONFIG), open_bus(CONFIG)
     link.open()
     try:
@@ -50,7 +50,7 @@ def test_reading_that_came_after_its_deadline_is_stale(late: bool) -> None:
         deadline_s = time.perf_counter() + (-0.001 if late else 3600.0)
         for can_id, data in frames.encode(np.full(9, 1e-4), 5, 0):
             device.send(can_id, data)
-        # It is there in either case, and found: what decides is when it came.
+        # It has arrived in either case; its timestamp decides.
         host.collect(deadline_s, out)
         assert host.fresh is not late
         assert host.watch.stale == late
@@ -60,8 +60,8 @@ def test_reading_that_came_after_its_deadline_is_stale(late: bool) -> None:
         device.shutdown()
 
 
-def test_reading_that_came_late_while_another_was_waited_for_is_stale() -> None:
-    """Who waits takes what comes for others of the bus too, and asks when it came for itself."""
+def test_late_reading_received_during_another_wait_is_stale() -> None:
+    """A wait dispatches frames of other devices too, each with its own timestamp."""
     link, device = CanLink("main", CONFIG), open_bus(CONFIG)
     link.open()
     try:
@@ -85,7 +85,7 @@ def test_reading_that_came_late_while_another_was_waited_for_is_stale() -> None:
 
 
 def test_sets_of_setpoints_are_numbered() -> None:
-    """So that the frames of one and those of zero force in the same cycle are told apart."""
+    """So that a set is distinct from the immediate zero force of the same cycle."""
     rig, sent = load_rig(shipped("rigs/can.yaml")), []
     link = CanLink("main", CONFIG)
     link.send = lambda _, data: sent.append(data)  # type: ignore[method-assign,assignment]
@@ -98,7 +98,7 @@ def test_sets_of_setpoints_are_numbered() -> None:
 
 
 @pytest.mark.parametrize("lossy", [True, False])
-def test_frame_that_does_not_leave_is_lost_on_a_network_and_the_link_on_a_line(lossy: bool) -> None:
+def test_send_timeout_loses_a_frame_on_a_network_and_the_link_on_a_line(lossy: bool) -> None:
     def send(*_: object) -> None:
         raise can.CanTimeoutError
 
@@ -108,7 +108,7 @@ def test_frame_that_does_not_leave_is_lost_on_a_network_and_the_link_on_a_line(l
 
 
 def other_frame(kind: str, stamp_s: float) -> ReceivedFrame | None:
-    """What a bus makes of a frame that is none of ours and came at `stamp_s`."""
+    """Return what a bus makes of a foreign frame that arrived at `stamp_s`."""
     if kind == "error of the kernel":
         return unpack_frame(struct.pack("=IBB2x8s", 0x2000_0004, 8, 0, bytes(8)), stamp_s)
     wrong = {"is_error_frame": kind == "error", "is_extended_id": kind == "extended"}
@@ -118,8 +118,8 @@ def other_frame(kind: str, stamp_s: float) -> ReceivedFrame | None:
 
 
 @pytest.mark.parametrize("kind", ["error of the kernel", "error", "extended"])
-def test_frame_of_something_else_takes_nothing_from_those_that_came_in_time(kind: str) -> None:
-    """A controller tells of an error as a frame; this process was late, the answers were not."""
+def test_foreign_frame_does_not_end_the_read_of_frames_in_time(kind: str) -> None:
+    """A controller reports errors as frames; the answers came in time, and are read late."""
     frames, out = load_frames(None, 9, 9, True).gap, np.zeros(9)
     stamp_s, deadline_s = time.time() - 0.03, time.perf_counter() - 0.01
     coming = [other_frame(kind, stamp_s)]
@@ -132,8 +132,8 @@ def test_frame_of_something_else_takes_nothing_from_those_that_came_in_time(kind
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_readings_are_not_waited_for_on_a_bus_that_is_busy(whole: bool) -> None:
-    """Beyond the deadline there is always one more frame of something else."""
+def test_readings_are_not_awaited_beyond_the_deadline_on_a_busy_bus(whole: bool) -> None:
+    """After the deadline there is always one more foreign frame."""
     frames, out = load_frames(None, 9, 9, True).gap, np.zeros(9)
     coming = [ReceivedFrame(*frame, time.time()) for frame in frames.encode(np.full(9, 1e-4), 5, 0)]
 
@@ -153,8 +153,8 @@ def test_readings_are_not_waited_for_on_a_bus_that_is_busy(whole: bool) -> None:
         (can.CanTimeoutError(), "CanTimeoutError"),
     ],
 )
-def test_bus_that_is_lost_is_shut_down_after_the_cycle(error: Exception, words: str) -> None:
-    """Some interfaces wait for a thread; other buses still wait for zero force."""
+def test_lost_bus_is_shut_down_after_the_cycle(error: Exception, words: str) -> None:
+    """Some interfaces wait for a thread when closed; other buses still need zero force."""
     done: list[str] = []
 
     def send(*_: object) -> None:
@@ -171,14 +171,14 @@ def test_bus_that_is_lost_is_shut_down_after_the_cycle(error: Exception, words: 
     link.close()
 
 
-def test_two_loops_do_not_fly_on_one_bus(tmp_path: Path) -> None:
-    """The second would reset what the first has tripped, and home its drives in flight."""
+def test_second_loop_on_a_bus_is_refused(tmp_path: Path) -> None:
+    """A second loop would reset trips and home the drives in flight."""
     bus = CanBus(interface="levid_local", channel=str(tmp_path))
     is_for_one_loop(CanLink("main", bus), CanLink("main", bus))
 
 
 @pytest.mark.parametrize("folder", ["/" + 30 * "long-", "/\N{GREEK SMALL LETTER MU}" + 60 * "\xe4"])
-def test_claims_of_long_names_are_told_apart(folder: str) -> None:
+def test_locks_of_long_names_differ(folder: str) -> None:
     one, other, again = (
         BusLock(f"{folder}/force"),
         BusLock(f"{folder}/motion"),
@@ -191,10 +191,10 @@ def test_claims_of_long_names_are_told_apart(folder: str) -> None:
         claim.release()
 
 
-def test_bus_that_cannot_be_claimed_is_not_said_to_be_somebody_else_s(
+def test_failed_lock_is_not_reported_as_another_loop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No memory, or no descriptor left: nobody else flies."""
+    """Without memory or descriptors the lock fails too."""
     link = CanLink("main", CanBus(interface="levid_local", channel=str(tmp_path)))
     refusing = SimpleNamespace(bind=refuse, close=lambda: None)
     monkeypatch.setattr("levid.drivers.bus_lock.socket.socket", lambda *_: refusing)

@@ -42,7 +42,7 @@ class Manager(rfc2217.PortManager):
 
 
 class Server:
-    """Hands a pseudo terminal on to whoever connects, as RFC 2217 says."""
+    """Serve a pseudo terminal by RFC 2217."""
 
     def __init__(self, path: Path) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -114,7 +114,7 @@ def test_limits_of_the_rotor_are_compared_too(rig_on, quiet_sim: Path, tmp_path:
 
 
 @pytest.mark.parametrize("url", ["rfc2217://127.0.0.1:1", "nonsense://x", "/nowhere/port"])
-def test_port_that_cannot_be_opened_says_so(url: str) -> None:
+def test_port_that_cannot_be_opened_is_a_lost_link(url: str) -> None:
     line = SerialLine("main", SerialBus(port=url, baud=115_200))
     with pytest.raises(LinkError, match=f"serial main .{url}.: cannot be opened: "):
         line.open()
@@ -142,14 +142,14 @@ def test_port_over_tcp_sends_at_once(opened: list[Any]) -> None:
         line.close()
 
 
-def test_two_loops_do_not_fly_on_one_device_over_tcp() -> None:
+def test_second_loop_on_a_tcp_device_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         bus = SerialBus(port=f"socket://127.0.0.1:{server.getsockname()[1]}", baud=115_200)
         is_for_one_loop(SerialLine("main", bus), SerialLine("main", bus))
 
 
-def test_port_that_is_lost_is_closed_after_the_cycle(opened: list[Any]) -> None:
-    """pyserial sleeps 0.3 s as it closes one over TCP; other ports still wait for zero force."""
+def test_lost_port_is_closed_after_the_cycle(opened: list[Any]) -> None:
+    """pyserial sleeps 0.3 s when it closes a TCP port; other ports still need zero force."""
     took_s = []
     with socket.create_server(("127.0.0.1", 0)) as server:
         url = f"socket://127.0.0.1:{server.getsockname()[1]}"
@@ -188,7 +188,7 @@ CONTENTS = FrameContents(9, 9, False)
 
 
 class Babble:
-    """A line on which something always comes."""
+    """A line on which bytes always arrive."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.last = data, b""
@@ -221,14 +221,14 @@ def rejected(port: TransactionPort) -> str:
     return str(error.value).partition("received: ")[2]
 
 
-def test_wait_ends_at_its_deadline_whatever_comes() -> None:
+def test_wait_ends_at_its_deadline_on_a_babbling_line() -> None:
     port = port_on(Babble(b"\x01\x00"), 0.01)
     port.sync(0)
-    port.collect()  # this is what would not end
+    port.collect()  # it must return
     assert not port.fresh
 
 
-def test_answer_to_setpoints_at_once_is_not_waited_for_beyond_its_cycle() -> None:
+def test_missing_answer_to_immediate_setpoints_is_forgotten_after_its_cycle() -> None:
     """An answer that was lost must not make a repeated reading of a later cycle count."""
     line = Babble(b"")
     port = port_on(line, 0.01)
@@ -242,7 +242,7 @@ def test_answer_to_setpoints_at_once_is_not_waited_for_beyond_its_cycle() -> Non
     assert rejected(port) == f"1 frames {Rejected.REPEATED.value}"
 
 
-def test_block_that_is_too_long_makes_a_cycle_unclean() -> None:
+def test_overlong_block_makes_a_cycle_unclean() -> None:
     line = Babble(b"")
     port = port_on(line, 0.01)
     port.sync(0)
@@ -269,7 +269,7 @@ def test_full_send_buffer_is_a_lost_link_at_once(
         monkeypatch.setattr(opened[0], "write", patient)
         with pytest.raises(LinkError, match=r"buffer full|unavailable"):
             fill()
-        assert not patient.called  # it waits for a tenth of a second
+        assert not patient.called  # pyserial would wait for 0.1 s
     finally:
         os.close(master)
         os.close(slave)

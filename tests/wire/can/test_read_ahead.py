@@ -69,7 +69,7 @@ def ahead(source: Source) -> Iterator[ReadAhead]:
     assert source.readers.isdisjoint(thread.native_id for thread in threading.enumerate())
 
 
-def test_frames_come_in_order_with_the_stamp_of_hardware_or_of_their_arrival(source, ahead) -> None:
+def test_frames_keep_their_order_and_timestamp(source, ahead) -> None:
     before_s = time.time()
     for k in range(3):
         source.coming.put(ReceivedFrame(k, b"", 7.0 * k))
@@ -81,7 +81,7 @@ def test_frames_come_in_order_with_the_stamp_of_hardware_or_of_their_arrival(sou
     assert ahead.receive(1e-4) is None
 
 
-def test_what_the_interface_raises_comes_behind_the_frames_before_it(source, ahead) -> None:
+def test_error_of_the_interface_follows_earlier_frames(source, ahead) -> None:
     frame = ReceivedFrame(1, b"", 1.0)
     for came in (frame, OSError("unplugged"), frame, BusOffError()):
         source.coming.put(came)
@@ -93,7 +93,7 @@ def test_what_the_interface_raises_comes_behind_the_frames_before_it(source, ahe
         ahead.receive(LONG_S)
 
 
-def test_frames_that_nobody_takes_are_counted_and_told(source, ahead) -> None:
+def test_frames_beyond_the_queue_are_counted_and_reported(source, ahead) -> None:
     for k in range(QUEUE_FRAMES + 5):
         source.coming.put(ReceivedFrame(k & 0x7FF, b"", 1.0))
     wait_until(lambda: source.handled == QUEUE_FRAMES + 5)
@@ -106,14 +106,14 @@ def test_frames_that_nobody_takes_are_counted_and_told(source, ahead) -> None:
 @pytest.mark.parametrize(
     ("error", "words"), [(BusOffError(), "bus-off"), (OSError("gone"), "receiving failed: gone")]
 )
-def test_a_link_says_what_its_thread_met(source, ahead, error, words) -> None:
+def test_link_reports_the_error_of_its_thread(source, ahead, error, words) -> None:
     link = CanLink("main", CanBus(interface="virtual", channel="read ahead"), ahead)
     source.coming.put(error)
     with pytest.raises(LinkError, match=words):
         link.receive(time.perf_counter() + LONG_S)
 
 
-def test_the_thread_runs_by_the_policy_of_who_asks(source, ahead) -> None:
+def test_thread_takes_the_scheduling_policy_of_its_reader(source, ahead) -> None:
     """The loop gets its priority after the buses have been opened."""
     before = os.sched_getscheduler(0)
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

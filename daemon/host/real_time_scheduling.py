@@ -19,8 +19,7 @@ _PR_SET_NAME = 15
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _DMA_LATENCY = Path("/dev/cpu_dma_latency")
-_CPUINFO = Path("/proc/cpuinfo")
-_DEVICE_TREE, _OF_HOSTS = Path("/proc/device-tree"), ("hypervisor", "fw-cfg@*")
+_OF_HOSTS = ("hypervisor", "fw-cfg@*")
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
@@ -110,15 +109,17 @@ def cpu_latency_us(settings: Realtime) -> int | None:
     return settings.cpu_latency_us
 
 
-def virtual_machine() -> bool:
+def virtual_machine(
+    cpuinfo: Path = Path("/proc/cpuinfo"), device_tree: Path = Path("/proc/device-tree")
+) -> bool:
     """Return whether the kernel reports a hypervisor; on ARM only through a device tree."""
     try:
-        if any(True for name in _OF_HOSTS for _ in _DEVICE_TREE.glob(name)):
+        if any(True for name in _OF_HOSTS for _ in device_tree.glob(name)):
             return True
-        cpuinfo = _CPUINFO.read_text()
+        text = cpuinfo.read_text()
     except OSError:
         return False
-    flags = (line.split() for line in cpuinfo.splitlines() if line.startswith("flags"))
+    flags = (line.split() for line in text.splitlines() if line.startswith("flags"))
     return any("hypervisor" in words for words in flags)
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import grp
 import json
 import os
 import pwd
+import selectors
 import socket
 import tempfile
 import threading
@@ -181,17 +183,23 @@ def test_error_of_one_connection_ends_no_other(
 def test_server_reports_that_its_thread_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    fails = threading.Event()
+
+    class Failing(selectors.DefaultSelector):
+        def select(self, _: float | None = None) -> Any:
+            fails.wait(_GIVE_UP_S)
+            raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
     monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    monkeypatch.setattr("levid.daemon.api.control_server.selectors.DefaultSelector", Failing)
     server = Server(tmp_path / "test.sock", {}, Access(Service()))
-    assert not server.dead  # it has not begun
-    monkeypatch.setattr(server, "_accept_all", lambda: 1 / 0)
+    assert not server.dead  # it has not been started
     server.start()
     assert not server.dead
-    with socket.socket(socket.AF_UNIX) as connection:
-        connection.connect(str(tmp_path / "test.sock"))
-        server._thread.join(_GIVE_UP_S)
-    assert server.dead
-    server._wake_up()  # whoever still posts does not fail
+    fails.set()
+    wait_until(lambda: server.dead, _GIVE_UP_S)
+    nobody: Any = None
+    server.post(nobody, {}, final=True)  # other threads can still post
     server.close()
 
 

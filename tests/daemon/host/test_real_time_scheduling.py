@@ -14,6 +14,7 @@ from levid.daemon.host.real_time_scheduling import (
     avoid_cpus,
     cpu_latency_us,
     no_collections,
+    virtual_machine,
 )
 
 NOTHING = Realtime(priority=0, lock_memory=False, cpu_latency_us=None)
@@ -85,20 +86,16 @@ def test_processors_of_a_virtual_machine_may_sleep_unless_told_otherwise(
     tmp_path, monkeypatch, flags: str, asked, latency_us: int | None
 ) -> None:
     (tmp_path / "cpuinfo").write_text(f"processor\t: 0\nflags\t\t: {flags}\nbugs\t\t: none\n")
-    monkeypatch.setattr(real_time_scheduling, "_CPUINFO", tmp_path / "cpuinfo")
-    monkeypatch.setattr(real_time_scheduling, "_DEVICE_TREE", tmp_path / "none")
+    found = virtual_machine(tmp_path / "cpuinfo", tmp_path / "none")
+    monkeypatch.setattr(real_time_scheduling, "virtual_machine", lambda: found)
     assert cpu_latency_us(Realtime(cpu_latency_us=asked)) == latency_us
 
 
-def test_machine_that_tells_nothing_of_itself_is_taken_for_a_real_one(
-    tmp_path, monkeypatch
-) -> None:
-    monkeypatch.setattr(real_time_scheduling, "_CPUINFO", tmp_path / "none")
-    monkeypatch.setattr(real_time_scheduling, "_DEVICE_TREE", tmp_path / "none")
-    assert cpu_latency_us(Realtime()) == 0
-    (tmp_path / "tree" / "fw-cfg@9020000").mkdir(parents=True)
-    monkeypatch.setattr(real_time_scheduling, "_DEVICE_TREE", tmp_path / "tree")
-    assert cpu_latency_us(Realtime()) is None
+def test_machine_without_description_is_not_virtual(tmp_path) -> None:
+    nowhere, tree = tmp_path / "none", tmp_path / "tree"
+    assert not virtual_machine(nowhere, nowhere)
+    (tree / "fw-cfg@9020000").mkdir(parents=True)
+    assert virtual_machine(nowhere, tree)
 
 
 def test_collector_is_back_afterwards() -> None:

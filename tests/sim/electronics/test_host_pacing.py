@@ -13,6 +13,7 @@ from waiting import wait_until
 
 from levid.config.rig import RigConfig
 from levid.drivers.base import Context, Devices, DriveError
+from levid.drivers.can.bus_link import CanLink
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import POSITION_M, POSITION_RAD, RPDO1_ID
@@ -44,10 +45,15 @@ class Bench:
         self.devices.sensors.read(gap)
         self.devices.amplifiers.read(coil)
         self.devices.drives.read(self.beam, self.rotor)
-        link = self.devices.drives._link
-        send, link.send = link.send, lambda at, data: at - RPDO1_ID in lost or send(at, data)
-        self.devices.drives.write(beam, rotor)
-        link.send = send
+        send = CanLink.send
+
+        def lossy(link: CanLink, can_id: int, data: bytes) -> None:
+            if can_id - RPDO1_ID not in lost:
+                send(link, can_id, data)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(CanLink, "send", lossy)
+            self.devices.drives.write(beam, rotor)
         wait_until(lambda: self.core.cycle == self.cycle)
 
     def stand(self, beam_m: float = 0.0, cycles: int = 8) -> None:

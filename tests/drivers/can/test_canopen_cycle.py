@@ -335,6 +335,22 @@ def test_node_that_leaves_operational_state_is_a_fault(
         bench.read()
 
 
+@pytest.mark.parametrize(("silent", "name"), [(1, "x1"), (2, "x2"), (3, "phi")])
+def test_drive_without_heartbeats_is_a_fault(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch, silent: int, name: str
+) -> None:
+    bench = Bench(rig, 1)
+    later = partial(float, time.perf_counter() + 1.0)  # five periods of it
+    monkeypatch.setattr("levid.drivers.can.canopen_drives.perf_counter", later)
+    for node in {1, 2, 3} - {silent}:
+        state = bytes((Node.OPERATIONAL,))
+        bench.wire.coming.append(ReceivedFrame(HEARTBEAT_ID + node, state, time.time()))
+    bench.drives.sync(0)
+    bench.wire.answer(0, time.time())
+    with pytest.raises(DriveError, match=rf"drive {name} \(node {silent}\).*no heartbeat"):
+        bench.read()
+
+
 @pytest.mark.parametrize("every", [1, 4])
 def test_other_drives_are_stopped_in_the_cycle_of_a_fault(rig: RigConfig, every: int) -> None:
     """Even if the next targets are some cycles away: the second motor of the gantry is powered."""

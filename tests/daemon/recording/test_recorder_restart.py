@@ -227,6 +227,8 @@ def test_flight_recording_requested_between_two_logs_keeps_their_rows_in_order(
     recording.tell({"fault": "LOOP"})
     recording.define(2)
     recording.finish()
+    order = [(event["event"], event.get("log")) for event in recording.events]
+    assert order == [("opened", 1), ("closed", 1), ("opened", 2), ("closed", 2), ("fault", None)]
     (path,) = (recording.folder / "faults").iterdir()
     assert recording.cycles(str(path)) == list(range(6))
     assert [recording.cycles(f"{tag}.mcap") for tag in (1, 2)] == [[0, 1, 2], [3, 4, 5]]

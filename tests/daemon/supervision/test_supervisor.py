@@ -114,6 +114,8 @@ def test_failed_loop_start_is_reported_and_can_be_retried(bench: Bench) -> None:
 
     bench.run(die, clear(replies[0]), failed, clear(replies[1]), failed)
     assert bench.loop.done == ["started"] * 3
+    recorder: Any = bench.supervisor.recorder
+    recorder.fault.assert_called_once_with(Fault.LOOP)  # when the loop died
     for reply in replies:
         (answer,) = reply.answers
         assert "cannot start" in answer

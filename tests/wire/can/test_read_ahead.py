@@ -127,12 +127,13 @@ def test_thread_takes_the_scheduling_policy_of_its_reader(source, ahead) -> None
 
 def test_shutdown_does_not_wait_for_a_bus_that_hangs() -> None:
     """gs_usb waits for good where what is left of a wait is below half a millisecond."""
-    source, let_go = Source(), threading.Event()
-    source.receive = lambda _: let_go.wait(LONG_S) and None  # type: ignore[method-assign]
+    source, let_go, done = Source(), threading.Event(), []
+    source.receive = lambda _: done.append(let_go.wait(LONG_S))  # type: ignore[method-assign,assignment]
     ahead = ReadAhead(source, join_s=0.05)
     assert ahead.receive(0.0) is None
     ahead.shutdown()
     assert source.closed
+    assert not done  # it still hangs
     let_go.set()
 
 

@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 import pytest
+from hypothesis import settings
 from punctuality import Watch, Witness
 
 from levid.cli.main import main
@@ -17,6 +18,10 @@ from levid.config.base import parse_text
 from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
 from levid.drivers.bus_backend import AnswerTime
+
+settings.register_profile("levid", max_examples=1000, deadline=None)
+settings.register_profile("million", max_examples=1_000_000, deadline=None)
+settings.load_profile("levid")
 
 _TESTS = Path(__file__).parent
 _WATCH = pytest.StashKey[Watch]()
@@ -27,7 +32,8 @@ _COMPUTE = (
     *("daemon/planning/test_excitation", "daemon/planning/test_orthogonal_multisine"),
     *("daemon/planning/test_plan.py", "daemon/recording/test_coil_heat"),
     *("benchmarks/test_figures", "benchmarks/test_same_rows", "benchmarks/test_unlisted_effects"),
-    "benchmarks/test_zoo",
+    *("benchmarks/test_zoo", "drivers/can/test_canopen_fuzz", "drivers/can/test_readings_fuzz"),
+    *("drivers/can/test_sdo_fuzz", "drivers/serial/test_transaction_fuzz"),
 )
 """Tests that only compute, so that several of them may run at the same time."""
 _WAIT = (

@@ -28,6 +28,7 @@ CHANGES = st.lists(
         st.tuples(st.just("bit"), PLACES, st.integers(0, 7)),
         st.tuples(st.just("cut"), PLACES, st.none()),
         st.tuples(st.just("insert"), PLACES, st.binary(min_size=1, max_size=4)),
+        st.tuples(st.just("append"), st.just(0), st.binary(min_size=1, max_size=4)),
     ),
     min_size=1,
     max_size=3,
@@ -36,15 +37,17 @@ CHANGES = st.lists(
 
 
 def changed(good: bytes, changes: Iterable[tuple[str, int, object]]) -> bytes:
-    """Return a frame after these changes; places beyond its end count from the start again."""
+    """Return a frame after these changes; places after its end start again at its beginning."""
     data = bytearray(good)
     for kind, place, what in changes:
-        at = place % max(len(data), 1)
+        at = place % (len(data) + 1)
         if kind == "cut":
             del data[at:]
         elif kind == "insert":
             data[at:at] = what
-        elif data:
+        elif kind == "append":
+            data += what
+        elif at < len(data):
             data[at] ^= what if kind == "flip" else 1 << what
     return bytes(data)
 

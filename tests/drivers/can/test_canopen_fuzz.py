@@ -31,6 +31,8 @@ ENABLED, ENABLED_MASK = 0x27, 0x6F
 STOP, GO_ON = 0x02, 0x0F
 UNITS = (1e-9, 1e-9, 1e-7)
 OPERATIONAL = 0x05
+STATES = st.sampled_from([b"\x05", b"\x05", b"\x85", b"\x00", b"\x04", b"\x7f"])
+"""Of a heartbeat: operational, the same with the toggle bit, boot-up, stopped, pre-operational."""
 
 RIG = load_rig(shipped("rigs/canfd.yaml"))
 OPTIONS = RIG.on_bus("drives")[1].model_copy(update={"every": 1, "heartbeat_s": 1e6})
@@ -124,7 +126,7 @@ class DrivesOnANoisyBus(RuleBasedStateMachine):
         if len(rest) == 6:  # a shorter one is none
             self.errors[node] = error != b"\0\0"
 
-    @rule(node=NODE, data=st.one_of(st.just(bytes((OPERATIONAL,))), st.binary(max_size=8)))
+    @rule(node=NODE, data=st.one_of(STATES, st.binary(max_size=8)))
     def heartbeat(self, node: int, data: bytes) -> None:
         self.said.append((HEARTBEAT + node, data))
         state = data[0] & 0x7F if data else -1
@@ -148,7 +150,7 @@ class DrivesOnANoisyBus(RuleBasedStateMachine):
         """Two cycles of a calm motion, so that velocities come to third order."""
         for k in (1, 2):
             self.positions(k * x, 0, k * phi, list(NODES), 0)
-            self.read(step if k == 1 else 1, 0, 0)
+            self.read(step if k == 1 else 1, 0, 0, False)
 
     @rule(node=NODE, status=st.integers(0, 0xFFFF), counts=COUNTS)
     def position(self, node: int, status: int, counts: int) -> None:
@@ -160,8 +162,13 @@ class DrivesOnANoisyBus(RuleBasedStateMachine):
         can_id, data = self.places.pop()
         self.places.append((can_id, changed(data, changes)))
 
-    @rule(step=st.sampled_from([1, 1, 1, 2, 3]), x=st.integers(-(10**8), 10**8), phi=SKEW)
-    def read(self, step: int, x: int, phi: int) -> None:
+    @rule(
+        step=st.sampled_from([1, 1, 1, 2, 3]),
+        x=st.integers(-(10**8), 10**8),
+        phi=SKEW,
+        recovers=st.booleans(),
+    )
+    def read(self, step: int, x: int, phi: int, recovers: bool) -> None:
         """End a cycle: read, compare, and send the targets x and phi in counts."""
         drives, wire = self.drives, self.wire
         wire.coming = [ReceivedFrame(*frame, 0.0) for frame in self.said + self.places]
@@ -181,6 +188,8 @@ class DrivesOnANoisyBus(RuleBasedStateMachine):
         assert wire.sent == [(RPDO + i, struct.pack("<Hi", word, to)) for i, to in targets]
         self.said, self.places = [], []
         self.cycle += step
+        if self.faulty and recovers:
+            self.recover()
 
     def _place(self, node: int, status: int, counts: int) -> None:
         self.places.append((TPDO + node, struct.pack("<Hih", status, counts, 0)))

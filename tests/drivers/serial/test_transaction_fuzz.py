@@ -18,6 +18,8 @@ from levid.drivers.stale_readings import Watch
 from levid.wire.serial.serial_frames import Kind
 
 NEVER = 1 << 30
+CUTS = st.integers(1, 150)
+"""Bytes of a frame that arrive together with the frame before; the longest frame has 91."""
 
 
 class Line:
@@ -59,15 +61,15 @@ class NoisyLine(RuleBasedStateMachine):
     def noise_arrives(self, data: bytes) -> None:
         self.line.coming.append(data)
 
-    @rule(kind=st.sampled_from(Kind), noise=BODIES, age=st.integers(0, 20), cut=st.integers(1, 99))
+    @rule(kind=st.sampled_from(Kind), noise=BODIES, age=st.integers(0, 20), cut=CUTS)
     def frame_arrives(self, kind: Kind, noise: bytes, age: int, cut: int) -> None:
         self._arrive(frame(kind, (self.cycle - age) % CYCLES, noise) + b"\0", cut)
 
-    @rule(noise=BODIES, cut=st.integers(1, 99))
+    @rule(noise=BODIES, cut=CUTS)
     def readings_arrive(self, noise: bytes, cut: int) -> None:
         self._arrive(frame(Kind.READINGS, self.cycle, noise) + b"\0", cut)
 
-    @rule(noise=BODIES, changes=CHANGES, cut=st.integers(1, 99))
+    @rule(noise=BODIES, changes=CHANGES, cut=CUTS)
     def changed_readings_arrive(self, noise: bytes, changes, cut: int) -> None:
         self._arrive(changed(frame(Kind.READINGS, self.cycle, noise), changes) + b"\0", cut)
 
@@ -83,7 +85,10 @@ class NoisyLine(RuleBasedStateMachine):
         self._sync((self.cycle + step) % CYCLES)
 
     def _arrive(self, data: bytes, cut: int) -> None:
-        self.line.coming += [chunk for chunk in (data[:cut], data[cut:]) if chunk]
+        """Add a frame, its first bytes to the chunk of the one before."""
+        self.line.coming[-1:] = [b"".join(self.line.coming[-1:]) + data[:cut]]
+        if data[cut:]:
+            self.line.coming.append(data[cut:])
 
     def _sync(self, cycle: int) -> None:
         self.cycle = cycle

@@ -16,6 +16,7 @@ from levid.sim.electronics.rig import Electronics
 RIG = shipped("rigs/canfd.yaml")
 NMT, EMERGENCY, RPDO1, RPDO2, SDO, HEARTBEAT = 0x000, 0x080, 0x200, 0x300, 0x600, 0x700
 """CiA 301: function codes of frames, to which the node's number is added."""
+START_ALL = b"\x01\x00"
 FRAMES = st.lists(
     st.tuples(
         st.one_of(
@@ -43,7 +44,9 @@ def test_nodes_answer_any_frames_with_valid_ones(frames: list[tuple[int, bytes]]
     logging.getLogger("canopen").setLevel(logging.CRITICAL)  # it logs every wrong frame
     answers: list[tuple[int, bytes]] = []
     nodes = DriveNodes(*PARTS, lambda can_id, data: answers.append((can_id, data)))
-    for can_id, data in frames:
+    for drive in nodes.drives:
+        drive._mapped = True  # as after the host's start-up
+    for can_id, data in [(NMT, START_ALL), *frames]:
         nodes.handle_frame(can_id, data)
         answers += nodes.sync()
     assert all(len(data) <= 8 and 0 <= can_id < 0x800 for can_id, data in answers)

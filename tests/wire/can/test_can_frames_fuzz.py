@@ -91,6 +91,12 @@ def test_numbers_are_accepted_only_if_right(
     assert (None if isinstance(found, Rejected) else found) == expected
 
 
+@given(st.integers(0, 0xFFFF))
+def test_sync_has_a_cycle_that_is_counted(cycle: int) -> None:
+    found = CLASSIC.sync.decode(CLASSIC.sync.encode(cycle)[1])
+    assert found == ((cycle,) if cycle < CYCLES else Rejected.CYCLE)
+
+
 @pytest.mark.parametrize(("right_counter", "bits"), [(False, 12), (True, 8)])
 def test_random_frames_pass_as_often_as_counter_and_checksum_predict(
     right_counter: bool, bits: int

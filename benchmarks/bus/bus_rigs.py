@@ -1,4 +1,4 @@
-"""The shipped rig on each backend, its electronics in another process, and a cycle of it."""
+"""The shipped rig on each backend, and a cycle of its devices."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from levid.benchmarks.harness.child_processes import started
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
@@ -19,85 +20,61 @@ from levid.drivers.base import Context, Devices, DriverError
 from levid.drivers.registry import open_devices
 
 RATE_HZ = 1000.0
-HEAD = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
-HEAD = HEAD.replace("../models/rig.yaml", str(shipped("models/rig.yaml")))
-CAN = "{backend: can, bus: main"
-SERIAL = "{backend: serial, bus: main"
-FD = (
-    "can: {main: {interface: INTERFACE, channel: CHANNEL, data_bitrate: 5000000, "
-    "stale_cycles: 1000}}",
-    CAN,
-)
-BUSES = {
-    "can": (  # a bus a role, as in the shipped rig: two classic ones carry 896 Hz
-        "can: {main: {interface: INTERFACE, channel: CHANNEL, stale_cycles: 1000}, "
-        "gap: {interface: INTERFACE, channel: CHANNEL-2, stale_cycles: 1000}, "
-        "motion: {interface: INTERFACE, channel: CHANNEL-3, stale_cycles: 1000}}",
-        CAN,
-    ),
-    "canfd": FD,
-    "canfd_udp": FD,
-    "canfd_virtual": FD,
-    "serial": ("serial: {main: {port: FOLDER/port, baud: 3000000, stale_cycles: 1000}}", SERIAL),
-}
-INTERFACES = {
-    "can": ("levid_local", "FOLDER/bus"),
-    "canfd": ("levid_local", "FOLDER/bus"),
-    "canfd_udp": ("udp_multicast", "239.74.163.17"),
-    "canfd_virtual": ("virtual", "bench"),
-}
-APART = ("can", "canfd", "canfd_udp", "serial")
-"""With the electronics in a process of their own."""
-TIMED = ("canfd", "canfd_udp", "serial")
 LABELS = {
+    "loopback": "loopback",
     "can": "classic CAN on local sockets",
     "canfd": "CAN FD on local sockets",
     "canfd_udp": "CAN FD by udp_multicast",
-    "canfd_virtual": "CAN FD on python-can's virtual bus",
     "serial": "serial on a pty",
-    "loopback": "loopback",
 }
-_ANSWERS_S, _ENDS_S = 30.0, 10.0
+_PATIENT = "stale_cycles: 1000"
+_LOCAL = "interface: levid_local, channel: FOLDER/bus"
+# udp_multicast on a port of its own: a kernel passes frames of any group to all sockets of a port.
+_UDP = (
+    "interface: udp_multicast, channel: 239.74.163.17, "
+    f"options: {{port: {20_000 + os.getpid() % 20_000}}}"
+)
+_BUSES = {
+    # One bus for each role, as in the shipped rig: two classic buses carry less than 1 kHz.
+    "can": (
+        f"can: {{main: {{{_LOCAL}, {_PATIENT}}}, gap: {{{_LOCAL}-2, {_PATIENT}}}, "
+        f"motion: {{{_LOCAL}-3, {_PATIENT}}}}}"
+    ),
+    "canfd": f"can: {{main: {{{_LOCAL}, data_bitrate: 5000000, {_PATIENT}}}}}",
+    "canfd_udp": f"can: {{main: {{{_UDP}, data_bitrate: 5000000, {_PATIENT}}}}}",
+    "serial": f"serial: {{main: {{port: FOLDER/port, baud: 3000000, {_PATIENT}}}}}",
+}
+_HEAD = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
+_ANSWERS_S = 30.0
 
 
 def rig_text(name: str, folder: Path) -> str:
     """Return the text of the shipped rig with every role on this backend."""
-    if name == "loopback":
-        return f"""{HEAD}
-amplifiers: {{backend: loopback}}
-sensors: {{backend: loopback}}
-drives: {{backend: loopback}}
-sim: {shipped("sims/nominal.yaml")}
-"""
-    buses, role = BUSES[name]
-    interface, channel = INTERFACES.get(name, ("", ""))
-    if interface == "udp_multicast":
-        # Its own: a kernel hands frames of any group to all sockets of a port.
-        port = 20_000 + os.getpid() % 20_000
-        buses = buses.replace("CHANNEL", f"CHANNEL, options: {{port: {port}}}")
-    buses = buses.replace("INTERFACE", interface).replace("CHANNEL", channel)
-    buses = buses.replace("FOLDER", str(folder))
-    every = ", every: 4, expire_s: 60" if name.startswith("can") else ""
-    gap, motion = ("gap", "motion") if name == "can" else ("main", "main")
-    return f"""{HEAD}
-{buses}
-amplifiers: {role}, expire_cycles: 1000}}
-sensors: {role.replace("main", gap)}}}
-drives: {role.replace("main", motion)}{every}}}
+    head = _HEAD.replace("../models/rig.yaml", str(shipped("models/rig.yaml")))
+    amplifiers = sensors = drives = "backend: loopback"
+    if name != "loopback":
+        backend = "serial" if name == "serial" else "can"
+        gap, motion = ("gap", "motion") if name == "can" else ("main", "main")
+        amplifiers = f"backend: {backend}, bus: main, expire_cycles: 1000"
+        sensors = f"backend: {backend}, bus: {gap}"
+        every = ", every: 4, expire_s: 60" if backend == "can" else ""
+        drives = f"backend: {backend}, bus: {motion}{every}"
+    return f"""{head}
+{_BUSES.get(name, "").replace("FOLDER", str(folder))}
+amplifiers: {{{amplifiers}}}
+sensors: {{{sensors}}}
+drives: {{{drives}}}
 sim: {shipped("sims/nominal.yaml")}
 """
 
 
 def rig_on(name: str, folder: Path) -> RigConfig:
-    """Return that rig."""
+    """Return the shipped rig with every role on this backend."""
     return with_model(parse_text(rig_text(name, folder), RigConfig, name), folder / name)
 
 
 def cycle_of(devices: Devices) -> Callable[[int], bool]:
-    """Return what the loop does with devices in a cycle, at zero force.
-
-    It returns whether all readings were of the cycle itself.
-    """
+    """Return a cycle at zero force, which returns whether all readings are fresh."""
     gap, force, zero = np.zeros(9), np.zeros(9), np.zeros(9)
     beam, rotor, still = np.zeros(3), np.zeros(3), np.zeros(3)
 
@@ -114,38 +91,18 @@ def cycle_of(devices: Devices) -> Callable[[int], bool]:
     return cycle
 
 
-def electronics_of(rig_file: Path) -> subprocess.Popen[bytes]:
-    """Start the electronics of a rig in a process of their own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "levid.cli.main", "electronics", str(rig_file)],
-        stdin=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-
-
 @contextmanager
 def electronics_on(rig_file: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run the electronics of a rig in a process of their own, and end it."""
-    process = electronics_of(rig_file)
-    try:
+    """Run the emulated electronics of a rig in a separate process."""
+    command = [sys.executable, "-m", "levid.cli.main", "electronics", str(rig_file)]
+    pipes = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with started(command, **pipes) as process:
         yield process
-    finally:
-        end(process)
-
-
-def end(process: subprocess.Popen[bytes]) -> None:
-    """End a process: by asking, and by force where that is not heard."""
-    process.terminate()
-    try:
-        process.wait(_ENDS_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait(_ENDS_S)
 
 
 @contextmanager
 def opened(rig: RigConfig, folder: Path) -> Iterator[Devices]:
-    """Open devices once their electronics, which are just being started, answer; and close them."""
+    """Open devices, as soon as their electronics answer; raises DriverError after 30 s."""
     give_up_s = time.monotonic() + _ANSWERS_S
     while True:
         try:

@@ -1,8 +1,7 @@
-"""A transaction of the serial driver over a pseudo terminal, against pyserial's own reading.
+"""Time a transaction of the serial driver over a pseudo terminal, against pyserial's read_until.
 
-Both sides check each frame of the other, kind and sequence number, in every call: what is not
-answered, or not rightly, ends the run. Each contender has a port and a device of its own, a process
-that answers at once with the forces it was told; all readings are taken out of their frame.
+Each contender has a port and a device, a process that answers every CYCLE frame at once. A missing
+or wrong answer ends the run. All readings are decoded.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import multiprocessing
 import os
 import pty
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import serial
@@ -23,7 +22,6 @@ from levid.config.buses import SerialBus
 from levid.drivers.bus_backend import AnswerTime
 from levid.drivers.serial.transaction import TransactionPort
 from levid.wire.device_protocol import CYCLES
-from levid.wire.frame_rejection import Rejected
 from levid.wire.serial.frame_splitter import FrameStream
 from levid.wire.serial.serial_frames import (
     FORCE_N,
@@ -40,54 +38,32 @@ AXES = np.arange(9.0).reshape(3, 3) * 1e-3
 LEAST_TIMES = 3.0
 _BAUD = 3_000_000
 _ANSWER_S = 1.0
-"""Far longer than any answer takes; who has none by then has failed."""
+"""Timeout of an answer, far longer than any answer takes."""
 _ENDS_S = 5.0
 
 
 def serial_figures(n: int) -> list[Figure]:
-    """Return what a transaction and its parts cost; each contender has `n` calls."""
+    """Return the times of a transaction; each contender has `n` calls."""
     with contextlib.ExitStack() as stack:
         ours = Driver(stack.enter_context(device()))
-        stack.callback(ours.close)
-        by_zero = Pyserial(stack.enter_context(device()), by_length=False)
-        stack.callback(by_zero.close)
-        by_length = Pyserial(stack.enter_context(device()), by_length=True)
-        stack.callback(by_length.close)
-        us = median_us({"ours": ours, "read_until": by_zero, "read": by_length}, n)
-        for contender in (ours, by_zero, by_length):
+        stack.callback(ours.port.close)
+        theirs = Pyserial(stack.enter_context(device()))
+        stack.callback(theirs.port.close)
+        us = median_us({"ours": ours, "theirs": theirs}, n)
+        for contender in (ours, theirs):
             contender.readings.require()
-    codec = median_us(parts(), 10 * n)
-    label = "serial: the same with pyserial's"
     return [
-        Figure("serial_encode_us", codec["encode"], "us", "serial: encode a cycle"),
-        Figure("serial_decode_us", codec["decode"], "us", "serial: decode and check all readings"),
-        Figure("serial_transaction_us", us["ours"], "us", "serial: the driver's, over a pty"),
+        Figure("serial_transaction_us", us["ours"], "us", "serial: transaction over a pty"),
+        Figure("serial_read_until_us", us["theirs"], "us", "serial: the same, pyserial read_until"),
         Figure(
-            "serial_read_until_us",
-            us["read_until"],
-            "us",
-            f"{label} read_until",
-            "serial_transaction_us",
+            "serial_read_until_times", us["theirs"] / us["ours"], "",
+            "serial: read_until, times as long", target=Target(least=LEAST_TIMES),
         ),
-        Figure(
-            "serial_read_until_times",
-            us["read_until"] / us["ours"],
-            "",
-            "serial: times as long read_until takes",
-            target=Target(least=LEAST_TIMES),
-        ),
-        Figure(
-            "serial_read_us",
-            us["read"],
-            "us",
-            f"{label} read, of a length that is known",
-            "serial_transaction_us",
-        ),
-    ]
+    ]  # fmt: skip
 
 
 class Readings:
-    """Takes all readings out of a frame that was accepted."""
+    """The readings in a frame that was accepted."""
 
     def __init__(self) -> None:
         self.force_n, self.gap_m, self.axes = np.zeros(9), np.zeros(9), np.zeros((3, 3))
@@ -98,79 +74,62 @@ class Readings:
         frames.drive_readings(self.axes)
 
     def require(self) -> None:
-        """Raise AssertionError where these are not the values that were sent, to half a count."""
+        """Raise AssertionError if these are not the values that were sent, to half a count."""
         assert np.allclose(self.force_n, FORCES_N, rtol=0.0, atol=0.5 * FORCE_N)
         assert np.allclose(self.gap_m, GAPS_M, rtol=0.0, atol=0.5 * GAP_M)
         assert np.allclose(self.axes, AXES, rtol=1e-6)
 
 
 class Driver:
-    """A call is a transaction of the driver: sync, collect, and all readings."""
+    """Each call is a transaction of the driver: sync, collect, and all readings."""
 
     def __init__(self, path: str) -> None:
         self.readings, self.cycle = Readings(), 0
-        bus = SerialBus(port=path, baud=_BAUD, stale_cycles=0)  # the first that is missing raises
+        bus = SerialBus(port=path, baud=_BAUD, stale_cycles=0)  # the first missing answer raises
         self.port = TransactionPort("bench", bus, CONTENTS, AnswerTime(_ANSWER_S))
         self.port.open()
         self.port.coil_n[:] = FORCES_N
         self.port.beam[:] = self.port.rotor[:] = 0.0
 
     def __call__(self) -> None:
-        port = self.port
         self.cycle += 1
-        port.sync(self.cycle)
-        port.collect()
-        assert port.fresh, "no answer to this cycle"
-        self.readings.take(port.frames)
-
-    def close(self) -> None:
-        self.port.close()
+        self.port.sync(self.cycle)
+        self.port.collect()
+        assert self.port.fresh, "no answer to this cycle"
+        self.readings.take(self.port.frames)
 
 
 class Pyserial:
-    """The same with pyserial: up to the zero that ends a frame, or as many bytes as it has."""
+    """The same with pyserial, which reads up to the zero at the end of a frame."""
 
-    def __init__(self, path: str, by_length: bool) -> None:
+    def __init__(self, path: str) -> None:
         self.readings, self.cycle = Readings(), 0
         self.frames, self.still = SerialFrames(CONTENTS), np.zeros(3)
         self.port = serial.Serial(path, _BAUD, timeout=_ANSWER_S)
-        length = CONTENTS.on_wire(CONTENTS.readings_bytes)
-        port = self.port
-        self._read: Callable[[], bytes] = (
-            (lambda: port.read(length)) if by_length else (lambda: port.read_until(b"\0"))
-        )
 
     def __call__(self) -> None:
         self.cycle += 1
         number = self.cycle % CYCLES
         self.port.write(self.frames.cycle(number, FORCES_N, self.still, self.still))
-        header = self.frames.accept(self._read()[:-1])
+        header = self.frames.accept(self.port.read_until(b"\0")[:-1])
         assert header == Header(Kind.READINGS, number), header
         self.readings.take(self.frames)
-
-    def close(self) -> None:
-        self.port.close()
 
 
 @contextlib.contextmanager
 def device() -> Iterator[str]:
-    """Let a process answer at a port; give the port's path.
+    """Run a process that answers at a port; yield the path of the port.
 
-    A thread of this process would make whoever reads byte by byte wait for it.
+    With a thread of this process, a contender that reads byte by byte would wait for that thread.
     """
-    for call in parts().values():  # what is compiled by now, the process need not compile
-        call()
     master, slave = pty.openpty()
     tty.setraw(slave)
-    process = multiprocessing.get_context("fork").Process(
-        target=_answer, args=(master,), daemon=True
-    )
+    context = multiprocessing.get_context("fork")
+    process = context.Process(target=_answer, args=(master,), daemon=True)
     process.start()
     try:
         yield os.ttyname(slave)
     finally:
-        process.terminate()
-        process.join(_ENDS_S)
         process.kill()
         process.join(_ENDS_S)
         os.close(master)
@@ -184,22 +143,7 @@ def _answer(master: int) -> None:
         for block in stream.feed(os.read(master, 4096)):
             header = frames.accept(block)
             if not isinstance(header, Header) or header.kind is not Kind.CYCLE:
-                return  # which ends the run: nobody answers any more
+                return  # the contender times out
             frames.setpoints(forces_n)
             answer = frames.readings(header.sequence, (1, forces_n), (0, GAPS_M), (2, 0, AXES))
             os.write(master, answer)
-
-
-def parts() -> dict[str, Callable[[], object]]:
-    """Return encoding and decoding alone; raises AssertionError where that gives other values."""
-    host, still, readings = SerialFrames(CONTENTS), np.zeros(3), Readings()
-    frame = SerialFrames(CONTENTS).readings(1, (1, FORCES_N), (0, GAPS_M), (2, 0, AXES))[:-1]
-
-    def decode() -> Header | Rejected:
-        header = host.accept(frame)
-        readings.take(host)
-        return header
-
-    assert decode() == Header(Kind.READINGS, 1)
-    readings.require()
-    return {"encode": lambda: host.cycle(1, FORCES_N, still, still), "decode": decode}

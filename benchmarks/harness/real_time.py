@@ -38,12 +38,6 @@ def hurry(priority: int, pid: int | None = None) -> bool:
     return True
 
 
-def stay(processors: set[int], pid: int | None = None) -> None:
-    """Keep this thread, or all threads of a process, on these processors."""
-    for task in _tasks(pid):
-        os.sched_setaffinity(task, processors)
-
-
 def relax() -> None:
     """Run this thread as any other again."""
     if hasattr(os, "SCHED_OTHER"):

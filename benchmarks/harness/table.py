@@ -14,10 +14,9 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from math import inf
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -64,20 +63,6 @@ class Figure:
     label: str
     versus: str | None = None
     target: Target | None = None
-
-    @property
-    def plain(self) -> dict[str, Any]:
-        """The same as plain data, to be kept in a file."""
-        return asdict(self)
-
-    @classmethod
-    def of(cls, plain: Mapping[str, Any]) -> Figure:
-        """Return the figure that `plain` was."""
-        target = plain["target"]
-        if target is None:
-            return cls(**plain)
-        met = None if target["met"] is None else Met(target["met"])
-        return cls(**{**plain, "target": Target(target["most"], target["least"], met)})
 
     @property
     def met(self) -> Met | None:

@@ -15,7 +15,7 @@ import pytest
 import serial
 from waiting import wait_until
 
-from levid.benchmarks.bus import fault_messages
+from levid.benchmarks.bus import device_faults
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
@@ -30,8 +30,7 @@ from levid.drivers.base import (
 )
 from levid.drivers.registry import open_devices
 from levid.log.signals import Stale
-from levid.sim.electronics.emulated_rig import Electronics
-from levid.sim.electronics.faults import FAULTS, InjectionError
+from levid.sim.electronics.faults import InjectionError
 from levid.sim.electronics.rig import Electronics
 from levid.wire.can.can_bus import open_bus
 from levid.wire.device_protocol import AmplifierState, DriveState
@@ -45,7 +44,7 @@ LONG, SHORT = 20, 2
 time; faults in which no frame arrives need SHORT."""
 
 # What is injected: the error that the host raises, and words that name the cause.
-_WORDS = fault_messages
+_WORDS = device_faults
 EXPECTED = [line for line in _WORDS.EXPECTED if not line.startswith("frozen")]
 
 
@@ -161,13 +160,7 @@ def ends_in_zero_force_is_named_and_mended(bench: Bench, line: str) -> None:
     fly(bench)
 
 
-def test_every_fault_is_tested() -> None:
-    faults = {line.split()[0] for line in _WORDS.EXPECTED}
-    assert faults == set(FAULTS) - _WORDS.NO_FAULT_OF_A_DEVICE
-    assert len(EXPECTED) == len(faults) - 1  # frozen has its own test
-
-
-def test_frozen_channel_is_detected_while_the_platform_moves(bench: Bench) -> None:
+def test_frozen_channel_is_found_within_cycles_where_the_platform_moves(bench: Bench) -> None:
     fly(bench)
     for k in range(10):  # an alternating force moves the platform by more than 10 um in a cycle
         bench.run(7.0 + 0.5 * (k // 5 % 2))

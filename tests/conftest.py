@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from punctuality import Watch, Witness
 
 from levid.cli.main import main
@@ -19,8 +19,10 @@ from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
 from levid.drivers.bus_backend import AnswerTime
 
-settings.register_profile("levid", max_examples=1000, deadline=None)
-settings.register_profile("million", max_examples=1_000_000, deadline=None)
+# A slow machine is no reason to fail.
+_PATIENT = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+settings.register_profile("levid", max_examples=1000, **_PATIENT)
+settings.register_profile("million", max_examples=1_000_000, **_PATIENT)
 settings.load_profile("levid")
 
 _TESTS = Path(__file__).parent

@@ -1,4 +1,4 @@
-"""Processes that a benchmark starts: they end with it, however it ends, and within bounds."""
+"""Start processes that end with the benchmark, however it ends."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from typing import Any
 from levid.daemon.host.real_time_scheduling import signal_at_parent_death
 
 _PATIENCE_S = 60.0
-"""A daemon may be landing, and its recorder may have 30 s to bring rows to disk."""
+"""A daemon may be landing, and its recorder has 30 s to write rows to disk."""
 
 
 @contextmanager
 def started(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a command for as long as the body takes; `options` are those of Popen.
+    """Run a command while the body runs; `options` are those of Popen.
 
-    The kernel sends it SIGTERM should this thread, which has to be the only one, die without a
-    word.
+    The kernel sends it SIGTERM if this thread, which must be the only one, is killed.
     """
     tied = partial(signal_at_parent_death, os.getpid(), signal.SIGTERM)
     process = subprocess.Popen(command, preexec_fn=tied, **options)  # noqa: PLW1509 - as above
@@ -33,18 +32,18 @@ def started(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen
 
 
 def end(process: subprocess.Popen[Any], patience_s: float = _PATIENCE_S) -> None:
-    """Ask a process to end, and kill it where it does not."""
+    """Terminate a process, and kill it if it does not end."""
     process.terminate()
     try:
         process.wait(patience_s)
     except subprocess.TimeoutExpired:
         process.kill()
-        process.wait(patience_s)  # in the kernel it may hang for longer: then that is said
+        process.wait(patience_s)  # a timeout here is an error
 
 
 @contextmanager
 def busy(count: int) -> Iterator[None]:
-    """Have so many processes compute all the time."""
+    """Run `count` processes that compute all the time."""
     processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield

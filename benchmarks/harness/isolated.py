@@ -1,4 +1,4 @@
-"""A measurement in a process of its own: a hang, a crash or too much memory is a result, too."""
+"""Measure a call in a process of its own: a hang, a crash or too much memory is a result too."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from typing import Any
 
 from levid.daemon.host.real_time_scheduling import signal_at_parent_death
@@ -23,10 +22,10 @@ _ENDING_S = 30.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a call: its value and cost, or why it failed.
+    """Value and cost of a call, or why it failed.
 
-    `seconds` is wall time of the call alone, without starting Python and importing; `peak_bytes`
-    the largest resident size of its process (or of a program that it ran), Python included.
+    `seconds`: wall time of the call, without starting Python and importing. `peak_bytes`: largest
+    resident size of its process, or of a program that it ran, Python included.
     """
 
     value: Any = None
@@ -42,11 +41,11 @@ def measure_apart(
     timeout_s: float,
     memory_bytes: int,
 ) -> Outcome:
-    """Return the outcome of call(*arguments) in a new process with a limit of time and memory.
+    """Return the outcome of call(*arguments) in a new process with limits of time and memory.
 
-    The limit is of address space, which is what the kernel bounds: of each process, what is only
-    reserved included. Programs that the call runs are ended with it. `packages` are imported before
-    the clock starts. Call and arguments must pickle.
+    The memory limit is one of address space, which includes reserved memory, for each process.
+    Programs that the call runs end with it. `packages` are imported before the clock starts. Call
+    and arguments must pickle.
     """
     context = mp.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
@@ -56,36 +55,23 @@ def measure_apart(
     process.start()
     theirs.close()
     try:
-        outcome = _heard(ours, process, timeout_s)
-    finally:
-        _end(process)
-    if outcome is not None:
+        if not ours.poll(timeout_s):
+            return Outcome(failed=f"not done after {timeout_s:g} s")
+        outcome = ours.recv()
+        assert isinstance(outcome, Outcome)
         return outcome
+    except EOFError:  # it has died
+        wait([process.sentinel], _ENDING_S)
+    finally:
+        assert process.pid is not None
+        # Until the process is reaped, its number is not given to another one.
+        with suppress(ProcessLookupError):  # it has no session of its own yet
+            os.killpg(process.pid, signal.SIGKILL)
+        process.kill()
+        process.join(_ENDING_S)
     code = process.exitcode or 0
     how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
     return Outcome(failed=how)
-
-
-def _heard(pipe: Connection, process: BaseProcess, timeout_s: float) -> Outcome | None:
-    """Return what the process tells, None where it is dead; it is not reaped then."""
-    if not pipe.poll(timeout_s):
-        return Outcome(failed=f"not done after {timeout_s:g} s")
-    try:
-        outcome = pipe.recv()
-    except EOFError:
-        wait([process.sentinel], _ENDING_S)
-        return None
-    assert isinstance(outcome, Outcome)
-    return outcome
-
-
-def _end(process: BaseProcess) -> None:
-    """Kill it and what it runs: until it is reaped, its number is nobody else's."""
-    assert process.pid is not None
-    with suppress(ProcessLookupError):  # it has not come as far as a session of its own
-        os.killpg(process.pid, signal.SIGKILL)
-    process.kill()
-    process.join(_ENDING_S)
 
 
 def _run(
@@ -98,7 +84,7 @@ def _run(
     os.setsid()
     signal_at_parent_death(os.getppid(), signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
-    sys.stdout = sys.stderr  # what a peer prints must not end up in the JSON
+    sys.stdout = sys.stderr  # prints of a peer must not be in the JSON
     try:
         for package in packages:
             importlib.import_module(package)
@@ -109,7 +95,7 @@ def _run(
         outcome = Outcome(failed=f"{error.name} is not installed")
     except MemoryError:
         outcome = Outcome(failed=f"more than {memory_bytes / 1e9:.0f} GB of address space")
-    except Exception as error:  # noqa: BLE001 - whatever a peer throws is its entry in the table
+    except Exception as error:  # noqa: BLE001 - any error of a peer is its result
         first = (str(error).splitlines() or [""])[0]
         outcome = Outcome(failed=f"{type(error).__name__}: {first}"[:120])
     else:

@@ -1,4 +1,4 @@
-"""Real-time priority where it may be had, as on the rig, for loops and emulated electronics."""
+"""Give loops and emulated electronics real-time priority, if this user may."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ WITNESS, LOOP, ELECTRONICS = 55, 50, 45
 
 @dataclass(frozen=True)
 class Rights:
-    """What the kernel grants a process: priority first in, first out, 0 for none; MB locked."""
+    """Rights of a process: FIFO priority, 0 for none; locked memory in MB."""
 
     priority: int
     locked_mb: float
 
     @classmethod
     def of(cls, pid: int) -> Rights:
-        """Return those of the main thread of a process, as they are and not as asked for."""
+        """Return the rights that the main thread of a process has."""
         policy = os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK
         priority = os.sched_getparam(pid).sched_priority if policy == os.SCHED_FIFO else 0
         status = Path(f"/proc/{pid}/status").read_text()
@@ -27,10 +27,10 @@ class Rights:
 
 
 def hurry(priority: int, pid: int | None = None) -> bool:
-    """Run this thread, or all threads of a process, first in, first out; return whether it may."""
+    """Give this thread, or all threads of a process, a FIFO priority; return whether permitted."""
     try:
         for task in _tasks(pid):
-            # What this thread starts is no part of the loop.
+            # Its children are not part of the loop.
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(task, policy, os.sched_param(priority))
     except (OSError, AttributeError):
@@ -39,7 +39,7 @@ def hurry(priority: int, pid: int | None = None) -> bool:
 
 
 def relax() -> None:
-    """Run this thread as any other again."""
+    """Give this thread the default scheduling again."""
     if hasattr(os, "SCHED_OTHER"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 

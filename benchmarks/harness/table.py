@@ -1,7 +1,7 @@
-"""Frame of a benchmark: its options, contenders in turn, and a table of figures and targets.
+"""Run a benchmark: its options, contenders in turn, and a table of figures and targets.
 
-What was measured before an error, an interrupt or a SIGTERM is printed all the same, as incomplete:
-a benchmark that takes long yields its figures one by one.
+A long benchmark yields its figures one by one: those measured before an error, an interrupt or a
+SIGTERM are printed as incomplete.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 _WIDE = 160
-"""Columns, where nothing says how many there are."""
+"""Columns of a table in a file."""
 
 
 class Met(StrEnum):
@@ -31,12 +31,12 @@ class Met(StrEnum):
     YES = "met"
     NO = "missed"
     UNDECIDED = "undecided"
-    NOT_ASKED = "not asked"  # what it stands beside was not given, or not measured
+    NOT_ASKED = "not asked"  # the figure to compare with was not measured
 
 
 @dataclass(frozen=True)
 class Target:
-    """What a figure should be: `most` or `least`. `met` where more than its value decides that."""
+    """Bounds of a figure; `met` is given if more than the figure's value decides it."""
 
     most: float = inf
     least: float = -inf
@@ -52,9 +52,8 @@ class Target:
 class Figure:
     """One measured number: `key` names it in the JSON, `label` in the table.
 
-    `value` is None where it could not be measured. `versus` is the key of the figure to compare
-    with; the table then shows how many times it this one is. One without a label is in the JSON
-    alone.
+    `value` is None if it could not be measured. `versus` is the key of a figure to compare with:
+    the table shows the ratio. A figure without a label is in the JSON only.
     """
 
     key: str
@@ -76,13 +75,13 @@ class Figure:
 
 
 def run(title: str, measure: Callable[[bool], Iterable[Figure]]) -> None:
-    """Command line of a benchmark: call `measure(quick)` and print its figures."""
+    """Parse the command line, call `measure(quick)` and print its figures."""
     arguments = parser(title).parse_args()
     show(title, arguments, lambda: measure(arguments.quick))
 
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """Return the options that every benchmark has, for those that have more."""
+    """Return a parser with the options of every benchmark."""
     found = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -92,9 +91,7 @@ def parser(description: str) -> argparse.ArgumentParser:
         action="store_true",
         help='print {"figures": {NAME: number}, "met": {NAME: 1, 0, "undecided" or null}}',
     )
-    found.add_argument(
-        "--check", action="store_true", help="end with 1 unless every target that is asked is met"
-    )
+    found.add_argument("--check", action="store_true", help="exit with 1 if a target is missed")
     return found
 
 
@@ -104,12 +101,12 @@ def show(
     measure: Callable[[], Iterable[Figure]],
     tables: Callable[[], Iterable[Table]] = tuple,
 ) -> None:
-    """Print the figures of `measure`, also of one that does not come to its end.
+    """Print the figures of `measure`, and on an error those before it.
 
-    `tables` returns others of what was measured by then, to be printed before, not with --json.
+    Without --json, the other tables that `tables` returns are printed first.
     """
     for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup ignores SIGHUP
             signal.signal(number, _end)
     figures: list[Figure] = []
     found = measure()
@@ -117,7 +114,7 @@ def show(
         for figure in found:
             figures.append(figure)
     except BaseException as error:
-        if isinstance(found, Generator):  # what it has started ends now, not with the interpreter
+        if isinstance(found, Generator):  # end its processes now
             found.close()
         if figures:
             _print(title, figures, arguments.json, tables, f"{type(error).__name__}: {error}")
@@ -129,9 +126,9 @@ def show(
 
 
 def median_times(contenders: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Return the median time in s that each contender takes.
+    """Return the median time in s of each contender.
 
-    They take turns, so that a change of the machine's speed meets all of them alike.
+    They take turns, so that a change of the machine's speed affects all of them.
     """
     times: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in range(repeats):
@@ -143,7 +140,7 @@ def median_times(contenders: Mapping[str, Callable[[], object]], repeats: int) -
 
 
 def _end(number: int, _: object) -> None:
-    """Leave by way of every `finally`: daemons, electronics and mounts go with the benchmark."""
+    """Exit through every `finally`, which ends daemons, electronics and mounts."""
     for once in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(once, signal.SIG_IGN)
     raise SystemExit(128 + number)
@@ -165,7 +162,6 @@ def _print(
         sys.stdout.write("\n")
         sys.stdout.flush()
     else:
-        # A file has no width: what is narrower than that would be broken for nothing.
         console = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDE)
         for table in tables():
             console.print(table)

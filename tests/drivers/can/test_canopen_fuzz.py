@@ -71,6 +71,10 @@ class Wire:
         return self.coming.pop(0) if self.coming else None
 
 
+LINK = CanLink("main", RIG.can[OPTIONS.bus])
+DRIVES = CanDrives(LINK, RIG, OPTIONS, Path(), 1 << 30, lambda: math.inf)
+
+
 class Axis:
     """Position and velocity of one drive by its last four samples."""
 
@@ -97,10 +101,9 @@ class DrivesOnANoisyBus(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.wire, self.cycle = Wire(), 0
-        link = CanLink("main", RIG.can[OPTIONS.bus])
-        link._bus = self.wire
-        self.drives = CanDrives(link, RIG, OPTIONS, Path(), 1 << 30, lambda: math.inf)
+        self.wire = LINK._bus = Wire()
+        self.drives, self.cycle = DRIVES, 0
+        self.drives._sync_number = -1
         self.beam, self.rotor = np.zeros(3), np.zeros(3)
         self.recover()
 

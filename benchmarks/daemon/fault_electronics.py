@@ -3,8 +3,8 @@
 Run as `python fault_electronics.py RIG.yaml`. Standard input takes the lines of `levid electronics`
 and these: `nan-coil 3` (coil force NaN), `nan-axis x1` (position NaN, serial only), `shift 0.2`
 (offset of both motor encoders in m), `race 2.0` (drift of both encoders in m/s), `tilt 0.6` (torque
-on the platform in N m). The answer to each is a line of JSON: the command or an error, and the
-state just before it.
+on the platform in N m). The answer to each is a line of JSON: the state just before it, and `error`
+if the line failed.
 
 A fault begins at the start of a cycle, before its answers are sent, so that affected cycles can be
 counted.
@@ -19,7 +19,6 @@ import math
 import signal
 import sys
 import threading
-from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -33,25 +32,19 @@ from levid.sim.electronics.emulated_rig import Electronics
 from levid.sim.electronics.faults import AXES, InjectionError
 
 READY = "electronics answer"
+_MORE = ("nan-coil", "nan-axis", "shift", "race", "tilt")
 _MCL_CURRENT = 1
 _CYCLE_S = 1.0
 """Timeout of a fault that waits for the start of a cycle."""
 
 
-@dataclass
-class _More:
-    nan_coils: set[int] = field(default_factory=set)
-    nan_axes: set[int] = field(default_factory=set)
-    shift_m: float = 0.0
-    race_m_s: float = 0.0
-    tilt_n_m: float = 0.0
-
-
-class Faulty:
+class FaultInjector:
     """Add faults to running electronics; `command` carries out a line."""
 
     def __init__(self, electronics: Electronics) -> None:
-        self._electronics, self._more = electronics, _More()
+        self._electronics = electronics
+        self._more: dict[str, float] = {}
+        self._raced_m = 0.0
         self._due: tuple[str, SimpleQueue[dict[str, Any]]] | None = None
         self._cut_short = 0
         core = electronics.core
@@ -65,7 +58,7 @@ class Faulty:
             self._spoil(core)
 
         def pushed(wrench: NDArray[np.float64]) -> None:
-            push(wrench + np.array([0.0, self._more.tilt_n_m, 0.0]))
+            push(wrench + np.array([0.0, self._more.get("tilt", 0.0), 0.0]))
 
         def taken_over(renews: bool = True) -> None:
             acted = core.acting_n.any()
@@ -78,7 +71,7 @@ class Faulty:
         core.apply_setpoints = taken_over  # type: ignore[method-assign]
 
     def command(self, line: str) -> dict[str, Any]:
-        """Carry out a line; return it and the state before it."""
+        """Carry out a line; return the state before it."""
         if line in ("status", "clear"):
             with self._electronics.core.lock:
                 return self._carry_out(line)
@@ -94,42 +87,28 @@ class Faulty:
         before = self._electronics.status()
         # A serial device may end the force within a period; this period counts as well.
         before["forced_periods"] = self._electronics.core.forced_periods + self._cut_short
+        name, _, argument = line.partition(" ")
         try:
-            did = line if line == "status" else self._do(line)
-        except (InjectionError, ValueError, IndexError) as error:
-            return {"error": str(error), **before}
-        return {"did": did, **before}
-
-    def _do(self, line: str) -> str:
-        more, (name, *arguments) = self._more, line.split()
-        argument = arguments[0] if arguments else ""
-        match name:
-            case "nan-coil":
-                more.nan_coils.add(int(argument))
-            case "nan-axis":
-                more.nan_axes.add(AXES.index(argument))
-            case "shift":
-                more.shift_m = float(argument)
-            case "race":
-                more.race_m_s = float(argument)
-            case "tilt":
-                more.tilt_n_m = float(argument)
-            case "clear":
-                self._more = _More()
-                return self._electronics.injector.command(line)
-            case _:
-                return self._electronics.injector.command(line)
-        return line
+            if name in _MORE:
+                self._more[name] = AXES.index(argument) if name == "nan-axis" else float(argument)
+            elif name != "status":
+                self._electronics.injector.command(line)
+        except (InjectionError, ValueError) as error:
+            before["error"] = str(error)
+        if name == "clear":
+            self._more.clear()
+            self._raced_m = 0.0
+        return before
 
     def _spoil(self, core: Core) -> None:
-        more = self._more
-        more.shift_m += more.race_m_s * core.period_s
-        for i in more.nan_coils:
-            core.force_n[i] = math.nan
-        core.axes[:2, 0] += more.shift_m
-        core.axes[:2, 1] += more.race_m_s
-        for i in more.nan_axes:
-            core.axes[i, 0] = math.nan
+        race_m_s = self._more.get("race", 0.0)
+        self._raced_m += race_m_s * core.period_s
+        core.axes[:2, 0] += self._more.get("shift", 0.0) + self._raced_m
+        core.axes[:2, 1] += race_m_s
+        if "nan-coil" in self._more:
+            core.force_n[int(self._more["nan-coil"])] = math.nan
+        if "nan-axis" in self._more:
+            core.axes[int(self._more["nan-axis"]), 0] = math.nan
 
 
 def main(rig_file: Path) -> None:
@@ -138,11 +117,11 @@ def main(rig_file: Path) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: done.set())
     electronics = Electronics(load_rig(rig_file), rig_file.parent)
-    faulty = Faulty(electronics)
+    injector = FaultInjector(electronics)
 
     def obey() -> None:
         for line in sys.stdin:
-            print(json.dumps(faulty.command(line.strip())), flush=True)
+            print(json.dumps(injector.command(line.strip())), flush=True)
         done.set()  # the parent process has ended
 
     with electronics:

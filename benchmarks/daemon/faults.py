@@ -1,147 +1,283 @@
 """Inject random faults in flight, on CAN FD and serial; check zero force, names and logs.
 
-The electronics run in their own process. A fault of one kind must end the force and be named
-correctly; a harmless fault must only appear in the status. Afterwards the daemon must be usable and
-every log must open. Zero force is required within 3 cycles if the loop can act, counted from the
-moment the fault is visible. If the loop is dead or the device does not receive its commands, the
-device's own timeout counts. --quick: 40 faults, otherwise 1,000 in about an hour. --only selects
-kinds. Files of a failed trial are kept in build/faults.
+The electronics run in their own process. Each fault must end the force and be named correctly;
+afterwards the daemon must be usable and every log must open. Zero force is required within 3 cycles
+if the loop can act, counted from the moment the fault is visible. If the loop is dead or the device
+does not receive its commands, the device's own timeout counts. Benchmarks beside this one and tests
+check faults that must not end a flight. --quick: 40 faults, otherwise 1,000 in about an hour.
 """
 
 from __future__ import annotations
 
-import contextlib
+import random
 import shutil
 import sys
-import tempfile
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
-from levid.benchmarks.daemon.fault_list import BUSES, SOON, Case, case_of, kinds
-from levid.benchmarks.daemon.fault_logs import LAST_S
-from levid.benchmarks.daemon.fault_rig import Rig
-from levid.benchmarks.daemon.fault_trial import Trial, attempt
+import numpy as np
+
+from levid.benchmarks.daemon.fault_rig import (
+    BUSES,
+    ERRORS,
+    EXPIRE_CYCLES,
+    FLYING,
+    HOLDING,
+    RATE_HZ,
+    SUPERVISOR_S,
+    NotInjectedError,
+    Rig,
+    fly_cases,
+    wait_for,
+)
 from levid.benchmarks.harness import table
 from levid.benchmarks.harness.table import Figure, Target
+from levid.daemon.control.faults import Fault
+from levid.daemon.control.states import IN_FLIGHT
+from levid.log.errors import LogError
+from levid.log.reader import read_log
 
-KEPT = Path(__file__).resolve().parents[2] / "build" / "faults"
-_ATTEMPTS = 3
-ALL, MOST, NONE = Target(least=1.0), Target(least=0.99), Target(most=0)
+SOON = 3
+"""Cycles with force at most, from the first cycle that the fault affects."""
+LAST_S = 1.0
+"""Longest part that a log may lack at its end."""
+_SKIPPED_MORE = 255
+"""A row stores this for 255 skipped periods or more: their number is unknown."""
+_WRITTEN_S = 10.0
+
+Line = Callable[[random.Random], str]
 
 
-def main() -> None:
-    """Run the trials of the requested kinds."""
-    parser = table.parser(__doc__ or "")
-    known = sorted({kind for bus in BUSES for kind in kinds(bus)})
-    parser.add_argument("--only", nargs="+", choices=known, metavar="KIND", help=f"of {known}")
-    arguments = parser.parse_args()
-    table.show("Faults", arguments, lambda: measure(arguments.quick, arguments.only or known))
+@dataclass(frozen=True)
+class Kind:
+    """A kind of fault.
+
+    fault: its name. line: the command to the electronics, None if a process is killed or stopped.
+    own_timeout: the loop is dead or the device does not receive its commands, so only the device
+    can end the force. shows: cycles until the fault is visible; deadlines count from there.
+    states: states of the flight in which it is injected.
+    """
+
+    fault: Fault
+    line: Line | None = None
+    own_timeout: bool = False
+    shows: int = 0
+    states: tuple[str, ...] = FLYING
+
+    @property
+    def most_cycles(self) -> int:
+        """Cycles with force at most."""
+        return self.shows + (EXPIRE_CYCLES + 1 if self.own_timeout else SOON)
 
 
-def measure(quick: bool, only: Collection[str]) -> Iterable[Figure]:
+@dataclass(frozen=True)
+class Case:
+    """One trial: its number determines kind, command, state of the flight and delay in it."""
+
+    name: str
+    kind: Kind
+    line: str
+    state: str
+    delay_s: float
+
+    def __str__(self) -> str:
+        return f"{self.line or self.name} in {self.state}"
+
+
+@dataclass
+class Trial:
+    """Result of a trial: periods with force after the fault, and problems by check."""
+
+    case: Case
+    cycles: int = 0
+    found: str = ""
+    problems: dict[str, str] = field(default_factory=dict)
+
+
+CHECKS = {
+    "force": f"force for more than {SOON} cycles, or than the device's own timeout",
+    "name": "other name in the status or in the flight recording",
+    "rest": "not usable after one clear",
+    "logs": "rows missing in flight, or logs that do not open",
+    "failed": "trials that did not end",
+}
+
+
+def measure(quick: bool) -> Iterator[Figure]:
     """Run the trials on both buses; yield their figures, also if they are interrupted."""
     trials: list[Trial] = []
-    asked = 0
+    asked = 20 if quick else 500
     try:
         for bus in BUSES:
-            cases = [case_of(bus, number) for number in range(20 if quick else 500)]
-            cases = [case for case in cases if case.kind in only]
-            asked += len(cases)
-            while cases:  # a failed trial needs a new rig
-                _run(bus, cases, trials)
+            fly_cases(bus, [case_of(bus, k) for k in range(asked)], partial(attempt, trials))
     finally:
-        yield from figures(trials, asked)
+        for name in sorted({trial.case.name for trial in trials}):
+            those = [trial for trial in trials if trial.case.name == name]
+            names = dict(Counter(trial.found for trial in those))
+            most = max(trial.cycles for trial in those)
+            print(f"{name}: at most {most} cycles; reported as {names}", file=sys.stderr)
+        target = Target(least=len(BUSES) * asked)
+        yield Figure("faults", len(trials), "", "faults injected in flight", target=target)
+        for check, label in CHECKS.items():
+            count = sum(check in trial.problems for trial in trials)
+            yield Figure(check, count, "", label, target=Target(most=0))
 
 
-def _run(bus: str, cases: list[Case], trials: list[Trial]) -> None:
-    """Run cases on one rig and remove them from the list, until it is empty or a trial fails."""
-    with (
-        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name,
-        contextlib.closing(Rig(bus, Path(name))) as rig,
-    ):
-        while cases:
-            case = cases.pop(0)
-            for _ in range(_ATTEMPTS):
-                print(f"{bus} {case.number}: {case.kind}", end="        \r", file=sys.stderr)
-                trial = attempt(rig, case)
-                _remove_files(rig, trial)
-                if not trial.not_injected or trial.failed:
-                    break
-            trials.append(trial)
-            for wrong in [*trial.wrong, *filter(None, [trial.not_injected, trial.skipped])]:
-                print(f"{bus} {case.number}: {case.kind} in {case.state}: {wrong}", file=sys.stderr)
-            if trial.failed:
-                return
+def case_of(bus: str, number: int) -> Case:
+    """Return the trial of this number, the same in every run."""
+    kinds = _EVERYWHERE | (_SERIAL if bus == "serial" else _CAN)
+    pack = sorted(kinds)
+    random.Random(f"{bus} pack {number // len(pack)}").shuffle(pack)
+    name = pack[number % len(pack)]
+    kind, draw = kinds[name], random.Random(f"{bus} {number}")
+    state, delay_s = draw.choice(kind.states), draw.uniform(0.0, 1.0)
+    return Case(name, kind, kind.line(draw) if kind.line else "", state, delay_s)
 
 
-def _remove_files(rig: Rig, trial: Trial) -> None:
-    """Delete the logs of a trial; keep a copy if something is wrong."""
-    for path in {rig.flight, rig.folder / "faults"} - {rig.folder}:
-        if trial.wrong:
-            to = KEPT / f"{trial.case.bus}-{trial.case.number}" / path.name
-            with contextlib.suppress(OSError, shutil.Error):
-                shutil.copytree(path, to, dirs_exist_ok=True)
-        shutil.rmtree(path, ignore_errors=True)
+def attempt(trials: list[Trial], rig: Rig, case: Case) -> None:
+    """Fly, inject the fault, watch the force and bring the rig to rest; append the trial."""
+    status = rig.lift_off(case.state, case.delay_s)
+    recorded = _recordings(rig)
+    trial = Trial(case)
+    try:
+        before = rig.say(case.line or "status")
+        if not any(before["acting_n"]):
+            raise NotInjectedError("no force acts")
+        trials.append(trial)
+        _watch(rig, trial, before["forced_periods"], recorded)
+        if (clears := rig.come_to_rest()) > 1:
+            trial.problems["rest"] = f"{clears} requests to clear"
+        logs = partial(_log_problem, rig.flight, status["cycle"])
+        if wait_for(lambda: not logs(), _WRITTEN_S) is None:
+            trial.problems["logs"] = logs()
+        shutil.rmtree(rig.flight, ignore_errors=True)
+    except ERRORS as error:
+        trial.problems["failed"] = str(error)
+        raise
+    finally:
+        for check, problem in trial.problems.items():
+            print(f"{rig.bus}, {case}: {check}: {problem}", file=sys.stderr)
 
 
-def figures(trials: Sequence[Trial], asked: int) -> Iterable[Figure]:
-    """Yield the figures; an injected fault counts in every share, even if its trial failed."""
-    injected = [trial for trial in trials if trial.injected]
-    stops = [trial for trial in injected if trial.kind.must_stop]
-    others = [trial for trial in injected if not trial.kind.must_stop]
-    own = [trial for trial in stops if not trial.kind.own_timeout]
-    skipped = sum(bool(trial.skipped) for trial in trials)
-    for name in sorted({trial.case.kind for trial in stops}):
-        those = [trial for trial in stops if trial.case.kind == name]
-        names = Counter(trial.found for trial in those)
-        most = max((t.cycles for t in those if t.cycles is not None), default=None)
-        print(f"{name}: at most {most} cycles; reported as {dict(names)}", file=sys.stderr)
-    yield Figure("asked", asked, "", "faults requested")
-    yield Figure("skipped", skipped, "", "skipped: no right to inject them")
-    target = Target(least=asked - skipped)
-    yield Figure("faults", len(injected), "", "faults injected in flight", target=target)
-    yield Figure(
-        "stopped", _share(t.cycles is not None for t in stops), "", "force ended", target=ALL
-    )
-    again = sum(t.force_again for t in stops)
-    yield Figure("came_back", again, "", "force acted again", target=NONE)
-    label = f"loop can act: zero force within {SOON} cycles"
-    in_time = _share(_within(t, t.kind.shows + SOON) for t in own)
-    yield Figure("within_3", in_time, "", label, target=ALL)
-    promised = _share(_within(t, t.kind.most_cycles) for t in stops)
-    yield Figure("within_promise", promised, "", "all: in time, or own timeout", target=ALL)
-    yield Figure("named", _share(t.named for t in stops), "", "correct name", target=MOST)
-    yield Figure("recorded", _share(t.recorded for t in stops), "", "recorded", target=MOST)
-    undisturbed = _share(t.undisturbed for t in others)
-    yield Figure("undisturbed", undisturbed, "", "harmless: flew on", target=ALL)
-    reported = _share(t.reported for t in others)
-    yield Figure("told", reported, "", "harmless: in the status", target=ALL)
-    usable = _share(t.clears is not None and t.clears <= 1 for t in stops)
-    yield Figure("usable", usable, "", "usable after one clear", target=ALL)
-    failed = sum(bool(trial.failed) for trial in trials)
-    yield Figure("failed", failed, "", "trials that did not end", target=NONE)
-    yield Figure("logs", sum(t.logs.logs for t in injected), "", "logs read")
-    without = sum(not t.logs.logs for t in injected)
-    yield Figure("without_log", without, "", "flights without a log", target=NONE)
-    unreadable = sum(t.logs.unreadable for t in injected)
-    yield Figure("unreadable", unreadable, "", "logs that do not open", target=NONE)
-    missing = sum(t.logs.missing for t in injected)
-    yield Figure("missing", missing, "", "rows missing in flight", target=NONE)
-    tail_s = max((t.logs.tail_s for t in injected), default=0.0)
-    label = "longest time missing at the end of a log"
-    yield Figure("longest_tail", tail_s, "s", label, target=Target(most=LAST_S))
+def _watch(rig: Rig, trial: Trial, since: int, recorded: set[Path]) -> None:
+    """Watch the force until it ends, and read the name of the fault."""
+    case = trial.case
+    process, _, how = case.name.partition(" ")
+    with nullcontext() if case.line else rig.signalled(process, how):
+        trial.cycles, problem = rig.until_zero(since)
+    most = case.kind.most_cycles
+    if trial.cycles > most:
+        problem = f"force for {trial.cycles} cycles, expected {most}"
+    if problem:
+        trial.problems["force"] = problem
+    name = case.kind.fault.name
+    trial.found = wait_for(lambda: _recorded(_recordings(rig) - recorded), _WRITTEN_S) or "nothing"
+    if rig.daemon is not None and rig.daemon.poll() is None:
+        status = rig.until(lambda s: s["fault"] == name, _WRITTEN_S) or rig.ask("status")
+        trial.found = trial.found if status["fault"] == name else status["fault"]
+    if trial.found != name:
+        trial.problems["name"] = f"reported as {trial.found}"
 
 
-def _within(trial: Trial, most: int) -> bool:
-    return trial.cycles is not None and trial.cycles <= most
+def _recordings(rig: Rig) -> set[Path]:
+    return set((rig.folder / "faults").glob("*.mcap"))
 
 
-def _share(true: Iterable[object]) -> float | None:
-    """Return the share that is true, None of nothing."""
-    counted = [bool(one) for one in true]
-    return sum(counted) / len(counted) if counted else None
+def _recorded(paths: set[Path]) -> str:
+    """Return the fault that a complete flight recording names, empty if there is none yet."""
+    for path in paths:
+        try:
+            log = read_log(path)
+        except LogError:  # it is still being written
+            continue
+        if log.complete:
+            return log.metadata.get("name", "")
+    return ""
+
+
+def _log_problem(folder: Path, until: int) -> str:
+    """Return what the logs of a flight lack: every cycle in the air, up to cycle `until`."""
+    try:
+        logs = [read_log(path) for path in sorted(folder.glob("*.mcap"))]
+    except LogError as error:
+        return str(error)
+    if not logs or not all(log.complete for log in logs):
+        return f"expected complete logs, found {[log.problem or 'complete' for log in logs]}"
+    rows = np.concatenate([log.rows for log in logs])
+    flying = np.isin(rows["state"], [int(state) for state in IN_FLIGHT]) & (rows["fault"] == 0)
+    rows = rows[flying]  # a dead bus has no rows
+    cycles, skipped = (rows[name].astype(np.int64) for name in ("cycle", "skipped"))
+    lost = np.maximum(np.diff(cycles) - 1 - skipped[1:], 0)[skipped[1:] < _SKIPPED_MORE].sum()
+    if lost:
+        return f"{lost} rows are missing"
+    tail_s = (until - cycles[-1]) / RATE_HZ
+    return f"the last {tail_s:.2f} s are missing" if tail_s > LAST_S else ""
+
+
+def _plain(name: str) -> Line:
+    return lambda _: name
+
+
+def _channel(name: str) -> Line:
+    return lambda draw: f"{name} {draw.randrange(9)}"
+
+
+def _axis(name: str) -> Line:
+    return lambda draw: f"{name} {draw.choice(('x1', 'x2', 'phi'))}"
+
+
+def _size(name: str, least: float, most: float) -> Line:
+    return lambda draw: f"{name} {draw.choice((-1, 1)) * draw.uniform(least, most):.3g}"
+
+
+_FROZEN_SHOWS = 20
+"""Equal readings after which the driver reports a frozen channel."""
+_PUSH_SHOWS = 1
+"""40 N move 7 kg on the rods beyond 0.85 mm in 17 ms; a cycle is 20 ms."""
+_TILT_SHOWS = 3
+"""0.55 N m on 195 N m/rad overshoots to 5.6 mrad (limit 4) after half a period of 58 rad/s."""
+_SILENCE_SHOWS = round(SUPERVISOR_S * RATE_HZ)
+"""A stopped process cannot be distinguished from a slow one until then."""
+
+_EVERYWHERE = {
+    **{
+        name: Kind(Fault.STALE, _plain(name))
+        for name in ("drop", "delay", "corrupt", "repeat", "reorder")
+    },
+    "drop-setpoints": Kind(Fault.AMPLIFIER, _plain("drop-setpoints"), own_timeout=True),
+    "stuck": Kind(Fault.SENSOR, _channel("stuck")),
+    "frozen": Kind(Fault.SENSOR, _channel("frozen"), shows=_FROZEN_SHOWS),
+    "saturated": Kind(Fault.SENSOR, _channel("saturated")),
+    "trip": Kind(Fault.AMPLIFIER, _channel("trip")),
+    "encoder": Kind(Fault.DRIVE, _axis("encoder")),
+    "skew": Kind(Fault.DRIVE, _size("skew", 0.03, 0.1)),
+    "nan-coil": Kind(Fault.READING, _channel("nan-coil")),
+    # Limits: beam position, beam speed, platform height, tilt.
+    "shift": Kind(Fault.BEAM, _size("shift", 0.15, 0.3)),
+    "race": Kind(Fault.VELOCITY, _size("race", 1.5, 3.0)),
+    "push": Kind(Fault.GAP, _size("push", 40.0, 80.0), shows=_PUSH_SHOWS, states=HOLDING),
+    "tilt": Kind(Fault.POSE, _size("tilt", 0.55, 0.65), shows=_TILT_SHOWS, states=HOLDING),
+    "loop killed": Kind(Fault.LOOP, own_timeout=True),
+    "loop stopped": Kind(Fault.LOOP, own_timeout=True),
+    "supervisor killed": Kind(Fault.SUPERVISOR),
+    "supervisor stopped": Kind(Fault.SUPERVISOR, shows=_SILENCE_SHOWS),
+}
+# The host detects a lost port at once. A node that leaves a CAN bus is only silent.
+_SERIAL = {
+    "bus-off": Kind(Fault.STALE, _plain("bus-off"), own_timeout=True),
+    "disconnect": Kind(Fault.LINK, _plain("disconnect"), own_timeout=True),
+    "nan-axis": Kind(Fault.READING, _axis("nan-axis")),
+}
+_CAN = {
+    # The driver of the host's controller reports this.
+    "bus-off": Kind(Fault.LINK, _plain("bus-off"), own_timeout=True),
+    "disconnect": Kind(Fault.STALE, _plain("disconnect"), own_timeout=True),
+}
 
 
 if __name__ == "__main__":
-    main()
+    table.run("Faults", measure)

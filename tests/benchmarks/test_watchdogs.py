@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 
 from levid.benchmarks.daemon import watchdogs
-from levid.benchmarks.daemon.fault_flight import come_to_rest, lift_off
-from levid.benchmarks.daemon.fault_list import BUSES, Case
-from levid.benchmarks.daemon.fault_rig import Rig, rig_of
+from levid.benchmarks.daemon.fault_rig import BUSES, Rig, rig_of
 from levid.config.base import parse
 from levid.config.rig import RigConfig
 from levid.daemon.control.detection_times import longest_stall, zero_after_s
@@ -39,12 +37,11 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 def test_a_lost_process_meets_the_deadline_of_the_documentation(
     rig: Rig, deed: str, state: str
 ) -> None:
-    flight = lift_off(rig, Case("serial", 0, deed, "", state, 0.2), rig.folder)
+    rig.lift_off(state, 0.2)
     try:
-        assert watchdogs.attempt(rig, flight, deed, "land", state, []) == ""
+        assert watchdogs.attempt(rig, deed, "land", state, []) == ""
     finally:
-        flight.hang_up()
-        come_to_rest(rig)
+        rig.come_to_rest()
 
 
 @pytest.mark.parametrize("bus", BUSES)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from mcap.exceptions import McapError
@@ -47,18 +45,21 @@ def compare_logs(before: Path, after: Path) -> Comparison:
     rows = 0
     with before.open("rb") as one, after.open("rb") as other:
         try:
-            readers = _reader(one), _reader(other)
+            readers = [make_reader(file, validate_crcs=True) for file in (one, other)]
             heads = [head(reader) for reader in readers]
             for what in heads[0] | heads[1]:
                 values = [found.get(what, "nothing") for found in heads]
                 if values[0] != values[1]:
                     return Comparison(0, f"{what}: {values[0]} before, {values[1]} after")
-            for old, new in zip_longest(*map(_messages, readers)):
+            messages = (reader.iter_messages(log_time_order=False) for reader in readers)
+            for old, new in zip_longest(*messages):
                 if old is None or new is None:
                     what = f"{'ends' if old is None else 'goes on'} before"
                     return Comparison(rows, f"row {rows}: the log {what}, not after")
-                if _compared(old[1]) != _compared(new[1]):
-                    return Comparison(rows, f"row {rows}: {_row_difference(*old, new[1])}")
+                (schema, _, first), (_, _, second) = old, new
+                if first != second:
+                    assert schema is not None  # head() has read the schema of each channel
+                    return Comparison(rows, f"row {rows}: {_difference(schema, first, second)}")
                 rows += 1
         except McapError as error:
             return Comparison(rows, f"row {rows}: cannot be read: {type(error).__name__} {error}")
@@ -105,28 +106,7 @@ def row_type(schema: Schema) -> np.dtype[np.void]:
     return np.dtype(found)
 
 
-def _reader(file: BinaryIO) -> McapReader:
-    return make_reader(file, validate_crcs=True)
-
-
-def _messages(reader: McapReader) -> Iterator[tuple[Schema, Message]]:
-    """Yield messages in the order of the file."""
-    for schema, _, message in reader.iter_messages(log_time_order=False):
-        assert schema is not None  # head() has read the schema of each channel
-        yield schema, message
-
-
-def _compared(message: Message) -> tuple[object, ...]:
-    return (
-        message.data,
-        message.log_time,
-        message.publish_time,
-        message.sequence,
-        message.channel_id,
-    )
-
-
-def _row_difference(schema: Schema, before: Message, after: Message) -> str:
+def _difference(schema: Schema, before: Message, after: Message) -> str:
     """Return the first of times, number and fields that differs, with both values."""
     for what in ("log_time", "publish_time", "sequence", "channel_id"):
         old, new = getattr(before, what), getattr(after, what)

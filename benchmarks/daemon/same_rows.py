@@ -19,36 +19,29 @@ import re
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import NamedTuple
 
 import yaml
-from rich.table import Table
 
 from levid.benchmarks.daemon.log_difference import Comparison, compare_folders
 from levid.benchmarks.harness.child_processes import started
 from levid.benchmarks.harness.code_of_commit import Version, both_versions
 from levid.benchmarks.harness.table import Figure, Target, parser, show
 
-TITLE = "Rows before and after"
 QUICK = ("beam", "trace-demo")
 ON_ALL_SIMS = "trace-demo"
 RIG = "config/rigs/loopback.yaml"
 
 
-@dataclass(frozen=True)
-class Flight:
+class Flight(NamedTuple):
     """A session on a simulator: that of the rig if `sim` is empty."""
 
     session: str
     sim: str = ""
 
-    @property
-    def name(self) -> str:
+    def __str__(self) -> str:
         return f"{self.session} on {self.sim}" if self.sim else self.session
 
 
@@ -62,72 +55,84 @@ def main() -> None:
     )
     arguments = options.parse_args()
     arguments.check = True
-    compared: dict[Flight, Comparison] = {}
-    names = arguments.session or (QUICK if arguments.quick else None)
-
-    def measure() -> Iterator[Figure]:
-        yield from compare(arguments.commit, names, compared)
-
-    show(f"{TITLE}: {arguments.commit}", arguments, measure, lambda: [table(compared)])
+    names = arguments.session or (QUICK if arguments.quick else ())
+    title = f"Rows before and after: {arguments.commit}"
+    show(title, arguments, lambda: compare(arguments.commit, names))
 
 
-def compare(
-    commit: str, names: Sequence[str] | None, compared: dict[Flight, Comparison]
-) -> Iterator[Figure]:
-    """Fly sessions of `commit`, all of them unless named, and add each comparison to `compared`."""
-    with both_versions(commit) as versions:
-        config = versions[0].folder / "levid" / "config"
-        planned = flights(config, names, commit)
+def compare(commit: str, names: Sequence[str]) -> Iterator[Figure]:
+    """Fly sessions of `commit`, all of them unless named, and yield the comparisons."""
+    with tempfile.TemporaryDirectory(prefix="same-rows-") as temporary:
+        before, after = folders = Path(temporary, "before"), Path(temporary, "after")
+        # Wherever in the checkout this file is.
+        top = _git(Path(__file__).parent, "rev-parse", "--show-toplevel")
+        checkout = Path(os.fsdecode(top).rstrip("\n"))
+        with tarfile.open(
+            fileobj=io.BytesIO(_git(checkout, "archive", "--format=tar", commit))
+        ) as tar:
+            tar.extractall(before / "levid", filter="data")
+        after.mkdir()
+        (after / "levid").symlink_to(checkout)
+        for folder in folders:
+            _check_import(folder)
+        planned = flights(before / "levid" / "config", names, commit)
+        found = []
         for number, flight in enumerate(planned, 1):
-            _say(f"{number} of {len(planned)}: {flight.name} ...")
-            start = time.monotonic()
-            with tempfile.TemporaryDirectory() as logs:
-                found = fly_both(flight, config, versions, Path(logs))
-            compared[flight] = found
-            seconds = time.monotonic() - start
-            _say(f"    {found.rows} equal rows, {found.difference or 'equal'}, {seconds:.0f} s")
-            key = re.sub(r"\W+", "_", flight.name)
-            yield Figure(f"{key}_rows", found.rows, "rows", "")
-            yield Figure(f"{key}_equal", int(not found.difference), "", "")
-    differ = sum(bool(found.difference) for found in compared.values())
-    yield Figure("rows", sum(found.rows for found in compared.values()), "rows", "equal rows")
+            with tempfile.TemporaryDirectory(dir=temporary) as logs:
+                one = fly_both(flight, folders, Path(logs))
+            found.append(one)
+            said = f"{one.rows} equal rows, {one.difference or 'equal'}"
+            print(f"{number} of {len(planned)}: {flight}: {said}", file=sys.stderr, flush=True)
+            key = re.sub(r"\W+", "_", str(flight))
+            yield Figure(f"{key}_rows", one.rows, "rows", f"{flight}: equal rows")
+            yield Figure(f"{key}_equal", int(not one.difference), "", "")
+    differ = sum(bool(one.difference) for one in found)
+    yield Figure("rows", sum(one.rows for one in found), "rows", "equal rows")
     yield Figure("flights_that_differ", differ, "", "flights that differ", target=Target(most=0))
 
 
-def flights(config: Path, names: Sequence[str] | None, commit: str) -> list[Flight]:
+def flights(config: Path, names: Sequence[str], commit: str) -> list[Flight]:
     """Return the flights of sessions in a config folder, the rig's own simulator first."""
     sessions = sorted(path.stem for path in (config / "sessions").glob("*.yaml"))
-    if unknown := sorted(set(names or ()) - set(sessions)):
+    if unknown := sorted(set(names) - set(sessions)):
         sys.exit(f"{commit} ships no session {', '.join(unknown)}; it has {', '.join(sessions)}")
     rig = yaml.safe_load((config.parent / RIG).read_text(encoding="utf-8"))
-    own = Path(rig["sim"]).stem
-    others = sorted({path.stem for path in (config / "sims").glob("*.yaml")} - {own})
-    found = []
-    for name in names or sessions:
-        found += [Flight(name, sim) for sim in ("", *(others if name == ON_ALL_SIMS else ()))]
-    return found
+    others = sorted(
+        {path.stem for path in (config / "sims").glob("*.yaml")} - {Path(rig["sim"]).stem}
+    )
+    return [
+        Flight(name, sim)
+        for name in names or sessions
+        for sim in ("", *(others if name == ON_ALL_SIMS else ()))
+    ]
 
 
-def fly_both(
-    flight: Flight, config: Path, versions: tuple[Version, Version], folder: Path
-) -> Comparison:
-    """Fly with both versions at the same time, and compare their logs."""
-    session = folder / f"{flight.session}.yaml"
+def fly_both(flight: Flight, folders: Sequence[Path], logs: Path) -> Comparison:
+    """Fly the code of both folders at the same time, on the first one's config; compare the logs."""
+    config = folders[0] / "levid" / "config"
+    session = logs / f"{flight.session}.yaml"
     text = (config / "sessions" / session.name).read_text(encoding="utf-8")
     session.write_text(without_then(text), encoding="utf-8")
     command = [sys.executable, "-m", "levid.cli.main", "excite", str(session), "--virtual"]
     command += ["--rig", str(config.parent / RIG)]
     if flight.sim:
         command += ["--sim", str(config / "sims" / f"{flight.sim}.yaml")]
-    outs = [folder / version.folder.name for version in versions]
+    outs = [logs / folder.name for folder in folders]
     said = [out.with_suffix(".log") for out in outs]
-    with (
-        said[0].open("wb") as one,
-        said[1].open("wb") as other,
-        _flown(command, versions[0], outs[0], one) as old,
-        _flown(command, versions[1], outs[1], other) as new,
-    ):
-        codes = old.wait(), new.wait()
+
+    with said[0].open("wb") as one, said[1].open("wb") as other:
+        flying = [
+            started(
+                [*command, "--out", str(out)],
+                cwd=folder,  # before PYTHONPATH on Python's path
+                env=_environment(folder),
+                stdout=file,
+                stderr=subprocess.STDOUT,
+            )
+            for out, folder, file in zip(outs, folders, (one, other), strict=True)
+        ]
+        with flying[0] as old, flying[1] as new:
+            codes = old.wait(), new.wait()
     found = compare_folders(*outs)
     if codes[0] == codes[1] and (found.rows or found.difference):
         return found
@@ -141,35 +146,46 @@ def without_then(session: str) -> str:
     return re.sub(r"(?m)^then:.*\n?([ \t-].*\n?)*", "", session)
 
 
-def table(compared: dict[Flight, Comparison]) -> Table:
-    """Return the comparisons as a table."""
-    found = Table("session", "simulator", "equal rows", "first difference", title=TITLE)
-    for flight, one in compared.items():
-        found.add_row(
-            flight.session, flight.sim or "rig's", f"{one.rows:,}", one.difference or "equal"
-        )
-    return found
+def _environment(folder: Path) -> dict[str, str]:
+    """Return the environment of a process that runs the code in a folder.
+
+    Its cache of compiled code is new in each run: numba does not notice that a function changed
+    which another module's compiled function calls.
+    """
+    own = {"PYTHONPATH": folder, "NUMBA_CACHE_DIR": folder / "numba"}
+    own["XDG_STATE_HOME"] = folder / "state"
+    return {**os.environ, "MPLBACKEND": "agg", **{key: str(path) for key, path in own.items()}}
 
 
-def _flown(
-    command: list[str], version: Version, out: Path, said: IO[bytes]
-) -> AbstractContextManager[subprocess.Popen[bytes]]:
-    return started(
-        [*command, "--out", str(out)],
-        cwd=version.folder,  # before PYTHONPATH on Python's path
-        env=version.environment,
-        stdout=said,
-        stderr=subprocess.STDOUT,
+def _git(folder: Path, *arguments: str) -> bytes:
+    try:
+        done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, check=True)
+    except FileNotFoundError:
+        sys.exit("expected git, which has the code of COMMIT, found no such program: install git")
+    except subprocess.CalledProcessError as error:
+        said = error.stderr.decode(errors="replace").strip()
+        sys.exit(f"git {' '.join(arguments)} in {folder}: {said}")
+    return done.stdout
+
+
+def _check_import(folder: Path) -> None:
+    """Exit unless a process imports the code in this folder, not another that is installed."""
+    done = subprocess.run(
+        [sys.executable, "-c", "import levid.cli.main as m; print(m.__file__)"],
+        cwd=folder,
+        env=_environment(folder),
+        capture_output=True,
+        text=True,
+        check=False,
     )
+    found = done.stdout.strip() or done.stderr.strip()
+    if not found.startswith(f"{folder}{os.sep}"):
+        sys.exit(f"expected code from {folder}, found {found}")
 
 
 def _last_line(path: Path) -> str:
     lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return lines[-1].strip() if lines else "no message"
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -57,34 +57,24 @@ def measure(quick: bool) -> Iterator[Figure]:
                 status = daemon.ask("status")
                 for process in PROCESSES:
                     sizes[process].append(size(status["pids"][process]))
-    none, wrong = Target(most=0), found.wrong - found.missing
-    restarts = status["recorder_restarts"]
+    none, restarts = Target(most=0), status["recorder_restarts"]
     yield Figure("sessions", len(at_h), "", "sessions flown")
-    yield Figure("missing_rows", found.missing, "", "flown rows in no log", target=none)
-    yield Figure("wrong_rows", wrong, "", "duplicates, foreign rows, cut logs", target=none)
-    yield Figure("late", status["late"], "", "late cycles")
+    label = "rows missing, duplicate or foreign; cut logs"
+    yield Figure("wrong_rows", found.wrong, "", label, target=none)
     yield Figure("restarted", restarts, "", "restarts of the recorder", target=none)
-    yield Figure("cleared", daemon.cleared, "", "faults at the start", target=none)
     for process in PROCESSES:
-        yield from growth(process, at_h[_SETTLED:], sizes[process][_SETTLED:], quick)
-
-
-def growth(
-    process: str, at_h: list[float], sizes: list[tuple[float, int]], quick: bool
-) -> Iterator[Figure]:
-    """Yield how a process grew; over a long time by the upper 95 % bound of a line's slope."""
-    mb, files = np.array(sizes).T
-    yield Figure(f"{process}_mb", mb[-1], "MB", f"{process}: private memory at the end")
-    label = "largest growth after two sessions"
-    target = Target(most=MOST_GROWN_MB) if quick else None
-    yield Figure(f"{process}_grown_mb", max(mb) - mb[0], "MB", label, target=target)
-    if not quick:
-        line = linregress(at_h, mb)
-        most = line.slope + t.ppf(0.95, len(mb) - 2) * line.stderr
-        label = "slope, upper 95 % bound"
-        yield Figure(f"{process}_mb_h_95", most, "MB/h", label, target=Target(most=MOST_MB_H))
-    more = max(files) - files[0]
-    yield Figure(f"{process}_files", more, "", "more open files", target=Target(most=0))
+        mb, files = np.array(sizes[process][_SETTLED:]).T
+        line = linregress(at_h[_SETTLED:], mb)
+        # The upper 95 % bound of a line's slope; in a minute it says nothing.
+        slope = line.slope + t.ppf(0.95, len(mb) - 2) * line.stderr
+        yield Figure(f"{process}_mb", mb[-1], "MB", f"{process}: private memory at the end")
+        target = Target(most=MOST_GROWN_MB) if quick else None
+        label = "largest growth after two sessions"
+        yield Figure(f"{process}_grown_mb", max(mb) - mb[0], "MB", label, target=target)
+        target = None if quick else Target(most=MOST_MB_H)
+        yield Figure(f"{process}_mb_h_95", slope, "MB/h", "slope, upper 95 % bound", target=target)
+        more = max(files) - files[0]
+        yield Figure(f"{process}_files", more, "", "more open files", target=none)
 
 
 def size(pid: int) -> tuple[float, int]:

@@ -8,14 +8,12 @@ the logs. --quick: 6 starts, otherwise 200, two at a time, in some 30 minutes.
 from __future__ import annotations
 
 import contextlib
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +26,6 @@ from levid.daemon.client import Client, DaemonError
 from levid.log.errors import LogError
 from levid.log.reader import read_log
 
-BUSY = 4
 SESSION = """
 levid: session
 name: start
@@ -38,105 +35,59 @@ steps:
   - record: {name: z, duration_s: 0.5, fade_s: 0.1, settle_s: 0.1, excite: [z]}
   - land: {ramp_s: 0.4, release_s: 0.2}
 """
-_STEPS = 3
-_AT_A_TIME = 2
-_ANSWERS_S = 300.0
-_FAULT = "fault "
-"""Start of the daemon's answer if a flight ended in a fault."""
-
-
-@dataclass
-class Start:
-    """Result of one start: refused and failed are messages, missing says what the logs lack."""
-
-    flew: bool = False
-    refused: str = ""
-    failed: str = ""
-    missing: str = ""
-    lost: int = 0
-    restarts: int = 0
-    took_s: float = 0.0
+_STEPS, _AT_A_TIME, _ANSWERS_S = 3, 2, 300.0
 
 
 def measure(quick: bool) -> Iterator[Figure]:
-    """Run all starts; yield their figures, also if they are interrupted."""
-    found: list[Start] = []
-    try:
-        with (
-            tempfile.TemporaryDirectory() as name,
-            busy(BUSY),
-            ThreadPoolExecutor(_AT_A_TIME) as pool,
-        ):
-            folders = [Path(name) / str(number) for number in range(6 if quick else 200)]
-            for one in pool.map(start, folders):
-                found.append(one)
-                print(f"{len(found)} starts", end="\r", file=sys.stderr)
-                for problem in filter(None, (one.refused, one.failed, one.missing)):
-                    print(problem, file=sys.stderr)
-    finally:
-        none, refused = Target(most=0), sum(bool(one.refused) for one in found)
-        missing = sum(bool(one.missing) for one in found)
-        failed = sum(bool(one.failed) for one in found)
-        yield Figure("starts", len(found), "", f"starts beside {BUSY} busy processes")
-        yield Figure("flown", sum(one.flew for one in found), "", "flights with lift-off")
-        yield Figure("refused", refused, "", "requests refused, or flights that ended in a fault")
-        yield Figure("without_log", missing, "", "flights without a complete log", target=none)
-        yield Figure("lost", sum(one.lost for one in found), "", "rows lost", target=none)
-        restarts = sum(one.restarts for one in found)
-        yield Figure("restarts", restarts, "", "restarts of the recorder", target=none)
-        yield Figure("failed", failed, "", "starts that did not end", target=none)
-        took_s = statistics.median([one.took_s for one in found] or [0.0])
-        yield Figure("took", took_s, "s", "start to end, median")
+    """Run all starts; yield the figures."""
+    count = 6 if quick else 200
+    with tempfile.TemporaryDirectory() as name, busy(4), ThreadPoolExecutor(_AT_A_TIME) as pool:
+        found = list(pool.map(start, [Path(name) / str(number) for number in range(count)]))
+    refused = [answer for answer, _ in found if answer]
+    problems = [problem for _, problem in found if problem]
+    print(*refused, *problems, sep="\n", file=sys.stderr)
+    yield Figure("starts", count, "", "starts beside 4 busy processes")
+    yield Figure("refused", len(refused), "", "requests refused, or flights that ended in a fault")
+    label = "flights without a complete log"
+    yield Figure("without_log", len(problems), "", label, target=Target(most=0))
 
 
-def start(folder: Path) -> Start:
-    """Start a daemon, request a flight at once, and check its logs."""
+def start(folder: Path) -> tuple[str, str]:
+    """Start a daemon and request a flight at once; return its refusal, and what its logs lack."""
     folder.mkdir()
-    file, path = loopback_rig(folder), folder / "levid.sock"
-    found, begun_s = Start(), time.monotonic()
+    file, path, refusal = loopback_rig(folder), folder / "levid.sock", ""
     command = [sys.executable, "-m", "levid.cli.main", "run", str(file)]
     # Not `started`: that ties a process to its thread, and there are several threads here.
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     try:
-        _wait_for(process, path)
+        _wait_for(path)
         with Client(path) as client:
             client.excite(SESSION, folder / "out", lambda *_: None)
-        found.flew = True
     except DaemonError as error:
-        found.refused = str(error)
-        found.flew = found.refused.startswith(_FAULT)
-    except (OSError, RuntimeError, ValueError) as error:
-        found.failed = f"{type(error).__name__}: {error}"
+        refusal = str(error)
     finally:
-        with contextlib.suppress(DaemonError), Client(path) as client:
-            status = client.request("status")
-            found.lost, found.restarts = status["lost"], status["recorder_restarts"]
         end(process)
-    if found.flew:
-        found.missing = _missing(folder / "out", whole=not found.refused)
-    found.took_s = time.monotonic() - begun_s
-    return found
+    if refusal and not refusal.startswith("fault "):
+        return refusal, ""  # it has not lifted off
+    return refusal, _missing(folder / "out", 1 if refusal else _STEPS)
 
 
-def _wait_for(process: subprocess.Popen[bytes], path: Path) -> None:
-    """Wait until the daemon answers; raises RuntimeError on a timeout."""
+def _wait_for(path: Path) -> None:
+    """Wait until the daemon answers; raises DaemonError on a timeout."""
     give_up_s = time.monotonic() + _ANSWERS_S
-    while process.poll() is None and time.monotonic() < give_up_s:
+    while time.monotonic() < give_up_s:
         with contextlib.suppress(DaemonError), Client(path) as client:
             client.request("status")
             return
         time.sleep(0.05)
-    raise RuntimeError(f"no answer within {_ANSWERS_S:g} s")
+    raise DaemonError(f"no answer within {_ANSWERS_S:g} s")
 
 
-def _missing(out: Path, whole: bool) -> str:
-    """Return what the logs of a flight lack, empty if they are complete.
-
-    Cycles must continue without a gap over all logs; each step of a whole flight has a log.
-    """
+def _missing(out: Path, least: int) -> str:
+    """Return what the logs of a flight lack: a log of each step, cycles without a gap."""
     logs = sorted(out.glob("*.mcap"))
-    if not logs or (whole and len(logs) != _STEPS):
-        return f"expected {_STEPS if whole else 'some'} logs, found {len(logs)}"
+    if len(logs) < least:
+        return f"expected {least} logs, found {len(logs)}"
     try:
         rows = [read_log(path).rows for path in logs]
     except LogError as error:

@@ -1,65 +1,62 @@
 """Compare the punctuality of the daemon's loop with cyclictest, at the same priority and period.
 
 The loop runs in a complete daemon: loopback plant, control and recording, while it levitates.
-cyclictest (Debian: rt-tests) only wakes up; without it, use --alone. Both need SCHED_FIFO and
-locked memory, and an idle machine.
+cyclictest (Debian: rt-tests) only wakes up; without it, its figures are empty. Both need SCHED_FIFO
+and locked memory, and an idle machine.
 
-Medians compare wake-ups. The loop requests a wake-up before its deadline and spins for the rest, so
-its lateness is a separate figure. Both wait in clock_nanosleep with an absolute time.
-
-Sections: 1khz and 10khz are rounds of 30 s for each contender in turn; their order is swapped every
-round. together is the same at 10 kHz with both at once, each on its own processor, swapped every
-round. Rounds continue (20 to 40) until enough of them have late cycles. busy is one flight of ten
-minutes at 10 kHz beside a disk that is written and synced continuously, with cyclictest before and
-after it. The full run takes 1.5 to 2.5 hours, --quick two minutes.
+The loop requests a wake-up before its deadline and spins for the rest; its lateness is measured
+behind the spin. Sections: 1khz and 10khz are rounds of 30 s for each in turn; their order is
+swapped every round. Rounds continue (20 to 40) until enough of them have late cycles. busy is one
+flight of ten minutes at 10 kHz beside a disk that is written and synced continuously, with
+cyclictest before and after it. The full run takes 1 to 2 hours, --quick two minutes.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import yaml
+from numpy.typing import NDArray
 
-from levid.benchmarks.daemon.timing_contenders import (
-    LIFT_AND_LAND_S,
-    PRIORITY,
-    Times,
-    Turn,
-    fly,
-    waking_up,
-)
 from levid.benchmarks.harness import table
 from levid.benchmarks.harness.busy_disk import busy_disk
-from levid.benchmarks.harness.ratio_of_shares import MOST_RATIO, Round, again, ratio_figures
-from levid.benchmarks.harness.real_time import hurry, relax
-from levid.benchmarks.harness.table import Figure, Met, Target
+from levid.benchmarks.harness.child_processes import started
+from levid.benchmarks.harness.flown_rows import Flown, Found, found_in
+from levid.benchmarks.harness.ratio_of_shares import Round, again, ratio_figures
+from levid.benchmarks.harness.real_time import Rights, hurry, relax
+from levid.benchmarks.harness.running_daemon import loopback_rig, require_no_fault, running
+from levid.benchmarks.harness.table import Figure, Target
+from levid.daemon.client import Client
+from levid.log.reader import read_log
+
+Times = NDArray[np.float32]
 
 LOGS = Path(__file__).resolve().parents[2] / "build" / "timing"
 """Folder for logs, on a disk: the folder for temporary files may be in memory."""
-RATES_HZ = {"1khz": 1000, "10khz": 10_000, "together": 10_000}
-SECTIONS = (*RATES_HZ, "busy")
-MOST_MEDIAN = 1.2
-MOST_P99_US, MOST_P999_US = 25.0, 100.0
-QUIET_P999_US = 70.0
-"""The 10 kHz tail targets apply only if cyclictest's own p99.9 is below this."""
+SECTIONS = {"1khz": 1000, "10khz": 10_000, "busy": 10_000}
+PRIORITY = 80
 MOST_RECORDER = 0.15
+_NO_TIMES: Times = np.empty(0, np.float32)
+_LONGEST_US = 20_000
+_LEAST_LOGGED = 0.5
+"""Share of the periods that must have rows: skipped periods have none."""
 _REST_S, _SYNC_S = 2.0, 60.0
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Rounds, durations in s, and the path of cyclictest (None: --alone)."""
+    """Number of rounds, and durations in s."""
 
-    cyclictest: str | None
     least: int = 20
     most: int = 40
     seconds: float = 30.0
@@ -67,157 +64,230 @@ class Plan:
     busy_peer_s: float = 120.0
 
 
+@dataclass
+class Turn:
+    """Cycles of one contender and their lateness in us; the other fields are the loop's.
+
+    `late` counts wake-ups a period late or more (cyclictest), or cycles that end so late (loop);
+    late_us: the lateness of these.
+    """
+
+    cycles: int = 0
+    lateness_us: Times = field(default_factory=lambda: _NO_TIMES)
+    late_us: Times = field(default_factory=lambda: _NO_TIMES)
+    seconds: float = 0.0
+    recorder_s: float = 0.0
+    found: Found = field(default_factory=Found)
+
+    @property
+    def late(self) -> int:
+        return len(self.late_us)
+
+    @classmethod
+    def together(cls, turns: Iterable[Turn]) -> Turn:
+        """Return the sum of several turns of one contender."""
+        turns = list(turns)
+        return cls(
+            sum(turn.cycles for turn in turns),
+            np.concatenate([_NO_TIMES, *(turn.lateness_us for turn in turns)]),
+            np.concatenate([_NO_TIMES, *(turn.late_us for turn in turns)]),
+            sum(turn.seconds for turn in turns),
+            sum(turn.recorder_s for turn in turns),
+            sum((turn.found for turn in turns), Found()),
+        )
+
+
 def main() -> None:
     """Measure the requested sections."""
     parser = table.parser(__doc__ or "")
-    parser.add_argument("--alone", action="store_true", help="the loop only, without cyclictest")
     parser.add_argument(
         "--only", action="append", choices=SECTIONS, metavar="SECTION",
         help=f"measure only this section, of {', '.join(SECTIONS)}; may be repeated",
     )  # fmt: skip
     arguments = parser.parse_args()
-    cyclictest = None if arguments.alone else shutil.which("cyclictest")
-    if cyclictest is None and not arguments.alone:
-        sys.exit("timing: cyclictest not found. On Debian: apt install rt-tests; or use --alone")
     if not hurry(PRIORITY):
         sys.exit(
             f"timing: no right to priority {PRIORITY}. Run it as root, or raise the limits rtprio "
             "and memlock"
         )
     relax()
-    plan = Plan(cyclictest, 1, 1, 5.0, 10.0, 5.0) if arguments.quick else Plan(cyclictest)
-    table.show("Timing", arguments, lambda: measure(plan, arguments.only or SECTIONS))
-
-
-def measure(plan: Plan, sections: Sequence[str]) -> Iterator[Figure]:
-    """Yield the figures of these sections."""
+    if not shutil.which("cyclictest"):
+        print("timing: cyclictest not found. On Debian: apt install rt-tests", file=sys.stderr)
+    plan = Plan(1, 1, 5.0, 10.0, 5.0) if arguments.quick else Plan()
     LOGS.mkdir(parents=True, exist_ok=True)
-    for section in sections:
-        if section == "busy":
-            yield from busy(plan)
-        elif section != "together" or (
-            plan.cyclictest is not None and len(os.sched_getaffinity(0)) > 1
-        ):
-            yield from rounds(plan, section)
-        else:
-            print("together: skipped, needs cyclictest and two processors", file=sys.stderr)
+
+    def measure() -> Iterator[Figure]:
+        for section in arguments.only or SECTIONS:
+            yield from busy(plan) if section == "busy" else rounds(plan, section)
+
+    table.show("Timing", arguments, measure)
 
 
 def rounds(plan: Plan, section: str) -> Iterator[Figure]:
     """Measure rounds until enough have late cycles; yield the figures of their sum."""
-    ours: list[Turn] = []
-    theirs: list[Turn] = []
+    turns: list[tuple[Turn, Turn]] = []
     late: list[Round] = []
-    one_round = both_at_once if section == "together" else in_turn
-    while len(ours) < plan.least or (plan.cyclictest and again(late, plan.least, plan.most)):
-        print(f"{section}: round {len(ours) + 1}", end="\r", file=sys.stderr)
-        loop, peer = one_round(plan, RATES_HZ[section], len(ours))
-        ours.append(loop)
-        theirs.append(peer)
-        late.append(Round(loop.late, loop.cycles, peer.late, peer.cycles))
+    rate_hz = SECTIONS[section]
+    while len(turns) < plan.least or (late[0].of_others and again(late, plan.least, plan.most)):
+        print(f"{section}: round {len(turns) + 1}", end="\r", file=sys.stderr)
+        contenders = (fly, cyclictest)[:: -1 if len(turns) % 2 else 1]
+        found = [contender(rate_hz, plan.seconds) for contender in contenders]
+        ours, peer = found[:: -1 if len(turns) % 2 else 1]
+        turns.append((ours, peer))
+        late.append(Round(ours.late, ours.cycles, peer.late, peer.cycles))
     print(file=sys.stderr)
-    levid, peer = Turn.together(ours), Turn.together(theirs)
-    yield Figure(f"rounds_{section}", len(ours), "", f"{section}: rounds")
-    yield from lateness_figures(section, levid, peer)
-    if plan.cyclictest:
+    levid, peer = (Turn.together(those) for those in zip(*turns, strict=True))
+    yield from figures(section, levid, peer)
+    if peer.cycles:
         low, high = f"late_ratio_low_{section}", f"late_ratio_{section}"
         yield from ratio_figures(late, low, high, f"loop at {section}, cyclictest")
-    else:
-        target = Target(most=MOST_RATIO, met=Met.NOT_ASKED)
-        yield Figure(f"late_ratio_{section}", None, "", "ratio of late shares", target=target)
-    yield from recorder_figures(section, levid)
-
-
-def in_turn(plan: Plan, rate_hz: int, number: int) -> tuple[Turn, Turn]:
-    """Return the turns of the loop and cyclictest; their order depends on the round's number."""
-    peer = Turn()
-    with tempfile.TemporaryDirectory(dir=LOGS) as folder:
-        if number % 2 == 0:
-            peer = _peer(plan, rate_hz, plan.seconds)
-        read = fly(rate_hz, plan.seconds, Path(folder), _rest)
-        if number % 2:
-            peer = _peer(plan, rate_hz, plan.seconds)
-        return read(), peer
-
-
-def both_at_once(plan: Plan, rate_hz: int, number: int) -> tuple[Turn, Turn]:
-    """Return the turns of both at the same time, on processors that are swapped every round."""
-    cyclictest = plan.cyclictest or ""
-    ours, theirs = sorted(os.sched_getaffinity(0))[:2][:: -1 if number % 2 else 1]
-    seconds = plan.seconds + LIFT_AND_LAND_S
-    with tempfile.TemporaryDirectory(dir=LOGS) as folder, ExitStack() as stack:
-        peers: list[Callable[[], Turn]] = []
-
-        def ready() -> None:
-            _rest()
-            peer = waking_up(cyclictest, rate_hz, seconds, cpu=theirs)
-            peers.append(stack.enter_context(peer))
-
-        read = fly(rate_hz, plan.seconds, Path(folder), ready, cpu=ours)
-        return read(), peers[0]()
 
 
 def busy(plan: Plan) -> Iterator[Figure]:
     """Fly once beside a disk that is written continuously; yield the figures."""
-    with tempfile.TemporaryDirectory(dir=LOGS) as folder:
-        with busy_disk(LOGS) as writer:
-            before = _peer(plan, 10_000, plan.busy_peer_s)
-            read = fly(10_000, plan.busy_s, Path(folder), lambda: None)
-            after = _peer(plan, 10_000, plan.busy_peer_s)
-            written_mib_s = writer.require_busy()
-        levid, peer = read(), Turn.together([before, after])
-    yield Figure("flight_s_busy", levid.seconds, "s", "one flight at 10 kHz beside a busy disk")
+    with busy_disk(LOGS) as writer:
+        peers = [cyclictest(10_000, plan.busy_peer_s)]
+        levid = fly(10_000, plan.busy_s)
+        peers.append(cyclictest(10_000, plan.busy_peer_s))
+        written_mib_s = writer.require_busy()
     yield Figure("written_mib_s_busy", written_mib_s, "MiB/s", "written and synced beside it")
-    yield from lateness_figures("busy", levid, peer)
-    yield from recorder_figures("busy", levid)
-    yield Figure("lag_s_busy", levid.largest_lag_s, "s", "largest lag of the recorder")
+    yield from figures("busy", levid, Turn.together(peers))
 
 
-def lateness_figures(section: str, levid: Turn, peer: Turn) -> Iterator[Figure]:
-    """Yield quantiles of lateness and wake-ups, and shares of late cycles."""
-    quiet = _quantile(peer.lateness_us, 0.999)
-    judged = None if quiet is not None and quiet < QUIET_P999_US else Met.NOT_ASKED
-    limits = {"p99": MOST_P99_US, "p999": MOST_P999_US} if section == "10khz" else {}
+def figures(section: str, levid: Turn, peer: Turn) -> Iterator[Figure]:
+    """Yield lateness, shares of late cycles, lost rows and the recorder's load."""
+    yield Figure(f"flight_s_{section}", levid.seconds, "s", f"{section}: time flown")
     for key, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999)):
         versus = f"cyclictest_{key}_us_{section}"
         theirs, ours = _quantile(peer.lateness_us, share), _quantile(levid.lateness_us, share)
-        target = Target(most=limits[key], met=judged) if key in limits else None
         yield Figure(versus, theirs, "us", f"cyclictest, {section}: wake-up, {key}")
-        label = f"loop, {section}: lateness after its spin, {key}"
-        yield Figure(f"lateness_{key}_us_{section}", ours, "us", label, versus, target)
-    ours, theirs = _quantile(levid.woken_us, 0.5), _quantile(peer.lateness_us, 0.5)
-    label = f"loop, {section}: wake-up before its spin, p50"
-    yield Figure(f"wake_up_p50_us_{section}", ours, "us", label, f"cyclictest_p50_us_{section}")
-    if section != "busy":
-        ratio = ours / theirs if ours is not None and theirs else None
-        label = "wake-up, ratio of the medians to cyclictest"
-        yield Figure(f"median_ratio_{section}", ratio, "", label, target=Target(most=MOST_MEDIAN))
+        label = f"loop, {section}: lateness behind its spin, {key}"
+        yield Figure(f"lateness_{key}_us_{section}", ours, "us", label, versus)
     late = f"cyclictest_late_share_{section}"
     yield Figure(late, _late(peer), "", f"cyclictest, {section}: woken a period late, share")
     label = f"loop, {section}: ended a period late, share"
     yield Figure(f"late_share_{section}", _late(levid), "", label, late)
-
-
-def recorder_figures(section: str, levid: Turn) -> Iterator[Figure]:
-    """Yield rows that the logs lack, and the recorder's share of a processor."""
+    for key, share in (("p05", 0.05), ("p95", 0.95)):
+        late_us = _quantile(levid.late_us, share)
+        yield Figure(f"late_{key}_us_{section}", late_us, "us", f"lateness of these, {key}")
     missing, none = levid.found.missing, Target(most=0)
-    wrong = levid.found.wrong - missing
-    used = levid.recorder_s / levid.seconds
     yield Figure(f"lost_rows_{section}", missing, "", "flown rows in no log", target=none)
-    yield Figure(
-        f"wrong_rows_{section}", wrong, "", "duplicates, foreign rows, cut logs", None, none
-    )
+    wrong, label = levid.found.wrong - missing, "duplicates, foreign rows, cut logs"
+    yield Figure(f"wrong_rows_{section}", wrong, "", label, target=none)
+    used, most = levid.recorder_s / levid.seconds, Target(most=MOST_RECORDER)
     label = "recorder: share of a processor"
-    yield Figure(f"recorder_cpu_{section}", used, "", label, target=Target(most=MOST_RECORDER))
+    yield Figure(f"recorder_cpu_{section}", used, "", label, target=most)
 
 
-def _peer(plan: Plan, rate_hz: int, seconds: float) -> Turn:
-    """Run cyclictest, if there is one."""
-    if plan.cyclictest is None:
+def cyclictest(rate_hz: int, seconds: float) -> Turn:
+    """Run cyclictest on a machine that has come to rest; return an empty turn if there is none."""
+    if not (program := shutil.which("cyclictest")):
         return Turn()
     _rest()
-    with waking_up(plan.cyclictest, rate_hz, seconds) as turn:
-        return turn()
+    period_us = 1_000_000 // rate_hz
+    command = [
+        *(program, "--quiet", "--mlockall", "--threads=1", f"--priority={PRIORITY}"),
+        *(f"--interval={period_us}", f"--loops={int(seconds * rate_hz)}"),
+        f"--histogram={_LONGEST_US}",
+    ]
+    with started(command, stdout=subprocess.PIPE) as process:
+        output, _ = process.communicate(timeout=3 * seconds + 10)
+    if process.returncode:
+        raise RuntimeError(f"cyclictest: expected exit code 0, found {process.returncode}")
+    return of_cyclictest(output.decode(), period_us, seconds)
+
+
+def of_cyclictest(output: str, period_us: int, seconds: float) -> Turn:
+    """Parse cyclictest's histogram (1 us a bin); overflows count as the longest time."""
+    bins = np.array(re.findall(r"^(\d+)\s+(\d+)\s*$", output, re.MULTILINE), dtype=np.int64)
+    (overflows,) = re.findall(r"^# Histogram Overflows:\s*(\d+)", output, re.MULTILINE)
+    us = np.append(np.repeat(bins[:, 0], bins[:, 1]), np.full(int(overflows), _LONGEST_US))
+    lateness = us.astype(np.float32)
+    return Turn(len(us), lateness, lateness[us >= period_us], seconds)
+
+
+def fly(rate_hz: int, seconds: float) -> Turn:
+    """Levitate on a new daemon; return what its logs say.
+
+    Raises:
+        DaemonError: a fault in flight.
+        RuntimeError: the recorder was restarted.
+    """
+    with (
+        tempfile.TemporaryDirectory() as name,
+        tempfile.TemporaryDirectory(dir=LOGS) as logs,
+    ):
+        rig = _rig(Path(name), rate_hz)
+        with running(rig, Path(name) / "levid.sock") as daemon:
+            _rest()
+            recorder = daemon.pids["recorder"]
+            _require_rights(Rights.of(daemon.pids["loop"]))
+            flown = Flown(daemon.pids["supervisor"], rig)
+            levitate = {"ramp_s": 0.5, "settle_s": 0, "check_coils": False}
+            with Client(daemon.socket) as client:
+                client.request("levitate", levitate=levitate, out=logs)
+            began_s, used_s = time.monotonic(), _processor_s(recorder)
+            while (left_s := began_s + seconds - time.monotonic()) > 0:
+                time.sleep(min(left_s, 1.0))
+                flown.look()
+                if flown.board.fault:
+                    require_no_fault(daemon.ask("status"))
+            used_s = _processor_s(recorder) - used_s
+            took_s = time.monotonic() - began_s
+            restarts = daemon.land()["recorder_restarts"]
+            flown.wait_until_written()
+        if restarts:
+            raise RuntimeError(f"expected no restart of the recorder, found {restarts}")
+        turn = read_flight(Path(logs), rate_hz, took_s, flown.cycles)
+    turn.recorder_s = used_s
+    return turn
+
+
+def read_flight(folder: Path, rate_hz: int, seconds: float, flown: NDArray[np.int64]) -> Turn:
+    """Read the logs of a flight and compare them with the cycles that the loop recorded.
+
+    Raises:
+        RuntimeError: fewer than half of the periods have rows.
+    """
+    logs = [read_log(path) for path in sorted(folder.glob("*.mcap"))]
+    lateness_s, execution_s, cycles = (
+        np.concatenate([np.empty(0), *(log.rows[name] for log in logs)])
+        for name in ("lateness_s", "execution_s", "cycle")
+    )
+    if len(cycles) < _LEAST_LOGGED * seconds * rate_hz:
+        raise RuntimeError(
+            f"{folder}: expected rows of {seconds * rate_hz:.0f} periods, found {len(cycles)}"
+        )
+    lateness_us = (1e6 * lateness_s).astype(np.float32)
+    late_us = lateness_us[lateness_s + execution_s >= 1.0 / rate_hz]
+    found = found_in(flown, cycles.astype(np.int64), sum(not log.complete for log in logs))
+    return Turn(len(cycles), lateness_us, late_us, seconds, found=found)
+
+
+def _require_rights(rights: Rights) -> None:
+    """Exit unless the loop has the same priority and memory lock as cyclictest."""
+    if rights.priority != PRIORITY or not rights.locked_mb:
+        raise SystemExit(
+            f"timing: expected a loop at priority {PRIORITY} with locked memory, found priority "
+            f"{rights.priority} and {rights.locked_mb:.0f} MB locked. Run it as root, or raise the "
+            "limits rtprio and memlock"
+        )
+
+
+def _rig(folder: Path, rate_hz: int) -> Path:
+    """Write a rig that counts late cycles instead of stopping at them."""
+    limits = {"late_cycles": 10_000, "late_in_window": 1_000_000, "stall_s": 30}
+    file = loopback_rig(folder, **limits)
+    plain = yaml.safe_load(file.read_text())
+    plain |= {"rate_hz": rate_hz, "realtime": {"priority": PRIORITY, "cpu_latency_us": 0}}
+    file.write_text(yaml.safe_dump(plain))
+    return file
+
+
+def _processor_s(pid: int) -> float:
+    """Return the processor time of a process in s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _rest() -> None:

@@ -16,9 +16,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
@@ -33,7 +33,7 @@ from levid.daemon.api.control_server import LONGEST_LINE
 from levid.daemon.client import DaemonError
 
 SHARE = 0.1
-"""Share of the heartbeat's limit, service.supervisor_s, that a request may block the supervisor."""
+"""Share of service.supervisor_s for which a request may block the supervisor."""
 STALL_S = 0.2
 """Limit of the rig: a virtual machine's host stalls for some 10 ms, whatever is requested."""
 _ANSWER_S = 120.0
@@ -62,11 +62,6 @@ _PIECES = st.sampled_from((
     "[", "{", '{"a":', "1", "9" * 50, '"', '"\\u0000"', "- ", "&a ", "*a, ", "é", "\\n", "? ", ": ",
     "1:", "<<: ", "!!python/name:os.system ", "0x", ".e", "\t", " ", "'", "|", "#", ", ",
 ))  # fmt: skip
-_VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=30),
-    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner),
-    max_leaves=30,
-)
 _LONG = st.builds(
     lambda first, times, piece: (first + piece * times)[: LONGEST_LINE - 200],
     _PIECES, st.integers(1, 300_000), _PIECES,
@@ -76,28 +71,23 @@ _SESSIONS = st.builds(
     st.integers(0, len(_SESSION)), _PIECES, st.integers(1, 20_000),
 )  # fmt: skip
 _OPS = st.sampled_from(["status", "watch ", "levitate", "move", "excite", "fly", ""])
-REQUESTS = st.one_of(
-    st.builds(lambda op, value: json.dumps({"op": op, op: value}), _OPS, _VALUES),
-    (_SESSIONS | _LONG).map(_excite),
-    st.builds(_move, st.integers(1, 60_000), st.sampled_from(["k", "beam_m", "x" * 15])),
-    _LONG,
-    st.binary(max_size=3000).map(lambda data: data.replace(b"\n", b" ").decode("latin-1")),
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=30),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner),
+    max_leaves=30,
 )
-
-
-@dataclass
-class Found:
-    """Longest gaps in s of each request and of the time behind it; counts of failures."""
-
-    gaps_s: list[float] = field(default_factory=list)
-    rest_s: list[float] = field(default_factory=list)
-    unanswered: int = 0
-    dropped: int = 0
+REQUESTS = (
+    st.builds(lambda op, value: json.dumps({"op": op, op: value}), _OPS, _JSON)
+    | (_SESSIONS | _LONG).map(_excite)
+    | st.builds(_move, st.integers(1, 60_000), st.sampled_from(["k", "beam_m", "x" * 15]))
+    | _LONG
+    | st.binary(max_size=3000).map(lambda data: data.decode("latin-1"))
+)
 
 
 def measure(quick: bool) -> Iterator[Figure]:
     """Send requests under both loads; yield the figures."""
-    none = Target(most=0)
+    none, lines = Target(most=0), requests(40 if quick else 300)
     with tempfile.TemporaryDirectory() as name:
         file, path = loopback_rig(Path(name), stall_s=STALL_S), Path(name) / "levid.sock"
         most = Target(most=SHARE * load_rig(file).service.supervisor_s)
@@ -105,53 +95,44 @@ def measure(quick: bool) -> Iterator[Figure]:
             with running(file, path) as daemon, busy(processes):
                 heartbeat = Heartbeat(file, daemon.pids["supervisor"])
                 with contextlib.closing(heartbeat):
-                    found = send_all(daemon, heartbeat, 40 if quick else 300)
-            label = f"{load}: longest gap between heartbeats"
-            yield Figure(f"asked_{load}", len(found.gaps_s), "", f"{load}: requests in flight")
-            yield Figure(f"gap_{load}", max(found.gaps_s), "s", label, f"rest_{load}", most)
-            yield Figure(f"rest_{load}", max(found.rest_s), "s", f"{load}: the same, no request")
-            label = f"{load}: flights ended"
-            yield Figure(f"dropped_{load}", found.dropped, "", label, target=none)
-            label = f"{load}: requests without an answer"
-            yield Figure(f"unanswered_{load}", found.unanswered, "", label, target=none)
+                    found = np.array([send(daemon, heartbeat, line) for line in lines])
+            gap_s, rest_s = found[:, :2].max(axis=0)
+            dropped, unanswered = found[:, 2:].sum(axis=0)
+            yield Figure(f"asked_{load}", len(found), "", f"{load}: requests in flight")
+            yield Figure(f"gap_{load}", gap_s, "s", "longest gap", f"rest_{load}", most)
+            yield Figure(f"rest_{load}", rest_s, "s", "the same, no request")
+            yield Figure(f"dropped_{load}", dropped, "", "flights ended", target=none)
+            yield Figure(f"unanswered_{load}", unanswered, "", "without an answer", target=none)
 
 
-def send_all(daemon: Daemon, heartbeat: Heartbeat, count: int) -> Found:
-    """Send the known requests, then `count` generated ones."""
-    found = Found()
-    for line in KNOWN:
-        _send(daemon, heartbeat, found, line)
-
-    @settings(
-        max_examples=count,
-        deadline=None,
-        database=None,
-        derandomize=True,
-        phases=[Phase.generate],
-        suppress_health_check=list(HealthCheck),
-    )
-    @given(REQUESTS)
-    def generated(line: str) -> None:
-        _send(daemon, heartbeat, found, line)
-
-    generated()
+def requests(count: int) -> list[str]:
+    """Return the known requests, and `count` generated ones, the same in every run."""
+    found = list(KNOWN)
+    once = settings(
+        max_examples=count, deadline=None, database=None, derandomize=True,
+        phases=[Phase.generate], suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+    once(given(REQUESTS)(lambda line: found.append(line)))()  # noqa: PLW0108 - has a signature
     return found
 
 
-def _send(daemon: Daemon, heartbeat: Heartbeat, found: Found, line: str) -> None:
-    """Measure a stretch with one request, and one of the same length without."""
+def send(daemon: Daemon, heartbeat: Heartbeat, line: str) -> tuple[float, float, bool, bool]:
+    """Return the longest gap in s with a request, and without; whether the flight ended, no answer.
+
+    The stretch without a request is as long.
+    """
     _fly(daemon)
     heartbeat.take()
     begun_s = time.monotonic()
-    found.unanswered += not _answered(daemon.socket, line)
-    found.gaps_s.append(heartbeat.take())
+    unanswered = not _answered(daemon.socket, line)
+    gap_s = heartbeat.take()
     status = daemon.ask("status")
-    if status["fault"] != "NONE":
-        found.dropped += 1
+    dropped = status["fault"] != "NONE"
+    if dropped:
         print(f"{line[:60]}: {status['fault']}: {status['detail']}", file=sys.stderr)
     heartbeat.take()
     time.sleep(min(max(time.monotonic() - begun_s, 0.1), _LEAST_S))
-    found.rest_s.append(heartbeat.take())
+    return gap_s, heartbeat.take(), dropped, unanswered
 
 
 def _fly(daemon: Daemon) -> None:

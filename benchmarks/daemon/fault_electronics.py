@@ -31,7 +31,6 @@ from levid.sim.electronics.emulated_devices import Core
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.sim.electronics.faults import AXES, InjectionError
 
-READY = "electronics answer"
 _MORE = ("nan-coil", "nan-axis", "shift", "race", "tilt")
 _MCL_CURRENT = 1
 _CYCLE_S = 1.0
@@ -125,11 +124,10 @@ def main(rig_file: Path) -> None:
         done.set()  # the parent process has ended
 
     with electronics:
-        threading.Thread(target=obey, daemon=True).start()
         gc.collect()
         gc.freeze()  # a garbage collection would make a reading stale
         ctypes.CDLL(None).mlockall(_MCL_CURRENT)  # real electronics have no page faults
-        print(READY, file=sys.stderr, flush=True)
+        threading.Thread(target=obey, daemon=True).start()
         while not done.wait(0.2):
             pass
 

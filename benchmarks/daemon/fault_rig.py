@@ -19,18 +19,16 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 
 from levid.benchmarks.daemon import fault_electronics
-from levid.benchmarks.harness.child_processes import end
+from levid.benchmarks.harness.child_processes import started
 from levid.benchmarks.harness.real_time import ELECTRONICS, hurry
 from levid.benchmarks.harness.running_daemon import loopback_rig
 from levid.daemon.client import Client, DaemonError
-from levid.daemon.host.real_time_scheduling import signal_at_parent_death
 
 BUSES = ("canfd", "serial")
 HOLDING = ("LEVITATING", "EXCITING", "MOVING")
@@ -46,7 +44,7 @@ LANDING_S, RAMP_S = 4.0, 0.3
 GIVE_UP_S = 40.0
 WATCHED_S = 1.0
 """Time for which force must stay zero after a fault."""
-_STARTS_S, _BEGINS_S, _RECORD_S = 60.0, 10.0, 120.0
+_BEGINS_S, _RECORD_S = 10.0, 120.0
 _LIFT = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.2, "check_coils": False}
 _SESSION = {
     "levid": "session",
@@ -80,23 +78,30 @@ class Rig:
         self.bus, self.folder, self.flights = bus, folder, 0
         self.socket, self.file = folder / "levid.sock", folder / "rig.yaml"
         self.pids: dict[str, int] = {}
-        self.daemon: subprocess.Popen[bytes] | None = None
-        self._electronics: subprocess.Popen[str] | None = None
         self._client: socket.socket | None = None
+        self._processes = contextlib.ExitStack()
+        self.file.write_text(yaml.safe_dump(rig_of(bus, folder, **more)))
         try:
-            self.file.write_text(yaml.safe_dump(rig_of(bus, folder, **more)))
-            self._start_electronics()
-            self._start_daemon()
+            self._electronics = self._start([fault_electronics.__file__], subprocess.PIPE)
+            self.say("status")
+            hurry(ELECTRONICS, self._electronics.pid)  # real ones do not wait for a processor
+            self.daemon = self._start(["-m", "levid.cli.main", "run"])
         except BaseException:
             self.close()
             raise
 
+    def _start(self, program: list[str], pipe: int | None = None) -> subprocess.Popen[bytes]:
+        command = [sys.executable, *program, str(self.file)]
+        with (self.folder / "errors.log").open("ab") as log:
+            process = started(command, stdin=pipe, stdout=pipe or log, stderr=log)
+            return self._processes.enter_context(process)
+
     def close(self) -> None:
         """End every process, also stopped ones."""
-        for process in (self.daemon, self._electronics):
-            if process is not None and process.poll() is None:
-                process.send_signal(signal.SIGCONT)
-                end(process, GIVE_UP_S)
+        for pid in self.pids.values():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+        self._processes.close()
         if not wait_for(self._all_gone):
             for pid in self.pids.values():
                 with contextlib.suppress(ProcessLookupError):
@@ -108,15 +113,15 @@ class Rig:
         Raises:
             NotInjectedError: the electronics refuse it.
         """
-        assert self._electronics is not None
         assert self._electronics.stdin is not None
         assert self._electronics.stdout is not None
-        self._electronics.stdin.write(f"{line}\n")
+        self._electronics.stdin.write(f"{line}\n".encode())
         self._electronics.stdin.flush()
-        if not select.select([self._electronics.stdout], [], [], GIVE_UP_S)[0]:
-            errors = (self.folder / "electronics.log").read_text()
+        read = bool(select.select([self._electronics.stdout], [], [], GIVE_UP_S)[0])
+        if not read or not (text := self._electronics.stdout.readline()):
+            errors = (self.folder / "errors.log").read_text()
             raise RuntimeError(f"the electronics do not answer: {errors}")
-        answer: Status = json.loads(self._electronics.stdout.readline())
+        answer: Status = json.loads(text)
         if "error" in answer:
             raise NotInjectedError(answer["error"])
         return answer
@@ -216,7 +221,7 @@ class Rig:
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)
-            if (process, how) == ("supervisor", "killed") and self.daemon is not None:
+            if (process, how) == ("supervisor", "killed"):
                 self.daemon.wait(GIVE_UP_S)
 
     def come_to_rest(self) -> int:
@@ -230,12 +235,11 @@ class Rig:
         if self._client is not None:
             self._client.close()
         self.say("clear")
-        assert self.daemon is not None
         if self.daemon.poll() is not None or not self.socket.exists():
             self.daemon.wait(GIVE_UP_S)
             if not wait_for(self._all_gone):
                 raise RuntimeError(f"the daemon's processes outlive it: {self.pids}")
-            self._start_daemon()
+            self.daemon = self._start(["-m", "levid.cli.main", "run"])
         if not wait_for(lambda: self.bus != "serial" or (self.folder / "port").exists()):
             raise RuntimeError("the electronics' port did not come back")
         clears = 0
@@ -252,34 +256,6 @@ class Rig:
         if self.until(usable) is None:
             raise RuntimeError(f"not usable after {clears} clears in {GIVE_UP_S:g} s")
         return clears
-
-    def _start_electronics(self) -> None:
-        log = self.folder / "electronics.log"
-        with log.open("w") as errors:
-            electronics = self._electronics = subprocess.Popen(
-                [sys.executable, fault_electronics.__file__, str(self.file)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                text=True,
-            )
-
-        def ready() -> bool:
-            return fault_electronics.READY in log.read_text()
-
-        wait_for(lambda: ready() or electronics.poll() is not None, _STARTS_S)
-        if not ready():
-            raise RuntimeError(f"the electronics did not start: {log.read_text()}")
-        hurry(ELECTRONICS, electronics.pid)  # real electronics do not wait for a processor
-
-    def _start_daemon(self) -> None:
-        with (self.folder / "daemon.log").open("ab") as log:
-            self.daemon = subprocess.Popen(
-                [sys.executable, "-m", "levid.cli.main", "run", str(self.file)],
-                stderr=log,
-                # The daemon ends with the benchmark, however that ends.
-                preexec_fn=partial(signal_at_parent_death, os.getpid(), signal.SIGTERM),  # noqa: PLW1509
-            )
 
     def _all_gone(self) -> bool:
         return not any(map(_runs, self.pids.values()))

@@ -12,10 +12,9 @@ from __future__ import annotations
 import random
 import shutil
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -88,16 +87,6 @@ class Case:
         return f"{self.line or self.name} in {self.state}"
 
 
-@dataclass
-class Trial:
-    """Result of a trial: periods with force after the fault, and problems by check."""
-
-    case: Case
-    cycles: int = 0
-    found: str = ""
-    problems: dict[str, str] = field(default_factory=dict)
-
-
 CHECKS = {
     "force": f"force for more than {SOON} cycles, or than the device's own timeout",
     "name": "other name in the status or in the flight recording",
@@ -109,21 +98,16 @@ CHECKS = {
 
 def measure(quick: bool) -> Iterator[Figure]:
     """Run the trials on both buses; yield their figures, also if they are interrupted."""
-    trials: list[Trial] = []
+    trials: list[dict[str, str]] = []
     asked = 20 if quick else 500
     try:
         for bus in BUSES:
             fly_cases(bus, [case_of(bus, k) for k in range(asked)], partial(attempt, trials))
     finally:
-        for name in sorted({trial.case.name for trial in trials}):
-            those = [trial for trial in trials if trial.case.name == name]
-            names = dict(Counter(trial.found for trial in those))
-            most = max(trial.cycles for trial in those)
-            print(f"{name}: at most {most} cycles; reported as {names}", file=sys.stderr)
         target = Target(least=len(BUSES) * asked)
         yield Figure("faults", len(trials), "", "faults injected in flight", target=target)
         for check, label in CHECKS.items():
-            count = sum(check in trial.problems for trial in trials)
+            count = sum(check in problems for problems in trials)
             yield Figure(check, count, "", label, target=Target(most=0))
 
 
@@ -138,49 +122,41 @@ def case_of(bus: str, number: int) -> Case:
     return Case(name, kind, kind.line(draw) if kind.line else "", state, delay_s)
 
 
-def attempt(trials: list[Trial], rig: Rig, case: Case) -> None:
-    """Fly, inject the fault, watch the force and bring the rig to rest; append the trial."""
+def attempt(trials: list[dict[str, str]], rig: Rig, case: Case) -> None:
+    """Fly, inject the fault, watch the force and come to rest; append the problems by check."""
     status = rig.lift_off(case.state, case.delay_s)
     recorded = _recordings(rig)
-    trial = Trial(case)
+    before = rig.say(case.line or "status")
+    if not any(before["acting_n"]):
+        raise NotInjectedError("no force acts")
+    problems: dict[str, str] = {}
+    trials.append(problems)
+    process, _, how = case.name.partition(" ")
+    most, name = case.kind.most_cycles, case.kind.fault.name
     try:
-        before = rig.say(case.line or "status")
-        if not any(before["acting_n"]):
-            raise NotInjectedError("no force acts")
-        trials.append(trial)
-        _watch(rig, trial, before["forced_periods"], recorded)
-        if (clears := rig.come_to_rest()) > 1:
-            trial.problems["rest"] = f"{clears} requests to clear"
+        with nullcontext() if case.line else rig.signalled(process, how):
+            cycles, problems["force"] = rig.until_zero(before["forced_periods"])
+        if cycles > most:
+            problems["force"] = f"expected {most} cycles with force or less, found {cycles}"
+        found = wait_for(lambda: _recorded(_recordings(rig) - recorded), _WRITTEN_S)
+        runs = rig.daemon.poll() is None
+        if runs and rig.until(lambda s: s["fault"] == name, _WRITTEN_S) is None:
+            found = rig.ask("status")["fault"]
+        problems["name"] = "" if found == name else f"expected {name}, found {found}"
+        clears = rig.come_to_rest()
+        problems["rest"] = f"{clears} requests to clear" if clears > 1 else ""
         logs = partial(_log_problem, rig.flight, status["cycle"])
-        if wait_for(lambda: not logs(), _WRITTEN_S) is None:
-            trial.problems["logs"] = logs()
+        wait_for(lambda: not logs(), _WRITTEN_S)
+        problems["logs"] = logs()
         shutil.rmtree(rig.flight, ignore_errors=True)
     except ERRORS as error:
-        trial.problems["failed"] = str(error)
+        problems["failed"] = str(error)
         raise
     finally:
-        for check, problem in trial.problems.items():
-            print(f"{rig.bus}, {case}: {check}: {problem}", file=sys.stderr)
-
-
-def _watch(rig: Rig, trial: Trial, since: int, recorded: set[Path]) -> None:
-    """Watch the force until it ends, and read the name of the fault."""
-    case = trial.case
-    process, _, how = case.name.partition(" ")
-    with nullcontext() if case.line else rig.signalled(process, how):
-        trial.cycles, problem = rig.until_zero(since)
-    most = case.kind.most_cycles
-    if trial.cycles > most:
-        problem = f"force for {trial.cycles} cycles, expected {most}"
-    if problem:
-        trial.problems["force"] = problem
-    name = case.kind.fault.name
-    trial.found = wait_for(lambda: _recorded(_recordings(rig) - recorded), _WRITTEN_S) or "nothing"
-    if rig.daemon is not None and rig.daemon.poll() is None:
-        status = rig.until(lambda s: s["fault"] == name, _WRITTEN_S) or rig.ask("status")
-        trial.found = trial.found if status["fault"] == name else status["fault"]
-    if trial.found != name:
-        trial.problems["name"] = f"reported as {trial.found}"
+        for check in [check for check, problem in problems.items() if not problem]:
+            del problems[check]
+        for problem in problems.values():
+            print(f"{rig.bus}, {case}: {problem}", file=sys.stderr)
 
 
 def _recordings(rig: Rig) -> set[Path]:
@@ -218,16 +194,8 @@ def _log_problem(folder: Path, until: int) -> str:
     return f"the last {tail_s:.2f} s are missing" if tail_s > LAST_S else ""
 
 
-def _plain(name: str) -> Line:
-    return lambda _: name
-
-
-def _channel(name: str) -> Line:
-    return lambda draw: f"{name} {draw.randrange(9)}"
-
-
-def _axis(name: str) -> Line:
-    return lambda draw: f"{name} {draw.choice(('x1', 'x2', 'phi'))}"
+def _one(name: str, *arguments: object) -> Line:
+    return lambda draw: f"{name} {draw.choice(arguments)}" if arguments else name
 
 
 def _size(name: str, least: float, most: float) -> Line:
@@ -245,17 +213,17 @@ _SILENCE_SHOWS = round(SUPERVISOR_S * RATE_HZ)
 
 _EVERYWHERE = {
     **{
-        name: Kind(Fault.STALE, _plain(name))
+        name: Kind(Fault.STALE, _one(name))
         for name in ("drop", "delay", "corrupt", "repeat", "reorder")
     },
-    "drop-setpoints": Kind(Fault.AMPLIFIER, _plain("drop-setpoints"), own_timeout=True),
-    "stuck": Kind(Fault.SENSOR, _channel("stuck")),
-    "frozen": Kind(Fault.SENSOR, _channel("frozen"), shows=_FROZEN_SHOWS),
-    "saturated": Kind(Fault.SENSOR, _channel("saturated")),
-    "trip": Kind(Fault.AMPLIFIER, _channel("trip")),
-    "encoder": Kind(Fault.DRIVE, _axis("encoder")),
+    "drop-setpoints": Kind(Fault.AMPLIFIER, _one("drop-setpoints"), own_timeout=True),
+    "stuck": Kind(Fault.SENSOR, _one("stuck", *range(9))),
+    "frozen": Kind(Fault.SENSOR, _one("frozen", *range(9)), shows=_FROZEN_SHOWS),
+    "saturated": Kind(Fault.SENSOR, _one("saturated", *range(9))),
+    "trip": Kind(Fault.AMPLIFIER, _one("trip", *range(9))),
+    "encoder": Kind(Fault.DRIVE, _one("encoder", "x1", "x2", "phi")),
     "skew": Kind(Fault.DRIVE, _size("skew", 0.03, 0.1)),
-    "nan-coil": Kind(Fault.READING, _channel("nan-coil")),
+    "nan-coil": Kind(Fault.READING, _one("nan-coil", *range(9))),
     # Limits: beam position, beam speed, platform height, tilt.
     "shift": Kind(Fault.BEAM, _size("shift", 0.15, 0.3)),
     "race": Kind(Fault.VELOCITY, _size("race", 1.5, 3.0)),
@@ -268,14 +236,14 @@ _EVERYWHERE = {
 }
 # The host detects a lost port at once. A node that leaves a CAN bus is only silent.
 _SERIAL = {
-    "bus-off": Kind(Fault.STALE, _plain("bus-off"), own_timeout=True),
-    "disconnect": Kind(Fault.LINK, _plain("disconnect"), own_timeout=True),
-    "nan-axis": Kind(Fault.READING, _axis("nan-axis")),
+    "bus-off": Kind(Fault.STALE, _one("bus-off"), own_timeout=True),
+    "disconnect": Kind(Fault.LINK, _one("disconnect"), own_timeout=True),
+    "nan-axis": Kind(Fault.READING, _one("nan-axis", "x1", "x2", "phi")),
 }
 _CAN = {
     # The driver of the host's controller reports this.
-    "bus-off": Kind(Fault.LINK, _plain("bus-off"), own_timeout=True),
-    "disconnect": Kind(Fault.STALE, _plain("disconnect"), own_timeout=True),
+    "bus-off": Kind(Fault.LINK, _one("bus-off"), own_timeout=True),
+    "disconnect": Kind(Fault.STALE, _one("disconnect"), own_timeout=True),
 }
 
 

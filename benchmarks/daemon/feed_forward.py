@@ -41,16 +41,10 @@ def measure(quick: bool) -> Iterator[Figure]:
         numbers = found["numbers"][1]
         yield Figure(f"still_{sim}", rest, "urad", f"theta at rest, {sim} simulator")
         yield Figure(f"numbers_{sim}", numbers, "urad", f"in the sweep, rig without a model, {sim}")
-        yield Figure(
-            f"model_{sim}", theta, "urad", f"in the sweep, rig with its model, {sim}",
-            target=Target(most=0.1 * numbers),
-        )  # fmt: skip
-        yield Figure(
-            f"light_beam_{sim}",
-            found["light_beam"][1],
-            "urad",
-            f"the same, m_b 10 % too small, {sim}",
-        )
+        label, most = f"in the sweep, rig with its model, {sim}", Target(most=0.1 * numbers)
+        yield Figure(f"model_{sim}", theta, "urad", label, target=most)
+        light = found["light_beam"][1]
+        yield Figure(f"light_beam_{sim}", light, "urad", f"the same, m_b 10 % too small, {sim}")
 
 
 def theta_urad(rig: Mapping[str, Any], sim: Path) -> tuple[float, float]:

@@ -108,7 +108,7 @@ def flights(config: Path, names: Sequence[str], commit: str) -> list[Flight]:
 
 
 def fly_both(flight: Flight, folders: Sequence[Path], logs: Path) -> Comparison:
-    """Fly the code of both folders at the same time, on the first one's config; compare the logs."""
+    """Fly both folders' code at the same time, on the first one's config; compare the logs."""
     config = folders[0] / "levid" / "config"
     session = logs / f"{flight.session}.yaml"
     text = (config / "sessions" / session.name).read_text(encoding="utf-8")
@@ -136,7 +136,8 @@ def fly_both(flight: Flight, folders: Sequence[Path], logs: Path) -> Comparison:
     found = compare_folders(*outs)
     if codes[0] == codes[1] and (found.rows or found.difference):
         return found
-    ends = [f"exit code {c}, '{_last_line(path)}'" for c, path in zip(codes, said, strict=True)]
+    last = [(path.read_text(errors="replace").splitlines() or ["no message"])[-1] for path in said]
+    ends = [f"exit code {code}, '{line}'" for code, line in zip(codes, last, strict=True)]
     why = f"{found.difference or 'no difference'}; {ends[0]} before; {ends[1]} after"
     return Comparison(found.rows, why)
 
@@ -181,11 +182,6 @@ def _check_import(folder: Path) -> None:
     found = done.stdout.strip() or done.stderr.strip()
     if not found.startswith(f"{folder}{os.sep}"):
         sys.exit(f"expected code from {folder}, found {found}")
-
-
-def _last_line(path: Path) -> str:
-    lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    return lines[-1].strip() if lines else "no message"
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -51,17 +51,7 @@ _LONGEST_US = 20_000
 _LEAST_LOGGED = 0.5
 """Share of the periods that must have rows: skipped periods have none."""
 _REST_S, _SYNC_S = 2.0, 60.0
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Number of rounds, and durations in s."""
-
-    least: int = 20
-    most: int = 40
-    seconds: float = 30.0
-    busy_s: float = 600.0
-    busy_peer_s: float = 120.0
+_RIGHTS = "Run it as root, or raise the limits rtprio and memlock"
 
 
 @dataclass
@@ -83,17 +73,18 @@ class Turn:
     def late(self) -> int:
         return len(self.late_us)
 
-    @classmethod
-    def together(cls, turns: Iterable[Turn]) -> Turn:
-        """Return the sum of several turns of one contender."""
-        turns = list(turns)
-        return cls(
-            sum(turn.cycles for turn in turns),
-            np.concatenate([_NO_TIMES, *(turn.lateness_us for turn in turns)]),
-            np.concatenate([_NO_TIMES, *(turn.late_us for turn in turns)]),
-            sum(turn.seconds for turn in turns),
-            sum(turn.recorder_s for turn in turns),
-            sum((turn.found for turn in turns), Found()),
+    @property
+    def late_share(self) -> float | None:
+        return self.late / self.cycles if self.cycles else None
+
+    def __add__(self, other: Turn) -> Turn:
+        return Turn(
+            self.cycles + other.cycles,
+            np.concatenate([self.lateness_us, other.lateness_us]),
+            np.concatenate([self.late_us, other.late_us]),
+            self.seconds + other.seconds,
+            self.recorder_s + other.recorder_s,
+            self.found + other.found,
         )
 
 
@@ -106,57 +97,52 @@ def main() -> None:
     )  # fmt: skip
     arguments = parser.parse_args()
     if not hurry(PRIORITY):
-        sys.exit(
-            f"timing: no right to priority {PRIORITY}. Run it as root, or raise the limits rtprio "
-            "and memlock"
-        )
+        sys.exit(f"timing: no right to priority {PRIORITY}. {_RIGHTS}")
     relax()
     if not shutil.which("cyclictest"):
         print("timing: cyclictest not found. On Debian: apt install rt-tests", file=sys.stderr)
-    plan = Plan(1, 1, 5.0, 10.0, 5.0) if arguments.quick else Plan()
     LOGS.mkdir(parents=True, exist_ok=True)
 
     def measure() -> Iterator[Figure]:
         for section in arguments.only or SECTIONS:
-            yield from busy(plan) if section == "busy" else rounds(plan, section)
+            yield from (busy if section == "busy" else rounds)(section, arguments.quick)
 
     table.show("Timing", arguments, measure)
 
 
-def rounds(plan: Plan, section: str) -> Iterator[Figure]:
+def rounds(section: str, quick: bool) -> Iterator[Figure]:
     """Measure rounds until enough have late cycles; yield the figures of their sum."""
-    turns: list[tuple[Turn, Turn]] = []
+    least, most, seconds = (1, 1, 5.0) if quick else (20, 40, 30.0)
+    levid, peer = Turn(), Turn()
     late: list[Round] = []
-    rate_hz = SECTIONS[section]
-    while len(turns) < plan.least or (late[0].of_others and again(late, plan.least, plan.most)):
-        print(f"{section}: round {len(turns) + 1}", end="\r", file=sys.stderr)
-        contenders = (fly, cyclictest)[:: -1 if len(turns) % 2 else 1]
-        found = [contender(rate_hz, plan.seconds) for contender in contenders]
-        ours, peer = found[:: -1 if len(turns) % 2 else 1]
-        turns.append((ours, peer))
-        late.append(Round(ours.late, ours.cycles, peer.late, peer.cycles))
-    print(file=sys.stderr)
-    levid, peer = (Turn.together(those) for those in zip(*turns, strict=True))
+    while len(late) < least or (peer.cycles and again(late, least, most)):
+        print(f"{section}: round {len(late) + 1}", end="\r", file=sys.stderr)
+        order = -1 if len(late) % 2 else 1
+        turns = [turn(SECTIONS[section], seconds) for turn in (fly, cyclictest)[::order]]
+        one, other = turns[::order]
+        levid, peer = levid + one, peer + other
+        late.append(Round(one.late, one.cycles, other.late, other.cycles))
     yield from figures(section, levid, peer)
     if peer.cycles:
         low, high = f"late_ratio_low_{section}", f"late_ratio_{section}"
         yield from ratio_figures(late, low, high, f"loop at {section}, cyclictest")
 
 
-def busy(plan: Plan) -> Iterator[Figure]:
+def busy(section: str, quick: bool) -> Iterator[Figure]:
     """Fly once beside a disk that is written continuously; yield the figures."""
+    seconds, peer_s = (10.0, 5.0) if quick else (600.0, 120.0)
+    rate_hz = SECTIONS[section]
     with busy_disk(LOGS) as writer:
-        peers = [cyclictest(10_000, plan.busy_peer_s)]
-        levid = fly(10_000, plan.busy_s)
-        peers.append(cyclictest(10_000, plan.busy_peer_s))
+        before = cyclictest(rate_hz, peer_s)
+        levid = fly(rate_hz, seconds)
+        after = cyclictest(rate_hz, peer_s)
         written_mib_s = writer.require_busy()
     yield Figure("written_mib_s_busy", written_mib_s, "MiB/s", "written and synced beside it")
-    yield from figures("busy", levid, Turn.together(peers))
+    yield from figures("busy", levid, before + after)
 
 
 def figures(section: str, levid: Turn, peer: Turn) -> Iterator[Figure]:
     """Yield lateness, shares of late cycles, lost rows and the recorder's load."""
-    yield Figure(f"flight_s_{section}", levid.seconds, "s", f"{section}: time flown")
     for key, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999)):
         versus = f"cyclictest_{key}_us_{section}"
         theirs, ours = _quantile(peer.lateness_us, share), _quantile(levid.lateness_us, share)
@@ -164,16 +150,14 @@ def figures(section: str, levid: Turn, peer: Turn) -> Iterator[Figure]:
         label = f"loop, {section}: lateness behind its spin, {key}"
         yield Figure(f"lateness_{key}_us_{section}", ours, "us", label, versus)
     late = f"cyclictest_late_share_{section}"
-    yield Figure(late, _late(peer), "", f"cyclictest, {section}: woken a period late, share")
+    yield Figure(late, peer.late_share, "", f"cyclictest, {section}: woken a period late, share")
     label = f"loop, {section}: ended a period late, share"
-    yield Figure(f"late_share_{section}", _late(levid), "", label, late)
+    yield Figure(f"late_share_{section}", levid.late_share, "", label, late)
     for key, share in (("p05", 0.05), ("p95", 0.95)):
         late_us = _quantile(levid.late_us, share)
         yield Figure(f"late_{key}_us_{section}", late_us, "us", f"lateness of these, {key}")
-    missing, none = levid.found.missing, Target(most=0)
-    yield Figure(f"lost_rows_{section}", missing, "", "flown rows in no log", target=none)
-    wrong, label = levid.found.wrong - missing, "duplicates, foreign rows, cut logs"
-    yield Figure(f"wrong_rows_{section}", wrong, "", label, target=none)
+    wrong, label = levid.found.wrong, "rows missing, duplicate or foreign; cut logs"
+    yield Figure(f"wrong_rows_{section}", wrong, "", label, target=Target(most=0))
     used, most = levid.recorder_s / levid.seconds, Target(most=MOST_RECORDER)
     label = "recorder: share of a processor"
     yield Figure(f"recorder_cpu_{section}", used, "", label, target=most)
@@ -221,7 +205,12 @@ def fly(rate_hz: int, seconds: float) -> Turn:
         with running(rig, Path(name) / "levid.sock") as daemon:
             _rest()
             recorder = daemon.pids["recorder"]
-            _require_rights(Rights.of(daemon.pids["loop"]))
+            rights = Rights.of(daemon.pids["loop"])
+            if rights.priority != PRIORITY or not rights.locked_mb:
+                raise SystemExit(
+                    f"timing: expected a loop at priority {PRIORITY} with locked memory, found "
+                    f"priority {rights.priority}, {rights.locked_mb:.0f} MB locked. {_RIGHTS}"
+                )
             flown = Flown(daemon.pids["supervisor"], rig)
             levitate = {"ramp_s": 0.5, "settle_s": 0, "check_coils": False}
             with Client(daemon.socket) as client:
@@ -264,16 +253,6 @@ def read_flight(folder: Path, rate_hz: int, seconds: float, flown: NDArray[np.in
     return Turn(len(cycles), lateness_us, late_us, seconds, found=found)
 
 
-def _require_rights(rights: Rights) -> None:
-    """Exit unless the loop has the same priority and memory lock as cyclictest."""
-    if rights.priority != PRIORITY or not rights.locked_mb:
-        raise SystemExit(
-            f"timing: expected a loop at priority {PRIORITY} with locked memory, found priority "
-            f"{rights.priority} and {rights.locked_mb:.0f} MB locked. Run it as root, or raise the "
-            "limits rtprio and memlock"
-        )
-
-
 def _rig(folder: Path, rate_hz: int) -> Path:
     """Write a rig that counts late cycles instead of stopping at them."""
     limits = {"late_cycles": 10_000, "late_in_window": 1_000_000, "stall_s": 30}
@@ -298,10 +277,6 @@ def _rest() -> None:
 
 def _quantile(times_us: Times, share: float) -> float | None:
     return float(np.quantile(times_us, share)) if len(times_us) else None
-
-
-def _late(turn: Turn) -> float | None:
-    return turn.late / turn.cycles if turn.cycles else None
 
 
 if __name__ == "__main__":

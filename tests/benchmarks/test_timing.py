@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from levid.benchmarks.daemon import timing, timing_contenders
+from levid.benchmarks.daemon import timing
 from levid.benchmarks.harness import flown_rows
 from levid.benchmarks.harness.flown_rows import Found, compare, found_in
 from levid.benchmarks.harness.ratio_of_shares import Round, ratio_95
@@ -37,7 +37,7 @@ def write_log(path: Path, cycles: list[int], late_us: float = 0.0) -> Path:
 
 
 def test_overflows_of_cyclictest_count_as_late() -> None:
-    turn = timing_contenders.of_cyclictest(CYCLICTEST, 100, 5.0)
+    turn = timing.of_cyclictest(CYCLICTEST, 100, 5.0)
     assert (turn.cycles, turn.late) == (7, 5)
     assert np.median(turn.lateness_us) == 150.0
     assert turn.lateness_us.max() == 20_000.0
@@ -46,18 +46,15 @@ def test_overflows_of_cyclictest_count_as_late() -> None:
 def test_a_cycle_is_late_if_it_ends_a_period_late(tmp_path: Path) -> None:
     write_log(tmp_path / "a.mcap", [0, 1, 2], late_us=49.0)
     write_log(tmp_path / "b.mcap", [3, 5], late_us=51.0)
-    turn = timing_contenders.read_flight(tmp_path, 10_000, 6e-4, np.arange(6))
+    turn = timing.read_flight(tmp_path, 10_000, 6e-4, np.arange(6))
     assert (turn.cycles, turn.late, turn.found) == (5, 2, Found(missing=1))
     turn.seconds, turn.recorder_s = 5.0, 0.2
-    figures = [
-        *timing.lateness_figures("busy", turn, timing_contenders.Turn()),
-        *timing.recorder_figures("busy", turn),
-    ]
-    found = {figure.key: figure.value for figure in figures}
-    assert (found["late_share_busy"], found["lost_rows_busy"]) == (0.4, 1)
+    found = {figure.key: figure.value for figure in timing.figures("busy", turn, timing.Turn())}
+    assert (found["late_share_busy"], found["wrong_rows_busy"]) == (0.4, 1)
+    assert found["late_p05_us_busy"] == pytest.approx(51.0)
     assert found["recorder_cpu_busy"] == pytest.approx(0.04)
     with pytest.raises(RuntimeError, match="expected rows of 100 periods, found 5"):
-        timing_contenders.read_flight(tmp_path, 10_000, 0.01, np.arange(6))
+        timing.read_flight(tmp_path, 10_000, 0.01, np.arange(6))
 
 
 def test_logged_rows_are_compared_with_flown_rows(tmp_path: Path) -> None:

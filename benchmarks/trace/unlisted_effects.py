@@ -12,7 +12,6 @@ from typing import Any
 
 Vector = Sequence[float]
 
-_G_M_S2 = 9.81
 _AIR_KG_M3 = 1.2
 _NO_WRENCH = (0.0, 0.0, 0.0)
 
@@ -73,87 +72,6 @@ class EddyBrake:
         return (0.0, beam.x_m * force, force)
 
 
-class Gyroscope:
-    """The turning rotor resists tilting: tau_psi = H theta', tau_theta = -H psi', H = J phi'.
-
-    About +x and +y the platform turns with (psi', -theta'), and gets -w x H e_z. J includes the
-    motor.
-    """
-
-    def __init__(self, j_kg_m2: float) -> None:
-        self.j_kg_m2 = j_kg_m2
-
-    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
-        h = self.j_kg_m2 * beam.phi_rad_s
-        return (h * float(qd[1]), -h * float(qd[0]), 0.0)
-
-
-class PassingBeam(_OneSensor):
-    """A sensor detects the magnets of the beam: h = h + y0 e^(-s^2), s = (x_b - x_0) / w."""
-
-    def __init__(self, sensor: int, offset_m: float, at_m: float, width_m: float) -> None:
-        super().__init__(sensor)
-        self.offset_m, self.at_m, self.width_m = offset_m, at_m, width_m
-
-    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
-        s = (beam.x_m - self.at_m) / self.width_m
-        self._error_m = self.offset_m * math.exp(-s * s)
-        return _NO_WRENCH
-
-
-class StrayField(_OneSensor):
-    """A coil's field changes a sensor's ferrite core: h = h + e ((F / F_0)^2 - 1).
-
-    A field across the ferrite lowers its permeability, whatever its sign (Snelling, Soft Ferrites,
-    1988). e is the error at the force F_0 at rest, where sensors are zeroed.
-    """
-
-    def __init__(self, sensor: int, coil: int, offset_m: float, rest_n: float) -> None:
-        super().__init__(sensor)
-        self.coil, self.offset_m, self.rest_n = coil, offset_m, rest_n
-        self._error_m = -offset_m  # gap is called once before the first step, with the coils off
-
-    def coil_force(self, t_s: float, q: Vector, force_n: Any) -> Any:
-        share = float(force_n[self.coil]) / self.rest_n
-        self._error_m = self.offset_m * (share * share - 1.0)
-        return force_n
-
-
-class SharedYoke:
-    """The flux of coil b saturates the iron of coil a: F_a = F_a (1 - e (F_b - F_0) / F_0).
-
-    Armature reaction, as in electric machines, to first order in the neighbour's current. Constants
-    are measured at the force F_0 at rest, so that no coil has a gain error.
-    """
-
-    def __init__(self, coil: int, neighbour: int, loss: float, rest_n: float) -> None:
-        self.coil, self.neighbour = coil, neighbour
-        self.loss, self.rest_n = loss, rest_n
-
-    def coil_force(self, t_s: float, q: Vector, force_n: Any) -> Any:
-        beyond = float(force_n[self.neighbour]) / self.rest_n - 1.0
-        force_n[self.coil] *= 1.0 - self.loss * beyond
-        return force_n
-
-
-class CableLoop:
-    """A cable loop follows the beam with play b: tau_theta = -m g (u - x_b).
-
-    u = min(max(u, x_b - b), x_b + b): a play operator (Krasnosel'skii and Pokrovskii 1989), which
-    depends on where the beam turned, not on its speed. The loop's inertia is left out.
-    """
-
-    def __init__(self, mass_kg: float, play_m: float) -> None:
-        self.weight_n, self.play_m = mass_kg * _G_M_S2, play_m
-
-    def reset(self, plant: Any) -> None:
-        self._at_m = 0.0
-
-    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
-        self._at_m = min(max(self._at_m, beam.x_m - self.play_m), beam.x_m + self.play_m)
-        return (0.0, -self.weight_n * (self._at_m - beam.x_m), 0.0)
-
-
 class ClosedCover:
     """The beam is a piston under a closed cover: tau_theta = -B dp (L^2 - x_b^2) / 2.
 
@@ -170,24 +88,6 @@ class ClosedCover:
     def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
         spread_m2 = self.half_length_m**2 - beam.x_m * beam.x_m
         return (0.0, -self._n_s2_m3 * beam.v_m_s * abs(beam.v_m_s) * spread_m2, 0.0)
-
-
-class PulledOscillator:
-    """A sensor's oscillator locks to its neighbour's: h_a = h_a - L g(s), s = (h_a - h_b - d) / L.
-
-    g = s where |s| < 1, s - sgn(s) sqrt(s^2 - 1) beyond: injection locking (Adler, Proc. IRE 34
-    (1946) 351), averaged over the beats. Both have one frequency where h_a = h_b + d.
-    """
-
-    def __init__(self, sensor: int, neighbour: int, lock_m: float, apart_m: float) -> None:
-        self.sensor, self.neighbour = sensor, neighbour
-        self.lock_m, self.apart_m = lock_m, apart_m
-
-    def gap(self, t_s: float, gap_m: Any) -> Any:
-        off = float(gap_m[self.sensor] - gap_m[self.neighbour]) - self.apart_m
-        beat = math.sqrt(max(off * off - self.lock_m * self.lock_m, 0.0))
-        gap_m[self.sensor] -= off - math.copysign(beat, off)
-        return gap_m
 
 
 class SecondStage:
@@ -242,105 +142,6 @@ class TransducerCore:
         return force_n
 
 
-class LoadedRod:
-    """The rod that takes the beam's reaction slants with z: F_z = -m_b a_b (z - h) / L.
-
-    The rod, L long, holds the platform along x; its end at the base is at the height h. In tension
-    it stiffens z like a string, in compression it softens z (Timoshenko and Gere, Theory of Elastic
-    Stability, 1961; load stiffening: Awtar, Slocum and Sevincer, J. Mech. Des. 129 (2007) 625).
-    """
-
-    def __init__(self, m_b_kg: float, length_m: float, level_m: float) -> None:
-        self.m_b_kg, self.length_m, self.level_m = m_b_kg, length_m, level_m
-
-    def reset(self, plant: Any) -> None:
-        self._half_step_s = 0.5 * plant.dt_s
-
-    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
-        # The force is held over the step: z in its middle, or a spring would be a negative damper.
-        z = float(q[2]) + self._half_step_s * float(qd[2])
-        load = self.m_b_kg * beam.a_m_s2
-        return (0.0, 0.0, load * (self.level_m - z) / self.length_m)
-
-
-class SharedReturn(_OneSensor):
-    """A motor phase shares a sensor's ground: h = h + e (a_b / a_0) cos(k x_b + f), k = 2 pi / p.
-
-    Common-impedance coupling (Ott, Electromagnetic Compatibility Engineering, 2009). p is the
-    length of a pole pair of a synchronous motor, whose phase current is m_b a_b / K times the
-    cosine (Gieras, Piech and Tomczuk, Linear Synchronous Motors, 2012). At 2.5 m/s^2 0.6 A in 35
-    mOhm are 20 mV: 4 um at 5 V/mm.
-    """
-
-    def __init__(
-        self, sensor: int, offset_m: float, rated_m_s2: float, period_m: float, phase_rad: float
-    ) -> None:
-        super().__init__(sensor)
-        self.phase_rad = phase_rad
-        self._share_s2 = offset_m / rated_m_s2
-        self._wave_1_m = 2.0 * math.pi / period_m
-
-    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
-        angle = self._wave_1_m * beam.x_m + self.phase_rad
-        self._error_m = self._share_s2 * beam.a_m_s2 * math.cos(angle)
-        return _NO_WRENCH
-
-
-class SteelPlate:
-    """A steel plate attracts the beam's magnets: F = A (1 - e^(-h / l)), h = z + x_b theta.
-
-    The field of magnets of period p decays as e^(-2 pi d / p), the pull as its square, l = p / 4 pi
-    (Furlani, Permanent Magnet and Electromechanical Devices, 2001): a spring of stiffness -A / l
-    that moves with the beam. The pull at h = 0 and the stiffness -A / l in z are part of the model.
-    p = 60 mm, 27 mm away: 18 mT on 50 cm^2 are 0.6 N.
-    """
-
-    def __init__(self, pull_n: float, period_m: float) -> None:
-        self.pull_n, self._length_m = pull_n, period_m / (4.0 * math.pi)
-
-    def reset(self, plant: Any) -> None:
-        self._half_step_s = 0.5 * plant.dt_s
-
-    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
-        # The force is held over the step: the pose in its middle, or a spring would be a damper.
-        z = float(q[2]) + self._half_step_s * float(qd[2])
-        theta = float(q[1]) + self._half_step_s * float(qd[1])
-        force = -self.pull_n * math.expm1(-(z + beam.x_m * theta) / self._length_m)
-        return (0.0, beam.x_m * force, force - self.pull_n * z / self._length_m)
-
-
-class PumpedBus(_OneSensor):
-    """A sensor's supply rises as the beam brakes: h = h + e W / W_0, W >= 0.
-
-    W' = -m_b a_b (v_b + tau a_b) - P_0 is the power that braking adds to the drive's DC bus (Mohan,
-    Undeland and Robbins, Power Electronics, 2003); tau = R m_b / K^2 is the winding's loss, P_0 the
-    drive's consumption. 0.1 J on 2.2 mF at 48 V are 0.95 V, 19 mV behind a regulator of 34 dB: 4 um
-    at 5 V/mm.
-    """
-
-    def __init__(
-        self,
-        sensor: int,
-        offset_m: float,
-        rated_j: float,
-        m_b_kg: float,
-        motor_s: float,
-        drain_w: float,
-    ) -> None:
-        super().__init__(sensor)
-        self.m_b_kg, self.motor_s, self.drain_w = m_b_kg, motor_s, drain_w
-        self._m_j = offset_m / rated_j
-
-    def reset(self, plant: Any) -> None:
-        self._dt_s, self._spare_j, self._error_m = plant.dt_s, 0.0, 0.0
-
-    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
-        drawn_w = self.m_b_kg * beam.a_m_s2 * (beam.v_m_s + self.motor_s * beam.a_m_s2)
-        self._spare_j = max(self._spare_j - self._dt_s * (drawn_w + self.drain_w), 0.0)
-        self._error_m = self._m_j * self._spare_j
-        return _NO_WRENCH
-
-
 class WavyRail:
     """The beam runs over a wavy rail: F = m_b A k (k v_b^2 cos(k x_b + f) + a_b sin(k x_b + f)).
 
@@ -385,59 +186,6 @@ class WarmPost(_OneSensor):
         self._warmth += self._rate * (load * load - self._warmth)
         self._error_m = -self.growth_m * (self._warmth - 1.0)
         return force_n
-
-
-class RockingTable:
-    """The table under the rig rocks as the beam moves: J_t u'' = m_b (h a_b - g x_b) - c u' - k u.
-
-    u is the table's tilt, counted as theta, h the beam's height over the table's axis, d the
-    platform's distance from it. Coils and sensors move with the table; the platform feels
-
-        F_z = -(m d + m_b (x_b + d)) u''
-        tau_theta = -(J + m_b (z_b h + x_b (x_b + d))) u'' + m_b g z_b u
-
-    (Munnig Schmidt et al., The Design of High Performance Mechatronics, 2014; Rankers, Machine
-    Dynamics in Mechatronic Systems, 1998). m and J are the platform's without the beam, z_b the
-    beam's height over the platform's middle. The flight begins at the static tilt. 120 kg with 14
-    kg m^2 at 2 Hz, pushed by 1.7 N m, tilt by 0.8 mrad: 11 mN m on the platform.
-    """
-
-    def __init__(
-        self,
-        table_j_kg_m2: float,
-        freq_hz: float,
-        damping: float,
-        height_m: float,
-        off_m: float,
-        m_b_kg: float,
-        mass_kg: float,
-        j_kg_m2: float,
-        z_b_m: float,
-    ) -> None:
-        w = 2.0 * math.pi * freq_hz
-        self._beam_1_kg_m2 = m_b_kg / table_j_kg_m2
-        self.height_m, self.off_m, self.z_b_m = height_m, off_m, z_b_m
-        self.m_b_kg, self.mass_kg, self.j_kg_m2 = m_b_kg, mass_kg, j_kg_m2
-        self._k_1_s2, self._c_1_s = w * w, 2.0 * damping * w
-
-    def reset(self, plant: Any) -> None:
-        self._dt_s = plant.dt_s
-        self._tilt_rad: float | None = None
-        self._rate_rad_s = 0.0
-
-    def wrench(self, t_s: float, q: Vector, qd: Vector, beam: Any) -> Vector:
-        m, x = self.m_b_kg, beam.x_m
-        if self._tilt_rad is None:
-            self._tilt_rad = -self._beam_1_kg_m2 * _G_M_S2 * x / self._k_1_s2
-        tilt = self._tilt_rad
-        turning = self._beam_1_kg_m2 * (self.height_m * beam.a_m_s2 - _G_M_S2 * x)
-        turning -= self._c_1_s * self._rate_rad_s + self._k_1_s2 * tilt
-        self._rate_rad_s += self._dt_s * turning
-        self._tilt_rad += self._dt_s * self._rate_rad_s
-        beam_kg_m = m * (x + self.off_m)
-        torque = m * _G_M_S2 * self.z_b_m * tilt
-        torque -= (self.j_kg_m2 + m * self.z_b_m * self.height_m + x * beam_kg_m) * turning
-        return (0.0, torque, -(self.mass_kg * self.off_m + beam_kg_m) * turning)
 
 
 class RectifiedDrive(_OneSensor):

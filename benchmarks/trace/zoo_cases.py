@@ -22,8 +22,7 @@ _MODULES = {
 class Case:
     """One effect: what `levid trace` should report of it, and how it is simulated.
 
-    kind, where: class and places of the report. mechanism: the effects of the table, or groups of
-    them, that have its equation; none: any of the class. alike: classes that fit the data equally.
+    kind, where: class and places of the report. alike: classes that fit the data equally.
     implied: places that follow from another, such as the torque of a force; they do not count.
     absorbed: the parameters by which a refit of the declared model removes it. signals: what an
     unlisted effect depends on; each of a set is enough, and the first set is required. unseen: the
@@ -41,7 +40,6 @@ class Case:
     values: Mapping[str, Any]
     size: Mapping[str, float]
     scales: tuple[float, ...]
-    mechanism: tuple[str, ...] = ()
     alike: tuple[str, ...] = ()
     implied: tuple[str, ...] = ()
     absorbed: str = ""
@@ -61,11 +59,6 @@ class Case:
             by, value = scale**power, values[key]
             values[key] = [by * v for v in value] if isinstance(value, list) else by * value
         return {"use": self.use, **values}
-
-
-def is_called(effect: str, key: str) -> bool:
-    """Return whether an effect of the table is `key` or belongs to the group `key`."""
-    return effect == key or effect.startswith(f"{key}.")
 
 
 def _read(section: str) -> tuple[Case, ...]:

@@ -13,10 +13,6 @@ no report names the true one. If the refitted model absorbs the effect and its e
 floor, to report nothing is right too (*hidden*). For a plant without effects it is right to report
 nothing, and that the rest is not significant.
 
-The *mechanism* is right if, besides, an effect of the model that the trace ends with has the
-equation of each true effect (`mechanism`) at one of its places. Random forces are in no such model;
-the report names them.
-
 A plant with an unlisted effect is right if no report is *misnamed* (has a known class that the case
 does not allow, without being marked as doubtful), if it is *described* (a report of class `unknown`
 has more than half of its places in common with the truth; its signals include one of the first set
@@ -30,11 +26,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 from typing import Any
 
-from levid.benchmarks.trace.zoo_cases import Case, is_called
+from levid.benchmarks.trace.zoo_cases import Case
 
 EXPLAINED = 1.15
 """Error over the floor of a model that explains the records."""
@@ -46,19 +42,14 @@ _MOST_ALTERNATIVES = 3
 
 @dataclass(frozen=True)
 class Score:
-    """The score of a plant; before, after and own_floor (the reported one) are over the floor."""
+    """The score of a plant; before and after are errors over the floor."""
 
-    right: bool
     said: str
     before: float
     after: float
-    own_floor: float
+    right: bool = False
     false_alarms: int = 0
     hidden: bool = False
-    mechanism: bool = False
-    misnamed: bool = False
-    described: bool = False
-    halved: bool = False
 
 
 @dataclass(frozen=True)
@@ -106,50 +97,27 @@ class _Report:
         return " or ".join(dict.fromkeys(map(str, self.options)))
 
 
-def score_plant(
-    cases: Sequence[Case],
-    summary: Mapping[str, Any],
-    placed: Sequence[Mapping[str, Any]],
-    floor: float,
-) -> Score:
+def score_plant(cases: Sequence[Case], summary: Mapping[str, Any], floor: float) -> Score:
     """Return the score of a trace of a plant with these effects.
 
-    summary: the output of `levid trace --json`. placed: effects of its model (effect, where,
-    parameters). floor: that of a plant without effects, in the unit of the summary's errors.
+    summary: the output of `levid trace --json`. floor: that of a plant without effects, in the unit
+    of the summary's errors.
     """
     told = summary["validation"]
     # The error of a model that diverges is null in JSON.
     before, after = (math.nan if told[k] is None else told[k] / floor for k in ("before", "after"))
     reports = [_report(effect) for effect in summary["effects"]]
-    said = "; ".join(map(str, reports)) or "nothing"
-    errors = (said, before, after, told["noise_floor"] / floor)
+    score = Score("; ".join(map(str, reports)) or "nothing", before, after)
     if len(cases) == 1 and cases[0].kind == "unknown":
-        return _score_unlisted(cases[0], reports, summary, errors)
-    return _score_listed(cases, reports, summary, placed, errors)
-
-
-def with_random_forces(
-    summary: Mapping[str, Any], placed: Sequence[Mapping[str, Any]]
-) -> list[Mapping[str, Any]]:
-    """Return the effects of the model that a trace ends with, and the reported random forces."""
-    random = [
-        {"effect": "vibration.random", "where": e["where"], "parameters": e["parameters"]}
-        for e in summary["effects"]
-        if e["class"] == "vibration" and "rms" in e.get("parameters", {})
-    ]
-    return [*placed, *random]
+        return _score_unlisted(cases[0], reports, summary, score)
+    return _score_listed(cases, reports, summary, score)
 
 
 def _score_listed(
-    cases: Sequence[Case],
-    reports: Sequence[_Report],
-    summary: Mapping[str, Any],
-    placed: Sequence[Mapping[str, Any]],
-    errors: tuple[str, float, float, float],
+    cases: Sequence[Case], reports: Sequence[_Report], summary: Mapping[str, Any], score: Score
 ) -> Score:
-    _, before, after, _ = errors
     unmatched = [case for case in cases if not any(r.match(case) for r in reports)]
-    hidden = [case for case in unmatched if case.absorbed and before <= EXPLAINED]
+    hidden = [case for case in unmatched if case.absorbed and score.before <= EXPLAINED]
     alarms = [
         r
         for r in reports
@@ -159,7 +127,7 @@ def _score_listed(
     there = [case for case in cases if case not in hidden]
     right = (
         not alarms
-        and math.isfinite(after)
+        and math.isfinite(score.after)
         and all(_is_right(case, reports) for case in there)
         and any(
             all(r.match(case) for case, r in zip(there, some, strict=True))
@@ -167,18 +135,12 @@ def _score_listed(
         )
         and bool(cases or not summary["unexplained"]["significant"])
     )
-    named = with_random_forces(summary, placed)
-    mechanism = right and all(_has_mechanism(case, named) for case in there)
-    return Score(right, *errors, len(alarms), right and bool(hidden), mechanism)
+    return replace(score, right=right, false_alarms=len(alarms), hidden=right and bool(hidden))
 
 
 def _score_unlisted(
-    case: Case,
-    reports: Sequence[_Report],
-    summary: Mapping[str, Any],
-    errors: tuple[str, float, float, float],
+    case: Case, reports: Sequence[_Report], summary: Mapping[str, Any], score: Score
 ) -> Score:
-    _, before, after, _ = errors
     wrong = [r for r in reports if not any(o.fits_unlisted(case) for o in r.options)]
     if summary["unexplained"].get("doubtful") or all(r.doubtful for r in wrong):
         wrong = []
@@ -192,11 +154,8 @@ def _score_unlisted(
         and bool(case.signals[0] & signals)
         and found / (len(case.signals) + len(false)) >= _IN_COMMON
     )
-    halved = after <= max(0.5 * before, EXPLAINED)  # 1.5 floors cannot be halved
-    return Score(
-        not wrong and described and halved, *errors, false_alarms=len(wrong),
-        misnamed=bool(wrong), described=described, halved=halved,
-    )  # fmt: skip
+    halved = score.after <= max(0.5 * score.before, EXPLAINED)  # 1.5 floors cannot be halved
+    return replace(score, right=not wrong and described and halved, false_alarms=len(wrong))
 
 
 def _is_right(case: Case, reports: Sequence[_Report]) -> bool:
@@ -206,15 +165,6 @@ def _is_right(case: Case, reports: Sequence[_Report]) -> bool:
         return False
     where = frozenset().union(*(option.where for _, option in matching))
     return _in_common(where, case) > _IN_COMMON
-
-
-def _has_mechanism(case: Case, placed: Sequence[Mapping[str, Any]]) -> bool:
-    keys = case.mechanism or (case.kind,)
-    return any(
-        any(is_called(one["effect"], key) for key in keys)
-        and set(one["where"]) & _counted(case.where)
-        for one in placed
-    )
 
 
 def _counted(where: Sequence[str]) -> set[str]:

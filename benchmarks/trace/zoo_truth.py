@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from levid.benchmarks.harness.virtual_flight import SIM
-from levid.benchmarks.trace.zoo_cases import is_called
 from levid.config.base import read_mapping
 
 Values = Mapping[str, Any]
@@ -58,18 +57,31 @@ def known(entry: Values) -> list[Known]:
     return _KNOWN.get(entry["use"].rpartition(":")[2], lambda _: [])(entry)
 
 
-def relative_errors(entries: Sequence[Values], placed: Sequence[Mapping[str, Any]]) -> list[float]:
+def relative_errors(
+    entries: Sequence[Values], summary: Mapping[str, Any], placed: Sequence[Mapping[str, Any]]
+) -> list[float]:
     """Return the relative errors of all known numbers of these entries that a trace found.
 
-    `placed`: effects of the model that the trace ends with (effect, where, parameters).
+    summary: the output of `levid trace --json`. placed: effects of the model that it ends with
+    (effect, where, parameters). Random forces are in no such model; the summary names them.
     """
+    random = [
+        {"effect": "vibration.random", "where": e["where"], "parameters": e["parameters"]}
+        for e in summary["effects"]
+        if e["class"] == "vibration" and "rms" in e.get("parameters", {})
+    ]
     return [
         abs(number - one.value) / abs(one.value if one.unit is None else one.unit)
         for entry in entries
         for one in known(entry)
-        for effect in placed
+        for effect in (*placed, *random)
         if (number := one.in_(effect)) is not None
     ]
+
+
+def is_called(effect: str, key: str) -> bool:
+    """Return whether an effect of the table is `key` or belongs to the group `key`."""
+    return effect == key or effect.startswith(f"{key}.")
 
 
 def _at(where: Sequence[str] | None, key: str, **numbers: float) -> list[Known]:

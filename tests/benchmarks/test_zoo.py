@@ -8,9 +8,9 @@ import pytest
 from rig_effects import CLASSES, rig_places, shipped_effects
 
 from levid.benchmarks.trace import zoo
-from levid.benchmarks.trace.zoo_cases import CASES, TIMES, UNLISTED, is_called
+from levid.benchmarks.trace.zoo_cases import CASES, TIMES, UNLISTED
 from levid.benchmarks.trace.zoo_flight import Found
-from levid.benchmarks.trace.zoo_score import score_plant, with_random_forces
+from levid.benchmarks.trace.zoo_score import score_plant
 from levid.benchmarks.trace.zoo_truth import known, relative_errors
 from levid.config.sim import SimEffect
 from levid.model.effects.candidate_effects import all_effects
@@ -33,10 +33,8 @@ def said(*effects, before=6.0, after=1.2, floor=1.2, significant=False):
     return {"effects": found, "validation": validation, "unexplained": unexplained}
 
 
-def score(names, *effects, placed=(), floor=1.2, **errors):
-    return score_plant(
-        [CASE[name] for name in names.split()], said(*effects, **errors), placed, floor
-    )
+def score(names, *effects, floor=1.2, **errors):
+    return score_plant([CASE[name] for name in names.split()], said(*effects, **errors), floor)
 
 
 def test_class_and_place_make_a_report_right() -> None:
@@ -124,60 +122,36 @@ def test_a_model_that_diverges_is_not_right() -> None:
         ("eddy-brake", ("unknown", "theta z", [], ["theta'", "x_b"]), True),
         ("eddy-brake", ("unknown", "theta z", [], ["z'", "x_b"]), False),  # theta' is required
         ("eddy-brake", ("unknown", "theta", [], ["theta'", "x_b"]), False),
-        ("gyroscope", ("unknown", "psi theta", [], ["phi'", "psi'"]), True),
-        ("gyroscope", ("unknown", "psi theta", [], ["psi'"]), False),
-        ("shared-yoke", ("unknown", "coil:5", [], ["coil:4"]), True),
-        ("shared-yoke", ("unknown", "coil:4", [], ["coil:4"]), False),
-        ("pulled-oscillator", ("sensor_crosstalk", "sensor:7 sensor:8"), True),
-        ("pulled-oscillator", ("sensor_crosstalk", "sensor:7"), False),  # without signals
+        ("second-stage", ("unknown", "coil:3", [], ["coil:3"]), True),
+        ("hung-plug", ("flexible_mode", "psi z", [], ["psi", "z"]), True),
+        ("hung-plug", ("flexible_mode", "psi z"), False),  # without signals
         ("closed-cover", ("unknown", "theta", [], ["v_b"]), True),
         ("closed-cover", ("unknown", "psi", [], ["v_b"]), False),
     ],
 )
 def test_an_unlisted_effect_is_described_by_places_and_signals(name, report, described) -> None:
     found = score(name, report)
-    assert (found.described, found.misnamed) == (described, False)
-    assert found.right == described
+    assert (found.right, found.false_alarms) == (described, 0)
     assert not score(name, report, after=4.0).right  # not halved
 
 
-def test_a_known_name_of_an_unlisted_effect_is_misnamed() -> None:
+def test_a_known_name_of_an_unlisted_effect_is_a_false_alarm() -> None:
     for name, *report in (
         ("eddy-brake", "air_damping", "z"),
         ("second-stage", "coil_gain", "coil:3"),
-        ("pulled-oscillator", "sensor_crosstalk", "sensor:8 sensor:7"),
+        ("warm-post", "sensor_offset", "coil:8 sensor:8"),  # an allowed class at another place
     ):
-        assert score(name, report).misnamed
-    assert not score("eddy-brake", ("air_damping", "z", [("unknown", "z")])).misnamed
+        assert score(name, report).false_alarms == 1
+    assert not score("eddy-brake", ("air_damping", "z", [("unknown", "z")])).false_alarms
 
 
-def test_the_mechanism_is_more_than_the_class() -> None:
-    def of(name: str, where: str, effect: str):
-        placed = [{"effect": effect, "where": [where]}]
-        return score(name, ("friction", where), placed=placed)
-
-    assert of("presliding-along", "theta", "friction.bearing").mechanism
-    coulomb = of("presliding-along", "theta", "friction.coulomb")
-    assert (coulomb.right, coulomb.mechanism) == (True, False)
-    assert of("dahl-theta", "theta", "friction.bouc_wen").mechanism
-    assert not of("lugre-z", "z", "friction.bouc_wen").mechanism
-    assert is_called("vibration.force.50hz", "vibration.force")
-    assert not is_called("friction.beam_tilt", "friction.beam")
-
-
-def test_truth_and_mechanisms_are_those_of_the_table_of_effects() -> None:
+def test_truth_is_that_of_the_table_of_effects() -> None:
     """Each known number can be read from a candidate: keys, places and parameters agree."""
     places = rig_places()
     tones = (17.3, 50.0, 100.0, 150.0)
     table = all_effects(places, Extent(**{**vars(Extent.typical(places)), "tones_hz": tones}))
     missing = set()
     for case in CASES:
-        for key in case.mechanism:
-            kinds = {e.effect_class for e in table if is_called(e.key, key)}
-            assert case.kind in kinds or case.absorbed or key == "vibration.random", (
-                case.name,
-                key,
-            )
         for one in known(case.effect(5.0)):
             candidates = [
                 {"effect": e.key, "where": e.where, "parameters": {
@@ -196,12 +170,12 @@ def test_parameters_compare_in_the_units_of_the_candidates() -> None:
     entry = CASE["cubic-psi"].effect(5.0)
     k3 = {"value": 1.1 * entry["k3_n_m3"] * 0.12**4}
     placed = {"effect": "rod_stiffness.cubic", "where": ["psi"], "parameters": {"k3": k3}}
-    assert relative_errors([entry], [placed]) == pytest.approx([0.1])
-    assert relative_errors([entry], [{**placed, "where": ["z"]}]) == []
+    assert relative_errors([entry], said(), [placed]) == pytest.approx([0.1])
+    assert relative_errors([entry], said(), [{**placed, "where": ["z"]}]) == []
     payload = CASE["payload"].effect(5.0)
     late = {"time": {"value": payload["begin_s"] + 1.2}}
     placed = {"effect": "payload", "where": ["psi", "theta", "z"], "parameters": late}
-    assert relative_errors([payload], [placed]) == pytest.approx([1.2 / 24.0])  # s of a record
+    assert relative_errors([payload], said(), [placed]) == pytest.approx([1.2 / 24.0])  # a record
 
 
 def test_a_random_force_is_compared_with_its_report() -> None:
@@ -209,8 +183,7 @@ def test_a_random_force_is_compared_with_its_report() -> None:
     summary = said(("vibration", "z"))
     rms = {"value": 1.04 * entry["rms_m_s2"] * entry["mass_kg"]}
     summary["effects"][0]["parameters"] = {"rms": rms, "low": {"value": 8.0}}
-    assert relative_errors([entry], with_random_forces(summary, [])) == pytest.approx([0.04])
-    assert score_plant([CASE["floor-noise"]], summary, [], 1.2).mechanism
+    assert relative_errors([entry], summary, []) == pytest.approx([0.04])
 
 
 def test_figures_count_plants_and_compared_parameters() -> None:
@@ -219,7 +192,8 @@ def test_figures_count_plants_and_compared_parameters() -> None:
         k3 = {"value": (1 + off) * case.effect(times).get("k3_n_m3", 1.0)}
         placed = [{"effect": "rod_stiffness.cubic", "where": ["z"], "parameters": {"k3": k3}}]
         kind = "unlisted" if case in UNLISTED else "alone"
-        found = Found(said(*effects, before=1.2 * times), placed, zoo.FLOOR_M / 1.2, 3600.0)
+        before = 1.2 if case.absorbed else 1.2 * times
+        found = Found(said(*effects, before=before), placed, zoo.FLOOR_M / 1.2)
         return zoo.Result.of(zoo.Plant(kind, (case,), times, 1), found)
 
     cube = ("rod_stiffness", "z")
@@ -227,15 +201,15 @@ def test_figures_count_plants_and_compared_parameters() -> None:
         result("cubic-z", 20.0, cube, off=0.04),
         result("cubic-z", 20.0, cube, off=0.06),
         result("cubic-z", 5.0, ("coil_gain", "coil:1")),
+        result("delay-all", 5.0),
         result("closed-cover", 5.0, ("unknown", "theta", [], ["v_b"])),
     ]
     found = {f.key: f.value for f in zoo.figures(results, failed=1)}
-    assert found["alone_5x_and_20x_right_percent"] == pytest.approx(200 / 3)
-    assert (found["false_alarms"], found["nothing_false_alarms"]) == (1, None)
-    assert (found["alone_20x_within_5_percent"], found["alone_20x_compared"]) == (50.0, 2)
-    assert (found["unlisted_right_percent"], found["unlisted_misnamed"]) == (100.0, 0)
-    assert (found["after_over_floor"], found["own_floor"]) == pytest.approx((1.0, 1.0))
-    assert (found["failed"], found["hours"]) == (1, 4 / zoo.CORES)
+    assert (found["alone_right_percent"], found["hidden"]) == (75.0, 1)
+    assert (found["false_alarms"], found["nothing_right_percent"]) == (1, None)
+    assert (found["within_5_percent_20x"], found["within_5_percent_5x"]) == (50.0, None)
+    assert (found["unlisted_right_percent"], found["failed"]) == (100.0, 1)
+    assert found["after_over_floor"] == pytest.approx(1.0)
 
 
 def test_plans_contain_each_plant_once() -> None:
@@ -244,8 +218,7 @@ def test_plans_contain_each_plant_once() -> None:
     assert len(usual) == 2 * (len(CASES) + len(unseen)) + 20
     assert {*map(str, usual)} < {*map(str, full)}
     assert len({*map(str, full)}) == len(full)
-    pairs = [p for p in full if len(p.cases) > 1]
-    assert all(case.visible for p in pairs for case in p.cases)
+    assert all(case.visible for p in full if len(p.cases) > 1 for case in p.cases)
     other = zoo.plan(False, False, 9000)
     assert not {p.seed for p in other} & {p.seed for p in usual}
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,7 +29,7 @@ from threadpoolctl import threadpool_limits
 
 from levid.benchmarks.harness.declared_model import off_by_a_tenth
 from levid.benchmarks.harness.table import Figure, Target, run
-from levid.benchmarks.trace.sparse_regression import PEERS, ForceLaw, Library, Sample, load
+from levid.benchmarks.trace.sparse_regression import PEERS, ForceLaw, Library, Sample
 from levid.benchmarks.trace.zoo_cases import CASES, UNLISTED, Case
 from levid.benchmarks.trace.zoo_flight import fly
 from levid.benchmarks.trace.zoo_score import EXPLAINED
@@ -68,82 +67,43 @@ _BLOCK_S = 4.0
 class Row:
     """The result of one contender on a plant; nan where it failed or diverged, and `why`.
 
-    error, floor: free-running. left: share of the missing force that is still missing.
-    seconds: processor time from the refitted declared model on.
+    error: free-running, over the floor. left: share of the missing force that is still missing.
     """
 
     who: str
     error: float = math.nan
-    floor: float = math.nan
     left: float = math.nan
-    seconds: float = math.nan
     why: str = ""
 
 
 def measure(quick: bool) -> Iterator[Figure]:
     by_name = {case.name: case for case in CASES + UNLISTED}
     for name in QUICK if quick else FULL:
-        prepared_s, rows = compare(by_name[name])
-        yield from figures(by_name[name], prepared_s, rows)
+        for row in compare(by_name[name]):
+            print(f"{name}, {row.who}: {row.why or 'no term'}", file=sys.stderr)
+            # Effects in levid's table are to be explained.
+            asked = row.who == "levid" and by_name[name] in CASES
+            target = Target(most=EXPLAINED) if asked else None
+            error, left = (x if math.isfinite(x) else None for x in (row.error, 100 * row.left))
+            of, label = f"{row.who.lower()}_{name.replace('-', '_')}", f"{name}: {row.who}"
+            yield Figure(f"error_over_floor_{of}", error, "x floor", label, target=target)
+            yield Figure(f"force_left_{of}", left, "%", f"{label}, of the missing force is left")
 
 
-def compare(case: Case) -> tuple[float, list[Row]]:
-    """Return the seconds to prepare the peers' data, and the result of each contender."""
+def compare(case: Case) -> list[Row]:
+    """Return the result of each contender."""
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         effects, config = [case.effect(TIMES)], off_by_a_tenth(SEED)
         logs = fly(effects, SEED, Path(folder) / "first")
-        refitted_s = math.nan
-
-        def progress(what: str, share: float) -> None:  # noqa: ARG001
-            nonlocal refitted_s
-            if what.startswith("screening") and math.isnan(refitted_s):
-                refitted_s = time.process_time()
-
-        found = trace(logs, config, all_effects, Alone(config), progress)
-        assert math.isfinite(refitted_s), "the trace did not report when it began to screen"
-        seconds = time.process_time() - refitted_s
+        found = trace(logs, config, all_effects, Alone(config), lambda *_: None)
         declared = found.declared
-        held = [
-            trace_record(read_log(path), config)
-            for path in fly(effects, SEED + 1, Path(folder) / "second")
-        ]
-        judge = Judge(declared, held)
-        names = ", ".join(p.effect.name for p in found.found.point.placed) or "nothing"
-        rows = [
-            judge.row("declared", declared, math.nan),
-            judge.row("levid", found.found.point, seconds, names),
-        ]
-        begin = time.process_time()
         train, _ = split([trace_record(read_log(path), config) for path in logs])
+        held = fly(effects, SEED + 1, Path(folder) / "second")
+        judge = Judge(declared, [trace_record(read_log(path), config) for path in held])
+        names = ", ".join(p.effect.name for p in found.found.point.placed)
+        rows = [judge.row("declared", declared), judge.row("levid", found.found.point, names)]
         sample = sample_of(declared, [along(declared, record) for record in train])
-        prepared_s = time.process_time() - begin
-        return prepared_s, rows + [peer(who, fit, sample, judge) for who, fit in PEERS.items()]
-
-
-def figures(case: Case, prepared_s: float, rows: Sequence[Row]) -> Iterator[Figure]:
-    """Yield the figures of a plant; what did not work or diverged has the value None."""
-    key = case.name.replace("-", "_")
-    errors = {row.who: row.error for row in rows if math.isfinite(row.error)}
-    peers = [errors[who] for who in PEERS if who in errors]
-    for row in rows:
-        print(f"{case.name}, {row.who}: {row.why or 'no term'}", file=sys.stderr)
-        of, label = f"{row.who.lower()}_{key}", f"{case.name}: {row.who}"
-        # Effects in levid's table are to be explained.
-        asked = row.who == "levid" and case in CASES
-        target = Target(most=EXPLAINED) if asked else None
-        over = row.error / row.floor if row.who in errors else None
-        yield Figure(f"error_over_floor_{of}", over, "x floor", label, None, target)
-        for name, value, unit, what in (
-            ("force_left", 100 * row.left, "%", "of the missing force is left"),
-            ("time", row.seconds, "s", "processor time"),
-        ):
-            suffix = "_s" if name == "time" else ""
-            if row.who != "declared":
-                known = value if math.isfinite(value) else None
-                yield Figure(f"{name}_{of}{suffix}", known, unit, f"{label}, {what}")
-    ratio = errors["levid"] / min(peers) if peers and "levid" in errors else None
-    yield Figure(f"levid_over_best_{key}", ratio, "x", f"{case.name}: levid over the best peer")
-    yield Figure(f"prepared_{key}_s", prepared_s, "s", f"{case.name}: preparation for the peers")
+        return rows + [peer(who, fit, sample, judge) for who, fit in PEERS.items()]
 
 
 @dataclass(frozen=True)
@@ -217,7 +177,7 @@ class Judge:
     declared: WorkingPoint
     held: Sequence[TraceRecord]
 
-    def row(self, who: str, point: WorkingPoint, seconds: float, why: str = "") -> Row:
+    def row(self, who: str, point: WorkingPoint, why: str = "") -> Row:
         """Return how well a model does on this flight."""
         error, floor = pooled([record_error(point, record) for record in self.held])
         # Each force law is removed from the records before one and the same filter.
@@ -228,18 +188,13 @@ class Judge:
         unit = np.sqrt(self.declared.disturbance.noise.force_psd)
         whole = np.vstack([k.force for k in known]) / unit
         left = float(np.sqrt(np.sum((np.vstack(rest) / unit) ** 2) / np.sum(whole**2)))
-        return Row(who, error, floor, left, seconds, why)
+        return Row(who, error / floor, left, why)
 
 
 def peer(who: str, fit: Callable[[Sample], ForceLaw], sample: Sample, judge: Judge) -> Row:
     """Return how well a peer's force law does in the model; a peer that fails ends no run."""
     try:
-        load(who)
-        begin = time.process_time()
         law = fit(sample)
-        seconds = time.process_time() - begin
-    except ModuleNotFoundError as error:
-        return Row(who, why=f"{error.name} is not installed")
     except Exception as error:  # noqa: BLE001 - any error of a peer is its result
         return Row(who, why=f"{type(error).__name__}: {error}")
     effect = Effect(
@@ -247,7 +202,7 @@ def peer(who: str, fit: Callable[[Sample], ForceLaw], sample: Sample, judge: Jud
         partial(_term, law=law),
     )  # fmt: skip
     point = replace(judge.declared, placed=(Placed(effect, (), (1.0,)),))
-    return judge.row(who, point, seconds, f"{law.terms} terms")
+    return judge.row(who, point, f"{law.terms} terms")
 
 
 def _term(signals: Signals, _shape: Sequence[float], *, law: ForceLaw) -> list[Term]:

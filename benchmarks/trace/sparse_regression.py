@@ -7,7 +7,6 @@ Friction with memory is out of reach of both for this reason.
 
 from __future__ import annotations
 
-import importlib
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -108,23 +107,23 @@ def pysindy(sample: Sample) -> ForceLaw:
 
     held_out = sample.block % _FOLDS == 0
 
-    def fitted(dof: int, threshold: float, rows: NDArray[np.bool_]) -> Array:
-        optimizer = ps.STLSQ(threshold=threshold, alpha=_RIDGE)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a threshold that removes all terms
-            optimizer.fit(sample.functions[dof][rows], sample.force[rows, dof : dof + 1])
-        return np.asarray(optimizer.coef_, float).ravel()
+    def fitted(threshold: float, rows: NDArray[np.bool_]) -> Array:
+        found = []
+        for given, force in zip(sample.functions, sample.force.T, strict=True):
+            optimizer = ps.STLSQ(threshold=threshold, alpha=_RIDGE)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # a threshold that removes all terms
+                optimizer.fit(given[rows], force[rows, None])
+            found.append(np.asarray(optimizer.coef_, float).ravel())
+        return np.column_stack(found)
 
     def error(threshold: float) -> float:
-        left = [
-            sample.force[held_out, i] - given[held_out] @ fitted(i, threshold, ~held_out)
-            for i, given in enumerate(sample.functions)
-        ]
-        return float(np.mean(np.square(left)))
+        law = fitted(threshold, ~held_out)
+        fits = [given[held_out] @ one for given, one in zip(sample.functions, law.T, strict=True)]
+        return float(np.mean(np.square(sample.force[held_out] - np.column_stack(fits))))
 
-    best, every = min(_THRESHOLDS.tolist(), key=error), np.ones_like(held_out)
-    found = np.column_stack([fitted(i, best, every) for i in range(len(sample.functions))])
-    return ForceLaw(sample.library, found * sample.size)
+    best = min(_THRESHOLDS.tolist(), key=error)
+    return ForceLaw(sample.library, fitted(best, np.ones_like(held_out)) * sample.size)
 
 
 def sysidentpy(sample: Sample) -> ForceLaw:
@@ -152,20 +151,6 @@ def sysidentpy(sample: Sample) -> ForceLaw:
             used = np.asarray(code, int)[np.asarray(code) > 0] // 1000 - 1
             found[used[0] if len(used) else 0, i] += float(theta) * sample.size[i]
     return ForceLaw(sample.library, found)
-
-
-def load(who: str) -> None:
-    """Import a peer before the clock starts; raises ModuleNotFoundError."""
-    names = {
-        "PySINDy": ["pysindy"],
-        "SysIdentPy": [
-            "sysidentpy.basis_function",
-            "sysidentpy.model_structure_selection",
-            "sysidentpy.parameter_estimation",
-        ],
-    }
-    for name in names[who]:
-        importlib.import_module(name)
 
 
 PEERS: dict[str, Callable[[Sample], ForceLaw]] = {"PySINDy": pysindy, "SysIdentPy": sysidentpy}

@@ -48,8 +48,6 @@ PRIORITY = 80
 MOST_RECORDER = 0.15
 _NO_TIMES: Times = np.empty(0, np.float32)
 _LONGEST_US = 20_000
-_LEAST_LOGGED = 0.5
-"""Share of the periods that must have rows: skipped periods have none."""
 _REST_S, _SYNC_S = 2.0, 60.0
 _RIGHTS = "Run it as root, or raise the limits rtprio and memlock"
 
@@ -233,20 +231,12 @@ def fly(rate_hz: int, seconds: float) -> Turn:
 
 
 def read_flight(folder: Path, rate_hz: int, seconds: float, flown: NDArray[np.int64]) -> Turn:
-    """Read the logs of a flight and compare them with the cycles that the loop recorded.
-
-    Raises:
-        RuntimeError: fewer than half of the periods have rows.
-    """
+    """Read the logs of a flight and compare them with the cycles that the loop recorded."""
     logs = [read_log(path) for path in sorted(folder.glob("*.mcap"))]
     lateness_s, execution_s, cycles = (
         np.concatenate([np.empty(0), *(log.rows[name] for log in logs)])
         for name in ("lateness_s", "execution_s", "cycle")
     )
-    if len(cycles) < _LEAST_LOGGED * seconds * rate_hz:
-        raise RuntimeError(
-            f"{folder}: expected rows of {seconds * rate_hz:.0f} periods, found {len(cycles)}"
-        )
     lateness_us = (1e6 * lateness_s).astype(np.float32)
     late_us = lateness_us[lateness_s + execution_s >= 1.0 / rate_hz]
     found = found_in(flown, cycles.astype(np.int64), sum(not log.complete for log in logs))

@@ -51,11 +51,9 @@ def measure(quick: bool) -> Iterator[Figure]:
             rates[f"cycles_per_s_{name}"].append(levid_rate(rate_hz, cycles // part))
             rates[f"peer_{name}"].append(peer_rate(rate_hz, cycles // 6))
     for key, found in rates.items():
-        who, _, rate = key.rpartition("_")
-        label = (
-            "numpy and mcap's writer" if who == "peer" else "virtual time, plant and log included"
-        )
-        versus = None if who == "peer" else f"peer_{rate}"
+        ours, rate = not key.startswith("peer"), key.rpartition("_")[2]
+        label = "virtual time, plant and log" if ours else "numpy and mcap's writer"
+        versus = f"peer_{rate}" if ours else None
         yield Figure(key, float(np.median(found)), "1/s", f"{rate}: {label}", versus)
 
 

@@ -1,8 +1,7 @@
 """Methods to identify the plant P from one flight: levid's, and those of other packages.
 
 Each contender gets a flight at one beam position (each record excites one input, the loop closed by
-a known controller) and returns P at given frequencies. Multisines are a flight of their own, of the
-same length at the same position.
+a known controller) and returns P at given frequencies.
 
 A peer has the settings and data preparation that served it best on three flights; comments list
 what was tried. Methods that identify the loop G from v to y continue by (14) with the controller,
@@ -18,29 +17,17 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy import signal
 from scipy.io import loadmat, savemat
 
 from levid.benchmarks.identification.known_plant import LAG_S, Array, Complex
-from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment import Experiment
-from levid.identification.greybox.identify_greybox import identify_grey_box
-from levid.identification.nonparametric.frequency_response import (
-    plant_from_loop_response,
-    plant_from_sensitivity,
-    sensitivity,
-)
-from levid.identification.nonparametric.local_polynomial import plant_by_local_polynomial
+from levid.identification.nonparametric.frequency_response import plant_from_loop_response
 from levid.identification.nonparametric.markov_parameters import (
     estimate_markov,
-    markov_response,
     most_taps,
 )
-from levid.identification.nonparametric.robust_multisine import best_linear_approximation
-from levid.identification.records.periodic_records import PeriodicRecord
 from levid.identification.records.record import PiController, Record
 from levid.identification.subspace.delay_removal import without_delay
 from levid.identification.subspace.ho_kalman import Scaling, decompose, realise
@@ -53,39 +40,13 @@ ORDER = 12
 
 
 @dataclass(frozen=True)
-class Declared:
-    """The logs of `records` as the grey-box fit takes them, and the model it starts from."""
-
-    experiments: tuple[Experiment, ...]
-    model: ModelConfig
-    beam_m: float
-
-
-@dataclass(frozen=True)
-class Flight:
-    """White noise at each input in turn, and multisines flown for the same time; one position."""
-
-    records: tuple[Record, ...]
-    declared: Declared
-    multisines: PeriodicRecord
-
-
-@dataclass(frozen=True)
 class Contender:
-    """One method: `identify` returns P (F, 3, 3) at freq_hz (F,) from a part of a flight, `takes`.
-
-    For multisines, freq_hz are the excited lines.
-    """
+    """One method: `identify` returns P (F, 3, 3) at freq_hz (F,) from the records of a flight."""
 
     key: str
     label: str
-    identify: Callable[..., Complex]
+    identify: Callable[[Sequence[Record], Array], Complex]
     package: str = ""  # to be imported; empty for levid's own
-    takes: Literal["records", "declared", "multisines"] = "records"
-
-    @property
-    def is_levid(self) -> bool:
-        return self.key.startswith("levid")
 
 
 def levid_ho_kalman(records: Sequence[Record], freq_hz: Array) -> Complex:
@@ -103,46 +64,22 @@ def levid_subspace(records: Sequence[Record], freq_hz: Array) -> Complex:
     return plant_by_subspace(records, 6, _lag_pole(records)).plant.response(freq_hz)
 
 
-def levid_sensitivity(records: Sequence[Record], freq_hz: Array) -> Complex:
-    """Sensitivity from v to u by correlating spectra of 10 s, and (15)."""
-    S = sensitivity(records, freq_hz, 10.0)
-    return plant_from_sensitivity(S, _controller(records)).H
-
-
-def levid_local_polynomial(records: Sequence[Record], freq_hz: Array) -> Complex:
-    """Joint input-output estimate by the local polynomial method, without leakage."""
-    return plant_by_local_polynomial(records, freq_hz).H
-
-
-def levid_grey_box(declared: Declared, freq_hz: Array) -> Complex:
-    """Maximum-likelihood fit of the declared model, without held-out rows."""
-    grey = identify_grey_box(declared.model, declared.experiments, 0.0)
-    return grey.response({"x_b": declared.beam_m}, freq_hz)
-
-
-def levid_multisine(multisines: PeriodicRecord, freq_hz: Array) -> Complex:
-    """Best linear approximation by the robust multisine method, at its own lines."""
-    bla = best_linear_approximation([multisines])
-    return bla.H[np.searchsorted(bla.freq_hz, freq_hz - 1e-6)]
-
-
-def control_markov(records: Sequence[Record], freq_hz: Array) -> Complex:
-    """python-control's Markov parameters of G."""
-    fewer = [_every(r, 4) for r in records]
-    g = _control_markov(fewer)
-    loop = markov_response(g.transpose(2, 0, 1), freq_hz, fewer[0].Ts_s)
-    return plant_from_loop_response(loop, _controller(records), freq_hz, records[0].Ts_s)
-
-
 def control_realization(records: Sequence[Record], freq_hz: Array) -> Complex:
     """python-control's Markov parameters of G and their eigensystem realisation."""
     import control
 
+    # 6 s of taps, each column from the record of its input. All inputs at once, or every sample,
+    # would be a matrix of 2 and more GB and take minutes; 3 s of taps leave twice the error.
     fewer = [_every(r, 4) for r in records]
     scaling = Scaling.of(fewer)
-    g = _control_markov(fewer) / scaling.outputs[:, None, None] * scaling.inputs[:, None]
+    taps = min(round(6.0 / fewer[0].Ts_s), len(fewer[0].y) // 3)
+    g = np.empty((3, 3, taps))
+    for record in fewer:
+        j = int(np.flatnonzero(record.excited)[0])
+        g[:, j] = control.markov(record.y.T, record.v[:, j][None], taps, truncate=True)[:, 0]
+    g = g / scaling.outputs[:, None, None] * scaling.inputs[:, None]
     # 250, 375, 500 and 750 blocks tried: more take up to a minute and gain nothing.
-    blocks = min(250, (g.shape[2] - 2) // 2)
+    blocks = min(250, (taps - 2) // 2)
     G, _ = control.eigensys_realization(g, ORDER, m=blocks, n=blocks, dt=True)
     loop = _unscaled(G.A, G.B, G.C, G.D, scaling, fewer[0].Ts_s).response(freq_hz)
     return plant_from_loop_response(loop, _controller(records), freq_hz, records[0].Ts_s)
@@ -158,7 +95,8 @@ def sippy_n4sid(records: Sequence[Record], freq_hz: Array) -> Complex:
     Q = sippy_unipi.system_identification(
         y.T, w.T, "N4SID", tsample=records[0].Ts_s, SS_f=40, SS_fixed_order=6, SS_D_required=True
     )
-    return _plant_from_core(Q.A, Q.B, Q.C, Q.D, scaling, records, freq_hz)
+    core = _unscaled(Q.A, Q.B, Q.C, Q.D, scaling, records[0].Ts_s)
+    return _plant_from_core(core, records, freq_hz)
 
 
 def nfoursid(records: Sequence[Record], freq_hz: Array) -> Complex:
@@ -228,25 +166,20 @@ def octave_n4sid(records: Sequence[Record], freq_hz: Array) -> Complex:
         except FileNotFoundError:
             raise ModuleNotFoundError("no octave-cli", name="octave-cli") from None
         Q = loadmat(Path(folder) / "model.mat")
-    return _plant_from_core(Q["A"], Q["B"], Q["C"], Q["D"], scaling, records, freq_hz)
+    core = _unscaled(Q["A"], Q["B"], Q["C"], Q["D"], scaling, records[0].Ts_s)
+    return _plant_from_core(core, records, freq_hz)
 
 
 CONTENDERS = (
-    Contender("levid_ho_kalman", "levid: Markov, Ho-Kalman", levid_ho_kalman),
     Contender("levid_subspace", "levid: subspace", levid_subspace),
-    Contender("levid_grey_box", "levid: grey box", levid_grey_box, takes="declared"),
-    Contender("levid_sensitivity", "levid: sensitivity", levid_sensitivity),
-    Contender("levid_local_polynomial", "levid: local polynomial", levid_local_polynomial),
-    Contender("levid_multisine", "levid: multisine *", levid_multisine, takes="multisines"),
+    Contender("levid_ho_kalman", "levid: Markov, Ho-Kalman", levid_ho_kalman),
     Contender("control_era", "python-control: markov, ERA", control_realization, "control"),
-    Contender("control_markov", "python-control: markov", control_markov, "control"),
     Contender("sippy_n4sid", "sippy-unipi: N4SID", sippy_n4sid, "sippy_unipi"),
     Contender("nfoursid", "nfoursid", nfoursid, "nfoursid"),
     Contender("scipy_csd", "scipy: csd from v to y", scipy_csd_loop, "scipy"),
     Contender("scipy_csd_direct", "scipy: csd from u to y", scipy_csd_direct, "scipy"),
     Contender("octave_n4sid", "Octave, SLICOT: n4sid", octave_n4sid, "scipy"),
 )
-"""Keys of levid's own begin with `levid`. A star marks an excitation of its own."""
 
 
 def _lag_pole(records: Sequence[Record]) -> float:
@@ -290,39 +223,14 @@ def _core_signals(records: Sequence[Record]) -> tuple[Array, Array, Scaling]:
     return w - w.mean(axis=0), y - y.mean(axis=0), scaling
 
 
-def _plant_from_core(
-    A: Array,
-    B: Array,
-    C: Array,
-    D: Array,
-    scaling: Scaling,
-    records: Sequence[Record],
-    freq_hz: Array,
-) -> Complex:
-    """Return P from a model of Q in scaled signals."""
-    core = _unscaled(A, B, C, D, scaling, records[0].Ts_s)
+def _plant_from_core(core: StateSpace, records: Sequence[Record], freq_hz: Array) -> Complex:
+    """Return P from a model of Q."""
     return IdentifiedPlant(core, records[0].leading_zeros, _lag_pole(records)).response(freq_hz)
 
 
 def _unscaled(A: Array, B: Array, C: Array, D: Array, scaling: Scaling, Ts_s: float) -> StateSpace:
     outputs = scaling.outputs[:, None]
     return StateSpace(A, B / scaling.inputs, C * outputs, D / scaling.inputs * outputs, Ts_s)
-
-
-def _control_markov(records: Sequence[Record]) -> Array:
-    """Return g (3, 3, L) by control.markov: 6 s, each column from the record of its input.
-
-    All inputs at once, or every sample, would be a matrix of 2 and more GB and take minutes;
-    3 s of taps leave twice the error.
-    """
-    import control
-
-    taps = min(round(6.0 / records[0].Ts_s), len(records[0].y) // 3)
-    g = np.empty((3, 3, taps))
-    for record in records:
-        j = int(np.flatnonzero(record.excited)[0])
-        g[:, j] = control.markov(record.y.T, record.v[:, j][None], taps, truncate=True)[:, 0]
-    return g
 
 
 def _cross_spectra(y: Array, x: Array, Ts_s: float, freq_hz: Array) -> Complex:

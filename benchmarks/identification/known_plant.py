@@ -24,9 +24,6 @@ _NOISE = {
     10_000: shipped("sessions/white-noise-10khz.yaml"),
 }
 """By rate in Hz; the excitation has the same density at either."""
-_MULTISINES = shipped("sessions/multisine-1khz.yaml")
-_PERIODS, _PERIOD_S = 4, 5.0
-"""Of each multisine experiment; the first period is lost to the transient."""
 
 
 def fly_white_noise(
@@ -50,27 +47,9 @@ def fly_white_noise(
     if sweep_s:
         way = [{"to_m": to_m, "dwell_s": 0.5} for to_m in (0.08, -0.08)]
         steps.append({"record": {"name": "sweep", "duration_s": sweep_s, "beam": way}})
-    return _fly(out, read_mapping(_NOISE[rate_hz]), steps, seed)
-
-
-def fly_multisines(
-    out: Path, beams_m: Sequence[float], duration_s: float, seed: int
-) -> tuple[Path, ...]:
-    """Fly orthogonal multisines for `duration_s` an input at each position; return the logs.
-
-    As many realisations as the time allows, at least one.
-    """
-    session = read_mapping(_MULTISINES)
-    for excitation in session["excitations"].values():
-        excitation["period_s"] = _PERIOD_S
-    realisations = max(int(duration_s / (_PERIODS * _PERIOD_S)), 1)
-    orthogonal = {"realisations": realisations, "periods": _PERIODS}
-    steps: list[dict[str, object]] = []
-    for beam_m in beams_m:
-        name = f"multisines-at-{1e3 * beam_m:.0f}mm"
-        record = {"name": name, "excite": ["psi", "theta", "z"], "orthogonal": orthogonal}
-        steps += [{"move": {"beam_m": beam_m}}, {"record": record}]
-    return _fly(out, session, steps, seed)
+    steps = [{"levitate": {}}, *steps, {"move": {"beam_m": 0.0}}, {"land": {}}]
+    session = {**read_mapping(_NOISE[rate_hz]), "seed": seed, "steps": steps, "then": []}
+    return fly_session(session, out)
 
 
 def true_response(beam_m: float, freq_hz: Array, rate_hz: float) -> Complex:
@@ -90,10 +69,3 @@ def worst(ratios: Sequence[Complex]) -> tuple[float, float]:
         return np.nan, np.nan
     dB = np.abs(20 * np.log10(np.abs(every))).max()
     return float(dB), float(np.abs(np.angle(every, deg=True)).max())
-
-
-def _fly(
-    out: Path, session: dict[str, object], steps: list[dict[str, object]], seed: int
-) -> tuple[Path, ...]:
-    steps = [{"levitate": {}}, *steps, {"move": {"beam_m": 0.0}}, {"land": {}}]
-    return fly_session({**session, "seed": seed, "steps": steps, "then": []}, out)

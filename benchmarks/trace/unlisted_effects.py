@@ -112,36 +112,6 @@ class SecondStage:
         return force_n
 
 
-class TransducerCore:
-    """An amplifier's current transducer has hysteresis: F = F + e (s_1 + ... + s_n) / n.
-
-    s_k = min(max(s_k + dF, -r_k), r_k), r_k = (k - 1/2) w / n, dF the change of F since the last
-    step: Prandtl's stop operators of even density (Brokate and Sprekels, Hysteresis and Phase
-    Transitions, 1996), for the iron core of an open-loop Hall transducer (Ripka, Meas. Sci.
-    Technol. 21 (2010) 112001). F is the commanded force; the reported current is not changed.
-    """
-
-    _STOPS = 10
-
-    def __init__(self, coil: int, share: float, width_n: float) -> None:
-        self.coil, self.share = coil, share
-        self._reach_n = [(k + 0.5) * width_n / self._STOPS for k in range(self._STOPS)]
-
-    def reset(self, plant: Any) -> None:
-        self._last_n = 0.0
-        self._stop_n = [0.0] * self._STOPS
-
-    def coil_force(self, t_s: float, q: Vector, force_n: Any) -> Any:
-        force = float(force_n[self.coil])
-        change, self._last_n = force - self._last_n, force
-        self._stop_n = [
-            min(max(stop + change, -reach), reach)
-            for stop, reach in zip(self._stop_n, self._reach_n, strict=True)
-        ]
-        force_n[self.coil] += self.share * sum(self._stop_n) / self._STOPS
-        return force_n
-
-
 class WavyRail:
     """The beam runs over a wavy rail: F = m_b A k (k v_b^2 cos(k x_b + f) + a_b sin(k x_b + f)).
 

@@ -18,15 +18,13 @@ def test_coverage_is_the_share_of_intervals_that_contain_the_truth(monkeypatch) 
         H=true * 1.01 * np.exp(0.02j), magnitude_deviation=wide, phase_deviation_rad=narrow
     )
     for name, value in {
-        "fly_white_noise": lambda *_: ["log"],
-        "read_log": lambda path: path,
-        "from_log": lambda _: SimpleNamespace(Ts_s=1e-3),
+        "flown": lambda *_: [SimpleNamespace(Ts_s=1e-3)],
         "plant_by_subspace": lambda *_: SimpleNamespace(plant=None, covariance=None),
         "response_with_errors": lambda *_: found,
     }.items():
         monkeypatch.setattr(identify, name, value)
-    figures = {figure.key: figure.value for figure in identify.coverage(3)}
-    assert figures == {"coverage_flights": 3, "subspace_coverage_percent": 50.0}
+    figures = {figure.key: figure.value for figure in identify.coverage(3, 10.0)}
+    assert figures == {"subspace_coverage_10s_percent": 50.0}
 
 
 def test_the_largest_error_is_in_dB_and_degrees_and_never_hides_a_nan() -> None:

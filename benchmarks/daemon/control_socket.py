@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import socket
 import sys
 import tempfile
@@ -99,7 +98,8 @@ def measure(quick: bool) -> Iterator[Figure]:
             gap_s, rest_s = found[:, :2].max(axis=0)
             dropped, unanswered = found[:, 2:].sum(axis=0)
             yield Figure(f"asked_{load}", len(found), "", f"{load}: requests in flight")
-            yield Figure(f"gap_{load}", gap_s, "s", "longest gap", f"rest_{load}", most)
+            label = f"{load}: longest gap between heartbeats"
+            yield Figure(f"gap_{load}", gap_s, "s", label, f"rest_{load}", most)
             yield Figure(f"rest_{load}", rest_s, "s", "the same, no request")
             yield Figure(f"dropped_{load}", dropped, "", "flights ended", target=none)
             yield Figure(f"unanswered_{load}", unanswered, "", "without an answer", target=none)
@@ -166,5 +166,4 @@ def _answered(path: Path, line: str) -> bool:
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     table.run("Control socket", measure)

@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -75,7 +76,8 @@ class Rig:
     """Electronics and daemon on one bus; `close` ends all processes. `more`: see rig_of."""
 
     def __init__(self, bus: str, folder: Path, **more: dict[str, Any]) -> None:
-        self.bus, self.folder, self.flights = bus, folder, 0
+        self.bus, self.folder, self.flight = bus, folder, folder
+        self._numbers = count()
         self.socket, self.file = folder / "levid.sock", folder / "rig.yaml"
         self.pids: dict[str, int] = {}
         self._client: socket.socket | None = None
@@ -98,14 +100,15 @@ class Rig:
 
     def close(self) -> None:
         """End every process, also stopped ones."""
-        for pid in self.pids.values():
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGCONT)
+        self._signal_all(signal.SIGCONT)
         self._processes.close()
         if not wait_for(self._all_gone):
-            for pid in self.pids.values():
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+            self._signal_all(signal.SIGKILL)
+
+    def _signal_all(self, number: signal.Signals) -> None:
+        for pid in self.pids.values():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, number)
 
     def say(self, line: str) -> Status:
         """Send a command to the electronics; return their state before it.
@@ -155,7 +158,7 @@ class Rig:
         """
         if self.until(_rests) is None:
             raise NotInjectedError("the rig is not at rest")
-        self.flights += 1
+        self.flight = self.folder / f"flight-{next(self._numbers)}"
         try:
             self._take_off(state)
             due_s = time.monotonic() + delay_s
@@ -168,11 +171,6 @@ class Rig:
             found = f"{status['state']}, {status['fault']}: {status['detail']}"
             raise NotInjectedError(f"expected {state}, found {found}")
         return status
-
-    @property
-    def flight(self) -> Path:
-        """The folder of the last flight's logs."""
-        return self.folder / f"flight-{self.flights}"
 
     def _take_off(self, state: str) -> None:
         out = str(self.flight)

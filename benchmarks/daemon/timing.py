@@ -33,7 +33,7 @@ from levid.benchmarks.harness.busy_disk import busy_disk
 from levid.benchmarks.harness.child_processes import started
 from levid.benchmarks.harness.flown_rows import Flown, Found, found_in
 from levid.benchmarks.harness.ratio_of_shares import Round, again, ratio_figures
-from levid.benchmarks.harness.real_time import Rights, hurry, relax
+from levid.benchmarks.harness.real_time import Rights
 from levid.benchmarks.harness.running_daemon import loopback_rig, require_no_fault, running
 from levid.benchmarks.harness.table import Figure, Target
 from levid.daemon.client import Client
@@ -49,7 +49,6 @@ MOST_RECORDER = 0.15
 _NO_TIMES: Times = np.empty(0, np.float32)
 _LONGEST_US = 20_000
 _REST_S, _SYNC_S = 2.0, 60.0
-_RIGHTS = "Run it as root, or raise the limits rtprio and memlock"
 
 
 @dataclass
@@ -94,9 +93,6 @@ def main() -> None:
         help=f"measure only this section, of {', '.join(SECTIONS)}; may be repeated",
     )  # fmt: skip
     arguments = parser.parse_args()
-    if not hurry(PRIORITY):
-        sys.exit(f"timing: no right to priority {PRIORITY}. {_RIGHTS}")
-    relax()
     if not shutil.which("cyclictest"):
         print("timing: cyclictest not found. On Debian: apt install rt-tests", file=sys.stderr)
     LOGS.mkdir(parents=True, exist_ok=True)
@@ -207,7 +203,7 @@ def fly(rate_hz: int, seconds: float) -> Turn:
             if rights.priority != PRIORITY or not rights.locked_mb:
                 raise SystemExit(
                     f"timing: expected a loop at priority {PRIORITY} with locked memory, found "
-                    f"priority {rights.priority}, {rights.locked_mb:.0f} MB locked. {_RIGHTS}"
+                    f"{rights}. Run it as root, or raise the limits rtprio and memlock"
                 )
             flown = Flown(daemon.pids["supervisor"], rig)
             levitate = {"ramp_s": 0.5, "settle_s": 0, "check_coils": False}

@@ -36,7 +36,6 @@ SHARE = 0.1
 STALL_S = 0.2
 """Limit of the rig: a virtual machine's host stalls for some 10 ms, whatever is requested."""
 _ANSWER_S = 120.0
-_LEAST_S = 2.0
 
 _SESSION = shipped("sessions/beam.yaml").read_text()
 
@@ -87,6 +86,7 @@ REQUESTS = (
 def measure(quick: bool) -> Iterator[Figure]:
     """Send requests under both loads; yield the figures."""
     none, lines = Target(most=0), requests(40 if quick else 300)
+    yield Figure("asked", len(lines), "", "requests in flight under each load")
     with tempfile.TemporaryDirectory() as name:
         file, path = loopback_rig(Path(name), stall_s=STALL_S), Path(name) / "levid.sock"
         most = Target(most=SHARE * load_rig(file).service.supervisor_s)
@@ -97,7 +97,6 @@ def measure(quick: bool) -> Iterator[Figure]:
                     found = np.array([send(daemon, heartbeat, line) for line in lines])
             gap_s, rest_s = found[:, :2].max(axis=0)
             dropped, unanswered = found[:, 2:].sum(axis=0)
-            yield Figure(f"asked_{load}", len(found), "", f"{load}: requests in flight")
             label = f"{load}: longest gap between heartbeats"
             yield Figure(f"gap_{load}", gap_s, "s", label, f"rest_{load}", most)
             yield Figure(f"rest_{load}", rest_s, "s", "the same, no request")
@@ -131,7 +130,7 @@ def send(daemon: Daemon, heartbeat: Heartbeat, line: str) -> tuple[float, float,
     if dropped:
         print(f"{line[:60]}: {status['fault']}: {status['detail']}", file=sys.stderr)
     heartbeat.take()
-    time.sleep(min(max(time.monotonic() - begun_s, 0.1), _LEAST_S))
+    time.sleep(min(max(time.monotonic() - begun_s, 0.1), 2.0))
     return gap_s, heartbeat.take(), dropped, unanswered
 
 

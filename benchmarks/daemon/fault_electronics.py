@@ -32,7 +32,6 @@ from levid.sim.electronics.emulated_rig import Electronics
 from levid.sim.electronics.faults import AXES, InjectionError
 
 _MORE = ("nan-coil", "nan-axis", "shift", "race", "tilt")
-_MCL_CURRENT = 1
 _CYCLE_S = 1.0
 """Timeout of a fault that waits for the start of a cycle."""
 
@@ -126,10 +125,9 @@ def main(rig_file: Path) -> None:
     with electronics:
         gc.collect()
         gc.freeze()  # a garbage collection would make a reading stale
-        ctypes.CDLL(None).mlockall(_MCL_CURRENT)  # real electronics have no page faults
+        ctypes.CDLL(None).mlockall(1)  # real electronics have no page faults
         threading.Thread(target=obey, daemon=True).start()
-        while not done.wait(0.2):
-            pass
+        done.wait()
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
-from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -45,7 +44,7 @@ LANDING_S, RAMP_S = 4.0, 0.3
 GIVE_UP_S = 40.0
 WATCHED_S = 1.0
 """Time for which force must stay zero after a fault."""
-_BEGINS_S, _RECORD_S = 10.0, 120.0
+_BEGINS_S = 10.0
 _LIFT = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.2, "check_coils": False}
 _SESSION = {
     "levid": "session",
@@ -53,7 +52,7 @@ _SESSION = {
     "excitations": {"it": {"input": "z", "rms_n": 0.3, "band_hz": [1.0, 20.0]}},
     "steps": [
         {"levitate": _LIFT},
-        {"record": {"name": "long", "duration_s": _RECORD_S, "excite": ["it"], "settle_s": 0.0}},
+        {"record": {"name": "long", "duration_s": 120.0, "excite": ["it"], "settle_s": 0.0}},
         {"land": {"ramp_s": RAMP_S}},
     ],
 }
@@ -61,7 +60,6 @@ _SESSION = {
 Status = dict[str, Any]
 T = TypeVar("T")
 _Case = TypeVar("_Case")
-
 
 ERRORS = (DaemonError, OSError, RuntimeError)
 """Errors of an attempt after which a rig is not usable."""
@@ -77,7 +75,6 @@ class Rig:
 
     def __init__(self, bus: str, folder: Path, **more: dict[str, Any]) -> None:
         self.bus, self.folder, self.flight = bus, folder, folder
-        self._numbers = count()
         self.socket, self.file = folder / "levid.sock", folder / "rig.yaml"
         self.pids: dict[str, int] = {}
         self._client: socket.socket | None = None
@@ -120,8 +117,8 @@ class Rig:
         assert self._electronics.stdout is not None
         self._electronics.stdin.write(f"{line}\n".encode())
         self._electronics.stdin.flush()
-        read = bool(select.select([self._electronics.stdout], [], [], GIVE_UP_S)[0])
-        if not read or not (text := self._electronics.stdout.readline()):
+        there, _, _ = select.select([self._electronics.stdout], [], [], GIVE_UP_S)
+        if not there or not (text := self._electronics.stdout.readline()):
             errors = (self.folder / "errors.log").read_text()
             raise RuntimeError(f"the electronics do not answer: {errors}")
         answer: Status = json.loads(text)
@@ -158,7 +155,7 @@ class Rig:
         """
         if self.until(_rests) is None:
             raise NotInjectedError("the rig is not at rest")
-        self.flight = self.folder / f"flight-{next(self._numbers)}"
+        self.flight = Path(tempfile.mkdtemp(dir=self.folder)) / "logs"
         try:
             self._take_off(state)
             due_s = time.monotonic() + delay_s
@@ -310,8 +307,8 @@ def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
         "drives": {"backend": kind, "bus": "main", "skew_m": 0.02},
         "service": {"supervisor_gone": "zero", "supervisor_s": SUPERVISOR_S},
     }
-    plain["limits"] |= {"late_cycles": 200, "late_in_window": 10_000}
-    plain["limits"] |= {"stall_s": 0.1, "tilt_rad": 0.004}
+    late = {"late_cycles": 200, "late_in_window": 10_000, "stall_s": 0.1}
+    plain["limits"] |= {**late, "tilt_rad": 0.004}
     for section, keys in more.items():
         plain[section] |= keys
     if kind == "serial":

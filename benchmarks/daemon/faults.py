@@ -107,7 +107,7 @@ def measure(quick: bool) -> Iterator[Figure]:
         target = Target(least=len(BUSES) * asked)
         yield Figure("faults", len(trials), "", "faults injected in flight", target=target)
         for check, label in CHECKS.items():
-            count = sum(check in problems for problems in trials)
+            count = sum(bool(problems.get(check)) for problems in trials)
             yield Figure(check, count, "", label, target=Target(most=0))
 
 
@@ -129,8 +129,7 @@ def attempt(trials: list[dict[str, str]], rig: Rig, case: Case) -> None:
     before = rig.say(case.line or "status")
     if not any(before["acting_n"]):
         raise NotInjectedError("no force acts")
-    problems: dict[str, str] = {}
-    trials.append(problems)
+    trials.append(problems := dict[str, str]())
     process, _, how = case.name.partition(" ")
     most, name = case.kind.most_cycles, case.kind.fault.name
     try:
@@ -146,16 +145,13 @@ def attempt(trials: list[dict[str, str]], rig: Rig, case: Case) -> None:
         clears = rig.come_to_rest()
         problems["rest"] = f"{clears} requests to clear" if clears > 1 else ""
         logs = partial(_log_problem, rig.flight, status["cycle"])
-        wait_for(lambda: not logs(), _WRITTEN_S)
-        problems["logs"] = logs()
+        problems["logs"] = "" if wait_for(lambda: not logs(), _WRITTEN_S) else logs()
         shutil.rmtree(rig.flight, ignore_errors=True)
     except ERRORS as error:
         problems["failed"] = str(error)
         raise
     finally:
-        for check in [check for check, problem in problems.items() if not problem]:
-            del problems[check]
-        for problem in problems.values():
+        for problem in filter(None, problems.values()):
             print(f"{rig.bus}, {case}: {problem}", file=sys.stderr)
 
 

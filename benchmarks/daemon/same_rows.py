@@ -153,9 +153,8 @@ def _environment(folder: Path) -> dict[str, str]:
     Its cache of compiled code is new in each run: numba does not notice that a function changed
     which another module's compiled function calls.
     """
-    own = {"PYTHONPATH": folder, "NUMBA_CACHE_DIR": folder / "numba"}
-    own["XDG_STATE_HOME"] = folder / "state"
-    return {**os.environ, "MPLBACKEND": "agg", **{key: str(path) for key, path in own.items()}}
+    own = {"PYTHONPATH": f"{folder}", "NUMBA_CACHE_DIR": f"{folder}/numba"}
+    return os.environ | own | {"XDG_STATE_HOME": f"{folder}/state", "MPLBACKEND": "agg"}
 
 
 def _git(folder: Path, *arguments: str) -> bytes:

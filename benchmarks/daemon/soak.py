@@ -65,8 +65,8 @@ def measure(quick: bool) -> Iterator[Figure]:
     for process in PROCESSES:
         mb, files = np.array(sizes[process][_SETTLED:]).T
         line = linregress(at_h[_SETTLED:], mb)
-        # The upper 95 % bound of a line's slope; in a minute it says nothing.
-        slope = line.slope + t.ppf(0.95, len(mb) - 2) * line.stderr
+        # The upper 95 % bound of a line's slope, 0 of a constant; in a minute it says nothing.
+        slope = np.nan_to_num(line.slope + t.ppf(0.95, len(mb) - 2) * line.stderr)
         yield Figure(f"{process}_mb", mb[-1], "MB", f"{process}: private memory at the end")
         target = Target(most=MOST_GROWN_MB) if quick else None
         label = "largest growth after two sessions"

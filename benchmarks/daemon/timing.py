@@ -48,7 +48,6 @@ PRIORITY = 80
 MOST_RECORDER = 0.15
 _NO_TIMES: Times = np.empty(0, np.float32)
 _LONGEST_US = 20_000
-_REST_S, _SYNC_S = 2.0, 60.0
 
 
 @dataclass
@@ -191,10 +190,8 @@ def fly(rate_hz: int, seconds: float) -> Turn:
         DaemonError: a fault in flight.
         RuntimeError: the recorder was restarted.
     """
-    with (
-        tempfile.TemporaryDirectory() as name,
-        tempfile.TemporaryDirectory(dir=LOGS) as logs,
-    ):
+    folder = tempfile.TemporaryDirectory
+    with folder() as name, folder(dir=LOGS) as logs:
         rig = _rig(Path(name), rate_hz)
         with running(rig, Path(name) / "levid.sock") as daemon:
             _rest()
@@ -257,8 +254,8 @@ def _processor_s(pid: int) -> float:
 
 def _rest() -> None:
     """Write what the last turn left to disk and pause: each turn starts on a quiet machine."""
-    subprocess.run(["sync"], check=True, timeout=_SYNC_S)
-    time.sleep(_REST_S)
+    subprocess.run(["sync"], check=True, timeout=60.0)
+    time.sleep(2.0)
 
 
 def _quantile(times_us: Times, share: float) -> float | None:

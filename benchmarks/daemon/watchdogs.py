@@ -35,7 +35,6 @@ from levid.benchmarks.daemon.fault_rig import (
 from levid.benchmarks.harness import table
 from levid.benchmarks.harness.table import Figure, Target
 
-GONE = ("land", "zero")
 EXPIRE_CYCLES = 2
 LOST_CYCLES = EXPIRE_CYCLES + 1
 """Cycles with force at most after the loop's last command."""
@@ -46,20 +45,19 @@ HELD_S = 0.3
 _RELEASE_S = 0.5
 _PROCESSES = ("loop", "supervisor", "recorder", "planner")
 DEEDS = (*(f"{name} {how}" for name in _PROCESSES for how in ("killed", "stopped")), "loop held up")
-_EACH = 6
 
 
 def measure(quick: bool) -> Iterator[Figure]:
     """Run all trials; yield their figures, also if they are interrupted."""
     cycles: dict[str, list[int]] = defaultdict(list)
     done: list[str] = []
-    due = [(deed, n) for n in range(1 if quick else _EACH) for deed in DEEDS]
+    due = [(deed, n) for n in range(1 if quick else 6) for deed in DEEDS]
     try:
         for bus in BUSES:
-            for gone in GONE:
+            for gone in ("land", "zero"):
                 fly_cases(bus, due, partial(_attempt, gone, cycles, done), **rig_keys(gone))
     finally:
-        asked = Target(least=len(BUSES) * len(GONE) * len(due))
+        asked = Target(least=len(BUSES) * 2 * len(due))
         wrong = sum(bool(problem) for problem in done)
         yield Figure("trials", len(done), "", "kills and stops in flight", target=asked)
         yield Figure("wrong", wrong, "", "outside the deadlines", target=Target(most=0))
@@ -78,8 +76,7 @@ def _attempt(
     draw = random.Random(f"{rig.bus} {gone} {deed} {number}")
     state, delay_s = draw.choice(FLYING), draw.uniform(0.0, 0.5)
     rig.lift_off(state, delay_s)
-    counts: list[int] = []
-    problem = ""
+    counts, problem = list[int](), ""
     try:
         problem = attempt(rig, deed, gone, state, counts)
         rig.come_to_rest()

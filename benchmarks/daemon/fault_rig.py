@@ -244,6 +244,7 @@ class Rig:
             if status["fault"] != "NONE":
                 clears += 1
                 self.ask("clear")
+                self.until(lambda s: s["fault"] == "NONE", 1.0)
             elif status["state"] in HOLDING:
                 self.ask("land")
             return _rests(status)

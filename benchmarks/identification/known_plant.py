@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from levid.benchmarks.harness.virtual_flight import fly_session, truth
+from levid.benchmarks.harness.virtual_flight import RIG, fly_session, truth
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped
 from levid.sim.true_response import frequency_response
@@ -49,7 +49,8 @@ def fly_white_noise(
         steps.append({"record": {"name": "sweep", "duration_s": sweep_s, "beam": way}})
     steps = [{"levitate": {}}, *steps, {"move": {"beam_m": 0.0}}, {"land": {}}]
     session = {**read_mapping(_NOISE[rate_hz]), "seed": seed, "steps": steps, "then": []}
-    return fly_session(session, out)
+    rig = {**read_mapping(RIG), "model": read_mapping(shipped("models/rig.yaml"))}
+    return fly_session(session, out, rig=rig)
 
 
 def true_response(beam_m: float, freq_hz: Array, rate_hz: float) -> Complex:

@@ -2,10 +2,9 @@
 
 A plant is flown with an undeclared effect of 20 times the noise floor; the declared model is
 refitted to the logs. From there `levid trace` continues by itself. The peers get the generalised
-force that the model lacks, free of noise as far as it is above it, and a library of functions,
-through the same filter (sparse_regression.py): products up to the third power of pose, velocity and
-the beam's position, velocity and acceleration, and for each velocity of the pose |v| v and a smooth
-sign(v). Their force law is put into the model as an effect.
+force that the model lacks, as far as it is above the noise, and a library of functions of pose,
+velocity and beam through the same filter (sparse_regression.py). Their force law is put into the
+model as an effect.
 
 All are judged on a second flight, with other noise and excitation, which none of them used: by the
 free-running error, and by the share of the missing force that is left. One flight each: a

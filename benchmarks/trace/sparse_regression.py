@@ -8,9 +8,8 @@ Friction with memory is out of reach of both for this reason.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -39,31 +38,14 @@ class Library:
     scale: Array
     velocities: tuple[int, ...]
 
-    @cached_property
-    def powers(self) -> NDArray[np.int64]:
-        """Powers (., R) of the products."""
-        count = len(self.scale)
-        chosen = (
-            some
-            for k in range(DEGREE + 1)
-            for some in combinations_with_replacement(range(count), k)
-        )
-        return np.array([np.bincount(np.array(some, int), minlength=count) for some in chosen])
-
-    def __len__(self) -> int:
-        return len(self.powers) + 2 * len(self.velocities)
-
-    def at(self, regressors: Array, some: Sequence[int] | None = None) -> Array:
-        """Return the functions (N, T), or `some` of them, at regressors (N, R) in SI units."""
-        which = np.arange(len(self)) if some is None else np.asarray(some, np.int64)
-        x, count = regressors / self.scale, len(self.powers)
+    def at(self, regressors: Array) -> Array:
+        """Return the functions (N, T) at regressors (N, R) in SI units."""
+        x = regressors / self.scale
         v = x[:, self.velocities]
-        laws = np.hstack([np.abs(v) * v, np.tanh(v / _SLOW)])[:, which[which >= count] - count]
-        powers = self.powers[which[which < count]]
-        products = np.ones((len(x), len(powers)))
-        for t, i in zip(*np.nonzero(powers), strict=True):
-            products[:, t] *= x[:, i] ** powers[t, i]
-        return np.hstack([products, laws])
+        columns = range(len(self.scale))
+        chosen = (combinations_with_replacement(columns, k) for k in range(DEGREE + 1))
+        products = [x[:, list(some)].prod(axis=1) for of_degree in chosen for some in of_degree]
+        return np.column_stack([*products, np.abs(v) * v, np.tanh(v / _SLOW)])
 
 
 @dataclass(frozen=True)
@@ -94,8 +76,7 @@ class ForceLaw:
 
     def at(self, regressors: Array) -> Array:
         """Return the force (N, n) at regressors (N, R) in SI units."""
-        used = np.flatnonzero(np.any(self.coefficients != 0.0, axis=1))
-        return np.asarray(self.library.at(regressors, used) @ self.coefficients[used])
+        return np.asarray(self.library.at(regressors) @ self.coefficients)
 
 
 def pysindy(sample: Sample) -> ForceLaw:
@@ -135,7 +116,7 @@ def sysidentpy(sample: Sample) -> ForceLaw:
     from sysidentpy.model_structure_selection import FROLS
     from sysidentpy.parameter_estimation import LeastSquares
 
-    found = np.zeros((len(sample.library), len(sample.size)))
+    found = np.zeros((sample.functions[0].shape[1], len(sample.size)))
     for i, given in enumerate(sample.functions):
         # A finite impulse response of one tap, x(k - 1): fed one row ahead, it is a static
         # function. The constant is the basis' own.

@@ -18,6 +18,7 @@ from levid.benchmarks.harness.declared_model import off_by_a_tenth
 from levid.benchmarks.harness.isolated import measure_apart
 from levid.benchmarks.harness.table import Figure, Target, run
 from levid.benchmarks.harness.virtual_flight import fly_session
+from levid.benchmarks.trace.zoo_flight import rig
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped
 from levid.identification.trace.residual.error_metric import pooled
@@ -42,7 +43,7 @@ def measure(quick: bool) -> Iterator[Figure]:
     yield Figure("cores", os.cpu_count() or 1, "", "cores, and processes of a trace")
     duration_s, seconds = 24.0 if quick else 60.0, {}
     with tempfile.TemporaryDirectory() as folder:
-        logs = fly_session(session(duration_s, quick), Path(folder), list(EFFECTS.values()))
+        logs = fly_session(session(duration_s, quick), Path(folder), list(EFFECTS.values()), rig())
         for name, part in {"all": 1, **({} if quick else {"half": 2, "quarter": 4})}.items():
             some = logs[: len(logs) // part]
             outcome = measure_apart(found_in, some, timeout_s=TIMEOUT_S, memory_bytes=MEMORY_BYTES)

@@ -62,24 +62,12 @@ def main() -> None:
 
 def compare(commit: str, names: Sequence[str]) -> Iterator[Figure]:
     """Fly sessions of `commit`, all of them unless named, and yield the comparisons."""
-    with tempfile.TemporaryDirectory(prefix="same-rows-") as temporary:
-        before, after = folders = Path(temporary, "before"), Path(temporary, "after")
-        # Wherever in the checkout this file is.
-        top = _git(Path(__file__).parent, "rev-parse", "--show-toplevel")
-        checkout = Path(os.fsdecode(top).rstrip("\n"))
-        with tarfile.open(
-            fileobj=io.BytesIO(_git(checkout, "archive", "--format=tar", commit))
-        ) as tar:
-            tar.extractall(before / "levid", filter="data")
-        after.mkdir()
-        (after / "levid").symlink_to(checkout)
-        for folder in folders:
-            _check_import(folder)
-        planned = flights(before / "levid" / "config", names, commit)
+    with both_versions(commit) as versions:
+        planned = flights(versions[0].folder / "levid" / "config", names, commit)
         found = []
         for number, flight in enumerate(planned, 1):
-            with tempfile.TemporaryDirectory(dir=temporary) as logs:
-                one = fly_both(flight, folders, Path(logs))
+            with tempfile.TemporaryDirectory() as logs:
+                one = fly_both(flight, versions, Path(logs))
             found.append(one)
             said = f"{one.rows} equal rows, {one.difference or 'equal'}"
             print(f"{number} of {len(planned)}: {flight}: {said}", file=sys.stderr, flush=True)
@@ -107,9 +95,9 @@ def flights(config: Path, names: Sequence[str], commit: str) -> list[Flight]:
     ]
 
 
-def fly_both(flight: Flight, folders: Sequence[Path], logs: Path) -> Comparison:
-    """Fly both folders' code at the same time, on the first one's config; compare the logs."""
-    config = folders[0] / "levid" / "config"
+def fly_both(flight: Flight, versions: Sequence[Version], logs: Path) -> Comparison:
+    """Fly both versions' code at the same time, on the first one's config; compare the logs."""
+    config = versions[0].folder / "levid" / "config"
     session = logs / f"{flight.session}.yaml"
     text = (config / "sessions" / session.name).read_text(encoding="utf-8")
     session.write_text(without_then(text), encoding="utf-8")
@@ -117,19 +105,19 @@ def fly_both(flight: Flight, folders: Sequence[Path], logs: Path) -> Comparison:
     command += ["--rig", str(config.parent / RIG)]
     if flight.sim:
         command += ["--sim", str(config / "sims" / f"{flight.sim}.yaml")]
-    outs = [logs / folder.name for folder in folders]
+    outs = [logs / version.folder.name for version in versions]
     said = [out.with_suffix(".log") for out in outs]
 
     with said[0].open("wb") as one, said[1].open("wb") as other:
         flying = [
             started(
                 [*command, "--out", str(out)],
-                cwd=folder,  # before PYTHONPATH on Python's path
-                env=_environment(folder),
+                cwd=version.folder,  # before PYTHONPATH on Python's path
+                env=version.environment,
                 stdout=file,
                 stderr=subprocess.STDOUT,
             )
-            for out, folder, file in zip(outs, folders, (one, other), strict=True)
+            for out, version, file in zip(outs, versions, (one, other), strict=True)
         ]
         with flying[0] as old, flying[1] as new:
             codes = old.wait(), new.wait()
@@ -145,42 +133,6 @@ def fly_both(flight: Flight, folders: Sequence[Path], logs: Path) -> Comparison:
 def without_then(session: str) -> str:
     """Return the text of a session that ends with its landing: what follows would take longer."""
     return re.sub(r"(?m)^then:.*\n?([ \t-].*\n?)*", "", session)
-
-
-def _environment(folder: Path) -> dict[str, str]:
-    """Return the environment of a process that runs the code in a folder.
-
-    Its cache of compiled code is new in each run: numba does not notice that a function changed
-    which another module's compiled function calls.
-    """
-    own = {"PYTHONPATH": f"{folder}", "NUMBA_CACHE_DIR": f"{folder}/numba"}
-    return os.environ | own | {"XDG_STATE_HOME": f"{folder}/state", "MPLBACKEND": "agg"}
-
-
-def _git(folder: Path, *arguments: str) -> bytes:
-    try:
-        done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, check=True)
-    except FileNotFoundError:
-        sys.exit("expected git, which has the code of COMMIT, found no such program: install git")
-    except subprocess.CalledProcessError as error:
-        said = error.stderr.decode(errors="replace").strip()
-        sys.exit(f"git {' '.join(arguments)} in {folder}: {said}")
-    return done.stdout
-
-
-def _check_import(folder: Path) -> None:
-    """Exit unless a process imports the code in this folder, not another that is installed."""
-    done = subprocess.run(
-        [sys.executable, "-c", "import levid.cli.main as m; print(m.__file__)"],
-        cwd=folder,
-        env=_environment(folder),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    found = done.stdout.strip() or done.stderr.strip()
-    if not found.startswith(f"{folder}{os.sep}"):
-        sys.exit(f"expected code from {folder}, found {found}")
 
 
 if __name__ == "__main__":

@@ -111,8 +111,8 @@ def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
 @click.option(
     "--check-coils/--no-check-coils",
     default=None,
-    help="After lift-off, push each coil and measure the response. Default: only at the first "
-    "lift-off after the daemon's start and after a fault.",
+    help="After lift-off, push each coil and measure the response, or never do so. Default: check "
+    "the coils at the first lift-off after the daemon's start and after each `levid clear`.",
 )
 @_IF_GONE
 def levitate(

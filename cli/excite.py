@@ -43,7 +43,7 @@ _REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
     "--out",
     required=True,
     type=click.Path(path_type=Path),
-    help="Folder for logs and report; it must not contain logs.",
+    help="Folder that logs and reports are written into; it must not already contain logs.",
 )
 @click.option(
     "--if-gone",

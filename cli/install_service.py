@@ -16,7 +16,7 @@ from .progress import say
     "--root",
     type=click.Path(path_type=Path),
     default=Path("/"),
-    help="Write below this folder, for example a disk image. Default: /.",
+    help="Write all files below this folder instead of /, for example into a mounted disk image.",
 )
 @click.option("--dry-run", is_flag=True, help="Print the files; write nothing.")
 @click.option("--force", is_flag=True, help="Also replace files that were edited by hand.")

@@ -264,7 +264,8 @@ class _Loader(yaml.SafeLoader):
             super().fetch_more_tokens()
         except (ValueError, OverflowError):  # of chr() or int()
             raise _LimitError(
-                "expected the code of a character or a YAML version, found a number out of range",
+                "not valid YAML: expected a character code (after \\x, \\u or \\U) or a version "
+                "(after %YAML) within its range, found a larger number",
                 self.get_mark(),
             ) from None
 

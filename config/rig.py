@@ -246,8 +246,8 @@ class RigConfig(Strict):
                 other = named.setdefault(bus.place, name) if name in used else name
                 if other != name:
                     raise ValueError(
-                        f"{backend}: expected one name for each bus that roles are on, found "
-                        f"'{other}' and '{name}' for {bus.place}; roles can share a name"
+                        f"{backend}: expected one name for the bus {bus.place}, found '{other}' "
+                        f"and '{name}'; use one of these names in all roles on this bus"
                     )
         return self
 
@@ -278,8 +278,8 @@ class RigConfig(Strict):
         known = self.buses.get(played.backend, {})
         if options.bus not in known:
             raise ConfigError(
-                f"{role}.bus: expected a name from '{played.backend}' "
-                f"({', '.join(sorted(known)) or 'none is given'}), found '{options.bus}'"
+                f"{role}.bus: expected a bus that the key '{played.backend}' defines "
+                f"({', '.join(sorted(known)) or 'it defines none'}), found '{options.bus}'"
             )
         return played.backend, options
 

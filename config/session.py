@@ -46,7 +46,9 @@ class Excitation(Strict):
         torque = self.input in ("psi", "theta")
         need, other = ("rms_n_m", "rms_n") if torque else ("rms_n", "rms_n_m")
         if getattr(self, need) is None or getattr(self, other) is not None:
-            raise ValueError(f"expected the level of input '{self.input}' as '{need}'")
+            raise ValueError(
+                f"expected the key '{need}', not '{other}', for the level of input '{self.input}'"
+            )
         if self.band_hz is not None and self.band_hz[0] >= self.band_hz[1]:
             raise ValueError(f"expected band_hz [low, high] with low < high, found {self.band_hz}")
         if (self.signal == "multisine") != (self.period_s is not None):
@@ -236,9 +238,9 @@ class SessionConfig(Strict):
         names: set[str] = set()
         for number, step in enumerate(self.steps):
             if number and step.kind == "levitate":
-                raise ValueError(f"steps[{number}]: levitate must be the first step only")
+                raise ValueError(f"steps[{number}]: expected levitate as the first step only")
             if step.kind == "land" and number != len(self.steps) - 1:
-                raise ValueError(f"steps[{number}]: land must be the last step only")
+                raise ValueError(f"steps[{number}]: expected land as the last step only")
             if step.record is None:
                 continue
             if step.record.name in names:

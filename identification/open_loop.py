@@ -90,8 +90,8 @@ def identify_open_loop(
     predictor_order = options.order or _smallest_good(predicted, final.predictors, cost)
     if order not in final.simulators or predictor_order not in final.predictors:
         raise IdentificationError(
-            f"order: expected one of a stable model, "
-            f"{', '.join(map(str, final.simulators)) or 'but there is none'}; found {order}"
+            "order: expected the order of a stable model "
+            f"({', '.join(map(str, final.simulators)) or 'no order gives one'}), found {order}"
         )
     model, predictor = final.simulators[order], final.predictors[predictor_order]
     spectra = _spectra(training, options)

@@ -109,7 +109,10 @@ def records(data: memoryview, at: int = 0, where: str = "") -> Iterator[tuple[in
                 f"{where}byte {at}: expected a record of {end - at} bytes, found {len(data) - at}"
             )
         if opcode == Opcode.MESSAGE and end - at < MESSAGE_HEAD_BYTES:
-            raise LogError(f"{where}byte {at}: expected a message, found one of {end - at} bytes")
+            raise LogError(
+                f"{where}byte {at}: expected a message of at least {MESSAGE_HEAD_BYTES} bytes, "
+                f"found {end - at}"
+            )
         yield opcode, at, end
         at = end
 
@@ -148,12 +151,14 @@ class Decompressor:
         if compression == "zstd":
             stated = zstandard.frame_content_size(packed)
             if stated not in (-1, size):
-                raise ValueError(f"expected {size} bytes, the data state {stated}")
+                raise ValueError(f"expected {size} bytes, found {stated} in the zstd header")
             return memoryview(self._zstd.decompress(packed, max_output_size=size))
         if compression == "lz4":
             stated = lz4.frame.get_frame_info(packed)["content_size"]
             if stated not in (0, size) or size > _LZ4_BEST_RATIO * len(packed):
-                raise ValueError(f"expected {size} bytes, the data state {stated or 'fewer'}")
+                raise ValueError(
+                    f"expected {size} bytes, found {stated or 'fewer'} in the lz4 data"
+                )
             # One byte more than `size` detects data that hold more.
             lz4_frame = lz4.frame.LZ4FrameDecompressor()
             return memoryview(lz4_frame.decompress(packed, max_length=size + 1))
@@ -210,7 +215,7 @@ class _Scan:
             count, expected = int(stated["bytes"]), int(stated["crc32"], 16)
         except (KeyError, ValueError):
             raise LogError(
-                f"metadata '{_HEAD}': expected bytes and crc32, found {stated}"
+                f"metadata '{_HEAD}': expected the keys 'bytes' and 'crc32', found {stated}"
             ) from None
         if count == self._head_end:
             _check_crc(

@@ -142,7 +142,9 @@ def _channel_dtype(contents: Contents, channel: Channel) -> np.dtype[np.void]:
     schema = contents.schemas.get(channel.schema_id)
     found = (channel.message_encoding, schema.encoding if schema else "no schema")
     if schema is None or found != (MessageEncoding.CDR, SchemaEncoding.ROS2):
-        raise LogError(f"expected cdr with ros2msg, found {' with '.join(found)}")
+        raise LogError(
+            f"expected messages in cdr and a schema in ros2msg, found {' and '.join(found)}"
+        )
     return dtype_from_ros2msg(str(schema.data, "utf-8", "replace"))
 
 

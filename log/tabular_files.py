@@ -166,7 +166,9 @@ def _place(path: Path, column: Column, head: list[str], is_header: bool) -> int:
     """Return the index of the column's cell in a row."""
     if isinstance(column.column, int):
         if column.column >= len(head):
-            raise LogError(f"{path}: {column.label}: expected 0 to {len(head) - 1}")
+            raise LogError(
+                f"{path}: {column.label}: expected a column number from 0 to {len(head) - 1}"
+            )
         return column.column
     if not is_header:
         raise LogError(f"{path}: {column.label}: the file has no header; give the column's number")

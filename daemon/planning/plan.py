@@ -311,8 +311,9 @@ class _Planner:
         if found_s > longest_s:
             raise ConfigError(
                 f"{where}: expected the pushes of all {pushes.coils} coils within "
-                f"{longest_s:.1f} s, found {found_s:.1f} s; shorten pause_s or push_s, or lengthen "
-                f"recording.before_fault_s of the rig, for which rows are kept"
+                f"{longest_s:.1f} s, found {found_s:.1f} s; reduce pause_s or push_s, or increase "
+                "recording.before_fault_s in RIG.yaml, because the check needs all its rows in "
+                "memory"
             )
 
     def check_levels(self, v: Array, coil_excitation: Array, beam: Array, where: str) -> None:

@@ -146,14 +146,14 @@ def read_plan(fd: int, coils: int) -> PlannedRequest:
         PlanFileError: the file is not sealed, or a value in it is out of range.
     """
     if fcntl.fcntl(fd, fcntl.F_GET_SEALS) & _SEALS != _SEALS:
-        raise PlanFileError("it is not sealed")
+        raise PlanFileError("expected a sealed memory file, found one that can still change")
     size = os.fstat(fd).st_size
     if size < _HEADER.itemsize:
         raise PlanFileError(f"expected at least {_HEADER.itemsize} bytes, found {size}")
     memory = memoryview(mmap.mmap(fd, size, prot=mmap.PROT_READ))
     header = np.frombuffer(memory, _HEADER, 1)[0]
     if header["magic"] != _MAGIC:
-        raise PlanFileError("it does not begin as a plan does")
+        raise PlanFileError("expected a plan's format identifier at the start, found other data")
     _require(0 <= header["op"] < len(_OPS), "op")
     _require(0 <= header["client_gone"] < len(_CLIENT_GONE), "client_gone")
     _require(bool(np.isfinite(header["rate_hz"])) and header["rate_hz"] > 0, "rate_hz")
@@ -273,7 +273,7 @@ def _blob(memory: memoryview, place: np.void, most: int, what: str) -> bytes:
 
 def _require(good: bool, what: str) -> None:
     if not good:
-        raise PlanFileError(f"its {what} cannot be")
+        raise PlanFileError(f"{what}: the value is out of range")
 
 
 def _text(field: bytes) -> str:

@@ -57,7 +57,8 @@ class Planner:
         op = request.get("op") if isinstance(request, dict) else None
         if not isinstance(op, str) or op not in self._ops:
             raise RefusedError(
-                f"op: expected one of {', '.join(self._ops)} in a long request, found {_short(op)}"
+                f"op: expected one of {', '.join(self._ops)} in a request of this length, found "
+                f"{_short(op)}"
             )
         gone = request.get("client_gone")
         if gone not in (None, "", "go_on", "land"):

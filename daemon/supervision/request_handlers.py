@@ -83,7 +83,7 @@ class Requests:
             self._begin_turn(line, reply)
         except RefusedError as error:
             raise RefusedError(
-                f"{error} (a request of more than {LONGEST_SHORT} bytes must be a flight)"
+                f"{error} (only excite, levitate and move may have more than {LONGEST_SHORT} bytes)"
             ) from None
 
     def tick(self, now_s: float, status: Callable[[], dict[str, Any]]) -> None:

@@ -155,9 +155,15 @@ class BoucWen(WithMemory):
         if exponent < 1.0:
             raise ValueError(f"exponent: expected 1 or more, found {exponent!r}")
         if not 0.0 <= left <= 1.0:
-            raise ValueError(f"left: expected 0 .. 1, found {left!r}; outside, F is not passive")
+            raise ValueError(
+                f"left: expected a share of the stiffness, 0 .. 1, found {left!r}; outside this "
+                "range the hysteresis could generate energy"
+            )
         if not 0.5 <= loss <= 1.0:
-            raise ValueError(f"loss: expected 0.5 .. 1, found {loss!r}; below, F is not passive")
+            raise ValueError(
+                f"loss: expected 0.5 .. 1, found {loss!r}; below 0.5 the hysteresis could generate "
+                "energy"
+            )
         self.stiffness_n_m, self.yield_m, self.left = stiffness_n_m, yield_m, left
         self.exponent, self.loss = exponent, loss
 

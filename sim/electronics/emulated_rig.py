@@ -35,7 +35,9 @@ class Electronics:
 
     def __init__(self, rig: RigConfig, folder: Path) -> None:
         if rig.sim is None:
-            raise ConfigError("sim: expected the path of a SIM.yaml for the electronics")
+            raise ConfigError(
+                "sim: expected the path of the SIM.yaml that `levid electronics` simulates"
+            )
         source = folder / rig.sim
         on: dict[tuple[str, str], dict[str, RoleOptions]] = {}
         expire_cycles = 1

@@ -576,8 +576,8 @@ def test_mapping_may_override_a_merged_key_at_any_depth() -> None:
     [
         ('name: "\\ud800"\n', "s: name: expected Unicode text, found '\\ud800'"),
         ('"\\ud800": 1\n', "s: file: expected Unicode text, found '\\ud800'"),
-        ('name: "\\UFFFFFFFF"\n', "s:1:10: expected the code of a character"),
-        ("%YAML " + "1" * 5000 + ".1\n---\n", "s:1:7: expected the code of a character"),
+        ('name: "\\UFFFFFFFF"\n', "s:1:10: not valid YAML: expected a character code"),
+        ("%YAML " + "1" * 5000 + ".1\n---\n", "s:1:7: not valid YAML: expected a character code"),
         (b"name: \xb5m\n", "s: not valid YAML: expected text in UTF-8 without control characters"),
         ("name: \0\n", "s: not valid YAML: expected text in UTF-8 without control characters"),
         ("---\n---\n", "s:2:1: not valid YAML: expected a single document in the file"),

@@ -145,7 +145,7 @@ def test_npz_and_mat_arrays_are_imported(tmp_path, name, data, columns):
             "column 'V2': expected once in the header, found nowhere; there is V1, W2",
         ),
         ("V1,V2,V2\n3,4,5\n", BY_NAME, "column 'V2': expected once in the header, found twice"),
-        ("1\n2\n", BY_NUMBER, "column 1: expected 0 to 0"),
+        ("1\n2\n", BY_NUMBER, "column 1: expected a column number from 0 to 0"),
         ("", BY_NUMBER, "expected rows of numbers, found none"),
         ("V1,V2\n", BY_NAME, "expected rows 0 on, found 0 rows"),
         ("1,2\n3,4\n", "rows: {last: 2}\n" + BY_NUMBER, "expected rows 0 to 2, found 2 rows"),

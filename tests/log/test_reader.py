@@ -366,7 +366,8 @@ def test_unreadable_schemas_and_files_are_rejected(tmp_path):
         write_rows(writer, some_rows(0))
 
     with pytest.raises(
-        LogError, match=r"/x: expected cdr with ros2msg, found json with jsonschema"
+        LogError,
+        match=r"/x: expected messages in cdr and a schema in ros2msg, found json and jsonschema",
     ):
         read_bytes(tmp_path, mcap_bytes(json))
     with pytest.raises(LogError, match=r"/x: schema: field 'header'.*nested"):

@@ -129,7 +129,9 @@ def test_role_on_a_bus_that_is_not_there_says_which_are() -> None:
     text = ONE_CLASSIC.replace(
         "sensors: {backend: can, bus: main", "sensors: {backend: can, bus: x"
     )
-    with pytest.raises(ConfigError, match=r"sensors.bus: expected a name from 'can' \(main\)"):
+    with pytest.raises(
+        ConfigError, match=r"sensors.bus: expected a bus that the key 'can' defines \(main\)"
+    ):
         budget(rig(text, 100.0), Path())
 
 
@@ -192,7 +194,7 @@ def test_two_names_for_one_wire_are_refused(
     data |= {role: {"backend": backend, "bus": name} for role, name in on.items()}
     data |= {"can": {}, "serial": {}} | {backend: {"force": one, "motion": other}}
     if same:
-        with pytest.raises(ValidationError, match="found 'force' and 'motion' for"):
+        with pytest.raises(ValidationError, match=r"for the bus .*, found 'force' and 'motion'"):
             RigConfig.model_validate(data)
         data |= {role: {"backend": backend, "bus": "force"} for role in on}
     RigConfig.model_validate(data)  # one that no role is on is nobody's

@@ -76,8 +76,9 @@ def require_noise(records: Sequence[TraceRecord]) -> None:
     if not sd > _LEAST_NOISE * spread:
         unit = records[0].places.sensor_unit
         raise IdentificationError(
-            f"expected readings with sensor noise, the unit of all errors, found {sd:.2g} {unit} "
-            f"on readings that move by {spread:.2g} {unit} rms; add noise to simulated ones"
+            "expected readings with sensor noise, because errors are given in multiples of it; "
+            f"found a noise of {sd:.2g} {unit} on readings that vary by {spread:.2g} {unit} RMS; "
+            "add noise to simulated readings"
         )
     _require_one_scale(records)
 
@@ -94,8 +95,9 @@ def _require_one_scale(records: Sequence[TraceRecord]) -> None:
             for sd, unit, name in zip(noise, places.dof_units, places.dof, strict=True)
         )
         raise IdentificationError(
-            "expected outputs in one unit and with similar noise, the unit of all errors, found "
-            f"{found}; multiply angles by an arm, or trace the outputs one by one"
+            "expected outputs in one unit and with similar noise, because errors are given in "
+            f"multiples of the noise; found {found}; multiply angles by a lever arm, or trace the "
+            "outputs one by one"
         )
 
 

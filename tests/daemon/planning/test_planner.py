@@ -261,7 +261,7 @@ def test_no_damaged_plan_leads_beyond_its_file(data: st.DataObject) -> None:
 def test_a_plan_that_can_still_be_changed_is_not_read() -> None:
     fd = memory_file("test", b"x" * 4096)
     try:
-        with pytest.raises(PlanFileError, match="not sealed"):
+        with pytest.raises(PlanFileError, match="expected a sealed memory file"):
             read_plan(fd, 9)
     finally:
         os.close(fd)

@@ -46,7 +46,9 @@ class UdpBackend(BusBackend):
         on = [context.rig.on_bus(each) for each in ROLES]
         found = {(each[0], each[1].bus) for each in on if each is not None}
         if None in on or len(found) != 1:
-            raise ConfigError(f"{role}: backend udp needs all roles on one bus of its own")
+            raise ConfigError(
+                f"{role}: expected amplifiers, sensors and drives on the same bus of 'udp'"
+            )
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:  # noqa: ARG002
         """Open the link, compare the device's limits, enable the drives; raises DriverError."""

@@ -88,7 +88,7 @@ class Control(Strict):
 
 
 class FeedForward(Strict):
-    """Feed-forward of a rig without a model: weight, torque of the beam's weight, rods in z.
+    """Feed-forward of a rig without a model: weight, beam torque, stiffness of the rods in z.
 
     The rods' force is zero at the working point. During lift-off and landing its feed-forward
     keeps the platform on its reference.

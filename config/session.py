@@ -98,9 +98,9 @@ class CoilCheck(Strict):
 class Levitate(Strict):
     """Take the weight off the stops in `unload_s`, rise in `ramp_s`, settle for `settle_s`.
 
-    With `check_coils` each coil is pushed before the platform settles; a coil with another response
-    than the others is the fault COIL_CHECK. By default the daemon checks the coils at the first
-    lift-off after its start and after a fault.
+    With `check_coils` each coil is pushed before the platform settles; if a coil responds unlike
+    the others, the fault is COIL_CHECK. By default the daemon checks the coils at the first
+    lift-off after its start and after each `levid clear`.
     """
 
     unload_s: Duration = 0.5
@@ -132,13 +132,13 @@ class Orthogonal(Strict):
 
 
 class RecordStep(Strict):
-    """Log `duration_s` for identification, with the named excitations or without any.
+    """Write a log of `duration_s` seconds for identification, with or without excitations.
 
     The platform first settles for `settle_s`, in the same log. Excitations fade in and out over
-    `fade_s`. With `orthogonal` the record is as long as its experiments plus `fade_s`. With
-    `each_s` the excitations play one after the other, each for `each_s` at full level, with
-    cross-fades. `scale` multiplies their levels. The trajectories `beam` and `rotor` repeat until
-    the record ends.
+    `fade_s`. With `orthogonal` the record lasts realisations x inputs x periods x `period_s`, plus
+    `fade_s`. With `each_s` the excitations play one after the other, each for `each_s` at full
+    level; the next one fades in while the last one fades out. `scale` multiplies the levels of the
+    excitations. The trajectories `beam` and `rotor` repeat until the record ends.
     """
 
     name: Name

@@ -114,7 +114,7 @@ class SimGeometry(Strict):
 
 
 class Platform(Strict):
-    """Rigid platform with the manipulator's static part, without the beam; inertias about O."""
+    """Rigid platform with the fixed parts on it, without the beam; inertias about its centre."""
 
     m_p_kg: Positive
     j_psi_kg_m2: Positive
@@ -137,7 +137,7 @@ class Beam(Strict):
 
 
 class Rotor(Strict):
-    """Bar that turns about the platform's normal at the middle of the beam; m_b has its mass."""
+    """Bar on the beam's middle that turns about the platform's normal; `m_b_kg` includes its mass."""
 
     j_kg_m2: Positive
 
@@ -196,7 +196,7 @@ class EndStops(Strict):
 
 
 class Drives(Strict):
-    """Encoders of the beam's two linear motors (read as one) and of the rotary motor."""
+    """Encoders: one reading for the beam's two linear motors together, one for the rotary motor."""
 
     beam_encoder_m: Positive
     rotor_encoder_rad: Positive

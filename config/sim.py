@@ -114,7 +114,7 @@ class SimGeometry(Strict):
 
 
 class Platform(Strict):
-    """Rigid platform with the fixed parts on it, without the beam; inertias about its centre."""
+    """Rigid platform and the fixed parts on it, without the beam; inertias about the centre."""
 
     m_p_kg: Positive
     j_psi_kg_m2: Positive
@@ -137,7 +137,7 @@ class Beam(Strict):
 
 
 class Rotor(Strict):
-    """Bar on the beam's middle that turns about the platform's normal; `m_b_kg` includes its mass."""
+    """Bar on the beam that turns about the platform's normal; `m_b_kg` includes its mass."""
 
     j_kg_m2: Positive
 

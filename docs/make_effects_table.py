@@ -29,12 +29,18 @@ Row = tuple[str, str, str]
 PAGE = Path(__file__).with_name("effects-table.md")
 HEAD = """# The table of candidate effects
 
-What a plant may do and its model may lack, as `levid trace` knows it: generated from
-`model/effects/` by `docs/make_effects_table.py`. `force` is added to the generalised forces, a
-coil's `force` stands for its command F, `reading` for what a sensor shows of the height h under it,
-`drive force` for what the beam's drives give. Heights and the pose count from the working point.
-What a model may change by itself, at least as well, is said under *absorbed by*; nothing of it can
-be found. Effects that look alike in a session are reported together, with what tells them apart.
+The effects that `levid trace` tries: what a plant may do and its declared model may lack.
+`docs/make_effects_table.py` generates this page from `model/effects/`.
+
+- **Equations.** `force` at a DOF is added to the generalised force on it. `force` at a coil is the
+  coil's actual force; F is its command. `reading` is a sensor's reading; h is the platform's height
+  at that sensor. `drive force` is added to the force of the beam's drives. Heights and pose are
+  zero at the working point.
+- **Absorbed by** names the parameters or constants of the declared model that can imitate the
+  effect, or the named part of it. No data can reveal what they imitate.
+- **Told apart by** names the excitation that separates an effect from similar ones. Effects that
+  fit a session about equally well are reported together.
+- **Non-rigid part** of the readings: the part that no motion of a rigid platform can produce.
 """
 
 

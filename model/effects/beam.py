@@ -1,10 +1,11 @@
 """Undeclared forces of the moving beam on the platform: weight, reaction, Coriolis, cable, chain.
 
-The beam's weight acts on theta, its acceleration reacts at the arm z_b, its speed couples tilt and
-lift (Coriolis). A skew guide or a wrong encoder scale changes each of them separately (Gajdusek,
-Damen, Van den Bosch, eqs. (1) to (6)). The pull of a cable from the frame depends on the beam's
-position, the friction of a chain on its direction of motion. Signature: follows x_b, v_b or a_b
-without other excitation; slow sweeps show position, fast ones speed and acceleration.
+The beam's weight acts on theta, its acceleration reacts at the arm z_b, and its speed couples tilt
+and lift (Coriolis). A skew guide or a wrong encoder scale changes each of these three forces
+separately (Gajdusek, Damen, Van den Bosch, eqs. (1) to (6)). The pull of a cable from the frame
+depends on the beam's position, the friction of a chain on its direction of motion. Signature: a
+force that follows x_b, v_b or a_b without other excitation; slow sweeps of the beam show the
+dependence on position, fast ones that on speed and acceleration.
 """
 
 from __future__ import annotations

@@ -3,13 +3,13 @@
 A bearing's balls deform elastically before they roll, and start to roll one after the other (Iwan,
 *A distributed-element model for hysteresis*, J. Appl. Mech. 33, 1966; for ball guides: Al-Bender
 and Symens, *Characterization of frictional hysteresis in ball-bearing guideways*, Wear 258, 2005).
-The drives' encoders do not measure the beam's shift on the carriage. A shift along the rails acts
-on theta, one across them on psi. Signature: a resonance with a frequency that falls and a damping
-that grows with the tilt amplitude. A mass on a linear spring has constant frequency and damping;
-friction against the fixed frame has no resonance.
+The drives' encoders do not measure the beam's shift on its carriage. The beam's shift along the
+rails acts on theta, its shift across the rails on psi. Signature: a resonance whose frequency falls
+and whose damping grows with the tilt amplitude. A mass on a linear spring has constant frequency
+and damping; friction against the fixed frame has no resonance.
 
-The equation contains the whole inertia of the shifting mass: with this effect the model's J is
-lower by m.
+The equation contains the whole inertia m of the shifting mass about the tilt axis. In a model with
+this effect, the moment of inertia J of that axis therefore does not include m.
 """
 
 from __future__ import annotations

@@ -2,8 +2,10 @@
 
 A coil's heat follows the square of its current through a first-order lag, and its magnet weakens
 with temperature (Sebastian, *Temperature effects on torque production of PM motors*, IEEE Trans.
-Ind. Appl. 31, 1995). A session begins with cold coils. Signature: depends on the session's time,
-not on frequency. Thermal drift scales the command and recovers at rest; an offset does neither.
+Ind. Appl. 31, 1995). The equation assumes cold coils at the time `before` ahead of the session's
+first record. Signature: a force error that depends on the time since the session's begin, not on
+frequency. Thermal drift is proportional to the command and recovers when the coil cools; the drift
+of an offset does not depend on the command and does not recover.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Coil gain errors: a constant gain, and a force constant that depends on the height.
 
-A voice coil's force constant falls with the distance from the magnet's middle, symmetrically or,
-near the end of a magnet, to one side (Furlani, *Permanent Magnet and Electromechanical Devices*,
-2001, ch. 5). Signature: proportional to one coil's command; the responses of the DOFs have the
-ratio of that coil's arms. A sensor's gain error also shows outside the rigid-body directions.
+A voice coil's force constant falls with the distance from the magnet's middle: equally in both
+directions or, near the end of a magnet, in one direction only (Furlani, *Permanent Magnet and
+Electromechanical Devices*, 2001, ch. 5). Signature: a force error proportional to one coil's
+command; the responses of the DOFs have the ratio of that coil's arms. A sensor's gain error, in
+contrast, also appears in the non-rigid part of the readings.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
 A bridge amplifier has a dead zone around zero. A magnetic circuit saturates softly, an amplifier
 hard (Mohan, Undeland, Robbins, *Power Electronics*, 2003, ch. 8): F / (1 + |F/limit|^p)^(1/p) is
-soft for p = 2 and hard for large p. Each coil carries about 8 N of weight, so a dead zone shows
-only if a command reaches it. Signature: depends on one coil's command, at all frequencies equally;
-a gain error at small amplitudes, harmonics at large ones. The loss applies to the force, after the
-coils' lag.
+soft for p = 2 and hard for large p. Each coil carries about 8 N of weight, so the effect of a dead
+zone is visible only if a command reaches the zone. Signature: a force error that depends on one
+coil's command, equally at all frequencies: like a gain error at small amplitudes, with harmonics at
+large ones. Dead zone and saturation act on the force, after the coils' lag.
 """
 
 from __future__ import annotations

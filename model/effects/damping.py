@@ -2,9 +2,9 @@
 
 Drag of a plate in free air grows with the speed squared. The damping of a squeezed air film is
 proportional to height^-3 (Reynolds' equation; Bao and Yang, *Squeeze film air damping in MEMS*,
-Sensors and Actuators A 136, 2007). Signature: zero without speed. Drag is an odd function and
-responds at odd lines; a film also responds at even lines and depends on the pose. Friction does not
-grow with the speed.
+Sensors and Actuators A 136, 2007). Signature: a force that is zero at zero speed. Drag is an odd
+function of the speed and responds at odd lines of a multisine; a film also responds at even lines,
+and its force depends on the pose. Friction, unlike damping, does not grow with the speed.
 """
 
 from __future__ import annotations

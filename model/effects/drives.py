@@ -4,9 +4,9 @@ Forces between beam and platform are internal: they appear in the drives' force,
 platform only through the beam's motion, which is measured. Cogging is periodic with the magnets'
 pitch (Zhu and Howe, *Influence of design parameters on cogging torque in permanent magnet
 machines*, IEEE Trans. Energy Conversion 15, 2000). A bearing's balls deform elastically before they
-roll, so a beam held on a tilting platform shifts with hysteresis. Signature: cogging depends on
-position only, not on speed or direction; friction has the sign of the speed; presliding follows
-the tilt while the beam is at rest.
+roll, so a beam that the drives hold on a tilting platform shifts with hysteresis. Signature:
+cogging depends on the beam's position only, not on its speed or direction; friction has the sign of
+the beam's speed; presliding follows the tilt while the beam is at rest.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Undeclared mass: offset of the centre of mass, payload, pose-dependent inertia.
 
 A centre of mass at (x, y) couples lift and tilt through the acceleration (Newton-Euler equations
-about the geometric centre); its weight is a constant torque. A payload adds the same from a point
-in time on, with a step of the weight. Pose-dependent inertia follows from Lagrange's equation
-(Goldstein, *Classical Mechanics*, ch. 1). Signature: proportional to accelerations, so it grows
-with frequency squared; a payload's force step remains. Coupling by rods does not grow with
-frequency.
+about the geometric centre); its weight is a constant torque. A payload adds the same coupling and
+torque from the moment it is put on, and its weight is a step of the vertical force. Pose-dependent
+inertia follows from Lagrange's equation (Goldstein, *Classical Mechanics*, ch. 1). Signature: a
+force proportional to accelerations, which grows with frequency squared; for a payload also the
+lasting step of force. Coupling by rods does not grow with frequency.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """Effects of the rotor on the beam: imbalance, weight of the unbalanced mass, reaction torque.
 
-A mass m at radius e exerts m e (phi'^2 cos phi + phi'' sin phi) along x and
-m e (phi'^2 sin phi - phi'' cos phi) along y (Genta, *Dynamics of Rotating Systems*, 2005, ch. 2).
-At a height over the platform's centre these forces are torques on theta and psi; the torque of the
-weight rotates with phi. Signature: follows the rotor. Imbalance grows with the speed squared, the
-weight's torque does not depend on the speed, the reaction torque is proportional to phi''.
+A mass m at radius e exerts m e (phi'^2 cos phi + phi'' sin phi) along x and m e (phi'^2 sin phi -
+phi'' cos phi) along y (Genta, *Dynamics of Rotating Systems*, 2005, ch. 2). At a height over the
+platform's centre these forces are torques on theta and psi; the torque of the weight rotates with
+phi. Signature: a torque that follows the rotor's angle or speed. The torque of the imbalance grows
+with the speed squared, that of the weight does not depend on the speed, and the reaction torque is
+proportional to phi''.
 """
 
 from __future__ import annotations

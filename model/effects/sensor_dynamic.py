@@ -2,10 +2,11 @@
 
 A first-order lag in one channel; a reading with play; a reading that sticks and then jumps
 (Visintin, *Differential Models of Hysteresis*, 1994, on play and stop); a reading that freezes for
-a while, for example if the probe's electronics hang. Signature: all show outside the rigid-body
-directions with one sensor's pattern. The error of a lag grows with the speed; that of play has
-constant size and the sign of the speed; both also occur in small motions, where a sticking reading
-does not change at all. A frozen reading is wrong only while it is constant and the others move.
+a while, for example if the probe's electronics hang. Signature: each of these sensor errors appears
+in the non-rigid part of the readings, with the pattern of one sensor. The error of a lag grows with
+the speed; that of play has constant size and the sign of the speed. Lag and play also occur in
+small motions, in which a sticking reading does not change at all. A frozen reading is wrong only
+while it is constant and the other readings change.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """Nonlinear stiffness of the rods: cubic, quadratic, one-sided.
 
-Clamped rods in bending stretch as they deflect; their force has a cubic part (Duffing; Kovacic and
-Brennan, *The Duffing Equation*, 2011). Buckled rods differ up and down, which a quadratic part
-describes. A one-sided contact has a kink (Shaw and Holmes 1983). Signature: depends on the pose
-only, not on the speed; the cubic part responds at odd lines, the quadratic part at even lines and
-in the mean. A sensor's nonlinearity also shows outside the rigid-body directions and looks like a
-force that grows with frequency squared.
+Clamped rods in bending stretch as they deflect, so their force has a cubic part (Duffing; Kovacic
+and Brennan, *The Duffing Equation*, 2011). The force of buckled rods differs between upward and
+downward deflection; a quadratic part describes this. The force of a one-sided contact has a kink
+over the deflection (Shaw and Holmes 1983). Signature: a force that depends on the pose only, not on
+the speed; the cubic part responds at odd lines of a multisine, the quadratic part at even lines and
+in the mean. A sensor's nonlinearity instead looks like a force that grows with frequency squared,
+and also appears in the non-rigid part of the readings.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """Sinusoidal disturbances (mains, fans, pumps): forces, ground vibration, pick-up in readings.
 
-A line keeps frequency and phase over a session, independent of the excitation. Signature: a peak in
-still records at a frequency without excitation. A force moves the rigid platform; pick-up shows
-outside the rigid-body directions in one sensor, or equally in all (Morrison, *Grounding and
-Shielding*, 2016). Vertical ground vibration acts on all masses in proportion, on the beam's mass at
-x_b. Random vibration has no phase and counts as noise.
+A sinusoidal disturbance (a spectral line) keeps its frequency and phase over a session, whatever
+the excitation. Signature: in the spectrum of still records, a peak at one frequency. A force moves
+the rigid platform; pick-up in one sensor appears in the non-rigid part of the readings; pick-up can
+also be equal in all sensors (Morrison, *Grounding and Shielding*, 2016). Vertical ground vibration
+acts on every mass in proportion to it, on the beam's mass at x_b. Random vibration has no phase and
+counts as noise.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     Quantity("height", "m", 0.01, 1.0, log=True),
                 ),
                 tuple((f, zeta, slip * reach, _HEIGHT_M) for f, zeta, slip in _START),
-                absorbed_by="far below its frequency: mass; J is without m",
+                absorbed_by="far below its frequency: mass; the model's J does not include m",
                 told_apart_by="tilt excitation at several amplitudes, up to its frequency",
             )
         )

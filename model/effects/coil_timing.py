@@ -1,12 +1,12 @@
 """Additional lag and delay of single coils: a slower current loop, a delayed command.
 
-The equations use the mean of the force over each period. In this mean, a held command after a
-first-order lag and one after a delay of a fraction of a period differ only after the first period
-(Franklin, Powell, Workman, *Digital Control of Dynamic Systems*, 1998, ch. 4). Lateness (`lag`,
-`delay`) and duration of the error (`tail`, `back`) are separate parameters; for a plain lag or
-delay they are equal. A coil can be faster than the others by at most the declared lag and delay.
-Signature: a force error proportional to the rate of change of one coil's command, so it grows with
-frequency and is zero for a constant command. A gain error does not grow with frequency.
+The equations use the mean of the force over each period. In this mean, the responses of a
+first-order lag and of a delay of a fraction of a period to a held command differ only after the
+first period (Franklin, Powell, Workman, *Digital Control of Dynamic Systems*, 1998, ch. 4).
+Lateness (`lag`, `delay`) and duration of the error (`tail`, `back`) are separate parameters; for a
+plain lag or delay they are equal. A coil can be faster than the others by at most the declared lag
+and delay. Signature: a force error proportional to the rate of change of one coil's command, so it
+grows with frequency and is zero for a constant command. A gain error does not grow with frequency.
 """
 
 from __future__ import annotations

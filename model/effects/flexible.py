@@ -1,12 +1,12 @@
 """Flexible modes: bending modes of the platform, and a mass on a spring on one DOF.
 
-eta'' + 2 zeta w eta' + w^2 eta = phi^T F / m; the readings contain phi eta in addition to the pose
-(Preumont, *Vibration Control of Active Structures*, 2018, ch. 2). A bending mode is orthogonal to
-the rigid motions. If coils and sensors are in the same places, only forces of single coils excite
-such a mode, and it appears only in the non-rigid part of the readings. A mode with a rigid part in
-its pattern also acts on the pose. A mass on a spring adds the force m (w^2 x + 2 zeta w x') to one
-DOF; x is its deflection. Signature: a resonance, or a compliance below its frequency, with one
-pattern over all sensors. A faulty sensor affects one reading and has no resonance.
+A bending mode obeys eta'' + 2 zeta w eta' + w^2 eta = phi^T F / m; the readings contain phi eta in
+addition to the pose (Preumont, *Vibration Control of Active Structures*, 2018, ch. 2). The mode is
+orthogonal to the rigid motions. If coils and sensors are in the same places, only forces of single
+coils excite a mode, and the mode appears only in the non-rigid part of the readings. A mode with a
+rigid part in its pattern also acts on the pose. A mass on a spring adds the force m (w^2 x + 2 zeta
+w x') to one DOF; x is its deflection. Signature: a resonance, or a compliance below its frequency,
+with one pattern over all sensors. A faulty sensor affects one reading and has no resonance.
 """
 
 from __future__ import annotations

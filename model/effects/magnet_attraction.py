@@ -1,10 +1,10 @@
 """Magnets of the base that attract the moving beam: a force on the platform, periodic in x_b.
 
-A vertical force on the beam at x_b acts on z and, with the arm x_b, on theta. The field
-over a row of magnets is periodic with their pitch; its harmonics decay with the height (Furlani,
-*Permanent Magnet and Electromechanical Devices*, 2001, ch. 4). Signature: a force that depends on
-the beam's position only, not on its speed. Cogging of the drives, in contrast, is an internal force
-and moves the platform only through the beam's motion.
+A vertical force on the beam at x_b acts on z and, with the arm x_b, on theta. The field over a row
+of magnets is periodic with their pitch; its harmonics decay with the height (Furlani, *Permanent
+Magnet and Electromechanical Devices*, 2001, ch. 4). Signature: a force that depends on the beam's
+position only, not on its speed. Cogging of the drives, in contrast, is an internal force and moves
+the platform only through the beam's motion.
 """
 
 from __future__ import annotations

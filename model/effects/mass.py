@@ -1,8 +1,8 @@
 """Undeclared mass: offset of the centre of mass, payload, pose-dependent inertia.
 
 A centre of mass at (x, y) couples lift and tilt through the acceleration (Newton-Euler equations
-about the geometric centre); its weight is a constant torque. A payload adds the same coupling and
-torque from the moment it is put on, and its weight is a step of the vertical force. Pose-dependent
+about the geometric centre); its weight is a constant torque. A payload adds such a coupling and
+torque from the moment it is put on; its weight is a step of the vertical force. Pose-dependent
 inertia follows from Lagrange's equation (Goldstein, *Classical Mechanics*, ch. 1). Signature: a
 force proportional to accelerations, which grows with frequency squared; for a payload also the
 lasting step of force. Coupling by rods does not grow with frequency.
@@ -73,7 +73,7 @@ def _offsets(places: Places) -> list[Effect]:
             f"torque = -a z'', force = -a {places.dof[tilt]}''; a = mass times {axis}",
             (Quantity("a", "kg m"),),
             partial(_offset, tilt=tilt),
-            absorbed_by="along x: the beam's zero position; its weight: constant torque",
+            absorbed_by="offset along x: the beam's zero position; weight: constant torque",
             told_apart_by="excitation of lift and tilt in one record",
         )
         for tilt, axis in ((0, "y"), (1, "x"))

@@ -4,8 +4,8 @@ A first-order lag in one channel; a reading with play; a reading that sticks and
 (Visintin, *Differential Models of Hysteresis*, 1994, on play and stop); a reading that freezes for
 a while, for example if the probe's electronics hang. Signature: each of these sensor errors appears
 in the non-rigid part of the readings, with the pattern of one sensor. The error of a lag grows with
-the speed; that of play has constant size and the sign of the speed. Lag and play also occur in
-small motions, in which a sticking reading does not change at all. A frozen reading is wrong only
+the speed; that of play has constant size and the sign of the speed. In small motions lag and play
+still cause errors, but a sticking reading does not change at all. A frozen reading is wrong only
 while it is constant and the other readings change.
 """
 

@@ -3,8 +3,8 @@
 Inductive sensors are nonlinear in the gap, drift with temperature, and have crosstalk if their
 coils are close (Fleming, *A review of nanometer resolution position sensors*, Sensors and Actuators
 A 190, 2013). Signature: with nine sensors for three DOFs, a sensor's error appears in the non-rigid
-part of the readings with that sensor's pattern. Effects of coils and rods do not appear in the
-non-rigid part.
+part of the readings, with that sensor's pattern. Effects of coils and rods do not appear in the
+non-rigid part of the readings.
 """
 
 from __future__ import annotations

@@ -225,7 +225,7 @@ def host_paced(monkeypatch: pytest.MonkeyPatch, patience: Patience) -> None:
 
     The electronics never go on by themselves, and the host waits for `patience`.
     """
-    monkeypatch.setattr("levid.sim.electronics.core._SILENT_PERIODS", 1e9)
+    monkeypatch.setattr("levid.sim.electronics.emulated_devices._SILENT_PERIODS", 1e9)
 
 
 @pytest.fixture

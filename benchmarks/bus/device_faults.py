@@ -37,8 +37,8 @@ from levid.drivers.base import (
 )
 from levid.drivers.registry import open_devices
 from levid.sim.electronics import core
-from levid.sim.electronics.core import Core
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_devices import Core
+from levid.sim.electronics.emulated_rig import Electronics
 
 EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
     "drop": ((StaleError,), "received: nothing"),

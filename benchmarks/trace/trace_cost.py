@@ -22,9 +22,9 @@ from levid.benchmarks.trace.zoo_flight import rig
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped
 from levid.identification.trace.residual.error_metric import pooled
-from levid.identification.trace.study import trace
+from levid.identification.trace.trace_logs import trace
 from levid.identification.trace.worker_pool import local_workers
-from levid.model.effects.table import all_effects
+from levid.model.effects.candidate_effects import all_effects
 
 EFFECTS = {
     "rod_stiffness.cubic@z": {

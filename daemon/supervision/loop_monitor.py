@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from ..control.faults import Fault
 from ..control.states import State
 from ..host.child_process import Child
-from ..host.process_clock import ProcessClock
+from ..host.monotonic_clock import ProcessClock
 from ..ipc.control_words import ControlWords, Word
 from .pending_clears import OPENING_S
 

@@ -30,8 +30,8 @@ from levid.drivers.base import (
 )
 from levid.drivers.registry import open_devices
 from levid.log.signals import Stale
+from levid.sim.electronics.emulated_rig import Electronics
 from levid.sim.electronics.faults import InjectionError
-from levid.sim.electronics.rig import Electronics
 from levid.wire.can.can_bus import open_bus
 from levid.wire.device_protocol import AmplifierState, DriveState
 

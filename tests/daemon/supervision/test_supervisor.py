@@ -19,7 +19,7 @@ from levid.config.shipped import shipped
 from levid.daemon.api.control_server import Server, ServerError
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
-from levid.daemon.host.access_control import Access
+from levid.daemon.host.peer_credentials import Access
 from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.daemon.supervision import supervisor as supervisor_module

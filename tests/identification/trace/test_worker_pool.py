@@ -60,10 +60,10 @@ def test_workers_end_with_the_process_that_started_them(tmp_path: Path, number: 
     assert process.stdout is not None
     pids = [int(word) for word in process.stdout.readline().split()]
     assert len(pids) == 2
-    wait_until(lambda: all((tmp_path / str(pid)).exists() for pid in pids), GIVE_UP_S)
+    wait_until(lambda: all((tmp_path / str(pid)).exists() for pid in pids), TIMEOUT_S)
     process.send_signal(number)
-    _, said = process.communicate(timeout=GIVE_UP_S)  # its pipes are theirs as well
-    wait_until(lambda: not any(map(_there, pids)), GIVE_UP_S)
+    _, stderr = process.communicate(timeout=TIMEOUT_S)  # the workers share its pipes
+    wait_until(lambda: not any(map(_exists, pids)), TIMEOUT_S)
     if number == signal.SIGINT:
         assert stderr.count("Traceback") == 1  # the traceback of the script
     else:

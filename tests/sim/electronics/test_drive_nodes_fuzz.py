@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.sim.electronics.drive_nodes import DriveNodes
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.emulated_rig import Electronics
 
 RIG = shipped("rigs/canfd.yaml")
 NMT, EMERGENCY, RPDO1, RPDO2, SDO, HEARTBEAT = 0x000, 0x080, 0x200, 0x300, 0x600, 0x700

@@ -10,8 +10,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
-from levid.sim.electronics.can_bus import CanElectronics
-from levid.sim.electronics.rig import Electronics
+from levid.sim.electronics.can_emulator import CanElectronics
+from levid.sim.electronics.emulated_rig import Electronics
 
 RIG = shipped("rigs/can.yaml")
 ELECTRONICS = Electronics(load_rig(RIG), RIG.parent)

@@ -69,7 +69,7 @@ class ScriptedLoop:
         plain["rate_hz"] = 1000.0
         self.rig = rig = RigConfig.model_validate(plain)
         self.shared = SharedMemory(rig)
-        self.board = self.shared.board
+        self.control_words = self.shared.control_words
         self.controller = Controller(rig, 1e-3, self.shared.control)
         self.devices = devices = wrap(open_devices(Context(rig, 1e-3, RIG.parent)))
         warm_up(self.controller, devices, np.zeros(1, self.shared.dtype), rig, -1)
@@ -105,9 +105,11 @@ class ScriptedLoop:
         """Announce a plan of these steps, from the manipulator's zero."""
         plan = plan_steps([Step(**step) for step in steps], "scripted", self.rig, 0.0, 0.0)
         self.plans += 1
-        self.board[Word.LAND_RAMP], self.board[Word.LAND_RELEASE] = 500, 200
+        self.control_words[Word.LAND_RAMP], self.control_words[Word.LAND_RELEASE] = 500, 200
         segments = [Logged(s, 0) for step in plan.steps for s in step.segments()]
-        self._feeder = SegmentFeeder(self.shared.program, self.board, self.plans, segments)
+        self._feeder = SegmentFeeder(
+            self.shared.segment_stream, self.control_words, self.plans, segments
+        )
 
     def run(self, script: Callable[[int], None], cycles: int) -> None:
         """Run so many cycles, each after script(its number)."""
@@ -121,7 +123,7 @@ class ScriptedLoop:
         if n > self._last:
             raise ScriptEnd
         if not n % 10 and not self.silent:
-            self.board[Word.BEAT] += 1
+            self.control_words[Word.BEAT] += 1
             if self._feeder is not None:
                 self.feed()
         self._script(n)

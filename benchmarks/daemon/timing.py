@@ -210,7 +210,7 @@ def fly(rate_hz: int, seconds: float) -> Turn:
             while (left_s := began_s + seconds - time.monotonic()) > 0:
                 time.sleep(min(left_s, 1.0))
                 flown.look()
-                if flown.board.fault:
+                if flown.control_words.fault:
                     require_no_fault(daemon.ask("status"))
             used_s = _processor_s(recorder) - used_s
             took_s = time.monotonic() - began_s

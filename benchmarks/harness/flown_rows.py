@@ -34,7 +34,7 @@ class Flown:
     def __init__(self, supervisor: int, rig_file: Path) -> None:
         self._shared = SharedMemory(load_rig(rig_file), memory_of(supervisor))
         self._shared.close()  # the mapping stays
-        self._ring, self.board = self._shared.ring, self._shared.board
+        self._ring, self.control_words = self._shared.ring, self._shared.control_words
         self._next = self._ring.head
         self._woken_before = self._shared.wake_ups.counts[:-1].copy()
         self._cycles: list[Cycles] = []
@@ -65,9 +65,9 @@ class Flown:
     def wait_until_written(self) -> None:
         """Wait until all rows are in their files; raises RuntimeError on a timeout."""
         self.look()
-        ring, board = self._ring, self.board
+        ring, control_words = self._ring, self.control_words
         give_up_s = time.monotonic() + _WRITTEN_S
-        while ring.durable < self._next or board[Word.WRITING] != NO_LOG:
+        while ring.durable < self._next or control_words[Word.WRITING] != NO_LOG:
             if time.monotonic() > give_up_s:
                 raise RuntimeError(f"rows are not in their files after {_WRITTEN_S:g} s")
             time.sleep(0.02)

@@ -45,16 +45,16 @@ class Heartbeat:
 
 
 def _watch(end: Connection, rig_file: Path, supervisor: int) -> None:
-    board = SharedMemory(load_rig(rig_file), memory_of(supervisor)).board
+    control_words = SharedMemory(load_rig(rig_file), memory_of(supervisor)).control_words
     hurry(WITNESS)
     end.send(True)
-    beat, beat_s, longest_s = board[Word.BEAT], time.monotonic(), 0.0
+    beat, beat_s, longest_s = control_words[Word.BEAT], time.monotonic(), 0.0
     while True:
         time.sleep(_LOOK_S)
         now_s = time.monotonic()
-        if board[Word.BEAT] != beat:
+        if control_words[Word.BEAT] != beat:
             longest_s = max(longest_s, now_s - beat_s)
-            beat, beat_s = board[Word.BEAT], now_s
+            beat, beat_s = control_words[Word.BEAT], now_s
         if end.poll():
             try:
                 end.recv()

@@ -46,8 +46,10 @@ class Announced(NamedTuple):
 class SegmentStream:
     """Access the queue of segments and the ring of rows: v, coil excitation, blend, beam, rotor."""
 
-    def __init__(self, coils: int, rows: int, memory: memoryview, board: ControlWords) -> None:
-        self.capacity, self._words = rows, board.words
+    def __init__(
+        self, coils: int, rows: int, memory: memoryview, control_words: ControlWords
+    ) -> None:
+        self.capacity, self._words = rows, control_words.words
         self._queue: NDArray[np.int64] = np.frombuffer(
             memory, np.int64, _QUEUE * len(Announced._fields)
         ).reshape(_QUEUE, -1)
@@ -61,7 +63,7 @@ class SegmentStream:
 
     @staticmethod
     def size(coils: int, rows: int) -> int:
-        """Return the bytes that a program of `rows` rows needs."""
+        """Return the bytes that a stream of `rows` rows needs."""
         return 8 * (_QUEUE * len(Announced._fields) + rows * (12 + coils))
 
     def announced(self, number: int) -> Announced:
@@ -125,9 +127,13 @@ class SegmentFeeder:
     """Stream one plan as far ahead as there is room; `feed` never waits."""
 
     def __init__(
-        self, program: SegmentStream, board: ControlWords, plan: int, segments: Iterable[Logged]
+        self,
+        segment_stream: SegmentStream,
+        control_words: ControlWords,
+        plan: int,
+        segments: Iterable[Logged],
     ) -> None:
-        self._program, self._words, self.plan = program, board.words, plan
+        self._segment_stream, self._words, self.plan = segment_stream, control_words.words, plan
         self.error = ""
         """Why streaming of an invalid plan ended; the loop then lands. Empty if valid."""
         # One segment ahead of the current one, to mark the last segment as the last.
@@ -147,25 +153,25 @@ class SegmentFeeder:
 
     def _stream(self) -> bool:
         """Write one block of rows; return whether there may be more."""
-        program, words = self._program, self._words
+        segment_stream, words = self._segment_stream, self._words
         logged = self._current
         if logged is None:
             return False
         segment, first = logged.segment, words[Word.ROWS_HEAD]
         flown = max(words[Word.ROWS_TAIL], self.base)
-        room = program.capacity - 1 - (first - flown)
+        room = segment_stream.capacity - 1 - (first - flown)
         n = min(segment.cycles - self._written, room, _BLOCK_ROWS)
-        if n <= 0 or not program.room_in_queue:
+        if n <= 0 or not segment_stream.room_in_queue:
             return False
         if not _is_finite(segment, self._written, n):
             self.error = f"a setpoint in state {segment.state.name} is not a finite number"
         if self.error:
             return False
-        program.write(segment, self._written, n)
+        segment_stream.write(segment, self._written, n)
         if segment.checks is not None and not self._written:
             self.check = segment.checks, segment.cycles, first + segment.cycles - 1
         if not self._written:  # after writing: the loop may start the segment at once
-            program.announce(
+            segment_stream.announce(
                 Announced(
                     self.plan,
                     logged.log,

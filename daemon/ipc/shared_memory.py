@@ -1,4 +1,4 @@
-"""Shared memory of the daemon's processes: control words, ring of rows, program of segments.
+"""Shared memory of the daemon's processes: control words, ring of rows, stream of segments.
 
 The memory is anonymous and inherited as a file descriptor: other processes cannot open it, and the
 kernel frees it when the last process ends.
@@ -42,12 +42,12 @@ class SharedMemory:
         coils, sensors = len(rig.geometry.coil_x_m), len(rig.geometry.sensors_x_m)
         self.dtype: np.dtype[np.void] = cycle_dtype(coils, sensors)
         rows = ring_rows(rig.recording, rig.rate_hz)
-        program_rows = max(int(_AHEAD_S * rig.rate_hz), _MIN_ROWS)
+        segment_rows = max(int(_AHEAD_S * rig.rate_hz), _MIN_ROWS)
         control = memory_shape(coils, sensors)
         sizes = (
             ControlWords.SIZE,
             Ring.size(self.dtype, rows),
-            SegmentStream.size(coils, program_rows),
+            SegmentStream.size(coils, segment_rows),
             Timing.SIZE,
             8 * int(np.prod(control)),
             WakeUps.SIZE,
@@ -64,9 +64,11 @@ class SharedMemory:
             )
         self.fd = fd
         memory = memoryview(mmap.mmap(fd, ends[-1]))
-        self.board = ControlWords(memory[: ends[0]])
+        self.control_words = ControlWords(memory[: ends[0]])
         self.ring = Ring(self.dtype, rows, memory[ends[0] : ends[1]])
-        self.program = SegmentStream(coils, program_rows, memory[ends[1] : ends[2]], self.board)
+        self.segment_stream = SegmentStream(
+            coils, segment_rows, memory[ends[1] : ends[2]], self.control_words
+        )
         self.timing = Timing(memory[ends[2] : ends[3]])
         words: NDArray[np.float64] = np.frombuffer(
             memory, np.float64, control[0] * control[1], ends[3]
@@ -83,7 +85,7 @@ class SharedMemory:
         Rows that a hung recorder loses count at once, before it reads again.
         """
         unseen = max(self.ring.waiting - self.ring.capacity + 1, 0)
-        return self.ring.lost + unseen + self.board[Word.DROPPED]
+        return self.ring.lost + unseen + self.control_words[Word.DROPPED]
 
     def close(self) -> None:
         """Close the descriptor; the mapping lasts until the process ends."""

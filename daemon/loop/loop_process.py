@@ -52,19 +52,19 @@ def main(fd: str, parent: str, folder: str) -> None:
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
     allow_cpus(rig.realtime.cpus)
     shared = SharedMemory(rig, int(fd))
-    board = shared.board
-    board[Word.BUSY] = 1
-    board[Word.LOOPS] += 1
+    control_words = shared.control_words
+    control_words[Word.BUSY] = 1
+    control_words[Word.LOOPS] += 1
     controller = Controller(rig, 1.0 / rig.rate_hz, shared.control)
     row = np.zeros(1, shared.dtype)
     journal = Journal()
-    journal.fields = lambda: moment(rig.name, board)
+    journal.fields = lambda: moment(rig.name, control_words)
 
     def ready(devices: Devices) -> None:
-        warm_up(controller, devices, row, rig, _cycle_now(board, rig.rate_hz))
+        warm_up(controller, devices, row, rig, _cycle_now(control_words, rig.rate_hz))
 
     try:
-        devices = _opened(rig, Path(folder), board, ready, journal.log)
+        devices = _opened(rig, Path(folder), control_words, ready, journal.log)
         if devices is None:
             journal.close()
             return
@@ -73,7 +73,7 @@ def main(fd: str, parent: str, folder: str) -> None:
         finally:
             devices.close()
     except SystemExit:
-        board[Word.STATE] = State.OFF
+        control_words[Word.STATE] = State.OFF
         raise
 
 
@@ -107,7 +107,7 @@ def _fly(
     parent: int,
     journal: Journal,
 ) -> None:
-    board = shared.board
+    control_words = shared.control_words
     clock = RealClock(1.0 / rig.rate_hz)
 
     def recover() -> None:
@@ -127,28 +127,30 @@ def _fly(
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the loop itself detects the parent's end
     with no_collections():
         clock.start()
-        if not board[Word.EPOCH_NS]:
-            board[Word.EPOCH_MONOTONIC_NS] = time.monotonic_ns()
-            board[Word.EPOCH_NS] = clock.epoch_ns
-            since_ns = board[Word.EPOCH_MONOTONIC_NS] - board[Word.HEAT_MONOTONIC_NS]
+        if not control_words[Word.EPOCH_NS]:
+            control_words[Word.EPOCH_MONOTONIC_NS] = time.monotonic_ns()
+            control_words[Word.EPOCH_NS] = clock.epoch_ns
+            since_ns = (
+                control_words[Word.EPOCH_MONOTONIC_NS] - control_words[Word.HEAT_MONOTONIC_NS]
+            )
             controller.cool(1e-9 * since_ns)  # no cycles while devices were opened
-        loop.cycle = _cycle_now(board, rig.rate_hz)
-        board[Word.BUSY] = 0
+        loop.cycle = _cycle_now(control_words, rig.rate_hz)
+        control_words[Word.BUSY] = 0
         loop.run()
 
 
-def _cycle_now(board: ControlWords, rate_hz: float) -> int:
+def _cycle_now(control_words: ControlWords, rate_hz: float) -> int:
     """Return the number of the current period; a restarted loop continues the count."""
-    if not board[Word.EPOCH_NS]:
+    if not control_words[Word.EPOCH_NS]:
         return -1
-    passed_ns = time.monotonic_ns() - board[Word.EPOCH_MONOTONIC_NS]
+    passed_ns = time.monotonic_ns() - control_words[Word.EPOCH_MONOTONIC_NS]
     return int(passed_ns * 1e-9 * rate_hz)
 
 
 def _opened(
     rig: RigConfig,
     folder: Path,
-    board: ControlWords,
+    control_words: ControlWords,
     ready: Callable[[Devices], None],
     log: Callable[[str], None],
 ) -> Devices | None:
@@ -156,7 +158,7 @@ def _opened(
 
     Return None if the end is requested first.
     """
-    request = board[Word.CLEAR]
+    request = control_words[Word.CLEAR]
     while True:
         try:
             with _bounded():
@@ -168,26 +170,28 @@ def _opened(
                     raise
         except Exception as error:  # noqa: BLE001 - becomes a fault; the next try clears it
             fault, detail = fault_of(error)
-            board.detail = detail
-            board[Word.FAULT], board[Word.STATE] = fault, State.FAULT
+            control_words.detail = detail
+            control_words[Word.FAULT], control_words[Word.STATE] = fault, State.FAULT
             log(f"no flight recording of {fault.name}: it occurred while devices were opened")
-            board[Word.CLEARED] = request
-            board[Word.BUSY] = 0
+            control_words[Word.CLEARED] = request
+            control_words[Word.BUSY] = 0
         else:
-            board[Word.STATE] = State.OFF  # the request to clear is answered after the self-test
-            board[Word.FAULT] = Fault.NONE
-            board.detail = ""
-            board[Word.CLEARED] = request
+            control_words[Word.STATE] = (
+                State.OFF
+            )  # the request to clear is answered after the self-test
+            control_words[Word.FAULT] = Fault.NONE
+            control_words.detail = ""
+            control_words[Word.CLEARED] = request
             return devices
-        while board[Word.CLEAR] == request:
-            if board[Word.END]:
-                board[Word.STATE] = State.OFF
+        while control_words[Word.CLEAR] == request:
+            if control_words[Word.END]:
+                control_words[Word.STATE] = State.OFF
                 return None
-            board[Word.WAITING] += 1
+            control_words[Word.WAITING] += 1
             time.sleep(_POLL_S)
-        request = board[Word.CLEAR]
-        board.cancel_stop()  # an earlier stop; later ones apply
-        board[Word.BUSY] = 1
+        request = control_words[Word.CLEAR]
+        control_words.cancel_stop()  # an earlier stop; later ones apply
+        control_words[Word.BUSY] = 1
 
 
 if __name__ == "__main__":

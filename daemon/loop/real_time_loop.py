@@ -50,29 +50,32 @@ class TimedLoop:
         self._period_s = 1.0 / rig.rate_hz
         self._longest_ns = round((longest_stall(rig) + 1) * 1e9 / rig.rate_hz)
         self._controller, self._devices, self._clock = controller, devices, clock
-        self._ring, self._words, self._recover = shared.ring, shared.board.words, recover
+        self._ring, self._words, self._recover = shared.ring, shared.control_words.words, recover
         self._counts, self._before = shared.timing.counts, memory_of(1e9 / rig.rate_hz)
         self._wake_ups = shared.wake_ups.counts
         count_wake_up(self._wake_ups, -1)  # compiles it
         self._lateness = Lateness(rig.limits, rig.rate_hz, longest_stall(rig))
         # A restarted loop continues the counts.
-        self._lateness.late, self._stale_before = shared.board[Word.LATE], shared.board[Word.STALE]
-        self.cycle = shared.board[Word.CYCLE]
-        self.course = StateMachine(
+        self._lateness.late, self._stale_before = (
+            shared.control_words[Word.LATE],
+            shared.control_words[Word.STALE],
+        )
+        self.cycle = shared.control_words[Word.CYCLE]
+        self.state_machine = StateMachine(
             rig, controller, shared, self._lateness, self._recover_devices, parent
         )
 
     def run(self) -> None:
         """Start with a self-test; return at the requested end, coils at zero force."""
-        course = self.course
-        course.begin()
-        while not course.ended:
+        state_machine = self.state_machine
+        state_machine.begin()
+        while not state_machine.ended:
             try:
                 self._cycles()
             except Exception as error:  # noqa: BLE001 - on any error the coils go to zero first
                 self._raised(error)
         self._zero()
-        course.become(State.OFF)
+        state_machine.become(State.OFF)
 
     def _cycles(self) -> None:  # noqa: PLR0915 - one cycle, in its order
         """Run cycles until the end or an exception."""
@@ -87,26 +90,31 @@ class TimedLoop:
             rows["lateness_s"], rows["execution_s"], rows["skipped"], rows["stale"],
         )  # fmt: skip
         tags, words, clock, period_s = ring.tags, self._words, self._clock, self._period_s
-        wait, now, late, course = clock.wait, time.perf_counter_ns, self._lateness, self.course
+        wait, now, late, state_machine = (
+            clock.wait,
+            time.perf_counter_ns,
+            self._lateness,
+            self.state_machine,
+        )
         counts, wake_ups, before, head, check_requests = (
-            self._counts, self._wake_ups, self._before, ring.head, course.check_requests,
+            self._counts, self._wake_ups, self._before, ring.head, state_machine.check_requests,
         )  # fmt: skip
         longest_ns = self._longest_ns
-        while not course.ended:
+        while not state_machine.ended:
             late_s = wait()
             begin, skipped = now(), clock.skipped
             cycle = self.cycle = self.cycle + 1 + skipped
             words[_CYCLE] = cycle
             check_requests(1 + skipped)
-            uncounted = course.uncounted and course.count_down()
+            uncounted = state_machine.uncounted and state_machine.count_down()
             if uncounted == AROUND_CLEAR:  # clearing may have homed drives
                 begin = now()
             # Before reading: after a stall beyond the limit, the loop commands zero force.
             if not uncounted and late.exceeded(skipped) and control.engaged:
-                course.fail(Fault.LATE, late.reason)
+                state_machine.fail(Fault.LATE, late.reason)
             if not head & _COUNT_EVERY:  # rows, not cycles: skipped periods might miss the mask
                 words[_STALE], words[_LATE] = self._stale_before + devices.stale, late.late
-            k = course.advance()
+            k = state_machine.advance()
             chosen = now()
             for sync in syncs:
                 sync(cycle, late_s - skipped * period_s)
@@ -123,10 +131,10 @@ class TimedLoop:
             if computed - begin > longest_ns and control.engaged:
                 self._fail_slow_cycle(slot, 1e-9 * (computed - begin))
             amplifiers.write(coil)
-            if course.located:
+            if state_machine.located:
                 drives.write(beam_ref, rotor_ref)
             written = now()
-            tags[slot], lateness[slot] = course.tag, late_s
+            tags[slot], lateness[slot] = state_machine.tag, late_s
             skips[slot] = min(skipped, 255)
             if sensors.stale or drives.stale or amplifiers.stale:
                 stales[slot] = devices.stale_roles
@@ -142,11 +150,13 @@ class TimedLoop:
                 )  # fmt: skip
                 count_wake_up(wake_ups, clock.overslept_ns)
             if fault:
-                course.fail(Fault(fault), control.detail(Fault(fault)))
+                state_machine.fail(Fault(fault), control.detail(Fault(fault)))
 
     def _fail_slow_cycle(self, slot: int, seconds: float) -> None:
         """End control in the current cycle: its readings are too old."""
-        self.course.fail(Fault.LATE, f"a cycle took {seconds:.3g} s before it wrote the forces")
+        self.state_machine.fail(
+            Fault.LATE, f"a cycle took {seconds:.3g} s before it wrote the forces"
+        )
         rows = self._ring.rows
         rows["coil_n"][slot] = 0.0
         rows["state"][slot], rows["fault"][slot] = State.FAULT, Fault.LATE
@@ -154,27 +164,27 @@ class TimedLoop:
     def _raised(self, error: Exception) -> None:
         """Command zero force first, then write a log row with the fault."""
         fault, detail = fault_of(error)
-        course, control = self.course, self._controller
-        harmless = not control.engaged and course.state is not State.SELF_TEST
+        state_machine, control = self.state_machine, self._controller
+        harmless = not control.engaged and state_machine.state is not State.SELF_TEST
         # At each exception: the bus may have lost an earlier frame.
         self._zero()
         # The cycle updates these with its rows, but this one wrote none.
         self._words[_STALE] = self._stale_before + self._devices.stale
         self._words[_LATE] = self._lateness.late
-        if course.fault:
+        if state_machine.fault:
             control.move(0)
         elif fault is not Fault.STALE or not harmless:  # stale readings at rest are only counted
-            course.fail(fault, detail)
+            state_machine.fail(fault, detail)
             ring, slot = self._ring, self._ring.head % self._ring.capacity
-            k = course.advance()  # the first cycle of braking
+            k = state_machine.advance()  # the first cycle of braking
             control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, k)
             ring.rows["fault"][slot] = fault
             ring.rows["state"][slot] = State.FAULT
             ring.rows["stale"][slot] = self._devices.stale_roles
-            ring.tags[slot] = course.tag
+            ring.tags[slot] = state_machine.tag
             ring.head += 1
         # Another device may have failed: without setpoints, drives would stop abruptly or go on.
-        if course.located:
+        if state_machine.located:
             with contextlib.suppress(Exception):
                 self._devices.drives.write(control.beam_ref, control.rotor_ref)
 

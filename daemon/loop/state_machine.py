@@ -1,4 +1,4 @@
-"""State machine of the loop: select a program, a landing, a self-test or zero force each cycle.
+"""State machine of the loop: fly a segment, land, test or send zero force.
 
 Its inputs are control words in shared memory. It takes no lock, writes no file and waits for no
 process.
@@ -68,8 +68,12 @@ class StateMachine:
         parent: int,
     ) -> None:
         self._rig, self._controller, self._lateness = rig, controller, lateness
-        self._board, self._ring, self._program = shared.board, shared.ring, shared.program
-        self._words, self._recover, self._parent = shared.board.words, recover, parent
+        self._control_words, self._ring, self._segment_stream = (
+            shared.control_words,
+            shared.ring,
+            shared.segment_stream,
+        )
+        self._words, self._recover, self._parent = shared.control_words.words, recover, parent
         self._landing = Landing(controller, rig.limits, 1.0 / rig.rate_hz)
         self._test_cycles = max(round(rig.self_test.duration_s * rig.rate_hz), 2)
         self._silence_limit = max(round(rig.service.supervisor_s * rig.rate_hz), 2)
@@ -136,7 +140,7 @@ class StateMachine:
         self.fault, self._after_landing = fault, None
         control.latch(fault)
         if detail is not None:
-            self._board.detail = detail
+            self._control_words.detail = detail
         words[Word.FAULT_CYCLE] = words[_CYCLE]
         words[Word.FAULT_PLAN] = words[Word.PLAN]
         words[Word.FAULT_LOG] = self.tag
@@ -197,7 +201,7 @@ class StateMachine:
         self._left -= 1
         self._position = position + 1
         words[_ROWS_TAIL] = position
-        return position % self._program.capacity
+        return position % self._segment_stream.capacity
 
     def _fly_landing(self) -> int:
         """Fly the next row of an unplanned landing."""
@@ -235,7 +239,7 @@ class StateMachine:
     def _next_segment(self) -> None:
         words = self._words
         number = words[_QUEUE_TAIL]
-        announced = self._program.announced(number)
+        announced = self._segment_stream.announced(number)
         words[_QUEUE_TAIL] = number + 1
         self._left = 0
         same_plan = announced.plan == words[Word.PLAN]
@@ -247,7 +251,7 @@ class StateMachine:
                 words[Word.PLAN_DONE] = max(announced.plan, words[Word.PLAN_DONE])
             self.advance = self._idle
             return
-        if self._begin(self._program.segment(announced)):
+        if self._begin(self._segment_stream.segment(announced)):
             words[Word.PLAN] = announced.plan
             self._announced = announced
             self._set_tag(announced.log)
@@ -304,7 +308,7 @@ class StateMachine:
         """Plan of the last announced segment that has not started; 0 if none."""
         words = self._words
         head = words[_QUEUE_HEAD]
-        return self._program.announced(head - 1).plan if words[_QUEUE_TAIL] < head else 0
+        return self._segment_stream.announced(head - 1).plan if words[_QUEUE_TAIL] < head else 0
 
     def _land_unplanned(self, after: NDArray[np.float64] | None = None) -> None:
         """Fly a landing from here, or continue a planned one from its blend row `after` (3,)."""
@@ -348,7 +352,7 @@ class StateMachine:
         words[Word.PLAN_CUT] = max(words[Word.PLAN], words[Word.PLAN_CUT])
         announced = self._announced
         if self._controller.engaged and self.state is State.LANDING and announced is not None:
-            blend = self._program.segment(announced).blend
+            blend = self._segment_stream.segment(announced).blend
             self._land_unplanned(after=blend[(self._position - 1) % len(blend)])
         else:
             self._end_plan()
@@ -368,7 +372,7 @@ class StateMachine:
         self._clear_request = request
         words = self._words
         if self.fault:
-            self._board.cancel_stop()
+            self._control_words.cancel_stop()
             if self._tagged_left < _FOREVER:
                 self._end_plan()
             words[Word.BUSY] = 1
@@ -377,14 +381,14 @@ class StateMachine:
             try:
                 self._recover()
             except Exception as error:  # noqa: BLE001 - the client gets the detail; the fault stays
-                self._board.detail = str(error)
+                self._control_words.detail = str(error)
             else:
                 self.located = True
                 self.fault = Fault.NONE
                 self._controller.latch(Fault.NONE)
                 self._lateness.reset()
                 words[Word.FAULT] = Fault.NONE
-                self._board.detail = ""
+                self._control_words.detail = ""
                 self._begin_self_test()
             finally:
                 gc.collect()  # automatic collection is disabled; there is time here

@@ -41,10 +41,15 @@ class RecorderLink:
     """
 
     def __init__(
-        self, rig_json: bytes, shared_fd: int, board: ControlWords, faults: Path, log: Log
+        self, rig_json: bytes, shared_fd: int, control_words: ControlWords, faults: Path, log: Log
     ) -> None:
         self._child = Child("recorder", module_of("recording.recorder_process"), rig_json)
-        self._shared_fd, self._board, self._faults, self._log = shared_fd, board, faults, log
+        self._shared_fd, self._control_words, self._faults, self._log = (
+            shared_fd,
+            control_words,
+            faults,
+            log,
+        )
         self._lines: Lines | None = None
         self._head: Mapping[str, bytes] | None = None
         self._logs: dict[int, LogFile] = {}
@@ -122,7 +127,7 @@ class RecorderLink:
             if now_s >= self._restart_s:
                 self._start(now_s)
             return
-        beat = self._board[Word.RECORDER_BEAT]
+        beat = self._control_words[Word.RECORDER_BEAT]
         if beat != self._beat:
             self._beat, self._running, self._hung = beat, True, False
             self._silence.begin(now_s)
@@ -172,7 +177,7 @@ class RecorderLink:
         if self.restarts:
             self._log_rarely(now_s, "ended", restarted)
         self._silence.begin(now_s)
-        self._beat = self._board[Word.RECORDER_BEAT]  # of the previous recorder
+        self._beat = self._control_words[Word.RECORDER_BEAT]  # of the previous recorder
         self._running = self._hung = False
         self._head = None
         for tag, file in self._logs.items():

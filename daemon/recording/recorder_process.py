@@ -44,9 +44,9 @@ class RecorderProcess:
     def __init__(
         self, rig: RigConfig, shared: SharedMemory, end: socket.socket, faults: Path
     ) -> None:
-        self._board, self._ring = shared.board, shared.ring
+        self._control_words, self._ring = shared.control_words, shared.ring
         self._lines = Lines(end, _MAX_BYTES, _MAX_BYTES)
-        self._syncer = FsyncWorker()
+        self._fsync_worker = FsyncWorker()
         self._logs: dict[int, LogFile] = {}
         self._head: Mapping[str, bytes] = {}
         self._tags: dict[Path, int] = {}  # of the current logs
@@ -55,12 +55,12 @@ class RecorderProcess:
         self._ending = False
         self._closed = NO_LOG  # last tag that the supervisor has forgotten
         self._failed = NO_LOG  # tag of the last log that could not be written
-        self._requested: list[Fault] = []  # recordings that wait until the scribe is free
-        self._switching = False  # the scribe is switching logs
+        self._requested: list[Fault] = []  # recordings that wait until the router is free
+        self._switching = False  # the router is switching logs
         rotation = Rotation(
             int(rig.recording.rotate_mb * 1e6), int(rig.recording.rotate_s * rig.rate_hz)
         )
-        self._scribe = LogRouter(
+        self._router = LogRouter(
             self._ring, rig.rate_hz, self._log_of, self._on_log_event, rotation
         )
         self._faults = FaultLog(
@@ -75,30 +75,30 @@ class RecorderProcess:
             },
             self._on_fault_recording,
         )
-        self._scribe.dropped = self._board[Word.DROPPED]  # continue the count
+        self._router.dropped = self._control_words[Word.DROPPED]  # continue the count
         # Read again the rows that a dead recorder read but did not write.
         self._ring.tail = self._ring.durable
         # Set before the first message, which may request the recording of a dead loop.
-        self._scribe.epoch_ns = self._faults.epoch_ns = self._board[Word.EPOCH_NS]
-        self._faults.resume(self._board[Word.FAULTS_SEEN], self._ring.tail)
+        self._router.epoch_ns = self._faults.epoch_ns = self._control_words[Word.EPOCH_NS]
+        self._faults.resume(self._control_words[Word.FAULTS_SEEN], self._ring.tail)
 
     def run(self, parent: int) -> None:
         """Record; `parent` is the process id of the supervisor."""
-        words = self._board.words
+        words = self._control_words.words
         quiet_since_s, cycle = time.monotonic(), words[Word.CYCLE]
         while True:
             self._receive(0.0 if self._ring.waiting >= BLOCK else _POLL_S)
-            self._scribe.epoch_ns = self._faults.epoch_ns = words[Word.EPOCH_NS]
+            self._router.epoch_ns = self._faults.epoch_ns = words[Word.EPOCH_NS]
             log = words[Word.LOG]
-            read = self._scribe.work()
-            if not len(read.rows) and self._scribe.tag not in (NO_LOG, log):
-                self._scribe.finish()  # the log is complete; on a dead bus no rows follow
+            read = self._router.work()
+            if not len(read.rows) and self._router.tag not in (NO_LOG, log):
+                self._router.finish()  # the log is complete; on a dead bus no rows follow
             self._faults.scan(read)
             if self._faults.idle:
                 words[Word.FAULTS_SEEN] = self._ring.tail
             self._sync()
-            words[Word.DROPPED] = self._scribe.dropped
-            words[Word.WRITING] = self._scribe.tag
+            words[Word.DROPPED] = self._router.dropped
+            words[Word.WRITING] = self._router.tag
             words[Word.RECORDER_BEAT] += 1
             if self._ready_request and self._ring.waiting < BLOCK:
                 self._send({"event": "ready", "ready": self._ready_request})
@@ -114,21 +114,21 @@ class RecorderProcess:
                 quiet_since_s, cycle = time.monotonic(), words[Word.CYCLE]
             elif time.monotonic() - quiet_since_s > _WITHOUT_ROWS_S:
                 break
-        self._scribe.finish()
+        self._router.finish()
         self._faults.finish()
-        self._syncer.finish(_SYNC_S)
+        self._fsync_worker.finish(_SYNC_S)
         self._sync()
-        words[Word.WRITING] = self._scribe.tag
+        words[Word.WRITING] = self._router.tag
 
     def _sync(self) -> None:
-        self._syncer.sync_growing(self._scribe.writer)
-        for path, why in self._syncer.failures():
+        self._fsync_worker.sync_growing(self._router.writer)
+        for path, why in self._fsync_worker.failures():
             if path in self._fault_logs:
                 self._send(
                     {"event": "fault", "fault": self._fault_logs[path], "path": "", "why": why}
                 )
             else:
-                tag = self._tags.get(path, self._scribe.tag)
+                tag = self._tags.get(path, self._router.tag)
                 self._send_log_event(Event.FAILED, tag, path, why)
 
     def _receive(self, wait_s: float) -> None:
@@ -160,7 +160,7 @@ class RecorderProcess:
             before, self._closed = self._closed, int(message["forget"])
             self._logs = {tag: log for tag, log in self._logs.items() if tag > before}
             self._tags = {path: tag for path, tag in self._tags.items() if tag > before}
-            self._scribe.forget_errors()
+            self._router.forget_errors()
         if "fault" in message:
             fault = Fault[message["fault"]]
             if self._switching:
@@ -174,15 +174,15 @@ class RecorderProcess:
 
     def _record(self, fault: Fault) -> None:
         """Write the flight recording of a fault that the dead loop could not log."""
-        while len(self._scribe.work().rows):
+        while len(self._router.work().rows):
             pass
-        self._scribe.finish()
+        self._router.finish()
         self._faults.finish()
         self._faults.write(fault)
 
     def _log_of(self, tag: int) -> LogFile | None:
         deadline_s = time.monotonic() + _UNKNOWN_S
-        self._switching = True  # messages must not use the scribe meanwhile
+        self._switching = True  # messages must not use the router meanwhile
         try:
             while tag not in self._logs and time.monotonic() < deadline_s:
                 self._receive(_POLL_S)
@@ -190,7 +190,7 @@ class RecorderProcess:
             self._switching = False
         if self._failed <= self._closed < tag:
             # An error of the previous flight must not stop this log.
-            self._scribe.forget_errors()
+            self._router.forget_errors()
         return self._logs.get(tag)
 
     def _on_log_event(self, event: Event, tag: int, path: Path, why: str) -> None:
@@ -200,7 +200,7 @@ class RecorderProcess:
                 log = self._logs[tag]
                 self._logs[tag] = replace(log, part=log.part + 1)
         elif event is Event.CLOSED:
-            self._syncer.sync_closed(path)
+            self._fsync_worker.sync_closed(path)
         elif event is Event.FAILED:
             self._failed = tag
         self._send_log_event(event, tag, path, why)
@@ -211,7 +211,7 @@ class RecorderProcess:
     def _on_fault_recording(self, fault: Fault, path: str, why: str) -> None:
         if path:
             self._fault_logs = {Path(path): fault.name}
-            self._syncer.sync_closed(Path(path))
+            self._fsync_worker.sync_closed(Path(path))
         self._send({"event": "fault", "fault": fault.name, "path": path, "why": why})
 
     def _send(self, message: Mapping[str, Any]) -> None:

@@ -21,7 +21,7 @@ class Recorder:
     def __init__(self, ring: Ring, rate_hz: float) -> None:
         self._ring = ring
         self._logs: dict[int, LogFile] = {}
-        self._scribe = LogRouter(ring, rate_hz, self._logs.get)
+        self._router = LogRouter(ring, rate_hz, self._logs.get)
         self._finish = threading.Event()
         self._finished = threading.Event()
         self._stop = threading.Event()
@@ -30,16 +30,16 @@ class Recorder:
     @property
     def error(self) -> Exception | None:
         """Error that ended the recording, None if there was none."""
-        return self._scribe.error
+        return self._router.error
 
     def start(self, epoch_ns: int) -> None:
         """Start reading rows; `epoch_ns` is the log time of cycle 0."""
-        self._scribe.epoch_ns = epoch_ns
+        self._router.epoch_ns = epoch_ns
         self._thread.start()
 
     def forget_errors(self) -> None:
         """Resume recording after a failure, from the next log on."""
-        self._scribe.forget_errors()
+        self._router.forget_errors()
 
     def define(self, file: LogFile) -> int:
         """Return the tag for the rows of this log."""
@@ -68,9 +68,9 @@ class Recorder:
     def _run(self) -> None:
         while True:
             ending, finishing = self._stop.is_set(), self._finish.is_set()
-            if len(self._scribe.work().rows) == 0:
+            if len(self._router.work().rows) == 0:
                 if finishing or ending:
-                    self._scribe.finish()
+                    self._router.finish()
                 if finishing:
                     self._finish.clear()
                     self._finished.set()

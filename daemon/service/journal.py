@@ -70,12 +70,12 @@ class Journal:
                     data = data[os.write(_STDERR, data) :]
 
 
-def moment(rig: str, board: ControlWords) -> dict[str, str]:
+def moment(rig: str, control_words: ControlWords) -> dict[str, str]:
     """Return the fields of every entry; empty values are left out of the entry."""
-    fault = board.fault
+    fault = control_words.fault
     return {
         "LEVID_RIG": rig,
-        "LEVID_STATE": board.state.name,
+        "LEVID_STATE": control_words.state.name,
         "LEVID_FAULT": fault.name if fault is not Fault.NONE else "",
     }
 

@@ -87,7 +87,11 @@ class JobRunner:
     ) -> None:
         self._rig, self._recorder, self._log = rig, recorder, log
         self._shared = shared
-        self._board, self._ring, self._program = shared.board, shared.ring, shared.program
+        self._control_words, self._ring, self._segment_stream = (
+            shared.control_words,
+            shared.ring,
+            shared.segment_stream,
+        )
         self._feeder: SegmentFeeder | None = None
         self._plans = 0
         self._flight_log = NO_LOG
@@ -98,7 +102,7 @@ class JobRunner:
     @property
     def airborne(self) -> bool:
         """Whether the platform is in flight."""
-        return self._board.state in IN_FLIGHT
+        return self._control_words.state in IN_FLIGHT
 
     @property
     def coils_are_known(self) -> bool:
@@ -108,18 +112,20 @@ class JobRunner:
     @property
     def _last_repair(self) -> tuple[int, int]:
         """Counts of cleared faults and loop starts, after which cables may have been changed."""
-        return self._board[Word.CLEAR], self._board[Word.LOOPS]
+        return self._control_words[Word.CLEAR], self._control_words[Word.LOOPS]
 
     def begin(self, job: Job) -> None:
         """Start `job`; raises RefusedError."""
-        board = self._board
+        control_words = self._control_words
         if self.job is not None:
             raise RefusedError("a session is being flown")
-        if board.fault is not Fault.NONE:
-            raise RefusedError(in_fault(board))
+        if control_words.fault is not Fault.NONE:
+            raise RefusedError(in_fault(control_words))
         wanted = State.IDLE if job.begins_at_rest else State.LEVITATING
-        if board.state is not wanted or board[Word.PLAN]:
-            raise RefusedError(f"expected the state {wanted.name}, found {board.state.name}")
+        if control_words.state is not wanted or control_words[Word.PLAN]:
+            raise RefusedError(
+                f"expected the state {wanted.name}, found {control_words.state.name}"
+            )
         if job.begins_at_rest:
             self._recorder.forget()
             self._flight_log = NO_LOG
@@ -130,12 +136,14 @@ class JobRunner:
             self._flight_log = tag
         self._plans += 1
         job.number = self._plans
-        job.start_cycle = board[Word.CYCLE]
-        job.counts_before = board[Word.LATE], self._shared.lost
-        board[Word.LAND_LOG] = tag
+        job.start_cycle = control_words[Word.CYCLE]
+        job.counts_before = control_words[Word.LATE], self._shared.lost
+        control_words[Word.LAND_LOG] = tag
         if job.landing is not None:
-            board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = job.landing
-        self._feeder = SegmentFeeder(self._program, board, job.number, self._logged(job, before))
+            control_words[Word.LAND_RAMP], control_words[Word.LAND_RELEASE] = job.landing
+        self._feeder = SegmentFeeder(
+            self._segment_stream, control_words, job.number, self._logged(job, before)
+        )
         if self._feeder.error:
             raise RefusedError(f"the plan cannot be flown: {self._feeder.error}")
         self.job = job
@@ -161,19 +169,19 @@ class JobRunner:
 
     def tick(self) -> None:
         """Stream segments, report progress, and end the job when it is complete."""
-        job, board = self.job, self._board
+        job, control_words = self.job, self._control_words
         if job is None:
             return
         assert self._feeder is not None
         self._feeder.feed()
         if self._feeder.error and job.error is None:
             job.error = RefusedError(f"the flight was landed early: {self._feeder.error}")
-            board.land()
+            control_words.land()
         self.note_fault()
         self._check_coils(job, self._feeder)
         now_s = time.monotonic()
         if job.ended_s is None:
-            if board[Word.PLAN_DONE] >= job.number:
+            if control_words[Word.PLAN_DONE] >= job.number:
                 self._end_flight(job, now_s)
             else:
                 self._report_progress(job, now_s, self.step_of(job), self.share_of(job))
@@ -196,7 +204,7 @@ class JobRunner:
         action = "landing" if job.land_when_gone else "the flight goes on"
         self._log(f"the client of '{job.plan.name}' disconnected: {action}")
         if job.land_when_gone:
-            self._board.land()
+            self._control_words.land()
 
     def _report_progress(self, job: Job, now_s: float, step: str, share: float) -> None:
         if now_s - job.reported_s >= _PROGRESS_S:
@@ -205,41 +213,41 @@ class JobRunner:
 
     def note_fault(self) -> None:
         """Store the fault of the current job: its client gets it even if it is cleared first."""
-        job, board = self.job, self._board
-        if job is None or job.error is not None or job.number != board[Word.FAULT_PLAN]:
+        job, control_words = self.job, self._control_words
+        if job is None or job.error is not None or job.number != control_words[Word.FAULT_PLAN]:
             return
-        fault = board.fault
+        fault = control_words.fault
         if fault is not Fault.NONE:
-            at_s = board[Word.FAULT_CYCLE] / self._rig.rate_hz
-            step = job.step_of(board[Word.FAULT_LOG])
-            job.error = FlightFault(fault, at_s, step, board.detail)
+            at_s = control_words[Word.FAULT_CYCLE] / self._rig.rate_hz
+            step = job.step_of(control_words[Word.FAULT_LOG])
+            job.error = FlightFault(fault, at_s, step, control_words.detail)
 
     def abort(self, fault: Fault, detail: str) -> None:
         """End the current job because the loop has ended."""
-        job, board = self.job, self._board
+        job, control_words = self.job, self._control_words
         step = "" if job is None else self.step_of(job)  # before the words are reset
-        board[Word.PLAN], board[Word.LOG] = 0, NO_LOG
-        board[Word.PLAN_CUT] = board[Word.PLAN_DONE] = self._plans
-        board[Word.QUEUE_TAIL] = board[Word.QUEUE_HEAD]
+        control_words[Word.PLAN], control_words[Word.LOG] = 0, NO_LOG
+        control_words[Word.PLAN_CUT] = control_words[Word.PLAN_DONE] = self._plans
+        control_words[Word.QUEUE_TAIL] = control_words[Word.QUEUE_HEAD]
         if job is not None and job.ended_s is None:
-            at_s = board[Word.CYCLE] / self._rig.rate_hz
+            at_s = control_words[Word.CYCLE] / self._rig.rate_hz
             job.error = FlightFault(fault, at_s, step, detail)
             self._end_flight(job, time.monotonic())
 
     def _end_flight(self, job: Job, now_s: float) -> None:
         """Store the counts of the flight; its last rows still have to be written."""
-        board = self._board
+        control_words = self._control_words
         job.ended_s, job.end = now_s, self._ring.head
-        late = board[Word.LATE] - job.counts_before[0]
-        job.flown = board[Word.CYCLE] - job.start_cycle, late
+        late = control_words[Word.LATE] - job.counts_before[0]
+        job.flown = control_words[Word.CYCLE] - job.start_cycle, late
 
     def step_of(self, job: Job) -> str:
         """Return the name of the step that the job is flying."""
-        return job.step_of(self._board[Word.LOG])
+        return job.step_of(self._control_words[Word.LOG])
 
     def share_of(self, job: Job) -> float:
         """Return the fraction of the job that is flown, 0 to 1."""
-        flown = self._board[Word.CYCLE] - job.start_cycle
+        flown = self._control_words[Word.CYCLE] - job.start_cycle
         return min(max(flown / max(job.plan.cycles, 1), 0.0), 1.0)
 
     def _check_coils(self, job: Job, feeder: SegmentFeeder) -> None:
@@ -247,15 +255,15 @@ class JobRunner:
 
         The check may be the end of its plan, and may have ended long before this call.
         """
-        board = self._board
+        control_words = self._control_words
         if feeder.check is None:
             return
         pushes, cycles, last = feeder.check
-        ended, flown = board[Word.PLAN_DONE] >= job.number, board[Word.ROWS_TAIL]
+        ended, flown = control_words[Word.PLAN_DONE] >= job.number, control_words[Word.ROWS_TAIL]
         if flown < last + (not ended):
             return  # the last push is not complete, or the flight ended before it
         feeder.check = None
-        if job.error is not None or board.fault is not Fault.NONE:
+        if job.error is not None or control_words.fault is not Fault.NONE:
             return
         # The plan started at one of `count` ring rows; the loop wrote one row per plan row since.
         first, count = job.rows
@@ -264,9 +272,9 @@ class JobRunner:
         rows = found.rows if found.first == begin else found.rows[:0]  # overwritten: skip
         job.verdict = verdict = coil_check(rows, pushes, self._rig.geometry)
         if verdict.error:
-            board.stop(Fault.COIL_CHECK, verdict.error)
+            control_words.stop(Fault.COIL_CHECK, verdict.error)
             # The loop sets the fault in the next cycle, when this plan may have ended.
-            at_s = board[Word.CYCLE] / self._rig.rate_hz
+            at_s = control_words[Word.CYCLE] / self._rig.rate_hz
             job.error = FlightFault(Fault.COIL_CHECK, at_s, self.step_of(job), verdict.error)
         elif verdict.unjudged:
             self._log(coil_check_warning(verdict.unjudged))
@@ -274,7 +282,7 @@ class JobRunner:
             self._coils_checked = self._last_repair
 
     def _written(self, job: Job) -> bool:
-        return self._ring.durable >= job.end and self._board[Word.WRITING] not in job.tags
+        return self._ring.durable >= job.end and self._control_words[Word.WRITING] not in job.tags
 
     def _answer(self, job: Job) -> None:
         """Answer the client of this job."""
@@ -296,7 +304,7 @@ class JobRunner:
         )
 
     def _result(self, job: Job) -> FlightResult:
-        board, files = self._board, self._recorder.files
+        control_words, files = self._control_words, self._recorder.files
         logs: list[Path] = []
         records: list[Path] = []
         for tag, step in sorted(job.tags.items(), key=lambda item: item[1].index):
@@ -308,12 +316,12 @@ class JobRunner:
             tuple(records),
             *job.flown,
             self._shared.lost - job.counts_before[1],
-            board[Word.PLAN_CUT] >= job.number,
+            control_words[Word.PLAN_CUT] >= job.number,
             job.verdict.unjudged,
         )
 
 
-def in_fault(board: ControlWords) -> str:
+def in_fault(control_words: ControlWords) -> str:
     """Return the reason to refuse a flight while in a fault."""
-    detail = f" ({board.detail})" if board.detail else ""
-    return f"in fault {board.fault.name}{detail}: clear it first"
+    detail = f" ({control_words.detail})" if control_words.detail else ""
+    return f"in fault {control_words.fault.name}{detail}: clear it first"

@@ -31,12 +31,12 @@ class LoopMonitor:
     def __init__(
         self,
         child: Child,
-        board: ControlWords,
+        control_words: ControlWords,
         hung_s: float,
         alive: Callable[[], None],
         lost: Callable[[str], None],
     ) -> None:
-        self._child, self._board, self._hung_s = child, board, hung_s
+        self._child, self._control_words, self._hung_s = child, control_words, hung_s
         self._alive, self._lost = alive, lost
         self._clock = ProcessClock()
         self._beat, self._beat_s, self._busy_s = -1, 0.0, 0.0
@@ -54,9 +54,9 @@ class LoopMonitor:
 
     def start(self, arguments: Sequence[object], fds: Sequence[int]) -> None:
         """Start the process; it opens the devices first. Raises OSError."""
-        board = self._board
-        board[Word.STATE] = State.OFF
-        board[Word.BUSY] = 1
+        control_words = self._control_words
+        control_words[Word.STATE] = State.OFF
+        control_words[Word.BUSY] = 1
         self._busy_s = self._clock.update(time.monotonic())
         self._child.start(arguments, fds)
 
@@ -67,22 +67,24 @@ class LoopMonitor:
     def watch(self, ending: bool) -> None:
         """Detect a loop that died, hangs, or ignores a stop; `ending`: its end is requested."""
         # The time that the whole machine was suspended does not count.
-        board, now_s = self._board, self._clock.update(time.monotonic())
+        control_words, now_s = self._control_words, self._clock.update(time.monotonic())
         if not self.running:
-            if board.fault is not Fault.LOOP and not (ending and board.state is State.OFF):
-                stopped = board[Word.BUSY] and board[Word.ZERO]
+            if control_words.fault is not Fault.LOOP and not (
+                ending and control_words.state is State.OFF
+            ):
+                stopped = control_words[Word.BUSY] and control_words[Word.ZERO]
                 reason = "stopped while its devices were being opened; " if stopped else ""
                 self._report(f"{reason}{self._child.end}")
             return
-        if board.fault is Fault.LOOP:  # killed, but not ended yet
+        if control_words.fault is Fault.LOOP:  # killed, but not ended yet
             self._child.kill(0.0)
             return
-        beat = board[Word.CYCLE] + board[Word.WAITING]
-        if beat != self._beat or board[Word.BUSY]:
+        beat = control_words[Word.CYCLE] + control_words[Word.WAITING]
+        if beat != self._beat or control_words[Word.BUSY]:
             self._beat, self._beat_s = beat, now_s
             self._alive()
-        if board[Word.BUSY]:
-            if board[Word.ZERO]:
+        if control_words[Word.BUSY]:
+            if control_words[Word.ZERO]:
                 self.interrupt_opening()
             if now_s - self._busy_s > OPENING_S:
                 self._end(f"its devices did not open within {OPENING_S:g} s")
@@ -90,7 +92,7 @@ class LoopMonitor:
         self._busy_s = now_s
         if now_s - self._beat_s > self._hung_s:
             self._end(f"it did not advance for {now_s - self._beat_s:.1f} s")
-        elif board[Word.ZERO] and board.fault is Fault.NONE:
+        elif control_words[Word.ZERO] and control_words.fault is Fault.NONE:
             self._stop_s = now_s if self._stop_s is None else self._stop_s
             if now_s - self._stop_s > _STOP_S:
                 self._end("it did not react to a stop")
@@ -99,7 +101,7 @@ class LoopMonitor:
 
     def interrupt_opening(self) -> None:
         """End a loop that opens devices: it may be homing and not read the control words."""
-        if self._board[Word.BUSY]:
+        if self._control_words[Word.BUSY]:
             self._child.terminate()
 
     def kill(self) -> None:
@@ -109,8 +111,8 @@ class LoopMonitor:
     def end_at_once(self) -> None:
         """Command zero force and end the loop if it still runs."""
         if self.running:
-            self._board.stop(Fault.SUPERVISOR, "the supervisor is ending")
-            self._board[Word.END] = 1
+            self._control_words.stop(Fault.SUPERVISOR, "the supervisor is ending")
+            self._control_words[Word.END] = 1
             self.interrupt_opening()
             self._child.wait(_STOPPING_S)
         self.kill()
@@ -121,9 +123,12 @@ class LoopMonitor:
 
     def _report(self, reason: str) -> None:
         """Set the fault LOOP."""
-        board = self._board
-        board.detail = reason
-        board[Word.FAULT_CYCLE], board[Word.FAULT_PLAN] = board[Word.CYCLE], board[Word.PLAN]
-        board[Word.BUSY] = 0
-        board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
+        control_words = self._control_words
+        control_words.detail = reason
+        control_words[Word.FAULT_CYCLE], control_words[Word.FAULT_PLAN] = (
+            control_words[Word.CYCLE],
+            control_words[Word.PLAN],
+        )
+        control_words[Word.BUSY] = 0
+        control_words[Word.STATE], control_words[Word.FAULT] = State.FAULT, Fault.LOOP
         self._lost(reason)

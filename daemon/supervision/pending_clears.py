@@ -25,8 +25,8 @@ class _Clearing:
 class PendingClears:
     """Answer requests to clear once the loop has tried, or at a time limit."""
 
-    def __init__(self, board: ControlWords) -> None:
-        self._board = board
+    def __init__(self, control_words: ControlWords) -> None:
+        self._control_words = control_words
         self._waiting: list[_Clearing] = []
 
     def __len__(self) -> int:
@@ -36,20 +36,22 @@ class PendingClears:
     def add(self, reply: Reply, fault: Fault) -> None:
         """Register `reply` for the last request in the control words, which is to clear `fault`."""
         deadline_s = time.monotonic() + OPENING_S
-        self._waiting.append(_Clearing(reply, fault, self._board[Word.CLEAR], deadline_s))
+        self._waiting.append(_Clearing(reply, fault, self._control_words[Word.CLEAR], deadline_s))
 
     def answer(self) -> None:
         """Answer the requests whose result is known."""
-        board = self._board
+        control_words = self._control_words
         for clearing in list(self._waiting):
-            testing = board.state in (State.OFF, State.SELF_TEST)
-            trying = board[Word.CLEARED] < clearing.number or testing
+            testing = control_words.state in (State.OFF, State.SELF_TEST)
+            trying = control_words[Word.CLEARED] < clearing.number or testing
             in_time = time.monotonic() < clearing.deadline_s
-            if trying and in_time and board.fault is not Fault.LOOP:
+            if trying and in_time and control_words.fault is not Fault.LOOP:
                 continue
             self._waiting.remove(clearing)
-            if board.fault is not Fault.NONE:
-                clearing.reply.refuse(f"fault {board.fault.name} is not cleared: {board.detail}")
+            if control_words.fault is not Fault.NONE:
+                clearing.reply.refuse(
+                    f"fault {control_words.fault.name} is not cleared: {control_words.detail}"
+                )
             elif trying:
                 clearing.reply.refuse(
                     f"devices are still being opened or tested after {OPENING_S:g} s: "

@@ -114,19 +114,19 @@ class Requests:
 
     def _stop(self, _: Request, reply: Reply) -> None:
         # Directly into the control word: a stop does not depend on the supervisor's thread.
-        self._supervisor.board.stop()
+        self._supervisor.control_words.stop()
         reply.done(stopping=True)
 
     def _clear(self, _: Request, reply: Reply) -> None:
         # Read in the same thread as `stop`: the clear does not cancel a later stop.
         supervisor = self._supervisor
-        stops = supervisor.board[Word.STOPS]
+        stops = supervisor.control_words[Word.STOPS]
         supervisor.post(lambda: supervisor.clear(reply, stops))
 
     def _land(self, _: Request, reply: Reply) -> None:
         job_runner = self._supervisor.job_runner
         # Also cancels a flight that is being planned; without a flight it has no effect.
-        self._supervisor.board.land()
+        self._supervisor.control_words.land()
         reply.done(landing=job_runner.job is not None or job_runner.airborne)
 
     def _watch(self, request: Request, reply: Reply) -> None:
@@ -144,9 +144,9 @@ class Requests:
         self._begin_turn(json.dumps(request).encode(), reply)
 
     def _begin_turn(self, line: bytes, reply: Reply) -> None:
-        board = self._supervisor.board
-        if board.fault is not Fault.NONE:
-            raise RefusedError(in_fault(board))
+        control_words = self._supervisor.control_words
+        if control_words.fault is not Fault.NONE:
+            raise RefusedError(in_fault(control_words))
         # One at a time, planning included: a plan starts at the manipulator's present setpoints.
         turn = _Turn(line, reply, self._moment)
         with self._guard:
@@ -162,19 +162,23 @@ class Requests:
 
     @property
     def _moment(self) -> Moment:
-        board = self._supervisor.board
+        control_words = self._supervisor.control_words
         # The first start of the loop does not cancel a request that came before it.
-        return board[Word.LAND], board[Word.CLEAR], max(board[Word.LOOPS], 1)
+        return (
+            control_words[Word.LAND],
+            control_words[Word.CLEAR],
+            max(control_words[Word.LOOPS], 1),
+        )
 
     def _progress(self, turn: _Turn) -> Generator[str, None, None]:
         """Advance a request to the start of its flight; yield the name of each stage.
 
         Raises RefusedError.
         """
-        supervisor, board = self._supervisor, self._supervisor.board
+        supervisor, control_words = self._supervisor, self._supervisor.control_words
         yield from self._idle()
         situation = Situation(
-            board.state, *supervisor.manipulator, supervisor.job_runner.coils_are_known
+            control_words.state, *supervisor.manipulator, supervisor.job_runner.coils_are_known
         )
         planned = yield from self._work(Work.PLAN, turn.line, situation, _PLANNING_S)
         assert isinstance(planned, PlannedRequest)
@@ -187,7 +191,7 @@ class Requests:
             yield from self._recorder_ready()
         supervisor.job_runner.begin(self._job(turn, planned, files))
         if turn.received != self._moment:  # a request came after the last check
-            board.land()
+            control_words.land()
 
     def _check(self, turn: _Turn) -> None:
         """Cancel a request if its client or a later request ends it; raises RefusedError."""
@@ -200,8 +204,8 @@ class Requests:
 
     def _idle(self) -> Iterator[str]:
         """Wait for the end of the self-test."""
-        board, begin_s = self._supervisor.board, time.monotonic()
-        while board.state in (State.OFF, State.SELF_TEST):
+        control_words, begin_s = self._supervisor.control_words, time.monotonic()
+        while control_words.state in (State.OFF, State.SELF_TEST):
             if time.monotonic() - begin_s > _READY_S:
                 raise RefusedError(f"the loop was not ready within {_READY_S:g} s")
             yield "self-test"

@@ -69,19 +69,19 @@ class Supervisor:
         feed_forward(rig, 1.0 / rig.rate_hz)
         self._log = log
         self._shared = SharedMemory(rig)
-        self.board = self._shared.board
+        self.control_words = self._shared.control_words
         rig_json = rig.model_dump_json().encode()
         self._folder = folder
         self._notify = Notify()
         self._loop = LoopMonitor(
             Child("loop", module_of("loop.loop_process"), rig_json),
-            self.board,
+            self.control_words,
             rig.service.loop_s,
             self._notify.alive,
             self._loop_lost,
         )
         self.recorder = RecorderLink(
-            rig_json, self._shared.fd, self.board, fault_folder(rig, folder), log
+            rig_json, self._shared.fd, self.control_words, fault_folder(rig, folder), log
         )
         self.planner = PlannerLink(rig_json, len(rig.geometry.coil_x_m), log)
         self.job_runner = JobRunner(rig, self._shared, self.recorder, log)
@@ -94,7 +94,7 @@ class Supervisor:
             self._requests.on_long,
         )
         self._actions: deque[Callable[[], None]] = deque()
-        self._clearings = PendingClears(self.board)
+        self._pending_clears = PendingClears(self.control_words)
         # Set by signal handlers, which must not take a lock.
         self._stopping = self._reload = False
         self._failed = ""  # error that ends the daemon
@@ -158,12 +158,12 @@ class Supervisor:
             self.recorder.watch()
             self.planner.watch()
             self._heat.start()
-            self.board[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns()
+            self.control_words[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns()
             self._start_loop()
             waiting = True
             while not self._stopping:
                 self._tick()
-                if waiting and self.board.state not in (State.OFF, State.SELF_TEST):
+                if waiting and self.control_words.state not in (State.OFF, State.SELF_TEST):
                     waiting = False
                     self._notify.ready()
                     ready()
@@ -188,31 +188,31 @@ class Supervisor:
 
         `stops`: value of Word.STOPS at the request; later stops are not cancelled.
         """
-        board = self.board
-        fault = board.fault
-        if fault is Fault.NONE and not board[Word.ZERO]:
+        control_words = self.control_words
+        fault = control_words.fault
+        if fault is Fault.NONE and not control_words[Word.ZERO]:
             reply.done(cleared=Fault.NONE.name)
             return
         self.job_runner.note_fault()  # before it is cleared
         self._loop.forget_stop()
         if not self._loop.running:
-            board[Word.CLEAR_STOPS] = stops
-            board.cancel_stop()
-            board[Word.FAULT] = Fault.NONE
+            control_words[Word.CLEAR_STOPS] = stops
+            control_words.cancel_stop()
+            control_words[Word.FAULT] = Fault.NONE
             try:
                 self._start_loop()
             except OSError as error:  # no memory, too many processes: the user may try again
-                board[Word.BUSY] = 0
-                board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LOOP
+                control_words[Word.BUSY] = 0
+                control_words[Word.STATE], control_words[Word.FAULT] = State.FAULT, Fault.LOOP
                 reply.refuse(f"cannot start the loop: {error}")
                 return
         else:
-            board.clear(stops)
-        self._clearings.add(reply, fault)
+            control_words.clear(stops)
+        self._pending_clears.add(reply, fault)
 
     def status(self) -> dict[str, Any]:
         """Return the status of the daemon, with the keys listed in docs/daemon.md."""
-        board, job_runner = self.board, self.job_runner
+        control_words, job_runner = self.control_words, self.job_runner
         job = job_runner.job  # a local reference: the job may end meanwhile
         rows = self._shared.ring.last(1).rows
         pose = {
@@ -222,13 +222,13 @@ class Supervisor:
         return {
             "rig": self.rig.name,
             "rate_hz": self.rig.rate_hz,
-            "state": board.state.name,
-            "cycle": board[Word.CYCLE],
-            "late": board[Word.LATE],
-            "stale": board[Word.STALE],
+            "state": control_words.state.name,
+            "cycle": control_words[Word.CYCLE],
+            "late": control_words[Word.LATE],
+            "stale": control_words[Word.STALE],
             "lost": self._shared.lost,
-            "fault": board.fault.name,
-            "detail": board.detail,
+            "fault": control_words.fault.name,
+            "detail": control_words.detail,
             "fault_log": self.recorder.last_fault_log,
             "session": job.plan.name if job else None,
             "step": job_runner.step_of(job) if job else None,
@@ -257,11 +257,11 @@ class Supervisor:
         """Return the present journal fields; empty values are left out of the entry."""
         job = self.job_runner.job
         session = job.plan.name if job is not None else ""
-        return {**moment(self.rig.name, self.board), "LEVID_SESSION": session}
+        return {**moment(self.rig.name, self.control_words), "LEVID_SESSION": session}
 
     def _tick(self) -> None:
         """Monitor all processes and advance the current request; never waits."""
-        self.board[Word.BEAT] += 1
+        self.control_words[Word.BEAT] += 1
         while self._actions:
             self._actions.popleft()()
         if self._server.dead and not self._stopping:
@@ -272,14 +272,16 @@ class Supervisor:
         self.recorder.watch()
         self.planner.watch()
         self.job_runner.tick()
-        self._clearings.answer()
+        self._pending_clears.answer()
         self._log_fault()
         if step_s := self._clock.poll():
             self._log(f"the system clock was set by {step_s:+.1f} s; log times are not affected")
         self._resources.poll(time.monotonic(), self._server.requests, self._shared.lost)
-        board = self.board
-        resting = board.state not in IN_FLIGHT
-        self._stale_monitor.poll(time.monotonic(), board[Word.CYCLE], board[Word.STALE], resting)
+        control_words = self.control_words
+        resting = control_words.state not in IN_FLIGHT
+        self._stale_monitor.poll(
+            time.monotonic(), control_words[Word.CYCLE], control_words[Word.STALE], resting
+        )
         if self._reload:
             self._reload = False
             self._reader.request()
@@ -294,12 +296,14 @@ class Supervisor:
         self.recorder.fault(Fault.LOOP)
 
     def _log_fault(self) -> None:
-        fault = self.board.fault
+        fault = self.control_words.fault
         if fault is not self._logged_fault:
             self._logged_fault = fault
-            detail = f": {self.board.detail}" if self.board.detail else ""
+            detail = f": {self.control_words.detail}" if self.control_words.detail else ""
             self._log(f"fault {fault.name}{detail}" if fault is not Fault.NONE else "fault cleared")
-        self._notify.status(fault.name if fault is not Fault.NONE else self.board.state.name)
+        self._notify.status(
+            fault.name if fault is not Fault.NONE else self.control_words.state.name
+        )
 
     def _apply_rig(self, new: RigConfig, access: Access) -> None:
         """Apply the RELOADED keys of a new rig; log which other keys need a restart."""
@@ -319,10 +323,12 @@ class Supervisor:
 
     def _land_and_end(self) -> None:
         """Land, ignoring further signals; then end all processes."""
-        board = self.board
-        board[Word.END] = 1
-        planned_s = (board[Word.LAND_RAMP] + board[Word.LAND_RELEASE]) / self.rig.rate_hz
-        if board.state in IN_FLIGHT:
+        control_words = self.control_words
+        control_words[Word.END] = 1
+        planned_s = (
+            control_words[Word.LAND_RAMP] + control_words[Word.LAND_RELEASE]
+        ) / self.rig.rate_hz
+        if control_words.state in IN_FLIGHT:
             self._log("landing")
         deadline_s = time.monotonic() + planned_s + _LANDING_S
         while self._loop.running and time.monotonic() < deadline_s:
@@ -335,7 +341,7 @@ class Supervisor:
         # Complete the job and answer its client.
         deadline_s = time.monotonic() + _LANDING_S
         while self.job_runner.job is not None and time.monotonic() < deadline_s:
-            board[Word.BEAT] += 1
+            control_words[Word.BEAT] += 1
             self._notify.alive()  # normally sent while the loop advances
             self.recorder.watch()
             self.job_runner.tick()

@@ -35,13 +35,13 @@ class CanLink:
         """Time of the last received frame (perf_counter), by the timestamp of hardware or kernel if
         the interface has one: without the delays of this process."""
         # A virtual bus is inside this process.
-        self._claim = None if bus.interface == "virtual" else BusLock(bus.place)
+        self._lock = None if bus.interface == "virtual" else BusLock(bus.place)
 
     def open(self) -> None:
         """Open the bus, again if it is open; raises LinkError, also if another loop uses it."""
         self._close_all()
-        if self._claim is not None:
-            self._claim.require(self.what)
+        if self._lock is not None:
+            self._lock.require(self.what)
         try:
             self._bus = open_bus(self._config)
         except Exception as error:  # noqa: BLE001 - interfaces raise any exception
@@ -50,8 +50,8 @@ class CanLink:
     def close(self) -> None:
         """Close the bus; safe to call twice."""
         self._close_all()
-        if self._claim is not None:
-            self._claim.release()
+        if self._lock is not None:
+            self._lock.release()
 
     def _close_all(self) -> None:
         self._close_later()

@@ -32,15 +32,15 @@ class SerialLine:
         self._waiting = [-1]
         # The kernel locks local ports; loop:// is inside this process.
         shared = "://" in bus.port and not bus.port.startswith("loop:")
-        self._claim = BusLock(f"serial {bus.place}") if shared else None
+        self._lock = BusLock(f"serial {bus.place}") if shared else None
 
     def open(self) -> None:
         """Open the port, again if it is open; raises LinkError, also if another loop uses it."""
         import serial
 
         self._close_all()
-        if self._claim is not None:
-            self._claim.require(self._what)
+        if self._lock is not None:
+            self._lock.require(self._what)
         # rfc2217:// has no write timeout.
         no_write_timeout = self._bus.port.startswith("rfc2217:")
         times: dict[str, Any] = (
@@ -73,8 +73,8 @@ class SerialLine:
     def close(self) -> None:
         """Close the port; safe to call twice."""
         self._close_all()
-        if self._claim is not None:
-            self._claim.release()
+        if self._lock is not None:
+            self._lock.release()
 
     def _close_all(self) -> None:
         self._close_later()

@@ -338,10 +338,10 @@ def test_client_that_dies_while_it_lifts_off(ready: Daemon, gone: str, state: st
 def test_move_leaves_the_landing_as_it_was_asked_for(ready: Daemon) -> None:
     step = {"unload_s": 0.1, "ramp_s": 0.2, "settle_s": 0.1}
     ready.ask("levitate", levitate=step, land={"ramp_s": 0.7, "release_s": 0.3})
-    board = ready.supervisor.board
-    asked = board[Word.LAND_RAMP], board[Word.LAND_RELEASE]
+    control_words = ready.supervisor.control_words
+    asked = control_words[Word.LAND_RAMP], control_words[Word.LAND_RELEASE]
     ready.ask("move", move={"beam_m": 0.002, "settle_s": 0.1})
-    assert (board[Word.LAND_RAMP], board[Word.LAND_RELEASE]) == asked == (175, 75)
+    assert (control_words[Word.LAND_RAMP], control_words[Word.LAND_RELEASE]) == asked == (175, 75)
     ready.ask("land")
     ready.until(lambda s: s["state"] == "IDLE")
 

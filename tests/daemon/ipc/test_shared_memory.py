@@ -1,4 +1,4 @@
-"""Test the shared memory: ring with lost rows, program of segments, landing."""
+"""Test the shared memory: ring with lost rows, stream of segments, landing."""
 
 from dataclasses import replace
 
@@ -89,10 +89,10 @@ def test_last_rows_are_there_whether_taken_or_not() -> None:
 
 
 def test_feeder_streams_a_plan_longer_than_the_memory() -> None:
-    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
+    control_words = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
     capacity, coils = 64, 9
-    program = SegmentStream(
-        coils, capacity, memoryview(bytearray(SegmentStream.size(coils, capacity))), board
+    segment_stream = SegmentStream(
+        coils, capacity, memoryview(bytearray(SegmentStream.size(coils, capacity))), control_words
     )
     rng = np.random.default_rng(1)
     segments = []
@@ -100,20 +100,20 @@ def test_feeder_streams_a_plan_longer_than_the_memory() -> None:
         v = rng.normal(size=(cycles, 3)) if cycles > 1 else np.ones((1, 3))
         segment = replace(idle_segment(cycles, coils, np.zeros(3), np.zeros(3)), v=v)
         segments.append(Logged(segment, cycles))
-    feeder = SegmentFeeder(program, board, 1, segments)
+    feeder = SegmentFeeder(segment_stream, control_words, 1, segments)
     flown = []
-    while board[Word.QUEUE_TAIL] < len(segments):
+    while control_words[Word.QUEUE_TAIL] < len(segments):
         feeder.feed()
-        assert board[Word.QUEUE_TAIL] < board[Word.QUEUE_HEAD]
-        announced = program.announced(board[Word.QUEUE_TAIL])
-        board[Word.QUEUE_TAIL] += 1
+        assert control_words[Word.QUEUE_TAIL] < control_words[Word.QUEUE_HEAD]
+        announced = segment_stream.announced(control_words[Word.QUEUE_TAIL])
+        control_words[Word.QUEUE_TAIL] += 1
         assert announced.log == announced.cycles
         for position in range(announced.first, announced.first + announced.cycles):
-            if position >= board[Word.ROWS_HEAD]:
+            if position >= control_words[Word.ROWS_HEAD]:
                 feeder.feed()
-            assert position < board[Word.ROWS_HEAD]
-            flown.append(program.v[position % capacity].copy())
-            board[Word.ROWS_TAIL] = position
+            assert position < control_words[Word.ROWS_HEAD]
+            flown.append(segment_stream.v[position % capacity].copy())
+            control_words[Word.ROWS_TAIL] = position
     assert announced.last
     np.testing.assert_array_equal(flown, np.vstack([logged.segment.v for logged in segments]))
 
@@ -142,32 +142,32 @@ def test_landing_by_hand_is_the_planned_one(speed: float) -> None:
 
 
 def test_stop_is_there_at_once_and_twice_is_once() -> None:
-    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
-    board.stop(Fault.STOPPED)
-    board.stop(Fault.LOOP)
-    assert board[Word.ZERO] == Fault.STOPPED
+    control_words = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
+    control_words.stop(Fault.STOPPED)
+    control_words.stop(Fault.LOOP)
+    assert control_words[Word.ZERO] == Fault.STOPPED
 
 
 def test_a_stop_that_comes_after_a_clear_is_not_taken_back_by_it() -> None:
-    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
-    board.stop()
-    asked = board[Word.STOPS]
-    board.stop()  # before the clear is acted upon
-    board.clear(asked)
-    board.cancel_stop()
-    assert board[Word.ZERO] == Fault.STOPPED
-    board.clear()
-    board.cancel_stop()
-    assert board[Word.ZERO] == 0
+    control_words = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
+    control_words.stop()
+    asked = control_words[Word.STOPS]
+    control_words.stop()  # before the clear is acted upon
+    control_words.clear(asked)
+    control_words.cancel_stop()
+    assert control_words[Word.ZERO] == Fault.STOPPED
+    control_words.clear()
+    control_words.cancel_stop()
+    assert control_words[Word.ZERO] == 0
 
 
 def test_detail_of_any_length_comes_back() -> None:
-    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
+    control_words = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
     for text in ("", "short", "ü" * 1000):
-        board.detail = text
-        assert text.startswith(board.detail.rstrip("\ufffd"))
-    board.detail = "short"
-    assert board.detail == "short"
+        control_words.detail = text
+        assert text.startswith(control_words.detail.rstrip("\ufffd"))
+    control_words.detail = "short"
+    assert control_words.detail == "short"
 
 
 def test_every_state_can_end_in_a_fault_and_come_back() -> None:
@@ -190,7 +190,7 @@ def test_every_fault_says_cause_check_and_cure() -> None:
 def test_rows_lost_by_a_hung_recorder_are_counted_at_once() -> None:
     shared = SharedMemory(RIG)
     ring = shared.ring
-    shared.board[Word.DROPPED] = 5
+    shared.control_words[Word.DROPPED] = 5
     for waiting, lost in ((0, 0), (ring.capacity - 1, 0), (ring.capacity + 9, 10)):
         ring.head = waiting
         assert shared.lost == 5 + lost

@@ -47,16 +47,16 @@ def test_who_ends_while_a_landing_is_flown_lets_it_end(into_landing: int) -> Non
         if n == 300:
             move = {"beam_m": 0.05, "settle_s": 2.0}
             flight.fly({"levitate": {**LIFT, "settle_s": 4.5}}, {"move": move}, {"land": LAND})
-        if flight.board.state is State.LANDING:
+        if flight.control_words.state is State.LANDING:
             landing.append(n)
             if len(landing) == into_landing:
-                flight.board[Word.END] = 1
+                flight.control_words[Word.END] = 1
 
     rows = flown(flight, script, 10_000)
     assert len(landing) == 800  # the planned one
-    assert flight.loop.course.ended
-    assert flight.board.state is State.OFF
-    assert flight.board.fault is Fault.NONE
+    assert flight.loop.state_machine.ended
+    assert flight.control_words.state is State.OFF
+    assert flight.control_words.fault is Fault.NONE
     assert flight.forces == 0.0
     landed = rows[rows["state"] == State.LANDING]
     # A step of 0.5 s down to the stops goes 0.9 mm by less than 15/8 of that a second.
@@ -71,12 +71,12 @@ def test_nothing_begins_once_the_loop_is_to_end() -> None:
         if n == 300:
             flight.fly({"levitate": LIFT})
         if n == 2000:
-            flight.board[Word.END] = 1
+            flight.control_words[Word.END] = 1
             flight.fly({"levitate": LIFT})
 
     flight.run(script, 5000)
-    assert flight.loop.course.ended
-    assert flight.board[Word.PLAN_DONE] == 2
+    assert flight.loop.state_machine.ended
+    assert flight.control_words[Word.PLAN_DONE] == 2
     assert flight.forces == 0.0
 
 
@@ -86,14 +86,14 @@ def test_a_landing_that_goes_on_unplanned_goes_on_smoothly(monkeypatch: pytest.M
     def script(n: int) -> None:
         if n == 300:
             flight.fly({"levitate": LIFT}, {"land": {"ramp_s": 8.0}})
-            flight.board[Word.LAND_RAMP] = 8000
-        if flight.board.state is State.LANDING and not flight.silent:
+            flight.control_words[Word.LAND_RAMP] = 8000
+        if flight.control_words.state is State.LANDING and not flight.silent:
             flight.silent = True
             monkeypatch.setattr(os, "getppid", lambda: 1)
 
     rows = flown(flight, script, 14_000)
     landed = rows[rows["state"] == State.LANDING]
-    assert flight.board.fault is Fault.SUPERVISOR
+    assert flight.control_words.fault is Fault.SUPERVISOR
     sunk = np.diff(landed["z_ref_m"][: len(landed) - 600])
     assert np.abs(sunk).max() < 15 / 8 * 0.9e-3 / 8000 + 1e-7  # float32 of the log
 
@@ -105,7 +105,7 @@ def test_a_stop_while_the_beam_moves_brakes_it_within_its_limits() -> None:
         if n == 300:
             flight.fly({"levitate": LIFT}, {"move": {"beam_m": 0.09, "rotor_rad": 2.0}})
         if flight.controller.beam_ref[1] > 0.2:
-            flight.board.stop()
+            flight.control_words.stop()
 
     rows = flown(flight, script, 3000)
     after = rows[rows["state"] == State.FAULT]
@@ -187,8 +187,8 @@ def test_late_cycles_on_the_ground_are_not_held_against_the_flight() -> None:
             flight.fly({"levitate": {**LIFT, "settle_s": 3.0}})
 
     flight.run(script, 2 * limits.late_in_window + 2600)
-    assert flight.board.fault is Fault.NONE
-    assert flight.board.state is State.LEVITATING
+    assert flight.control_words.fault is Fault.NONE
+    assert flight.control_words.state is State.LEVITATING
 
 
 def test_a_story_of_a_fault_is_not_cut_by_who_asks_to_land() -> None:
@@ -198,14 +198,14 @@ def test_a_story_of_a_fault_is_not_cut_by_who_asks_to_land() -> None:
         if n == 300:
             flight.fly({"levitate": {**LIFT, "settle_s": 3.0}})
         if n == 1500:
-            flight.board.stop()
+            flight.control_words.stop()
         if n == 1510:
-            flight.board.land()
+            flight.control_words.land()
         if n == 1520:
-            flight.board[Word.END] = 1
+            flight.control_words[Word.END] = 1
 
     flight.run(script, 5000)
-    assert flight.loop.course.ended
+    assert flight.loop.state_machine.ended
     told = rows_of(flight, 5000)
     # Half a second of it, to the cycle in which that is noticed.
     assert np.sum(told["state"] == State.FAULT) == pytest.approx(500, abs=2)
@@ -324,7 +324,7 @@ def test_drives_are_told_to_brake_while_others_are_silent(error: DriverError) ->
             silent.append(n)
 
     flight.run(script, 2500)
-    assert flight.board.fault in (Fault.STALE, Fault.LINK)
+    assert flight.control_words.fault in (Fault.STALE, Fault.LINK)
     beam = np.array(told.beam[2:])
     assert np.all(np.isfinite(beam))
     limit = flight.rig.limits.beam_acceleration_m_s2
@@ -347,14 +347,14 @@ def test_drives_that_nobody_located_are_told_nothing() -> None:
 
     def script(n: int) -> None:
         if n == 300:
-            flight.board.stop()
+            flight.control_words.stop()
         if n == 400:
             refused.append(n)
-            flight.board.clear()
+            flight.control_words.clear()
         if n == 500:
-            assert flight.board.fault is Fault.STOPPED
+            assert flight.control_words.fault is Fault.STOPPED
             refused.clear()
-            flight.board.clear()
+            flight.control_words.clear()
 
     flight.run(script, 600)
     silent = np.isnan(told.beam)

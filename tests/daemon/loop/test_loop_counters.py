@@ -24,16 +24,16 @@ def test_homing_is_not_counted_as_a_cycle() -> None:
     def script(n: int) -> None:
         clock.skipped = {401: 200, 501: 3}.get(n, 0)
         if n == 300:
-            flight.board.stop()
+            flight.control_words.stop()
         if n == 400:
-            flight.board.clear()
+            flight.control_words.clear()
 
     flight.run(script, 600)
-    assert flight.board.fault is Fault.NONE
+    assert flight.control_words.fault is Fault.NONE
     figures = flight.shared.timing.figures()
     assert figures["execution_us"]["max"] < 0.15e6
     assert sum(figures["late_by"].values()) == 1  # the cycle that was late
-    assert flight.board[Word.LATE] == 1
+    assert flight.control_words[Word.LATE] == 1
     rows = flight.shared.ring.last(300).rows
     assert rows["execution_s"].max() < 0.15
     assert rows["skipped"].max() == 200
@@ -45,21 +45,21 @@ def test_homing_is_not_counted_as_a_cycle() -> None:
         ("amplifiers.write", "writing", "drivers"),
         ("drives.write", "writing", "drivers"),
         ("sensors.read", "drivers", "drivers"),
-        ("course.advance", "control", "control"),
+        ("state_machine.advance", "control", "control"),
     ],
 )
 def test_time_is_counted_to_its_part_of_the_cycle(slow: str, part: str, cause: str) -> None:
     flight = ScriptedLoop()
     loop, clock = flight.loop, flight.clock
     whose, name = slow.split(".")
-    one = loop.course if whose == "course" else getattr(flight.devices, whose)
+    one = loop.state_machine if whose == "state_machine" else getattr(flight.devices, whose)
     takes_long = False
 
     def script(n: int) -> None:
         nonlocal takes_long
         takes_long = n == 300
         clock.skipped = 19 if n == 301 else 0
-        if n == 300 and whose == "course":  # it changes its method with each segment
+        if n == 300 and whose == "state_machine":  # it changes its method with each segment
             slowly()
 
     def slowly() -> None:
@@ -72,7 +72,7 @@ def test_time_is_counted_to_its_part_of_the_cycle(slow: str, part: str, cause: s
 
         setattr(one, name, action)
 
-    if whose != "course":
+    if whose != "state_machine":
         slowly()
     flight.run(script, 310)
     figures = flight.shared.timing.figures()
@@ -96,13 +96,13 @@ def test_counters_are_published_if_every_cycle_is_late() -> None:
         clock.skipped = 1 if n > 100 else 0
 
     flight.run(script, 400)
-    assert flight.board[Word.LATE] >= 400 - 100 - 64
+    assert flight.control_words[Word.LATE] >= 400 - 100 - 64
 
 
 def test_restarted_loop_continues_the_counts() -> None:
     flight = ScriptedLoop()
-    board = flight.board
-    board[Word.LATE], board[Word.STALE] = 7, 11
+    control_words = flight.control_words
+    control_words[Word.LATE], control_words[Word.STALE] = 7, 11
     flight.restart()
     clock = flight.clock
 
@@ -110,7 +110,7 @@ def test_restarted_loop_continues_the_counts() -> None:
         clock.skipped = 2 if n == 50 else 0
 
     flight.run(script, 200)
-    assert (board[Word.LATE], board[Word.STALE]) == (8, 11)
+    assert (control_words[Word.LATE], control_words[Word.STALE]) == (8, 11)
 
 
 def test_row_of_a_cycle_that_was_too_late_has_zero_force() -> None:
@@ -123,7 +123,7 @@ def test_row_of_a_cycle_that_was_too_late_has_zero_force() -> None:
             flight.fly({"levitate": {**LIFT, "settle_s": 5.0}})
 
     flight.run(script, 1502)
-    assert flight.board.fault is Fault.LATE
+    assert flight.control_words.fault is Fault.LATE
     rows = flight.shared.ring.last(10).rows
     late = rows["fault"] == Fault.LATE
     assert late.sum() == 3
@@ -136,27 +136,27 @@ def test_row_of_a_cycle_that_was_too_late_has_zero_force() -> None:
 def test_move_requested_during_a_landing_is_dropped(late: int) -> None:
     """The supervisor checks for a landing before it announces the move, and lands again after."""
     flight = ScriptedLoop()
-    board, seen = flight.board, []
+    control_words, seen = flight.control_words, []
 
     def script(n: int) -> None:
         if n == 300:
             flight.fly({"levitate": LIFT})
         if n == 2000:
-            assert board.state is State.LEVITATING
-            assert not board[Word.PLAN]
-            board.land()
+            assert control_words.state is State.LEVITATING
+            assert not control_words[Word.PLAN]
+            control_words.land()
         if n == 2000 + late:
             flight.fly({"move": {"beam_m": 0.01}})
             flight.feed()
-            board.land()
-        seen.append(board.state)
+            control_words.land()
+        seen.append(control_words.state)
 
     flight.run(script, 4000)
-    assert board.fault is Fault.NONE
+    assert control_words.fault is Fault.NONE
     assert seen[-1] is State.IDLE
     assert State.LANDING in seen
     assert State.MOVING not in seen
-    assert board[Word.PLAN_DONE] == board[Word.PLAN_CUT] == flight.plans
+    assert control_words[Word.PLAN_DONE] == control_words[Word.PLAN_CUT] == flight.plans
 
 
 def test_devices_get_the_lateness_without_skipped_periods() -> None:
@@ -217,13 +217,20 @@ def test_missing_readings_at_rest_are_published() -> None:
         return replace(devices, backends=(Counting(devices.backends[0]),))
 
     flight = ScriptedLoop(failing)
-    clock, board, seen = flight.clock, flight.board, []
+    clock, control_words, seen = flight.clock, flight.control_words, []
 
     def script(n: int) -> None:
         clock.skipped = 2 if n == 399 else 0
         silent.now = n >= 400
         if n == 900:
-            seen.extend((board.state, board.fault, board[Word.STALE], board[Word.LATE]))
+            seen.extend(
+                (
+                    control_words.state,
+                    control_words.fault,
+                    control_words[Word.STALE],
+                    control_words[Word.LATE],
+                )
+            )
 
     flight.run(script, 900)
     assert seen == [State.IDLE, Fault.NONE, 500, 1]

@@ -32,7 +32,7 @@ RIG_FILE = shipped("rigs/loopback.yaml")
 def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_test(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    board, devices = ControlWords(memoryview(bytearray(ControlWords.SIZE))), object()
+    control_words, devices = ControlWords(memoryview(bytearray(ControlWords.SIZE))), object()
     answers: list[Any] = [LinkError("no cable"), devices]
 
     def open_devices(_: object) -> Any:
@@ -42,20 +42,20 @@ def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_tes
         return answer
 
     def wait(_: float) -> None:
-        assert (board.fault, board.state) == (Fault.LINK, State.FAULT)
-        board.clear()
+        assert (control_words.fault, control_words.state) == (Fault.LINK, State.FAULT)
+        control_words.clear()
 
     monkeypatch.setattr(loop_process, "open_devices", open_devices)
     monkeypatch.setattr(loop_process.time, "sleep", wait)
     said: list[str] = []
     rig = load_rig(RIG_FILE)
-    opened = loop_process._opened(rig, Path(), board, lambda _: None, said.append)
+    opened = loop_process._opened(rig, Path(), control_words, lambda _: None, said.append)
     assert said == ["no flight recording of LINK: it occurred while devices were opened"]
     assert opened is devices
     assert signal.alarm(0) == 0  # what bounded it is taken back
     # The supervisor answers a clear once the loop is neither OFF nor in its self-test.
-    assert (board.fault, board.state) == (Fault.NONE, State.OFF)
-    assert board[Word.CLEARED] == board[Word.CLEAR]
+    assert (control_words.fault, control_words.state) == (Fault.NONE, State.OFF)
+    assert control_words[Word.CLEARED] == control_words[Word.CLEAR]
 
 
 # A loop whose devices take long where it is told to, and say what becomes of them.
@@ -93,7 +93,7 @@ loop_process.main(*arguments)
 def test_process_of_another_levid_touches_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = load_rig(RIG_FILE)
     shared = SharedMemory(rig)
-    assert SharedMemory(rig, shared.fd).board[Word.LOOPS] == 0
+    assert SharedMemory(rig, shared.fd).control_words[Word.LOOPS] == 0
     monkeypatch.setattr(shared_module, "Word", [*Word, SimpleNamespace(name="NEW")])
     with pytest.raises(SystemExit, match="levid was upgraded"):
         SharedMemory(rig, shared.fd)
@@ -123,7 +123,7 @@ def test_loop_that_is_ended_while_a_driver_blocks_closes_its_devices(
 ) -> None:
     rig = calm(load_rig(RIG_FILE), tmp_path)
     shared = SharedMemory(rig)
-    board = shared.board
+    control_words = shared.control_words
     process = subprocess.Popen(
         [sys.executable, "-c", LOOP, slow, str(shared.fd), str(os.getpid()), str(RIG_FILE.parent)],
         stdin=subprocess.PIPE,
@@ -136,17 +136,17 @@ def test_loop_that_is_ended_while_a_driver_blocks_closes_its_devices(
         with process.stdin as pipe:
             pipe.write(rig.model_dump_json().encode())
         if slow == "recover":
-            for state, then in ((State.IDLE, board.stop), (State.FAULT, lambda: None)):
-                wait_until(lambda state=state: board.state is state, GIVE_UP_S)
+            for state, then in ((State.IDLE, control_words.stop), (State.FAULT, lambda: None)):
+                wait_until(lambda state=state: control_words.state is state, GIVE_UP_S)
                 then()
-            board.clear()
+            control_words.clear()
         said = [process.stdout.readline().decode().strip()]
         process.terminate()
         said += process.stdout.read().decode().split()
         assert process.wait(GIVE_UP_S) == code
         assert said == lines
         if code > 0:
-            assert board.state is State.OFF
+            assert control_words.state is State.OFF
     finally:
         process.kill()
         process.wait()
@@ -157,9 +157,9 @@ def test_coils_cool_down_while_devices_are_opened_for_the_first_time(tmp_path: P
     """There are no cycles yet to count that by, and it may have failed for hours."""
     rig = calm(load_rig(RIG_FILE), tmp_path)
     shared = SharedMemory(rig)
-    board = shared.board
+    control_words = shared.control_words
     shared.heat[:] = 50.0
-    board[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns() - 60_000_000_000
+    control_words[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns() - 60_000_000_000
     process = subprocess.Popen(
         [sys.executable, "-c", LOOP, "", str(shared.fd), str(os.getpid()), str(RIG_FILE.parent)],
         stdin=subprocess.PIPE,
@@ -170,7 +170,7 @@ def test_coils_cool_down_while_devices_are_opened_for_the_first_time(tmp_path: P
         assert process.stdin is not None
         with process.stdin as pipe:
             pipe.write(rig.model_dump_json().encode())
-        wait_until(lambda: board.state is State.IDLE, GIVE_UP_S)
+        wait_until(lambda: control_words.state is State.IDLE, GIVE_UP_S)
         process.kill()
         process.wait()
         most = 50.0 * math.exp(-60.0 / rig.limits.coil_time_constant_s)

@@ -40,8 +40,8 @@ def failing_while(when: SimpleNamespace, error: Exception) -> Callable[[Devices]
 def test_clear_does_not_cancel_a_later_stop() -> None:
     flight = ScriptedLoop()
     supervisor = SimpleNamespace(
-        board=flight.board, _stop_s=None, _loop=SimpleNamespace(running=True),
-        _clearings=SimpleNamespace(add=lambda *_: None),
+        control_words=flight.control_words, _stop_s=None, _loop=SimpleNamespace(running=True),
+        _pending_clears=SimpleNamespace(add=lambda *_: None),
         job_runner=SimpleNamespace(note_fault=lambda: None),
     )  # fmt: skip
 
@@ -49,33 +49,33 @@ def test_clear_does_not_cancel_a_later_stop() -> None:
         if n == 300:
             flight.fly({"levitate": {**LIFT, "settle_s": 2.0}})
         if n == 1500:
-            assert flight.board.state is State.LEVITATING
-            flight.board.stop()
-            Supervisor.clear(supervisor, SimpleNamespace(), flight.board[Word.STOPS])
+            assert flight.control_words.state is State.LEVITATING
+            flight.control_words.stop()
+            Supervisor.clear(supervisor, SimpleNamespace(), flight.control_words[Word.STOPS])
 
     flight.run(script, 1510)
     assert flight.forces == 0.0
-    assert flight.board.state is not State.LEVITATING
-    assert not flight.board[Word.ZERO]  # it is cleared and does not stop the next flight
+    assert flight.control_words.state is not State.LEVITATING
+    assert not flight.control_words[Word.ZERO]  # it is cleared and does not stop the next flight
 
 
 @pytest.mark.parametrize("gone", ["zero", "land"])
 def test_silent_supervisor_leads_to_a_landing_or_zero_force(gone: str) -> None:
     flight = ScriptedLoop(supervisor_s=0.5, supervisor_gone=gone)
-    board, landing, at_zero = flight.board, [], []
+    control_words, landing, at_zero = flight.control_words, [], []
 
     def script(n: int) -> None:
         if n == 300:
             flight.fly({"levitate": {**LIFT, "settle_s": 2.0}})
         flight.silent = n >= 1500
-        if board.state is State.LANDING:
+        if control_words.state is State.LANDING:
             landing.append(n)
         if n > 1500 and not flight.forces:
             at_zero.append(n)
 
     flight.run(script, 3000)
-    assert board.fault is Fault.SUPERVISOR
-    assert "no heartbeat" in board.detail
+    assert control_words.fault is Fault.SUPERVISOR
+    assert "no heartbeat" in control_words.detail
     if gone == "zero":
         assert not landing
         assert 1995 <= at_zero[0] <= 2015  # the last heartbeat is at most ten cycles old
@@ -94,8 +94,8 @@ def test_supervisor_stopped_for_less_than_its_time_is_no_fault() -> None:
         flight.silent = 1500 <= n < 1950
 
     flight.run(script, 3000)
-    assert flight.board.state is State.LEVITATING
-    assert flight.board.fault is Fault.NONE
+    assert flight.control_words.state is State.LEVITATING
+    assert flight.control_words.fault is Fault.NONE
 
 
 @pytest.mark.parametrize(("stall_s", "periods"), [(None, 13), (0.3, 300)])
@@ -118,8 +118,8 @@ def test_stalled_loop_commands_zero_force(stall_s: float | None, periods: int) -
 
         flight.run(script, 1510)
         late = skipped > periods
-        assert flight.board.fault is (Fault.LATE if late else Fault.NONE)
-        assert ("stalled" in flight.board.detail) is late
+        assert flight.control_words.fault is (Fault.LATE if late else Fault.NONE)
+        assert ("stalled" in flight.control_words.detail) is late
         # The first force after the stall is zero.
         assert written[0] > 10.0
         assert (max(written[1:]) == 0.0) is late
@@ -156,8 +156,8 @@ def test_slow_cycle_commands_zero_force(
         held.now = n == 1500
 
     flight.run(script, 1510)
-    assert flight.board.fault is Fault.LATE
-    assert "a cycle took 0.2 s" in flight.board.detail
+    assert flight.control_words.fault is Fault.LATE
+    assert "a cycle took 0.2 s" in flight.control_words.detail
     assert written[0] > 10.0
     assert max(written[1:]) == 0.0
     rows = flight.shared.ring.last(20).rows
@@ -167,7 +167,7 @@ def test_slow_cycle_commands_zero_force(
 
 def test_client_is_told_of_a_silent_supervisor() -> None:
     flight = ScriptedLoop(supervisor_s=0.5)
-    board = flight.board
+    control_words = flight.control_words
 
     def script(n: int) -> None:
         if n == 300:
@@ -175,33 +175,38 @@ def test_client_is_told_of_a_silent_supervisor() -> None:
         flight.silent = n >= 1500
 
     flight.run(script, 4000)
-    assert board.fault is Fault.SUPERVISOR
-    assert board[Word.FAULT_PLAN] == board[Word.PLAN_DONE] == board[Word.PLAN_CUT] == 1
+    assert control_words.fault is Fault.SUPERVISOR
+    assert (
+        control_words[Word.FAULT_PLAN]
+        == control_words[Word.PLAN_DONE]
+        == control_words[Word.PLAN_CUT]
+        == 1
+    )
 
 
 @pytest.mark.parametrize("silence", ["in flight, and a stop as it lands", "as it lands"])
 def test_loop_without_supervisor_lands(silence: str, monkeypatch: pytest.MonkeyPatch) -> None:
     flight = ScriptedLoop(supervisor_gone="land", supervisor_s=0.2)
-    board, landing, seen = flight.board, [], []
+    control_words, landing, seen = flight.control_words, [], []
 
     def script(n: int) -> None:
         if n == 300:
             flight.fly({"levitate": LIFT}, {"land": {}})
-        if board.state is State.LANDING:
+        if control_words.state is State.LANDING:
             landing.append(n)
         if silence == "as it lands":
             flight.silent = bool(landing) and landing[0] + 10 <= n < landing[0] + 300
         else:
             flight.silent = 1000 <= n < 1250
             if n == 1260:
-                board.stop()
+                control_words.stop()
         if n == 5000:
-            seen.append(board.fault)
-            board.clear()
+            seen.append(control_words.fault)
+            control_words.clear()
         if n == 6000:
             flight.fly({"levitate": LIFT})
         if n == 8000:
-            seen.append(board.state)
+            seen.append(control_words.state)
             monkeypatch.setattr(os, "getppid", lambda: 1)
         if n >= 8000:
             flight.silent = True
@@ -212,7 +217,7 @@ def test_loop_without_supervisor_lands(silence: str, monkeypatch: pytest.MonkeyP
         State.LEVITATING,
     ]
     assert flight.forces == 0.0
-    assert board.state in (State.FAULT, State.OFF)
+    assert control_words.state in (State.FAULT, State.OFF)
 
 
 @pytest.mark.parametrize("land", [{"ramp_s": 8.0}, {"ramp_s": 2.0, "release_s": 7.0}])
@@ -221,14 +226,14 @@ def test_loop_without_supervisor_completes_its_landing(
 ) -> None:
     """Rows are sent a few seconds ahead; then the loop continues from the last one."""
     flight = ScriptedLoop(supervisor_gone="land", supervisor_s=0.2)
-    board, forces, landing = flight.board, [], []
+    control_words, forces, landing = flight.control_words, [], []
     ramp, release = round(1e3 * land["ramp_s"]), round(1e3 * land.get("release_s", 0.5))
 
     def script(n: int) -> None:
         if n == 300:
             flight.fly({"levitate": LIFT}, {"land": land})
-            board[Word.LAND_RAMP], board[Word.LAND_RELEASE] = ramp, release
-        if board.state is State.LANDING:
+            control_words[Word.LAND_RAMP], control_words[Word.LAND_RELEASE] = ramp, release
+        if control_words.state is State.LANDING:
             landing.append(n)
             forces.append(flight.forces)
         if landing and not flight.silent:
@@ -240,21 +245,21 @@ def test_loop_without_supervisor_completes_its_landing(
     assert abs(len(landing) - (ramp + release)) <= 2
     # What the coils carry changes from one cycle to the next by noise of the readings alone.
     assert np.abs(np.diff(forces)).max() < 0.1 * forces[0]
-    assert board.fault is Fault.SUPERVISOR
+    assert control_words.fault is Fault.SUPERVISOR
 
 
 def test_landing_requested_before_lift_off_stays_on_the_ground() -> None:
     flight = ScriptedLoop()
-    board, states = flight.board, set()
+    control_words, states = flight.control_words, set()
 
     def script(n: int) -> None:
         if n == 300:
             flight.fly({"levitate": LIFT})
             flight.feed()
-            board.land()
-        states.add(board.state)
+            control_words.land()
+        states.add(control_words.state)
         if n == 2000:
-            assert board[Word.PLAN_DONE] == flight.plans
+            assert control_words[Word.PLAN_DONE] == flight.plans
             flight.fly({"levitate": LIFT})  # the next one flies
 
     flight.run(script, 1990)
@@ -273,7 +278,7 @@ def test_stop_in_a_cycle_with_failed_readings_is_written() -> None:
         if n == 1500:
             assert flight.forces > 10.0
             stale.now = True
-            flight.board.stop()
+            flight.control_words.stop()
 
     flight.run(script, 1502)
     assert flight.forces == 0.0
@@ -313,7 +318,7 @@ def test_lost_bus_takes_no_memory() -> None:
         flight.run(script, 3001)
     finally:
         gc.enable()
-    assert flight.board.fault is Fault.LINK
+    assert flight.control_words.fault is Fault.LINK
     # Living objects that were created since the last collection.
     assert counts[1] - counts[0] < 100
 
@@ -327,10 +332,10 @@ def test_suspended_machine_has_not_lost_its_supervisor() -> None:
         if n == 300:
             flight.fly({"levitate": {**LIFT, "settle_s": 5.0}})
         if n == 1500:
-            assert flight.board.state is State.LEVITATING
+            assert flight.control_words.state is State.LEVITATING
 
     flight.run(script, 1600)
-    assert flight.board.fault is not Fault.SUPERVISOR
+    assert flight.control_words.fault is not Fault.SUPERVISOR
 
 
 def test_heat_of_the_coils_outlasts_the_loop() -> None:
@@ -362,7 +367,7 @@ def test_coils_cool_down_while_readings_fail() -> None:
         if n in {1505, 3000}:
             heat.append(flight.shared.heat.copy())
         if n == 3000:
-            flight.board.clear()
+            flight.control_words.clear()
 
     flight.run(script, 3005)
     time_constant_s = flight.rig.limits.coil_time_constant_s

@@ -71,7 +71,7 @@ class Bench:
     """Requests, and a planner in this process that answers when `go_on` is set."""
 
     def __init__(self) -> None:
-        self.board = Board({Word.LAND: 0, Word.CLEAR: 0, Word.LOOPS: 1})
+        self.control_words = Board({Word.LAND: 0, Word.CLEAR: 0, Word.LOOPS: 1})
         self.begun: list[Any] = []
         self.go_on, self.given_up, self.asked = True, 0, []
         self.recorder = Recorder()

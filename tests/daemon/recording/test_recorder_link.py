@@ -68,16 +68,16 @@ class Bench:
     def __init__(self, recorder: PlayedRecorder, folder: Path) -> None:
         self.recorder, self.folder, self.logged = recorder, folder, list[str]()
         self.shared = SharedMemory(load_rig(shipped("rigs/loopback.yaml")))
-        self.board = self.shared.board
+        self.control_words = self.shared.control_words
         self.link = RecorderLink(
-            b"{}", self.shared.fd, self.board, folder / "faults", self.logged.append
+            b"{}", self.shared.fd, self.control_words, folder / "faults", self.logged.append
         )
 
     def watch(self, seconds: float = TICK_S, lives_s: float = 1e9, beats: bool = False) -> None:
         """Let the supervisor watch for a time, while each recorder lives for `lives_s`."""
         for _ in range(round(seconds / TICK_S)):
             self.recorder.now_s += TICK_S
-            self.board[Word.RECORDER_BEAT] += beats
+            self.control_words[Word.RECORDER_BEAT] += beats
             self.link.watch()
             if self.recorder.running:
                 lived_s = self.recorder.now_s - self.recorder.started_s[-1]

@@ -166,7 +166,7 @@ def test_flight_closed_before_the_new_recorder_began_is_written(
     recording.finish()
     assert recording.cycles("1.mcap") == [0, 1, 2]
     assert recording.cycles("2.mcap") == [3, 4, 5]
-    assert recording.shared.board[Word.DROPPED] == 0
+    assert recording.shared.control_words[Word.DROPPED] == 0
 
 
 def test_log_that_was_forgotten_twice_is_unknown(recording: Recording) -> None:
@@ -203,7 +203,7 @@ def test_fault_before_a_hang_is_recorded_from_the_remaining_rows(
     ring.rows["cycle"][numbers % ring.capacity] = numbers
     ring.rows["fault"][numbers % ring.capacity] = Fault.GAP * (numbers >= at)
     ring.head, ring.tail, ring.durable = head, at, at
-    shared.board[Word.FAULTS_SEEN] = at
+    shared.control_words[Word.FAULTS_SEEN] = at
     recording.start()
     recording.finish()
     (told,) = recording.events
@@ -232,7 +232,7 @@ def test_flight_recording_requested_between_two_logs_keeps_their_rows_in_order(
     (path,) = (recording.folder / "faults").iterdir()
     assert recording.cycles(str(path)) == list(range(6))
     assert [recording.cycles(f"{tag}.mcap") for tag in (1, 2)] == [[0, 1, 2], [3, 4, 5]]
-    assert recording.shared.board[Word.DROPPED] == 0
+    assert recording.shared.control_words[Word.DROPPED] == 0
 
 
 def test_late_failure_of_an_earlier_flight_does_not_stop_the_next(recording: Recording) -> None:
@@ -246,7 +246,7 @@ def test_late_failure_of_an_earlier_flight_does_not_stop_the_next(recording: Rec
     recording.start()
     recording.finish()
     assert recording.cycles("2.mcap") == [2, 3]
-    assert recording.shared.board[Word.DROPPED] == 5
+    assert recording.shared.control_words[Word.DROPPED] == 5
     assert not (recording.folder / "4.mcap").exists()  # but a flight's own failure ends its logs
 
 
@@ -256,14 +256,14 @@ def test_unknown_log_is_reported_and_the_next_is_written(
     told: list[tuple[Event, int]] = []
     ring = Ring(cycle_dtype(1, 1), 64)
     known = LogFile(tmp_path / "2.mcap", METADATA, {})
-    scribe = LogRouter(ring, 1e3, {2: known}.get, lambda event, tag, *_: told.append((event, tag)))
+    router = LogRouter(ring, 1e3, {2: known}.get, lambda event, tag, *_: told.append((event, tag)))
     ring.tags[:6] = [1, 1, 1, 2, 2, 2]
     ring.head = 6
-    while len(scribe.work().rows):
+    while len(router.work().rows):
         pass
-    scribe.finish()
+    router.finish()
     assert told == [(Event.FAILED, 1), (Event.OPENED, 2), (Event.CLOSED, 2)]
-    assert scribe.dropped == 3
+    assert router.dropped == 3
     assert len(read_log(known.path).rows) == 3
 
 

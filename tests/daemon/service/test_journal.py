@@ -74,10 +74,10 @@ def test_every_process_says_which_rig_and_in_what_state(
     journal: tuple[socket.socket, Journal],
 ) -> None:
     listening, speaking = journal
-    board = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
-    speaking.fields = lambda: moment("here", board)
+    control_words = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
+    speaking.fields = lambda: moment("here", control_words)
     speaking.log("warning: realtime.priority 80")
-    board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.LINK
+    control_words[Word.STATE], control_words[Word.FAULT] = State.FAULT, Fault.LINK
     speaking.log("no flight recording")
     calm, faulty = (fields_of(listening.recv(4096)) for _ in range(2))
     assert (calm["LEVID_RIG"], calm["LEVID_STATE"], calm["PRIORITY"]) == ("here", "OFF", "4")

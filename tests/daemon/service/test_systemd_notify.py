@@ -68,10 +68,10 @@ def test_watchdog_is_fed_only_while_the_loop_advances(manager: Manager, tmp_path
         running.until(lambda s: s["fault"] == "LOOP")
         manager.until("STATUS=LOOP")
         manager.listen()
-        board = running.supervisor.board
-        ticks = board[Word.BEAT]
+        control_words = running.supervisor.control_words
+        ticks = control_words[Word.BEAT]
         # 0.5 s of the supervisor, while the watchdog has to be fed every 0.2 s.
-        wait_until(lambda: board[Word.BEAT] > ticks + 50, GIVE_UP_S)
+        wait_until(lambda: control_words[Word.BEAT] > ticks + 50, GIVE_UP_S)
         assert "WATCHDOG=1" not in manager.listen()
         manager.heard.clear()
         running.ask("clear")

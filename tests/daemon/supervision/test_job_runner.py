@@ -65,16 +65,16 @@ def test_a_flight_that_failed_is_not_well_flown_because_somebody_cleared(
     flight, told = ScriptedLoop(), []
     job_runner = JobRunner(flight.rig, flight.shared, Recorder())  # type: ignore[arg-type]
     job = job_of(flight, told, Step(levitate=LIFT), Step(land={}))
-    board, ring = flight.board, flight.shared.ring
+    control_words, ring = flight.control_words, flight.shared.ring
 
     def script(n: int) -> None:
         if n == 300:
             job_runner.begin(job)
         if n == 1200:
-            flight.loop.course.fail(Fault.GAP, "0.95 mm at sensor 3")
+            flight.loop.state_machine.fail(Fault.GAP, "0.95 mm at sensor 3")
         if cleared_after and n == 1200 + cleared_after:
             job_runner.note_fault()  # as the supervisor does before it hands a clear on
-            board.clear()
+            control_words.clear()
         if n > 3000:
             ring.durable = ring.head
         if not n % 10:
@@ -150,7 +150,7 @@ def test_a_loop_that_dies_does_so_in_a_step_with_a_name() -> None:
         if n == 600:
             job_runner.abort(Fault.LOOP, "killed by SIGKILL")
             ring.durable = ring.head
-            flight.board[Word.WRITING] = 0
+            flight.control_words[Word.WRITING] = 0
         if not n % 10:
             job_runner.tick()
 
@@ -186,8 +186,8 @@ def test_plan_that_cannot_be_flown_on_is_landed(broken: str) -> None:
             ring.durable = ring.head
 
     flight.run(script, 14_100)
-    assert flight.board.fault is Fault.NONE
-    assert flight.board.state is State.IDLE
+    assert flight.control_words.fault is Fault.NONE
+    assert flight.control_words.state is State.IDLE
     assert "the flight was landed early" in told[-1]
     assert job_runner.job is None
 
@@ -218,11 +218,11 @@ def test_check_of_coils_is_judged_whatever_follows(
     flight.run(script, 5000)
     assert job_runner.job is None
     if dead:
-        assert flight.board.fault is Fault.COIL_CHECK
+        assert flight.control_words.fault is Fault.COIL_CHECK
         assert "COIL_CHECK" in told[-1]
         assert "coil 3 moved the platform" in told[-1]
     else:
-        assert flight.board.fault is Fault.NONE
+        assert flight.control_words.fault is Fault.NONE
         assert told[-1]["ok"]
 
 
@@ -243,9 +243,9 @@ def test_late_cycle_in_the_push_of_a_reversed_coil_hides_nothing(late: int) -> N
             job_runner.tick()
 
     flight.run(script, pushed + 9 * TURN + 100)
-    assert flight.board.fault is Fault.COIL_CHECK
-    assert flight.board.detail.startswith("coil 3 moved the platform")
-    assert flight.board.detail.count("moved the platform") == 1
+    assert flight.control_words.fault is Fault.COIL_CHECK
+    assert flight.control_words.detail.startswith("coil 3 moved the platform")
+    assert flight.control_words.detail.count("moved the platform") == 1
     assert not job_runner.coils_are_known
 
 
@@ -269,20 +269,20 @@ def test_coil_whose_push_was_held_for_long_is_told_of_and_stays_unknown(
         if n == over:
             assert told[-1]["unjudged_coils"] == shaken
             assert not job_runner.coils_are_known
-            flight.board.land()
+            flight.control_words.land()
         if n == over + 1000:
             job_runner.begin(again)
         if not n % 10:
             job_runner.tick()
 
     flight.run(script, over + 1000 + pushed + 9 * TURN)
-    assert flight.board.fault is Fault.NONE
+    assert flight.control_words.fault is Fault.NONE
     coils = ", ".join(map(str, shaken))
     (line,) = said
     assert f"skipped for coils {coils}:" in line
     assert told[-1]["unjudged_coils"] == []
     assert job_runner.coils_are_known
-    flight.board.clear()  # somebody may have changed cables
+    flight.control_words.clear()  # somebody may have changed cables
     assert not job_runner.coils_are_known
 
 
@@ -324,7 +324,7 @@ def test_coil_is_not_judged_while_its_amplifiers_say_nothing(
             job_runner.tick()
 
     flight.run(script, pushed + 9 * TURN + 150)
-    assert flight.board.fault is Fault.NONE, flight.board.detail
+    assert flight.control_words.fault is Fault.NONE, flight.control_words.detail
     assert told[-1]["unjudged_coils"] == shaken
 
 
@@ -388,5 +388,5 @@ def test_longest_check_of_coils_is_judged_however_late() -> None:
             job_runner.tick()
 
     flight.run(script, pushed + 2000)
-    assert flight.board.fault is Fault.NONE
+    assert flight.control_words.fault is Fault.NONE
     assert told[-1]["ok"]

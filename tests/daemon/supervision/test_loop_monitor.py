@@ -17,9 +17,9 @@ HUNG_S = 30.0
 
 
 @pytest.fixture
-def board() -> Iterator[ControlWords]:
+def control_words() -> Iterator[ControlWords]:
     shared = SharedMemory(load_rig(shipped("rigs/loopback.yaml")))
-    yield shared.board
+    yield shared.control_words
     shared.close()
 
 
@@ -30,31 +30,31 @@ def lost() -> list[str]:
 
 
 @pytest.fixture
-def monitor(loop, board: ControlWords, lost: list[str], time) -> LoopMonitor:
-    monitor = LoopMonitor(loop, board, HUNG_S, lambda: None, lost.append)
+def monitor(loop, control_words: ControlWords, lost: list[str], time) -> LoopMonitor:
+    monitor = LoopMonitor(loop, control_words, HUNG_S, lambda: None, lost.append)
     monitor.start((), ())
     return monitor
 
 
 def test_stop_while_devices_are_being_opened_ends_the_loop(
-    monitor: LoopMonitor, loop, board: ControlWords, lost: list[str]
+    monitor: LoopMonitor, loop, control_words: ControlWords, lost: list[str]
 ) -> None:
     """It may be homing drives: a stop must not wait for the end of that."""
     monitor.watch(False)
     assert loop.done == ["started"]
-    board.stop()
+    control_words.stop()
     monitor.watch(False)
     assert loop.done == ["started", "terminated"]
     monitor.watch(False)
-    assert board.fault is Fault.LOOP
+    assert control_words.fault is Fault.LOOP
     assert lost == ["stopped while its devices were being opened; exit code 143"]
-    assert board.detail == lost[0]
+    assert control_words.detail == lost[0]
 
 
 def test_suspended_machine_has_not_lost_its_loop(
-    monitor: LoopMonitor, board: ControlWords, lost: list[str], time
+    monitor: LoopMonitor, control_words: ControlWords, lost: list[str], time
 ) -> None:
-    board[Word.BUSY] = 0
+    control_words[Word.BUSY] = 0
     monitor.watch(False)
     for _ in range(100):  # suspended for a minute each time
         time.now_s += 60.0
@@ -67,21 +67,21 @@ def test_suspended_machine_has_not_lost_its_loop(
 
 
 def test_loop_that_ignores_a_stop_is_killed(
-    monitor: LoopMonitor, loop, board: ControlWords, lost: list[str], time
+    monitor: LoopMonitor, loop, control_words: ControlWords, lost: list[str], time
 ) -> None:
-    board[Word.BUSY] = 0
-    board.stop()
+    control_words[Word.BUSY] = 0
+    control_words.stop()
     for _ in range(40):
         time.now_s += 0.01
-        board[Word.CYCLE] += 10
+        control_words[Word.CYCLE] += 10
         monitor.watch(False)
     assert loop.done[-1] == "killed"
     assert "it did not react to a stop" in lost[0]
 
 
 def test_loop_that_opens_devices_is_ended_at_once(
-    monitor: LoopMonitor, loop, board: ControlWords
+    monitor: LoopMonitor, loop, control_words: ControlWords
 ) -> None:
     monitor.end_at_once()
     assert loop.done == ["started", "terminated", "waited"]
-    assert board[Word.ZERO] == Fault.SUPERVISOR
+    assert control_words[Word.ZERO] == Fault.SUPERVISOR

@@ -56,7 +56,7 @@ class Bench:
         self.loop, self.time, self.logged = loop, time, list[str]()
         rig = calm(load_rig(RIG_FILE), folder, sim=str(shipped("sims/nominal.yaml")))
         self.shared = KeptMemory(rig)
-        self.board = self.shared.board
+        self.control_words = self.shared.control_words
         patch.setattr(supervisor_module, "SharedMemory", lambda _: self.shared)
         patch.setattr(supervisor_module, "Child", lambda *_: loop)
         for name in ("RecorderLink", "PlannerLink"):
@@ -79,7 +79,7 @@ class Bench:
 
     def opened(self) -> None:
         """Let the loop have opened its devices."""
-        self.board[Word.BUSY], self.board[Word.STATE] = 0, State.IDLE
+        self.control_words[Word.BUSY], self.control_words[Word.STATE] = 0, State.IDLE
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_lost_rows_are_logged(bench: Bench) -> None:
 
 
 def test_failed_loop_start_is_reported_and_can_be_retried(bench: Bench) -> None:
-    board, replies = bench.board, [Reply(), Reply()]
+    control_words, replies = bench.control_words, [Reply(), Reply()]
 
     def die() -> None:
         bench.loop.running = False
@@ -110,7 +110,11 @@ def test_failed_loop_start_is_reported_and_can_be_retried(bench: Bench) -> None:
         return lambda: bench.supervisor.post(lambda: bench.supervisor.clear(reply, 0))
 
     def failed() -> None:
-        assert (board.state, board.fault, board[Word.BUSY]) == (State.FAULT, Fault.LOOP, 0)
+        assert (control_words.state, control_words.fault, control_words[Word.BUSY]) == (
+            State.FAULT,
+            Fault.LOOP,
+            0,
+        )
 
     bench.run(die, clear(replies[0]), failed, clear(replies[1]), failed)
     assert bench.loop.done == ["started"] * 3
@@ -124,12 +128,12 @@ def test_failed_loop_start_is_reported_and_can_be_retried(bench: Bench) -> None:
 
 @pytest.mark.parametrize("state", [State.OFF, State.SELF_TEST])
 def test_clear_that_is_not_tried_in_time_is_refused(bench: Bench, state: State) -> None:
-    board, reply = bench.board, Reply()
+    control_words, reply = bench.control_words, Reply()
 
     def clear() -> None:
-        board[Word.STATE], board[Word.FAULT] = State.FAULT, Fault.STOPPED
+        control_words[Word.STATE], control_words[Word.FAULT] = State.FAULT, Fault.STOPPED
         bench.supervisor.clear(reply, 0)  # type: ignore[arg-type]
-        board[Word.STATE], board[Word.FAULT] = state, Fault.NONE
+        control_words[Word.STATE], control_words[Word.FAULT] = state, Fault.NONE
 
     def unanswered() -> None:
         assert reply.answers == []
@@ -169,13 +173,13 @@ def test_daemon_without_control_socket_lands_and_ends_in_an_error(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def land() -> None:
-        assert bench.board[Word.END]
-        bench.board[Word.STATE] = State.OFF
+        assert bench.control_words[Word.END]
+        bench.control_words[Word.STATE] = State.OFF
         bench.loop.running = False
 
     def fly() -> None:
         bench.opened()
-        bench.board[Word.STATE] = State.LEVITATING
+        bench.control_words[Word.STATE] = State.LEVITATING
         monkeypatch.setattr(Server, "dead", property(lambda _: True))
 
     with pytest.raises(ServerError, match="control socket failed"):
@@ -197,7 +201,7 @@ def test_end_while_devices_are_opened_lets_the_loop_close_them(bench: Bench, at_
     else:
         bench.run()
     assert bench.loop.done == ["started", "terminated", *["waited"] * at_once]
-    assert bench.board.fault is not Fault.LOOP  # its end was requested
+    assert bench.control_words.fault is not Fault.LOOP  # its end was requested
 
 
 def test_slow_look_up_of_users_does_not_block_the_supervisor(
@@ -246,8 +250,8 @@ def test_slow_look_up_of_users_does_not_block_the_supervisor(
 def test_missing_readings_are_logged(bench: Bench) -> None:
     def miss() -> None:
         bench.time.now_s += 2.0
-        bench.board[Word.CYCLE] += 2000
-        bench.board[Word.STALE] += 2000
+        bench.control_words[Word.CYCLE] += 2000
+        bench.control_words[Word.STALE] += 2000
 
     bench.run(bench.opened, miss, miss, miss)
     assert any("readings have been missing for 4 s" in line for line in bench.logged)

@@ -258,11 +258,11 @@ _KNOWN: dict[str, Callable[[Values], list[Known]]] = {
         v, "vibration.force", [v["dof"]], [_arm(v) * a for a in v["amplitudes_n"]]
     ),
     "MainsPickup": lambda v: _mains(v, "vibration.reading", _sensor(v), v["amplitudes_m"]),
-    "FloorTone": lambda v: [
+    "GroundTone": lambda v: [
         Known("vibration.force", ["z"], abs(v["acceleration_m_s2"]) * v["mass_kg"],
               _line(v["freq_hz"]))
     ],
     # All power is in the band: the force's rms is the floor's acceleration times the mass.
-    "FloorNoise": lambda v: _at(["z"], "vibration.random", rms=v["rms_m_s2"] * v["mass_kg"]),
+    "GroundNoise": lambda v: _at(["z"], "vibration.random", rms=v["rms_m_s2"] * v["mass_kg"]),
 }  # fmt: skip
 """By the simulator's class."""

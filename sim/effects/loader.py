@@ -19,6 +19,12 @@ from ...config.sim import SimEffect, SimGeometry
 from ..plant_kernels import Array
 from .contract import HOOKS, BeamState, EffectError, EffectGeometry, EffectPlant
 
+_RENAMED = {
+    f"levid.sim.effects.floor:Floor{kind}": f"levid.sim.effects.ground_vibration:Ground{kind}"
+    for kind in ("Tone", "Noise")
+}
+"""Classes under the names that SIM.yaml files of earlier versions use."""
+
 
 class Effects:
     """The effects of one plant, called in order.
@@ -162,7 +168,7 @@ class _Loaded:
 
 
 def _find_class(where: str, use: str, source: Path | None) -> Callable[..., object]:
-    place, _, name = use.rpartition(":")
+    place, _, name = _RENAMED.get(use, use).rpartition(":")
     module = _load_file(where, place, source) if place.endswith(".py") else _load(where, place)
     found = getattr(module, name, None)
     if not inspect.isclass(found):

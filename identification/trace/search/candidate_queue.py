@@ -13,7 +13,7 @@ _STILL = 0.5
 """Of what it took when it was refused, an effect must still take this to be asked again."""
 
 
-class Asked:
+class CandidateQueue:
     """The accepted and the rejected candidates of a search.
 
     Held-out records that are full of one effect may refuse another: once the first is taken, the

@@ -17,7 +17,7 @@ from .backward_elimination import (
     without_idle,
     without_stand_in,
 )
-from .candidate_queue import Asked
+from .candidate_queue import CandidateQueue
 from .candidate_screening import (
     ALONE,
     AT_FIRST,
@@ -88,14 +88,14 @@ def grown(
     """
     point, error, _ = begun
     rounds = list(begun.rounds)
-    asked = Asked(point.placed)
-    candidates = asked.candidates(effects)
+    queue = CandidateQueue(point.placed)
+    candidates = queue.candidates(effects)
     guides, most = 0, most + len(point.placed)
     while error.squares > enough * error.floor:
         explained = point.disturbance.measured and error.squares < _EXPLAINED * error.floor
         found, train = _screened(point, candidates, error, explained, rounds, records, progress)
-        found = asked.worth(found)
-        if not found.survivors or len(point.placed) >= most or asked.in_a_row >= _MOST_REFUSED:
+        found = queue.worth(found)
+        if not found.survivors or len(point.placed) >= most or queue.in_a_row >= _MOST_REFUSED:
             rounds.append(found)
             break
         progress(f"fitting {', '.join(t.effect.name for t in found.survivors)}", share(len(rounds)))
@@ -110,7 +110,7 @@ def grown(
             alone = without_guide(better, squares, train.squares, records)
             after = error if alone is None else records.held_error(alone)
             if alone is not None and after.squares < (1.0 - LOWERS) * error.squares:
-                # Nothing is taken; who has shown the way may be asked again.
+                # Nothing is accepted; candidates that led here may be tested again.
                 point, error, guides = alone, after, guides + 1
                 rounds.append(replace(found, taken=None))
                 continue
@@ -125,15 +125,15 @@ def grown(
         stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
         if agree(taken) and stays and squares < train.squares and helped:
             point, error = better, after
-            asked.take(taken, point.placed)
+            queue.take(taken, point.placed)
         else:
             found, stood_in = replace(found, taken=None), None
-            asked.refuse(taken)
+            queue.refuse(taken)
         if stood_in is None:
             rounds.append(found)
         else:  # it is as if it had been taken then
             rounds[stood_in] = taken_instead(rounds[stood_in], taken.effect.identity)
-        candidates = asked.candidates(effects)
+        candidates = queue.candidates(effects)
     return Grown(point, error, tuple(rounds))
 
 

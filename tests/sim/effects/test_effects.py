@@ -18,8 +18,8 @@ from levid.sim.effects.air import QuadraticDamping, SqueezeFilm
 from levid.sim.effects.beam import BeamCoriolis, BeamGravity, BeamReaction, MagnetField
 from levid.sim.effects.bearing import BearingPresliding
 from levid.sim.effects.cable import BeamCable, HangingCable
-from levid.sim.effects.floor import FloorNoise, FloorTone
 from levid.sim.effects.friction import BoucWen, Coulomb, Dahl, LuGre, MaxwellSlip, Stribeck
+from levid.sim.effects.ground_vibration import GroundNoise, GroundTone
 from levid.sim.effects.mains import MainsForce
 from levid.sim.effects.masses import CentreOfMass, Payload
 from levid.sim.effects.motors import MotorCogging, MotorFriction
@@ -381,7 +381,7 @@ def test_bearing_loses_work_when_it_slips_a_little() -> None:
 
 
 def test_ground_acceleration_acts_on_all_levitated_masses() -> None:
-    effect = fresh(FloorTone(0.2, 15.0, mass_kg=7.0, m_b_kg=1.4))
+    effect = fresh(GroundTone(0.2, 15.0, mass_kg=7.0, m_b_kg=1.4))
     t = 0.0123
     tau = effect.wrench(t, np.zeros(3), np.zeros(3), beam(x=0.05))
     rise = 0.2 * np.sin(2 * np.pi * 15.0 * (t + DT / 2))
@@ -389,7 +389,7 @@ def test_ground_acceleration_acts_on_all_levitated_masses() -> None:
 
 
 def test_ground_noise_has_its_level_and_band() -> None:
-    effect = fresh(FloorNoise(0.1, (10, 40), mass_kg=7.0, m_b_kg=1.4))
+    effect = fresh(GroundNoise(0.1, (10, 40), mass_kg=7.0, m_b_kg=1.4))
     rise = np.array([effect.acceleration(0.0) for _ in range(200_000)])
     # 20 s at 30 Hz of bandwidth are some 1200 independent values: 2 percent; four of those.
     assert rise.std() == pytest.approx(0.1, rel=0.08)

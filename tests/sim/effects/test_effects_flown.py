@@ -83,8 +83,8 @@ EVERY: dict[str, dict[str, Any]] = {
     "sensor_memory:StickingSensor": {"sensor": 8, "step_m": 2e-6},
     "mains:MainsForce": {"dof": "z", "amplitudes_n": [0.2, 0.0, 0.1]},
     "mains:MainsPickup": {"sensor": "all", "amplitudes_m": [1e-6]},
-    "floor:FloorTone": {"acceleration_m_s2": 0.1, "freq_hz": 17, **MASSES},
-    "floor:FloorNoise": {"rms_m_s2": 0.05, "band_hz": [5, 40], **MASSES},
+    "ground_vibration:GroundTone": {"acceleration_m_s2": 0.1, "freq_hz": 17, **MASSES},
+    "ground_vibration:GroundNoise": {"rms_m_s2": 0.05, "band_hz": [5, 40], **MASSES},
 }
 """Class in levid.sim.effects -> its values."""
 
@@ -169,7 +169,7 @@ def test_all_at_once_fly_too(tmp_path: Path) -> None:
         ("lags:ExtraDelay", {"coil": 0, "delay_s": -1e-3}, "delay_s: expected 0 or more"),
         ("mains:MainsForce", {"dof": "z", "amplitudes_n": []}, "expected one or more"),
         (
-            "floor:FloorNoise",
+            "ground_vibration:GroundNoise",
             {"rms_m_s2": 1, "band_hz": [9, 3], "mass_kg": 7, "m_b_kg": 1},
             "band_hz: expected",
         ),

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from repository import SIMS
 
 from levid.config.base import load_yaml
-from levid.config.sim import SimConfig
-from levid.sim.effects import EffectError
+from levid.config.sim import SimConfig, SimEffect
+from levid.sim.effects import EffectError, Effects
+from levid.sim.effects.ground_vibration import GroundNoise, GroundTone
 from levid.sim.plant import Plant
 
 NONE = np.zeros(3)
@@ -317,3 +318,14 @@ def test_file_is_sought_in_the_working_folder_too(
     config["effects"] = [{"use": "effects/mine.py:Wrench"}]
     Plant(SimConfig.model_validate(config), 1e-3, source=tmp_path / "elsewhere" / "SIM.yaml")
     Plant(SimConfig.model_validate(config), 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("floor:FloorTone", GroundTone), ("floor:FloorNoise", GroundNoise)]
+)
+def test_effects_keep_the_names_that_older_files_use(old: str, new: type) -> None:
+    values = {"mass_kg": 7.0, "m_b_kg": 1.4}
+    values |= {"acceleration_m_s2": 0.1, "freq_hz": 17.0} if new is GroundTone else {}
+    values |= {"rms_m_s2": 0.05, "band_hz": (5.0, 40.0)} if new is GroundNoise else {}
+    effect = SimEffect(use=f"levid.sim.effects.{old}", **values)
+    assert Effects([effect], None).uses("wrench")

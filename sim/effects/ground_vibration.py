@@ -19,7 +19,7 @@ from .places import positive
 Wrench = tuple[float, float, float]
 
 
-class Floor:
+class GroundVibration:
     """Ground vibration; subclasses define w''. `mass_kg` is the levitated mass, with the beam."""
 
     def __init__(self, mass_kg: float, m_b_kg: float) -> None:
@@ -40,7 +40,7 @@ class Floor:
         raise NotImplementedError
 
 
-class FloorTone(Floor):
+class GroundTone(GroundVibration):
     """w'' = a sin(2 pi f t): a machine nearby."""
 
     def __init__(
@@ -54,7 +54,7 @@ class FloorTone(Floor):
         return self.acceleration_m_s2 * math.sin(self._omega * (t_s + 0.5 * self._dt_s))
 
 
-class FloorNoise(Floor):
+class GroundNoise(GroundVibration):
     """w'' is Gaussian noise of `rms_m_s2` through a Butterworth band-pass of fourth order.
 
     Raises:

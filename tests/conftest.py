@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import pytest
 from hypothesis import HealthCheck, settings
-from punctuality import Watch, Witness
+from machine_load import Watch, Witness
 
 from levid.cli.main import main
 from levid.config.base import parse_text
@@ -34,7 +34,11 @@ _COMPUTE = (
     *("daemon/planning/test_excitation", "daemon/planning/test_orthogonal_multisine"),
     *("daemon/planning/test_plan.py", "daemon/recording/test_coil_heat"),
     *("benchmarks/test_figures", "benchmarks/test_same_rows", "benchmarks/test_unlisted_effects"),
-    *("benchmarks/test_zoo", "drivers/can/test_canopen_fuzz", "drivers/can/test_readings_fuzz"),
+    *(
+        "benchmarks/test_hidden_effects",
+        "drivers/can/test_canopen_fuzz",
+        "drivers/can/test_readings_fuzz",
+    ),
     *("drivers/can/test_sdo_fuzz", "drivers/serial/test_transaction_fuzz"),
 )
 """Tests that only compute, so that several of them may run at the same time."""

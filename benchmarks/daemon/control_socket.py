@@ -23,8 +23,8 @@ from hypothesis import strategies as st
 
 from levid.benchmarks.harness import table
 from levid.benchmarks.harness.child_processes import busy
-from levid.benchmarks.harness.heartbeat import Heartbeat
 from levid.benchmarks.harness.running_daemon import Daemon, loopback_rig, running
+from levid.benchmarks.harness.supervisor_heartbeat import Heartbeat
 from levid.benchmarks.harness.table import Figure, Target
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped

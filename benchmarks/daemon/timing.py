@@ -32,7 +32,7 @@ from levid.benchmarks.harness import table
 from levid.benchmarks.harness.busy_disk import busy_disk
 from levid.benchmarks.harness.child_processes import started
 from levid.benchmarks.harness.flown_rows import Flown, Found, found_in
-from levid.benchmarks.harness.ratio_of_shares import Round, again, ratio_figures
+from levid.benchmarks.harness.ratio_interval import Round, again, ratio_figures
 from levid.benchmarks.harness.real_time import Rights
 from levid.benchmarks.harness.running_daemon import loopback_rig, require_no_fault, running
 from levid.benchmarks.harness.table import Figure, Target

@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from levid.benchmarks.harness import table
-from levid.benchmarks.harness.declared_model import off_by_a_tenth
+from levid.benchmarks.harness.inaccurate_model import off_by_a_tenth
 from levid.benchmarks.harness.table import Figure
 from levid.benchmarks.identification.known_plant import (
     BAND_HZ,

@@ -2,7 +2,7 @@
 
 White noise is flown on the nominal rig at three beam positions (one with --quick). The errors of
 each method's P stand beside those of scipy's `csd` from plant input to output, which ignores the
-loop. The grey box is in greybox.py; other packages are in peers.py.
+loop. The grey box is in greybox.py; other packages are in package_comparison.py.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from time import perf_counter
 import numpy as np
 
 from levid.benchmarks.harness.table import Figure, run
-from levid.benchmarks.identification.contenders import scipy_csd_direct
+from levid.benchmarks.identification.identification_methods import scipy_csd_direct
 from levid.benchmarks.identification.known_plant import (
     BAND_HZ,
     LAG_S,

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from levid.benchmarks.harness.declared_model import off_by_a_tenth
-from levid.benchmarks.harness.isolated import measure_apart
+from levid.benchmarks.harness.child_measurement import measure_apart
+from levid.benchmarks.harness.inaccurate_model import off_by_a_tenth
 from levid.benchmarks.harness.table import Figure, Target, run
 from levid.benchmarks.harness.virtual_flight import fly_session
-from levid.benchmarks.trace.zoo_flight import rig
+from levid.benchmarks.trace.hidden_effect_flight import rig
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped
 from levid.identification.trace.residual.error_metric import pooled

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from levid.benchmarks.harness import isolated, table
+from levid.benchmarks.harness import child_measurement, table
 
 TIMEOUT_S = 30.0
 
@@ -76,14 +76,16 @@ def test_stopped_benchmark_leaves_no_process_behind(name: str) -> None:
 
 def test_call_is_limited_in_memory_and_a_crash_is_its_outcome() -> None:
     limits = {"timeout_s": TIMEOUT_S, "memory_bytes": 2_000_000_000}
-    outcome = isolated.measure_apart(bytearray, 10**10, **limits)
+    outcome = child_measurement.measure_apart(bytearray, 10**10, **limits)
     assert outcome.failed == "more than 2 GB of address space"
-    assert isolated.measure_apart(os.abort, **limits).failed == "killed by SIGABRT"
+    assert child_measurement.measure_apart(os.abort, **limits).failed == "killed by SIGABRT"
 
 
 def test_program_that_a_call_runs_ends_with_the_call(tmp_path: Path) -> None:
     pid_file = tmp_path / "pid"
     program = ["sh", "-c", f"echo $$ > {pid_file}; exec sleep 600"]
-    outcome = isolated.measure_apart(subprocess.run, program, timeout_s=5.0, memory_bytes=1 << 33)
+    outcome = child_measurement.measure_apart(
+        subprocess.run, program, timeout_s=5.0, memory_bytes=1 << 33
+    )
     assert outcome.failed == "not done after 5 s"
     assert ends(int(pid_file.read_text()))

@@ -10,7 +10,7 @@ import pytest
 from levid.benchmarks.daemon import timing
 from levid.benchmarks.harness import flown_rows
 from levid.benchmarks.harness.flown_rows import Found, compare, found_in
-from levid.benchmarks.harness.ratio_of_shares import Round, ratio_95
+from levid.benchmarks.harness.ratio_interval import Round, ratio_95
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.ipc.row_ring import NO_LOG

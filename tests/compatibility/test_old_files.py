@@ -15,7 +15,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from repository import ROOT
+from repository_folders import ROOT
 
 from levid.log.reader import read_log
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from repository import ROOT
+from repository_folders import ROOT
 
 from levid.log.reader import read_log
 

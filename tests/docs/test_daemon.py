@@ -6,7 +6,7 @@ import re
 
 import pytest
 from daemon_process import calm, daemon
-from repository import ROOT
+from repository_folders import ROOT
 
 from levid.cli.main import levid
 from levid.config.rig import load_rig

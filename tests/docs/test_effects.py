@@ -9,7 +9,7 @@ import re
 
 import numpy as np
 import pytest
-from repository import DOCS
+from repository_folders import DOCS
 
 from levid.config.base import load_yaml
 from levid.config.shipped import shipped

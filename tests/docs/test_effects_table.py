@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 
-from repository import DOCS
+from repository_folders import DOCS
 
 
 def test_page_is_up_to_date():

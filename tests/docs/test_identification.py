@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from repository import DOCS
+from repository_folders import DOCS
 
 from levid.config.base import load_yaml, parse_text
 from levid.config.rig import load_rig

@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import yaml
-from repository import DOCS
+from repository_folders import DOCS
 
 from levid.identification.identify import identify
 from levid.identification.records.from_log import from_log

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 import yaml
-from repository import DOCS
+from repository_folders import DOCS
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig

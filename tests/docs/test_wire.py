@@ -8,7 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
-from repository import DOCS
+from repository_folders import DOCS
 
 from levid.wire.can.can_frames import load_frames
 from levid.wire.can.crc8 import crc8

@@ -10,7 +10,7 @@ from socket import AF_INET, SOCK_DGRAM, socket
 
 import numpy as np
 import pytest
-from repository import DOCS
+from repository_folders import DOCS
 
 from levid.config.base import ConfigError, parse_text
 from levid.config.rig import RigConfig, load_rig

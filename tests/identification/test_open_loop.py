@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from repository import ROOT
+from repository_folders import ROOT
 from scipy.signal import lfilter
 
 from levid.identification import open_loop

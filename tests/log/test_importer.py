@@ -9,7 +9,7 @@ import pytest
 import scipy.io
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from repository import ROOT
+from repository_folders import ROOT
 
 from levid.config.base import ConfigError, parse_text
 from levid.log import mat_file

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 from mcap_ros2._dynamic import generate_dynamic
-from repository import DOCS
+from repository_folders import DOCS
 
 from levid.log.errors import LogError
 from levid.log.signals import SIGNALS, cycle_dtype, dtype_from_ros2msg, markdown_table, ros2msg

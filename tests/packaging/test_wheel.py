@@ -8,7 +8,7 @@ import sys
 import zipfile
 
 import pytest
-from repository import ROOT
+from repository_folders import ROOT
 
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("[a-z]*/__init__.py"))
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from repository import SIMS
+from repository_folders import SIMS
 
 from levid.config.base import ConfigError, load_yaml
 from levid.config.sim import SimConfig

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from repository import SIMS
+from repository_folders import SIMS
 from scipy.linalg import expm
 
 from levid.config.base import load_yaml

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from repository import SIMS
+from repository_folders import SIMS
 
 from levid.config.base import load_yaml
 from levid.config.sim import SimConfig

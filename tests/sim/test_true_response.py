@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from repository import SIMS
+from repository_folders import SIMS
 
 from levid.config.base import load_yaml
 from levid.config.sim import SimConfig

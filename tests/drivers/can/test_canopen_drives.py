@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from standing_drives import run, with_drives
+from drives_at_rest import run, with_drives
 from waiting import wait_until
 
 from levid.config.base import ConfigError

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from standing_drives import run, with_drives
+from drives_at_rest import run, with_drives
 from waiting import wait_until
 
 from levid.config.rig import RigConfig

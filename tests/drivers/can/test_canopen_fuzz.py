@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from frame_judges import CHANGES, changed
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule
+from independent_can_decoder import CHANGES, changed
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped

@@ -13,7 +13,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from claims import is_for_one_loop
+from bus_lock_checks import is_for_one_loop
 
 from levid.config.buses import CanBus
 from levid.config.rig import load_rig

@@ -6,10 +6,10 @@ from collections import deque
 from time import perf_counter
 
 import numpy as np
-from frame_judges import CHANGES, CYCLES, FramesTogether, changed, equal
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
+from independent_can_decoder import CHANGES, CYCLES, FramesTogether, changed, equal
 
 from levid.config.buses import CanBus
 from levid.drivers.can.bus_link import CanLink

@@ -6,9 +6,9 @@ import logging
 import struct
 from collections.abc import Callable
 
-from frame_judges import CHANGES, changed
 from hypothesis import given
 from hypothesis import strategies as st
+from independent_can_decoder import CHANGES, changed
 
 from levid.config.buses import CanBus
 from levid.drivers.base import DriverError

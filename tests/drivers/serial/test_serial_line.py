@@ -16,7 +16,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 import serial
-from claims import is_for_one_loop
+from bus_lock_checks import is_for_one_loop
 from serial import rfc2217
 
 from levid.config.buses import SerialBus

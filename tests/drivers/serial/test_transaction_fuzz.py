@@ -5,11 +5,11 @@ from __future__ import annotations
 import struct
 from types import SimpleNamespace
 
-from frame_judges import CHANGES, CYCLES, changed, serial_frame
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from serial_judges import BODIES, CONTENTS, frame, readings_right
+from independent_can_decoder import CHANGES, CYCLES, changed, serial_frame
+from independent_serial_decoder import BODIES, CONTENTS, frame, readings_right
 
 from levid.config.buses import SerialBus
 from levid.drivers.bus_backend import AnswerTime

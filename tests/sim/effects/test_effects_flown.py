@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from repository import SIMS
+from repository_folders import SIMS
 from rig_effects import shipped_effects
 
 from levid.config.base import load_yaml

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from frame_judges import CHANGES, CYCLES, FramesTogether, changed, equal
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
+from independent_can_decoder import CHANGES, CYCLES, FramesTogether, changed, equal
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped

@@ -7,7 +7,9 @@ from math import sqrt
 
 import numpy as np
 import pytest
-from frame_judges import (
+from hypothesis import given
+from hypothesis import strategies as st
+from independent_can_decoder import (
     CHANGES,
     CYCLES,
     can_sealed,
@@ -17,8 +19,6 @@ from frame_judges import (
     crc8,
     equal,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 
 from levid.wire.can.can_frames import Fields, ValueFrames, load_frames
 from levid.wire.frame_rejection import Rejected

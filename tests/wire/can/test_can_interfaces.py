@@ -7,7 +7,7 @@ from typing import Any
 
 import can
 import pytest
-from repository import DOCS
+from repository_folders import DOCS
 
 from levid.config.base import ConfigError
 from levid.config.buses import CanBus

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from frame_judges import CHANGES, SERIAL_BODIES, changed, serial_frame, serial_sealed, unstuffed
 from hypothesis import given
 from hypothesis import strategies as st
-from serial_judges import BODIES, CONTENTS, frame, numbers_right
+from independent_can_decoder import (
+    CHANGES,
+    SERIAL_BODIES,
+    changed,
+    serial_frame,
+    serial_sealed,
+    unstuffed,
+)
+from independent_serial_decoder import BODIES, CONTENTS, frame, numbers_right
 
 from levid.wire.serial.serial_frames import Header, Kind, SerialFrames
 

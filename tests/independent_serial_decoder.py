@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 
 import numpy as np
-from frame_judges import axis, equal, scaled
 from hypothesis import strategies as st
+from independent_can_decoder import axis, equal, scaled
 
 from levid.wire.serial.serial_frames import FrameContents, Kind, SerialFrames
 

@@ -1,10 +1,10 @@
-"""The zoo: does a trace name effects that are in the plant but not in the declared model?
+"""Count how many hidden effects a trace names: effects in the plant that the model lacks.
 
 Each effect of the simulator is flown alone, at sizes for which the error of the declared model,
 refitted, is 5 and 20 times the noise floor (or as large as physics allows); also pairs of effects,
 plants without any, and effects that no table lists. The session is trace-short.yaml; the trace gets
-the logs only. zoo_score.py defines what is right, zoo_cases.py the cases. The full plan takes hours
-and prints its figures at the end, or at an interrupt.
+the logs only. hidden_effect_score.py defines what is right, hidden_effect_cases.py the cases. The
+full plan takes hours and prints its figures at the end, or at an interrupt.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import combinations
 
-from levid.benchmarks.harness.isolated import Outcome, measure_apart
+from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
 from levid.benchmarks.harness.table import Figure, Target, parser, show
-from levid.benchmarks.trace.zoo_cases import CASES, FLOOR_M, TIMES, UNLISTED, Case
-from levid.benchmarks.trace.zoo_flight import Found, fly_and_trace
-from levid.benchmarks.trace.zoo_score import EXPLAINED, Score, score_plant
-from levid.benchmarks.trace.zoo_truth import relative_errors
+from levid.benchmarks.trace.hidden_effect_cases import CASES, FLOOR_M, TIMES, UNLISTED, Case
+from levid.benchmarks.trace.hidden_effect_flight import Found, fly_and_trace
+from levid.benchmarks.trace.hidden_effect_score import EXPLAINED, Score, score_plant
+from levid.benchmarks.trace.hidden_effect_truth import relative_errors
 
 CORES = 2
 QUICK = ("cubic-z", "coulomb-z", "bouc-wen-psi", "magnet-field", "gain-coil-3", "gain-sensor-2")
@@ -71,7 +71,7 @@ class Result:
 
 
 def main() -> None:
-    options = parser("The zoo: which effects a trace names; --quick: seven cases and one without")
+    options = parser("Which hidden effects a trace names; --quick: seven plants with, one without")
     full = "also 1.5 times the floor, and unlisted effects that the trace was changed after"
     options.add_argument("--full", action="store_true", help=full)
     only = "cases of --full, or pair, nothing"
@@ -95,7 +95,7 @@ def main() -> None:
         finally:  # an interrupted run prints what it has
             yield from figures(results, failed)
 
-    show("The zoo", arguments, measure)
+    show("Hidden effects", arguments, measure)
 
 
 def plan(quick: bool, full: bool, first_seed: int = FIRST_SEED) -> list[Plant]:

@@ -1,4 +1,4 @@
-"""Fly one plant of the zoo and trace its logs, without telling the trace what is in the plant."""
+"""Fly a plant with hidden effects and trace its logs; the trace gets nothing but the logs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from levid.benchmarks.harness.declared_model import off_by_a_tenth
+from levid.benchmarks.harness.inaccurate_model import off_by_a_tenth
 from levid.benchmarks.harness.virtual_flight import RIG, fly_session
 from levid.config.base import ConfigError, read_mapping
 from levid.config.shipped import shipped

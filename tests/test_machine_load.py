@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from punctuality import PERIOD_S, Watch, Witness
+from machine_load import PERIOD_S, Watch, Witness
 
 HELD_UP_S = 0.3
 GIVE_UP_S = 30.0

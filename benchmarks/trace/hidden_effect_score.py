@@ -1,4 +1,4 @@
-"""Score what a trace reports of a plant of the zoo against what is in the plant.
+"""Score what a trace reports of a plant against the effects that are in the plant.
 
 A reported effect, or one of its alternatives, *matches* an effect of the plant if it has its class
 and shares a place with it. The effect is *right* if, besides,
@@ -30,7 +30,7 @@ from dataclasses import dataclass, field, replace
 from itertools import permutations
 from typing import Any
 
-from levid.benchmarks.trace.zoo_cases import Case
+from levid.benchmarks.trace.hidden_effect_cases import Case
 
 EXPLAINED = 1.15
 """Error over the floor of a model that explains the records."""

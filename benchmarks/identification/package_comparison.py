@@ -1,8 +1,8 @@
 """levid against other packages on the same records: error, time and memory of the identified plant.
 
 White noise is flown at each input in turn, with the beam off the middle, so that theta and z
-couple. Each contender (contenders.py) identifies P from these logs in a process of its own. Medians
-over several flights. `pip install 'levid[peers]'` installs the other packages; the table reports
+couple. Each method of identification_methods.py identifies P from these logs in a process of its
+own. The figures are medians over several flights. `pip install 'levid[peers]'` installs the other packages; the table reports
 those that are missing or fail.
 """
 
@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from levid.benchmarks.harness.isolated import Outcome, measure_apart
+from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
 from levid.benchmarks.harness.table import Figure, run
-from levid.benchmarks.identification.contenders import CONTENDERS
+from levid.benchmarks.identification.identification_methods import CONTENDERS
 from levid.benchmarks.identification.known_plant import (
     BAND_HZ,
     diagonal_ratio,
@@ -72,4 +72,4 @@ def measure(quick: bool) -> Iterator[Figure]:
 
 
 if __name__ == "__main__":
-    run("levid against its peers", measure)
+    run("levid against other packages", measure)

@@ -1,4 +1,4 @@
-"""Read the cases of the zoo (zoo-cases.yaml): simulated effects with their truth and sizes."""
+"""Read hidden-effect-cases.yaml: simulated effects with their true parameters and sizes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import yaml
 
 TIMES = (1.5, 5.0, 20.0)
 """Sizes: the error of the declared model, refitted, over the noise floor."""
-_TABLE = yaml.safe_load(Path(__file__).with_name("zoo-cases.yaml").read_text(encoding="utf-8"))
+_FILE = Path(__file__).with_name("hidden-effect-cases.yaml")
+_TABLE = yaml.safe_load(_FILE.read_text(encoding="utf-8"))
 _MODULES = {
     "cases": "levid.sim.effects.",
     "unlisted": "levid.benchmarks.trace.unlisted_effects:",

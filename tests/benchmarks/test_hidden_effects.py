@@ -1,4 +1,4 @@
-"""The zoo's published figures: what counts as right, and with which truth parameters compare."""
+"""Test the score of traces: which names count as right, and which true values they compare with."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import math
 import pytest
 from rig_effects import CLASSES, rig_places, shipped_effects
 
-from levid.benchmarks.trace import zoo
-from levid.benchmarks.trace.zoo_cases import CASES, TIMES, UNLISTED
-from levid.benchmarks.trace.zoo_flight import Found
-from levid.benchmarks.trace.zoo_score import score_plant
-from levid.benchmarks.trace.zoo_truth import known, relative_errors
+from levid.benchmarks.trace import hidden_effects
+from levid.benchmarks.trace.hidden_effect_cases import CASES, TIMES, UNLISTED
+from levid.benchmarks.trace.hidden_effect_flight import Found
+from levid.benchmarks.trace.hidden_effect_score import score_plant
+from levid.benchmarks.trace.hidden_effect_truth import known, relative_errors
 from levid.config.sim import SimEffect
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.search_range import Extent
@@ -187,14 +187,14 @@ def test_a_random_force_is_compared_with_its_report() -> None:
 
 
 def test_figures_count_plants_and_compared_parameters() -> None:
-    def result(name: str, times: float, *effects, off: float = 0.0) -> zoo.Result:
+    def result(name: str, times: float, *effects, off: float = 0.0) -> hidden_effects.Result:
         case = CASE[name]
         k3 = {"value": (1 + off) * case.effect(times).get("k3_n_m3", 1.0)}
         placed = [{"effect": "rod_stiffness.cubic", "where": ["z"], "parameters": {"k3": k3}}]
         kind = "unlisted" if case in UNLISTED else "alone"
         before = 1.2 if case.absorbed else 1.2 * times
-        found = Found(said(*effects, before=before), placed, zoo.FLOOR_M / 1.2)
-        return zoo.Result.of(zoo.Plant(kind, (case,), times, 1), found)
+        found = Found(said(*effects, before=before), placed, hidden_effects.FLOOR_M / 1.2)
+        return hidden_effects.Result.of(hidden_effects.Plant(kind, (case,), times, 1), found)
 
     cube = ("rod_stiffness", "z")
     results = [
@@ -204,7 +204,7 @@ def test_figures_count_plants_and_compared_parameters() -> None:
         result("delay-all", 5.0),
         result("closed-cover", 5.0, ("unknown", "theta", [], ["v_b"])),
     ]
-    found = {f.key: f.value for f in zoo.figures(results, failed=1)}
+    found = {f.key: f.value for f in hidden_effects.figures(results, failed=1)}
     assert (found["alone_right_percent"], found["hidden"]) == (75.0, 1)
     assert (found["false_alarms"], found["nothing_right_percent"]) == (1, None)
     assert (found["within_5_percent_20x"], found["within_5_percent_5x"]) == (50.0, None)
@@ -213,13 +213,13 @@ def test_figures_count_plants_and_compared_parameters() -> None:
 
 
 def test_plans_contain_each_plant_once() -> None:
-    usual, full = zoo.plan(False, False), zoo.plan(False, True)
+    usual, full = hidden_effects.plan(False, False), hidden_effects.plan(False, True)
     unseen = [case for case in UNLISTED if case.unseen]
     assert len(usual) == 2 * (len(CASES) + len(unseen)) + 20
     assert {*map(str, usual)} < {*map(str, full)}
     assert len({*map(str, full)}) == len(full)
     assert all(case.visible for p in full if len(p.cases) > 1 for case in p.cases)
-    other = zoo.plan(False, False, 9000)
+    other = hidden_effects.plan(False, False, 9000)
     assert not {p.seed for p in other} & {p.seed for p in usual}
 
 

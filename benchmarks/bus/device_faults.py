@@ -36,7 +36,7 @@ from levid.drivers.base import (
     StaleError,
 )
 from levid.drivers.registry import open_devices
-from levid.sim.electronics import core
+from levid.sim.electronics import emulated_devices
 from levid.sim.electronics.emulated_devices import Core
 from levid.sim.electronics.emulated_rig import Electronics
 
@@ -101,7 +101,7 @@ class Played(NamedTuple):
 
 
 def measure(quick: bool) -> list[Figure]:
-    core._SILENT_PERIODS = 1e9  # type: ignore[misc]
+    emulated_devices._SILENT_PERIODS = 1e9  # type: ignore[misc]
     bus_backend._ANSWER_SHARE = bus_backend._SETPOINTS_SHARE = 1e4  # type: ignore[misc]
     figures, named, came_back, slowest = [], [], 0, 0
     for bus in ("canfd", "serial") if quick else BUSES:

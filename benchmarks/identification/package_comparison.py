@@ -2,8 +2,8 @@
 
 White noise is flown at each input in turn, with the beam off the middle, so that theta and z
 couple. Each method of identification_methods.py identifies P from these logs in a process of its
-own. The figures are medians over several flights. `pip install 'levid[peers]'` installs the other packages; the table reports
-those that are missing or fail.
+own. The figures are medians over several flights. `pip install 'levid[peers]'` installs the other
+packages; the table reports those that are missing or fail.
 """
 
 from __future__ import annotations

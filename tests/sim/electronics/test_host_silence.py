@@ -51,7 +51,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    for module in ("core", "can_bus", "serial_port", "drive_nodes"):
+    for module in ("emulated_devices", "can_emulator", "serial_emulator", "drive_nodes"):
         monkeypatch.setattr(f"levid.sim.electronics.{module}.time", clock)
     return clock
 

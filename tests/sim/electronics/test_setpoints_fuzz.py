@@ -25,7 +25,7 @@ class NoisySetpoints(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        buses = [bus for bus in ELECTRONICS._buses if isinstance(bus, CanElectronics)]
+        buses = [bus for bus in ELECTRONICS.emulators if isinstance(bus, CanElectronics)]
         (self.bus,) = (bus for bus in buses if bus._amplifiers)
         self.group = self.bus._frames.setpoint
         self.applied: list[np.ndarray] = []

@@ -83,7 +83,7 @@ def test_force_that_comes_back_is_counted(monkeypatch) -> None:
         def acting_n(self) -> np.ndarray:
             return np.array([next(acting)])
 
-        def _period(self) -> None: ...
+        def pass_period(self) -> None: ...
 
     injector = SimpleNamespace(
         command=lambda _: setattr(amplifiers, "injected", True), receives=False

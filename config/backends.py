@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
@@ -69,7 +71,7 @@ OWN: Mapping[str, BackendDescriptor] = {
 
 def names() -> list[str]:
     """Return the names of all installed backends."""
-    return sorted({*OWN, *(entry.name for entry in entry_points(group=ENTRY_POINT_GROUP))})
+    return sorted({*OWN, *_installed(tuple(sys.path))})
 
 
 def find_backend(name: str) -> BackendDescriptor | None:
@@ -82,10 +84,20 @@ def find_backend(name: str) -> BackendDescriptor | None:
     """
     if name in OWN:
         return OWN[name]
-    for entry in entry_points(group=ENTRY_POINT_GROUP, name=name):
-        found = load_part(entry.value, name)
-        return found if isinstance(found, BackendDescriptor) else BackendDescriptor(entry.value)
-    return None
+    part = _installed(tuple(sys.path)).get(name)
+    if part is None:
+        return None
+    found = load_part(part, name)
+    return found if isinstance(found, BackendDescriptor) else BackendDescriptor(part)
+
+
+@cache
+def _installed(_: tuple[str, ...]) -> dict[str, str]:
+    """Return backends of other packages by name, for one search path.
+
+    Looking for them takes 2 ms, and every key of a rig that levid does not know asks for them.
+    """
+    return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINT_GROUP)}
 
 
 def load_part(part: str, backend: str) -> Any:

@@ -65,7 +65,7 @@ def test_it_ends_with_the_tests_whatever_ends_them() -> None:
             sys.executable,
             "-c",
             "import os, signal, time\n"
-            "from punctuality import Witness\n"
+            "from machine_load import Witness\n"
             "witness = Witness()\n"
             "heir = os.fork()\n"
             "if not heir:\n"

@@ -142,24 +142,27 @@ def test_client_that_reads_nothing_is_disconnected(bench: Bench) -> None:
                 pass
 
 
-def test_flood_of_requests_does_not_keep_others_waiting(bench: Bench) -> None:
-    stop = threading.Event()
+def hang_up(connection: socket.socket) -> None:
+    with contextlib.suppress(OSError):  # the server has closed it
+        connection.shutdown(socket.SHUT_RDWR)
 
-    def flood() -> None:
-        with contextlib.suppress(OSError), bench.connect() as connection:
-            while not stop.is_set():
+
+def test_flood_of_requests_does_not_keep_others_waiting(bench: Bench) -> None:
+    def flood(connection: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while True:
                 connection.sendall(b'{"op": "echo"}\n' * 1000)
 
-    floods = [threading.Thread(target=flood) for _ in range(4)]
-    for thread in floods:
-        thread.start()
-    try:
+    with contextlib.ExitStack() as stack:
+        for _ in range(4):
+            connection = stack.enter_context(bench.connect())
+            thread = threading.Thread(target=flood, args=(connection,))
+            thread.start()
+            stack.callback(thread.join)
+            # A thread that waits until its requests are read returns with an error.
+            stack.callback(hang_up, connection)
         for _ in range(20):
             assert works(bench)
-    finally:
-        stop.set()
-        for thread in floods:
-            thread.join()
 
 
 def test_error_of_one_connection_ends_no_other(

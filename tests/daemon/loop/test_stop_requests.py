@@ -40,7 +40,8 @@ def failing_while(when: SimpleNamespace, error: Exception) -> Callable[[Devices]
 def test_clear_does_not_cancel_a_later_stop() -> None:
     flight = ScriptedLoop()
     supervisor = SimpleNamespace(
-        control_words=flight.control_words, _stop_s=None, _loop=SimpleNamespace(running=True),
+        control_words=flight.control_words,
+        _loop=SimpleNamespace(running=True, forget_stop=lambda: None),
         _pending_clears=SimpleNamespace(add=lambda *_: None),
         job_runner=SimpleNamespace(note_fault=lambda: None),
     )  # fmt: skip

@@ -27,7 +27,6 @@ from levid.benchmarks.harness.table import Figure, Target, parser, show
 CASES = {
     "loop_1khz": "loop, 1 kHz",
     "loop_10khz": "loop, 10 kHz",
-    "loop_10khz_nonlinear": "loop, 10 kHz, nonlinear plant",
     "log_write": "write a log",
     "log_read": "read a log of 10 kHz",
     "log_read_1khz": "read a log of 1 kHz",

@@ -36,9 +36,6 @@ def main() -> None:
         cases: dict[str, Callable[[], float]] = {
             "loop_1khz": lambda: CYCLES / loop.levid_rate(1000.0, CYCLES // 2),
             "loop_10khz": lambda: CYCLES / loop.levid_rate(10_000.0, CYCLES),
-            "loop_10khz_nonlinear": lambda: (
-                CYCLES / loop.levid_rate(10_000.0, CYCLES // 2, "sims/rig.yaml")
-            ),
             "log_write": lambda: _cost_s(
                 lambda: log._write_levid(Path(logs) / f"{next(number)}.mcap", rows, times)
             ),

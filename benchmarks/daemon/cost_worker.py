@@ -17,7 +17,7 @@ from types import ModuleType
 
 import numpy as np
 
-CYCLES = 100_000
+CYCLES = 20_000
 ROWS = 100_000
 
 

@@ -16,7 +16,7 @@ DEV := $(VENV)/.installed-dev
 help:
 	@echo "make demo      fly, identify and trace the simulated rig; print the paths of the reports"
 	@echo "make test      run the tests, about ten minutes on two processors"
-	@echo "make test-long run the tests that kill and restart processes in flight, about five minutes"
+	@echo "make test-long run the tests that kill and restart processes in flight, about six minutes"
 	@echo "make test-rig  run the daemon on vcan in a virtual machine, also as a service (Debian, Ubuntu; root)"
 	@echo "make bench     run every benchmark with --quick"
 	@echo "make lint      run ruff, mypy and import-linter"

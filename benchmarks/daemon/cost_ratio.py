@@ -14,7 +14,7 @@ import json
 import math
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -45,15 +45,28 @@ def main() -> None:
     options.add_argument(
         "--pairs", type=int, metavar="N", help="pairs of each case (20; with --quick 4)"
     )
+    options.add_argument(
+        "--case",
+        nargs="+",
+        choices=CASES,
+        default=tuple(CASES),
+        metavar="NAME",
+        help=f"cases, of {', '.join(CASES)} (all)",
+    )
     arguments = options.parse_args()
     pairs = arguments.pairs or (4 if arguments.quick else 20)
-    show(f"Cost over {arguments.commit}", arguments, lambda: compare(arguments.commit, pairs))
+    show(
+        f"Cost over {arguments.commit}",
+        arguments,
+        lambda: compare(arguments.commit, pairs, arguments.case),
+    )
 
 
-def compare(commit: str, pairs: int) -> Iterator[Figure]:
+def compare(commit: str, pairs: int, cases: Sequence[str]) -> Iterator[Figure]:
     """Yield for each case the ratio of the costs, and both bounds of its 95 % interval."""
     with both_versions(commit) as (before, after), _worker(before) as old, _worker(after) as new:
-        for case, label in CASES.items():
+        for case in cases:
+            label = CASES[case]
             for worker in (old, new):
                 _cost_s(worker, case)  # imports, compiled code, page cache
             logs = [math.log(_ratio(old, new, case)) for _ in range(pairs)]

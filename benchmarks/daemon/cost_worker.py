@@ -7,7 +7,6 @@ those that they had up to commit da9bfb8.
 from __future__ import annotations
 
 import importlib.util
-import itertools
 import sys
 import tempfile
 import time
@@ -28,21 +27,19 @@ def main() -> None:
     loop.perf_counter = time.process_time  # type: ignore[attr-defined]
     rows = log.flight(ROWS)
     times = (rows["time_s"] * 1e9).astype(np.uint64)
-    number = itertools.count()  # a log is never written over another
     with tempfile.TemporaryDirectory() as logs:
-        fast, slow = Path(logs) / "10khz.mcap", Path(logs) / "1khz.mcap"
+        fast, slow, new = (Path(logs) / f"{name}.mcap" for name in ("10khz", "1khz", "new"))
         log._write_levid(fast, rows, times)
         log._write_levid(slow, rows, times, rate_hz=1000)
         cases: dict[str, Callable[[], float]] = {
             "loop_1khz": lambda: CYCLES / loop.levid_rate(1000.0, CYCLES // 2),
             "loop_10khz": lambda: CYCLES / loop.levid_rate(10_000.0, CYCLES),
-            "log_write": lambda: _cost_s(
-                lambda: log._write_levid(Path(logs) / f"{next(number)}.mcap", rows, times)
-            ),
+            "log_write": lambda: _cost_s(lambda: log._write_levid(new, rows, times)),
             "log_read": lambda: _cost_s(lambda: log.read_log(fast)),
             "log_read_1khz": lambda: _cost_s(lambda: log.read_log(slow)),
         }
         for line in sys.stdin:
+            new.unlink(missing_ok=True)  # a log is never written over another
             print(cases[line.strip()](), flush=True)
 
 

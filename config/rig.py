@@ -11,6 +11,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    PrivateAttr,
     TypeAdapter,
     WithJsonSchema,
     model_validator,
@@ -184,6 +185,7 @@ class RigConfig(Strict):
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "null"}]}),
     ] = None
     """MODEL.yaml, relative to this file, or the model itself, as `load_rig` returns it."""
+    _model_file: Path | None = PrivateAttr(None)
     feedforward: FeedForward | None = None
     """Feed-forward of a rig without `model`."""
     limits: Limits
@@ -202,6 +204,11 @@ class RigConfig(Strict):
     service: Service = Service()
     recording: Recording = Recording()
     self_test: SelfTest = SelfTest()
+
+    @property
+    def model_file(self) -> Path | None:
+        """Path that `load_rig` read the model from; None for a rig without a model."""
+        return self._model_file
 
     @model_validator(mode="before")
     @classmethod
@@ -306,4 +313,6 @@ def with_model(rig: RigConfig, rig_file: Path) -> RigConfig:
     except ConfigError as error:
         lines = str(error).splitlines()
         raise ConfigError("\n".join(f"{rig_file}: model: {line}" for line in lines)) from None
-    return rig.model_copy(update={"model": model})
+    found = rig.model_copy(update={"model": model})
+    found._model_file = (rig_file.parent / rig.model).resolve()
+    return found

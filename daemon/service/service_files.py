@@ -70,7 +70,7 @@ def service_warnings(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[
         Access(rig.service)
     except ConfigError as error:
         yield f"the daemon will not start: {error}"
-    for path in (rig_file, program):
+    for path in _read_by_daemon(rig, rig_file, program):
         where = next((hidden for hidden in _HIDDEN if path.is_relative_to(hidden)), None)
         if where is not None:
             yield f"{path}: user levid has no access to {where}: move the file"
@@ -173,7 +173,8 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
         units += [f"modprobe@{driver}.service" for driver in ("usbserial", "cdc_acm")]
     units += [_device_unit(device) for device in classes if device.startswith("/dev/")]
     lines = ["[Unit]", *(line for unit in units for line in (f"Wants={unit}", f"After={unit}"))]
-    lines += [f'RequiresMountsFor="{_literal(path)}"' for path in (rig_file, program)]
+    read = _read_by_daemon(rig, rig_file, program)
+    lines += [f'RequiresMountsFor="{_literal(path)}"' for path in read]
     lines += ["", "[Service]", "ExecStart=", f"ExecStart={_word(program)} run {_word(rig_file)}"]
     silent_s = max(rig.service.loop_s, rig.service.supervisor_s)
     if silent_s > _SILENT_S:
@@ -186,7 +187,7 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
             "# Time to land without a supervisor:",
             f"TimeoutAbortSec={_LANDING_S}",
         ]
-    if any(path.is_relative_to(home) for path in (rig_file, program) for home in _HOMES):
+    if any(path.is_relative_to(home) for path in read for home in _HOMES):
         lines += ["# levid or its rig is in a home directory:", "ProtectHome=read-only"]
     if _ports(rig):
         lines += [f"DeviceAllow={device} rw" for device in classes]
@@ -194,6 +195,11 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
         lines += ["RestrictAddressFamilies=AF_INET AF_INET6"]
         lines += ["IPAddressAllow=any" if _speaks_ip(rig) else "IPAddressAllow=localhost"]
     return "\n".join(lines) + "\n"
+
+
+def _read_by_daemon(rig: RigConfig, rig_file: Path, program: Path) -> list[Path]:
+    """Return the files that the service's user has to read."""
+    return [rig_file, program] + ([] if rig.model_file is None else [rig.model_file])
 
 
 def _udev(rig: RigConfig) -> str:

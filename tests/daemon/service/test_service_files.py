@@ -175,6 +175,21 @@ def test_the_unit_runs_this_program_on_this_rig() -> None:
     assert files[UNIT].endswith(shipped("levid.service").read_text())
 
 
+def test_service_waits_for_the_model_and_warns_if_it_cannot_read_it(tmp_path: Path) -> None:
+    folder = tmp_path / "closed"
+    folder.mkdir(mode=0o700)
+    (folder / "model.yaml").write_text(shipped("models/rig.yaml").read_text())
+    rig_file = tmp_path / "rig.yaml"
+    text = shipped("rigs/loopback.yaml").read_text()
+    assert "../models/rig.yaml" in text
+    rig_file.write_text(text.replace("../models/rig.yaml", "closed/model.yaml"))
+    found = load_rig(rig_file)
+    model = folder / "model.yaml"
+    assert f'RequiresMountsFor="{model}"\n' in service_files(found, rig_file, PROGRAM)[DROP_IN]
+    warnings = service_warnings(found, rig_file, PROGRAM)
+    assert any(line.startswith(f"{model}: user levid has no access to") for line in warnings)
+
+
 def install(root: Path, *more: str) -> tuple[int, str]:
     rig_file = str(shipped("rigs/serial.yaml"))
     result = CliRunner().invoke(

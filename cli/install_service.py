@@ -31,7 +31,7 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
       levid install-service /etc/levid/rig.yaml --dry-run
       sudo levid install-service /etc/levid/rig.yaml
     """
-    from ..config.rig import load_rig
+    from ..config.rig import load_rig, model_path
     from ..daemon.service.service_files import (
         NETWORK,
         left_over,
@@ -43,7 +43,8 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
 
     config, rig_file = load_rig(rig), rig.resolve()
     program = Path(sysconfig.get_path("scripts")) / "levid"
-    files = service_files(config, rig_file, program)
+    model_file = model_path(rig_file)
+    files = service_files(config, rig_file, program, model_file)
     if dry_run:
         for path, change in preview(files, root).items():
             click.echo(f"# {root / path}: {change}\n{files[path]}")
@@ -52,7 +53,7 @@ def command(rig: Path, root: Path, dry_run: bool, force: bool) -> int:
             say(f"{root / path}: {change}")
     for old in left_over(files, root):
         say(f"warning: {old} is from an earlier rig and still takes effect: remove it")
-    for hindrance in service_warnings(config, rig_file, program):
+    for hindrance in service_warnings(config, rig_file, program, model_file):
         say(f"warning: {hindrance}")
     if not dry_run:
         networked = any(path.startswith(NETWORK) for path in files)

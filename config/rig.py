@@ -11,7 +11,6 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    PrivateAttr,
     TypeAdapter,
     WithJsonSchema,
     model_validator,
@@ -185,7 +184,6 @@ class RigConfig(Strict):
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "null"}]}),
     ] = None
     """MODEL.yaml, relative to this file, or the model itself, as `load_rig` returns it."""
-    _model_file: Path | None = PrivateAttr(None)
     feedforward: FeedForward | None = None
     """Feed-forward of a rig without `model`."""
     limits: Limits
@@ -204,11 +202,6 @@ class RigConfig(Strict):
     service: Service = Service()
     recording: Recording = Recording()
     self_test: SelfTest = SelfTest()
-
-    @property
-    def model_file(self) -> Path | None:
-        """Path that `load_rig` read the model from; None for a rig without a model."""
-        return self._model_file
 
     @model_validator(mode="before")
     @classmethod
@@ -313,6 +306,10 @@ def with_model(rig: RigConfig, rig_file: Path) -> RigConfig:
     except ConfigError as error:
         lines = str(error).splitlines()
         raise ConfigError("\n".join(f"{rig_file}: model: {line}" for line in lines)) from None
-    found = rig.model_copy(update={"model": model})
-    found._model_file = (rig_file.parent / rig.model).resolve()
-    return found
+    return rig.model_copy(update={"model": model})
+
+
+def model_path(rig_file: Path) -> Path | None:
+    """Return the path of the MODEL.yaml that a rig file names, None if it names none."""
+    model = load_yaml(rig_file, RigConfig).model
+    return (rig_file.parent / model).resolve() if isinstance(model, str) else None

@@ -6,7 +6,7 @@ import hashlib
 import re
 import shutil
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from math import ceil
 from pathlib import Path, PurePosixPath
 
@@ -46,15 +46,19 @@ _HIDDEN = ("/tmp", "/var/tmp", "/root", "/run/user")
 _HOMES = ("/home", "/root", "/run/user")
 
 
-def service_files(rig: RigConfig, rig_file: Path, program: Path) -> dict[str, str]:
+def service_files(
+    rig: RigConfig, rig_file: Path, program: Path, model_file: Path | None = None
+) -> dict[str, str]:
     """Return the texts of all files by path, without the leading slash.
 
-    `program` is the path of the `levid` command that the service runs. Raises ConfigError.
+    `program` is the path of the `levid` command that the service runs, `model_file` the MODEL.yaml
+    that the rig names. Raises ConfigError.
     """
+    read = [path for path in (rig_file, program, model_file) if path is not None]
     files = {
         SYSUSERS: 'u levid - "levid daemon" /var/lib/levid\n',
         UNIT: shipped("levid.service").read_text(),
-        DROP_IN: _drop_in(rig, rig_file, program),
+        DROP_IN: _drop_in(rig, rig_file, program, read),
         UDEV: _udev(rig),
     }
     for bus in _kernel_buses(rig):
@@ -62,7 +66,9 @@ def service_files(rig: RigConfig, rig_file: Path, program: Path) -> dict[str, st
     return {path: _signed(text) for path, text in files.items()}
 
 
-def service_warnings(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[str]:
+def service_warnings(
+    rig: RigConfig, rig_file: Path, program: Path, model_file: Path | None = None
+) -> Iterator[str]:
     """Yield a warning for each problem of the rig or paths that the service would have."""
     try:
         check_backends(Context(rig, 1.0 / rig.rate_hz, rig_file.parent))
@@ -70,7 +76,9 @@ def service_warnings(rig: RigConfig, rig_file: Path, program: Path) -> Iterator[
         Access(rig.service)
     except ConfigError as error:
         yield f"the daemon will not start: {error}"
-    for path in _read_by_daemon(rig, rig_file, program):
+    for path in (rig_file, program, model_file):
+        if path is None:
+            continue
         where = next((hidden for hidden in _HIDDEN if path.is_relative_to(hidden)), None)
         if where is not None:
             yield f"{path}: user levid has no access to {where}: move the file"
@@ -163,7 +171,7 @@ def _is_ours(text: str) -> bool:
     return first.startswith(_HEAD) and _signed(rest) == text
 
 
-def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
+def _drop_in(rig: RigConfig, rig_file: Path, program: Path, read: Sequence[Path]) -> str:
     interfaces = [str(bus.channel) for bus in _kernel_buses(rig)]
     # With a time limit: without the adapter, the daemon starts in a fault.
     units = [_wait_online_unit(name) for name in interfaces]
@@ -173,7 +181,6 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
         units += [f"modprobe@{driver}.service" for driver in ("usbserial", "cdc_acm")]
     units += [_device_unit(device) for device in classes if device.startswith("/dev/")]
     lines = ["[Unit]", *(line for unit in units for line in (f"Wants={unit}", f"After={unit}"))]
-    read = _read_by_daemon(rig, rig_file, program)
     lines += [f'RequiresMountsFor="{_literal(path)}"' for path in read]
     lines += ["", "[Service]", "ExecStart=", f"ExecStart={_word(program)} run {_word(rig_file)}"]
     silent_s = max(rig.service.loop_s, rig.service.supervisor_s)
@@ -195,11 +202,6 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path) -> str:
         lines += ["RestrictAddressFamilies=AF_INET AF_INET6"]
         lines += ["IPAddressAllow=any" if _speaks_ip(rig) else "IPAddressAllow=localhost"]
     return "\n".join(lines) + "\n"
-
-
-def _read_by_daemon(rig: RigConfig, rig_file: Path, program: Path) -> list[Path]:
-    """Return the files that the service's user has to read."""
-    return [rig_file, program] + ([] if rig.model_file is None else [rig.model_file])
 
 
 def _udev(rig: RigConfig) -> str:

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from levid.cli.main import levid
 from levid.config.base import parse_text
-from levid.config.rig import RigConfig, load_rig
+from levid.config.rig import RigConfig, load_rig, model_path
 from levid.config.shipped import shipped
 from levid.daemon.service.service_files import (
     DROP_IN,
@@ -183,10 +183,11 @@ def test_service_waits_for_the_model_and_warns_if_it_cannot_read_it(tmp_path: Pa
     text = shipped("rigs/loopback.yaml").read_text()
     assert "../models/rig.yaml" in text
     rig_file.write_text(text.replace("../models/rig.yaml", "closed/model.yaml"))
-    found = load_rig(rig_file)
-    model = folder / "model.yaml"
-    assert f'RequiresMountsFor="{model}"\n' in service_files(found, rig_file, PROGRAM)[DROP_IN]
-    warnings = service_warnings(found, rig_file, PROGRAM)
+    found, model = load_rig(rig_file), model_path(rig_file)
+    assert model == folder / "model.yaml"
+    files = service_files(found, rig_file, PROGRAM, model)
+    assert f'RequiresMountsFor="{model}"\n' in files[DROP_IN]
+    warnings = service_warnings(found, rig_file, PROGRAM, model)
     assert any(line.startswith(f"{model}: user levid has no access to") for line in warnings)
 
 

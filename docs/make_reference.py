@@ -23,6 +23,7 @@ from levid.config.sim import SimConfig
 from levid.daemon.control.detection_times import fall_s, longest_stall, zero_after_s
 from levid.daemon.control.faults import FAULTS
 from levid.daemon.control.states import TRANSITIONS, State
+from levid.log.signals import SIGNALS
 from levid.log.signals_yaml import SignalsFile
 
 DOCS = Path(__file__).parent
@@ -139,12 +140,20 @@ def watchdogs() -> str:
     return _table((*head, "supervisor silent"), rows)
 
 
+def log_fields() -> str:
+    """Return the table of the fields of a log's rows; C is the number of coils, S of sensors."""
+    lengths = {"scalar": "", "coil": "[C]", "sensor": "[S]"}
+    rows = [(f"`{s.name}`", f"{s.type}{lengths[s.shape]}", s.unit, s.description) for s in SIGNALS]
+    return _table(("field", "type", "unit", "meaning"), rows)
+
+
 TABLES: Mapping[str, Callable[[], str]] = {
     **{kind: (lambda kind=kind: reference(kind)) for kind in SCHEMAS},
     "states": states,
     "transitions": transitions,
     "faults": faults,
     "watchdogs": watchdogs,
+    "log_fields": log_fields,
 }
 
 

@@ -31,7 +31,7 @@ from .records.periodic_records import (
 )
 from .records.record import IdentificationError, NotARecordError, Record, describe_position
 from .results import ClosedLoopPoint, IdentificationResult
-from .trace.subtract_effects import experiment_of
+from .trace.subtract_declared_effects import experiment_of
 
 Progress = Callable[[str, float], None]
 

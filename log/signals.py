@@ -182,15 +182,6 @@ def dtype_from_ros2msg(text: str) -> np.dtype[np.void]:
     return np.dtype({"names": list(names), "formats": formats, "offsets": offsets, "itemsize": end})
 
 
-def markdown_table() -> str:
-    """Return SIGNALS as the table that docs/log-format.md shows."""
-    lengths = {"scalar": "", "coil": "[C]", "sensor": "[S]"}
-    rows = [
-        f"| `{s.name}` | {s.type}{lengths[s.shape]} | {s.unit} | {s.description} |" for s in SIGNALS
-    ]
-    return "\n".join(["| field | type | unit | meaning |", "|---|---|---|---|", *rows]) + "\n"
-
-
 def _fields_of(
     dtype: np.dtype[np.void],
 ) -> Iterator[tuple[str, np.dtype[np.generic], tuple[int, ...]]]:

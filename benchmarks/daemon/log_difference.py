@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass
+from functools import cache
 from itertools import zip_longest
 from pathlib import Path
 
@@ -23,21 +25,24 @@ class Comparison:
     difference: str = ""
 
 
-def compare_folders(before: Path, after: Path) -> Comparison:
-    """Compare the logs of two folders, file by file, up to the first difference."""
+def compare_folders(before: Path, after: Path, ignored: Container[str] = ()) -> Comparison:
+    """Compare the logs of two folders, file by file, up to the first difference.
+
+    Fields of the rows whose names are in `ignored` are not compared; either version may lack them.
+    """
     names = [sorted(path.name for path in folder.glob("*.mcap")) for folder in (before, after)]
     rows = 0
     for one, other in zip_longest(*names):
         if one != other:
             return Comparison(rows, f"log: {one or 'none'} before, {other or 'none'} after")
-        found = compare_logs(before / one, after / other)
+        found = compare_logs(before / one, after / other, ignored)
         rows += found.rows
         if found.difference:
             return Comparison(rows, f"{one}: {found.difference}")
     return Comparison(rows)
 
 
-def compare_logs(before: Path, after: Path) -> Comparison:
+def compare_logs(before: Path, after: Path, ignored: Container[str] = ()) -> Comparison:
     """Compare two logs: what stands at their head, then each message's bytes, times and number.
 
     Both are read chunk by chunk, so memory does not grow with the file.
@@ -46,7 +51,7 @@ def compare_logs(before: Path, after: Path) -> Comparison:
     with before.open("rb") as one, after.open("rb") as other:
         try:
             readers = [make_reader(file, validate_crcs=True) for file in (one, other)]
-            heads = [head(reader) for reader in readers]
+            heads = [head(reader, ignored) for reader in readers]
             for what in heads[0] | heads[1]:
                 values = [found.get(what, "nothing") for found in heads]
                 if values[0] != values[1]:
@@ -56,17 +61,20 @@ def compare_logs(before: Path, after: Path) -> Comparison:
                 if old is None or new is None:
                     what = f"{'ends' if old is None else 'goes on'} before"
                     return Comparison(rows, f"row {rows}: the log {what}, not after")
-                (schema, _, first), (_, _, second) = old, new
-                if first != second:
+                (schema, _, first), (new_schema, _, second) = old, new
+                if ignored or first != second:
                     assert schema is not None  # head() has read the schema of each channel
-                    return Comparison(rows, f"row {rows}: {_difference(schema, first, second)}")
+                    assert new_schema is not None
+                    difference = _difference(schema, first, new_schema, second, ignored)
+                    if difference:
+                        return Comparison(rows, f"row {rows}: {difference}")
                 rows += 1
         except McapError as error:
             return Comparison(rows, f"row {rows}: cannot be read: {type(error).__name__} {error}")
     return Comparison(rows)
 
 
-def head(reader: McapReader) -> dict[str, str]:
+def head(reader: McapReader, ignored: Container[str] = ()) -> dict[str, str]:
     """Return what a log says about its rows, by where it says so, in the order of the file.
 
     That is channels, their fields, names of attachments, and metadata. Comments of the schema and
@@ -80,7 +88,8 @@ def head(reader: McapReader) -> dict[str, str]:
         schema = summary.schemas[channel.schema_id]
         found[f"channel {number}"] = f"{channel.topic} {channel.message_encoding}"
         found[f"schema of channel {number}"] = f"{schema.name} {schema.encoding}"
-        for i, (kind, name) in enumerate(fields(schema)):
+        kept = [(kind, name) for kind, name in fields(schema.data) if name not in ignored]
+        for i, (kind, name) in enumerate(kept):
             found[f"field {i} of channel {number}"] = f"{kind} {name}"
     for i, index in enumerate(summary.attachment_indexes):
         found[f"attachment {i}"] = index.name
@@ -90,36 +99,43 @@ def head(reader: McapReader) -> dict[str, str]:
     return found
 
 
-def fields(schema: Schema) -> list[tuple[str, str]]:
-    """Return (type, name) of each field of a ros2msg schema."""
-    lines = (line.partition("#")[0].split() for line in schema.data.decode().splitlines())
+def fields(definition: bytes) -> list[tuple[str, str]]:
+    """Return (type, name) of each field of a ros2msg definition."""
+    lines = (line.partition("#")[0].split() for line in definition.decode().splitlines())
     return [(words[0], words[1]) for words in lines if words]
 
 
-def row_type(schema: Schema) -> np.dtype[np.void]:
+@cache
+def row_type(definition: bytes) -> np.dtype[np.void]:
     """Return the layout of a message: its fields packed, little-endian."""
     found = []
-    for kind, name in fields(schema):
+    for kind, name in fields(definition):
         base, _, length = kind.removesuffix("]").partition("[")
         shape = (int(length),) if length else ()
         found.append((name, np.dtype(base).newbyteorder("<"), shape))
     return np.dtype(found)
 
 
-def _difference(schema: Schema, before: Message, after: Message) -> str:
-    """Return the first of times, number and fields that differs, with both values."""
+def _difference(
+    schema: Schema, before: Message, new_schema: Schema, after: Message, ignored: Container[str]
+) -> str:
+    """Return the first of times, number and fields that differs, with both values; else empty."""
     for what in ("log_time", "publish_time", "sequence", "channel_id"):
         old, new = getattr(before, what), getattr(after, what)
         if old != new:
             return f"{what}: {old} before, {new} after"
-    layout = row_type(schema)
-    if not len(before.data) == len(after.data) == CDR_HEADER + layout.itemsize:
-        return f"{len(before.data)} bytes before, {len(after.data)} bytes after"
-    rows = [np.frombuffer(m.data, layout, 1, CDR_HEADER)[0] for m in (before, after)]
-    for name in layout.names or ():
+    rows = []
+    for layout, message in ((row_type(schema.data), before), (row_type(new_schema.data), after)):
+        if len(message.data) != CDR_HEADER + layout.itemsize:
+            return f"{len(before.data)} bytes before, {len(after.data)} bytes after"
+        rows.append(np.frombuffer(message.data, layout, 1, CDR_HEADER)[0])
+    for name in rows[0].dtype.names or ():
+        if name in ignored:
+            continue
         old, new = (np.atleast_1d(row[name]) for row in rows)
         for i in range(old.size):
             if old[i].tobytes() != new[i].tobytes():  # bytes: NaN equals itself, 0.0 is not -0.0
                 where = f"{name}[{i}]" if old.size > 1 else name
                 return f"{where}: {old[i]!s} before, {new[i]!s} after"
-    return f"header {before.data[:4].hex()} before, {after.data[:4].hex()} after"
+    heads = [message.data[:CDR_HEADER].hex() for message in (before, after)]
+    return "" if heads[0] == heads[1] else f"header {heads[0]} before, {heads[1]} after"

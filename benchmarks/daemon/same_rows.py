@@ -1,6 +1,6 @@
 """Fly the shipped sessions with a commit's code and with this checkout's, and compare every row.
 
-    python benchmarks/daemon/same_rows.py [COMMIT] [--session NAME ...] [--quick] [--json]
+    python benchmarks/daemon/same_rows.py [COMMIT] [--session NAME ...] [--ignore-fields NAME ...]
 
 A refactoring must not change what the loop does. In virtual time the same seed, machine and version
 give the same bytes: so the rig, the simulators and the sessions of COMMIT (the last commit unless
@@ -19,7 +19,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,21 +53,25 @@ def main() -> None:
     options.add_argument(
         "--session", nargs="+", metavar="NAME", help="sessions to fly, instead of all of COMMIT's"
     )
+    options.add_argument(
+        "--ignore-fields", nargs="+", default=(), metavar="FIELD",
+        help="log fields that are not compared, such as one that COMMIT has not",
+    )  # fmt: skip
     arguments = options.parse_args()
     arguments.check = True
     names = arguments.session or (QUICK if arguments.quick else ())
     title = f"Rows before and after: {arguments.commit}"
-    show(title, arguments, lambda: compare(arguments.commit, names))
+    show(title, arguments, lambda: compare(arguments.commit, names, arguments.ignore_fields))
 
 
-def compare(commit: str, names: Sequence[str]) -> Iterator[Figure]:
+def compare(commit: str, names: Sequence[str], ignored: Container[str]) -> Iterator[Figure]:
     """Fly sessions of `commit`, all of them unless named, and yield the comparisons."""
     with both_versions(commit) as versions:
         planned = flights(versions[0].folder / "levid" / "config", names, commit)
         found = []
         for number, flight in enumerate(planned, 1):
             with tempfile.TemporaryDirectory() as logs:
-                one = fly_both(flight, versions, Path(logs))
+                one = fly_both(flight, versions, Path(logs), ignored)
             found.append(one)
             said = f"{one.rows} equal rows, {one.difference or 'equal'}"
             print(f"{number} of {len(planned)}: {flight}: {said}", file=sys.stderr, flush=True)
@@ -95,7 +99,9 @@ def flights(config: Path, names: Sequence[str], commit: str) -> list[Flight]:
     ]
 
 
-def fly_both(flight: Flight, versions: Sequence[Version], logs: Path) -> Comparison:
+def fly_both(
+    flight: Flight, versions: Sequence[Version], logs: Path, ignored: Container[str] = ()
+) -> Comparison:
     """Fly both versions' code at the same time, on the first one's config; compare the logs."""
     config = versions[0].folder / "levid" / "config"
     session = logs / f"{flight.session}.yaml"
@@ -121,7 +127,7 @@ def fly_both(flight: Flight, versions: Sequence[Version], logs: Path) -> Compari
         ]
         with flying[0] as old, flying[1] as new:
             codes = old.wait(), new.wait()
-    found = compare_folders(*outs)
+    found = compare_folders(outs[0], outs[1], ignored)
     if codes[0] == codes[1] and (found.rows or found.difference):
         return found
     last = [(path.read_text(errors="replace").splitlines() or ["no message"])[-1] for path in said]

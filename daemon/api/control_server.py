@@ -285,7 +285,7 @@ class Server:
             request = json.loads(line)
         except (ValueError, RecursionError):
             if only is None:
-                reply.refuse("expected one JSON object per line")
+                reply.refuse("expected one line with a JSON object that has 'op'")
             return
         op = request.get("op") if isinstance(request, dict) else None
         if only is not None and op not in only:

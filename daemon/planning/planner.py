@@ -53,7 +53,7 @@ class Planner:
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
-            raise RefusedError("expected one JSON object per line") from None
+            raise RefusedError("expected one line with a JSON object that has 'op'") from None
         op = request.get("op") if isinstance(request, dict) else None
         if not isinstance(op, str) or op not in self._ops:
             raise RefusedError(
@@ -76,8 +76,8 @@ class Planner:
         session = parse_text(text, SessionConfig, "session")
         if session.rate_hz not in (None, self._rig.rate_hz):
             raise ConfigError(
-                f"session {session.name}: rate_hz: expected the daemon's {self._rig.rate_hz:g} Hz, "
-                f"found {session.rate_hz:g} Hz"
+                f"session {session.name}: rate_hz: expected {self._rig.rate_hz:g} Hz, as in the "
+                f"daemon's rig, found {session.rate_hz:g} Hz"
             )
         self._require_length(session.name, least_cycles(session, self._rig.rate_hz))
         check, note = self._due_check(session.steps[0].levitate, situation)

@@ -8,8 +8,8 @@ rails acts on theta, its shift across the rails on psi. Signature: a resonance w
 and whose damping grows with the tilt amplitude. A mass on a linear spring has constant frequency
 and damping; friction against the fixed frame has no resonance.
 
-The equation contains the whole inertia m of the shifting mass about the tilt axis. In a model with
-this effect, the moment of inertia J of that axis therefore does not include m.
+The equation contains the whole inertia m of the shifting mass about the tilt axis, so the model's
+moment of inertia of that axis (J_psi or J_theta) must not contain m as well.
 """
 
 from __future__ import annotations

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from . import (
     beam,
+    beam_friction_and_cogging,
     bearing,
     coil_drift,
     coil_gain,
     coil_limits,
     coil_timing,
     damping,
-    drives,
     flexible,
     friction,
     magnet_attraction,
@@ -39,7 +39,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *flexible.effects(places, covered),
         *mass.effects(places, covered),
         *beam.effects(places),
-        *drives.effects(places, covered),
+        *beam_friction_and_cogging.effects(places, covered),
         *bearing.effects(places, covered),
         *magnet_attraction.effects(places, covered),
         *rotor.effects(places),

@@ -30,7 +30,11 @@ def write(path: Path, rows: list[tuple[Any, ...]], **changes: Any) -> Path:
         for number, row in enumerate(rows):
             time = 1000 * number + changes.get("later", 0)
             writer.add_message(
-                channel, time, b"\0\1\0\0" + struct.pack("<QffB", *row), time, number
+                channel,
+                time,
+                b"\0\1\0\0" + struct.pack(changes.get("layout", "<QffB"), *row),
+                time,
+                number,
             )
         writer.finish()
     return path
@@ -95,6 +99,17 @@ def test_first_difference_is_named_with_both_values(
     before = write(tmp_path / "a.mcap", ROWS, chunk_size=100)
     found = log_difference.compare_logs(before, write(tmp_path / "b.mcap", rows, **changes))
     assert (found.rows, found.difference) == (equal, difference)
+
+
+def test_field_that_one_version_lacks_is_ignored_on_request(tmp_path: Path) -> None:
+    before = write(tmp_path / "a.mcap", ROWS)
+    schema = SCHEMA.replace("uint8", "float32 lift_n\nuint8")
+    for column, expected in ((1, "row 7: gap_m[0]: 0.0007 before, 9.0 after"), (None, "")):
+        rows = ROWS if column is None else changed(7, column, 9.0)
+        wider = [(*row[:3], 80.0, row[3]) for row in rows]
+        after = write(tmp_path / "b.mcap", wider, schema=schema, layout="<QfffB")
+        assert "lift_n" in log_difference.compare_logs(before, after).difference
+        assert log_difference.compare_logs(before, after, {"lift_n"}).difference == expected
 
 
 def test_logs_of_a_folder_are_compared_up_to_the_first_difference(tmp_path: Path) -> None:

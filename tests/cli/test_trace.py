@@ -13,7 +13,7 @@ from levid.config.model import load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.identify_greybox import identify_grey_box
 from levid.identification.records.record import IdentificationError
-from levid.identification.trace.subtract_effects import experiment_of
+from levid.identification.trace.subtract_declared_effects import experiment_of
 from levid.log.reader import read_log
 
 Command = Callable[..., tuple[int, str, str]]

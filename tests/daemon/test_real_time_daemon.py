@@ -105,7 +105,7 @@ def test_folder_that_cannot_be_made_is_refused_with_its_reason(socket_file: Path
         (SESSION.replace("rms_n_m: 0.05", "rms_n_m: 50"), "saturate the coils"),
         (
             SESSION.replace("name: short", "name: short\nrate_hz: 1000"),
-            "expected the daemon's 250 Hz",
+            "expected 250 Hz, as in the daemon's rig",
         ),
         ("{", "not valid YAML"),
     ],

@@ -40,12 +40,15 @@ np.testing.assert_allclose(2.0 * term.force[:, 2], simulated, rtol=1e-12)
 """
 
 
-def apply_diff(text: str, change: str) -> str:
+def apply_diff(name: str, text: str, change: str) -> str:
     """Return a file's text after applying a diff block without line numbers."""
     lines = [line for line in change.splitlines(keepends=True) if line.strip()]
     before = "".join(line[1:] for line in lines if line[0] in " -")
     after = "".join(line[1:] for line in lines if line[0] in " +")
-    assert text.count(before) == 1, f"expected exactly once in the file:\n{before}"
+    assert text.count(before) == 1, (
+        f"the example for {name} in CONTRIBUTING.md no longer applies; expected exactly once in "
+        f"that file:\n{before}"
+    )
     return text.replace(before, after)
 
 
@@ -54,7 +57,9 @@ def run_extended(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]
     """Return a function that runs Python with a copy of levid that includes every example."""
     folder = tmp_path_factory.mktemp("contributing")
     files = subprocess.run(
-        ["git", "ls-files", "-z", "*.py", "config", "report", "drivers"],
+        # New files that are not yet committed included.
+        ["git", "ls-files", "-z", "-co", "--exclude-standard",
+         "*.py", "config", "report", "drivers"],
         cwd=ROOT, capture_output=True, check=True, text=True,
     ).stdout  # fmt: skip
     for name in filter(None, files.split("\0")):
@@ -65,7 +70,7 @@ def run_extended(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]
         path = folder / "levid" / name
         assert path.exists() == (kind == "diff"), name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(apply_diff(path.read_text(), text) if kind == "diff" else text)
+        path.write_text(apply_diff(name, path.read_text(), text) if kind == "diff" else text)
 
     def run(*arguments: object) -> str:
         paths = (folder, ROOT / "tests")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rig_effects import CLASSES, R_M, rig_places
 
-from levid.model.effects import drives, flexible, vibration
+from levid.model.effects import beam_friction_and_cogging, flexible, vibration
 from levid.model.effects.base import Effect, Loads, Placed, Places, Signals
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.recursions import lagged_mean
@@ -510,7 +510,7 @@ def test_weight_of_an_unbalanced_rotor_follows_its_angle():
 
 def test_cogging_is_periodic_in_its_pitch_and_acts_on_the_drives_only():
     s = moving()
-    effect = drives.cogging(0.024)
+    effect = beam_friction_and_cogging.cogging(0.024)
     shifted = replace(s, x_b_m=s.x_b_m + 0.024)
     for one, other in zip(effect.build(s, (0.024,)), effect.build(shifted, (0.024,)), strict=True):
         assert one.parts[:3] == (None, None, None)

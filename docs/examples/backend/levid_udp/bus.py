@@ -43,4 +43,10 @@ def bus_time(rig: RigConfig, name: str, roles: Mapping[str, RoleOptions], folder
         8 * (length + _OVERHEAD_BYTES) / bus.bitrate
         for length in (frames.cycle_bytes, frames.readings_bytes)
     )
-    return BusTime(f"udp {name}", sent + received, 0.0, 0.0, bus.latency_s)
+    return BusTime(
+        name=f"udp {name}",
+        answers_s=sent + received,
+        setpoints_s=0.0,
+        unawaited_s=0.0,
+        latency_s=bus.latency_s,
+    )

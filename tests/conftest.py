@@ -46,11 +46,11 @@ _WAIT = (
     "identification/trace/test_worker_pool",
     "report/session/test_session_page",
     "wire/can/test_local_bus",
-    "wire/can/test_read_ahead",
+    "wire/can/test_receive_thread",
 )
 """Tests among them that wait for clocks or processes."""
 _LONG = (
-    "benchmarks/test_watchdogs",
+    "benchmarks/test_killed_processes",
     "daemon/supervision/test_first_lift_off",
     "daemon/test_flights_on_a_bus",
     "daemon/test_processes_killed",

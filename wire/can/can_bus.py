@@ -28,7 +28,7 @@ from .kernel_frame import (
     pack_frame,
     unpack_frame,
 )
-from .read_ahead import ReadAhead
+from .receive_thread import ReceiveThread
 from .timestamps import OLDEST_S, HardwareClock, KernelStamps
 
 _LONGEST = max(FRAME_SIZES)
@@ -97,7 +97,7 @@ def open_bus(config: CanBus) -> FrameBus:
         return _KernelBus(bus, bus.socket)
     timeout_s = _SEND_S if config.interface in _SENDS_BY else None
     messages = _MessageBus(bus, can.Message, timeout_s, config.interface in _NETWORKS)
-    return messages if adapter_of(config.interface).punctual else ReadAhead(messages)
+    return messages if adapter_of(config.interface).punctual else ReceiveThread(messages)
 
 
 class _MessageBus:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from ...config.base import ConfigError
 from ...config.buses import CanBus
-from .read_ahead import POLL_S
+from .receive_thread import POLL_S
 
 KERNEL_S = 2e-5
 HIGH_SPEED_S, FULL_SPEED_S = 1.25e-4, 1e-3

@@ -20,7 +20,7 @@ from levid.drivers.base import LinkError
 from levid.drivers.can.bus_link import CanLink
 from levid.wire.can.can_bus import open_bus
 from levid.wire.can.kernel_frame import BusOffError, ReceivedFrame
-from levid.wire.can.read_ahead import QUEUE_FRAMES, OverrunError, ReadAhead
+from levid.wire.can.receive_thread import QUEUE_FRAMES, OverrunError, ReceiveThread
 
 LONG_S = 10.0
 """Nothing here takes as long, on any machine."""
@@ -61,8 +61,8 @@ def source() -> Source:
 
 
 @pytest.fixture
-def ahead(source: Source) -> Iterator[ReadAhead]:
-    bus = ReadAhead(source)
+def ahead(source: Source) -> Iterator[ReceiveThread]:
+    bus = ReceiveThread(source)
     yield bus
     bus.shutdown()
     assert source.closed
@@ -129,7 +129,7 @@ def test_shutdown_does_not_wait_for_a_bus_that_hangs() -> None:
     """gs_usb waits for good where what is left of a wait is below half a millisecond."""
     source, let_go, done = Source(), threading.Event(), []
     source.receive = lambda _: done.append(let_go.wait(LONG_S))  # type: ignore[method-assign,assignment]
-    ahead = ReadAhead(source, join_s=0.05)
+    ahead = ReceiveThread(source, join_s=0.05)
     assert ahead.receive(0.0) is None
     ahead.shutdown()
     assert source.closed
@@ -263,7 +263,7 @@ def test_slcan_on_a_line(slcan: Slcan, tmp_path: Path) -> None:
     options = {"sleep_after_open": 0.0}
     bus = open_bus(CanBus(interface="slcan", channel=str(tmp_path / "tty"), options=options))
     try:
-        assert isinstance(bus, ReadAhead)
+        assert isinstance(bus, ReceiveThread)
         bus.send(0x10, b"\x12\x00\x2a")
         frame = bus.receive(LONG_S)
         assert frame[:2] == (0x28, b"12345678")

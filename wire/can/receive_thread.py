@@ -41,7 +41,7 @@ class FrameSource(Protocol):
         """Close the bus."""
 
 
-class ReadAhead:
+class ReceiveThread:
     """A bus whose `receive` keeps its timeout.
 
     `receive` returns frames and raises errors in their order. Reading continues after an error,

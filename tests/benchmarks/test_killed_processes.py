@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from levid.benchmarks.daemon import watchdogs
+from levid.benchmarks.daemon import killed_processes
 from levid.benchmarks.daemon.fault_rig import BUSES, Rig, rig_of
 from levid.config.base import parse
 from levid.config.rig import RigConfig
@@ -17,8 +17,8 @@ from levid.daemon.control.detection_times import longest_stall, zero_after_s
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    folder = tmp_path_factory.mktemp("watchdogs")
-    with contextlib.closing(Rig("serial", folder, **watchdogs.rig_keys("land"))) as made:
+    folder = tmp_path_factory.mktemp("killed_processes")
+    with contextlib.closing(Rig("serial", folder, **killed_processes.rig_keys("land"))) as made:
         yield made
 
 
@@ -39,14 +39,14 @@ def test_a_lost_process_meets_the_deadline_of_the_documentation(
 ) -> None:
     rig.lift_off(state, 0.2)
     try:
-        assert watchdogs.attempt(rig, deed, "land", state, []) == ""
+        assert killed_processes.attempt(rig, deed, "land", state, []) == ""
     finally:
         rig.come_to_rest()
 
 
 @pytest.mark.parametrize("bus", BUSES)
 def test_the_rig_has_the_deadlines_of_the_documentation(tmp_path: Path, bus: str) -> None:
-    config = parse(rig_of(bus, tmp_path, **watchdogs.rig_keys("land")), RigConfig, bus)
-    assert zero_after_s(config) == watchdogs.LOST_CYCLES / config.rate_hz
+    config = parse(rig_of(bus, tmp_path, **killed_processes.rig_keys("land")), RigConfig, bus)
+    assert zero_after_s(config) == killed_processes.LOST_CYCLES / config.rate_hz
     assert longest_stall(config) == 1
-    assert longest_stall(config) / config.rate_hz < watchdogs.HELD_S
+    assert longest_stall(config) / config.rate_hz < killed_processes.HELD_S

@@ -112,6 +112,6 @@ def check_skew(what: str, x1_m: float, x2_m: float, limit_m: float) -> None:
     """Raise DriveError if the positions of the gantry's motors differ by more than `limit_m`."""
     if abs(x1_m - x2_m) > limit_m:
         raise DriveError(
-            f"{what}: expected the drives X1 and X2 within {1e3 * limit_m:.3f} mm of each other, "
+            f"{what}: expected X1 and X2 within {1e3 * limit_m:.3f} mm of each other, "
             f"found {1e3 * abs(x1_m - x2_m):.3f} mm"
         )

@@ -104,7 +104,7 @@ def _periods(rows: NDArray[np.void]) -> int:
 def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.base import ConfigError
     from ..config.rig import with_model
-    from ..daemon.control.detection_times import expiry_warning
+    from ..daemon.control.watchdog_times import expiry_warning
     from ..drivers.base import Context
     from ..drivers.registry import check_backends
     from ..model.geometry import GeometryError, decoupling_matrix

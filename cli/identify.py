@@ -18,8 +18,8 @@ from .result_folders import older_results, writable_folder
 if TYPE_CHECKING:
     from ..config.model import ModelConfig
     from ..config.sim import SimConfig
-    from ..identification.identify_logs import Study
     from ..identification.records.signal_names import SignalNames
+    from ..identification.run_identification import Study
     from ..log.reader import Log
     from ..report.identification.closed_loop import Truth
 
@@ -32,7 +32,7 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
 @click.option(
     "--model",
     type=click.Path(path_type=Path),
-    help="MODEL.yaml to fit. Default: the model of the rig in the logs; none for imported data.",
+    help="MODEL.yaml to fit. Default: the model of the rig in the logs; for imported data none is fitted.",
 )
 @click.option(
     "--truth",
@@ -100,10 +100,10 @@ def identify_logs(
     from ..config.model import load_model
     from ..config.sim import SimConfig
     from ..identification.greybox.identify_greybox import to_yaml
-    from ..identification.identify_logs import study
     from ..identification.options import Options
     from ..identification.records.from_log import rig_model
     from ..identification.records.record import IdentificationError
+    from ..identification.run_identification import study
     from ..report.identification.identification_page import identification_report
     from ..report.plotting.atomic_write import replace_text
     from ..report.session.flight_data import read_session

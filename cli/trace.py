@@ -17,7 +17,7 @@ from .result_folders import quoted, same_logs, writable_folder
 if TYPE_CHECKING:
     from ..config.model import ModelConfig
     from ..identification.trace.result import FoundEffect, Outcome
-    from ..identification.trace.trace_logs import Trace
+    from ..identification.trace.run_trace import Trace
     from ..identification.trace.worker_pool import Workers
 
 
@@ -115,7 +115,7 @@ def trace_logs(
     from ..identification.greybox.identify_greybox import to_yaml
     from ..identification.trace.figure_data import views
     from ..identification.trace.result import model_after
-    from ..identification.trace.trace_logs import trace
+    from ..identification.trace.run_trace import trace
     from ..model.effects.candidate_effects import all_effects
     from ..report.plotting.atomic_write import replace_text
     from ..report.trace.trace_page import trace_report

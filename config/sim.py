@@ -234,7 +234,7 @@ class Nonlinear(Strict):
 
 
 class SimEffect(Strict):
-    """An effect of the plant that the model lacks: a class and its keyword arguments."""
+    """An effect of the simulated plant that MODEL.yaml lacks: a class and its keyword arguments."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 

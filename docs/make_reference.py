@@ -20,9 +20,9 @@ from levid.config.rig import RigConfig, load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
-from levid.daemon.control.detection_times import fall_s, longest_stall, zero_after_s
 from levid.daemon.control.faults import FAULTS
 from levid.daemon.control.states import TRANSITIONS, State
+from levid.daemon.control.watchdog_times import fall_s, longest_stall, zero_after_s
 from levid.log.signals import SIGNALS
 from levid.log.signals_yaml import SignalsFile
 

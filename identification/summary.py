@@ -9,10 +9,10 @@ import numpy as np
 
 from ..model.second_order import StateSpace
 from .greybox.identify_greybox import GreyBox
-from .identify_logs import Study
 from .nonparametric.markov_parameters import MarkovEstimate
 from .nonparametric.robust_multisine import BestLinearApproximation
 from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, SubspacePoint
+from .run_identification import Study
 from .subspace.held_out_simulation import HoldOut
 from .subspace.plant_from_loop import IdentifiedPlant
 

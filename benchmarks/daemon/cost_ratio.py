@@ -3,8 +3,8 @@
     python benchmarks/daemon/cost_ratio.py [COMMIT] [--pairs N] [--json] [--check]
 
 A process of each version runs its own benchmark of the loop in virtual time and of the log (the
-functions of `virtual_loop.py` and `read_write.py`). A pair is several runs of each in turn, of
-which the least processor time counts: other work on the machine only adds to it. The interval is
+functions of `virtual_time_speed.py` and `read_write.py`). A pair is several runs of each in turn,
+of which the least processor time counts: other work on the machine only adds to it. The interval is
 that of the mean logarithm of the pairs' ratios (Student's t).
 """
 

@@ -22,7 +22,7 @@ ROWS = 100_000
 
 def main() -> None:
     folder = Path(sys.argv[1])
-    loop = _load(folder, "daemon/virtual_loop.py", "loop.py")
+    loop = _load(folder, "daemon/virtual_time_speed.py", "loop.py")
     log = _load(folder, "log/read_write.py", "log.py")
     loop.perf_counter = time.process_time  # type: ignore[attr-defined]
     rows = log.flight(ROWS)

@@ -42,7 +42,7 @@ from levid.identification.trace.residual.force_residual import (
     noise_density,
     standing_out,
 )
-from levid.identification.trace.trace_logs import trace
+from levid.identification.trace.run_trace import trace
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log
 from levid.model.effects.base import Effect, Placed, Quantity, Signals, Term

@@ -17,7 +17,7 @@ from levid.config.base import ConfigError, read_mapping
 from levid.config.shipped import shipped
 from levid.daemon.control.faults import FlightFault
 from levid.identification.trace.result import model_after, summary
-from levid.identification.trace.trace_logs import trace
+from levid.identification.trace.run_trace import trace
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log
 from levid.model.effects.candidate_effects import all_effects

@@ -22,7 +22,7 @@ from levid.benchmarks.trace.hidden_effect_flight import rig
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped
 from levid.identification.trace.residual.error_metric import pooled
-from levid.identification.trace.trace_logs import trace
+from levid.identification.trace.run_trace import trace
 from levid.identification.trace.worker_pool import local_workers
 from levid.model.effects.candidate_effects import all_effects
 

@@ -15,10 +15,10 @@ from ...drivers.base import Context
 from ...drivers.registry import check_backends
 from ..api.control_server import Reply, Server, ServerError
 from ..api.prometheus_metrics import serve_metrics
-from ..control.detection_times import expiry_warning
 from ..control.faults import Fault
 from ..control.feed_forward import feed_forward
 from ..control.states import IN_FLIGHT, State
+from ..control.watchdog_times import expiry_warning
 from ..host.child_process import Child, module_of
 from ..host.clock_steps import ClockWatch
 from ..host.peer_credentials import Access

@@ -32,7 +32,7 @@ class HankelOperator(LinearOperator):
         length, self.m, self.p = h.shape
         if length < block_rows + block_columns - 1:
             raise ValueError(
-                f"expected {block_rows + block_columns - 1} Markov parameters for {block_rows} x "
+                f"expected at least {block_rows + block_columns - 1} Markov parameters for {block_rows} x "
                 f"{block_columns} blocks, found {length}"
             )
         self.block_rows, self.block_columns = block_rows, block_columns

@@ -24,7 +24,7 @@ from .residual.force_residual import (
     share,
     standing_out,
 )
-from .trace_logs import Trace
+from .run_trace import Trace
 from .worker_pool import Workers
 
 Array = NDArray[np.float64]

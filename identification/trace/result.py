@@ -16,8 +16,8 @@ from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
 from .residual.error_metric import RecordError, pooled, pooled_pose, shares
 from .residual.random_vibration import RandomVibration
+from .run_trace import Trace
 from .search.candidate_screening import Round, Tried
-from .trace_logs import Trace
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from ...identification.trace.result import (
     outcome,
     telling,
 )
-from ...identification.trace.trace_logs import Trace
+from ...identification.trace.run_trace import Trace
 from ..plotting.curves import symbol
 from ..plotting.page import Figures, Number, Section, Steps, Text, write_report
 from ..session.session_page import listed

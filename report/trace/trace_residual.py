@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...identification.trace.figure_data import RecordView, Views
 from ...identification.trace.residual.binned_means import Dependence, dependence
 from ...identification.trace.result import Outcome
-from ...identification.trace.trace_logs import Trace
+from ...identification.trace.run_trace import Trace
 from ..plotting.curves import symbol
 from ..plotting.page import Part, Section, Text
 from ..plotting.svg import Picture, to_svg

@@ -13,8 +13,8 @@ from ...config.model import ModelParameter
 from ...identification.records.record import OTHER_STEP
 from ...identification.trace.figure_data import Views
 from ...identification.trace.result import Outcome, model_after
+from ...identification.trace.run_trace import Trace
 from ...identification.trace.search.candidate_screening import Round
-from ...identification.trace.trace_logs import Trace
 from ..plotting.curves import symbol
 from ..plotting.page import Part, Section, Table, Text
 from ..plotting.style import engineering

@@ -12,7 +12,7 @@ from levid.benchmarks.daemon import killed_processes
 from levid.benchmarks.daemon.fault_rig import BUSES, Rig, rig_of
 from levid.config.base import parse
 from levid.config.rig import RigConfig
-from levid.daemon.control.detection_times import longest_stall, zero_after_s
+from levid.daemon.control.watchdog_times import longest_stall, zero_after_s
 
 
 @pytest.fixture(scope="module")

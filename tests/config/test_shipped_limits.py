@@ -11,9 +11,9 @@ import pytest
 from levid.config.rig import Limits, RigConfig, load_rig
 from levid.config.session import load_session
 from levid.config.shipped import shipped
-from levid.daemon.control.detection_times import expiry_warning, longest_stall, zero_after_s
 from levid.daemon.control.feed_forward import feed_forward
 from levid.daemon.control.states import State
+from levid.daemon.control.watchdog_times import expiry_warning, longest_stall, zero_after_s
 from levid.daemon.loop.virtual_session import fly_virtually
 from levid.log.reader import read_log
 from levid.model.geometry import decoupling_matrix

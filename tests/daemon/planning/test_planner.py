@@ -418,7 +418,7 @@ import socket, sys
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.planning import planner_process
-from levid.daemon.host.process_limits import Confinement
+from levid.daemon.host.process_confinement import Confinement
 from levid.daemon.planning.planner import Planner, RefusedError
 
 plan = Planner.plan

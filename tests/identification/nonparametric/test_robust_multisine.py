@@ -16,7 +16,7 @@ from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
 from levid.daemon.loop.virtual_session import fly_virtually
 from levid.daemon.planning.orthogonal_multisine import orthogonal_multisines
-from levid.identification import identify_logs as studies
+from levid.identification import run_identification as studies
 from levid.identification.nonparametric.nonlinear_distortion import excess
 from levid.identification.nonparametric.robust_multisine import (
     BestLinearApproximation,

@@ -19,7 +19,7 @@ from levid.identification.trace.records.read_records import read_records, requir
 from levid.identification.trace.records.sensor_and_amplifier_noise import require_noise
 from levid.identification.trace.records.session_time import overlap, require_timeless, timeless
 from levid.identification.trace.records.trace_record import TraceRecord, split, trace_record
-from levid.identification.trace.trace_logs import Trace, trace
+from levid.identification.trace.run_trace import Trace, trace
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log
 from levid.model.effects.base import Placed

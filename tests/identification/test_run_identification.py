@@ -11,7 +11,7 @@ import pytest
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
-from levid.identification import identify_logs as studies
+from levid.identification import run_identification as studies
 from levid.identification.options import Options
 from levid.identification.records.record import IdentificationError
 from levid.log.reader import read_log

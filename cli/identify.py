@@ -32,7 +32,7 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
 @click.option(
     "--model",
     type=click.Path(path_type=Path),
-    help="MODEL.yaml to fit. Default: the model of the rig in the logs; for imported data none is fitted.",
+    help="MODEL.yaml to fit. Default: the model of the rig in the logs; imported data have none.",
 )
 @click.option(
     "--truth",

@@ -60,9 +60,11 @@ def excited_lines(
         groups = np.arange(0, len(lines) - _GROUP + 1, _GROUP)
         lines = np.delete(lines, groups + rng.integers(0, _GROUP, len(groups)))
     if not lines.size:
+        kind = "" if excitation.lines == "all" else "odd "
         raise ConfigError(
-            f"band_hz: expected a band with at least one multiple of {rate_hz / max(n, 1):g} Hz, "
-            f"found none in {excitation.band_hz} Hz"
+            f"band_hz: expected a band with at least one {kind}multiple of "
+            f"{rate_hz / max(n, 1):g} Hz below {rate_hz / 2:g} Hz, found none in "
+            f"{excitation.band_hz} Hz"
         )
     return lines
 

@@ -32,8 +32,8 @@ class HankelOperator(LinearOperator):
         length, self.m, self.p = h.shape
         if length < block_rows + block_columns - 1:
             raise ValueError(
-                f"expected at least {block_rows + block_columns - 1} Markov parameters for {block_rows} x "
-                f"{block_columns} blocks, found {length}"
+                f"expected at least {block_rows + block_columns - 1} Markov parameters for "
+                f"{block_rows} x {block_columns} blocks, found {length}"
             )
         self.block_rows, self.block_columns = block_rows, block_columns
         self._h = h[: block_rows + block_columns - 1]

@@ -101,5 +101,5 @@ def test_order_above_the_number_of_states_is_rejected():
 
 
 def test_too_few_markov_parameters_for_the_blocks_are_rejected():
-    with pytest.raises(ValueError, match="expected 9 Markov parameters"):
+    with pytest.raises(ValueError, match="expected at least 9 Markov parameters"):
         HankelOperator(np.zeros((5, 1, 1)), 5, 5)

@@ -180,7 +180,7 @@ def _places(config: ModelConfig) -> Places:
     """Return the valid locations of the model's effects; a model in psi, theta, z is the rig's."""
     from ..config.rig import load_rig
     from ..config.shipped import shipped
-    from ..identification.trace.records.trace_record import imported_places, rig_places
+    from ..identification.trace.records.record_from_log import imported_places, rig_places
 
     if {q.name for q in config.dof} == {"psi", "theta", "z"}:
         return rig_places(load_rig(shipped("rigs/loopback.yaml")).geometry, config)

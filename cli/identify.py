@@ -73,7 +73,7 @@ def command(
     for remark in _contradictions(found):
         say(f"warning: {remark}")
     if as_json:
-        from ..identification.summary import study_summary
+        from ..identification.results_to_json import study_summary
 
         plain = {**_named(_signals(found)), **study_summary(found), "report": str(page)}
         click.echo(json.dumps(plain))
@@ -145,8 +145,8 @@ def identify_logs(
 def words(found: Study) -> list[str]:
     """Return the results as lines of text; +- is a 95 % interval."""
     from ..identification.records.record import OTHER_STEP
+    from ..identification.results_to_json import study_summary
     from ..identification.subspace.response_uncertainty import SURE_95
-    from ..identification.summary import study_summary
 
     plain = study_summary(found)
     names = [output["name"] for output in plain.get("outputs", [])]

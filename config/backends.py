@@ -51,8 +51,8 @@ OWN: Mapping[str, BackendDescriptor] = {
             "sensors": "levid.config.buses:SensorOptions",
             "drives": "levid.config.buses:CanDriveOptions",
         },
-        bus_time="levid.wire.can.bus_time:bus_time",
-        alternatives="levid.wire.can.bus_time:alternatives",
+        bus_time="levid.wire.can.worst_case_cycle_time:bus_time",
+        alternatives="levid.wire.can.worst_case_cycle_time:alternatives",
         emulator="levid.sim.electronics.can_emulator:CanElectronics",
     ),
     "serial": BackendDescriptor(
@@ -63,7 +63,7 @@ OWN: Mapping[str, BackendDescriptor] = {
             "sensors": "levid.config.buses:SensorOptions",
             "drives": "levid.config.buses:SerialDriveOptions",
         },
-        bus_time="levid.wire.serial.bus_time:bus_time",
+        bus_time="levid.wire.serial.worst_case_cycle_time:bus_time",
         emulator="levid.sim.electronics.serial_emulator:SerialElectronics",
     ),
 }

@@ -11,7 +11,7 @@ import numpy as np
 from ..config.model import ModelConfig
 from ..log.errors import LogError
 from ..log.reader import Log, read_log
-from .greybox.experiment import Experiment
+from .greybox.experiment_from_log import Experiment
 from .greybox.identify_greybox import GreyBox, identify_grey_box
 from .greybox.model_file import declared_model
 from .identify import identify

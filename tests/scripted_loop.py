@@ -16,8 +16,8 @@ from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.segment_stream import Logged, SegmentFeeder
 from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.daemon.loop.clock import Clock
+from levid.daemon.loop.compile_before_start import warm_up
 from levid.daemon.loop.real_time_loop import TimedLoop
-from levid.daemon.loop.warm_up import warm_up
 from levid.daemon.planning.plan import plan_steps
 from levid.drivers.base import Context, Devices
 from levid.drivers.registry import open_devices

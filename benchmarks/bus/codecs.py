@@ -12,7 +12,7 @@ from typing import Any
 import cantools
 import numpy as np
 
-from levid.benchmarks.harness.table import Figure, Target, median_times
+from levid.benchmarks.harness.benchmark_runner import Figure, Target, median_times
 from levid.config.shipped import shipped
 from levid.wire.can.can_frames import load_frames
 

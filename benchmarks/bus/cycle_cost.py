@@ -27,8 +27,8 @@ from levid.benchmarks.bus.bus_rigs import (
 )
 from levid.benchmarks.bus.codecs import codec_figures
 from levid.benchmarks.bus.serial_transaction import serial_figures
-from levid.benchmarks.harness import real_time, table
-from levid.benchmarks.harness.table import Figure
+from levid.benchmarks.harness import benchmark_runner, real_time
+from levid.benchmarks.harness.benchmark_runner import Figure
 from levid.daemon.host.real_time_scheduling import no_collections
 from levid.daemon.loop.clock import RealClock
 from levid.drivers.base import DriverError
@@ -102,4 +102,4 @@ def _on_backend(name: str, n: int) -> Cycles:
 
 
 if __name__ == "__main__":
-    table.run("Cycle on each backend", measure)
+    benchmark_runner.run("Cycle on each backend", measure)

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levid.benchmarks.harness import table
-from levid.benchmarks.harness.table import Figure, Target
+from levid.benchmarks.harness import benchmark_runner
+from levid.benchmarks.harness.benchmark_runner import Figure, Target
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
@@ -229,4 +229,4 @@ sim: {shipped("sims/nominal.yaml")}
 
 
 if __name__ == "__main__":
-    table.run("Faults of buses and devices: cycles until zero force", measure)
+    benchmark_runner.run("Faults of buses and devices: cycles until zero force", measure)

@@ -17,7 +17,7 @@ import numpy as np
 import serial
 
 from levid.benchmarks.bus.codecs import median_us
-from levid.benchmarks.harness.table import Figure, Target
+from levid.benchmarks.harness.benchmark_runner import Figure, Target
 from levid.config.buses import SerialBus
 from levid.drivers.bus_backend import AnswerTime
 from levid.drivers.serial.transaction import TransactionPort

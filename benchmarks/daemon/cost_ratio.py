@@ -21,8 +21,8 @@ from typing import IO, Any
 import numpy as np
 from scipy import stats
 
+from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
 from levid.benchmarks.harness.code_of_commit import Version, both_versions
-from levid.benchmarks.harness.table import Figure, Target, parser, show
 
 CASES = {
     "loop_1khz": "loop, 1 kHz",

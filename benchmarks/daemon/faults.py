@@ -33,8 +33,8 @@ from levid.benchmarks.daemon.fault_rig import (
     fly_cases,
     wait_for,
 )
-from levid.benchmarks.harness import table
-from levid.benchmarks.harness.table import Figure, Target
+from levid.benchmarks.harness import benchmark_runner
+from levid.benchmarks.harness.benchmark_runner import Figure, Target
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import IN_FLIGHT
 from levid.log.errors import LogError
@@ -244,4 +244,4 @@ _CAN = {
 
 
 if __name__ == "__main__":
-    table.run("Faults", measure)
+    benchmark_runner.run("Faults", measure)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from levid.benchmarks.harness.table import Figure, Target, run
+from levid.benchmarks.harness.benchmark_runner import Figure, Target, run
 from levid.benchmarks.harness.virtual_flight import RIG, fly_session
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped

@@ -32,8 +32,8 @@ from levid.benchmarks.daemon.fault_rig import (
     Rig,
     fly_cases,
 )
-from levid.benchmarks.harness import table
-from levid.benchmarks.harness.table import Figure, Target
+from levid.benchmarks.harness import benchmark_runner
+from levid.benchmarks.harness.benchmark_runner import Figure, Target
 
 EXPIRE_CYCLES = 2
 LOST_CYCLES = EXPIRE_CYCLES + 1
@@ -148,4 +148,4 @@ def _goes_on(rig: Rig, state: str) -> str:
 
 
 if __name__ == "__main__":
-    table.run("Watchdogs", measure)
+    benchmark_runner.run("Watchdogs", measure)

@@ -26,9 +26,9 @@ from typing import NamedTuple
 import yaml
 
 from levid.benchmarks.daemon.log_difference import Comparison, compare_folders
+from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
 from levid.benchmarks.harness.child_processes import started
 from levid.benchmarks.harness.code_of_commit import Version, both_versions
-from levid.benchmarks.harness.table import Figure, Target, parser, show
 
 QUICK = ("beam", "trace-demo")
 ON_ALL_SIMS = "trace-demo"

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import linregress, t
 
-from levid.benchmarks.harness import table
-from levid.benchmarks.harness.flown_rows import Flown, Found, compare
+from levid.benchmarks.harness import benchmark_runner
+from levid.benchmarks.harness.benchmark_runner import Figure, Target
+from levid.benchmarks.harness.logged_vs_flown_rows import Flown, Found, compare
 from levid.benchmarks.harness.running_daemon import Daemon, loopback_rig, running
-from levid.benchmarks.harness.table import Figure, Target
 from levid.daemon.client import Client
 
 SESSION = """
@@ -98,4 +98,4 @@ def _fly(daemon: Daemon, out: Path, record_s: float) -> Found:
 
 
 if __name__ == "__main__":
-    table.run("Soak", measure)
+    benchmark_runner.run("Soak", measure)

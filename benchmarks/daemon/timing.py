@@ -28,14 +28,14 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from levid.benchmarks.harness import table
+from levid.benchmarks.harness import benchmark_runner
+from levid.benchmarks.harness.benchmark_runner import Figure, Target
 from levid.benchmarks.harness.busy_disk import busy_disk
 from levid.benchmarks.harness.child_processes import started
-from levid.benchmarks.harness.flown_rows import Flown, Found, found_in
+from levid.benchmarks.harness.logged_vs_flown_rows import Flown, Found, found_in
 from levid.benchmarks.harness.ratio_interval import Round, again, ratio_figures
 from levid.benchmarks.harness.real_time import Rights
 from levid.benchmarks.harness.running_daemon import loopback_rig, require_no_fault, running
-from levid.benchmarks.harness.table import Figure, Target
 from levid.daemon.client import Client
 from levid.log.reader import read_log
 
@@ -86,7 +86,7 @@ class Turn:
 
 def main() -> None:
     """Measure the requested sections."""
-    parser = table.parser(__doc__ or "")
+    parser = benchmark_runner.parser(__doc__ or "")
     parser.add_argument(
         "--only", action="append", choices=SECTIONS, metavar="SECTION",
         help=f"measure only this section, of {', '.join(SECTIONS)}; may be repeated",
@@ -100,7 +100,7 @@ def main() -> None:
         for section in arguments.only or SECTIONS:
             yield from (busy if section == "busy" else rounds)(section, arguments.quick)
 
-    table.show("Timing", arguments, measure)
+    benchmark_runner.show("Timing", arguments, measure)
 
 
 def rounds(section: str, quick: bool) -> Iterator[Figure]:

@@ -15,8 +15,8 @@ from time import perf_counter
 import numpy as np
 from mcap.writer import Writer
 
-from levid.benchmarks.harness import table
-from levid.benchmarks.harness.table import Figure
+from levid.benchmarks.harness import benchmark_runner
+from levid.benchmarks.harness.benchmark_runner import Figure
 from levid.config.base import parse_text
 from levid.config.model import load_model
 from levid.config.rig import load_rig
@@ -110,4 +110,4 @@ def peer_rate(rate_hz: float, cycles: int) -> float:
 
 
 if __name__ == "__main__":
-    table.run("The loop in virtual time", measure)
+    benchmark_runner.run("The loop in virtual time", measure)

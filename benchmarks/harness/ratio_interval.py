@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t
 
-from levid.benchmarks.harness.table import Figure, Met, Target
+from levid.benchmarks.harness.benchmark_runner import Figure, Met, Target
 
 MOST_RATIO = 1.5
 """What late shares may be, relative to those of an empty loop or of cyclictest."""

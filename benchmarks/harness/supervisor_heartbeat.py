@@ -11,7 +11,7 @@ import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from levid.benchmarks.harness.flown_rows import memory_of
+from levid.benchmarks.harness.logged_vs_flown_rows import memory_of
 from levid.benchmarks.harness.real_time import WITNESS, hurry
 from levid.config.rig import load_rig
 from levid.daemon.ipc.control_words import Word

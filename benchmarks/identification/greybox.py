@@ -18,9 +18,9 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from levid.benchmarks.harness import table
+from levid.benchmarks.harness import benchmark_runner
+from levid.benchmarks.harness.benchmark_runner import Figure
 from levid.benchmarks.harness.inaccurate_model import off_by_a_tenth
-from levid.benchmarks.harness.table import Figure
 from levid.benchmarks.identification.known_plant import (
     BAND_HZ,
     diagonal_ratio,
@@ -30,7 +30,7 @@ from levid.benchmarks.identification.known_plant import (
 )
 from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
-from levid.identification.greybox.experiment import Experiment, experiment_from_log
+from levid.identification.greybox.experiment_from_log import Experiment, experiment_from_log
 from levid.identification.greybox.fit import fit_model
 from levid.identification.greybox.identify_greybox import identify_grey_box
 from levid.identification.records.record import IdentificationError
@@ -126,4 +126,4 @@ def size_of(name: str, truth: ModelConfig) -> float:
 
 
 if __name__ == "__main__":
-    table.run("The grey-box fit", measure)
+    benchmark_runner.run("The grey-box fit", measure)

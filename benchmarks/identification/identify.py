@@ -15,7 +15,7 @@ from time import perf_counter
 
 import numpy as np
 
-from levid.benchmarks.harness.table import Figure, run
+from levid.benchmarks.harness.benchmark_runner import Figure, run
 from levid.benchmarks.identification.identification_methods import scipy_csd_direct
 from levid.benchmarks.identification.known_plant import (
     BAND_HZ,

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from levid.benchmarks.harness.benchmark_runner import Figure, Target, run
 from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
-from levid.benchmarks.harness.table import Figure, Target, run
 from levid.benchmarks.identification.identification_methods import levid_ho_kalman
 from levid.benchmarks.identification.known_plant import (
     LAG_S,

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from levid.benchmarks.harness.benchmark_runner import Figure, run
 from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
-from levid.benchmarks.harness.table import Figure, run
 from levid.benchmarks.identification.identification_methods import CONTENDERS
 from levid.benchmarks.identification.known_plant import (
     BAND_HZ,

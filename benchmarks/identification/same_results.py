@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from levid.benchmarks.daemon.same_rows import without_then
+from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
 from levid.benchmarks.harness.code_of_commit import Version, both_versions
-from levid.benchmarks.harness.table import Figure, Target, parser, show
 
 LIMIT = 1e-9
 SESSION, QUICK_SESSION = "trace-demo", "multisine-1khz"

@@ -13,7 +13,7 @@ from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from levid.benchmarks.harness.table import Figure, median_times, run
+from levid.benchmarks.harness.benchmark_runner import Figure, median_times, run
 from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype, ros2msg
 from levid.log.writer import LogWriter

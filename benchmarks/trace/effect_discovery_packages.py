@@ -26,14 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from levid.benchmarks.harness.benchmark_runner import Figure, Target, run
 from levid.benchmarks.harness.inaccurate_model import off_by_a_tenth
-from levid.benchmarks.harness.table import Figure, Target, run
 from levid.benchmarks.trace.hidden_effect_cases import CASES, UNLISTED, Case
 from levid.benchmarks.trace.hidden_effect_flight import fly
 from levid.benchmarks.trace.hidden_effect_score import EXPLAINED
 from levid.benchmarks.trace.sparse_regression import PEERS, ForceLaw, Library, Sample
 from levid.identification.trace.linearised.working_point import WorkingPoint
-from levid.identification.trace.records.trace_record import TraceRecord, split, trace_record
+from levid.identification.trace.records.record_from_log import TraceRecord, split, trace_record
 from levid.identification.trace.residual.error_metric import pooled, record_error
 from levid.identification.trace.residual.force_residual import (
     denoised,

@@ -18,8 +18,8 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import combinations
 
+from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
 from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
-from levid.benchmarks.harness.table import Figure, Target, parser, show
 from levid.benchmarks.trace.hidden_effect_cases import CASES, FLOOR_M, TIMES, UNLISTED, Case
 from levid.benchmarks.trace.hidden_effect_flight import Found, fly_and_trace
 from levid.benchmarks.trace.hidden_effect_score import EXPLAINED, Score, score_plant

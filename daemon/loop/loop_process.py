@@ -29,8 +29,8 @@ from ..ipc.control_words import ControlWords, Word
 from ..ipc.shared_memory import SharedMemory, memory_order_warnings
 from ..service.journal import Journal, moment
 from .clock import RealClock
+from .compile_before_start import locate, warm_up
 from .real_time_loop import TimedLoop
-from .warm_up import locate, warm_up
 
 _POLL_S = 0.02
 _OPENING_S = 150

@@ -26,7 +26,7 @@ from ..ipc.control_words import Word
 from ..ipc.row_ring import NO_LOG
 from ..ipc.segment_stream import Announced
 from ..ipc.shared_memory import SharedMemory
-from .warm_up import resting_segment
+from .compile_before_start import resting_segment
 
 AROUND_CLEAR = 2
 """Cycles that never count as late: the one that handles a request to clear, and the next one."""

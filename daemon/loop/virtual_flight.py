@@ -25,8 +25,8 @@ from ..recording.log_router import LogFile
 from ..recording.recorder_thread import Recorder
 from ..recording.session_logs import FlightResult, RecordingError, log_metadata
 from .clock import VirtualClock
+from .compile_before_start import resting_segment, warm_up
 from .virtual_loop import VirtualLoop
-from .warm_up import resting_segment, warm_up
 
 _MIN_RING_ROWS = 16_384
 _AFTER_FAULT_S = 0.5

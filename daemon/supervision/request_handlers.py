@@ -15,7 +15,7 @@ from ..api.control_server import LONGEST_SHORT, Handler, Reply
 from ..control.faults import Fault
 from ..control.states import State
 from ..ipc.control_words import Word
-from ..planning.plan_file import PlannedRequest
+from ..planning.plan_handover import PlannedRequest
 from ..planning.planner import RefusedError, Situation
 from ..planning.planner_process import Work
 from ..recording.log_router import LogFile

@@ -20,9 +20,9 @@ from ..control.feed_forward import feed_forward
 from ..control.states import IN_FLIGHT, State
 from ..control.watchdog_times import expiry_warning
 from ..host.child_process import Child, module_of
-from ..host.clock_steps import ClockWatch
 from ..host.peer_credentials import Access
 from ..host.resource_monitor import ResourceMonitor
+from ..host.wall_clock_jumps import ClockWatch
 from ..ipc.control_words import Word
 from ..ipc.shared_memory import SharedMemory
 from ..planning.planner import RELOADED

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from ...model.declared_model import DeclaredModel, ModelError, inverse_mass
 from ..records.record import IdentificationError
 from . import filter_kernels
-from .experiment import Experiment
+from .experiment_from_log import Experiment
 from .intersample_input import Hold, moments
 
 Array = NDArray[np.float64]

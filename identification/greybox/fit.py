@@ -14,7 +14,7 @@ from ...config.model import ModelConfig
 from ...model.declared_model import DeclaredModel, ModelError
 from ..records.record import IdentificationError
 from .discretisation import motion
-from .experiment import Experiment
+from .experiment_from_log import Experiment
 from .free_parameters import free_parameters
 from .identifiability import Unidentifiable, find_unidentifiable
 from .model_file import declared_model

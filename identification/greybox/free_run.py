@@ -11,7 +11,7 @@ from ...model.declared_model import DeclaredModel
 from ..records.record import IdentificationError
 from . import filter_kernels
 from .discretisation import Motion, innovations, motion, run_filter
-from .experiment import ControlLoop, Experiment
+from .experiment_from_log import ControlLoop, Experiment
 from .intersample_input import HeldStep, Hold, held_step, lagged_input
 from .noise_model import Filter, Noise, kalman_filter
 from .prediction_errors import predict_along, settled

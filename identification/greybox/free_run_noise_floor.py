@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...model.declared_model import DeclaredModel
 from .discretisation import Motion, motion, process_covariance
-from .experiment import Experiment
+from .experiment_from_log import Experiment
 from .free_run import first_row, input_step
 from .intersample_input import HeldStep, Hold
 from .noise_model import Noise

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...config.model import ModelConfig
 from ...model.second_order import StateSpace, discretise, lagged
 from ..records.record import IdentificationError
-from .experiment import Experiment
+from .experiment_from_log import Experiment
 from .fit import Fit, fit_model
 from .validation import Validation, validate
 

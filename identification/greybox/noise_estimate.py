@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from ..records.record import IdentificationError
 from .discretisation import Motion
-from .experiment import Experiment
+from .experiment_from_log import Experiment
 from .noise_model import Noise, kalman_filter
 from .prediction_errors import predict_along
 

@@ -11,7 +11,7 @@ from ...model.declared_model import DeclaredModel
 from ..records.record import IdentificationError
 from . import filter_kernels
 from .discretisation import Motion, innovations, motion
-from .experiment import Experiment
+from .experiment_from_log import Experiment
 from .intersample_input import Hold
 from .noise_model import Filter, Noise, kalman_filter
 

@@ -12,7 +12,7 @@ from scipy.stats import chi2, norm
 
 from ...model.declared_model import DeclaredModel
 from ..subspace.fit_percent import nrmse_fit_percent
-from .experiment import Experiment
+from .experiment_from_log import Experiment
 from .free_run import free_run
 from .free_run_noise_floor import floor_psd, noise_floor
 from .intersample_input import Hold

@@ -13,8 +13,8 @@ from ...model.effects.base import Placed, Signals
 from ..greybox.free_run_noise_floor import floor_psd
 from .linearised.gram_matrices import BLOCK_S
 from .linearised.working_point import Along, WorkingPoint
+from .records.record_from_log import TraceRecord
 from .records.sensor_and_amplifier_noise import Disturbance
-from .records.trace_record import TraceRecord
 from .residual.force_residual import (
     Missing,
     denoised,

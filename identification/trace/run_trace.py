@@ -27,9 +27,9 @@ from .linearised.working_point import WorkingPoint, with_likely_noise
 from .records.coil_heating import loads_of
 from .records.initial_guesses import extent
 from .records.read_records import read_records
+from .records.record_from_log import SHORTEST_S, TraceRecord, split
 from .records.sensor_and_amplifier_noise import disturbance, require_noise
 from .records.session_time import overlap, require_timeless, timeless
-from .records.trace_record import SHORTEST_S, TraceRecord, split
 from .residual.error_metric import RecordError, pooled, record_error
 from .residual.random_vibration import RandomVibration, force_spectrum, shaking
 from .search.candidate_screening import HeldError

@@ -17,14 +17,14 @@ from ...log.reader import Log
 from ...model.effects.base import Term
 from ...model.effects.effect_serialization import placed_effects
 from ..greybox.discretisation import motion
-from ..greybox.experiment import ControlLoop, Experiment, experiment_from_log
+from ..greybox.experiment_from_log import ControlLoop, Experiment, experiment_from_log
 from ..greybox.fit import first_noise
 from ..greybox.free_parameters import free_parameters
 from ..greybox.model_file import declared_model
 from ..records.record import IdentificationError
 from .linearised.working_point import WorkingPoint, filtered
+from .records.record_from_log import trace_record
 from .records.sensor_and_amplifier_noise import Disturbance
-from .records.trace_record import trace_record
 
 Array = NDArray[np.float64]
 

@@ -29,7 +29,7 @@ from ...config.model import ModelConfig
 from ...log.reader import read_log
 from ...model.effects.base import Loads
 from ..records.record import IdentificationError
-from .records.trace_record import TraceRecord, trace_record
+from .records.record_from_log import TraceRecord, trace_record
 
 Answer = TypeVar("Answer")
 Task = Callable[[TraceRecord], Answer]

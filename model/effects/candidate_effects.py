@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from . import (
     beam,
+    beam_bearing_presliding,
     beam_friction_and_cogging,
-    bearing,
     coil_drift,
     coil_gain,
     coil_limits,
@@ -40,7 +40,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *mass.effects(places, covered),
         *beam.effects(places),
         *beam_friction_and_cogging.effects(places, covered),
-        *bearing.effects(places, covered),
+        *beam_bearing_presliding.effects(places, covered),
         *magnet_attraction.effects(places, covered),
         *rotor.effects(places),
         *coil_gain.effects(places),

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
-from .point_forces import forces, heights
+from .point_force_conversion import forces, heights
 
 _ONE_BY_ONE = "excitation of the coils one by one"
 _MOST_GAIN = 3.0

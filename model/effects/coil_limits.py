@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
-from .point_forces import forces
+from .point_force_conversion import forces
 from .recursions import held_for, lagged_within
 from .search_range import Extent
 

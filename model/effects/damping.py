@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
-from .point_forces import forces, heights
+from .point_force_conversion import forces, heights
 
 _SMALLEST_M = 1e-3
 """The end stops are at 0.9 mm: the film at the working point is at least as thick."""

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Placed, Places, Quantity, Signals, Term, on_dof
-from .point_forces import forces
+from .point_force_conversion import forces
 from .recursions import lagged_mean, oscillator
 from .search_range import Extent
 

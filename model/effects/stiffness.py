@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .point_forces import forces, heights
+from .point_force_conversion import forces, heights
 from .search_range import Extent
 
 _WIDE = 3.0

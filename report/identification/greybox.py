@@ -11,7 +11,7 @@ from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.greybox.validation import Validation
 from ...identification.results import ClosedLoopPoint
 from ...identification.subspace.response_uncertainty import SURE_95
-from ..figures.fitted_model_bode import Place, fitted_curves, places_of
+from ..figures.compute_fitted_response import Place, fitted_curves, places_of
 from ..figures.residuals import chance
 from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, error_text, largest
 from ..plotting.curves import Curve, Range, SignalLabels, ratio, rig_or

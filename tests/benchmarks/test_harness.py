@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from levid.benchmarks.harness import child_measurement, table
+from levid.benchmarks.harness import benchmark_runner, child_measurement
+from levid.benchmarks.harness.benchmark_runner import Figure, Target
 
 TIMEOUT_S = 30.0
 
@@ -29,18 +30,18 @@ def ends(pid: int) -> bool:
     return False
 
 
-def figures() -> Iterator[table.Figure]:
-    yield table.Figure("good", 1.5, "", "x", target=table.Target(most=1.5))
-    yield table.Figure("bad", 2.0, "", "x", target=table.Target(least=3))
-    yield table.Figure("absent", None, "", "x", "good", table.Target(most=1.5))
+def figures() -> Iterator[Figure]:
+    yield Figure("good", 1.5, "", "x", target=Target(most=1.5))
+    yield Figure("bad", 2.0, "", "x", target=Target(least=3))
+    yield Figure("absent", None, "", "x", "good", Target(most=1.5))
     raise ZeroDivisionError("the last")
 
 
 def test_figures_before_an_error_are_printed_with_their_targets(monkeypatch, capsys) -> None:
     monkeypatch.setattr(signal, "signal", lambda *_: None)
-    arguments = table.parser("x").parse_args(["--json"])
+    arguments = benchmark_runner.parser("x").parse_args(["--json"])
     with pytest.raises(ZeroDivisionError):
-        table.show("Title", arguments, figures)
+        benchmark_runner.show("Title", arguments, figures)
     assert json.loads(capsys.readouterr().out) == {
         "figures": {"good": 1.5, "bad": 2.0, "absent": None},
         "met": {"good": 1, "bad": 0, "absent": None},
@@ -50,18 +51,18 @@ def test_figures_before_an_error_are_printed_with_their_targets(monkeypatch, cap
 
 STOPPED = """
 import os, signal, sys, time
-from levid.benchmarks.harness import table
+from levid.benchmarks.harness import benchmark_runner
 from levid.benchmarks.harness.child_processes import started
 
 def measure(quick):
     with started(["sleep", "600"]) as child:
         print(child.pid, file=sys.stderr, flush=True)
-        yield table.Figure("first", 1.0, "", "x")
+        yield benchmark_runner.Figure("first", 1.0, "", "x")
         os.kill(os.getpid(), signal.NAME)
         time.sleep(600)
 
 sys.argv = ["benchmark", "--json"]
-table.run('x', measure)
+benchmark_runner.run('x', measure)
 """
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from levid.benchmarks.daemon import timing
-from levid.benchmarks.harness import flown_rows
-from levid.benchmarks.harness.flown_rows import Found, compare, found_in
+from levid.benchmarks.harness import logged_vs_flown_rows
+from levid.benchmarks.harness.logged_vs_flown_rows import Found, compare, found_in
 from levid.benchmarks.harness.ratio_interval import Round, ratio_95
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
@@ -70,8 +70,8 @@ def test_logged_rows_are_compared_with_flown_rows(tmp_path: Path) -> None:
 def test_rows_of_this_flight_are_read_from_the_ring(monkeypatch) -> None:
     rig_file = shipped("rigs/loopback.yaml")
     shared = SharedMemory(load_rig(rig_file))
-    monkeypatch.setattr(flown_rows, "memory_of", lambda _: shared.fd)
-    monkeypatch.setattr(flown_rows.SharedMemory, "close", lambda _: None)
+    monkeypatch.setattr(logged_vs_flown_rows, "memory_of", lambda _: shared.fd)
+    monkeypatch.setattr(logged_vs_flown_rows.SharedMemory, "close", lambda _: None)
     ring = shared.ring
 
     def write(n: int, tag: int) -> None:
@@ -81,7 +81,7 @@ def test_rows_of_this_flight_are_read_from_the_ring(monkeypatch) -> None:
             ring.head += 1
 
     write(10, 7)  # an earlier flight
-    flown = flown_rows.Flown(0, rig_file)
+    flown = logged_vs_flown_rows.Flown(0, rig_file)
     for tag in (NO_LOG, 1, 1, 2, NO_LOG):
         write(3000, tag)
         ring.tail = ring.head - 5

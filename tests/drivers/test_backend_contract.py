@@ -13,7 +13,7 @@ from waiting import wait_until
 
 from levid.config.rig import RigConfig
 from levid.daemon.control.control_cycle import Controller
-from levid.daemon.loop.warm_up import locate
+from levid.daemon.loop.compile_before_start import locate
 from levid.drivers.base import Context, Devices
 from levid.drivers.registry import open_devices
 from levid.sim.electronics.emulated_rig import Electronics

@@ -12,7 +12,7 @@ from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.identification.records.record import IdentificationError, PiController
 from levid.identification.results import ClosedLoopPoint, IdentificationResult
-from levid.identification.summary import summary
+from levid.identification.results_to_json import summary
 
 BEAM_M = (-0.1, 0.0, 0.1)
 

@@ -22,7 +22,7 @@ from levid.identification.export import (
     write_mat,
     write_multisine_mat,
 )
-from levid.identification.greybox.experiment import Experiment
+from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.identify_greybox import GreyBox, identify_grey_box
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.identify import identify

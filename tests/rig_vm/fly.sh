@@ -33,4 +33,4 @@ kill -INT $dump
 wait $dump || true
 "$python" "$HERE/check_frames.py" "$out/candump.txt" > "$out/report.txt"
 "$python" "$HERE/check_logs.py" "$out" >> "$out/report.txt"
-"$python" "$HERE/check_kernel.py" vcan1 >> "$out/report.txt"
+"$python" "$HERE/check_can_timestamps.py" vcan1 >> "$out/report.txt"

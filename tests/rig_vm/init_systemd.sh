@@ -48,7 +48,7 @@ Wants=systemd-networkd.service rig.service
 AllowIsolate=yes
 UNIT
 else
-  script=again.py target=multi-user.target
+  script=boot_after_power_cut.py target=multi-user.target
   mkdir -p $units/multi-user.target.wants
   ln -sf ../rig.service ../electronics.service $units/multi-user.target.wants
   unit electronics.service <<UNIT

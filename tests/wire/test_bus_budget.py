@@ -14,7 +14,7 @@ from levid.config.shipped import shipped
 from levid.drivers.base import Context
 from levid.drivers.bus_backend import AnswerTime
 from levid.wire.bus_budget import budget, check_budget
-from levid.wire.can.bus_time import can_frame_s, canfd_frame_s
+from levid.wire.can.worst_case_cycle_time import can_frame_s, canfd_frame_s
 
 HEAD = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
 ONE_CLASSIC = """

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..records.trace_record import TraceRecord
+from ..records.record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 

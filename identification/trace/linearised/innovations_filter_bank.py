@@ -19,7 +19,7 @@ from ....model.effects.base import Term
 from ...greybox.discretisation import Motion
 from ...greybox.intersample_input import Hold, held_step, lagged_input, moments
 from ...greybox.noise_model import Filter
-from ..records.trace_record import TraceRecord
+from ..records.record_from_log import TraceRecord
 from .intersample_moments import around, force_moments, polynomial_weights
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ....model.declared_model import DeclaredModel
 from ....model.effects.base import Effect, Placed, Signals, Term, total
-from ..records.trace_record import TraceRecord
+from ..records.record_from_log import TraceRecord
 from .drive_force import drive_channel, drive_errors
 from .gram_matrices import Linearised, ResidualChannel, block_edges, grams
 from .innovations_filter_bank import FilterBank, thinned

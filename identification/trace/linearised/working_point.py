@@ -12,15 +12,15 @@ from scipy.optimize import minimize_scalar
 from ....model.declared_model import DeclaredModel
 from ....model.effects.base import Placed, Signals, Term, total
 from ...greybox.discretisation import Motion, motion
-from ...greybox.experiment import Experiment
+from ...greybox.experiment_from_log import Experiment
 from ...greybox.free_parameters import FreeParameters
 from ...greybox.intersample_input import Hold
 from ...greybox.noise_model import Filter, kalman_filter
 from ...greybox.prediction_errors import predict_along, settled
 from ...records.record import IdentificationError
 from ..records.effect_signals import measured_signals
+from ..records.record_from_log import TraceRecord
 from ..records.sensor_and_amplifier_noise import Disturbance
-from ..records.trace_record import TraceRecord
 from .innovations_filter_bank import thinned
 from .intersample_moments import force_moments
 

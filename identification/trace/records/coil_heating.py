@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ....model.effects.base import Loads
-from .trace_record import TraceRecord
+from .record_from_log import TraceRecord
 
 _BLOCK_S = 2.0
 

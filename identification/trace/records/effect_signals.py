@@ -9,7 +9,7 @@ from ....model.effects.base import Signals
 from ...greybox.discretisation import Motion, innovations
 from ...greybox.noise_model import Filter
 from ...greybox.prediction_errors import settled
-from .trace_record import TraceRecord
+from .record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 

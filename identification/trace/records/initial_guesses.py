@@ -10,8 +10,8 @@ from scipy.ndimage import convolve1d
 
 from ....model.effects.search_range import Extent
 from .effect_signals import trajectory
+from .record_from_log import TraceRecord
 from .resonances import resonances
-from .trace_record import TraceRecord
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from ....config.model import ModelConfig
 from ....log.reader import read_log
 from ...records.duplicates import DuplicateCheck
 from ...records.record import IdentificationError, NotARecordError
-from .trace_record import SHORTEST_S, TraceRecord, trace_record
+from .record_from_log import SHORTEST_S, TraceRecord, trace_record
 
 
 def read_records(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import fmin
 
 from ....model.effects.flexible import PATTERNS, patterns
-from .trace_record import TraceRecord
+from .record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect, Placed, Places, Signals
 from ....model.effects.search_range import Extent
 from ...records.record import IdentificationError
-from .trace_record import TraceRecord
+from .record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 

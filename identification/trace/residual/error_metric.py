@@ -11,7 +11,7 @@ from scipy.signal import welch
 
 from ...greybox.free_run_noise_floor import motion_covariance
 from ..linearised.working_point import WorkingPoint
-from ..records.trace_record import TraceRecord
+from ..records.record_from_log import TraceRecord
 from .free_run_with_effects import free_run
 
 Array = NDArray[np.float64]

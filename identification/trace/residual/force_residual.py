@@ -14,7 +14,7 @@ from ...greybox.free_run_noise_floor import powers_of
 from ..linearised.drive_force import beside_motion, calm, drive_errors
 from ..linearised.intersample_moments import force_moments
 from ..linearised.working_point import Along, WorkingPoint, along, corrected_experiment
-from ..records.trace_record import TraceRecord
+from ..records.record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 

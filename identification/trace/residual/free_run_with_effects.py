@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ....model.effects.base import Signals, Term, total
 from ...greybox.discretisation import Motion, motion
-from ...greybox.experiment import ControlLoop
+from ...greybox.experiment_from_log import ControlLoop
 from ...greybox.free_run import (
     Start,
     beginning,
@@ -31,7 +31,7 @@ from ...greybox.prediction_errors import settled
 from ..linearised.intersample_moments import force_moments
 from ..linearised.working_point import WorkingPoint, corrected_experiment, filter_of, filtered
 from ..records.effect_signals import rate, trajectory
-from ..records.trace_record import TraceRecord
+from ..records.record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 

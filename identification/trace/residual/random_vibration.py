@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..linearised.working_point import WorkingPoint
-from ..records.trace_record import TraceRecord
+from ..records.record_from_log import TraceRecord
 from .force_residual import FADE_S, density, false_density, missing, noise_density, third_octaves
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from ..linearised.gram_matrices import Linearised, ResidualChannel, grams
 from ..linearised.innovations_filter_bank import thinned
 from ..linearised.linearise import beyond_pose, readings, redundancy_basis
 from ..linearised.working_point import WorkingPoint, along
-from ..records.trace_record import TraceRecord
+from ..records.record_from_log import TraceRecord
 from .gauss_newton import Candidate
 from .regression import ColumnEvidence, gains
 

@@ -14,10 +14,10 @@ from ..linearised.working_point import WorkingPoint
 from .backward_elimination import followers, without_guesses
 from .candidate_screening import Records, Round
 from .candidate_swap import otherwise
-from .fix_unit_amplitudes import free_numbers, with_plain_amplitudes
 from .forward_selection import MUCH, Grown, Progress, grown
 from .gauss_newton import FULLY, gather, refine
 from .held_out_test import LOWERS
+from .hold_amplitudes_at_one import free_numbers, with_plain_amplitudes
 from .regression import ColumnEvidence, standard_errors
 
 Array = NDArray[np.float64]

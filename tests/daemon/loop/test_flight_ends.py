@@ -18,8 +18,8 @@ from levid.daemon.control.faults import Fault, FlightFault
 from levid.daemon.control.states import State
 from levid.daemon.ipc.control_words import Word
 from levid.daemon.loop.clock import RealClock, VirtualClock
+from levid.daemon.loop.compile_before_start import locate
 from levid.daemon.loop.virtual_flight import Flight
-from levid.daemon.loop.warm_up import locate
 from levid.daemon.planning.plan import plan_steps
 from levid.drivers.base import Context, Devices, DriveError, DriverError, LinkError, StaleError
 from levid.drivers.registry import open_devices

@@ -11,7 +11,7 @@ from levid.config.base import parse_text
 from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.discretisation import innovations, motion
-from levid.identification.greybox.experiment import ControlLoop, Experiment
+from levid.identification.greybox.experiment_from_log import ControlLoop, Experiment
 from levid.identification.greybox.fit import fit_model
 from levid.identification.greybox.free_run import free_run
 from levid.identification.greybox.identify_greybox import identify_grey_box, to_yaml

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment import ControlLoop, Experiment
+from levid.identification.greybox.experiment_from_log import ControlLoop, Experiment
 from levid.identification.greybox.free_run import free_run
 from levid.identification.greybox.free_run_noise_floor import floor_psd, floor_rms, noise_floor
 from levid.identification.greybox.model_file import declared_model

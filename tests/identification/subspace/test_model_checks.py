@@ -13,9 +13,9 @@ from levid.identification.nonparametric.markov_parameters import MarkovEstimate
 from levid.identification.options import Options
 from levid.identification.records.record import Record
 from levid.identification.results import ClosedLoopPoint
+from levid.identification.results_to_json import summary
 from levid.identification.subspace.ho_kalman import Scaling, decompose, order_from_ratio
 from levid.identification.subspace.model_checks import has_decayed, order_doubts, settling_time
-from levid.identification.summary import summary
 from levid.model.second_order import StateSpace
 
 

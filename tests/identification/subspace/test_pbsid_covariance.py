@@ -11,11 +11,11 @@ from levid.identification.options import Options
 from levid.identification.records.record import PiController, Record
 from levid.identification.records.signal_names import SignalNames
 from levid.identification.results import IdentificationResult
+from levid.identification.results_to_json import summary
 from levid.identification.subspace import pbsid, pbsid_covariance
 from levid.identification.subspace.pbsid import plant_by_subspace
 from levid.identification.subspace.plant_from_loop import IdentifiedPlant
 from levid.identification.subspace.response_uncertainty import modes, response_with_errors
-from levid.identification.summary import summary
 from levid.model.second_order import StateSpace
 
 FREQ_HZ = np.geomspace(0.01, 0.4, 25)

@@ -16,9 +16,9 @@ from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace.records.read_records import read_records, require_live
+from levid.identification.trace.records.record_from_log import TraceRecord, split, trace_record
 from levid.identification.trace.records.sensor_and_amplifier_noise import require_noise
 from levid.identification.trace.records.session_time import overlap, require_timeless, timeless
-from levid.identification.trace.records.trace_record import TraceRecord, split, trace_record
 from levid.identification.trace.run_trace import Trace, trace
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log

@@ -22,7 +22,7 @@ from waiting import wait_until
 
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace import worker_pool
-from levid.identification.trace.records.trace_record import TraceRecord
+from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.worker_pool import (
     Alone,
     RecordSource,

@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import expm
 
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment import Experiment
+from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.identify_greybox import identify_grey_box
-from levid.report.figures.fitted_model_bode import places_of
+from levid.report.figures.compute_fitted_response import places_of
 from levid.report.figures.response_deviation import largest
 from levid.report.identification.greybox import grey_box_numbers, grey_box_report, grey_box_words
 from levid.report.identification.greybox_sections import grey_box_sections

@@ -26,7 +26,7 @@ from declared_model_records import (
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.discretisation import innovations, motion
-from levid.identification.greybox.experiment import Experiment
+from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise, kalman_filter
@@ -50,8 +50,8 @@ from levid.identification.trace.linearised.working_point import (
     corrected_experiment,
     filtered,
 )
+from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance
-from levid.identification.trace.records.trace_record import TraceRecord
 from levid.identification.trace.search.regression import ColumnEvidence
 from levid.model.effects.base import Effect, Placed, Quantity, Term, on_coil, on_dof
 from levid.model.effects.candidate_effects import all_effects

@@ -9,10 +9,10 @@ import pytest
 from rig_effects import rig_places
 from scipy import signal
 
-from levid.identification.greybox.experiment import ControlLoop, Experiment
+from levid.identification.greybox.experiment_from_log import ControlLoop, Experiment
 from levid.identification.records.record import PiController
+from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.resonances import resonances
-from levid.identification.trace.records.trace_record import TraceRecord
 from levid.model.effects.base import Places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.flexible import PATTERNS, patterns

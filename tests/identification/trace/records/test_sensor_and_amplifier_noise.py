@@ -1,6 +1,6 @@
 """Test estimates of sensor and amplifier noise, tones in the noise, and held-out records.
 
-Records come from tests/identification_plant.py, which shares no code with levid.
+Records come from tests/independent_rig_simulation.py, which shares no code with levid.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from rig_effects import rig_places
 from levid.config.model import load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.covariance import correlation
-from levid.identification.greybox.experiment import ControlLoop, Experiment
+from levid.identification.greybox.experiment_from_log import ControlLoop, Experiment
 from levid.identification.greybox.free_run_noise_floor import motion_covariance
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.greybox.prediction_errors import predict
 from levid.identification.records.record import PiController
 from levid.identification.trace.records.initial_guesses import tones
+from levid.identification.trace.records.record_from_log import TraceRecord, split
 from levid.identification.trace.records.sensor_and_amplifier_noise import disturbance, sensor_noise
-from levid.identification.trace.records.trace_record import TraceRecord, split
 from levid.model.effects.base import Places
 
 TS = 1e-3

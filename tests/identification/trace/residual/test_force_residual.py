@@ -10,13 +10,13 @@ from rig_effects import rig_places
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment import Experiment
+from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.trace.linearised.working_point import WorkingPoint
+from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance
-from levid.identification.trace.records.trace_record import TraceRecord
 from levid.identification.trace.residual.binned_means import dependence
 from levid.identification.trace.residual.force_residual import (
     beyond_rigid,

@@ -14,7 +14,7 @@ from ....config.rig import Geometry, RigConfig
 from ....log.reader import Log
 from ....model.effects.base import Places
 from ....model.geometry import shape_matrix
-from ...greybox.experiment import Experiment, experiment_from_log
+from ...greybox.experiment_from_log import Experiment, experiment_from_log
 from ...greybox.noise_model import Filter
 from ...records.from_log import cycles_at_limit, truncation_remarks
 from ...records.resampling import resample

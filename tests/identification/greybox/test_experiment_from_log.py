@@ -10,7 +10,7 @@ from cycle_log import cycle_log
 
 from levid.config.model import ModelConfig, Scheduling, load_model
 from levid.config.shipped import shipped
-from levid.identification.greybox.experiment import experiment_from_log
+from levid.identification.greybox.experiment_from_log import experiment_from_log
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.greybox.prediction_errors import predict

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from levid.daemon.host.clock_steps import ClockWatch
+from levid.daemon.host.wall_clock_jumps import ClockWatch
+
+MODULE = "levid.daemon.host.wall_clock_jumps"
 
 
 def test_steps_are_noticed_once_and_summed(monkeypatch: pytest.MonkeyPatch) -> None:
     now = {"day": 1.7e9, "monotonic": 100.0}
-    monkeypatch.setattr("levid.daemon.host.clock_steps.time.time", lambda: now["day"])
-    monkeypatch.setattr("levid.daemon.host.clock_steps.time.monotonic", lambda: now["monotonic"])
+    monkeypatch.setattr(f"{MODULE}.time.time", lambda: now["day"])
+    monkeypatch.setattr(f"{MODULE}.time.monotonic", lambda: now["monotonic"])
     watch = ClockWatch()
 
     def passes(seconds: float, step: float = 0.0) -> float:

@@ -21,11 +21,11 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from levid.benchmarks.harness import table
+from levid.benchmarks.harness import benchmark_runner
+from levid.benchmarks.harness.benchmark_runner import Figure, Target
 from levid.benchmarks.harness.child_processes import busy
 from levid.benchmarks.harness.running_daemon import Daemon, loopback_rig, running
 from levid.benchmarks.harness.supervisor_heartbeat import Heartbeat
-from levid.benchmarks.harness.table import Figure, Target
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.api.control_server import LONGEST_LINE
@@ -165,4 +165,4 @@ def _answered(path: Path, line: str) -> bool:
 
 
 if __name__ == "__main__":
-    table.run("Control socket", measure)
+    benchmark_runner.run("Control socket", measure)

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from machine_load import PERIOD_S, Watch, Witness
+from scheduling_delay import PERIOD_S, Watch, Witness
 
 HELD_UP_S = 0.3
 GIVE_UP_S = 30.0
@@ -65,7 +65,7 @@ def test_it_ends_with_the_tests_whatever_ends_them() -> None:
             sys.executable,
             "-c",
             "import os, signal, time\n"
-            "from machine_load import Witness\n"
+            "from scheduling_delay import Witness\n"
             "witness = Witness()\n"
             "heir = os.fork()\n"
             "if not heir:\n"

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from levid.benchmarks.harness.table import Figure, median_times, run
+from levid.benchmarks.harness.benchmark_runner import Figure, median_times, run
 from levid.config.base import load_yaml
 from levid.config.sim import SimConfig
 from levid.model.geometry import shape_matrix

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from rig_effects import rig_places
 
-from levid.identification.trace.search import fix_unit_amplitudes
+from levid.identification.trace.search import hold_amplitudes_at_one
 from levid.identification.trace.search.candidate_screening import LEAST
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
@@ -36,7 +36,9 @@ class Records:
 
 @pytest.fixture(autouse=True)
 def initial_squared_error_of_1000(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fix_unit_amplitudes, "gather", lambda *_: SimpleNamespace(squares=1000.0))
+    monkeypatch.setattr(
+        hold_amplitudes_at_one, "gather", lambda *_: SimpleNamespace(squares=1000.0)
+    )
 
 
 @pytest.mark.parametrize(("costs", "held"), [(0.0, True), (0.5 * LEAST, True), (1e4, False)])
@@ -45,9 +47,9 @@ def test_amplitude_is_fixed_at_one_if_the_error_hardly_grows(
 ) -> None:
     start = Point((Placed(NAMED[GAIN], (), (0.1,)), Placed(NAMED[SATURATION], (23.0, 4.0), (0.2,))))
     monkeypatch.setattr(
-        fix_unit_amplitudes, "refine", lambda point, *_, within: (point, 1000.0 + costs)
+        hold_amplitudes_at_one, "refine", lambda point, *_, within: (point, 1000.0 + costs)
     )
-    point = fix_unit_amplitudes.with_plain_amplitudes(start, Records())  # type: ignore[arg-type]
+    point = hold_amplitudes_at_one.with_plain_amplitudes(start, Records())  # type: ignore[arg-type]
     gain, saturation = point.placed
     assert gain == start.placed[0]
     if not held:
@@ -56,13 +58,20 @@ def test_amplitude_is_fixed_at_one_if_the_error_hardly_grows(
     assert saturation.amplitudes == (1.0,)
     assert saturation.shape[0] == pytest.approx(23.0 * 0.2**-0.25)
     assert saturation.effect.identity == SATURATION
-    assert fix_unit_amplitudes.free_numbers(point).tolist() == [True, True, True, False, True, True]  # type: ignore[arg-type]
-    assert fix_unit_amplitudes.with_plain_amplitudes(point, Records()) == point  # type: ignore[arg-type]
+    assert hold_amplitudes_at_one.free_numbers(point).tolist() == [
+        True,
+        True,
+        True,
+        False,
+        True,
+        True,
+    ]  # type: ignore[arg-type]
+    assert hold_amplitudes_at_one.with_plain_amplitudes(point, Records()) == point  # type: ignore[arg-type]
 
 
 def test_shape_parameter_stays_within_its_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fix_unit_amplitudes, "refine", lambda point, *_, within: (point, 0.0))
+    monkeypatch.setattr(hold_amplitudes_at_one, "refine", lambda point, *_, within: (point, 0.0))
     high = NAMED[SATURATION].shape[0].high
     start = Point((Placed(NAMED[SATURATION], (high, 1.5), (1e-6,)),))
-    point = fix_unit_amplitudes.with_plain_amplitudes(start, Records())  # type: ignore[arg-type]
+    point = hold_amplitudes_at_one.with_plain_amplitudes(start, Records())  # type: ignore[arg-type]
     assert point.placed[0].shape[0] == high

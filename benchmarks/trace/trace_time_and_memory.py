@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from levid.benchmarks.harness.benchmark_runner import Figure, Target, run
 from levid.benchmarks.harness.child_measurement import measure_apart
 from levid.benchmarks.harness.inaccurate_model import off_by_a_tenth
-from levid.benchmarks.harness.table import Figure, Target, run
 from levid.benchmarks.harness.virtual_flight import fly_session
 from levid.benchmarks.trace.hidden_effect_flight import rig
 from levid.config.base import read_mapping

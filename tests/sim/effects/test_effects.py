@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from levid.sim.effects import BeamState
 from levid.sim.effects.air import QuadraticDamping, SqueezeFilm
 from levid.sim.effects.beam import BeamCoriolis, BeamGravity, BeamReaction, MagnetField
-from levid.sim.effects.beam_bearing_presliding import BearingPresliding
+from levid.sim.effects.bearing import BearingPresliding
 from levid.sim.effects.cable import BeamCable, HangingCable
 from levid.sim.effects.friction import BoucWen, Coulomb, Dahl, LuGre, MaxwellSlip, Stribeck
 from levid.sim.effects.ground_vibration import GroundNoise, GroundTone

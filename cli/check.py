@@ -58,7 +58,7 @@ def command(files: tuple[Path, ...], rig_path: Path | None) -> int:
 def _check(path: Path, rig_path: Path | None) -> str:
     if path.suffix == ".mcap":
         return _log(path)
-    from ..config.file_kind import load_any
+    from ..config.load_any_kind import load_any
     from ..config.model import ModelConfig
     from ..config.rig import RigConfig
     from ..config.session import SessionConfig
@@ -106,7 +106,7 @@ def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.rig import with_model
     from ..daemon.control.watchdog_times import expiry_warning
     from ..drivers.base import Context
-    from ..drivers.registry import check_backends
+    from ..drivers.open_backends import check_backends
     from ..model.geometry import GeometryError, decoupling_matrix
 
     try:

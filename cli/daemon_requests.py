@@ -129,7 +129,7 @@ def levitate(
       levid levitate
       levid levitate --check-coils --out out/by-hand
     """
-    from ..daemon.recording.session_logs import coil_check_warning
+    from ..daemon.recording.log_metadata import coil_check_warning
 
     arguments: dict[str, Any] = {"out": str(out.resolve())} if out else {}
     arguments |= _if_gone(if_gone)

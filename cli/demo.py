@@ -15,7 +15,7 @@ from .trace import trace_logs
 from .trace import words as trace_words
 
 if TYPE_CHECKING:
-    from ..daemon.recording.session_logs import FlightResult
+    from ..daemon.recording.log_metadata import FlightResult
 
 
 @click.command("demo")

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .output_folder_check import logs_in, quoted
 from .progress import progress, say
-from .result_folders import logs_in, quoted
 
 if TYPE_CHECKING:
     from ..config.session import SessionConfig
-    from ..daemon.recording.session_logs import FlightResult
+    from ..daemon.recording.log_metadata import FlightResult
 
 _REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
 """Report folder of each command that a session's `then` can name."""
@@ -72,7 +72,7 @@ def command(
       levid excite config/sessions/beam.yaml --out /var/lib/levid/today
     """
     from ..config.session import load_session
-    from ..daemon.recording.session_logs import coil_check_warning
+    from ..daemon.recording.log_metadata import coil_check_warning
 
     config = load_session(session)
     refuse_used_folder(out)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from .output_folder_check import older_results, writable_folder
 from .progress import progress, say
-from .result_folders import older_results, writable_folder
 
 if TYPE_CHECKING:
     from ..config.model import ModelConfig

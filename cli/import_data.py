@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
+from .output_folder_check import quoted
 from .progress import say
-from .result_folders import quoted
 
 
 @click.command("import")

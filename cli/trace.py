@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .output_folder_check import quoted, same_logs, writable_folder
 from .progress import progress, say
-from .result_folders import quoted, same_logs, writable_folder
 
 if TYPE_CHECKING:
     from ..config.model import ModelConfig
-    from ..identification.trace.result import FoundEffect, Outcome
+    from ..identification.trace.found_effects_summary import FoundEffect, Outcome
     from ..identification.trace.run_trace import Trace
     from ..identification.trace.worker_pool import Workers
 
@@ -65,7 +65,7 @@ def command(
     """
     if workers is not None and dask is not None:
         raise click.UsageError("expected --workers or --dask, found both")
-    from ..identification.trace.result import outcome, summary
+    from ..identification.trace.found_effects_summary import outcome, summary
 
     traced = trace_logs(logs, model, out, workers, dask)
     found, page = traced.found, traced.page
@@ -114,7 +114,7 @@ def trace_logs(
     """
     from ..identification.greybox.identify_greybox import to_yaml
     from ..identification.trace.figure_data import views
-    from ..identification.trace.result import model_after
+    from ..identification.trace.found_effects_summary import model_after
     from ..identification.trace.run_trace import trace
     from ..model.effects.candidate_effects import all_effects
     from ..report.plotting.atomic_write import replace_text
@@ -144,7 +144,7 @@ def trace_logs(
 def words(found: Trace) -> list[str]:
     """Return the results as lines of text; +- is a 95 % interval."""
     from ..identification.records.record import OTHER_STEP
-    from ..identification.trace.result import NO_STILL, PERHAPS_A_PART, outcome
+    from ..identification.trace.found_effects_summary import NO_STILL, PERHAPS_A_PART, outcome
 
     result = outcome(found)
     lines = [
@@ -183,7 +183,7 @@ def words(found: Trace) -> list[str]:
 
 
 def _effect(found: FoundEffect) -> list[str]:
-    from ..identification.trace.result import telling
+    from ..identification.trace.found_effects_summary import telling
 
     effect, why = found.effect, found.evidence
     # The coefficients of a free-form term have no physical meaning.
@@ -223,7 +223,7 @@ def _half(se: float) -> float:
 
 def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
     """Return the recommended next command or experiment."""
-    from ..identification.trace.result import telling
+    from ..identification.trace.found_effects_summary import telling
 
     rivals = [f for f in result.effects if f.evidence is not None and f.evidence.alternatives]
     if rivals:

@@ -20,8 +20,8 @@ from pydantic_core import PydanticKnownError
 from .backends import ROLES, bus_schema, role_options
 from .base import ConfigError, Finite, NonNegative, Positive, Strict, load_yaml
 from .buses import Bus, CanBus, RoleOptions, SerialBus
+from .daemon_settings import Realtime, Recording, SelfTest, Service
 from .model import ModelConfig, load_model
-from .service import Realtime, Recording, SelfTest, Service
 
 Rate = Annotated[float, Field(ge=10.0, le=20_000.0)]
 _LEAST_PERIODS = 3

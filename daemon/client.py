@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from .api.socket_paths import require_own_folder, socket_path
-from .recording.session_logs import FlightResult
+from .recording.log_metadata import FlightResult
 
 __all__ = ["Client", "DaemonError", "NoDaemonError", "socket_path"]
 

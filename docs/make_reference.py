@@ -1,7 +1,7 @@
 """Writes the tables of docs/*.md from the code: `python docs/make_reference.py`.
 
 Keys, types, bounds and defaults come from the schemas, states and faults from the daemon's tables;
-what a key means, and its unit, is said in reference.yaml. tests/docs/test_reference.py fails when a
+reference.yaml has what a key means, and its unit. tests/docs/test_reference_tables.py fails when a
 page is not what this would write.
 """
 

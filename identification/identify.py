@@ -11,6 +11,7 @@ from .closed_loop import identify_closed_loop, wanted_rows
 from .closed_loop_subspace import add_subspace_model
 from .open_loop import identify_open_loop
 from .options import Options
+from .records.drop_short_records import drop_short_records, left_out_remarks
 from .records.persistence_of_excitation import PoorExcitationError, check_inputs
 from .records.record import (
     COMPARED_FIELDS,
@@ -20,7 +21,6 @@ from .records.record import (
     describe_position,
     operating_points,
 )
-from .records.record_length import drop_short_records, left_out_remarks
 from .records.signal_names import SignalNames
 from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
 

@@ -12,8 +12,8 @@ from ..model.second_order import StateSpace
 from .nonparametric.frequency_response import ResponseEstimate, frequency_response
 from .nonparametric.markov_parameters import MarkovEstimate, estimate_markov, most_taps
 from .options import Options
+from .records.drop_short_records import drop_short_records, left_out_remarks
 from .records.record import IdentificationError, OperatingPoint, Record
-from .records.record_length import drop_short_records, left_out_remarks
 from .results import OpenLoopPoint
 from .subspace.fit_percent import nrmse_fit_percent
 from .subspace.held_out_simulation import HoldOut

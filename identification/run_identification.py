@@ -21,7 +21,7 @@ from .nonparametric.robust_multisine import (
     by_position_and_level,
 )
 from .options import Options
-from .records.duplicates import DuplicateCheck
+from .records.duplicate_logs import DuplicateCheck
 from .records.from_log import from_log
 from .records.periodic_records import (
     IncompleteError,

@@ -15,7 +15,7 @@ from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
-from levid.identification.trace.linearised.working_point import WorkingPoint
+from levid.identification.trace.linearised.linearisation_point import WorkingPoint
 from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance
 

@@ -12,15 +12,15 @@ from levid.config.rig import RigConfig, load_rig
 from levid.config.session import Step
 from levid.config.shipped import shipped
 from levid.daemon.control.control_cycle import Controller
-from levid.daemon.ipc.control_words import Word
-from levid.daemon.ipc.segment_stream import Logged, SegmentFeeder
+from levid.daemon.ipc.flight_segment_stream import Logged, SegmentFeeder
 from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.loop.clock import Clock
-from levid.daemon.loop.compile_before_start import warm_up
+from levid.daemon.loop.prepare_first_cycle import warm_up
 from levid.daemon.loop.real_time_loop import TimedLoop
 from levid.daemon.planning.plan import plan_steps
 from levid.drivers.base import Context, Devices
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 
 RIG = shipped("rigs/loopback.yaml")
 LIFT = {"unload_s": 0.2, "ramp_s": 0.2, "settle_s": 0.5}

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levid.benchmarks.bus.bus_rigs import (
+from levid.benchmarks.bus.can_codec_speed import codec_figures
+from levid.benchmarks.bus.rig_on_each_backend import (
     LABELS,
     RATE_HZ,
     cycle_of,
@@ -25,7 +26,6 @@ from levid.benchmarks.bus.bus_rigs import (
     rig_on,
     rig_text,
 )
-from levid.benchmarks.bus.codecs import codec_figures
 from levid.benchmarks.bus.serial_transaction import serial_figures
 from levid.benchmarks.harness import benchmark_runner, real_time
 from levid.benchmarks.harness.benchmark_runner import Figure

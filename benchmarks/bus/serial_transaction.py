@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 import serial
 
-from levid.benchmarks.bus.codecs import median_us
+from levid.benchmarks.bus.can_codec_speed import median_us
 from levid.benchmarks.harness.benchmark_runner import Figure, Target
 from levid.config.buses import SerialBus
 from levid.drivers.bus_backend import AnswerTime

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from levid.benchmarks.daemon.fault_rig import (
+from levid.benchmarks.daemon.fault_injection_flight import (
     BUSES,
     ERRORS,
     FLYING,

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from levid.config.rig import load_rig
-from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.row_ring import NO_LOG
 from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.ipc.shared_status_words import Word
 from levid.log.reader import read_log
 
 Cycles = NDArray[np.int64]

@@ -14,8 +14,8 @@ from pathlib import Path
 from levid.benchmarks.harness.logged_vs_flown_rows import memory_of
 from levid.benchmarks.harness.real_time import WITNESS, hurry
 from levid.config.rig import load_rig
-from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.ipc.shared_status_words import Word
 
 _LOOK_S = 5e-4
 

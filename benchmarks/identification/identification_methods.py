@@ -22,7 +22,7 @@ import numpy as np
 from scipy import signal
 from scipy.io import loadmat, savemat
 
-from levid.benchmarks.identification.known_plant import LAG_S, Array, Complex
+from levid.benchmarks.identification.simulated_flight_and_truth import LAG_S, Array, Complex
 from levid.identification.nonparametric.frequency_response import plant_from_loop_response
 from levid.identification.nonparametric.markov_parameters import (
     estimate_markov,

@@ -16,7 +16,7 @@ import numpy as np
 from levid.benchmarks.harness.benchmark_runner import Figure, Target, run
 from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
 from levid.benchmarks.identification.identification_methods import levid_ho_kalman
-from levid.benchmarks.identification.known_plant import (
+from levid.benchmarks.identification.simulated_flight_and_truth import (
     LAG_S,
     Complex,
     diagonal_ratio,

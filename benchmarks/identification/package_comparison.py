@@ -18,7 +18,7 @@ import numpy as np
 from levid.benchmarks.harness.benchmark_runner import Figure, run
 from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
 from levid.benchmarks.identification.identification_methods import CONTENDERS
-from levid.benchmarks.identification.known_plant import (
+from levid.benchmarks.identification.simulated_flight_and_truth import (
     BAND_HZ,
     diagonal_ratio,
     fly_white_noise,

@@ -32,9 +32,8 @@ from levid.benchmarks.trace.hidden_effect_cases import CASES, UNLISTED, Case
 from levid.benchmarks.trace.hidden_effect_flight import fly
 from levid.benchmarks.trace.hidden_effect_score import EXPLAINED
 from levid.benchmarks.trace.sparse_regression import PEERS, ForceLaw, Library, Sample
-from levid.identification.trace.linearised.working_point import WorkingPoint
+from levid.identification.trace.linearised.linearisation_point import WorkingPoint
 from levid.identification.trace.records.record_from_log import TraceRecord, split, trace_record
-from levid.identification.trace.residual.error_metric import pooled, record_error
 from levid.identification.trace.residual.force_residual import (
     denoised,
     density,
@@ -42,6 +41,7 @@ from levid.identification.trace.residual.force_residual import (
     noise_density,
     standing_out,
 )
+from levid.identification.trace.residual.free_run_error import pooled, record_error
 from levid.identification.trace.run_trace import trace
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log

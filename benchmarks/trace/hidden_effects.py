@@ -22,8 +22,8 @@ from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, sh
 from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
 from levid.benchmarks.trace.hidden_effect_cases import CASES, FLOOR_M, TIMES, UNLISTED, Case
 from levid.benchmarks.trace.hidden_effect_flight import Found, fly_and_trace
+from levid.benchmarks.trace.hidden_effect_parameter_errors import relative_errors
 from levid.benchmarks.trace.hidden_effect_score import EXPLAINED, Score, score_plant
-from levid.benchmarks.trace.hidden_effect_truth import relative_errors
 
 CORES = 2
 QUICK = ("cubic-z", "coulomb-z", "bouc-wen-psi", "magnet-field", "gain-coil-3", "gain-sensor-2")

@@ -21,7 +21,7 @@ from levid.benchmarks.harness.virtual_flight import fly_session
 from levid.benchmarks.trace.hidden_effect_flight import rig
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped
-from levid.identification.trace.residual.error_metric import pooled
+from levid.identification.trace.residual.free_run_error import pooled
 from levid.identification.trace.run_trace import trace
 from levid.identification.trace.worker_pool import local_workers
 from levid.model.effects.candidate_effects import all_effects

@@ -13,7 +13,7 @@ from ...config.rig import RigConfig
 from ...model.geometry import decoupling_matrix, shape_matrix
 from .faults import Fault
 from .feed_forward import feed_forward
-from .segment import Segment
+from .flight_segment import Segment
 from .states import State
 
 Array = NDArray[np.float64]

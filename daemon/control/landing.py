@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...config.rig import Limits
 from .control_cycle import Controller
-from .segment import Segment
+from .flight_segment import Segment
 from .states import State
 
 Motion = tuple[NDArray[np.float64], NDArray[np.float64]]

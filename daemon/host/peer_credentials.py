@@ -10,7 +10,7 @@ import struct
 from dataclasses import dataclass
 
 from ...config.base import ConfigError
-from ...config.service import Service
+from ...config.daemon_settings import Service
 
 _SO_PEERGROUPS = 59
 _MAX_BYTES = 1024

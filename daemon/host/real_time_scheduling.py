@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from pathlib import Path
 
-from ...config.service import Realtime
+from ...config.daemon_settings import Realtime
 
 _PR_SET_PDEATHSIG = 1
 _PR_SET_NAME = 15

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...config.service import Recording
+from ...config.daemon_settings import Recording
 
 NO_LOG = 0
 """Tag of a row that belongs to no log."""

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from ...config.rig import RigConfig
 from ...log.signals import cycle_dtype
 from ..control.control_cycle import heat_of, heated_of, memory_shape
-from .control_words import ControlWords, Word
+from .flight_segment_stream import SegmentStream
 from .row_ring import Ring, ring_rows
-from .segment_stream import SegmentStream
+from .shared_status_words import ControlWords, Word
 from .timing_histograms import Timing, WakeUps
 
 _AHEAD_S = 4.0

@@ -13,9 +13,9 @@ import numpy as np
 
 from ...config.rig import RigConfig
 from ...drivers.base import Context, Devices
-from ...drivers.registry import open_devices
+from ...drivers.open_backends import open_devices
 from ..control.control_cycle import Controller
-from ..control.exception_faults import fault_of
+from ..control.exception_to_fault import fault_of
 from ..control.faults import Fault
 from ..control.states import State
 from ..host.real_time_scheduling import (
@@ -25,11 +25,11 @@ from ..host.real_time_scheduling import (
     set_process_name,
     signal_at_parent_death,
 )
-from ..ipc.control_words import ControlWords, Word
 from ..ipc.shared_memory import SharedMemory, memory_order_warnings
+from ..ipc.shared_status_words import ControlWords, Word
 from ..service.journal import Journal, moment
 from .clock import RealClock
-from .compile_before_start import locate, warm_up
+from .prepare_first_cycle import locate, warm_up
 from .real_time_loop import TimedLoop
 
 _POLL_S = 0.02

@@ -14,13 +14,13 @@ from collections.abc import Callable
 from ...config.rig import RigConfig
 from ...drivers.base import Devices
 from ..control.control_cycle import Controller
-from ..control.exception_faults import fault_of
+from ..control.exception_to_fault import fault_of
 from ..control.faults import Fault
-from ..control.lateness import Lateness
+from ..control.late_cycle_detector import Lateness
 from ..control.states import State
 from ..control.watchdog_times import longest_stall
-from ..ipc.control_words import Word
 from ..ipc.shared_memory import SharedMemory
+from ..ipc.shared_status_words import Word
 from ..ipc.timing_histograms import account, count_wake_up, memory_of
 from .clock import Clock
 from .state_machine import AROUND_CLEAR, StateMachine

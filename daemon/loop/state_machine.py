@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from ...config.rig import RigConfig
 from ..control.control_cycle import Controller
 from ..control.faults import Fault
+from ..control.flight_segment import Segment
 from ..control.landing import Landing, Motion
-from ..control.lateness import Lateness
-from ..control.segment import Segment
+from ..control.late_cycle_detector import Lateness
 from ..control.self_test import self_test
 from ..control.states import State
-from ..ipc.control_words import Word
+from ..ipc.flight_segment_stream import Announced
 from ..ipc.row_ring import NO_LOG
-from ..ipc.segment_stream import Announced
 from ..ipc.shared_memory import SharedMemory
-from .compile_before_start import resting_segment
+from ..ipc.shared_status_words import Word
+from .prepare_first_cycle import resting_segment
 
 AROUND_CLEAR = 2
 """Cycles that never count as late: the one that handles a request to clear, and the next one."""

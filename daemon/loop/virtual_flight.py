@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ...drivers.base import Context, Devices
-from ...drivers.registry import open_devices
+from ...drivers.open_backends import open_devices
 from ...log.signals import cycle_dtype
 from ..control.coil_check import coil_check
 from ..control.control_cycle import Controller
 from ..control.faults import Fault, FlightFault
-from ..control.segment import Segment
+from ..control.flight_segment import Segment
 from ..control.states import State
 from ..ipc.row_ring import NO_LOG, Ring, ring_rows
 from ..planning import point_to_point
 from ..planning.plan import Plan, PlannedStep
+from ..recording.log_metadata import FlightResult, RecordingError, log_metadata
 from ..recording.log_router import LogFile
-from ..recording.recorder_thread import Recorder
-from ..recording.session_logs import FlightResult, RecordingError, log_metadata
+from ..recording.virtual_time_recorder import Recorder
 from .clock import VirtualClock
-from .compile_before_start import resting_segment, warm_up
+from .prepare_first_cycle import resting_segment, warm_up
 from .virtual_loop import VirtualLoop
 
 _MIN_RING_ROWS = 16_384

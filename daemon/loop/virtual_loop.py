@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 from ...drivers.base import Devices
 from ..control.control_cycle import Controller
-from ..control.exception_faults import fault_of
+from ..control.exception_to_fault import fault_of
 from ..control.faults import Fault
-from ..control.segment import Segment
+from ..control.flight_segment import Segment
 from ..control.states import State
 from ..ipc.row_ring import NO_LOG, Ring
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from ...config.base import ConfigError
 from ...config.rig import RigConfig
 from ...config.session import SessionConfig
-from ...drivers.registry import ROLES
+from ...drivers.open_backends import ROLES
 from ..planning.plan import plan_session
-from ..recording.session_logs import FlightResult, attachments
+from ..recording.log_metadata import FlightResult, attachments
 from .clock import VirtualClock
 from .virtual_flight import Flight, Progress
 

@@ -15,7 +15,7 @@ from ...config.session import CoilCheck, Land, Levitate, Move, RecordStep, Sessi
 from ...model.geometry import decoupling_matrix
 from ..control.coil_check import LONGER, Pushes
 from ..control.feed_forward import feed_forward
-from ..control.segment import Segment, idle_segment
+from ..control.flight_segment import Segment, idle_segment
 from ..control.states import State
 from ..ipc.row_ring import ring_rows
 from . import point_to_point

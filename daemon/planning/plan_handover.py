@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...config.session import MOST_STEPS
 from ..control.coil_check import Pushes
-from ..control.segment import Segment
+from ..control.flight_segment import Segment
 from ..control.states import State
 from .plan import MOST_CYCLES, Plan, PlannedStep
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...config.daemon_settings import Recording
 from ...config.rig import RigConfig
-from ...config.service import Recording
 from ...log.errors import LogError
 from ...log.writer import LogWriter
 from ..control.faults import Fault

@@ -16,9 +16,9 @@ from typing import Any
 from ..control.faults import Fault
 from ..host.child_process import Child, ChildSilence, module_of
 from ..host.monotonic_clock import ProcessClock
-from ..ipc.control_words import ControlWords, Word
 from ..ipc.json_lines import Closed, Lines, TooLong
 from ..ipc.row_ring import HUNG_S
+from ..ipc.shared_status_words import ControlWords, Word
 from .fault_recorder import NO_ROWS
 from .log_router import Event, LogFile
 

@@ -23,13 +23,13 @@ from ...log.writer import BEGINNING
 from ..control.faults import Fault
 from ..host.fsync_worker import FsyncWorker
 from ..host.real_time_scheduling import set_process_name
-from ..ipc.control_words import Word
 from ..ipc.json_lines import Closed, Lines
 from ..ipc.row_ring import NO_LOG
 from ..ipc.shared_memory import SharedMemory
+from ..ipc.shared_status_words import Word
 from .fault_recorder import FaultLog
+from .log_metadata import attachments
 from .log_router import BLOCK, Event, LogFile, LogRouter, Rotation
-from .session_logs import attachments
 
 _POLL_S = 0.01
 _SYNC_S = 5.0

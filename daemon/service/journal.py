@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 
 from ..control.faults import Fault
-from ..ipc.control_words import ControlWords
+from ..ipc.shared_status_words import ControlWords
 
 _SOCKET = "/run/systemd/journal/socket"
 _ERROR, _WARNING, _INFO = 3, 4, 6

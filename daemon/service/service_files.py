@@ -15,7 +15,7 @@ from ...config.buses import CanBus
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
 from ...drivers.base import Context
-from ...drivers.registry import check_backends
+from ...drivers.open_backends import check_backends
 from ..control.feed_forward import feed_forward
 from ..host.peer_credentials import Access
 

@@ -11,17 +11,17 @@ from ...config.rig import RigConfig
 from ..api.control_server import Reply
 from ..control.coil_check import CoilCheckResult, coil_check
 from ..control.faults import Fault, FlightFault
-from ..control.segment import Segment
+from ..control.flight_segment import Segment
 from ..control.states import IN_FLIGHT, State
-from ..ipc.control_words import ControlWords, Word
+from ..ipc.flight_segment_stream import Logged, SegmentFeeder
 from ..ipc.row_ring import NO_LOG
-from ..ipc.segment_stream import Logged, SegmentFeeder
 from ..ipc.shared_memory import SharedMemory
+from ..ipc.shared_status_words import ControlWords, Word
 from ..planning.plan import Plan, PlannedStep
 from ..planning.planner import RefusedError
+from ..recording.log_metadata import FlightResult, RecordingError, coil_check_warning
 from ..recording.log_router import LogFile
 from ..recording.recorder_link import RecorderLink
-from ..recording.session_logs import FlightResult, RecordingError, coil_check_warning
 
 _PROGRESS_S = 0.5
 _MISSING_ROWS = 64

@@ -9,8 +9,8 @@ from ..control.faults import Fault
 from ..control.states import State
 from ..host.child_process import Child
 from ..host.monotonic_clock import ProcessClock
-from ..ipc.control_words import ControlWords, Word
-from .pending_clears import OPENING_S
+from ..ipc.shared_status_words import ControlWords, Word
+from .fault_clearing import OPENING_S
 
 _STOP_S = 0.25
 """Time limit for the loop to react to a stop; it needs one cycle."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from ...config.rig import RigConfig
 from ...drivers.base import Context
-from ...drivers.registry import check_backends
+from ...drivers.open_backends import check_backends
 from ..api.control_server import Reply, Server, ServerError
 from ..api.prometheus_metrics import serve_metrics
 from ..control.faults import Fault
@@ -23,19 +23,19 @@ from ..host.child_process import Child, module_of
 from ..host.peer_credentials import Access
 from ..host.resource_monitor import ResourceMonitor
 from ..host.wall_clock_jumps import ClockWatch
-from ..ipc.control_words import Word
 from ..ipc.shared_memory import SharedMemory
+from ..ipc.shared_status_words import Word
 from ..planning.planner import RELOADED
 from ..planning.planner_link import PlannerLink
 from ..recording.coil_heat_file import HeatFile, state_folder
 from ..recording.fault_recorder import fault_folder
+from ..recording.log_metadata import attachments
 from ..recording.recorder_link import RecorderLink
-from ..recording.session_logs import attachments
 from ..service.journal import moment
 from ..service.systemd_notify import Notify
+from .fault_clearing import PendingClears
 from .job_runner import JobRunner
 from .loop_monitor import LoopMonitor
-from .pending_clears import PendingClears
 from .request_handlers import Requests
 from .rig_reload import RigReader
 from .stale_monitor import StaleMonitor

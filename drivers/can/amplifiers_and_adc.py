@@ -22,7 +22,7 @@ from ..base import Array, CoilAmplifiers, LinkError, PositionSensors
 from ..force_quantiser import ForceQuantiser
 from ..reading_checks import SensorWatch
 from .bus_link import CanLink
-from .readings import Readings
+from .reading_collector import Readings
 
 _MISSING_SETPOINTS = int(Stale.SETPOINTS)
 _EXCHANGE_S = 0.1

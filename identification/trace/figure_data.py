@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...model.effects.base import Placed, Signals
 from ..greybox.free_run_noise_floor import floor_psd
 from .linearised.gram_matrices import BLOCK_S
-from .linearised.working_point import Along, WorkingPoint
+from .linearised.linearisation_point import Along, WorkingPoint
 from .records.record_from_log import TraceRecord
 from .records.sensor_and_amplifier_noise import Disturbance
 from .residual.force_residual import (

@@ -22,15 +22,15 @@ from ..greybox.free_parameters import free_parameters
 from ..greybox.model_file import declared_model
 from ..records.record import IdentificationError
 from .linearised.gram_matrices import BLOCK_S, Linearised
-from .linearised.linearise import blocks_in, linearise
-from .linearised.working_point import WorkingPoint, with_likely_noise
-from .records.coil_heating import loads_of
+from .linearised.linearisation_point import WorkingPoint, with_likely_noise
+from .linearised.linearise_prediction_errors import blocks_in, linearise
+from .records.coil_load_history import loads_of
+from .records.common_time_base import overlap, require_timeless, timeless
 from .records.initial_guesses import extent
 from .records.read_records import read_records
 from .records.record_from_log import SHORTEST_S, TraceRecord, split
 from .records.sensor_and_amplifier_noise import disturbance, require_noise
-from .records.session_time import overlap, require_timeless, timeless
-from .residual.error_metric import RecordError, pooled, record_error
+from .residual.free_run_error import RecordError, pooled, record_error
 from .residual.random_vibration import RandomVibration, force_spectrum, shaking
 from .search.candidate_screening import HeldError
 from .search.gauss_newton import NEARLY, Candidate, refine

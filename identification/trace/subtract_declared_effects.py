@@ -22,7 +22,7 @@ from ..greybox.fit import first_noise
 from ..greybox.free_parameters import free_parameters
 from ..greybox.model_file import declared_model
 from ..records.record import IdentificationError
-from .linearised.working_point import WorkingPoint, filtered
+from .linearised.linearisation_point import WorkingPoint, filtered
 from .records.record_from_log import trace_record
 from .records.sensor_and_amplifier_noise import Disturbance
 

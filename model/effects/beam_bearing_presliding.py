@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .recursions import yielding
+from .lag_and_hysteresis_recursions import yielding
 from .search_range import Extent
 
 _ALONG, _ACROSS = 1, 0

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term
-from .recursions import dahl
+from .lag_and_hysteresis_recursions import dahl
 from .search_range import Extent
 
 _PITCH_M = (5e-3, 60e-3)

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
-from .recursions import heat
+from .lag_and_hysteresis_recursions import heat
 
 _WARM_S = 40.0
 _BEFORE_S, _LONGEST_BEFORE_S = 3.0, 60.0

@@ -16,8 +16,8 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
+from .lag_and_hysteresis_recursions import held_for, lagged_within
 from .point_force_conversion import forces
-from .recursions import held_for, lagged_within
 from .search_range import Extent
 
 Coils = tuple[int, ...]

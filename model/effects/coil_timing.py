@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
-from .recursions import lagged_mean
+from .lag_and_hysteresis_recursions import lagged_mean
 from .search_range import Extent
 
 _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"

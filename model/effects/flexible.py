@@ -17,8 +17,8 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Placed, Places, Quantity, Signals, Term, on_dof
+from .lag_and_hysteresis_recursions import lagged_mean, oscillator
 from .point_force_conversion import forces
-from .recursions import lagged_mean, oscillator
 from .search_range import Extent
 
 PATTERNS = ("twist", "saddle", "dome", "wave_x", "wave_y", "egg_box")

@@ -19,19 +19,23 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil, on_dof, on_sensor, resolved
-from .filtered_response import (
+from .freeform_beam_position import wave_effect, wave_effects, wave_signals
+from .freeform_coil_hysteresis import hysteresis_effect, hysteresis_effects, hysteresis_signal
+from .freeform_leaky_integral import (
+    leaky_integral_effect,
+    leaky_integral_effects,
+    leaky_integral_signals,
+)
+from .freeform_resonant_response import (
     filtered_response_effect,
     filtered_response_effects,
     filtered_response_signal,
 )
-from .freeform_beam_position import wave_effect, wave_effects, wave_signals
 from .freeform_sensor_heating import (
     thermal_reading_effect,
     thermal_reading_effects,
     thermal_reading_signals,
 )
-from .hysteresis import hysteresis_effect, hysteresis_effects, hysteresis_signal
-from .leaky_integral import leaky_integral_effect, leaky_integral_effects, leaky_integral_signals
 from .search_range import Extent
 
 Array = NDArray[np.float64]

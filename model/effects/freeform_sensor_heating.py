@@ -15,7 +15,7 @@ import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
 from .coil_drift import carried
-from .recursions import heat
+from .lag_and_hysteresis_recursions import heat
 
 _KEY = re.compile(r"unknown\.warming\.coil_(?P<coil>[0-9]+)")
 _TIMES_S = (3.0, 12.0, 48.0)

@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .recursions import bouc_wen, dahl, lugre, slip
+from .lag_and_hysteresis_recursions import bouc_wen, dahl, lugre, slip
 from .search_range import Extent
 
 _ELEMENTS = (1.0, 4.0, 16.0)

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
-from .recursions import held, jumping, lagged, play
+from .lag_and_hysteresis_recursions import held, jumping, lagged, play
 from .search_range import Extent
 
 _LAG_S = 2e-3

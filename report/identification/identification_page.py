@@ -13,8 +13,8 @@ from ...identification.nonparametric.robust_multisine import BestLinearApproxima
 from ...identification.records.record import describe_position
 from ...identification.results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
 from ..figures.response_deviation import worst_on_diagonal
-from ..plotting.curves import SignalLabels
-from ..plotting.page import Figures, Number, Part, Section, Steps, Table, Text, write_report
+from ..plotting.frequency_response_curves import SignalLabels
+from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
 from ..plotting.style import signed
 from ..plotting.svg import Picture
 from ..session.flight_data import Session

@@ -20,8 +20,16 @@ from ..figures.nonlinear_distortion import (
 )
 from ..figures.residuals import chance
 from ..figures.response_deviation import ACCURACY, bounds_text, deviation, error_text, largest
-from ..plotting.curves import CONFIDENCE, Curve, Range, SignalLabels, inside, ratio, rig_or
-from ..plotting.page import Number, Part, Section, Table, Text, Verdict
+from ..plotting.frequency_response_curves import (
+    CONFIDENCE,
+    Curve,
+    Range,
+    SignalLabels,
+    inside,
+    ratio,
+    rig_or,
+)
+from ..plotting.html_page import Number, Part, Section, Table, Text, Verdict
 from ..plotting.style import TRUTH, line_of, position_label, signed
 from ..plotting.svg import Picture, to_svg
 from .closed_loop import TRUTH_NAME, Truth

@@ -19,8 +19,15 @@ from ..figures.response_deviation import (
     largest,
     worst_on_diagonal,
 )
-from ..plotting.curves import CONFIDENCE, Curve, Range, SignalLabels, ratio, rig_or
-from ..plotting.page import Number, Part, Section, Table, Text, Verdict
+from ..plotting.frequency_response_curves import (
+    CONFIDENCE,
+    Curve,
+    Range,
+    SignalLabels,
+    ratio,
+    rig_or,
+)
+from ..plotting.html_page import Number, Part, Section, Table, Text, Verdict
 from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
 from ..plotting.svg import Picture, to_svg
 from .closed_loop import HO_KALMAN, METHOD, TRUTH_NAME, Truth, factor

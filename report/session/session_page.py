@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ...daemon.control.states import State
-from ..plotting.curves import symbol
-from ..plotting.page import (
+from ..plotting.frequency_response_curves import symbol
+from ..plotting.html_page import (
     Figures,
     Number,
     Part,

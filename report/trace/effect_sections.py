@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ...config.model import EffectParameter
 from ...identification.trace.figure_data import Aspect, RecordView, Views
+from ...identification.trace.found_effects_summary import FoundEffect, Outcome, RandomForce, telling
 from ...identification.trace.residual.binned_means import dependence
-from ...identification.trace.result import FoundEffect, Outcome, RandomForce, telling
-from ..plotting.page import Part, Section, Table, Text
+from ..plotting.html_page import Part, Section, Table, Text
 from ..plotting.svg import Picture, to_svg
 from ..session.session_page import listed
 from .effect_shapes import Shape, effect_shapes

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...config.model import EffectParameter
 from ...identification.trace.figure_data import Views
-from ...identification.trace.result import (
+from ...identification.trace.found_effects_summary import (
     NO_STILL,
     NOISE_MOST,
     PERHAPS_A_PART,
@@ -20,12 +20,12 @@ from ...identification.trace.result import (
     telling,
 )
 from ...identification.trace.run_trace import Trace
-from ..plotting.curves import symbol
-from ..plotting.page import Figures, Number, Section, Steps, Text, write_report
+from ..plotting.frequency_response_curves import symbol
+from ..plotting.html_page import Figures, Number, Section, Steps, Text, write_report
 from ..session.session_page import listed
 from .effect_sections import effect_sections, sizes
 from .number_format import amount, share_text, times_text, with_interval
-from .trace_residual import left_section
+from .residual_section import left_section
 from .trace_sections import error_section, model_section, records_section, search_section
 
 _MOST_NAMED = 2

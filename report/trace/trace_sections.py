@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from ...config.model import ModelParameter
 from ...identification.records.record import OTHER_STEP
 from ...identification.trace.figure_data import Views
-from ...identification.trace.result import Outcome, model_after
+from ...identification.trace.found_effects_summary import Outcome, model_after
 from ...identification.trace.run_trace import Trace
 from ...identification.trace.search.candidate_screening import Round
-from ..plotting.curves import symbol
-from ..plotting.page import Part, Section, Table, Text
+from ..plotting.frequency_response_curves import symbol
+from ..plotting.html_page import Part, Section, Table, Text
 from ..plotting.style import engineering
 from ..plotting.svg import Picture, to_svg
 from ..session.session_page import listed

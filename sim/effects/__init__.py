@@ -17,7 +17,7 @@ at the end of the step, and once before the first step. Every array is a copy fo
 The modules of this package define the shipped effects; docs/effects.md lists them.
 """
 
-from .contract import HOOKS, BeamState, EffectError, EffectGeometry, EffectPlant
+from .effect_interface import HOOKS, BeamState, EffectError, EffectGeometry, EffectPlant
 from .loader import Effects
 
 __all__ = ["HOOKS", "BeamState", "EffectError", "EffectGeometry", "EffectPlant", "Effects"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..plant_kernels import Array
-from .contract import BeamState, EffectPlant
+from .effect_interface import BeamState, EffectPlant
 from .places import Dof, OnDof, coil_shapes, positive
 
 

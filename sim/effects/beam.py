@@ -6,7 +6,7 @@ import math
 
 from ..plant_arrays import GRAVITY_M_S2
 from ..plant_kernels import Array
-from .contract import BeamState, EffectPlant
+from .effect_interface import BeamState, EffectPlant
 from .places import positive
 
 Wrench = tuple[float, float, float]

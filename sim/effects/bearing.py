@@ -8,7 +8,7 @@ import numpy as np
 
 from ..plant_arrays import GRAVITY_M_S2
 from ..plant_kernels import Array
-from .contract import BeamState, EffectPlant
+from .effect_interface import BeamState, EffectPlant
 from .friction import Springs
 from .places import positive
 

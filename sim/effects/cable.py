@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..plant_kernels import Array
-from .contract import BeamState, EffectPlant
+from .effect_interface import BeamState, EffectPlant
 
 
 class HangingCable:

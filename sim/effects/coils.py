@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..plant_kernels import Array
-from .contract import EffectPlant
+from .effect_interface import EffectPlant
 from .places import Channel, chosen, coil_shapes, positive
 
 

@@ -18,7 +18,7 @@ from ...model.effects.base import Placed, Places, Signals, Term, total
 from ...model.effects.effect_serialization import placed_effects
 from ...model.geometry import shape_matrix
 from ..plant_kernels import Array
-from .contract import BeamState, EffectPlant
+from .effect_interface import BeamState, EffectPlant
 
 _HISTORY_S = 4.0
 _EVERY_S = 1e-3

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ..plant_kernels import Array
-from .contract import EffectPlant
+from .effect_interface import EffectPlant
 from .places import positive
 
 SHAPES: Mapping[str, Callable[[Array, Array], Array]] = {

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .contract import EffectPlant
+from .effect_interface import EffectPlant
 from .places import Dof, OnDof, positive
 
 _LONGEST = 0.5

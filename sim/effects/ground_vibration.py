@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import butter, sosfilt
 
 from ..plant_kernels import Array
-from .contract import BeamState, EffectPlant
+from .effect_interface import BeamState, EffectPlant
 from .places import positive
 
 Wrench = tuple[float, float, float]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..plant_kernels import Array
 from .coils import OnCoils
-from .contract import EffectPlant
+from .effect_interface import EffectPlant
 from .places import Channel, positive
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...config.sim import SimEffect, SimGeometry
 from ..plant_kernels import Array
-from .contract import HOOKS, BeamState, EffectError, EffectGeometry, EffectPlant
+from .effect_interface import HOOKS, BeamState, EffectError, EffectGeometry, EffectPlant
 
 _RENAMED = {
     f"levid.sim.effects.floor:Floor{kind}": f"levid.sim.effects.ground_vibration:Ground{kind}"

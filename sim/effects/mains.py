@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from ..plant_kernels import Array
-from .contract import BeamState
+from .effect_interface import BeamState
 from .places import Channel, Dof, OnDof
 from .sensors import OnSensors
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from ..plant_kernels import Array
-from .contract import BeamState
+from .effect_interface import BeamState
 from .places import positive
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..plant_kernels import Array
-from .contract import BeamState, EffectGeometry, EffectPlant
+from .effect_interface import BeamState, EffectGeometry, EffectPlant
 
 DOF = ("psi", "theta", "z")
 Dof = Literal["psi", "theta", "z"]

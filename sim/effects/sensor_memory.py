@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..plant_kernels import Array
-from .contract import EffectPlant
+from .effect_interface import EffectPlant
 from .places import Channel, positive
 from .sensors import OnSensors
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..plant_kernels import Array
-from .contract import EffectPlant
+from .effect_interface import EffectPlant
 from .places import Channel, chosen
 
 

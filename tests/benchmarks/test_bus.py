@@ -8,7 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from levid.benchmarks.bus import bus_rigs, codecs, cycle_cost, device_faults, serial_transaction
+from levid.benchmarks.bus import (
+    can_codec_speed,
+    cycle_cost,
+    device_fault_reaction,
+    rig_on_each_backend,
+    serial_transaction,
+)
 from levid.drivers.base import SensorError, StaleError
 from levid.sim.electronics.faults import FAULTS
 from levid.wire.bus_budget import check_budget
@@ -16,16 +22,16 @@ from levid.wire.bus_budget import check_budget
 
 @pytest.mark.parametrize("name", ["can", "canfd", "canfd_udp", "serial"])
 def test_wire_carries_the_timed_rigs(name: str, tmp_path: Path) -> None:
-    rig = bus_rigs.rig_on(name, tmp_path)
+    rig = rig_on_each_backend.rig_on(name, tmp_path)
     assert check_budget(rig, tmp_path).cycle_s * rig.rate_hz <= 1.0
 
 
 def test_codec_that_rejects_a_frame_is_not_timed(monkeypatch) -> None:
-    monkeypatch.setattr(codecs, "BATCHES", 2)
-    codecs.codec_figures(10)
+    monkeypatch.setattr(can_codec_speed, "BATCHES", 2)
+    can_codec_speed.codec_figures(10)
     monkeypatch.setattr("levid.wire.can.can_frames.ValueFrames.finish", lambda *_: "no")
     with pytest.raises(AssertionError):
-        codecs.codec_figures(10)
+        can_codec_speed.codec_figures(10)
 
 
 def test_stale_cycles_are_counted_and_not_timed() -> None:
@@ -48,7 +54,7 @@ def test_serial_transaction_with_a_wrong_reading_ends_the_run() -> None:
 
 
 def test_fault_is_named_by_the_class_and_the_words_of_its_error() -> None:
-    names = device_faults.names
+    names = device_fault_reaction.names
     assert names(SensorError("sensors on x: sensor 4: no reading"), "stuck 4")
     assert not names(SensorError("sensors on x: sensor 5: no reading"), "stuck 4")
     assert not names(StaleError("sensors on x: sensor 4: no reading"), "stuck 4")
@@ -56,13 +62,13 @@ def test_fault_is_named_by_the_class_and_the_words_of_its_error() -> None:
 
 
 def test_every_fault_of_a_device_is_injected() -> None:
-    faults = {line.split()[0] for line in device_faults.EXPECTED}
-    assert faults == set(FAULTS) - device_faults.NO_FAULT_OF_A_DEVICE
+    faults = {line.split()[0] for line in device_fault_reaction.EXPECTED}
+    assert faults == set(FAULTS) - device_fault_reaction.NO_FAULT_OF_A_DEVICE
 
 
 def test_force_that_comes_back_is_counted(monkeypatch) -> None:
     """A device whose force never ends takes all cycles; one whose force returns is counted."""
-    acting = iter([1, 1, 0, 0, 1, *[0] * device_faults.AFTER_CYCLES])
+    acting = iter([1, 1, 0, 0, 1, *[0] * device_fault_reaction.AFTER_CYCLES])
     raised = StaleError("amplifiers on x: no clean reading")
 
     class Amplifiers(SimpleNamespace):
@@ -89,5 +95,5 @@ def test_force_that_comes_back_is_counted(monkeypatch) -> None:
         command=lambda _: setattr(amplifiers, "injected", True), receives=False
     )
     electronics = SimpleNamespace(core=Core(), injector=injector)
-    monkeypatch.setattr(device_faults, "_PACE_S", 0.0)
-    assert device_faults._play(devices, electronics, "drop") == (2, 1, raised)
+    monkeypatch.setattr(device_fault_reaction, "_PACE_S", 0.0)
+    assert device_fault_reaction._play(devices, electronics, "drop") == (2, 1, raised)

@@ -10,8 +10,8 @@ from rig_effects import CLASSES, rig_places, shipped_effects
 from levid.benchmarks.trace import hidden_effects
 from levid.benchmarks.trace.hidden_effect_cases import CASES, TIMES, UNLISTED
 from levid.benchmarks.trace.hidden_effect_flight import Found
+from levid.benchmarks.trace.hidden_effect_parameter_errors import known, relative_errors
 from levid.benchmarks.trace.hidden_effect_score import score_plant
-from levid.benchmarks.trace.hidden_effect_truth import known, relative_errors
 from levid.config.sim import SimEffect
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.search_range import Extent

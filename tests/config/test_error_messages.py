@@ -27,7 +27,7 @@ from levid.config.base import (
     parse_text,
 )
 from levid.config.error_messages import _FORMS, MOST_MISTAKES
-from levid.config.file_kind import KINDS, load_any
+from levid.config.load_any_kind import KINDS, load_any
 from levid.config.model import ModelConfig
 from levid.config.rig import RigConfig, load_rig
 from levid.config.session import Move, SessionConfig, load_session

@@ -28,7 +28,7 @@ from levid.config.shipped import shipped
 from levid.daemon.client import Client, DaemonError
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import IN_FLIGHT, State
-from levid.daemon.ipc.control_words import Word
+from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.planning.planner_link import PlannerLink
 from levid.log.errors import LogError
 from levid.log.reader import Log, read_log

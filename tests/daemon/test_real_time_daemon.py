@@ -17,8 +17,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from waiting import wait_until
 
+from levid.config.daemon_settings import Service
 from levid.config.rig import load_rig
-from levid.config.service import Service
 from levid.config.shipped import shipped
 from levid.daemon.api.control_server import Server, ServerError
 from levid.daemon.client import Client, DaemonError

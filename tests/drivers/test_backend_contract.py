@@ -13,9 +13,9 @@ from waiting import wait_until
 
 from levid.config.rig import RigConfig
 from levid.daemon.control.control_cycle import Controller
-from levid.daemon.loop.compile_before_start import locate
+from levid.daemon.loop.prepare_first_cycle import locate
 from levid.drivers.base import Context, Devices
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 from levid.sim.electronics.emulated_rig import Electronics
 
 BACKENDS = ["loopback", "can", "canfd", "canlocal", "serial"]

@@ -20,7 +20,7 @@ from levid.daemon.loop.clock import VirtualClock
 from levid.daemon.loop.virtual_flight import Flight
 from levid.daemon.planning.plan import plan_session
 from levid.drivers.base import AmplifierError, Context, StaleError
-from levid.drivers.registry import check_backends, names, open_devices
+from levid.drivers.open_backends import check_backends, names, open_devices
 from levid.log.reader import read_log
 from levid.sim.electronics.emulated_rig import Electronics
 

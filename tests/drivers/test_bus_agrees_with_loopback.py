@@ -13,7 +13,7 @@ from levid.daemon.loop.clock import VirtualClock
 from levid.daemon.loop.virtual_flight import Flight
 from levid.daemon.planning.plan import plan_session
 from levid.drivers.base import Devices
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 from levid.log.reader import read_log
 from levid.log.signals import Stale
 from levid.sim.electronics.emulated_rig import Electronics

@@ -15,7 +15,7 @@ import pytest
 import serial
 from waiting import wait_until
 
-from levid.benchmarks.bus import device_faults
+from levid.benchmarks.bus import device_fault_reaction
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped
@@ -28,7 +28,7 @@ from levid.drivers.base import (
     LinkError,
     SensorError,
 )
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 from levid.log.signals import Stale
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.sim.electronics.faults import InjectionError
@@ -44,7 +44,7 @@ LONG, SHORT = 20, 2
 time; faults in which no frame arrives need SHORT."""
 
 # What is injected: the error that the host raises, and words that name the cause.
-_WORDS = device_faults
+_WORDS = device_fault_reaction
 EXPECTED = [line for line in _WORDS.EXPECTED if not line.startswith("frozen")]
 
 

@@ -10,7 +10,7 @@ from levid.config.base import ConfigError
 from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context
-from levid.drivers.registry import check_backends
+from levid.drivers.open_backends import check_backends
 from levid.wire.device_protocol import PROTOCOL, DeviceParameter, expected_parameters
 
 

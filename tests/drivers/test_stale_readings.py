@@ -13,7 +13,7 @@ from numba.core.dispatcher import Dispatcher
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control.control_cycle import Controller
-from levid.daemon.loop.compile_before_start import locate
+from levid.daemon.loop.prepare_first_cycle import locate
 from levid.drivers import reading_checks
 from levid.drivers.amplifier_enabling import AmplifierWatch, worst_state
 from levid.drivers.base import AmplifierError, DriveError, SensorError, StaleError

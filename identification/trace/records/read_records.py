@@ -12,7 +12,7 @@ import numpy as np
 
 from ....config.model import ModelConfig
 from ....log.reader import read_log
-from ...records.duplicates import DuplicateCheck
+from ...records.duplicate_logs import DuplicateCheck
 from ...records.record import IdentificationError, NotARecordError
 from .record_from_log import SHORTEST_S, TraceRecord, trace_record
 

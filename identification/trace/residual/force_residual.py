@@ -11,9 +11,9 @@ from scipy.signal import welch
 from ....model.effects.base import Placed, Term
 from ...greybox.discretisation import Motion, input_moments
 from ...greybox.free_run_noise_floor import powers_of
-from ..linearised.drive_force import beside_motion, calm, drive_errors
+from ..linearised.drive_force_residual import beside_motion, calm, drive_errors
 from ..linearised.intersample_moments import force_moments
-from ..linearised.working_point import Along, WorkingPoint, along, corrected_experiment
+from ..linearised.linearisation_point import Along, WorkingPoint, along, corrected_experiment
 from ..records.record_from_log import TraceRecord
 
 Array = NDArray[np.float64]

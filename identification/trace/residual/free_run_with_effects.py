@@ -29,7 +29,7 @@ from ...greybox.free_run import (
 from ...greybox.noise_model import Filter
 from ...greybox.prediction_errors import settled
 from ..linearised.intersample_moments import force_moments
-from ..linearised.working_point import WorkingPoint, corrected_experiment, filter_of, filtered
+from ..linearised.linearisation_point import WorkingPoint, corrected_experiment, filter_of, filtered
 from ..records.effect_signals import rate, trajectory
 from ..records.record_from_log import TraceRecord
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..linearised.working_point import WorkingPoint
+from ..linearised.linearisation_point import WorkingPoint
 from ..records.record_from_log import TraceRecord
 from .force_residual import FADE_S, density, false_density, missing, noise_density, third_octaves
 

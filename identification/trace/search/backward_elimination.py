@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ....model.effects.base import Placed
-from ..linearised.working_point import WorkingPoint
+from ..linearised.linearisation_point import WorkingPoint
 from .candidate_screening import LEAST, Round, Tried, is_internal, width
 from .gauss_newton import NEARLY, Fitted, gather, refine
 from .regression import ColumnEvidence, cross_validated, steadied

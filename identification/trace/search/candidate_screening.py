@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
 from ..linearised.gram_matrices import Linearised
-from ..linearised.working_point import WorkingPoint
+from ..linearised.linearisation_point import WorkingPoint
 from .gauss_newton import Candidate, Fitted, gather
 from .regression import FOLDS, ColumnEvidence, chance, chance_between, expected, gains, solve
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ....model.effects.base import Placed
-from ..linearised.working_point import WorkingPoint
+from ..linearised.linearisation_point import WorkingPoint
 from .candidate_screening import Round, Tried
 from .gauss_newton import ROUGHLY, Fitted, gather, refine
 from .regression import ColumnEvidence

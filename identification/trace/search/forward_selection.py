@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ....model.effects.base import Effect
-from ..linearised.working_point import WorkingPoint
+from ..linearised.linearisation_point import WorkingPoint
 from .backward_elimination import (
     brought,
     taken_instead,

@@ -13,7 +13,7 @@ from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Quantity
 from ...records.record import IdentificationError
 from ..linearised.gram_matrices import Linearised
-from ..linearised.working_point import WorkingPoint
+from ..linearised.linearisation_point import WorkingPoint
 from .regression import ColumnEvidence, covariance, solve
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Placed
-from ..linearised.working_point import WorkingPoint
+from ..linearised.linearisation_point import WorkingPoint
 from .candidate_screening import LEAST
 from .gauss_newton import FULLY, Fitted, gather, refine
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect
 from ..linearised.gram_matrices import Linearised, ResidualChannel, grams
 from ..linearised.innovations_filter_bank import thinned
-from ..linearised.linearise import beyond_pose, readings, redundancy_basis
-from ..linearised.working_point import WorkingPoint, along
+from ..linearised.linearisation_point import WorkingPoint, along
+from ..linearised.linearise_prediction_errors import beyond_pose, readings, redundancy_basis
 from ..records.record_from_log import TraceRecord
 from .gauss_newton import Candidate
 from .regression import ColumnEvidence, gains

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ....model.effects.base import Effect
 from ...records.record import IdentificationError
-from ..linearised.working_point import WorkingPoint
+from ..linearised.linearisation_point import WorkingPoint
 from .backward_elimination import followers, without_guesses
 from .candidate_screening import Records, Round
-from .candidate_swap import otherwise
+from .escape_local_minimum import otherwise
 from .forward_selection import MUCH, Grown, Progress, grown
 from .gauss_newton import FULLY, gather, refine
 from .held_out_test import LOWERS

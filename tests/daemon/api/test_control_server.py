@@ -21,7 +21,7 @@ import pytest
 from waiting import wait_until
 
 from levid.config.base import ConfigError
-from levid.config.service import Service
+from levid.config.daemon_settings import Service
 from levid.daemon.api.control_server import LONGEST_LINE, LONGEST_SHORT, Reply, Server, ServerError
 from levid.daemon.client import Client
 from levid.daemon.host.peer_credentials import Access, Peer, peer_of

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from levid.config.service import Service
+from levid.config.daemon_settings import Service
 from levid.daemon.api import socket_paths
 from levid.daemon.api.control_server import Server
 from levid.daemon.client import Client, NoDaemonError

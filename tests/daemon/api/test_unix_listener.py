@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from waiting import wait_until
 
-from levid.config.service import Service
+from levid.config.daemon_settings import Service
 from levid.daemon.api import unix_listener
 from levid.daemon.api.control_server import Server, ServerError
 from levid.daemon.api.unix_listener import UnixListener

@@ -9,7 +9,7 @@ from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control.control_cycle import Controller
 from levid.daemon.control.faults import Fault
-from levid.daemon.control.segment import Segment, idle_segment
+from levid.daemon.control.flight_segment import Segment, idle_segment
 from levid.daemon.control.states import State
 from levid.log.signals import cycle_dtype
 from levid.model.geometry import decoupling_matrix, shape_matrix

@@ -7,7 +7,7 @@ import pytest
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
-from levid.daemon.control.lateness import Lateness
+from levid.daemon.control.late_cycle_detector import Lateness
 from levid.daemon.control.self_test import self_test
 from levid.log.signals import cycle_dtype
 from levid.model.geometry import shape_matrix

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from levid.config.service import Realtime
+from levid.config.daemon_settings import Realtime
 from levid.daemon.host import real_time_scheduling
 from levid.daemon.host.real_time_scheduling import (
     apply_realtime,
@@ -52,7 +52,7 @@ def test_process_without_rights_is_warned_of_each_part_it_lacks() -> None:
     # In a process of its own, which gives away the rights it may have.
     program = """
 import os, resource
-from levid.config.service import Realtime
+from levid.config.daemon_settings import Realtime
 from levid.daemon.host.real_time_scheduling import apply_realtime
 resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
 resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))

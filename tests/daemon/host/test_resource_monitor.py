@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from levid.config.service import Service
+from levid.config.daemon_settings import Service
 from levid.daemon.api.control_server import Server
 from levid.daemon.host import resource_monitor
 from levid.daemon.host.peer_credentials import Access

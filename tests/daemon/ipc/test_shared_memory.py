@@ -9,13 +9,13 @@ from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control.control_cycle import Controller
 from levid.daemon.control.faults import FAULTS, Fault
+from levid.daemon.control.flight_segment import idle_segment
 from levid.daemon.control.landing import Landing
-from levid.daemon.control.segment import idle_segment
 from levid.daemon.control.states import TRANSITIONS, State
-from levid.daemon.ipc.control_words import ControlWords, Word
+from levid.daemon.ipc.flight_segment_stream import Logged, SegmentFeeder, SegmentStream
 from levid.daemon.ipc.row_ring import Ring
-from levid.daemon.ipc.segment_stream import Logged, SegmentFeeder, SegmentStream
 from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.ipc.shared_status_words import ControlWords, Word
 from levid.daemon.planning import point_to_point
 
 DTYPE = np.dtype([("cycle", "<u8"), ("payload", "<f4", 3)])

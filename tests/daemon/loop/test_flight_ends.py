@@ -16,13 +16,13 @@ from levid.config.session import Step
 from levid.daemon.control.control_cycle import Controller
 from levid.daemon.control.faults import Fault, FlightFault
 from levid.daemon.control.states import State
-from levid.daemon.ipc.control_words import Word
+from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.loop.clock import RealClock, VirtualClock
-from levid.daemon.loop.compile_before_start import locate
+from levid.daemon.loop.prepare_first_cycle import locate
 from levid.daemon.loop.virtual_flight import Flight
 from levid.daemon.planning.plan import plan_steps
 from levid.drivers.base import Context, Devices, DriveError, DriverError, LinkError, StaleError
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 from levid.log.reader import read_log
 
 LAND = {"ramp_s": 0.5, "release_s": 0.3}

@@ -12,7 +12,7 @@ from scripted_loop import LIFT, ScriptedLoop
 
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
-from levid.daemon.ipc.control_words import Word
+from levid.daemon.ipc.shared_status_words import Word
 from levid.drivers.base import Backend, Devices, StaleError
 
 

@@ -21,8 +21,8 @@ from levid.config.shipped import shipped
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
 from levid.daemon.ipc import shared_memory as shared_module
-from levid.daemon.ipc.control_words import ControlWords, Word
 from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.ipc.shared_status_words import ControlWords, Word
 from levid.daemon.loop import loop_process
 from levid.drivers.base import LinkError
 
@@ -62,7 +62,7 @@ def test_devices_that_open_at_the_second_try_are_not_ready_before_their_self_tes
 LOOP = """
 import sys, time
 from levid.daemon.loop import loop_process
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 
 slow, *arguments = sys.argv[1:]
 loop_process._CLOSING_S = 1

@@ -15,7 +15,7 @@ from scripted_loop import LIFT, ScriptedLoop
 
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
-from levid.daemon.ipc.control_words import Word
+from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.supervision.supervisor import Supervisor
 from levid.drivers.base import Backend, Devices, FirstError, LinkError, StaleError
 

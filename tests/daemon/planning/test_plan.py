@@ -12,7 +12,7 @@ from levid.config.base import ConfigError
 from levid.config.rig import load_rig
 from levid.config.session import SessionConfig, load_session
 from levid.config.shipped import shipped
-from levid.daemon.control.segment import Segment
+from levid.daemon.control.flight_segment import Segment
 from levid.daemon.control.states import State
 from levid.daemon.planning.plan import Plan, plan_session
 

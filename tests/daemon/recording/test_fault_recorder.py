@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from levid.config.service import Recording
+from levid.config.daemon_settings import Recording
 from levid.daemon.control.faults import Fault
 from levid.daemon.ipc.row_ring import Ring
 from levid.daemon.recording.fault_recorder import NO_ROWS, FaultLog

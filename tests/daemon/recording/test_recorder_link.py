@@ -15,10 +15,10 @@ import pytest
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control.faults import Fault
-from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.json_lines import Lines
 from levid.daemon.ipc.row_ring import HUNG_S
 from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.recording.fault_recorder import NO_ROWS
 from levid.daemon.recording.log_router import Event, LogFile
 from levid.daemon.recording.recorder_link import RecorderLink

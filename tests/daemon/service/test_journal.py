@@ -14,7 +14,7 @@ import pytest
 
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
-from levid.daemon.ipc.control_words import ControlWords, Word
+from levid.daemon.ipc.shared_status_words import ControlWords, Word
 from levid.daemon.service.journal import Journal, entry, moment
 
 

@@ -16,7 +16,7 @@ from waiting import wait_until
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
-from levid.daemon.ipc.control_words import Word
+from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.service.systemd_notify import Notify
 
 RIG_FILE = shipped("rigs/loopback.yaml")

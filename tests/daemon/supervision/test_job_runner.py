@@ -15,7 +15,7 @@ from scripted_loop import LIFT, ScriptedLoop
 from levid.config.session import Step
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
-from levid.daemon.ipc.control_words import Word
+from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.planning.plan import plan_steps
 from levid.daemon.recording.log_router import LogFile
 from levid.daemon.supervision import job_runner as pilot_module

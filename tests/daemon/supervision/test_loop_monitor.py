@@ -9,8 +9,8 @@ import pytest
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control.faults import Fault
-from levid.daemon.ipc.control_words import ControlWords, Word
 from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.ipc.shared_status_words import ControlWords, Word
 from levid.daemon.supervision.loop_monitor import LoopMonitor
 
 HUNG_S = 30.0

@@ -13,15 +13,15 @@ import yaml
 from daemon_process import calm
 from waiting import wait_until
 
+from levid.config.daemon_settings import Service
 from levid.config.rig import load_rig
-from levid.config.service import Service
 from levid.config.shipped import shipped
 from levid.daemon.api.control_server import Server, ServerError
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
 from levid.daemon.host.peer_credentials import Access
-from levid.daemon.ipc.control_words import Word
 from levid.daemon.ipc.shared_memory import SharedMemory
+from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.supervision import supervisor as supervisor_module
 from levid.daemon.supervision.supervisor import Supervisor
 

@@ -16,7 +16,7 @@ from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context, Devices, LinkError, StaleError
 from levid.drivers.can.bus_link import CanLink
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 from levid.sim.electronics import can_emulator
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.can_bus import _KernelBus

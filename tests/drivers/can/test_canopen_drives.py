@@ -21,7 +21,7 @@ from levid.config.shipped import shipped
 from levid.drivers.base import Context, Devices, DriveError, DriverError, LinkError, StaleError
 from levid.drivers.can.bus_link import CanLink
 from levid.drivers.can.canopen_nodes import DriveNode
-from levid.drivers.registry import check_backends, open_devices
+from levid.drivers.open_backends import check_backends, open_devices
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import (
     NMT_ID,

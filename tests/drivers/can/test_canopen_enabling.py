@@ -16,7 +16,7 @@ from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context, Devices, DriveError, DriverError
 from levid.drivers.can.canopen_nodes import DriveNode, interpolation
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 from levid.sim.electronics.drive_nodes import Drive
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import (

@@ -23,7 +23,7 @@ from levid.config.buses import SerialBus
 from levid.config.rig import RigConfig
 from levid.drivers.base import Context, DriverError, LinkError, StaleError
 from levid.drivers.bus_backend import AnswerTime
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 from levid.drivers.serial.serial_line import SerialLine
 from levid.drivers.serial.transaction import TransactionPort
 from levid.sim.electronics.emulated_rig import Electronics

@@ -10,7 +10,7 @@ import pytest
 
 from levid.benchmarks.harness import silverbox
 from levid.config.model import load_model
-from levid.identification.trace.linearised.working_point import WorkingPoint
+from levid.identification.trace.linearised.linearisation_point import WorkingPoint
 from levid.identification.trace.records.record_from_log import trace_record
 from levid.identification.trace.residual.free_run_with_effects import free_run
 from levid.identification.trace.run_trace import trace

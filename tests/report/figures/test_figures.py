@@ -20,7 +20,15 @@ from levid.report.figures.response_deviation import (
     worst_on_diagonal,
 )
 from levid.report.figures.singular_values import SingularValues, Spectrum, gap, singular_values
-from levid.report.plotting.curves import RIG, Curve, Range, SignalLabels, inside, ratio, symbol
+from levid.report.plotting.frequency_response_curves import (
+    RIG,
+    Curve,
+    Range,
+    SignalLabels,
+    inside,
+    ratio,
+    symbol,
+)
 from levid.report.plotting.min_max_envelope import Envelope, envelope, over_time
 from levid.report.plotting.style import (
     DOUBTFUL,

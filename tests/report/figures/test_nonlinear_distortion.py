@@ -15,7 +15,7 @@ from levid.report.figures.nonlinear_distortion import (
     detection_levels,
     response_with_distortion,
 )
-from levid.report.plotting.curves import Range, SignalLabels
+from levid.report.plotting.frequency_response_curves import Range, SignalLabels
 from levid.report.plotting.style import PAPER, colour
 from levid.report.plotting.svg import to_svg
 

@@ -13,8 +13,8 @@ from levid.config.shipped import shipped
 from levid.identification.greybox.identify_greybox import to_yaml
 from levid.model.effects.base import Signals
 from levid.model.effects.effect_serialization import placed_effects
-from levid.sim.effects.contract import BeamState
 from levid.sim.effects.declared import FromModel
+from levid.sim.effects.effect_interface import BeamState
 
 
 def effect(key: str, where: str, **values: tuple[float, str]) -> ModelEffect:

@@ -14,7 +14,7 @@ from waiting import wait_until
 from levid.config.rig import RigConfig
 from levid.drivers.base import Context, Devices, DriveError
 from levid.drivers.can.bus_link import CanLink
-from levid.drivers.registry import open_devices
+from levid.drivers.open_backends import open_devices
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import POSITION_M, POSITION_RAD, RPDO1_ID
 from levid.wire.device_protocol import DriveState

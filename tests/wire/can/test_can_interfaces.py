@@ -14,7 +14,7 @@ from levid.config.buses import CanBus
 from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context
-from levid.drivers.registry import check_backends
+from levid.drivers.open_backends import check_backends
 from levid.wire.can.can_interfaces import ADAPTERS, adapter_of, arguments, check_bus, latency_s
 
 DOCS = (DOCS / "can.md").read_text()

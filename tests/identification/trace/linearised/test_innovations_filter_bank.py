@@ -31,24 +31,24 @@ from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise, kalman_filter
 from levid.identification.greybox.prediction_errors import predict, settled
-from levid.identification.trace.linearised import linearise as linearised
-from levid.identification.trace.linearised.drive_force import beside_motion
+from levid.identification.trace.linearised import linearise_prediction_errors as linearised
+from levid.identification.trace.linearised.drive_force_residual import beside_motion
 from levid.identification.trace.linearised.innovations_filter_bank import (
     FilterBank,
     thinned,
     transitions,
 )
-from levid.identification.trace.linearised.linearise import (
-    effect_terms,
-    linearise,
-    parameter_columns,
-    redundancy_basis,
-)
-from levid.identification.trace.linearised.working_point import (
+from levid.identification.trace.linearised.linearisation_point import (
     WorkingPoint,
     along,
     corrected_experiment,
     filtered,
+)
+from levid.identification.trace.linearised.linearise_prediction_errors import (
+    effect_terms,
+    linearise,
+    parameter_columns,
+    redundancy_basis,
 )
 from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance

@@ -16,10 +16,10 @@ from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.records.record import IdentificationError, PiController
-from levid.identification.trace.linearised.working_point import WorkingPoint
+from levid.identification.trace.linearised.linearisation_point import WorkingPoint
 from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance
-from levid.identification.trace.residual.error_metric import pooled, record_error
+from levid.identification.trace.residual.free_run_error import pooled, record_error
 from levid.identification.trace.residual.free_run_with_effects import EffectFreeRun, free_run
 from levid.model.effects.base import Placed, Places
 from levid.model.effects.candidate_effects import all_effects

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from declared_model_records import PLACES, SENSOR_SD, SHAPE, point, record
 
-from levid.identification.trace.linearised.linearise import linearise
+from levid.identification.trace.linearised.linearise_prediction_errors import linearise
 from levid.identification.trace.search import nonrigid_screening
 from levid.identification.trace.search.candidate_screening import DESCRIBES
 from levid.identification.trace.search.gauss_newton import Candidate, gather

@@ -18,9 +18,9 @@ from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace.figure_data import views
-from levid.identification.trace.linearised.linearise import linearise
+from levid.identification.trace.linearised.linearise_prediction_errors import linearise
 from levid.identification.trace.records.read_records import read_records
-from levid.identification.trace.residual.error_metric import pooled, record_error
+from levid.identification.trace.residual.free_run_error import pooled, record_error
 from levid.identification.trace.run_trace import Trace, trace
 from levid.identification.trace.worker_pool import Alone, RecordSource, Workers, local_workers
 from levid.model.effects.candidate_effects import all_effects

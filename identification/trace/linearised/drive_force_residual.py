@@ -1,0 +1,99 @@
+"""Use the drive force of the beam: regress it on the motion, and weight the residual.
+
+The drives move the beam's mass on a platform that tilts and accelerates: forces proportional to
+accelerations, speed and tilt are not effects and are projected out. So are a cable's pull, which
+depends on the beam's position, and the force of an unbalanced rotor: both are external forces,
+which the platform shows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from ....model.effects.rotor import pushes
+from ...greybox.intersample_input import held_step, lagged_input
+from .innovations_filter_bank import thinned
+from .linearisation_point import Along
+
+Array = NDArray[np.float64]
+
+_OUTLIER = 4.0
+"""Outlier limit in standard deviations: at a jerk of the profile the force is unknown."""
+_SLOW_HZ = 15.0
+
+
+def drive_errors(here: Along) -> Array | None:
+    """Return the drive force (N,) without the effects found so far; None if not measured."""
+    drive, added = here.record.drive_n, here.added.drive
+    return drive if drive is None or added is None else drive - added
+
+
+def beside_motion(here: Along, drive: Array, every: int = 1) -> Array:
+    """Return drive forces (N', ...) without their regression on beam and platform motion.
+
+    Each row is the mean of `every` rows of the record.
+    """
+    s = here.signals
+    # Speed is included: its effect is that of a reading delayed by half a period.
+    own = np.column_stack(
+        [
+            np.ones(s.rows), s.x_b_m, s.x_b_m**2, s.v_b_m_s, s.a_b_m_s2, *pushes(s), s.q,
+            _accelerations(here),
+        ]
+    )  # fmt: skip
+    basis, _ = np.linalg.qr(thinned(own / np.maximum(np.abs(own).max(axis=0), 1e-300), every))
+    return np.asarray(drive - basis @ (basis.T @ drive))
+
+
+def calm(drive: Array) -> NDArray[np.bool_]:
+    """Return the rows (N,) without outliers, which are jerks of the beam's profile.
+
+    There the acceleration between samples is unknown.
+    """
+    return np.asarray(np.abs(drive) <= _OUTLIER * float(np.std(drive)))
+
+
+def drive_channel(here: Along, columns: Array) -> Array | None:
+    """Return force columns (N', c) in noise standard deviations; None without a measured force.
+
+    The noise is unknown and replaced by the standard deviation of the residual, so only the shape
+    of the residual counts, not its size.
+    """
+    raw = here.record.drive_n
+    if raw is None:
+        return None
+    freed = beside_motion(here, np.column_stack([columns, thinned(raw, here.every)]), here.every)
+    columns, rest = freed[:, :-1], freed[:, -1]
+    quiet = calm(rest)
+    sd = float(np.std(rest[quiet]))
+    if sd <= 0.0:
+        return None
+    # The residual is coloured: its low frequencies determine the number of independent values.
+    every_s = here.every * here.record.experiment.Ts_s
+    freq_hz, power = welch(np.where(quiet, rest, 0.0), 1 / every_s, nperseg=min(512, len(rest)))
+    slow = power[(freq_hz > 0) & (freq_hz < _SLOW_HZ)]
+    sd *= float(np.sqrt(max(slow.mean() / power[1:].mean(), 1.0)))
+    return np.asarray(columns * quiet[:, None] / sd)
+
+
+def _accelerations(here: Along) -> Array:
+    """Return the pose's accelerations (N, n) at the rows, from the model's forces.
+
+    Twice differentiated readings would be too noisy for a friction of millinewtons.
+    """
+    e, at, s, n = here.record.experiment, here.at, here.signals, here.at.K.shape[1]
+    step = held_step(e.Ts_s, 1, e.delay_cycles * e.Ts_s, s.lag_s)
+    given = e.u if here.added.held is None else e.u + here.added.held
+    acting = lagged_input(given, step) if s.lag_s > 0.0 else s.acting(given)
+    each = (s.rows, n, n)
+    K, D = np.broadcast_to(at.K, each), np.broadcast_to(at.D, each)
+    pushed = np.einsum("nip,np->ni", np.broadcast_to(at.B, (s.rows, *at.B.shape[1:])), acting)
+    moved = np.einsum("nij,nj->ni", K, s.q) + np.einsum("nij,nj->ni", D, s.qd)
+    own = np.broadcast_to(at.drift[:, 0] / e.Ts_s, s.q.shape)  # means over the following period
+    now = 0.5 * (own + np.vstack([own[:1], own[:-1]]))
+    if here.added.force is not None:
+        mobility = np.broadcast_to(at.mobility, each)
+        now = now + np.einsum("nij,nj->ni", mobility, here.added.force)
+    return np.asarray(pushed - moved + now)

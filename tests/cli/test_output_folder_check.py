@@ -1,0 +1,71 @@
+"""Test the check of output folders and the quoting of printed shell commands."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import time
+from pathlib import Path
+
+import pytest
+
+from levid.cli.output_folder_check import logs_in, older_results, quoted, same_logs, writable_folder
+from levid.config.base import ConfigError
+
+
+def test_folder_that_cannot_be_written_is_rejected_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writable_folder(tmp_path / "new" / "deeper")
+    assert not (tmp_path / "new").exists()  # the check creates nothing
+    (tmp_path / "report.html").write_text("")
+    for out in ("report.html", "report.html/x"):
+        with pytest.raises(ConfigError, match=r"report.html.*: expected a folder, found .*file"):
+            writable_folder(tmp_path / out)
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
+    with pytest.raises(ConfigError, match="may not be written to"):
+        writable_folder(tmp_path / "new")
+
+
+def test_printed_commands_quote_any_path() -> None:
+    odd = Path("my runs") / "it's"
+    assert shlex.split(quoted(odd, Path("x"))) == [str(odd), "x"]
+    assert shlex.split(logs_in(odd)) == [f"{odd}/*.mcap"]
+    assert logs_in(odd).endswith("/*.mcap")  # outside the quotes, so that the shell expands it
+    few = [odd / "a.mcap", odd / "b.mcap"]
+    assert shlex.split(same_logs(few)) == list(map(str, few))
+
+
+def test_many_logs_become_a_pattern_only_if_they_are_all_logs_of_the_folder(tmp_path: Path) -> None:
+    paths = []
+    for day in ("monday", "tuesday"):
+        (tmp_path / day).mkdir()
+        paths += [tmp_path / day / f"{k}.mcap" for k in range(3)]
+    for path in paths:
+        path.write_bytes(b"")
+    monday, tuesday = (logs_in(tmp_path / day) for day in ("monday", "tuesday"))
+    assert same_logs(paths) == f"{monday} {tuesday}"
+    assert same_logs(paths[:5]) == f"{monday} {quoted(*paths[3:5])}"
+
+
+def test_paths_that_block_results_are_rejected_before_the_work(tmp_path: Path) -> None:
+    for name in ("model.yaml", "figures/x"):
+        (tmp_path / "a" / name).mkdir(parents=True)
+    writable_folder(tmp_path / "a", ("index.html",), ("figures",))
+    with pytest.raises(ConfigError, match=r"to write model.yaml, found a folder of that name"):
+        writable_folder(tmp_path / "a", ("model.yaml",))
+    (tmp_path / "figures").write_text("")
+    with pytest.raises(ConfigError, match="expected figures to be a writable folder"):
+        writable_folder(tmp_path, (), ("figures",))
+    (tmp_path / "link").symlink_to(tmp_path / "gone")
+    with pytest.raises(ConfigError, match="found a link to a missing path"):
+        writable_folder(tmp_path / "link")
+
+
+def test_results_of_an_earlier_run_are_returned(tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text("")
+    began_s = time.time() + 1.0
+    (tmp_path / "identified.mat").write_text("")
+    os.utime(tmp_path / "identified.mat", (began_s + 1.0,) * 2)
+    names = ("model.yaml", "identified.mat", "multisine.mat")
+    assert older_results(tmp_path, names, began_s) == [tmp_path / "model.yaml"]

@@ -31,7 +31,7 @@ CASES = {
     "log_read": "read a log of 10 kHz",
     "log_read_1khz": "read a log of 1 kHz",
 }
-WORKER = Path(__file__).with_name("cost_worker.py")
+WORKER = Path(__file__).with_name("processor_time_worker.py")
 LIMIT = 1.03
 RUNS = 6
 """Runs of each version in a pair. Other work on the machine only adds cost: the least counts."""

@@ -60,7 +60,7 @@ class PlayedLoop:
 def time(monkeypatch: pytest.MonkeyPatch) -> Time:
     """Virtual time of the supervisor and of what it watches in its own thread."""
     time = Time()
-    for module in ("supervisor", "loop_monitor", "pending_clears"):
+    for module in ("supervisor", "loop_monitor", "fault_clearing"):
         monkeypatch.setattr(f"{MODULE}.{module}.time", time)
     return time
 

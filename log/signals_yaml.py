@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from ..config.base import Finite, Positive, Strict
+from ..config.base import Finite, NonNegative, Positive, Strict
+from ..config.controller import ControllerConfig
 
-Role = Literal["input", "output", "scheduling", "other"]
+Role = Literal["input", "output", "reference", "excitation", "scheduling", "other"]
 Format = Literal["csv", "text", "npz", "mat"]
 
 # A name becomes a field of a ros2msg, a unit its comment in brackets: hence the patterns.
@@ -23,6 +24,9 @@ class Column(Strict):
     `column` is a number, from 0, or a name: of the header in CSV and text, of a variable in NPZ and
     MAT (`struct.field` for a field of a MATLAB struct); `index` picks one column of a variable that
     is a matrix. The logged value is `scale` times the file's value plus `offset`, in `unit`.
+
+    An excitation is added to the input `of`. For an output, `noise_sd` is the standard deviation of
+    its white noise, and `resolution` its smallest step, both in `unit`; estimated if not given.
     """
 
     column: Index | Annotated[str, Field(min_length=1)]
@@ -32,6 +36,23 @@ class Column(Strict):
     role: Role
     scale: Finite = 1.0
     offset: Finite = 0.0
+    of: Name | None = None
+    noise_sd: Positive | None = None
+    resolution: NonNegative | None = None
+
+    @field_validator("role", mode="before")
+    @classmethod
+    def _schedule(cls, value: object) -> object:
+        return "scheduling" if value == "schedule" else value
+
+    @model_validator(mode="after")
+    def _keys_of_the_role(self) -> Self:
+        if self.of is not None and self.role != "excitation":
+            raise ValueError(f"of: expected only with role excitation, found role {self.role}")
+        for key in ("noise_sd", "resolution"):
+            if getattr(self, key) is not None and self.role != "output":
+                raise ValueError(f"{key}: expected only with role output, found role {self.role}")
+        return self
 
     @property
     def label(self) -> str:
@@ -58,11 +79,23 @@ class RowRange(Strict):
         return None if self.last is None else self.last + 1
 
 
+class Loop(Strict):
+    """The control loop in which the data were measured; `unknown` if the law is not known."""
+
+    controller: ControllerConfig | Literal["unknown"]
+
+    @property
+    def law(self) -> ControllerConfig | None:
+        """The controller, None if it is unknown."""
+        return None if self.controller == "unknown" else self.controller
+
+
 class SignalsFile(Strict):
     """SIGNALS.yaml.
 
     The file's suffix gives `format` if it is not set. `input_hold`: how the inputs behave between
-    samples. `samples`: whether rows or columns of a matrix (NPZ, MAT) are samples.
+    samples. `samples`: whether rows or columns of a matrix (NPZ, MAT) are samples. `loop`: the
+    control loop; without it the inputs do not depend on the outputs.
     """
 
     levid: Literal["signals"]
@@ -73,6 +106,36 @@ class SignalsFile(Strict):
     samples: Literal["rows", "columns"] = "rows"
     input_hold: Literal["zoh", "foh", "band_limited"] = "zoh"
     columns: Annotated[tuple[Column, ...], Field(min_length=1)]
+    loop: Loop | None = None
+
+    @model_validator(mode="after")
+    def _loop_of_known_signals(self) -> Self:
+        by_role = {r: [c.name for c in self.with_role(r)] for r in get_args(Role)}
+        for column in self.with_role("excitation"):
+            inputs = by_role["input"]
+            if column.of is None and len(inputs) > 1:
+                raise ValueError(f"{column.name}: of: expected one of {', '.join(inputs)}")
+            if column.of is not None and column.of not in inputs:
+                raise ValueError(
+                    f"{column.name}: of: expected one of the inputs {', '.join(inputs)}, found "
+                    f"{column.of}"
+                )
+        law = self.loop and self.loop.law
+        if not law:
+            return self
+        pairs = [("input", law.drives), ("output", law.measured), ("reference", law.references)]
+        if law.state_space is not None:
+            others = [w for w in law.state_space.w if w not in by_role["output"]]
+            pairs.append(("reference", tuple(others)))
+        for role, names in pairs:
+            for name in names:
+                if name not in by_role[role]:
+                    known = ", ".join(by_role[role]) or "none"
+                    raise ValueError(
+                        f"loop: controller: '{name}': expected a column of role {role} "
+                        f"(there is {known})"
+                    )
+        return self
 
     @model_validator(mode="after")
     def _distinct_names(self) -> Self:

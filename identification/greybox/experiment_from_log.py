@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from ...config.base import parse_text
 from ...config.model import ModelConfig
 from ...log.reader import Log
 from ...log.signals_yaml import SignalsFile
+from ...model.controller import pi_controller
 from ...model.geometry import decoupling_matrix, shape_matrix
 from ..records.from_log import (
     EXCITATION,
@@ -25,8 +26,9 @@ from ..records.from_log import (
     require_finite,
     rig_of,
 )
-from ..records.record import OTHER_STEP, IdentificationError, NotARecordError, PiController
+from ..records.record import OTHER_STEP, IdentificationError, NotARecordError
 from ..records.resampling import resample
+from .control_loop import ControlLoop, imported_loop
 from .covariance import correlation
 from .intersample_input import Hold
 
@@ -46,25 +48,16 @@ motion up to a twentieth of the sampling rate has less than this."""
 
 
 @dataclass(frozen=True)
-class ControlLoop:
-    """The control loop: v (N, p), reference (N, n), feed-forward (N, p), controller."""
-
-    v: Array
-    reference: Array
-    feedforward: Array
-    controller: PiController
-
-
-@dataclass(frozen=True)
 class Experiment:
     """Rows of one record: input u (N, p) as commanded, output y (N, n), schedule by name (N,).
 
     Schedule variables in `rates` are means over the period after a row, others are samples. The
     input acts `delay_cycles` whole periods after its row, in addition to the model's delay.
     `moving`: the schedule (or only a derivative in it) changes during the record. `loop` is None
-    without a known controller. `hold` is the input between samples according to the log; None if
-    not stated. `correlations`: noise correlations of the inputs (p, p) and outputs (n, n), which
-    follow from independent coils and sensors; None if unknown.
+    without a known controller; `feedback`: the input depends on the outputs. `hold` is the input
+    between samples according to the log; None if not stated. `correlations`: noise correlations of
+    the inputs (p, p) and outputs (n, n), which follow from independent coils and sensors; None if
+    unknown.
     """
 
     name: str
@@ -76,6 +69,11 @@ class Experiment:
     moving: bool
     delay_cycles: int = 0
     loop: ControlLoop | None = None
+    feedback: bool = False
+    noise_sd: Array | None = None
+    """Stated standard deviation (n,) of the outputs' noise, nan where it is not stated."""
+    resolution: Array | None = None
+    """Stated smallest step (n,) of the outputs, nan where it is not stated."""
     remarks: tuple[str, ...] = ()
     hold: Hold | None = None
     correlations: tuple[Array, Array] | None = None
@@ -83,14 +81,14 @@ class Experiment:
     def rows(self, start: int, stop: int) -> Experiment:
         """Return rows start to stop (exclusive)."""
         cut = slice(start, stop)
-        loop = self.loop and ControlLoop(
-            self.loop.v[cut],
-            self.loop.reference[cut],
-            self.loop.feedforward[cut],
-            self.loop.controller,
-        )
         schedule = {name: values[cut] for name, values in self.schedule.items()}
-        return replace(self, u=self.u[cut], y=self.y[cut], schedule=schedule, loop=loop)
+        return replace(
+            self,
+            u=self.u[cut],
+            y=self.y[cut],
+            schedule=schedule,
+            loop=self.loop and self.loop.rows(cut),
+        )
 
 
 def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
@@ -139,6 +137,8 @@ def _imported(log: Log) -> Experiment:
     signals = parse_text(log.attachments["signals.yaml"], SignalsFile, "signals.yaml")
     # A schema default does not describe the measurement: only a stated value counts.
     stated = "input_hold" in signals.model_fields_set
+    outputs = signals.with_role("output")
+    loop, remarks = imported_loop(log, signals, record)
     return Experiment(
         record.name,
         record.Ts_s,
@@ -147,8 +147,17 @@ def _imported(log: Log) -> Experiment:
         {},
         frozenset(),
         False,
+        loop=loop,
+        feedback=signals.loop is not None,
+        noise_sd=_stated([c.noise_sd for c in outputs]),
+        resolution=_stated([c.resolution for c in outputs]),
+        remarks=remarks,
         hold=signals.input_hold if stated else None,
     )
+
+
+def _stated(values: Sequence[float | None]) -> Array:
+    return np.array([np.nan if value is None else value for value in values])
 
 
 def _flown(log: Log) -> Experiment:
@@ -156,7 +165,7 @@ def _flown(log: Log) -> Experiment:
     kind = log.metadata.get("kind")
     if kind != "record":
         raise NotARecordError(f"{log.path.name}: kind '{kind or 'none'}' skipped, {OTHER_STEP}")
-    controller = controller_of(log)
+    gains = controller_of(log)
     geometry = rig_of(log).geometry
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     T = decoupling_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
@@ -164,7 +173,8 @@ def _flown(log: Log) -> Experiment:
         columns(log, EXCITATION) + log.field("coil_excitation_n").astype(float) @ S,
         columns(log, REFERENCE),
         columns(log, FEED_FORWARD),
-        controller,
+        np.zeros((len(log.rows), len(POSE))),
+        pi_controller(gains.kp, gains.ki, 1.0 / log.rate_hz),
     )
     return Experiment(
         log.metadata.get("name") or log.path.stem,
@@ -176,9 +186,10 @@ def _flown(log: Log) -> Experiment:
         False,
         1,  # a force computed in cycle k acts from cycle k + 1 on, on every backend
         loop,
-        tuple(log_remarks(log)),
-        "zoh",
-        (correlation(S.T @ S), correlation(T @ T.T)),
+        feedback=True,
+        remarks=tuple(log_remarks(log)),
+        hold="zoh",
+        correlations=(correlation(S.T @ S), correlation(T @ T.T)),
     )
 
 

@@ -3,7 +3,8 @@
 All step a second-order model by the Taylor series of its exact solution: over one period the
 state x = [q, q'] becomes sum_j A^j (Ts^j / j! x + B m_j + g_j), with m_j the moments of the input
 over the period (intersample_input.py) and g_j those of the schedule's force. They are in one file
-because the compiler's cache depends on a function's own file only.
+because the compiler's cache depends on a function's own file only; after a change of
+`controller_row`, touch this file.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from ...model.controller import controller_row
 
 Array = NDArray[np.float64]
 
@@ -183,28 +186,33 @@ def gains_along(K, D, scale, Q, R, P0, gain, S_out):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def closed_loop_along(  # type: ignore[no-untyped-def]
-    K, D, B, drift, scale, v, ref, known, kp, ki_Ts, first, whole,
-    from_old, from_new, from_lag, end, x, integral, lag, y, u,
+    K, D, B, drift, scale, v, ref, known, seen, A_c, B_c, C_c, D_c, L_c, low, high, first, whole,
+    from_old, from_new, from_lag, end, x, state, lag, y, u,
 ):  # fmt: skip
     """Simulate the closed loop from row `first` on, without measurements.
 
-    The command u = v + known + PI(ref - y) of every row acts `whole` periods and a fraction later,
-    after the lag (intersample_input.HeldStep: from_*, end = [old, new, lag]). v, ref, known (N, n
-    or p). x (2n,), integral and lag (p,) are the states at row `first`, and are changed. K, D, B,
-    drift have one row for each period or a single one. y (N, n) and u (N, p) contain the rows
-    before `first`; the others are filled.
+    The command u = known + C(ref, y + seen, v) of every row acts `whole` periods and a fraction
+    later, after the lag (intersample_input.HeldStep: from_*, end = [old, new, lag]). The controller
+    is that of model.controller; its limits do not apply to `known`. v, known (N, p), ref (N, r),
+    seen (N, n). x (2n,), state (s,) and lag (p,) are those of plant, controller and lag at row
+    `first`, and are changed. K, D, B, drift have one row for each period or a single one. y (N, n)
+    and u (N, p) contain the rows before `first`; the others are filled.
     """
     n, p = K.shape[1], B.shape[2]
     work, top = np.empty(2 * n), np.empty(2 * n)
     moments = np.empty((len(from_old), p))
+    r = ref.shape[1]
+    w, following, command = np.empty(r + n), np.empty(len(state)), np.empty(p)
     for k in range(first, len(v)):
         at = min(k, len(K) - 1)
         for i in range(n):
             y[k, i] = x[i]
+            w[r + i] = x[i] + seen[k, i]
+        for i in range(r):
+            w[i] = ref[k, i]
+        controller_row(A_c, B_c, C_c, D_c, L_c, low, high, w, v[k], state, following, command)
         for i in range(p):
-            error = ref[k, i] - x[i]
-            integral[i] += ki_Ts[i] * error
-            u[k, i] = v[k, i] + known[k, i] + kp[i] * error + integral[i]
+            u[k, i] = command[i] + known[k, i]
         for i in range(p):
             new, old = u[max(k - whole, 0), i], u[max(k - whole - 1, 0), i]
             for j in range(len(moments)):

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from ...model.declared_model import DeclaredModel
 from ..records.record import IdentificationError
 from . import filter_kernels
+from .control_loop import ControlLoop
 from .discretisation import Motion, innovations, motion, run_filter
-from .experiment_from_log import ControlLoop, Experiment
+from .experiment_from_log import Experiment
 from .intersample_input import HeldStep, Hold, held_step, lagged_input
 from .noise_model import Filter, Noise, kalman_filter
 from .prediction_errors import predict_along, settled
@@ -20,6 +21,8 @@ Array = NDArray[np.float64]
 
 START_S = 5.0
 """Start of a record from which its state and constant force are estimated."""
+_ROWS_A_STATE = 20
+"""Recorded commands from which each state of the controller is estimated."""
 _START_ROWS = 50
 """Least rows of that start: each DOF has three unknowns."""
 
@@ -35,11 +38,11 @@ class FreeRun:
 
 @dataclass(frozen=True)
 class Start:
-    """Start of a run: the row, its state (2n,), and the integrators (p,) before it."""
+    """Start of a run: the row, its state (2n,), and the controller's state (s,) there."""
 
     row: int
     state: Array
-    integral: Array
+    controller: Array
 
 
 def free_run(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> FreeRun:
@@ -62,7 +65,7 @@ def free_run(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: No
     if experiment.loop is None:
         y[first:] = run_open(at.rows(first, len(y)), state)
     else:
-        start = Start(first, state, integral_before(experiment, first))
+        start = Start(first, state, controller_state(experiment, first))
         run_loop(at, input_step(model, experiment, at), experiment.loop, start, y, u)
     return FreeRun(y, u, first)
 
@@ -101,16 +104,15 @@ def known_after(begin: Motion, experiment: Experiment, kalman: Filter) -> tuple[
     return known.offset, state
 
 
-def integral_before(experiment: Experiment, row: int) -> Array:
-    """Return the controller's integrators (p,) before a row, from the record.
-
-    They follow from u = v + feed-forward + kp e + I in the row before.
-    """
+def controller_state(experiment: Experiment, row: int) -> Array:
+    """Return the controller's state (s,) at a row, from the recorded commands before it."""
     loop = experiment.loop
     assert loop is not None
-    error = loop.reference[row - 1] - experiment.y[row - 1]
-    before = experiment.u[row - 1] - loop.v[row - 1] - loop.feedforward[row - 1]
-    return np.asarray(before - loop.controller.kp * error)
+    rows = slice(max(row - _ROWS_A_STATE * len(loop.controller.A), 0), row)
+    reference, v = loop.reference[rows], loop.v[rows]
+    seen, u = (experiment.y + loop.seen)[rows], (experiment.u - loop.feedforward)[rows]
+    start = loop.controller.state_from(reference, seen, v, u)
+    return loop.controller.output(reference, seen, v, start)[1]
 
 
 def input_step(model: DeclaredModel, experiment: Experiment, at: Motion) -> HeldStep:
@@ -143,12 +145,13 @@ def run_loop(
 
     Matrices and drift of the motion have one row for each period or a single one, independently.
     """
-    kp, ki_Ts = loop.controller.kp, loop.controller.ki * at.Ts_s
+    c = loop.controller
     K, D, B, drift = (np.ascontiguousarray(x) for x in (at.K, at.D, at.B, at.drift))
     filter_kernels.closed_loop_along(
         K, D, B, drift, at.scale,
-        loop.v, loop.reference, loop.feedforward, kp, ki_Ts, start.row, step.whole,
+        loop.v, loop.reference, loop.feedforward, loop.seen,
+        c.A, c.B, c.C, c.D, c.L, c.low, c.high, start.row, step.whole,
         step.from_old, step.from_new, step.from_lag,
         np.array([step.end_old, step.end_new, step.end_lag]),
-        start.state.copy(), start.integral.copy(), lagged_input(u, step)[start.row].copy(), y, u,
+        start.state.copy(), start.controller.copy(), lagged_input(u, step)[start.row].copy(), y, u,
     )  # fmt: skip

@@ -140,8 +140,8 @@ def _error_system(
 ) -> tuple[Array, Array]:
     """Return A and W (R, s, s) of the error's equation e(k+1) = A e(k) + w(k), cov w = W.
 
-    States: [q, q'], and in closed loop the lagged input, the integrators, and the commands of the
-    last `whole` + 1 periods.
+    States: [q, q'], and in closed loop the lagged input, the controller's states, and the commands
+    of the last `whole` + 1 periods.
     """
     Q = process_covariance(at, noise.force_density)
     Phi, powers = _flow(at)
@@ -150,31 +150,30 @@ def _error_system(
     controller = experiment.loop.controller
     step = input_step(model, experiment, at)
     R, n, p = len(Phi), at.K.shape[1], at.B.shape[2]
-    lag, integral, before = 2 * n, 2 * n + p, 2 * n + 2 * p
+    lag, state, before = 2 * n, 2 * n + p, 2 * n + p + len(controller.A)
     size = before + (step.whole + 1) * p
-    one = np.eye(p)
-    # u(k) = -(kp + ki Ts) (q + noise) + integral, by states and by noise.
-    feedback = -np.diag(controller.kp + controller.ki * experiment.Ts_s)
+    # u(k) = C x + feedback (q + noise), by states and by noise.
+    B_c, feedback = controller.by_output
     command = np.zeros((p, size))
-    command[:, :n], command[:, integral:before] = feedback, one
+    command[:, :n], command[:, state:before] = feedback, controller.C
     acting = [command] + [np.eye(size)[before + i * p :][:p] for i in range(step.whole + 1)]
     new, old = acting[step.whole], acting[step.whole + 1]
-    lagged = np.eye(size)[lag:integral]
+    lagged = np.eye(size)[lag:state]
 
     A, by_noise = np.zeros((R, size, size)), np.zeros((R, size, n))
     G_old, G_new, G_lag = (powers @ c for c in (step.from_old, step.from_new, step.from_lag))
     A[:, : 2 * n, : 2 * n] = Phi
     A[:, : 2 * n] += G_old @ old + G_new @ new + G_lag @ lagged
-    A[:, lag:integral] = step.end_old * old + step.end_new * new + step.end_lag * lagged
-    A[:, integral:before, :n] = -np.diag(controller.ki * experiment.Ts_s)
-    A[:, integral:before, integral:before] = one
+    A[:, lag:state] = step.end_old * old + step.end_new * new + step.end_lag * lagged
+    A[:, state:before, :n] = B_c
+    A[:, state:before, state:before] = controller.A
     A[:, before : before + p] = command
     A[:, before + p :, before:-p] = np.eye(step.whole * p)
-    by_noise[:, integral:before] = -np.diag(controller.ki * experiment.Ts_s)
+    by_noise[:, state:before] = B_c
     by_noise[:, before : before + p] = feedback
     if step.whole == 0:
         by_noise[:, : 2 * n] = G_new @ feedback
-        by_noise[:, lag:integral] = step.end_new * feedback
+        by_noise[:, lag:state] = step.end_new * feedback
     W = by_noise @ noise.output_covariance @ np.swapaxes(by_noise, 1, 2)
     W[:, : 2 * n, : 2 * n] += Q
     return A, W
@@ -196,9 +195,9 @@ def _spectra(
         sensitivity = np.tile(np.eye(n, dtype=np.complex128), (len(z), 1, 1))
         if counted.loop is not None:
             step = input_step(model, counted, at)
-            C = counted.loop.controller.response(freq_hz, at.Ts_s)
+            C = counted.loop.controller.response(freq_hz)
             inputs = _input_effect(powers[row], step, z)
-            sensitivity = np.asarray(np.linalg.inv(np.eye(n) + (free @ inputs) * C[:, None, :]))
+            sensitivity = np.asarray(np.linalg.inv(np.eye(n) + (free @ inputs) @ C))
             by_force = np.asarray(sensitivity @ free)
         motion_psd = powers_of(by_force, Q[row])
         noise_psd = powers_of(sensitivity, noise.output_covariance)

@@ -17,7 +17,7 @@ from ...log.reader import Log
 from ...model.effects.base import Term
 from ...model.effects.effect_serialization import placed_effects
 from ..greybox.discretisation import motion
-from ..greybox.experiment_from_log import ControlLoop, Experiment, experiment_from_log
+from ..greybox.experiment_from_log import Experiment, experiment_from_log
 from ..greybox.fit import first_noise
 from ..greybox.free_parameters import free_parameters
 from ..greybox.model_file import declared_model
@@ -52,9 +52,7 @@ def _subtracted(e: Experiment, point: WorkingPoint, added: Term, decoupling: Arr
     if added.force is not None:
         held = held + _as_command(e, point, added.force)
     gap = np.zeros_like(e.y) if added.gap is None else added.gap @ decoupling.T
-    loop = e.loop and ControlLoop(
-        e.loop.v, e.loop.reference - gap, e.loop.feedforward + held, e.loop.controller
-    )
+    loop = e.loop and replace(e.loop, feedforward=e.loop.feedforward + held, seen=e.loop.seen + gap)
     return replace(e, y=e.y - gap, u=e.u + held, loop=loop)
 
 

@@ -3,8 +3,9 @@
 A bearing's balls deform elastically before they roll, and start to roll one after the other (Iwan,
 *A distributed-element model for hysteresis*, J. Appl. Mech. 33, 1966; for ball guides: Al-Bender
 and Symens, *Characterization of frictional hysteresis in ball-bearing guideways*, Wear 258, 2005).
-The drives' encoders do not measure the beam's shift on its carriage. The beam's shift along the
-rails acts on theta, its shift across the rails on psi. Signature: a resonance whose frequency falls
+In these bearings the beam shifts elastically on its carriage, along and across the rails, and the
+drives' encoders do not measure that. The shift along the rails causes a torque on theta, the shift
+across the rails a torque on psi. Signature: a resonance whose frequency falls
 and whose damping grows with the tilt amplitude. A mass on a linear spring has constant frequency
 and damping; friction against the fixed frame has no resonance.
 

@@ -79,7 +79,7 @@ class TraceRecord:
         arrays = [self.time_s, self.gap, self.coil, self.coil_excitation, self.beam, self.rotor]
         arrays += [e.u, e.y, *e.schedule.values()]
         if e.loop is not None:
-            arrays += [e.loop.v, e.loop.reference, e.loop.feedforward]
+            arrays += [e.loop.v, e.loop.reference, e.loop.feedforward, e.loop.seen]
         return sum(a.nbytes for a in arrays)
 
     def cut(self, start: int, stop: int) -> TraceRecord:

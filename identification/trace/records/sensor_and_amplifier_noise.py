@@ -154,7 +154,7 @@ def _responses(
         return P_outer, np.zeros((len(freq_hz), n, n), complex)
     delay_s = max(at.delay_s + experiment.delay_cycles * Ts_s, 0.0)
     P = discretise(replace(at, delay_s=delay_s), Ts_s).response(freq_hz)
-    C = experiment.loop.controller.response(freq_hz, Ts_s)
-    loop_gain = P * C[:, None, :]
+    C = experiment.loop.controller.response(freq_hz)
+    loop_gain = P @ C
     sensitivity = np.linalg.inv(np.eye(n) + loop_gain)
     return sensitivity @ P_outer, -sensitivity @ loop_gain

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Signals, Term, total
+from ...greybox.control_loop import ControlLoop
 from ...greybox.discretisation import Motion, motion
-from ...greybox.experiment_from_log import ControlLoop
 from ...greybox.free_run import (
     Start,
     beginning,
+    controller_state,
     first_row,
     input_step,
-    integral_before,
     known_after,
     require_held,
     run_loop,
@@ -187,15 +187,15 @@ def _simulate(
             at = replace(at, inputs=driven.inputs)
         y[first:] = run_open(at.rows(first, len(y)), state)
         return y, u
-    known, reference = e.loop.feedforward, e.loop.reference
+    known, seen = e.loop.feedforward, e.loop.seen
     if added.held is not None:
         # It acts like a command, but the controller does not include it.
         known = known + added.held
         u[:first] += added.held[:first]
     if added.gap is not None:
-        reference = reference - added.gap @ record.places.decoupling.T
-    loop = ControlLoop(e.loop.v, reference, known, e.loop.controller)
-    start = Start(first, state, integral_before(e, first))
+        seen = seen + added.gap @ record.places.decoupling.T
+    loop = replace(e.loop, feedforward=known, seen=seen)
+    start = Start(first, state, controller_state(e, first))
     run_loop(at, input_step(point.model, e, at), loop, start, y, u)
     return y, u if added.held is None else u - added.held
 
@@ -234,8 +234,12 @@ def _newton_correction(
     if e.loop is None:
         y[first:] = run_open(soft.rows(first, len(y)), np.zeros(2 * n))
         return y, u
-    quiet = ControlLoop(np.zeros_like(u), np.zeros_like(y), np.zeros_like(u), e.loop.controller)
-    start = Start(first, np.zeros(2 * n), np.zeros(u.shape[1]))
+    controller = e.loop.controller
+    quiet = ControlLoop(
+        np.zeros_like(u), np.zeros_like(e.loop.reference), np.zeros_like(u), np.zeros_like(y),
+        controller.unlimited(),
+    )  # fmt: skip
+    start = Start(first, np.zeros(2 * n), np.zeros(len(controller.A)))
     run_loop(soft, input_step(point.model, e, soft), quiet, start, y, u)
     return y, u
 

@@ -10,8 +10,9 @@ from scipy.linalg import expm
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
+from levid.identification.greybox.control_loop import ControlLoop
 from levid.identification.greybox.discretisation import innovations, motion
-from levid.identification.greybox.experiment_from_log import ControlLoop, Experiment
+from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.fit import fit_model
 from levid.identification.greybox.free_run import free_run
 from levid.identification.greybox.identify_greybox import identify_grey_box, to_yaml
@@ -19,7 +20,8 @@ from levid.identification.greybox.intersample_input import Hold, moments
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise, kalman_filter
 from levid.identification.greybox.validation import whiteness
-from levid.identification.records.record import IdentificationError, PiController
+from levid.identification.records.record import IdentificationError
+from levid.model.controller import pi_controller
 from levid.model.declared_model import ModelError
 from levid.model.second_order import SecondOrder, StateSpace, discretise
 
@@ -269,7 +271,7 @@ def test_singular_mass_is_reported_with_record_or_schedule_value() -> None:
 def test_closed_loop_free_run_needs_the_excitation_only() -> None:
     # The data come from an explicit loop; the kernel simulates from v alone.
     config, model = one_mass(), declared_model(one_mass())
-    controller = PiController(np.array([200.0]), np.array([500.0]))
+    kp, ki = np.array([200.0]), np.array([500.0])
     rows, rng = 12_000, np.random.default_rng(5)
     v = rng.standard_normal((rows, 1))
     v[:200] = 0.0
@@ -278,10 +280,11 @@ def test_closed_loop_free_run_needs_the_excitation_only() -> None:
     y, u = np.empty((rows, 1)), np.empty((rows, 1))
     for k in range(rows):
         y[k] = sampled.C @ x
-        integral = integral - controller.ki * TS * y[k]
-        u[k] = v[k] - controller.kp * y[k] + integral
+        integral = integral - ki * TS * y[k]
+        u[k] = v[k] - kp * y[k] + integral
         x = sampled.A @ x + sampled.B @ u[k]
-    loop = ControlLoop(v, np.zeros((rows, 1)), np.zeros((rows, 1)), controller)
+    zero = np.zeros((rows, 1))
+    loop = ControlLoop(v, zero, zero, zero, pi_controller(kp, ki, TS))
     e = Experiment("loop", TS, u, y, {}, frozenset(), False, 1, loop)
     run = free_run(declared_model(config), e, "zoh", NOISE)
     error = np.abs(run.y - y)[run.counts_from :].max()
@@ -321,7 +324,7 @@ def test_input_hold_that_contradicts_the_model_gives_a_remark() -> None:
 
 def test_closed_loop_record_needs_a_zoh_model() -> None:
     zero = np.zeros((6000, 1))
-    loop = ControlLoop(zero, zero, zero, PiController(np.ones(1), np.ones(1)))
+    loop = ControlLoop(zero, zero, zero, zero, pi_controller(np.ones(1), np.ones(1), TS))
     with pytest.raises(IdentificationError, match="input: expected zoh, found"):
         identify_grey_box(
             one_mass().model_copy(update={"input": "foh"}), [replace(record(1), loop=loop)], 0.0

@@ -10,13 +10,14 @@ from scipy.linalg import expm
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment_from_log import ControlLoop, Experiment
+from levid.identification.greybox.control_loop import ControlLoop
+from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.free_run import free_run
 from levid.identification.greybox.free_run_noise_floor import floor_psd, floor_rms, noise_floor
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.greybox.validation import validate
-from levid.identification.records.record import PiController
+from levid.model.controller import pi_controller
 
 TS_S = 1e-3
 MASS, DAMPING, STIFFNESS, BY_SLIDE, LAG_S = 2.0, 8.0, 800.0, 600.0, 2e-3
@@ -35,7 +36,8 @@ lag_s: {LAG_S}
 MODEL = declared_model(parse_text(CART, ModelConfig, "cart"))
 # Force noise and sensor noise contribute about equally, so that a lack of either shows.
 NOISE = Noise.independent(np.array([1e-8]), np.array([4e-13]))
-CONTROLLER = PiController(np.array([60.0]), np.array([300.0]))
+KP, KI = np.array([60.0]), np.array([300.0])
+CONTROLLER = pi_controller(KP, KI, TS_S)
 RECORDS = 400
 
 
@@ -43,7 +45,7 @@ def experiment(rows: int, looped: bool, moving: bool) -> Experiment:
     """Return a record without excitation; the slide oscillates or stays in the middle."""
     s = 0.9 * np.sin(0.5 * TS_S * np.arange(rows)) if moving else np.zeros(rows)
     zero = np.zeros((rows, 1))
-    loop = ControlLoop(zero, zero, zero, CONTROLLER) if looped else None
+    loop = ControlLoop(zero, zero, zero, zero, CONTROLLER) if looped else None
     return Experiment("still", TS_S, zero, zero, {"s": s}, frozenset(), moving, 1, loop)
 
 
@@ -69,8 +71,8 @@ def draw_outputs(e: Experiment, first: int) -> np.ndarray:
         out[k - first] = y
         x = step[:, :3] @ x + np.outer(step[:, 3], force) + np.outer(step[:, 4], acting)
         if e.loop is not None:
-            integral = integral - CONTROLLER.ki * TS_S * y
-            acting = -CONTROLLER.kp * y + integral
+            integral = integral - KI * TS_S * y
+            acting = -KP * y + integral
     return out
 
 
@@ -129,8 +131,8 @@ def test_true_model_has_an_error_at_the_floor() -> None:
     """The error of the true model consists of the record's noise in the closed loop."""
     e = experiment(20_000, True, False)
     y = draw_outputs(e, 0)[:, :1]
-    integral = np.cumsum(-CONTROLLER.ki * TS_S * y, axis=0)
-    flown = replace(e, y=y, u=-CONTROLLER.kp * y + integral)
+    integral = np.cumsum(-KI * TS_S * y, axis=0)
+    flown = replace(e, y=y, u=-KP * y + integral)
     v = validate(MODEL, flown, "zoh", NOISE)
     assert v.error_rms[0] == pytest.approx(v.floor_rms[0], rel=4 * v.floor_spread[0])
     assert v.floor_psd.shape == v.error_psd.shape

@@ -9,10 +9,11 @@ import pytest
 from rig_effects import rig_places
 from scipy import signal
 
-from levid.identification.greybox.experiment_from_log import ControlLoop, Experiment
-from levid.identification.records.record import PiController
+from levid.identification.greybox.control_loop import ControlLoop
+from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.resonances import resonances
+from levid.model.controller import pi_controller
 from levid.model.effects.base import Places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.flexible import PATTERNS, patterns
@@ -29,7 +30,8 @@ def excited(seed: int, Ts_s: float = 1e-3, places: Places = PLACES) -> TraceReco
     rng, rows = np.random.default_rng(seed), round(SECONDS / Ts_s)
     nothing = np.zeros((rows, 3))
     schedule = {name: np.zeros(rows) for name in ("x_b", "v_b", "a_b")}
-    loop = ControlLoop(nothing, nothing, nothing, PiController(np.zeros((3, 3)), np.zeros((3, 3))))
+    silent = pi_controller(np.zeros(3), np.zeros(3), Ts_s)
+    loop = ControlLoop(nothing, nothing, nothing, nothing, silent)
     coil = 7.6 + FORCE_N * rng.standard_normal((rows, places.coils))
     experiment = Experiment(
         "coils", Ts_s, nothing, nothing, schedule, frozenset({"a_b"}), False, 1, loop, hold="zoh"

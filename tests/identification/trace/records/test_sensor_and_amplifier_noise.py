@@ -14,16 +14,17 @@ from rig_effects import rig_places
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
+from levid.identification.greybox.control_loop import ControlLoop
 from levid.identification.greybox.covariance import correlation
-from levid.identification.greybox.experiment_from_log import ControlLoop, Experiment
+from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.free_run_noise_floor import motion_covariance
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.greybox.prediction_errors import predict
-from levid.identification.records.record import PiController
 from levid.identification.trace.records.initial_guesses import tones
 from levid.identification.trace.records.record_from_log import TraceRecord, split
 from levid.identification.trace.records.sensor_and_amplifier_noise import disturbance, sensor_noise
+from levid.model.controller import pi_controller
 from levid.model.effects.base import Places
 
 TS = 1e-3
@@ -57,7 +58,8 @@ def record(
     gap = y @ shape.T + own - own @ places.decoupling.T @ shape.T
     nothing = np.zeros((rows, 3))
     schedule = {"x_b": np.full(rows, X_B), "v_b": np.zeros(rows), "a_b": np.zeros(rows)}
-    loop = ControlLoop(v if v_logged else nothing, nothing, nothing, PiController(rig.KP, rig.KI))
+    controller = pi_controller(rig.KP, rig.KI, TS)
+    loop = ControlLoop(v if v_logged else nothing, nothing, nothing, nothing, controller)
     e = Experiment(name, TS, u, y, schedule, frozenset({"a_b"}), False, 1, loop, hold="zoh")
     beam = np.zeros((rows, 3))
     beam[:, 0] = X_B

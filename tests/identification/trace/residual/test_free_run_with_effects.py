@@ -11,16 +11,18 @@ from scipy.integrate import solve_ivp
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment_from_log import ControlLoop, Experiment
+from levid.identification.greybox.control_loop import ControlLoop
+from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
-from levid.identification.records.record import IdentificationError, PiController
+from levid.identification.records.record import IdentificationError
 from levid.identification.trace.linearised.linearisation_point import WorkingPoint
 from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance
 from levid.identification.trace.residual.free_run_error import pooled, record_error
 from levid.identification.trace.residual.free_run_with_effects import EffectFreeRun, free_run
+from levid.model.controller import pi_controller
 from levid.model.effects.base import Placed, Places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.search_range import Extent
@@ -90,7 +92,9 @@ def closed_loop_record(rms_n: float, force: Force) -> TraceRecord:
             x, speed = x + 0.5 * fine * (speed + faster), speed + 0.5 * fine * (a + b)
         acting = u[k, 0]
     nothing = np.zeros((ROWS, 1))
-    return _record(u, y, ControlLoop(v[:, None], nothing, nothing, PiController(KP, KI)))
+    return _record(
+        u, y, ControlLoop(v[:, None], nothing, nothing, nothing, pi_controller(KP, KI, TS))
+    )
 
 
 def _record(u: np.ndarray, y: np.ndarray, loop: ControlLoop | None) -> TraceRecord:

@@ -161,7 +161,7 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
 
 def _model(config: ModelConfig, path: Path) -> str:
     from ..config.base import ConfigError
-    from ..identification.greybox.model_file import declared_model
+    from ..identification.greybox.declared_model_from_config import declared_model
     from ..model.declared_model import ModelError
     from ..model.effects.effect_serialization import placed_effects
 

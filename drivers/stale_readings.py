@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from ..wire.frame_rejection import Rejected
+from ..wire.frame_rejection_reasons import Rejected
 from .base import StaleError
 
 

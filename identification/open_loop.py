@@ -18,7 +18,7 @@ from .results import OpenLoopPoint
 from .subspace.fit_percent import nrmse_fit_percent
 from .subspace.held_out_simulation import HoldOut
 from .subspace.ho_kalman import Scaling, decompose_coloured, realise
-from .subspace.innovation_model import choose_past, innovation_model, state_sequence
+from .subspace.identify_innovation_model import choose_past, innovation_model, state_sequence
 from .subspace.simulation import (
     InnovationModel,
     fit_input_matrices,

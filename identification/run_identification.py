@@ -11,9 +11,9 @@ import numpy as np
 from ..config.model import ModelConfig
 from ..log.errors import LogError
 from ..log.reader import Log, read_log
+from .greybox.declared_model_from_config import declared_model
 from .greybox.experiment_from_log import Experiment
 from .greybox.identify_greybox import GreyBox, identify_grey_box
-from .greybox.model_file import declared_model
 from .identify import identify
 from .nonparametric.robust_multisine import (
     BestLinearApproximation,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..config.base import load_yaml
 from .errors import LogError
-from .mat_file import read_mat
+from .mat_file_reader import read_mat
 from .signals_yaml import Format, SignalsFile
 from .tabular_files import load_npz, read_delimited, read_variables
 from .writer import LogWriter

@@ -32,17 +32,10 @@ _COMPUTE = (
     *("report", "sim", "wire", "daemon/control", "daemon/ipc", "daemon/service/test_service_files"),
     *("daemon/loop/test_flight_ends", "daemon/loop/test_virtual_flight"),
     *("daemon/planning/test_excitation", "daemon/planning/test_orthogonal_multisine"),
-    *("daemon/planning/test_plan.py", "daemon/recording/test_coil_heat"),
-    *(
-        "benchmarks/test_published_numbers",
-        "benchmarks/test_same_rows",
-        "benchmarks/test_unlisted_effects",
-    ),
-    *(
-        "benchmarks/test_hidden_effects",
-        "drivers/can/test_canopen_fuzz",
-        "drivers/can/test_readings_fuzz",
-    ),
+    *("daemon/planning/test_plan.py", "daemon/recording/test_coil_heat_file"),
+    *("benchmarks/test_coverage_and_largest_error", "benchmarks/test_log_rows_vs_commit"),
+    *("benchmarks/test_simulated_unlisted_effects", "benchmarks/test_hidden_effects"),
+    *("drivers/can/test_canopen_fuzz", "drivers/can/test_reading_collector_fuzz"),
     *("drivers/can/test_sdo_fuzz", "drivers/serial/test_transaction_fuzz"),
 )
 """Tests that only compute, so that several of them may run at the same time."""
@@ -55,12 +48,19 @@ _WAIT = (
 """Tests among them that wait for clocks or processes."""
 _LONG = (
     "benchmarks/test_killed_processes",
-    "daemon/supervision/test_first_lift_off",
+    "daemon/supervision/test_coil_check_at_lift_off",
     "daemon/test_flights_on_a_bus",
     "daemon/test_processes_killed",
     "identification/trace/test_worker_pool",
 )
 """Tests that take minutes: `make test-long` and `.ci/run` run them."""
+
+
+def pytest_configure() -> None:
+    """Refuse a list above that names a file which was renamed or deleted."""
+    for name in (*_COMPUTE, *_WAIT, *_LONG):
+        if not (_TESTS / name).exists() and not (_TESTS / f"{name}.py").exists():
+            raise pytest.UsageError(f"tests/conftest.py: expected tests/{name}, found none")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

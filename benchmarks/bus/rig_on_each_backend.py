@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from levid.benchmarks.harness.child_processes import started
+from levid.benchmarks.harness.start_and_end_processes import started
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig, with_model
 from levid.config.shipped import shipped

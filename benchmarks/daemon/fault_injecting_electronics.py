@@ -1,10 +1,10 @@
 """Emulate a rig's electronics with additional faults, and confirm each fault at once.
 
-Run as `python fault_electronics.py RIG.yaml`. Standard input takes the lines of `levid electronics`
-and these: `nan-coil 3` (coil force NaN), `nan-axis x1` (position NaN, serial only), `shift 0.2`
-(offset of both motor encoders in m), `race 2.0` (drift of both encoders in m/s), `tilt 0.6` (torque
-on the platform in N m). The answer to each is a line of JSON: the state just before it, and `error`
-if the line failed.
+Run as `python fault_injecting_electronics.py RIG.yaml`. Its standard input takes the lines of
+`levid electronics` and these: `nan-coil 3` (coil force NaN), `nan-axis x1` (position NaN, serial
+only), `shift 0.2` (offset of both motor encoders in m), `race 2.0` (drift of both encoders in m/s),
+`tilt 0.6` (torque on the platform in N m). The answer to each is a line of JSON: the state just
+before it, and `error` if the line failed.
 
 A fault begins at the start of a cycle, before its answers are sent, so that affected cycles can be
 counted.

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from levid.benchmarks.daemon.fault_injection_flight import (
+from levid.benchmarks.daemon.fault_injection_rig import (
     BUSES,
     ERRORS,
     FLYING,

@@ -29,7 +29,7 @@ import yaml
 from levid.benchmarks.daemon.log_difference import Comparison, compare_folders
 from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
 from levid.benchmarks.harness.checkout_of_commit import Version, both_versions
-from levid.benchmarks.harness.child_processes import started
+from levid.benchmarks.harness.start_and_end_processes import started
 
 QUICK = ("beam", "trace-demo")
 ON_ALL_SIMS = "trace-demo"

@@ -31,11 +31,11 @@ from numpy.typing import NDArray
 from levid.benchmarks.harness import benchmark_runner
 from levid.benchmarks.harness.benchmark_runner import Figure, Target
 from levid.benchmarks.harness.busy_disk import busy_disk
-from levid.benchmarks.harness.child_processes import started
 from levid.benchmarks.harness.logged_vs_flown_rows import Flown, Found, found_in
 from levid.benchmarks.harness.ratio_interval import Round, again, ratio_figures
 from levid.benchmarks.harness.real_time import Rights
 from levid.benchmarks.harness.running_daemon import loopback_rig, require_no_fault, running
+from levid.benchmarks.harness.start_and_end_processes import started
 from levid.daemon.client import Client
 from levid.log.reader import read_log
 

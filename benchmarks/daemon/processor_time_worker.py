@@ -1,4 +1,4 @@
-"""Run cases of `cost_ratio.py` with the code on PYTHONPATH; print the processor time of each.
+"""Run cases of `processor_time_vs_commit.py` with the code on PYTHONPATH; print their times.
 
 The benchmarks of one version are in the folder given as argument, under today's names or under
 those that they had up to commit da9bfb8.

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from levid.benchmarks.daemon.fault_injection_flight import (
+from levid.benchmarks.daemon.fault_injection_rig import (
     BUSES,
     ERRORS,
     EXPIRE_CYCLES,

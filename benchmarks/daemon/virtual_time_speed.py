@@ -25,7 +25,7 @@ from levid.config.shipped import shipped
 from levid.daemon.loop.clock import VirtualClock
 from levid.daemon.loop.virtual_flight import Flight
 from levid.daemon.planning.plan import plan_session
-from levid.identification.greybox.model_file import declared_model
+from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.log.signals import cycle_dtype, ros2msg
 from levid.model.geometry import decoupling_matrix
 from levid.model.second_order import discretise

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from levid.benchmarks.harness.child_processes import started
+from levid.benchmarks.harness.start_and_end_processes import started
 
 LEAST_MIB_S = 20.0
 """About ten times the recorder's rate at 10 kHz; a slower writer does not load the disk."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from levid.benchmarks.harness.child_processes import started
+from levid.benchmarks.harness.start_and_end_processes import started
 from levid.config.shipped import shipped
 from levid.daemon.client import Client, DaemonError
 

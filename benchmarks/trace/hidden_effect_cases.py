@@ -15,7 +15,7 @@ _FILE = Path(__file__).with_name("hidden-effect-cases.yaml")
 _TABLE = yaml.safe_load(_FILE.read_text(encoding="utf-8"))
 _MODULES = {
     "cases": "levid.sim.effects.",
-    "unlisted": "levid.benchmarks.trace.unlisted_effects:",
+    "unlisted": "levid.benchmarks.trace.simulated_unlisted_effects:",
 }
 
 
@@ -77,6 +77,6 @@ def _read(section: str) -> tuple[Case, ...]:
 CASES = _read("cases")
 """Effects of levid.sim.effects, whose equations the table of effects lists."""
 UNLISTED = _read("unlisted")
-"""Effects of unlisted_effects.py, whose equations no table lists."""
+"""Effects of simulated_unlisted_effects.py, whose equations no table lists."""
 FLOOR_M = float(_TABLE["floor_m"])
 """Noise floor of a plant without effects, m rms over rows and sensors."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...config.base import ConfigError
 from ...config.model import ModelConfig
 from ...config.rig import RigConfig
-from ...identification.greybox.model_file import declared_model
+from ...identification.greybox.declared_model_from_config import declared_model
 from ...model.declared_model import DeclaredModel, ModelError
 from ...model.expression import ExpressionError
 from ...model.geometry import decoupling_matrix

@@ -12,7 +12,7 @@ from ...config.rig import RigConfig
 from ...config.session import CoilCheck, Land, Levitate, Move, SessionConfig, Step
 from ..control.states import State
 from .plan import MOST_CYCLES, Plan, plan_session, plan_steps
-from .plan_handover import PlannedRequest
+from .plan_memory_file import PlannedRequest
 
 RELOADED = ("allow_users", "allow_groups", "client_gone")
 """Keys of the rig's `service` that may change while the daemon runs."""

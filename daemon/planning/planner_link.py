@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..host.child_process import Child, module_of
-from .plan_handover import PlanFileError, PlannedRequest, memory_file, read_plan, read_refusal
+from .plan_memory_file import PlanFileError, PlannedRequest, memory_file, read_plan, read_refusal
 from .planner import RefusedError, Situation
 from .planner_process import CPU_S, ENDED, PLANNED, QUESTION, REFUSED, Ended, Question, Work
 

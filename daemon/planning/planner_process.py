@@ -24,7 +24,7 @@ from ..control.states import State
 from ..host.process_confinement import Confinement, at_most_half_memory, confine
 from ..host.real_time_scheduling import set_process_name, signal_at_parent_death
 from .plan import MOST_CYCLES
-from .plan_handover import memory_file, write_plan, write_refusal
+from .plan_memory_file import memory_file, write_plan, write_refusal
 from .planner import Planner, RefusedError, Situation
 
 PLANNED, REFUSED = 0, 3

@@ -15,7 +15,7 @@ from typing import Any
 
 from ..control.faults import Fault
 from ..host.child_process import Child, ChildSilence, module_of
-from ..host.monotonic_clock import ProcessClock
+from ..host.clock_excluding_suspension import ProcessClock
 from ..ipc.json_lines import Closed, Lines, TooLong
 from ..ipc.row_ring import HUNG_S
 from ..ipc.shared_status_words import ControlWords, Word

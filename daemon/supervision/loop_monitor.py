@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from ..control.faults import Fault
 from ..control.states import State
 from ..host.child_process import Child
-from ..host.monotonic_clock import ProcessClock
+from ..host.clock_excluding_suspension import ProcessClock
 from ..ipc.shared_status_words import ControlWords, Word
 from .fault_clearing import OPENING_S
 

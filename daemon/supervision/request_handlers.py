@@ -15,12 +15,12 @@ from ..api.control_server import LONGEST_SHORT, Handler, Reply
 from ..control.faults import Fault
 from ..control.states import State
 from ..ipc.shared_status_words import Word
-from ..planning.plan_handover import PlannedRequest
+from ..planning.plan_memory_file import PlannedRequest
 from ..planning.planner import RefusedError, Situation
 from ..planning.planner_process import Work
 from ..recording.log_metadata import log_metadata
 from ..recording.log_router import LogFile
-from .job_runner import Job, in_fault
+from .flight_runner import Job, in_fault
 
 if TYPE_CHECKING:
     from .supervisor import Supervisor

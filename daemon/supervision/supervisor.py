@@ -34,11 +34,11 @@ from ..recording.recorder_link import RecorderLink
 from ..service.journal import moment
 from ..service.systemd_notify import Notify
 from .fault_clearing import PendingClears
-from .job_runner import JobRunner
+from .flight_runner import JobRunner
 from .loop_monitor import LoopMonitor
+from .missing_readings_at_rest import StaleMonitor
 from .request_handlers import Requests
 from .rig_reload import RigReader
-from .stale_monitor import StaleMonitor
 
 _TICK_S = 0.01
 _LANDING_S = 10.0

@@ -15,7 +15,7 @@ from ...wire.device_protocol import (
     Request,
     expected_parameters,
 )
-from ...wire.frame_rejection import Rejected
+from ...wire.frame_rejection_reasons import Rejected
 from ...wire.int16_scaling import LARGEST
 from ..amplifier_enabling import AmplifierWatch, compare_limits, refusal, worst_state
 from ..base import Array, CoilAmplifiers, LinkError, PositionSensors

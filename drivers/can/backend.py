@@ -15,8 +15,8 @@ from ...config.buses import AmplifierOptions, CanBus, CanDriveOptions, RoleOptio
 from ...config.rig import RigConfig
 from ...wire.can import cia402
 from ...wire.can.can_frames import CanFrames, load_frames
-from ...wire.can.can_interfaces import check_bus
 from ...wire.can.cia402 import NMT_ID, NODE_IDS, SYNC_ID
+from ...wire.can.python_can_interface_table import check_bus
 from ...wire.device_protocol import AMPLIFIER_LIMITS, CYCLES, SENSOR_LIMITS, check_limits_fit
 from ...wire.int16_scaling import LARGEST
 from ..base import Context, FirstError, LinkError
@@ -24,7 +24,7 @@ from ..bus_backend import AnswerTime, BusBackend
 from .amplifiers_and_adc import CanAmplifiers, CanSensors
 from .bus_link import CanLink
 from .canopen_drives import CanDrives
-from .canopen_nodes import node_of
+from .canopen_homing_and_enabling import node_of
 
 
 class CanBackend(BusBackend):

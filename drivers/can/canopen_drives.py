@@ -31,13 +31,13 @@ from ...wire.can.cia402 import (
     state_of,
     sync_counter,
 )
-from ...wire.frame_rejection import Rejected
+from ...wire.frame_rejection_reasons import Rejected
 from ...wire.velocity_from_positions import Differences, most_bend
 from ..base import Array, DriveError, DriverError, FirstError, LinkError, ManipulatorDrives
 from ..reading_checks import check_skew
 from ..stale_readings import Watch
 from .bus_link import CanLink
-from .canopen_nodes import Answers, DriveNode
+from .canopen_homing_and_enabling import Answers, DriveNode
 
 _EMERGENCY = struct.Struct("<HB")
 _MISSED_HEARTBEATS = 3.0

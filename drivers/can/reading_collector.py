@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...wire.can.can_frames import ValueFrames
-from ...wire.frame_rejection import Rejected
+from ...wire.frame_rejection_reasons import Rejected
 from ..base import Array
 from ..stale_readings import Watch
 from .bus_link import CanLink

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...config.buses import SerialBus
 from ...wire.device_protocol import CYCLES, Request
-from ...wire.frame_rejection import Rejected
+from ...wire.frame_rejection_reasons import Rejected
 from ...wire.serial.frame_splitter import FrameStream
 from ...wire.serial.serial_frames import FrameContents, Header, Kind, SerialFrames
 from ..amplifier_enabling import AmplifierWatch

@@ -29,7 +29,7 @@ from ..records.from_log import (
 from ..records.record import OTHER_STEP, IdentificationError, NotARecordError
 from ..records.resampling import resample
 from .control_loop import ControlLoop, imported_loop
-from .covariance import correlation
+from .covariance_scaling import correlation
 from .intersample_input import Hold
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from ..records.record import IdentificationError
 from . import filter_kernels
-from .covariance import correlation, scaled
+from .covariance_scaling import correlation, scaled
 from .discretisation import Motion, process_covariance
 
 Array = NDArray[np.float64]

@@ -16,16 +16,16 @@ from ...config.model import ModelConfig
 from ...model.effects.base import Effect, Places
 from ...model.effects.effect_serialization import placed_effects
 from ...model.effects.freeform import freeform_effects
-from ...model.effects.search_range import Extent
+from ...model.effects.operating_range import Extent
+from ..greybox.declared_model_from_config import declared_model
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.free_parameters import free_parameters
-from ..greybox.model_file import declared_model
 from ..records.record import IdentificationError
 from .linearised.gram_matrices import BLOCK_S, Linearised
 from .linearised.linearisation_point import WorkingPoint, with_likely_noise
 from .linearised.linearise_prediction_errors import blocks_in, linearise
+from .records.check_common_session_time import overlap, require_timeless, timeless
 from .records.coil_load_history import loads_of
-from .records.common_time_base import overlap, require_timeless, timeless
 from .records.initial_guesses import extent
 from .records.read_records import read_records
 from .records.record_from_log import SHORTEST_S, TraceRecord, split

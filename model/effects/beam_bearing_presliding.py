@@ -21,7 +21,7 @@ from functools import partial
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
 from .lag_and_hysteresis_recursions import yielding
-from .search_range import Extent
+from .operating_range import Extent
 
 _ALONG, _ACROSS = 1, 0
 """DOF of the tilts that shift the beam along and across its rails."""

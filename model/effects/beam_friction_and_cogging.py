@@ -17,7 +17,7 @@ import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term
 from .lag_and_hysteresis_recursions import dahl
-from .search_range import Extent
+from .operating_range import Extent
 
 _PITCH_M = (5e-3, 60e-3)
 _APART = 1.2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from . import (
+    base_magnets_attracting_beam,
     beam,
     beam_bearing_presliding,
     beam_friction_and_cogging,
@@ -13,7 +14,6 @@ from . import (
     damping,
     flexible,
     friction,
-    magnet_attraction,
     mass,
     rotor,
     sensor_dynamic,
@@ -22,7 +22,7 @@ from . import (
     vibration,
 )
 from .base import Effect, Places, resolved
-from .search_range import Extent
+from .operating_range import Extent
 
 
 def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, ...]:
@@ -41,7 +41,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *beam.effects(places),
         *beam_friction_and_cogging.effects(places, covered),
         *beam_bearing_presliding.effects(places, covered),
-        *magnet_attraction.effects(places, covered),
+        *base_magnets_attracting_beam.effects(places, covered),
         *rotor.effects(places),
         *coil_gain.effects(places),
         *coil_timing.effects(places, covered),

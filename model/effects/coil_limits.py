@@ -17,8 +17,8 @@ import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
 from .lag_and_hysteresis_recursions import held_for, lagged_within
+from .operating_range import Extent
 from .point_force_conversion import forces
-from .search_range import Extent
 
 Coils = tuple[int, ...]
 

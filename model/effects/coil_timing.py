@@ -18,7 +18,7 @@ import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
 from .lag_and_hysteresis_recursions import lagged_mean
-from .search_range import Extent
+from .operating_range import Extent
 
 _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"
 _LATE_S = 2e-3

@@ -13,7 +13,7 @@ from ..declared_model import ModelError
 from .base import Effect, Placed, Places, Quantity
 from .candidate_effects import all_effects
 from .freeform import freeform_effect
-from .search_range import Extent
+from .operating_range import Extent
 from .vibration import tone
 
 _TONE = re.compile(r"vibration\.\w+\.([0-9.e+]+)hz")

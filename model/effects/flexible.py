@@ -18,8 +18,8 @@ import numpy as np
 
 from .base import Array, Effect, Placed, Places, Quantity, Signals, Term, on_dof
 from .lag_and_hysteresis_recursions import lagged_mean, oscillator
+from .operating_range import Extent
 from .point_force_conversion import forces
-from .search_range import Extent
 
 PATTERNS = ("twist", "saddle", "dome", "wave_x", "wave_y", "egg_box")
 _RIGID = ("rigid_1", "rigid_2", "rigid_3")

@@ -36,7 +36,7 @@ from .freeform_sensor_heating import (
     thermal_reading_effects,
     thermal_reading_signals,
 )
-from .search_range import Extent
+from .operating_range import Extent
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
-from .magnet_attraction import PERIOD_M, at_the_beam, periods_m, waves_along
-from .search_range import Extent
+from .base_magnets_attracting_beam import PERIOD_M, at_the_beam, periods_m, waves_along
+from .operating_range import Extent
 
 Array = NDArray[np.float64]
 

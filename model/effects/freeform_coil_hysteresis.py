@@ -14,7 +14,7 @@ from math import inf
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
 from .lag_and_hysteresis_recursions import slip_range
-from .search_range import Extent
+from .operating_range import Extent
 
 _KEY = re.compile(r"unknown\.hysteresis\.command\[(?P<scale>[0-9.e+-]+)\]")
 _WIDTHS = (0.05, 0.15, 0.4, 1.0, 2.5)

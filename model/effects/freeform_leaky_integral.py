@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof, on_sensor
 from .lag_and_hysteresis_recursions import lagged
-from .search_range import Extent
+from .operating_range import Extent
 
 Array = NDArray[np.float64]
 

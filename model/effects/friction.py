@@ -20,7 +20,7 @@ import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
 from .lag_and_hysteresis_recursions import bouc_wen, dahl, lugre, slip
-from .search_range import Extent
+from .operating_range import Extent
 
 _ELEMENTS = (1.0, 4.0, 16.0)
 """Break-away displacements of the Maxwell elements, relative to the smallest."""

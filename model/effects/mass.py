@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
-from .search_range import Extent
+from .operating_range import Extent
 
 _TIMES = 9
 _MOST_TIMES = 48

@@ -18,7 +18,7 @@ import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
 from .lag_and_hysteresis_recursions import held, jumping, lagged, play
-from .search_range import Extent
+from .operating_range import Extent
 
 _LAG_S = 2e-3
 _MOST_DEPTH = 2.0

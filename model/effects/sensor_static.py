@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
-from .search_range import Extent
+from .operating_range import Extent
 
 _WARM_S = 80.0
 _MOST_BENT = 0.4

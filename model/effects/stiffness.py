@@ -17,8 +17,8 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .operating_range import Extent
 from .point_force_conversion import forces, heights
-from .search_range import Extent
 
 _WIDE = 3.0
 _CONTACTS = (-0.4, 0.0, 0.4)

@@ -9,7 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ..plotting.frequency_response_curves import CONFIDENCE, RIG, Curve, Range, SignalLabels, inside
+from ..plotting.labelled_frequency_responses import (
+    CONFIDENCE,
+    RIG,
+    Curve,
+    Range,
+    SignalLabels,
+    inside,
+)
 from ..plotting.panel_grid import legend_of, new_grid, plot_band, plot_curve
 from ..plotting.style import PAGE, Sheet, drawing, frequency_axis, log_ticks
 

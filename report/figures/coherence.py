@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from ..plotting.frequency_response_curves import RIG, Curve, Range, SignalLabels, inside
+from ..plotting.labelled_frequency_responses import RIG, Curve, Range, SignalLabels, inside
 from ..plotting.panel_grid import legend_of, new_grid, plot_curve
 from ..plotting.style import PAGE, Sheet, drawing, frequency_axis
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.results import ClosedLoopPoint
 from ...identification.subspace.response_uncertainty import SURE_95
-from ..plotting.frequency_response_curves import CONFIDENCE, Curve, Range
+from ..plotting.labelled_frequency_responses import CONFIDENCE, Curve, Range
 from ..plotting.style import LineStyle, line_of, position_label
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ..plotting.frequency_response_curves import symbol
+from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.min_max_envelope import envelope, plot_envelope
 from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import PAGE, TRUTH, LineStyle, Sheet, colour, drawing

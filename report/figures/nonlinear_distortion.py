@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
-from ..plotting.frequency_response_curves import RIG, Curve, Range, SignalLabels, inside, pooled
+from ..plotting.labelled_frequency_responses import RIG, Curve, Range, SignalLabels, inside, pooled
 from ..plotting.panel_grid import entry, new_grid, plot_curve
 from ..plotting.style import PAGE, LineStyle, Sheet, colour, drawing, frequency_axis, log_ticks
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ..plotting.frequency_response_curves import Range, pooled, symbol
+from ..plotting.labelled_frequency_responses import Range, pooled, symbol
 from ..plotting.panel_grid import Grid, entry, new_grid
 from ..plotting.style import (
     BOUND,

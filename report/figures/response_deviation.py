@@ -11,7 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ..plotting.frequency_response_curves import RIG, Curve, Range, SignalLabels, decibels, inside
+from ..plotting.labelled_frequency_responses import (
+    RIG,
+    Curve,
+    Range,
+    SignalLabels,
+    decibels,
+    inside,
+)
 from ..plotting.panel_grid import entry, new_grid, plot_curve
 from ..plotting.style import BOUND, PAGE, Sheet, colour, drawing, frequency_axis
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ...identification.results import ClosedLoopPoint
 from ..figures.response_deviation import AGREEMENT, Bounds, Worst, largest, worst_on_diagonal
-from ..plotting.frequency_response_curves import Curve, Range, SignalLabels, ratio, rig_or
 from ..plotting.html_page import Number, Text, Verdict
+from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, rig_or
 from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from ...identification.subspace.response_uncertainty import SURE_95
 from ..figures.compute_fitted_response import Place, fitted_curves, places_of
 from ..figures.residuals import chance
 from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, error_text, largest
-from ..plotting.frequency_response_curves import Curve, Range, SignalLabels, ratio, rig_or
 from ..plotting.html_page import Number, Text, Verdict
+from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, rig_or
 from ..plotting.style import TRUTH, line_of
 from .closed_loop import HO_KALMAN, TRUTH_NAME, Truth
 

@@ -18,10 +18,10 @@ from ..figures.bode import bode_magnitude
 from ..figures.residuals import Residuals, chance, residual_correlation, residual_spectra
 from ..figures.response_deviation import bounds_text, deviation, error_text, largest
 from ..figures.simulated_outputs import Simulated, SimulatedOutput, simulated_outputs
-from ..plotting.frequency_response_curves import Curve
+from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table, Text
+from ..plotting.labelled_frequency_responses import Curve
 from ..plotting.style import LineStyle, signed
-from ..plotting.svg import Picture, to_svg
 from .closed_loop import HO_KALMAN
 from .greybox import GreyBoxReport
 

@@ -13,10 +13,10 @@ from ...identification.nonparametric.robust_multisine import BestLinearApproxima
 from ...identification.records.record import describe_position
 from ...identification.results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
 from ..figures.response_deviation import worst_on_diagonal
-from ..plotting.frequency_response_curves import SignalLabels
+from ..plotting.figure_to_svg import Picture
 from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
+from ..plotting.labelled_frequency_responses import SignalLabels
 from ..plotting.style import signed
-from ..plotting.svg import Picture
 from ..session.flight_data import Session
 from ..session.session_page import listed, session_sections, session_words
 from .closed_loop import (
@@ -27,7 +27,7 @@ from .closed_loop import (
     closed_loop_words,
     uses_ho_kalman,
 )
-from .closed_loop_sections import closed_loop_sections
+from .closed_loop_identification_sections import closed_loop_sections
 from .greybox import (
     NOISE_MOST,
     NOT_WHITE,

@@ -20,7 +20,9 @@ from ..figures.nonlinear_distortion import (
 )
 from ..figures.residuals import chance
 from ..figures.response_deviation import ACCURACY, bounds_text, deviation, error_text, largest
-from ..plotting.frequency_response_curves import (
+from ..plotting.figure_to_svg import Picture, to_svg
+from ..plotting.html_page import Number, Part, Section, Table, Text, Verdict
+from ..plotting.labelled_frequency_responses import (
     CONFIDENCE,
     Curve,
     Range,
@@ -29,9 +31,7 @@ from ..plotting.frequency_response_curves import (
     ratio,
     rig_or,
 )
-from ..plotting.html_page import Number, Part, Section, Table, Text, Verdict
 from ..plotting.style import TRUTH, line_of, position_label, signed
-from ..plotting.svg import Picture, to_svg
 from .closed_loop import TRUTH_NAME, Truth
 
 Array = NDArray[np.float64]

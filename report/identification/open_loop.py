@@ -12,10 +12,10 @@ from ..figures.bode import bode_magnitude, bode_phase
 from ..figures.held_out_outputs import HeldOut, held_out_outputs
 from ..figures.order_validation import OrderErrors, validation_errors
 from ..figures.singular_values import SingularValues, Spectrum, singular_values
-from ..plotting.frequency_response_curves import Curve, Range, SignalLabels
+from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Number, Part, Section, Table, Text
+from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels
 from ..plotting.style import TRUTH, line_of
-from ..plotting.svg import Picture, to_svg
 from .closed_loop import ESTIMATOR, Truth
 
 _MOST_SHOWN = 6

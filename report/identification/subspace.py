@@ -19,7 +19,9 @@ from ..figures.response_deviation import (
     largest,
     worst_on_diagonal,
 )
-from ..plotting.frequency_response_curves import (
+from ..plotting.figure_to_svg import Picture, to_svg
+from ..plotting.html_page import Number, Part, Section, Table, Text, Verdict
+from ..plotting.labelled_frequency_responses import (
     CONFIDENCE,
     Curve,
     Range,
@@ -27,9 +29,7 @@ from ..plotting.frequency_response_curves import (
     ratio,
     rig_or,
 )
-from ..plotting.html_page import Number, Part, Section, Table, Text, Verdict
 from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
-from ..plotting.svg import Picture, to_svg
 from .closed_loop import HO_KALMAN, METHOD, TRUTH_NAME, Truth, factor
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from markupsafe import Markup
 
 from ... import __version__
 from .atomic_write import replace_text
+from .figure_to_svg import Picture
 from .style import COLOURS
-from .svg import Picture
 
 Verdict = Literal["good", "bad", "none", "doubt"]
 """Rating of a number: good, bad, neither, or not reliable."""

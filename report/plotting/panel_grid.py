@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from .frequency_response_curves import Curve, Range
+from .labelled_frequency_responses import Curve, Range
 from .style import PAGE, LineStyle, Sheet, colour, new_figure
 
 Array = NDArray[np.float64]

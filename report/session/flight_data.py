@@ -17,7 +17,7 @@ from ...daemon.control.faults import FAULTS, Fault
 from ...daemon.control.states import State
 from ...log.reader import Log, read_log
 from ..plotting.min_max_envelope import Envelope, envelope, over_time
-from .pose_vs_beam_position import BeamRecord, joined
+from .pose_during_beam_moves import BeamRecord, joined
 
 Array = NDArray[np.float64]
 

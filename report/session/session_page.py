@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...daemon.control.states import State
-from ..plotting.frequency_response_curves import symbol
+from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import (
     Figures,
     Number,
@@ -21,11 +21,11 @@ from ..plotting.html_page import (
     Verdict,
     write_report,
 )
+from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.style import signed
-from ..plotting.svg import Picture, to_svg
 from .cycle_times import quantile_s, timing_histogram
 from .flight_data import Session, StepFlown, read_session
-from .pose_vs_beam_position import beam_trajectory
+from .pose_during_beam_moves import beam_trajectory
 from .time_plot import session_plot
 
 _COIL = "coil:"

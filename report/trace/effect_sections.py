@@ -12,8 +12,8 @@ from ...config.model import EffectParameter
 from ...identification.trace.figure_data import Aspect, RecordView, Views
 from ...identification.trace.found_effects_summary import FoundEffect, Outcome, RandomForce, telling
 from ...identification.trace.residual.binned_means import dependence
+from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table, Text
-from ..plotting.svg import Picture, to_svg
 from ..session.session_page import listed
 from .effect_shapes import Shape, effect_shapes
 from .number_format import (

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...config.model import EffectParameter
-from ..plotting.frequency_response_curves import symbol
+from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.style import engineering
 
 CONFIDENCE = 1.96

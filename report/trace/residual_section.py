@@ -11,9 +11,9 @@ from ...identification.trace.figure_data import RecordView, Views
 from ...identification.trace.found_effects_summary import Outcome
 from ...identification.trace.residual.binned_means import Dependence, dependence
 from ...identification.trace.run_trace import Trace
-from ..plotting.frequency_response_curves import symbol
+from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Text
-from ..plotting.svg import Picture, to_svg
+from ..plotting.labelled_frequency_responses import symbol
 from .number_format import amount, signal_text
 from .trace_figures import dependence_map, sensors_alone, squares_over_time
 

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from ..plotting.frequency_response_curves import Range, pooled, symbol
+from ..plotting.labelled_frequency_responses import Range, pooled, symbol
 from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import (
     PAGE,

@@ -20,8 +20,8 @@ from ...identification.trace.found_effects_summary import (
     telling,
 )
 from ...identification.trace.run_trace import Trace
-from ..plotting.frequency_response_curves import symbol
 from ..plotting.html_page import Figures, Number, Section, Steps, Text, write_report
+from ..plotting.labelled_frequency_responses import symbol
 from ..session.session_page import listed
 from .effect_sections import effect_sections, sizes
 from .number_format import amount, share_text, times_text, with_interval

@@ -15,10 +15,10 @@ from ...identification.trace.figure_data import Views
 from ...identification.trace.found_effects_summary import Outcome, model_after
 from ...identification.trace.run_trace import Trace
 from ...identification.trace.search.candidate_screening import Round
-from ..plotting.frequency_response_curves import symbol
+from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table, Text
+from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.style import engineering
-from ..plotting.svg import Picture, to_svg
 from ..session.session_page import listed
 from .number_format import CONFIDENCE, amount, change_text, plain, times_text, unit_text
 from .trace_figures import Bar, candidates, error_spectra, errors_by_record

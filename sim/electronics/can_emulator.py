@@ -16,10 +16,10 @@ from ...config.buses import CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig
 from ...wire.can.can_bus import Ages, FrameBus, open_bus
 from ...wire.can.can_frames import Fields, load_frames
-from ...wire.can.can_interfaces import check_bus
 from ...wire.can.cia402 import SYNC_COUNTER, SYNC_ID, cycle_of_sync
 from ...wire.can.kernel_frame import BUS_OFF_ID
-from ...wire.frame_rejection import Rejected
+from ...wire.can.python_can_interface_table import check_bus
+from ...wire.frame_rejection_reasons import Rejected
 from .emulated_devices import Core
 from .faults import Injector, Outgoing
 

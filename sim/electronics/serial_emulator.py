@@ -19,7 +19,7 @@ import numpy as np
 from ...config.base import ConfigError
 from ...config.buses import RoleOptions
 from ...config.rig import RigConfig
-from ...wire.frame_rejection import Rejected
+from ...wire.frame_rejection_reasons import Rejected
 from ...wire.serial.frame_splitter import FrameStream
 from ...wire.serial.serial_frames import FrameContents, Kind, SerialFrames
 from .emulated_devices import Core

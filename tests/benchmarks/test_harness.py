@@ -52,7 +52,7 @@ def test_figures_before_an_error_are_printed_with_their_targets(monkeypatch, cap
 STOPPED = """
 import os, signal, sys, time
 from levid.benchmarks.harness import benchmark_runner
-from levid.benchmarks.harness.child_processes import started
+from levid.benchmarks.harness.start_and_end_processes import started
 
 def measure(quick):
     with started(["sleep", "600"]) as child:

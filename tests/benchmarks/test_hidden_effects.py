@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from rig_effects import CLASSES, rig_places, shipped_effects
+from effect_test_helpers import CLASSES, rig_places, shipped_effects
 
 from levid.benchmarks.trace import hidden_effects
 from levid.benchmarks.trace.hidden_effect_cases import CASES, TIMES, UNLISTED
@@ -14,7 +14,7 @@ from levid.benchmarks.trace.hidden_effect_parameter_errors import known, relativ
 from levid.benchmarks.trace.hidden_effect_score import score_plant
 from levid.config.sim import SimEffect
 from levid.model.effects.candidate_effects import all_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 from levid.sim.effects import Effects
 
 CASE = {case.name: case for case in CASES + UNLISTED}

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from levid.benchmarks.daemon import killed_processes
-from levid.benchmarks.daemon.fault_injection_flight import BUSES, Rig, rig_of
+from levid.benchmarks.daemon.fault_injection_rig import BUSES, Rig, rig_of
 from levid.config.base import parse
 from levid.config.rig import RigConfig
 from levid.daemon.control.watchdog_times import longest_stall, zero_after_s

@@ -1,4 +1,4 @@
-"""What same_rows finds between logs: each kind of difference, with both values."""
+"""Each kind of difference between logs that log_rows_vs_commit finds, with both values."""
 
 from __future__ import annotations
 

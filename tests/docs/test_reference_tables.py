@@ -16,7 +16,7 @@ from levid.config.rig import RigConfig, load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.planning.plan import plan_session
-from levid.identification.greybox.model_file import declared_model
+from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.log.signals_yaml import SignalsFile
 from levid.model.geometry import decoupling_matrix
 

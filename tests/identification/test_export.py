@@ -22,9 +22,9 @@ from levid.identification.export import (
     write_mat,
     write_multisine_mat,
 )
+from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.identify_greybox import GreyBox, identify_grey_box
-from levid.identification.greybox.model_file import declared_model
 from levid.identification.identify import identify
 from levid.identification.nonparametric.frequency_response import ResponseEstimate
 from levid.identification.nonparametric.nonlinear_distortion import DetectionLines

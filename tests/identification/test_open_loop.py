@@ -14,7 +14,7 @@ from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.identification.records.record import IdentificationError, Record
 from levid.identification.results import OpenLoopPoint
-from levid.identification.subspace.innovation_model import innovation_model
+from levid.identification.subspace.identify_innovation_model import innovation_model
 from levid.identification.subspace.simulation import simulate
 from levid.model.second_order import StateSpace
 
@@ -157,7 +157,7 @@ def test_orders_without_a_predictor_are_skipped(monkeypatch):
             raise IdentificationError(f"no steady-state predictor of order {order}: test")
         return innovation_model(sequence, order, Ts_s)
 
-    monkeypatch.setattr(open_loop, "innovation_model", failing)
+    monkeypatch.setattr(open_loop, "identify_innovation_model", failing)
     refused = {1, 2, 9}
     (point,) = identify(_records(3)).points
     assert isinstance(point, OpenLoopPoint)

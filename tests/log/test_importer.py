@@ -12,7 +12,7 @@ from mcap_ros2.decoder import DecoderFactory
 from repository_folders import ROOT
 
 from levid.config.base import ConfigError, parse_text
-from levid.log import mat_file
+from levid.log import mat_file_reader
 from levid.log.errors import LogError
 from levid.log.importer import import_file
 from levid.log.reader import read_log
@@ -222,7 +222,7 @@ def test_damaged_mat_file_does_not_crash_the_program(tmp_path, seed):
 )
 def test_exit_of_the_mat_reader_process_is_reported(tmp_path, monkeypatch, code, expected_error):
     ended = subprocess.CompletedProcess([], code, b"", b"")
-    monkeypatch.setattr(mat_file.subprocess, "run", lambda *_, **__: ended)
+    monkeypatch.setattr(mat_file_reader.subprocess, "run", lambda *_, **__: ended)
     with pytest.raises(LogError, match=f"not a usable MAT file: its reader .*{expected_error}"):
         run(tmp_path, mat(V1=U, V2=Y), HEAD + BY_NAME, name="a.mat")
 

@@ -109,9 +109,7 @@ def test_actuator_is_a_first_order_lag_behind_the_controller() -> None:
 
 
 def test_state_follows_from_recorded_commands() -> None:
-    c = controller(
-        "pid: {u: {loops: [{measured: y, reference: r, kp: 2.0, ki: 30.0, kd: 0.02}]}}"
-    )
+    c = controller("pid: {u: {loops: [{measured: y, reference: r, kp: 2.0, ki: 30.0, kd: 0.02}]}}")
     x0 = np.array([0.7, -0.3, 1.1])
     u, end = c.output(R, Y, NOTHING, x0)
     found = c.state_from(R, Y, NOTHING, u)

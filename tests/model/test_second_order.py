@@ -8,7 +8,7 @@ import pytest
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
-from levid.identification.greybox.model_file import declared_model
+from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.model.declared_model import DeclaredModel, ModelError
 from levid.model.expression import Expression, ExpressionError
 from levid.model.second_order import SecondOrder, discretise, state_space

@@ -17,7 +17,6 @@ from time import perf_counter, sleep, time
 from typing import Any, Protocol
 
 from ...config.buses import CanBus
-from .can_interfaces import adapter_of, arguments
 from .kernel_frame import (
     ERROR,
     ERROR_BUS_OFF,
@@ -28,6 +27,7 @@ from .kernel_frame import (
     pack_frame,
     unpack_frame,
 )
+from .python_can_interface_table import adapter_of, arguments
 from .receive_thread import ReceiveThread
 from .timestamps import OLDEST_S, HardwareClock, KernelStamps
 

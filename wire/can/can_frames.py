@@ -17,7 +17,7 @@ from numba import njit
 from ...config.base import ConfigError
 from ...config.shipped import shipped
 from ..device_protocol import CYCLES
-from ..frame_rejection import Rejected
+from ..frame_rejection_reasons import Rejected
 from ..int16_scaling import LARGEST, NO_VALUE, Array
 from .crc8 import CRC_TABLE, FrameCrc
 

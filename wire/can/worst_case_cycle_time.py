@@ -15,8 +15,8 @@ from ...config.buses import CanBus, CanDriveOptions, RoleOptions
 from ...config.rig import RigConfig, Role
 from ..bus_budget import Budget, BusTime, budget
 from .can_frames import ValueFrames, load_frames
-from .can_interfaces import adapter_of, latency_s
 from .cia402 import RPDO, TPDO
+from .python_can_interface_table import adapter_of, latency_s
 
 _DRIVES = 3
 _SYNC_BYTES = 1

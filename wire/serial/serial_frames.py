@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ..device_protocol import CYCLES, PROTOCOL
-from ..frame_rejection import Rejected
+from ..frame_rejection_reasons import Rejected
 from ..int16_scaling import Array, quantise, scale
 from . import cobs
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
-from ....model.effects.search_range import Extent
+from ....model.effects.operating_range import Extent
 from .effect_signals import trajectory
 from .record_from_log import TraceRecord
 from .resonances import resonances

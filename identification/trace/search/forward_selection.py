@@ -10,6 +10,7 @@ import numpy as np
 
 from ....model.effects.base import Effect
 from ..linearised.linearisation_point import WorkingPoint
+from .accepted_and_rejected_candidates import CandidateQueue
 from .backward_elimination import (
     brought,
     taken_instead,
@@ -17,7 +18,6 @@ from .backward_elimination import (
     without_idle,
     without_stand_in,
 )
-from .candidate_queue import CandidateQueue
 from .candidate_screening import (
     ALONE,
     AT_FIRST,
@@ -34,7 +34,7 @@ from .candidate_screening import (
     is_internal,
     screened,
 )
-from .candidate_shortlist import sifted
+from .fit_shortlisted_candidates import sifted
 from .gauss_newton import NEARLY, Candidate, gather, refine
 from .held_out_test import LOWERS, helps
 from .nonrigid_screening import asked_first, worth_columns

@@ -13,12 +13,12 @@ from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
 from .backward_elimination import followers, without_guesses
 from .candidate_screening import Records, Round
-from .escape_local_minimum import otherwise
 from .forward_selection import MUCH, Grown, Progress, grown
 from .gauss_newton import FULLY, gather, refine
 from .held_out_test import LOWERS
 from .hold_amplitudes_at_one import free_numbers, with_plain_amplitudes
 from .regression import ColumnEvidence, standard_errors
+from .replace_effect_by_rival import otherwise
 
 Array = NDArray[np.float64]
 

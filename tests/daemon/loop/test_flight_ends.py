@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loop_with_scripted_clock import LIFT, RIG, ScriptedLoop
 from numpy.typing import NDArray
-from scripted_loop import LIFT, RIG, ScriptedLoop
 
 from levid.config.rig import load_rig
 from levid.config.session import Step

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scripted_loop import LIFT, ScriptedLoop
+from loop_with_scripted_clock import LIFT, ScriptedLoop
 
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State

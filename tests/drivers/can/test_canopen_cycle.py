@@ -16,7 +16,7 @@ from levid.config.shipped import shipped
 from levid.drivers.base import DriveError, DriverError, StaleError
 from levid.drivers.can.bus_link import CanLink
 from levid.drivers.can.canopen_drives import CanDrives
-from levid.drivers.can.canopen_nodes import DriveNode
+from levid.drivers.can.canopen_homing_and_enabling import DriveNode
 from levid.drivers.stale_readings import Watch
 from levid.log.signals import Stale
 from levid.wire.can.cia402 import (

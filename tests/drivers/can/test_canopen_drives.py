@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drives_at_rest import run, with_drives
+from drives_at_rest_cycles import run, with_drives
 from waiting import wait_until
 
 from levid.config.base import ConfigError
@@ -20,7 +20,7 @@ from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context, Devices, DriveError, DriverError, LinkError, StaleError
 from levid.drivers.can.bus_link import CanLink
-from levid.drivers.can.canopen_nodes import DriveNode
+from levid.drivers.can.canopen_homing_and_enabling import DriveNode
 from levid.drivers.open_backends import check_backends, open_devices
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.can.cia402 import (
@@ -240,7 +240,7 @@ def test_drive_with_empty_pdo_mapping_exchanges_none(
 ) -> None:
     """The mapping in the EDS may be a default; only what the host has mapped counts."""
     for mapping in ("RPDO_MAPPING", "TPDO_MAPPING"):
-        monkeypatch.setattr(f"levid.drivers.can.canopen_nodes.{mapping}", ())
+        monkeypatch.setattr(f"levid.drivers.can.canopen_homing_and_enabling.{mapping}", ())
     patience.seconds = 0.5 / RATE_HZ
     with Electronics(rig, Path()) as electronics:
         devices = open_devices(Context(rig, 1 / RATE_HZ, Path()))

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule
-from independent_can_decoder import CHANGES, changed
+from independent_frame_decoder import CHANGES, changed
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped

@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from independent_can_decoder import CHANGES, CYCLES, FramesTogether, changed, equal
+from independent_frame_decoder import CHANGES, CYCLES, FramesTogether, changed, equal
 
 from levid.config.buses import CanBus
 from levid.drivers.can.bus_link import CanLink

@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 from hypothesis import given
 from hypothesis import strategies as st
-from independent_can_decoder import CHANGES, changed
+from independent_frame_decoder import CHANGES, changed
 
 from levid.config.buses import CanBus
 from levid.drivers.base import DriverError
 from levid.drivers.can.bus_link import CanLink
-from levid.drivers.can.canopen_nodes import DriveNode
+from levid.drivers.can.canopen_homing_and_enabling import DriveNode
 
 NODE, BYTES = 1, 8
 REQUEST_ID, ANSWER_ID = 0x600 + NODE, 0x580 + NODE

@@ -28,7 +28,7 @@ from levid.drivers.serial.serial_line import SerialLine
 from levid.drivers.serial.transaction import TransactionPort
 from levid.sim.electronics.emulated_rig import Electronics
 from levid.wire.device_protocol import CYCLES
-from levid.wire.frame_rejection import Rejected
+from levid.wire.frame_rejection_reasons import Rejected
 from levid.wire.serial.serial_frames import FrameContents, SerialFrames
 
 RATE_HZ = 50.0

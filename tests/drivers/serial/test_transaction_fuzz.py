@@ -8,8 +8,8 @@ from types import SimpleNamespace
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from independent_can_decoder import CHANGES, CYCLES, changed, serial_frame
-from independent_serial_decoder import BODIES, CONTENTS, frame, readings_right
+from independent_frame_decoder import CHANGES, CYCLES, changed, serial_frame
+from serial_frame_fuzz_checks import BODIES, CONTENTS, frame, readings_right
 
 from levid.config.buses import SerialBus
 from levid.drivers.bus_backend import AnswerTime

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cycle_log import cycle_log
+from in_memory_log import cycle_log
 
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment_from_log import experiment_from_log

@@ -6,7 +6,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from cycle_log import cycle_log
+from in_memory_log import cycle_log
 
 from levid.identification.nonparametric.frequency_response import (
     plant_from_joint,

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cycle_log import cycle_log
+from in_memory_log import cycle_log
 from numpy.lib.recfunctions import drop_fields
 
 from levid.config.model import load_model

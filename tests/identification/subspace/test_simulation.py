@@ -7,7 +7,7 @@ import pytest
 
 from levid.identification.records.record import IdentificationError, Record
 from levid.identification.subspace.fit_percent import nrmse_fit_percent
-from levid.identification.subspace.innovation_model import (
+from levid.identification.subspace.identify_innovation_model import (
     choose_past,
     innovation_model,
     state_sequence,

@@ -6,13 +6,13 @@ import math
 from dataclasses import replace
 
 import pytest
-from rig_effects import rig_places
+from effect_test_helpers import rig_places
 
 from levid.identification.trace.found_effects_summary import Evidence, FoundEffect, Outcome, telling
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 EXTENT = Extent((1e-4,) * 3, (1e-2,) * 3, 1e-4, 12.0, 0.2)
 CUBIC = next(e for e in all_effects(rig_places()) if e.identity == "rod_stiffness.cubic@z")

@@ -8,14 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effect_test_helpers import rig_places
 from mass_on_spring_logs import MASS as CONFIG
 from mass_on_spring_logs import imported
-from rig_effects import rig_places
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.records.record import IdentificationError
-from levid.identification.trace.records.common_time_base import overlap, require_timeless, timeless
+from levid.identification.trace.records.check_common_session_time import (
+    overlap,
+    require_timeless,
+    timeless,
+)
 from levid.identification.trace.records.read_records import read_records, require_live
 from levid.identification.trace.records.record_from_log import TraceRecord, split, trace_record
 from levid.identification.trace.records.sensor_and_amplifier_noise import require_noise
@@ -25,7 +29,7 @@ from levid.log.reader import read_log
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 NOISE_M = 2e-7
 

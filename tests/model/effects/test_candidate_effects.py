@@ -9,13 +9,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from rig_effects import CLASSES, R_M, rig_places
+from effect_test_helpers import CLASSES, R_M, rig_places
 
 from levid.model.effects import beam_friction_and_cogging, flexible, vibration
 from levid.model.effects.base import Effect, Loads, Placed, Places, Signals
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.lag_and_hysteresis_recursions import lagged_mean
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 TS = 1e-3
 OTHERS = {"stiffness", "damping", "inertia"}

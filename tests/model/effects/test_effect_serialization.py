@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rig_effects import rig_places
+from effect_test_helpers import rig_places
 
 from levid.config.base import parse_text
 from levid.config.model import EffectParameter, ModelConfig, ModelEffect, load_model
@@ -17,7 +17,7 @@ from levid.model.declared_model import ModelError
 from levid.model.effects.base import Placed, Places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.effect_serialization import placed_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 from levid.model.effects.vibration import tone
 
 

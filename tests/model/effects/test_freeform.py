@@ -8,12 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from effect_test_helpers import acts, moving, rig_places
 from numpy.polynomial import chebyshev
-from rig_effects import acts, moving, rig_places
 from scipy.signal import lsim
 
 from levid.model.effects.freeform import DEGREE, Form, depends_on, freeform_effect, freeform_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 
 def effects():

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rig_effects import acts, moving, rig_places
+from effect_test_helpers import acts, moving, rig_places
 from scipy.signal import lsim
 
 from levid.model.effects.base import Loads
 from levid.model.effects.freeform import depends_on, freeform_effect, freeform_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 
 def swept(hz_s: float = 0.02):

@@ -20,7 +20,8 @@ from levid.report.figures.response_deviation import (
     worst_on_diagonal,
 )
 from levid.report.figures.singular_values import SingularValues, Spectrum, gap, singular_values
-from levid.report.plotting.frequency_response_curves import (
+from levid.report.plotting.figure_to_svg import to_svg
+from levid.report.plotting.labelled_frequency_responses import (
     RIG,
     Curve,
     Range,
@@ -40,10 +41,9 @@ from levid.report.plotting.style import (
     power_of_ten,
     signed,
 )
-from levid.report.plotting.svg import to_svg
 from levid.report.session.cycle_times import quantile_s, timing_histogram
 from levid.report.session.flight_data import CycleTimes
-from levid.report.session.pose_vs_beam_position import BeamRecord, beam_trajectory
+from levid.report.session.pose_during_beam_moves import BeamRecord, beam_trajectory
 
 pytestmark = pytest.mark.usefixtures("no_warnings")
 

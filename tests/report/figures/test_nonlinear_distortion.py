@@ -15,9 +15,9 @@ from levid.report.figures.nonlinear_distortion import (
     detection_levels,
     response_with_distortion,
 )
-from levid.report.plotting.frequency_response_curves import Range, SignalLabels
+from levid.report.plotting.figure_to_svg import to_svg
+from levid.report.plotting.labelled_frequency_responses import Range, SignalLabels
 from levid.report.plotting.style import PAPER, colour
-from levid.report.plotting.svg import to_svg
 
 pytestmark = pytest.mark.usefixtures("no_warnings")
 

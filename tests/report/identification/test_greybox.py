@@ -16,9 +16,9 @@ from levid.report.figures.response_deviation import largest
 from levid.report.identification.greybox import grey_box_numbers, grey_box_report, grey_box_words
 from levid.report.identification.greybox_sections import grey_box_sections
 from levid.report.identification.identification_page import identification_report
-from levid.report.plotting.frequency_response_curves import SignalLabels
+from levid.report.plotting.figure_to_svg import Picture
 from levid.report.plotting.html_page import render
-from levid.report.plotting.svg import Picture
+from levid.report.plotting.labelled_frequency_responses import SignalLabels
 
 pytestmark = pytest.mark.usefixtures("no_warnings")
 

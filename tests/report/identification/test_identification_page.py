@@ -19,7 +19,7 @@ from levid.report.identification.closed_loop import (
     closed_loop_report,
 )
 from levid.report.identification.identification_page import identification_report
-from levid.report.plotting.frequency_response_curves import SignalLabels
+from levid.report.plotting.labelled_frequency_responses import SignalLabels
 
 pytestmark = pytest.mark.usefixtures("no_warnings")
 

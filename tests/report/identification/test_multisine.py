@@ -15,7 +15,7 @@ from levid.report.identification.multisine import (
     multisine_report,
     multisine_words,
 )
-from levid.report.plotting.frequency_response_curves import RIG_SIGNALS
+from levid.report.plotting.labelled_frequency_responses import RIG_SIGNALS
 
 pytestmark = pytest.mark.usefixtures("no_warnings")
 

@@ -18,8 +18,8 @@ from levid.report.identification.subspace import (
     subspace_sections,
     subspace_words,
 )
-from levid.report.plotting.frequency_response_curves import CONFIDENCE, RIG_SIGNALS
 from levid.report.plotting.html_page import Table, Text
+from levid.report.plotting.labelled_frequency_responses import CONFIDENCE, RIG_SIGNALS
 
 DOF, UNITS = ("psi", "theta", "z"), ("N m", "N m", "N")
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from levid.report.plotting.atomic_write import replace_text
+from levid.report.plotting.figure_to_svg import Picture, to_svg
 from levid.report.plotting.html_page import (
     Figures,
     Number,
@@ -23,7 +24,6 @@ from levid.report.plotting.html_page import (
     write_report,
 )
 from levid.report.plotting.style import COLOURS, PAGE, drawing, new_figure
-from levid.report.plotting.svg import Picture, to_svg
 
 NASTY = '<script>alert("x")</script> & "quoted" $\\alpha$ #ffffff'
 

@@ -12,7 +12,7 @@ from levid.daemon.control.states import State
 from levid.log.errors import LogError
 from levid.log.signals import cycle_dtype
 from levid.log.writer import LogWriter
-from levid.report.plotting.svg import to_svg
+from levid.report.plotting.figure_to_svg import to_svg
 from levid.report.session.flight_data import read_session
 from levid.report.session.session_page import session_report, session_words
 from levid.report.session.time_plot import session_plot

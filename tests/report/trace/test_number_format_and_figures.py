@@ -9,8 +9,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from levid.config.model import EffectParameter
+from levid.report.plotting.figure_to_svg import to_svg
 from levid.report.plotting.style import COLOURS
-from levid.report.plotting.svg import to_svg
 from levid.report.trace.effect_shapes import Shape, effect_shapes
 from levid.report.trace.number_format import (
     amount,

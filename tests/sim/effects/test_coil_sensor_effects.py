@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from effect_test_helpers import DT_S as DT
+from effect_test_helpers import R_M as R
+from effect_test_helpers import fresh
 from numpy.typing import NDArray
-from rig_effects import DT_S as DT
-from rig_effects import R_M as R
-from rig_effects import fresh
 from scipy.signal import lsim, lti
 
 from levid.sim.effects.coils import CoilGain, DeadZone, ForceConstant, ForceOffset, SoftSaturation

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig_effects import DT_S, fresh, rig_places
+from effect_test_helpers import DT_S, fresh, rig_places
 
 from levid.config.model import EffectParameter, ModelEffect, load_model
 from levid.config.shipped import shipped

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from effect_test_helpers import shipped_effects
 from repository_folders import SIMS
-from rig_effects import shipped_effects
 
 from levid.config.base import load_yaml
 from levid.config.sim import SimConfig

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from effect_test_helpers import BEAM_Z_M as Z_B
+from effect_test_helpers import DT_S as DT
+from effect_test_helpers import R_M as R
+from effect_test_helpers import fresh
 from numpy.typing import NDArray
-from rig_effects import BEAM_Z_M as Z_B
-from rig_effects import DT_S as DT
-from rig_effects import R_M as R
-from rig_effects import fresh
 from scipy.linalg import expm
 
 from levid.sim.effects import BeamState

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drives_at_rest import with_drives
+from drives_at_rest_cycles import with_drives
 from waiting import wait_until
 
 from levid.config.rig import RigConfig

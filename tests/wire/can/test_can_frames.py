@@ -15,7 +15,7 @@ from levid.config.base import ConfigError
 from levid.config.shipped import shipped
 from levid.wire.can.can_frames import CanFrames, ValueFrames, load_frames
 from levid.wire.can.crc8 import FrameCrc, crc8
-from levid.wire.frame_rejection import Rejected
+from levid.wire.frame_rejection_reasons import Rejected
 
 DBC = shipped("levid.dbc")
 DATABASE = cantools.database.load_file(str(DBC))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from independent_can_decoder import (
+from independent_frame_decoder import (
     CHANGES,
     CYCLES,
     can_sealed,
@@ -21,7 +21,7 @@ from independent_can_decoder import (
 )
 
 from levid.wire.can.can_frames import Fields, ValueFrames, load_frames
-from levid.wire.frame_rejection import Rejected
+from levid.wire.frame_rejection_reasons import Rejected
 
 CLASSIC, FD = load_frames(None, 9, 9, False), load_frames(None, 9, 9, True)
 GROUPS = [

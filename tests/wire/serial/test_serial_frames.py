@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from levid.wire.frame_rejection import Rejected
+from levid.wire.frame_rejection_reasons import Rejected
 from levid.wire.serial import cobs
 from levid.wire.serial.frame_splitter import FrameStream
 from levid.wire.serial.serial_frames import FrameContents, Header, Kind, SerialFrames

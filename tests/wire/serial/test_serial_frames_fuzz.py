@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
-from independent_can_decoder import (
+from independent_frame_decoder import (
     CHANGES,
     SERIAL_BODIES,
     changed,
@@ -12,7 +12,7 @@ from independent_can_decoder import (
     serial_sealed,
     unstuffed,
 )
-from independent_serial_decoder import BODIES, CONTENTS, frame, numbers_right
+from serial_frame_fuzz_checks import BODIES, CONTENTS, frame, numbers_right
 
 from levid.wire.serial.serial_frames import Header, Kind, SerialFrames
 

@@ -16,7 +16,7 @@ from levid.drivers.base import LinkError
 from levid.drivers.bus_backend import AnswerTime
 from levid.drivers.stale_readings import Watch
 from levid.wire.device_protocol import CYCLES, Request
-from levid.wire.frame_rejection import Rejected
+from levid.wire.frame_rejection_reasons import Rejected
 
 from .bus import UdpBus
 from .frames import Frames, Kind

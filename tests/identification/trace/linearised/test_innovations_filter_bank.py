@@ -25,10 +25,10 @@ from declared_model_records import (
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
+from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.discretisation import innovations, motion
 from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.free_parameters import free_parameters
-from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise, kalman_filter
 from levid.identification.greybox.prediction_errors import predict, settled
 from levid.identification.trace.linearised import linearise_prediction_errors as linearised

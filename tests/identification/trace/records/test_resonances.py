@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rig_effects import rig_places
+from effect_test_helpers import rig_places
 from scipy import signal
 
 from levid.identification.greybox.control_loop import ControlLoop
@@ -17,7 +17,7 @@ from levid.model.controller import pi_controller
 from levid.model.effects.base import Places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.flexible import PATTERNS, patterns
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 PLACES = rig_places()
 NAMES, OVER_SENSORS, OVER_COILS = patterns(PLACES)

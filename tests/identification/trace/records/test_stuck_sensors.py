@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rig_effects import rig_places
+from effect_test_helpers import rig_places
 from scipy.signal import lfilter
 
 from levid.identification.trace.records.stuck_sensors import stuck_rows

@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.control_loop import ControlLoop
+from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.greybox.free_parameters import free_parameters
-from levid.identification.greybox.model_file import declared_model
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace.linearised.linearisation_point import WorkingPoint
@@ -25,7 +25,7 @@ from levid.identification.trace.residual.free_run_with_effects import EffectFree
 from levid.model.controller import pi_controller
 from levid.model.effects.base import Placed, Places
 from levid.model.effects.candidate_effects import all_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 MASS, DAMPER, SPRING = 2.0, 12.0, 800.0  # 3.2 Hz, damping 0.15
 MODEL = f"""

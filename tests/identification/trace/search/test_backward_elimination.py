@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import pytest
-from rig_effects import rig_places
+from effect_test_helpers import rig_places
 
 from levid.identification.trace.search import backward_elimination
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 NAMED = {e.identity: e for e in all_effects(rig_places())}
 FORM = freeform_effects(rig_places(), Extent.typical(rig_places()))[0]

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rig_effects import rig_places
+from effect_test_helpers import rig_places
 
 from levid.identification.trace.search import candidate_screening
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 NAMED = {e.identity: e for e in all_effects(rig_places())}
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from rig_effects import rig_places
+from effect_test_helpers import rig_places
 
 from levid.identification.trace.search import forward_selection
 from levid.identification.trace.search.candidate_screening import HeldError, Round, Tried

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import pytest
-from rig_effects import rig_places
+from effect_test_helpers import rig_places
 
 from levid.identification.trace.search import hold_amplitudes_at_one
 from levid.identification.trace.search.candidate_screening import LEAST

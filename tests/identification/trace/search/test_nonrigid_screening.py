@@ -16,7 +16,7 @@ from levid.identification.trace.search.regression import ColumnEvidence, gains
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
-from levid.model.effects.search_range import Extent
+from levid.model.effects.operating_range import Extent
 
 FORMS = freeform_effects(PLACES, Extent.typical(PLACES))
 CANDIDATES: list[Candidate] = [(e, tuple(shape)) for e in FORMS for shape in e.grid]

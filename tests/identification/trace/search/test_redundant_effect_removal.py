@@ -6,8 +6,8 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from effect_test_helpers import rig_places
 from linearisation_point_stub import Measured, Point
-from rig_effects import rig_places
 
 from levid.identification.trace.search import backward_elimination, forward_selection
 from levid.identification.trace.search.candidate_screening import HeldError, Round, Tried

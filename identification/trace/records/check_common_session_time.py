@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Effect, Placed, Places, Signals
-from ....model.effects.search_range import Extent
+from ....model.effects.operating_range import Extent
 from ...records.record import IdentificationError
 from .record_from_log import TraceRecord
 

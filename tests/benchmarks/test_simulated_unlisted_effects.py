@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from levid.benchmarks.trace.unlisted_effects import ClosedCover, PassedCoil, RectifiedDrive
+from levid.benchmarks.trace.simulated_unlisted_effects import (
+    ClosedCover,
+    PassedCoil,
+    RectifiedDrive,
+)
 from levid.sim.effects import BeamState
 
 

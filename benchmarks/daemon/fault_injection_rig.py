@@ -25,9 +25,9 @@ from typing import Any, TypeVar
 import yaml
 
 from levid.benchmarks.daemon import fault_injecting_electronics
-from levid.benchmarks.harness.child_processes import started
 from levid.benchmarks.harness.real_time import ELECTRONICS, hurry
 from levid.benchmarks.harness.running_daemon import loopback_rig
+from levid.benchmarks.harness.start_and_end_processes import started
 from levid.daemon.client import Client, DaemonError
 
 BUSES = ("canfd", "serial")

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 from hypothesis import strategies as st
-from independent_can_decoder import axis, equal, scaled
+from independent_frame_decoder import axis, equal, scaled
 
 from levid.wire.serial.serial_frames import FrameContents, Kind, SerialFrames
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scripted_loop import ScriptedLoop
+from loop_with_scripted_clock import ScriptedLoop
 
 from levid.daemon.ipc.timing_histograms import WakeUps, count_wake_up
 from levid.daemon.loop import clock as clock_module

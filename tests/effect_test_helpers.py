@@ -57,7 +57,7 @@ def shipped_effects() -> set[str]:
     found = {}
     for module in pkgutil.iter_modules(effects.__path__):
         # These modules hold no effects: the contract, its loader, and effects of model files.
-        if module.name in ("contract", "declared", "loader"):
+        if module.name in ("effect_interface", "declared", "loader"):
             continue
         name = f"{effects.__name__}.{module.name}"
         for cls in vars(importlib.import_module(name)).values():

@@ -11,10 +11,10 @@ from ..figures.coherence import coherence
 from ..figures.markov_parameters import Markov, markov_parameters
 from ..figures.response_deviation import bounds_text, deviation
 from ..figures.singular_values import SingularValues, Spectrum, gap, singular_values
-from ..plotting.frequency_response_curves import Curve
+from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table
+from ..plotting.labelled_frequency_responses import Curve
 from ..plotting.style import LineStyle, colour, line_of
-from ..plotting.svg import Picture, to_svg
 from .closed_loop import ESTIMATOR, METHOD, ClosedLoopReport, factor, uses_ho_kalman
 
 _MARKOV_SHOWN_S = 2.0

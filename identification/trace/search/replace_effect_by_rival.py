@@ -12,7 +12,7 @@ from ....model.effects.base import Effect
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
 from .candidate_screening import Records, Round, Tried, asked_again
-from .candidate_shortlist import with_tried
+from .fit_shortlisted_candidates import with_tried
 from .forward_selection import Grown, Progress, agree, grown, share
 from .gauss_newton import NEARLY, refine
 

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rig_effects import rig_places
+from effect_test_helpers import rig_places
 
-from levid.identification.trace.search import candidate_shortlist
+from levid.identification.trace.search import fit_shortlisted_candidates as shortlist
 from levid.identification.trace.search.candidate_screening import Round, Tried
 from levid.model.effects.candidate_effects import all_effects
 
@@ -34,15 +34,15 @@ def alternatives_of(monkeypatch):
     def named(_, candidate: Tried):
         return SimpleNamespace(tried=candidate)
 
-    monkeypatch.setattr(candidate_shortlist, "refine", fitted)
-    monkeypatch.setattr(candidate_shortlist, "with_tried", named)
-    monkeypatch.setattr(candidate_shortlist, "gather", lambda *_: SimpleNamespace(squares=1000.0))
+    monkeypatch.setattr(shortlist, "refine", fitted)
+    monkeypatch.setattr(shortlist, "with_tried", named)
+    monkeypatch.setattr(shortlist, "gather", lambda *_: SimpleNamespace(squares=1000.0))
     records = SimpleNamespace(train=lambda *_, **__: [])
     train = SimpleNamespace(record=np.array([0, 1]))
 
     def kept(*survivors: Tried) -> list[str]:
         found = Round(1000.0, 100.0, survivors, survivors, (), None, ())
-        out, _ = candidate_shortlist.sifted(SimpleNamespace(placed=()), found, train, records)
+        out, _ = shortlist.sifted(SimpleNamespace(placed=()), found, train, records)
         assert out.taken is not None
         assert out.taken.effect is survivors[0].effect
         return [t.effect.identity for t in out.alternatives]
@@ -87,16 +87,14 @@ def test_slowly_converging_fit_continues_from_its_last_point(monkeypatch):
         after = SimpleNamespace(tried=point.tried, placed=(point.tried,), at=steps[-1])
         return after, errors[steps[-1] - 1]
 
-    monkeypatch.setattr(candidate_shortlist, "refine", fitted)
-    monkeypatch.setattr(
-        candidate_shortlist, "with_tried", lambda _, t: SimpleNamespace(tried=t, at=0)
-    )
-    monkeypatch.setattr(candidate_shortlist, "gather", lambda *_: SimpleNamespace(squares=1500.0))
+    monkeypatch.setattr(shortlist, "refine", fitted)
+    monkeypatch.setattr(shortlist, "with_tried", lambda _, t: SimpleNamespace(tried=t, at=0))
+    monkeypatch.setattr(shortlist, "gather", lambda *_: SimpleNamespace(squares=1500.0))
     survivors = tried(plain, 900.0, 15.0, 0.1), tried(yielding, 500.0, 15.0, 0.2, 0.02, 0.1)
     found = Round(1000.0, 100.0, survivors, survivors, (), None, ())
     train = SimpleNamespace(record=np.array([0, 1]))
     records = SimpleNamespace(train=lambda *_, **__: [])
-    out, point = candidate_shortlist.sifted(SimpleNamespace(placed=()), found, train, records)
+    out, point = shortlist.sifted(SimpleNamespace(placed=()), found, train, records)
     assert out.taken is not None
     assert out.taken.effect.identity == yielding
     assert point.at == 3

@@ -15,7 +15,13 @@ from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context
 from levid.drivers.open_backends import check_backends
-from levid.wire.can.can_interfaces import ADAPTERS, adapter_of, arguments, check_bus, latency_s
+from levid.wire.can.python_can_interface_table import (
+    ADAPTERS,
+    adapter_of,
+    arguments,
+    check_bus,
+    latency_s,
+)
 
 DOCS = (DOCS / "can.md").read_text()
 SLCAN = {"interface": "slcan", "channel": "/dev/ttyACM0"}

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scripted_loop import LIFT, ScriptedLoop
+from loop_with_scripted_clock import LIFT, ScriptedLoop
 
 from levid.config.session import Step
 from levid.daemon.control.faults import Fault
@@ -18,8 +18,8 @@ from levid.daemon.control.states import State
 from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.planning.plan import plan_steps
 from levid.daemon.recording.log_router import LogFile
-from levid.daemon.supervision import job_runner as pilot_module
-from levid.daemon.supervision.job_runner import Job, JobRunner
+from levid.daemon.supervision import flight_runner as pilot_module
+from levid.daemon.supervision.flight_runner import Job, JobRunner
 from levid.drivers.base import Devices
 from levid.log.signals import Stale
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from levid.daemon.supervision.stale_monitor import StaleMonitor
+from levid.daemon.supervision.missing_readings_at_rest import StaleMonitor
 
 
 class World:

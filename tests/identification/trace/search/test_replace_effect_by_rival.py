@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from effect_test_helpers import rig_places
 from linearisation_point_stub import Point
-from rig_effects import rig_places
 
-from levid.identification.trace.search import escape_local_minimum
+from levid.identification.trace.search import replace_effect_by_rival
 from levid.identification.trace.search.candidate_screening import HeldError, Round, Tried
 from levid.identification.trace.search.forward_selection import Grown
 from levid.model.effects.base import Placed
@@ -52,9 +52,9 @@ def starting_points(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
         reported.append(effect_names(so_far))
         return so_far
 
-    monkeypatch.setattr(escape_local_minimum, "grown", grown)
-    monkeypatch.setattr(escape_local_minimum, "refine", lambda point, *_, **__: (point, 1e3))
-    monkeypatch.setattr(escape_local_minimum, "asked_again", lambda _, rival, *__: rival)
+    monkeypatch.setattr(replace_effect_by_rival, "grown", grown)
+    monkeypatch.setattr(replace_effect_by_rival, "refine", lambda point, *_, **__: (point, 1e3))
+    monkeypatch.setattr(replace_effect_by_rival, "asked_again", lambda _, rival, *__: rival)
     return reported
 
 
@@ -80,7 +80,7 @@ def test_rival_replaces_the_accepted_effect_if_it_halves_the_error(
         round_of(tried(DAMPING, 5e5), tried(DRAG, 4.5e5)),
         round_of(None, tried(COULOMB, 4e3)),
     )
-    swapped = escape_local_minimum.otherwise(
+    swapped = replace_effect_by_rival.otherwise(
         so_far, (), 4, records_with_errors(air_damping_quadratic=0.1), no_progress
     )
     assert starting_points == [[GAIN, DRAG]]
@@ -89,7 +89,7 @@ def test_rival_replaces_the_accepted_effect_if_it_halves_the_error(
     assert [r.taken and r.taken.effect.identity for r in swapped.rounds] == [GAIN, DRAG]
     assert not swapped.rounds[1].alternatives
     assert swapped.rounds[1].instead_of is NAMED[DAMPING]
-    same = escape_local_minimum.otherwise(
+    same = replace_effect_by_rival.otherwise(
         so_far, (), 4, records_with_errors(air_damping_quadratic=0.6 * LEFT), no_progress
     )
     assert same is so_far
@@ -97,7 +97,7 @@ def test_rival_replaces_the_accepted_effect_if_it_halves_the_error(
 
 def test_rival_with_the_smallest_error_is_chosen(starting_points: list[list[str]]) -> None:
     so_far = found(round_of(tried(DAMPING, 5e5), tried(DRAG, 4.8e5), tried(COULOMB, 4.6e5)))
-    swapped = escape_local_minimum.otherwise(
+    swapped = replace_effect_by_rival.otherwise(
         so_far,
         (),
         4,
@@ -108,7 +108,7 @@ def test_rival_with_the_smallest_error_is_chosen(starting_points: list[list[str]
     assert effect_names(swapped) == [COULOMB]
     # After a small error no other rival is tried.
     del starting_points[:]
-    swapped = escape_local_minimum.otherwise(
+    swapped = replace_effect_by_rival.otherwise(
         so_far, (), 4, records_with_errors(air_damping_quadratic=0.5), no_progress
     )
     assert (starting_points, effect_names(swapped)) == ([[DRAG]], [DRAG])
@@ -127,7 +127,7 @@ def test_rival_with_small_gain_or_without_agreement_is_not_tried(
 ) -> None:
     so_far = found(round_of(tried(DAMPING, 5e5), rival))
     assert (
-        escape_local_minimum.otherwise(
+        replace_effect_by_rival.otherwise(
             so_far, (), 4, records_with_errors(air_damping_quadratic=0.1), no_progress
         )
         is so_far
@@ -142,14 +142,14 @@ def test_no_swap_if_the_rival_is_placed_or_the_effect_was_removed(
         round_of(tried(DAMPING, 5e5), tried(DRAG, 4.9e5)), round_of(tried(DRAG, 1e5))
     )
     assert (
-        escape_local_minimum.otherwise(with_rival, (), 4, records_with_errors(), no_progress)
+        replace_effect_by_rival.otherwise(with_rival, (), 4, records_with_errors(), no_progress)
         is with_rival
     )
     with_removed_effect = with_rival._replace(
         point=replace(with_rival.point, placed=with_rival.point.placed[1:])
     )
     assert (
-        escape_local_minimum.otherwise(
+        replace_effect_by_rival.otherwise(
             with_removed_effect, (), 4, records_with_errors(), no_progress
         )
         is with_removed_effect
@@ -163,7 +163,8 @@ def test_at_most_three_rivals_are_tried_and_failed_fits_are_ignored(
     rivals = [tried(f"coil_gain@coil:{n}", 4.9e5 - n) for n in range(2, 7)]
     so_far = found(round_of(tried(GAIN, 5e5), *rivals))
     assert (
-        escape_local_minimum.otherwise(so_far, (), 4, records_with_errors(), no_progress) is so_far
+        replace_effect_by_rival.otherwise(so_far, (), 4, records_with_errors(), no_progress)
+        is so_far
     )
     assert starting_points == [[f"coil_gain@coil:{n}"] for n in (2, 3, 4)]
     del starting_points[:]
@@ -173,9 +174,9 @@ def test_at_most_three_rivals_are_tried_and_failed_fits_are_ignored(
 
     # A failed fit does not change the result.
     for fails in ("grown", "refine"):
-        monkeypatch.setattr(escape_local_minimum, fails, diverges)
+        monkeypatch.setattr(replace_effect_by_rival, fails, diverges)
         assert (
-            escape_local_minimum.otherwise(so_far, (), 4, records_with_errors(), no_progress)
+            replace_effect_by_rival.otherwise(so_far, (), 4, records_with_errors(), no_progress)
             is so_far
         )
     assert not starting_points
@@ -188,10 +189,10 @@ def test_progress_never_decreases(
         rest[-1]("screening", 0.15)
         return so_far
 
-    monkeypatch.setattr(escape_local_minimum, "grown", grown)
+    monkeypatch.setattr(replace_effect_by_rival, "grown", grown)
     reported: list[float] = []
     so_far = found(round_of(tried(GAIN, 5e5), tried(DRAG, 4.9e5)))
-    escape_local_minimum.otherwise(
+    replace_effect_by_rival.otherwise(
         so_far, (), 4, records_with_errors(), lambda _, done: reported.append(done)
     )
     assert len(reported) == 2

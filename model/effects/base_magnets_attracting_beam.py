@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
-from .search_range import Extent
+from .operating_range import Extent
 
 PERIOD_M = (20e-3, 100e-3)
 _THETA, _Z = 1, 2

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drives_at_rest import run, with_drives
+from drives_at_rest_cycles import run, with_drives
 from waiting import wait_until
 
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context, Devices, DriveError, DriverError
-from levid.drivers.can.canopen_nodes import DriveNode, interpolation
+from levid.drivers.can.canopen_homing_and_enabling import DriveNode, interpolation
 from levid.drivers.open_backends import open_devices
 from levid.sim.electronics.drive_nodes import Drive
 from levid.sim.electronics.emulated_rig import Electronics

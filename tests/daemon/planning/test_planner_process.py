@@ -28,7 +28,7 @@ from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import State
 from levid.daemon.host.child_process import Child
 from levid.daemon.ipc.shared_status_words import Word
-from levid.daemon.planning.plan_handover import PlanFileError, memory_file, read_plan, write_plan
+from levid.daemon.planning.plan_memory_file import PlanFileError, memory_file, read_plan, write_plan
 from levid.daemon.planning.planner import Planner, RefusedError, Situation
 from levid.daemon.planning.planner_link import PlannerLink
 from levid.daemon.planning.planner_process import Work

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,27 +10,31 @@ from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
 from .nonparametric.frequency_response import ResponseEstimate, frequency_response
-from .nonparametric.markov_parameters import MarkovEstimate, estimate_markov, most_taps
+from .nonparametric.markov_parameters import most_taps
 from .options import Options
 from .records.drop_short_records import drop_short_records, left_out_remarks
 from .records.record import IdentificationError, OperatingPoint, Record
 from .results import OpenLoopPoint
 from .subspace.fit_percent import nrmse_fit_percent
 from .subspace.held_out_simulation import HoldOut
-from .subspace.ho_kalman import Scaling, decompose_coloured, realise
-from .subspace.identify_innovation_model import choose_past, innovation_model, state_sequence
-from .subspace.simulation import (
-    InnovationModel,
-    fit_input_matrices,
-    initial_state,
-    simulate,
-    spectral_radius,
+from .subspace.plant_from_loop import IdentifiedPlant
+from .subspace.prediction_error_method import (
+    RefinedModel,
+    initial_state_and_offset,
+    refine_innovations,
+    refine_output_error,
 )
+from .subspace.response_uncertainty import disagreements, modes, response_with_errors
+from .subspace.simulation import InnovationModel, simulate, spectral_radius
+from .subspace.starting_models import StartingModels, starting_models
 
 Array = NDArray[np.float64]
 
 HIGHEST_ORDER = 20
-PAST = (4, 6, 8, 10, 15, 20, 30, 40)
+PATIENCE = 4
+"""Orders in a row without a better validation error after which no higher order is fitted."""
+TRIAL_ROWS = 20_000
+"""Rows to which the models of every order are fitted; the chosen orders are fitted to all."""
 ROWS_A_TAP = 4
 MOST_TAPS = 200
 VALIDATION_SHARE = 0.25
@@ -39,18 +43,19 @@ BLOCKS = 8
 BINS = 180
 SETTLED = 1e-3
 """Least scale of an output's errors, over its rms in the whole record."""
+_ROUNDING = 1e-12
+"""Relative squared error below which models of data without noise are equally good."""
 _DIVERGED = 1e12
 """Relative squared error above which a model is rejected: its predictor diverges."""
 
 
 @dataclass(frozen=True)
-class _Candidates:
-    """Models of every possible order from the same training records."""
+class _Fitted:
+    """The models of one order; None: there is none."""
 
-    markov: MarkovEstimate
-    singular_values: Array
-    simulators: dict[int, StateSpace]
-    predictors: dict[int, InnovationModel]
+    simulator: RefinedModel | None
+    predictor: InnovationModel | None
+    predictor_fit: RefinedModel | None
 
 
 def identify_open_loop(
@@ -58,13 +63,17 @@ def identify_open_loop(
 ) -> OpenLoopPoint:
     """Identify one operating point; `progress` is called with the share of the work done.
 
-    The simulation model uses Markov parameters, Ho-Kalman weighted by the inputs, and refitted B
-    and D; the predictor uses observer Markov parameters. Their orders are chosen by validation:
-    models of every order are fitted to the first three quarters of the training rows and compared
-    on the last. The held-out rows (`options.holdout`) only measure the fit.
+    Models of every order are estimated in closed form (Ho-Kalman, observer Markov parameters), and
+    refined by the prediction-error method from each of these starts: one simulates from the inputs
+    alone, one predicts a step ahead. Their orders are chosen by validation: models of every order
+    are fitted to the first three quarters of the training rows and compared on the last. The
+    held-out rows (`options.holdout`) only measure the fit.
 
-    Raises IdentificationError for records that are too short, constant outputs, or if no stable
-    model exists.
+    Records of a loop with an unknown controller have the predictor only, which is consistent there:
+    `model` is the predictor's. So it is if no stable model simulates the records. An unstable model
+    has no simulated outputs.
+
+    Raises IdentificationError for records that are too short or constant outputs.
     """
     # The impulse response is at most half as long as the shortest record.
     records, too_short = drop_short_records(point.records, 2 * MOST_TAPS + 1)
@@ -72,52 +81,156 @@ def identify_open_loop(
     centred = [_centred(r, stop) for r, stop in zip(records, stops, strict=True)]
     training = [r.rows(0, stop) for r, stop in zip(centred, stops, strict=True)]
     part_stops = [stop - round(VALIDATION_SHARE * stop) for stop in stops]
-    parts = [r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)]
 
-    _check_outputs(parts)
-    trial = _candidates(parts, options)
-    progress(0.4)
-    simulated = _errors(
-        training, part_stops, {n: _simulated(m, parts) for n, m in trial.simulators.items()}
-    )
-    predicted = _errors(
-        training, part_stops, {n: _predicted(m) for n, m in trial.predictors.items()}
-    )
-    final = _candidates(training, options)
-    progress(0.8)
+    _check_outputs([r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)])
+    trial, simulated, predicted = _by_order(training, part_stops, options, progress)
     cost = _state_cost(training)
-    order = options.order or _smallest_good(simulated, final.simulators, cost)
-    predictor_order = options.order or _smallest_good(predicted, final.predictors, cost)
-    if order not in final.simulators or predictor_order not in final.predictors:
+    predictor_order = options.order or _smallest_good(predicted, cost)
+    order = options.order or (_smallest_good(simulated, cost) if simulated else predictor_order)
+
+    starts = _starts(training, options)
+    final = _fitted(order, starts, training, [trial[order]])
+    progress(0.9)
+    ahead = (
+        final
+        if predictor_order == order
+        else _fitted(predictor_order, starts, training, [trial[predictor_order]])
+    )
+    if ahead.predictor is None or ahead.predictor_fit is None:
         raise IdentificationError(
-            "order: expected the order of a stable model "
-            f"({', '.join(map(str, final.simulators)) or 'no order gives one'}), found {order}"
+            f"expected a predictor of order {predictor_order}, found none; choose another order"
         )
-    model, predictor = final.simulators[order], final.predictors[predictor_order]
+    fit = final.simulator or ahead.predictor_fit
+    stable = spectral_radius(fit.model.A) < 1.0
     spectra = _spectra(training, options)
+    mode_lists = (
+        modes(fit.model, fit.covariance),
+        modes(ahead.predictor.model, ahead.predictor_fit.covariance),
+    )
     return OpenLoopPoint(
         beam_m=point.beam_m,
         records=tuple(r.name for r in records),
-        markov={options.markov: final.markov},
-        singular_values={options.markov: final.singular_values},
-        order=order,
+        markov={} if starts.markov is None else {options.markov: starts.markov},
+        singular_values=(
+            {}
+            if starts.decomposition is None
+            else {options.markov: starts.decomposition.singular_values}
+        ),
+        order=len(fit.model.A),
         predictor_order=predictor_order,
         validation_error=_curve(simulated),
         predictor_validation_error=_curve(predicted),
-        model=model,
-        predictor=predictor,
-        freq_hz=spectra.freq_hz,
-        from_ho_kalman=model.response(spectra.freq_hz),
+        model=fit.model,
+        covariance=fit.covariance,
+        stable=stable,
+        modes=mode_lists[0],
+        predictor=ahead.predictor,
+        predictor_modes=mode_lists[1],
+        response=response_with_errors(IdentifiedPlant(fit.model), fit.covariance, spectra.freq_hz),
         from_spectra=spectra,
         holdout=tuple(
-            _hold_out(original, record, stop, model, predictor)
+            _hold_out(original, record, stop, fit.model if stable else None, ahead.predictor)
             for original, record, stop in zip(records, centred, stops, strict=True)
         ),
         remarks=(
             *(f"{r.name}: {text}" for r in records for text in r.remarks),
             *left_out_remarks(too_short),
+            *([f"no Markov parameters: {starts.no_markov}"] if starts.no_markov else []),
+            *([] if stable else [_UNSTABLE]),
+            *(disagreements(*mode_lists, ("simulation", "prediction")) if final.simulator else ()),
         ),
     )
+
+
+_UNSTABLE = (
+    "the model is unstable, so it predicts one step ahead and does not simulate; whether the plant "
+    "is unstable is judged by the intervals of its modes"
+)
+
+
+def _by_order(
+    training: Sequence[Record],
+    part_stops: Sequence[int],
+    options: Options,
+    progress: Callable[[float], None],
+) -> tuple[dict[int, _Fitted], dict[int, Array], dict[int, Array]]:
+    """Fit models of rising order to the rows before `part_stops`; return their validation errors.
+
+    The search ends if PATIENCE orders in a row are no better than a lower one.
+    """
+    parts = [r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)]
+    starts = _starts(parts, options)
+    few = _first_rows(parts, TRIAL_ROWS)
+    cost = _state_cost(training)
+    trial: dict[int, _Fitted] = {}
+    errors: tuple[dict[int, Array], dict[int, Array]] = ({}, {})
+    best_order = [0, 0]
+    for n in [options.order] if options.order else range(1, HIGHEST_ORDER + 1):
+        trial[n] = found = _trial(n, starts, few)
+        if found.simulator is not None:
+            run = _simulated(found.simulator.model, parts)
+            _add_errors(errors[0], n, training, part_stops, run)
+        if found.predictor is not None:
+            run = _predicted(found.predictor, parts)
+            _add_errors(errors[1], n, training, part_stops, run)
+        progress(0.7 * n / HIGHEST_ORDER)
+        for kind in range(2):
+            best = errors[kind].get(best_order[kind])
+            here = errors[kind].get(n)
+            if here is not None and (
+                best is None or np.log(here.mean()) < np.log(best.mean()) - cost
+            ):
+                best_order[kind] = n
+        if n - max(best_order) >= PATIENCE:
+            break
+    if not errors[1]:
+        # Without a predictor of any order: the reason of the first.
+        starts.predictor(options.order or 1)
+    return trial, *errors
+
+
+def _starts(records: Sequence[Record], options: Options) -> StartingModels:
+    return starting_models(records, _taps(records, options), options.markov, HIGHEST_ORDER)
+
+
+def _trial(order: int, starts: StartingModels, records: Sequence[Record]) -> _Fitted:
+    """Return nearly the best models of one order, after a few steps from each start."""
+    simulator = _best(refine_output_error(s, records, trial=True) for s in starts.simulators(order))
+    for start in starts.predictors(order):
+        found = refine_innovations(start, records, trial=True)
+        if found is not None:
+            return _Fitted(simulator, *found)
+    return _Fitted(simulator, None, None)
+
+
+def _fitted(
+    order: int, starts: StartingModels, records: Sequence[Record], earlier: Sequence[_Fitted]
+) -> _Fitted:
+    """Return the best models of one order, from all starts and from earlier fits."""
+    simulators = [*starts.simulators(order), *(f.simulator.model for f in earlier if f.simulator)]
+    simulator = _best(refine_output_error(start, records) for start in simulators)
+    predictors = [*starts.predictors(order), *(f.predictor for f in earlier if f.predictor)]
+    if simulator is not None:
+        # Noise of the sensors alone: a predictor that does not use the measured outputs.
+        silent = np.zeros(simulator.model.C.T.shape)
+        predictors.append(InnovationModel(simulator.model, silent, simulator.error_covariance))
+    best: tuple[InnovationModel, RefinedModel] | None = None
+    for start in predictors:
+        found = refine_innovations(start, records)
+        if found is not None and (best is None or found[1].criterion < best[1].criterion):
+            best = found
+    return _Fitted(simulator, *(best or (None, None)))
+
+
+def _best(fits: Iterable[RefinedModel | None]) -> RefinedModel | None:
+    found = [fit for fit in fits if fit is not None]
+    return min(found, key=lambda fit: fit.criterion, default=None)
+
+
+def _first_rows(records: Sequence[Record], rows: int) -> list[Record]:
+    """Return the first rows of every record, about `rows` in all."""
+    share = min(1.0, rows / sum(len(r.y) for r in records))
+    return [r.rows(0, max(round(share * len(r.y)), 1)) for r in records]
 
 
 def _centred(record: Record, stop: int) -> Record:
@@ -140,30 +253,6 @@ def _check_outputs(parts: Sequence[Record]) -> None:
                 )
 
 
-def _candidates(records: Sequence[Record], options: Options) -> _Candidates:
-    Ts_s = records[0].Ts_s
-    scaling = Scaling.of(records)
-    markov = estimate_markov(records, _taps(records, options), options.markov)
-    inputs = [r.v for r in records]
-    decomposition = decompose_coloured(markov.g, Ts_s, scaling, inputs)
-    sequence = state_sequence(choose_past(records, PAST), records, HIGHEST_ORDER)
-    simulators, predictors = {}, {}
-    failed: list[IdentificationError] = []
-    for n in [options.order] if options.order else range(1, HIGHEST_ORDER + 1):
-        if n <= decomposition.orders:
-            model = realise(decomposition, n)
-            if spectral_radius(model.A) < 1.0:
-                simulators[n] = fit_input_matrices(model, records)
-        if n <= len(sequence.singular_values):
-            try:
-                predictors[n] = innovation_model(sequence, n, Ts_s)
-            except IdentificationError as error:
-                failed.append(error)
-    if failed and not predictors:
-        raise failed[0]
-    return _Candidates(markov, decomposition.singular_values, simulators, predictors)
-
-
 def _taps(records: Sequence[Record], options: Options) -> int:
     if options.impulse_s is not None:
         return max(3, round(options.impulse_s / records[0].Ts_s))
@@ -178,46 +267,44 @@ Run = Callable[[int, Record], Array]
 
 
 def _simulated(model: StateSpace, known: Sequence[Record]) -> Run:
-    """Return a function that simulates a record; `known` rows determine the initial state."""
-    starts = [initial_state(model, r.v, r.y) for r in known]
-    return lambda number, record: simulate(model, record.v, starts[number])
+    """Return a function that simulates a record; `known` rows determine its start and offset."""
+    starts = [initial_state_and_offset(model, r.v, r.y) for r in known]
+    return lambda number, record: simulate(model, record.v, starts[number][0]) + starts[number][1]
 
 
-def _predicted(model: InnovationModel) -> Run:
+def _predicted(model: InnovationModel, known: Sequence[Record]) -> Run:
     predictor = model.predictor()
-    return lambda _number, record: simulate(predictor, np.hstack([record.v, record.y]))
+    starts = [initial_state_and_offset(predictor, np.hstack([r.v, r.y]), r.y) for r in known]
+    return lambda number, record: (
+        simulate(predictor, np.hstack([record.v, record.y]), starts[number][0]) + starts[number][1]
+    )
 
 
-def _errors(
-    records: Sequence[Record], starts: Sequence[int], runs: dict[int, Run]
-) -> dict[int, Array]:
-    """Return the squared error relative to the outputs' rms, by order, in BLOCKS blocks of time."""
-    errors = {}
-    for order, run in runs.items():
-        blocks = np.zeros(BLOCKS)
-        for number, (record, start) in enumerate(zip(records, starts, strict=True)):
-            # The scale has a lower bound: an output may be at rest in the validation rows.
-            size = np.maximum(record.y[start:].std(axis=0), SETTLED * record.y.std(axis=0))
-            with np.errstate(over="ignore", invalid="ignore"):
-                error = (record.y - run(number, record))[start:] / size
-                blocks += [np.mean(part**2) for part in np.array_split(error, BLOCKS)]
-        if np.all(blocks < _DIVERGED):  # also rejects nan
-            errors[order] = blocks / len(records)
-    return errors
+def _add_errors(
+    errors: dict[int, Array], order: int, records: Sequence[Record], starts: Sequence[int], run: Run
+) -> None:
+    """Add the squared error relative to the outputs' rms, in BLOCKS blocks of time."""
+    blocks = np.zeros(BLOCKS)
+    for number, (record, start) in enumerate(zip(records, starts, strict=True)):
+        # The scale has a lower bound: an output may be at rest in the validation rows.
+        size = np.maximum(record.y[start:].std(axis=0), SETTLED * record.y.std(axis=0))
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = (record.y - run(number, record))[start:] / size
+            blocks += [np.mean(part**2) for part in np.array_split(error, BLOCKS)]
+    if np.all(blocks < _DIVERGED):  # also rejects nan
+        errors[order] = np.maximum(blocks / len(records), _ROUNDING)
 
 
-def _smallest_good(
-    errors: Mapping[int, Array], available: Collection[int], state_cost: float
-) -> int:
+def _smallest_good(possible: Mapping[int, Array], state_cost: float) -> int:
     """Return the smallest order whose error is not significantly above the best order's.
 
     That is: the mean error is larger by at most one standard error of the difference, compared
     block by block, or its logarithm by at most `state_cost` for each state less.
     """
-    possible = {n: e for n, e in errors.items() if n in available}
     if not possible:
         raise IdentificationError(
-            "expected a stable model of at least one order, found none; record more data"
+            "expected a model of at least one order that predicts the validation rows, found none; "
+            "record more data"
         )
     best = min(possible, key=lambda n: float(possible[n].mean()))
 
@@ -276,13 +363,22 @@ def _segment(records: Sequence[Record]) -> int:
 
 
 def _hold_out(
-    original: Record, record: Record, start: int, model: StateSpace, predictor: InnovationModel
+    original: Record,
+    record: Record,
+    start: int,
+    model: StateSpace | None,
+    predictor: InnovationModel,
 ) -> HoldOut:
     """Run both models over the record, and compare them with the held-out rows from `start` on."""
     level = original.y[start:] - record.y[start:]
-    simulated = _simulated(model, [record.rows(0, start)])(0, record)[start:] + level
-    predicted = _predicted(predictor)(0, record)[start:] + level
+    known = [record.rows(0, start)]
+    predicted = _predicted(predictor, known)(0, record)[start:] + level
     measured = original.y[start:]
+    simulated = (
+        np.full_like(measured, np.nan)
+        if model is None
+        else _simulated(model, known)(0, record)[start:] + level
+    )
     time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
     return HoldOut(
         record.name,

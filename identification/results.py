@@ -103,10 +103,13 @@ class ClosedLoopPoint:
 class OpenLoopPoint:
     """A system from its input to its output, from records without a known controller.
 
-    `model` (of `order`) simulates, `predictor` (of `predictor_order`) predicts one step ahead. The
-    orders are the smallest ones whose validation error is not significantly above the minimum.
-    `validation_error` (orders,) is the error on the last quarter of the training rows over the
-    outputs' rms; nan if the model is unstable.
+    `model` (of `order`) simulates, `predictor` (of `predictor_order`) predicts one step ahead; both
+    are fitted by the prediction-error method. `covariance` (n + m, n + p, n + m, n + p) is the
+    error covariance of [A B; C D] of `model`; `response` and `modes` follow from it. If not
+    `stable`, no stable model simulates the records: `model` is the predictor's. The orders are the
+    smallest ones whose validation error is not significantly above the minimum. `validation_error`
+    (orders,) is the error on the last quarter of the training rows over the outputs' rms; nan where
+    no model was fitted.
     """
 
     beam_m: float | None
@@ -118,9 +121,12 @@ class OpenLoopPoint:
     validation_error: Array
     predictor_validation_error: Array
     model: StateSpace
+    covariance: Array
+    stable: bool
+    modes: Modes
     predictor: InnovationModel
-    freq_hz: Array
-    from_ho_kalman: Complex
+    predictor_modes: Modes
+    response: ModelResponse
     from_spectra: ResponseEstimate
     holdout: tuple[HoldOut, ...]
     remarks: tuple[str, ...] = ()

@@ -15,6 +15,7 @@ from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, Subsp
 from .run_identification import Study
 from .subspace.held_out_simulation import HoldOut
 from .subspace.plant_from_loop import IdentifiedPlant
+from .subspace.response_uncertainty import Modes
 
 _RESPONSES = 30
 """Frequencies of a response in JSON: 11 a decade."""
@@ -76,16 +77,7 @@ def _subspace(found: SubspacePoint) -> dict[str, Any]:
         "past": found.past,
         "singular_values": found.singular_values,
         "plant": _plant(found.plant),
-        "modes": [
-            {"frequency_hz": f, "frequency_se_hz": f_se, "damping": d, "damping_se": d_se}
-            for f, f_se, d, d_se in zip(
-                modes.frequency_hz,
-                modes.frequency_se_hz,
-                modes.damping,
-                modes.damping_se,
-                strict=True,
-            )
-        ],
+        "modes": _modes(modes),
         "response": {
             "freq_hz": response.freq_hz[some],
             "magnitude": np.abs(response.H[some]),
@@ -98,6 +90,15 @@ def _subspace(found: SubspacePoint) -> dict[str, Any]:
         "trusted": found.trusted,
         "doubts": found.doubts,
     }
+
+
+def _modes(modes: Modes) -> list[dict[str, float]]:
+    return [
+        {"frequency_hz": f, "frequency_se_hz": f_se, "damping": d, "damping_se": d_se}
+        for f, f_se, d, d_se in zip(
+            modes.frequency_hz, modes.frequency_se_hz, modes.damping, modes.damping_se, strict=True
+        )
+    ]
 
 
 def _plant(plant: IdentifiedPlant) -> dict[str, Any]:
@@ -119,8 +120,13 @@ def _open(point: OpenLoopPoint) -> dict[str, Any]:
         "predictor_validation_error": point.predictor_validation_error,
         "singular_values": point.singular_values,
         "markov": {name: _markov(m) for name, m in point.markov.items()},
-        "model": _model(point.model),
-        "predictor": {**_model(point.predictor.model), "K": point.predictor.K},
+        "model": {**_model(point.model), "modes": _modes(point.modes)},
+        "stable": point.stable,
+        "predictor": {
+            **_model(point.predictor.model),
+            "K": point.predictor.K,
+            "modes": _modes(point.predictor_modes),
+        },
         "holdout": [_holdout(h) for h in point.holdout],
         "remarks": point.remarks,
     }

@@ -200,6 +200,7 @@ def imported_record(log: Log) -> Record:
         input_units=tuple(c.unit for c in inputs),
         output_names=tuple(c.name for c in outputs),
         output_units=tuple(c.unit for c in outputs),
+        feedback=signals.loop is not None,
         remarks=tuple(truncation_remarks(log)),
     )
 

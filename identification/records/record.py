@@ -50,7 +50,8 @@ class Record:
     `u_unlimited` (N, p) is the plant input before the limits, v - C y; None if it equals u.
     `controller` is the controller of the loop; None in open loop or if unknown.
     `delay_cycles` is the number of whole cycles between an input and its first effect; None if
-    unknown (the output may then react in the cycle of its input). `at_rest`: v = 0 before the
+    unknown (the output may then react in the cycle of its input). `feedback`: the input depends on
+    the output, by an unknown controller unless `controller` is given. `at_rest`: v = 0 before the
     first row, and y had settled to a constant. `remarks` describe events in the record that a
     linear model does not include. `input_units` are the units of v and u.
     """
@@ -68,6 +69,7 @@ class Record:
     beam_m: float | None = None
     controller: PiController | None = None
     delay_cycles: int | None = None
+    feedback: bool = False
     at_rest: bool = False
     remarks: tuple[str, ...] = ()
 
@@ -164,6 +166,7 @@ COMPARED_FIELDS = {
     "input_units": "set of input units",
     "output_names": "set of outputs",
     "output_units": "set of output units",
+    "feedback": "statement on a loop",
 }
 """Fields that must agree in all records, with their names in messages."""
 

@@ -129,5 +129,36 @@ def modes(model: StateSpace, covariance: Array) -> Modes:
     return Modes(np.abs(s) / (2 * np.pi), frequency_se, -s.real / np.abs(s), damping_se)
 
 
+def disagreements(one: Modes, other: Modes, names: tuple[str, str]) -> tuple[str, ...]:
+    """Return a sentence for each mode of the smaller model whose 95 % intervals do not overlap.
+
+    Each mode is compared with the other model's nearest one in frequency and damping.
+    """
+    if len(one.frequency_hz) > len(other.frequency_hz):
+        one, other, names = other, one, (names[1], names[0])
+    texts = []
+    for f, f_se, d, d_se in zip(
+        one.frequency_hz, one.frequency_se_hz, one.damping, one.damping_se, strict=True
+    ):
+        apart = np.hypot(np.log(other.frequency_hz / f), other.damping - d)
+        if not np.any(np.isfinite(apart)):
+            continue
+        k = int(np.nanargmin(apart))
+        pairs = (
+            (f, f_se, other.frequency_hz[k], other.frequency_se_hz[k]),
+            (d, d_se, other.damping[k], other.damping_se[k]),
+        )
+        if any(abs(a - b) > SURE_95 * (a_se + b_se) for a, a_se, b, b_se in pairs):
+            found = [
+                f"{name} {v[0]:.4g} ± {SURE_95 * v[1]:.2g} Hz, damping {w[0]:.3g} ± "
+                f"{SURE_95 * w[1]:.2g}"
+                for name, v, w in zip(
+                    names, (pairs[0][:2], pairs[0][2:]), (pairs[1][:2], pairs[1][2:]), strict=True
+                )
+            ]
+            texts.append(f"two methods disagree on a mode: {found[0]}; {found[1]}")
+    return tuple(texts)
+
+
 _MIN_EIGENVECTOR_PRODUCT = 1e-10
 """Least product of left and right eigenvector; below, the pole counts as double."""

@@ -133,11 +133,11 @@ def _fits_table(holdout: Sequence[HoldOut], signals: SignalLabels) -> Table:
 def _response_parts(
     point: OpenLoopPoint, signals: SignalLabels, truth: Truth | None, name: str
 ) -> tuple[Part, ...]:
-    spectra = point.from_spectra
+    spectra, response = point.from_spectra, point.response
     shown = Range(float(spectra.freq_hz[0]), float(spectra.freq_hz[-1]))
     curves = [
         Curve("spectra", line_of(1), spectra.freq_hz, spectra.H, spectra.standard_deviation),
-        Curve("model", line_of(0), point.freq_hz, point.from_ho_kalman),
+        Curve("model", line_of(0), response.freq_hz, response.H, response.standard_deviation),
     ]
     true = []
     if truth is not None:

@@ -29,7 +29,7 @@ import numpy as np
 from levid.model.effects.base import Signals
 from levid.model.effects.candidate_effects import all_effects
 from levid.sim.effects.quintic import QuinticRods
-from rig_effects import moving, rig_places
+from effect_test_helpers import moving, rig_places
 
 signals = moving()
 (effect,) = (e for e in all_effects(rig_places()) if e.identity == "rod_stiffness.quintic@z")

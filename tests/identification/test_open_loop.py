@@ -9,11 +9,11 @@ import pytest
 from repository_folders import ROOT
 from scipy.signal import lfilter
 
-from levid.identification import open_loop
 from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.identification.records.record import IdentificationError, Record
 from levid.identification.results import OpenLoopPoint
+from levid.identification.subspace import starting_models
 from levid.identification.subspace.identify_innovation_model import innovation_model
 from levid.identification.subspace.simulation import simulate
 from levid.model.second_order import StateSpace
@@ -49,9 +49,9 @@ def test_known_system_is_identified_from_coloured_inputs(count):
     (point,) = identify(_records(1, count)).points
     assert isinstance(point, OpenLoopPoint)
     assert point.order == 4
-    true = TRUE.response(point.freq_hz)
-    low = point.freq_hz < 10.0  # above, the inputs have less than 1 % of their power
-    error = np.abs(point.from_ho_kalman - true)[low] / np.abs(true).max()
+    true = TRUE.response(point.response.freq_hz)
+    low = point.response.freq_hz < 10.0  # above, the inputs have less than 1 % of their power
+    error = np.abs(point.response.H - true)[low] / np.abs(true).max()
     # Noise of 1 %, 1800 rows and 28 parameters give 1e-3, and ten times that where inputs are weak.
     assert error.max() < 0.01
     for holdout in point.holdout:
@@ -157,7 +157,7 @@ def test_orders_without_a_predictor_are_skipped(monkeypatch):
             raise IdentificationError(f"no steady-state predictor of order {order}: test")
         return innovation_model(sequence, order, Ts_s)
 
-    monkeypatch.setattr(open_loop, "identify_innovation_model", failing)
+    monkeypatch.setattr(starting_models, "innovation_model", failing)
     refused = {1, 2, 9}
     (point,) = identify(_records(3)).points
     assert isinstance(point, OpenLoopPoint)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...config.controller import ControllerConfig
 from ...model.controller import Controller
-from ...model.pid_and_state_space import (
+from ...model.pid_and_state_space_controllers import (
     PidLaw,
     PidLoop,
     StateSpaceLaw,

@@ -29,8 +29,8 @@ from ..records.from_log import (
 from ..records.record import OTHER_STEP, IdentificationError, NotARecordError
 from ..records.resampling import resample
 from .control_loop import ControlLoop, imported_loop
-from .covariance_scaling import correlation
 from .intersample_input import Hold
+from .noise_covariance_scaling import correlation
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from scipy.linalg import expm, solve_discrete_are
 
 from ..records.record import IdentificationError
 from . import filter_kernels
-from .covariance_scaling import correlation, scaled
 from .discretisation import Motion, process_covariance
+from .noise_covariance_scaling import correlation, scaled
 
 Array = NDArray[np.float64]
 

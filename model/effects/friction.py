@@ -5,10 +5,10 @@ Dahl and Maxwell elements are elastic before they slip, so force over displaceme
 loop (Dahl 1968; Wen, *Method for random vibration of hysteretic systems*, J. Eng. Mech. 102, 1976;
 Canudas de Wit et al., *A new model for control of systems with friction*, IEEE TAC 40, 1995;
 Al-Bender, Lampaert, Swevers, *The generalized Maxwell-slip model*, IEEE TAC 50, 2005). Three
-Maxwell elements reproduce the hysteresis loops of the other friction models with an error of at
-most about a sixth. Signature: the height of the hysteresis loop does not depend on the speed, and
-its width follows the amplitude of the motion, so the equivalent damping falls with the amplitude.
-The hysteresis loop of a lag, in contrast, grows with the speed.
+Maxwell elements leave at most about a fifth of what a stiffness and a damping leave of the other
+friction models' hysteresis loops. Signature: the height of the hysteresis loop does not depend on
+the speed, and its width follows the amplitude of the motion, so the equivalent damping falls with
+the amplitude. The hysteresis loop of a lag, in contrast, grows with the speed.
 """
 
 from __future__ import annotations

@@ -220,6 +220,13 @@ def _grey_box(grey: GreyBox) -> dict[str, Any]:
             }
             for name, p in fitted.items()
         },
+        "balance": grey.balance
+        and {
+            "band_hz": grey.balance.band_hz,
+            "by_band": dict(zip(grey.balance.names, grey.balance.by_band.T, strict=True)),
+            "by_order": dict(zip(grey.balance.names, grey.balance.by_order, strict=True)),
+            "se": dict(zip(grey.balance.names, grey.balance.se, strict=True)),
+        },
         "unidentifiable": [str(u) for u in grey.fit.unidentifiable],
         "at_bound": grey.fit.at_bound,
         "noise": {
@@ -229,6 +236,11 @@ def _grey_box(grey: GreyBox) -> dict[str, Any]:
         "validation": [
             {
                 "record": v.record,
+                "metric": v.metric,
+                "horizon_s": v.horizon_s,
+                "percent": v.error_percent,
+                "one_step_percent": v.one_step_percent,
+                "force_percent": v.force_percent,
                 "fit_percent": v.fit_percent,
                 "error_rms": v.error_rms,
                 "floor_rms": v.floor_rms,

@@ -63,8 +63,9 @@ def imported_loop(
 
     If controller and excitation reproduce the command, the loop is fully known. Otherwise the rest
     of the command counts as an excitation that was not recorded: a simulation then has the input
-    u + C(y) - C(y simulated). If outputs or references explain a part of the rest, it is no
-    excitation: the controller is wrong, and counts as unknown.
+    u + C(y) - C(y simulated), and no error with the true plant and no noise, whatever C is. If
+    outputs or references explain a part of the rest, it is no excitation, and a remark says that
+    the controller is not the record's.
     """
     law = signals.loop and signals.loop.law
     if not law:
@@ -74,30 +75,37 @@ def imported_loop(
     )
     reference = _references(log, sources, len(record.y))
     v = _excitation(log, signals, record)
-    start = controller.state_from(reference, record.y, v, record.v)
-    rest = record.v - controller.output(reference, record.y, v, start)[0]
-    zero = np.zeros_like(record.v)
-    loop = ControlLoop(v, reference, zero, np.zeros_like(record.y), controller)
     driven = [record.input_names.index(name) for name in law.drives]
-    shares = np.sqrt(np.var(rest, axis=0) / np.maximum(np.var(record.v, axis=0), 1e-300))[driven]
-    if np.all(shares <= _REPRODUCED):
+    free = np.setdiff1d(np.arange(record.v.shape[1]), driven)
+    v[:, free] = record.v[:, free]
+    for column, source in enumerate(sources):
+        if source is None:
+            reference[:, column] = _set_point(controller, column, record, v)
+    start = controller.state_from(reference, record.y, v, record.v)
+    explained = controller.output(reference, record.y, v, start)[0]
+    rest = record.v - explained
+    loop = ControlLoop(v, reference, np.zeros_like(record.v), np.zeros_like(record.y), controller)
+    spread = np.maximum(record.v.std(axis=0), np.finfo(float).tiny)
+    shares = 100.0 * (rest.std(axis=0) / spread)[driven]
+    if np.all(shares <= 100.0 * _REPRODUCED):
         return loop, ()
-    if len(driven) == len(record.input_names):
-        moving = np.flatnonzero(np.ptp(reference, axis=0))
-        signals_of = np.hstack([record.y, reference[:, moving]])
-        for i, name in zip(driven, law.drives, strict=True):
-            explained, chance = explained_by(rest[:, i], signals_of)
-            if chance < _CHANCE and explained > _EXPLAINED:
-                return None, (
-                    f"loop: controller: it does not fit the record. It leaves "
-                    f"{100 * shares.max():.2g} % of {name} (RMS), and outputs and references "
-                    f"explain {100 * explained:.2g} % of that; an excitation would not depend on "
-                    "them. The controller counts as unknown; check gains, sign, units, rate, and "
-                    "whether all references are given",
-                )
-    return replace(loop, v=v + rest, assumed=True), (
-        f"loop: the controller leaves {100 * shares.max():.2g} % of the command (RMS), which "
-        "counts as excitation that was not recorded",
+    assumed = replace(loop, v=v + rest, assumed=True)
+    seen = np.hstack([record.y, reference[:, np.flatnonzero(np.ptp(reference, axis=0))]])
+    for i, name, share in zip(driven, law.drives, shares, strict=True):
+        part, chance = explained_by(rest[:, i], seen)
+        if chance < _CHANCE and part > _EXPLAINED:
+            scale = _scale_of(explained[:, i] - v[:, i], record.v[:, i] - v[:, i])
+            return assumed, (
+                f"loop: the stated controller did not command this record. It leaves {share:.2g} % "
+                f"of {name} (RMS), and outputs and references explain {100 * part:.2g} % of what "
+                "is new in that; an excitation would not depend on them. The command fits "
+                f"{scale:.3g} times the stated controller better. Check gains, sign, units, rate "
+                "and references. A simulation still uses the stated controller, on the difference "
+                "between measured and simulated outputs",
+            )
+    return assumed, (
+        f"loop: the controller leaves {shares.max():.2g} % of the command (RMS), which counts as "
+        "excitation that was not recorded",
     )
 
 
@@ -127,10 +135,46 @@ def explained_by(rest: Array, signals: Array) -> tuple[float, float]:
     return 1.0 - with_signals / without, float(f_distribution.sf(statistic, *freedom))
 
 
-def _references(log: Log, sources: Sequence[str | float], rows: int) -> Array:
+def _scale_of(explained: Array, command: Array) -> float:
+    """Return the factor on the controller's output (N,) that fits the command (N,) best.
+
+    Earlier values of both are regressors too: an excitation in the command may have any spectrum.
+    """
+    explained, command = explained[:_TEST_ROWS], command[:_TEST_ROWS]
+    lags = min(_LAGS, len(command) // 8)
+    rows = range(1, lags + 1)
+    before = [x[lags - k : len(x) - k] for x in (explained, command) for k in rows]
+    X = np.column_stack([explained[lags:], *before, np.ones(len(command) - lags)])
+    size = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
+    found = np.linalg.lstsq(X / size, command[lags:], rcond=1e-10)[0] / size
+    return float(found[0])
+
+
+def _set_point(controller: Controller, column: int, record: Record, v: Array) -> float:
+    """Estimate a constant reference that is not stated, from the commands.
+
+    It has the command's response to a unit reference; the initial state adds a constant at least.
+    """
+    zero = np.zeros((len(record.y), controller.references))
+    plain = controller.unlimited()
+    rest = record.v - plain.output(zero, record.y, v)[0]
+    unit = zero.copy()
+    unit[:, column] = 1.0
+    nothing = np.zeros_like(record.v)
+    by_unit = plain.output(unit, np.zeros_like(record.y), nothing)[0]
+    acting = np.flatnonzero(np.any(by_unit, axis=0))
+    X = np.column_stack([by_unit[:, acting].ravel(), np.ones(by_unit[:, acting].size)])
+    size = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
+    found = np.linalg.lstsq(X / size, rest[:, acting].ravel(), rcond=1e-12)[0] / size
+    return float(found[0])
+
+
+def _references(log: Log, sources: Sequence[str | float | None], rows: int) -> Array:
     names = [name for name in sources if isinstance(name, str)]
     require_finite(log, names)
-    found = [columns(log, [s])[:, 0] if isinstance(s, str) else np.full(rows, s) for s in sources]
+    found = [
+        columns(log, [s])[:, 0] if isinstance(s, str) else np.full(rows, s or 0.0) for s in sources
+    ]
     return np.column_stack(found) if found else np.zeros((rows, 0))
 
 

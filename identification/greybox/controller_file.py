@@ -20,13 +20,13 @@ from ...model.pid_and_state_space_controllers import (
 
 def controller_of_config(
     config: ControllerConfig, inputs: Sequence[str], outputs: Sequence[str], Ts_s: float
-) -> tuple[Controller, tuple[str | float, ...]]:
-    """Return the controller, and its references: names of columns or constants.
+) -> tuple[Controller, tuple[str | float | None, ...]]:
+    """Return the controller, and its references: columns, constants, or None if not stated.
 
     `inputs` and `outputs` are the plant's, in the order of u and y. Raises ValueError if the
     configuration names others.
     """
-    sources: tuple[str | float, ...]
+    sources: tuple[str | float | None, ...]
     if config.state_space is not None:
         law = _state_space(config)
         made = state_space_controller(law, inputs, outputs, Ts_s)
@@ -34,8 +34,7 @@ def controller_of_config(
     else:
         laws = {name: _pid(config, name) for name in config.pid}
         made = pid_controller(laws, inputs, outputs, Ts_s)
-        first = (law.loops[0].reference for law in config.pid.values())
-        sources = tuple(0.0 if reference is None else reference for reference in first)
+        sources = tuple(law.loops[0].reference for law in config.pid.values())
     for _ in range(config.delay_rows):
         made = delayed(made)
     return made, sources

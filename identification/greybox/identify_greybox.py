@@ -15,10 +15,16 @@ from ...model.second_order import StateSpace, discretise, lagged
 from ..records.record import IdentificationError
 from .experiment_from_log import Experiment
 from .fit import Fit, fit_model
-from .validation import Validation, validate
+from .force_balance import SURE_95, ForceBalance, fit_force_balance
+from .free_parameters import free_parameters
+from .noise_model import Noise
+from .validation import Validation, validate, whiteness
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+_WHITE = 1e-3
+"""Probability by chance above which prediction errors count as white."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +32,9 @@ class GreyBox:
     """The declared model, the fitted model, and the validation on held-out rows.
 
     `fitted` is a model file with fitted values and standard errors. `validations` has one entry for
-    each record. `remarks` list contradictions between model and records.
+    each record. `balance`: the fit of the force balance, None if the prediction errors are white;
+    its parameters and intervals are those of `fitted`. `remarks` list contradictions between model
+    and records.
     """
 
     declared: ModelConfig
@@ -36,6 +44,7 @@ class GreyBox:
     Ts_s: float
     delay_cycles: int
     remarks: tuple[str, ...] = ()
+    balance: ForceBalance | None = None
 
     def response(self, schedule: Mapping[str, float], freq_hz: Array) -> Complex:
         """Return the response (F, n, p) from command to output at freq_hz (F,) in Hz, with delay.
@@ -69,16 +78,36 @@ def identify_grey_box(
 ) -> GreyBox:
     """Fit `config` to the first 1 - holdout of every record and validate it on the rest.
 
+    Imported records with prediction errors that are not white have something that the model lacks.
+    Their likelihood then weighs frequencies by a noise that they do not have, and its intervals are
+    too narrow: parameters and intervals come from the force balance, and cover the likelihood's
+    estimate, too.
+
     Raises IdentificationError for a closed-loop record if the model's input is not zoh, and as
     fit_model does.
     """
     remarks = _compare_holds(config, experiments)
+    imported = all(e.correlations is None for e in experiments)
+    if imported:
+        remarks += tuple(f"record '{e.name}': {text}" for e in experiments for text in e.remarks)
     stops = [len(e.y) - round(holdout * len(e.y)) for e in experiments]
     fit = fit_model(
         config, [e.rows(0, stop) for e, stop in zip(experiments, stops, strict=True)], progress
     )
+    white = is_white(fit)
+    balance = None
+    if imported and not white:
+        fit, balance, notes = _with_force_balance(config, fit)
+        remarks += notes
+    floor_noise = fit.noise if white or not imported else stated_noise(experiments)
     checks = tuple(
-        validate(fit.model, e.rows(stop if holdout else 0, len(e.y)), config.input, fit.noise)
+        validate(
+            fit.model,
+            e.rows(stop if holdout else 0, len(e.y)),
+            config.input,
+            fit.noise,
+            floor_noise,
+        )
         for e, stop in zip(experiments, stops, strict=True)
     )
     first = experiments[0]
@@ -89,7 +118,78 @@ def identify_grey_box(
         checks,
         first.Ts_s,
         first.delay_cycles,
-        remarks,
+        (*remarks, *_drifting(checks, experiments)),
+        balance,
+    )
+
+
+def is_white(fit: Fit) -> bool:
+    """Return whether the prediction errors of all records are white (Ljung-Box, Bonferroni)."""
+    p_values = np.concatenate(
+        [whiteness(p.errors[p.motion.blind :]).p_value for p in fit.predictions]
+    )
+    return bool(p_values.min() * len(p_values) > _WHITE)
+
+
+def stated_noise(experiments: Sequence[Experiment]) -> Noise | None:
+    """Return the measurement noise that all records state, with quantisation; else None.
+
+    There is no force noise in it: a floor is what the sensors alone leave.
+    """
+    found = []
+    for e in experiments:
+        if e.noise_sd is None or not np.all(np.isfinite(e.noise_sd)):
+            return None
+        step = np.zeros(len(e.noise_sd)) if e.resolution is None else np.nan_to_num(e.resolution)
+        found.append(e.noise_sd**2 + step**2 / 12.0)
+    variance = np.max(found, axis=0)
+    return Noise.independent(np.full(len(variance), np.finfo(float).tiny), variance)
+
+
+def _with_force_balance(
+    config: ModelConfig, fit: Fit
+) -> tuple[Fit, ForceBalance | None, tuple[str, ...]]:
+    """Return the fit with the parameters and intervals of the force balance."""
+    p = free_parameters(config)
+    free = p.only([p.names.index(name) for name in fit.free])
+    records = [q.experiment for q in fit.predictions]
+    try:
+        found = fit_force_balance(
+            fit.model, records, config.input, free.names, (free.low, free.high, free.scale)
+        )
+    except IdentificationError as error:
+        return (
+            fit,
+            None,
+            (
+                "prediction errors are not white: the model lacks something, and the intervals are "
+                f"too narrow. There is no force balance: {error}",
+            ),
+        )
+    apart = np.array([fit.values[name] for name in free.names]) - found.values
+    half_width = np.maximum(found.half_width, np.abs(apart))
+    found = replace(found, half_width=half_width)
+    low, middle, high = found.band_hz
+    note = (
+        "prediction errors are not white: the model lacks something. The parameters are those of "
+        f"the force balance up to {middle:.3g} Hz; the intervals cover limits of {low:.3g} to "
+        f"{high:.3g} Hz, an equation of one order more, and the maximum-likelihood estimate"
+    )
+    moved = replace(
+        fit,
+        model=fit.model.with_values(found.as_values()),
+        covariance=np.diag((half_width / SURE_95) ** 2),
+    )
+    return moved, found, (note,)
+
+
+def _drifting(checks: Sequence[Validation], experiments: Sequence[Experiment]) -> tuple[str, ...]:
+    return tuple(
+        f"record '{e.name}': the model integrates or is unstable, and no loop is declared: a "
+        "simulation would drift, so the error is that of predictions. Declare the loop in the "
+        "signals file"
+        for check, e in zip(checks, experiments, strict=True)
+        if check.metric == "prediction" and not e.feedback
     )
 
 

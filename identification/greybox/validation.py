@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +13,22 @@ from scipy.stats import chi2, norm
 
 from ...model.declared_model import DeclaredModel
 from ..subspace.fit_percent import nrmse_fit_percent
+from .discretisation import motion
 from .experiment_from_log import Experiment
-from .free_run import free_run
+from .force_balance import force_percent
+from .free_run import first_row, free_run
 from .free_run_noise_floor import floor_psd, noise_floor
 from .intersample_input import Hold
+from .multistep_prediction import horizon_rows, predict_ahead
 from .noise_model import Noise
 from .prediction_errors import predict
 
 Array = NDArray[np.float64]
 
+Metric = Literal["free_run", "prediction"]
+
+_DIVERGED = 100.0
+"""Error over the output's standard deviation above which a simulation has diverged."""
 _LAGS = 25
 _SEGMENT_S = 4.0
 _SEGMENT_ROWS = 64
@@ -42,16 +50,22 @@ class Whiteness:
 
 @dataclass(frozen=True)
 class Validation:
-    """One record against its free-run simulation, rows from `time_s` on.
+    """One record against its free-run simulation or its prediction, rows from `time_s` on.
 
-    measured, simulated (N, n); fit_percent (n,); error_rms (n,) of measured minus simulated;
-    floor_rms (n,): noise floor of a perfect model in this record's loop; floor_spread (n,): its
-    relative standard deviation for one record of this length; freq_hz (F,), error_psd and floor_psd
-    (F, n): one-sided spectra of error and noise floor; schedule: scheduling variables of the same
-    rows (N,), in SI units.
+    `metric`: free_run, or prediction for a loop with an unknown controller; then `simulated` is
+    predicted `horizon_s` ahead, and one_step_percent (n,) is the error one row ahead over the
+    output, RMS without the mean. measured, simulated (N, n); fit_percent (n,); error_rms (n,) of
+    measured minus simulated; floor_rms (n,): noise floor of a perfect model in this record's loop,
+    nan where nothing separates noise from the model's error; floor_spread (n,): its relative
+    standard deviation for one record of this length; freq_hz (F,), error_psd and floor_psd (F, n):
+    one-sided spectra of error and noise floor; force_percent (n,): residual force over input force,
+    nan if it is not known; schedule: scheduling variables of the same rows (N,), in SI units.
     """
 
     record: str
+    metric: Metric
+    horizon_s: float
+    one_step_percent: Array
     time_s: Array
     measured: Array
     simulated: Array
@@ -62,36 +76,96 @@ class Validation:
     freq_hz: Array
     error_psd: Array
     floor_psd: Array
+    force_percent: Array
     whiteness: Whiteness
     schedule: Mapping[str, Array]
 
+    @property
+    def error_percent(self) -> Array:
+        """Error over the output (n,) in per cent, RMS without the mean."""
+        return np.asarray(100.0 * self.error_rms / self.measured.std(axis=0))
 
-def validate(model: DeclaredModel, experiment: Experiment, hold: Hold, noise: Noise) -> Validation:
-    """Simulate a record, and compare the error with the noise floor."""
-    run = free_run(model, experiment, hold, noise)
-    rows = slice(run.counts_from, None)
-    measured, simulated = experiment.y[rows], run.y[rows]
+
+def metric_of(model: DeclaredModel, experiment: Experiment) -> Metric:
+    """Return what measures the model's error on a record.
+
+    A free run needs the loop. Without a loop the input is known, but an integrating or unstable
+    model forgets an error of its state in no shorter time than the record lasts.
+    """
+    if experiment.loop is not None:
+        return "free_run"
+    at = motion(model, experiment, "zoh")
+    slowest = float(np.abs(np.linalg.eigvals(at.flow)).max()) if at.fixed else 0.0
+    forgets = slowest < np.exp(-1.0 / len(experiment.y))
+    return "free_run" if forgets and not experiment.feedback else "prediction"
+
+
+def validate(
+    model: DeclaredModel,
+    experiment: Experiment,
+    hold: Hold,
+    noise: Noise,
+    floor_noise: Noise | None = None,
+) -> Validation:
+    """Simulate or predict a record, and compare the error with the noise floor.
+
+    `noise` is that of the Kalman filter, `floor_noise` that of the floor; None: there is no floor.
+    """
+    metric = metric_of(model, experiment)
+    n = experiment.y.shape[1]
+    horizon = 0
+    first, outputs = 0, experiment.y
+    if metric == "free_run":
+        run = free_run(model, experiment, hold, noise)
+        first, outputs = run.counts_from, run.y
+        if not _bounded(run.y, experiment.y):
+            metric = "prediction"
+    if metric == "prediction":
+        horizon = horizon_rows(model, experiment, hold)
+        first = max(first_row(experiment), horizon)
+        outputs = predict_ahead(model, experiment, hold, noise, horizon)
+    rows = slice(first, None)
+    measured, simulated = experiment.y[rows], outputs[rows]
     error = measured - simulated
-    floor = noise_floor(model, experiment, hold, noise)
+    one_step = (experiment.y - predict_ahead(model, experiment, hold, noise, 1))[rows]
+    unknown = np.full(n, np.nan)
+    floor = None
+    if floor_noise is not None and metric == "free_run":
+        floor = noise_floor(model, experiment, hold, floor_noise)
     segment = min(max(round(_SEGMENT_S / experiment.Ts_s), _SEGMENT_ROWS), len(error))
     freq_hz, error_psd = welch(error, 1 / experiment.Ts_s, nperseg=segment, axis=0)
     errors = predict(model, experiment, hold, noise).errors[rows]
-    time_s = np.asarray(np.arange(run.counts_from, len(experiment.y)) * experiment.Ts_s)
+    time_s = np.asarray(np.arange(first, len(experiment.y)) * experiment.Ts_s)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one_step_percent = 100.0 * one_step.std(axis=0) / measured.std(axis=0)
     return Validation(
         experiment.name,
+        metric,
+        horizon * experiment.Ts_s,
+        one_step_percent,
         time_s,
         measured,
         simulated,
         nrmse_fit_percent(measured, simulated),
         error.std(axis=0),
-        floor.rms,
-        floor.spread,
+        unknown if floor is None else floor.rms,
+        unknown if floor is None else floor.spread,
         freq_hz,
         error_psd,
-        floor_psd(model, experiment, hold, noise, freq_hz),
+        np.full_like(error_psd, np.nan)
+        if floor is None or floor_noise is None
+        else floor_psd(model, experiment, hold, floor_noise, freq_hz),
+        force_percent(model, [experiment], hold),
         whiteness(errors),
         {name: values[rows] for name, values in experiment.schedule.items()},
     )
+
+
+def _bounded(simulated: Array, measured: Array) -> bool:
+    """Return whether a simulation stays near the outputs; a wrong controller may destabilise it."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.sqrt(np.mean((simulated - measured) ** 2, axis=0))
+    return bool(np.all(error < _DIVERGED * measured.std(axis=0)))
 
 
 def whiteness(errors: Array, lags: int = _LAGS) -> Whiteness:
@@ -104,17 +178,3 @@ def whiteness(errors: Array, lags: int = _LAGS) -> Whiteness:
     # The lags are nearly independent: each may exceed the bound with its share of 1 %.
     bound = float(norm.isf(0.005 / max(lags, 1))) / np.sqrt(n)
     return Whiteness(rho.T, bound, np.asarray(chi2.sf(Q, lags)))
-
-
-def summary_lines(validations: Sequence[Validation], names: Sequence[str]) -> list[str]:
-    """Return a line for each record: fit in percent and error over noise floor, by output."""
-    lines = []
-    for v in validations:
-        parts = [
-            f"{name} {fit:.2f} % ({error / max(floor, 1e-300):.2f} x floor)"
-            for name, fit, error, floor in zip(
-                names, v.fit_percent, v.error_rms, v.floor_rms, strict=True
-            )
-        ]
-        lines.append(f"{v.record}: {', '.join(parts)}")
-    return lines

@@ -133,6 +133,6 @@ def test_true_model_has_an_error_at_the_floor() -> None:
     y = draw_outputs(e, 0)[:, :1]
     integral = np.cumsum(-KI * TS_S * y, axis=0)
     flown = replace(e, y=y, u=-KP * y + integral)
-    v = validate(MODEL, flown, "zoh", NOISE)
+    v = validate(MODEL, flown, "zoh", NOISE, NOISE)
     assert v.error_rms[0] == pytest.approx(v.floor_rms[0], rel=4 * v.floor_spread[0])
     assert v.floor_psd.shape == v.error_psd.shape

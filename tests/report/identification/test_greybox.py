@@ -58,7 +58,17 @@ def record(name, seed, moving, rows=600, substeps=20):
             v += a * TS_S / substeps
             x += v * TS_S / substeps
     y += NOISE_M * rng.standard_normal((rows, 1))
-    return Experiment(name, TS_S, u, y, {"s": s}, frozenset(), moving, remarks=("it <shook>",))
+    return Experiment(
+        name,
+        TS_S,
+        u,
+        y,
+        {"s": s},
+        frozenset(),
+        moving,
+        remarks=("it <shook>",),
+        noise_sd=np.array([NOISE_M]),
+    )
 
 
 @pytest.fixture(scope="module")

@@ -76,7 +76,8 @@ def by_correlation(records: Sequence[Record], length: int) -> MarkovEstimate:
     g(t) = sum_k y(k + t) v(k) / sum_k v(k)^2, each input from the records that excite it; both sums
     are over the N - t rows with k + t in the record. The contributions of other taps to y act as
     noise ("self-noise"): the standard error is rms(y) / sqrt(sum v^2) of the same rows, as a root
-    mean square over the taps. g is zero for taps without excitation.
+    mean square over the taps; `correlation_standard_deviation` gives each tap's. g is zero for taps
+    without excitation.
     """
     m, p = records[0].y.shape[1], records[0].v.shape[1]
     correlation = np.zeros((length, m, p))
@@ -96,6 +97,30 @@ def by_correlation(records: Sequence[Record], length: int) -> MarkovEstimate:
     power = np.where(power > _NOTHING * power[0], power, np.inf)[:, None]
     error = np.sqrt(np.mean(variance / power**2, axis=0))
     return MarkovEstimate("correlation", correlation / power, error, residual, records[0].Ts_s)
+
+
+def correlation_standard_deviation(
+    g: Array, output_rms: Array, input_rms: Array, rows: int
+) -> Array:
+    """Return the standard deviation (L, m, p) of each tap of `by_correlation`.
+
+    For stationary white Gaussian excitation, independent between inputs, with rms `input_rms` (p,),
+    in records of `rows` rows for each input. `g` (L, m, p) are the true Markov parameters, decayed
+    at their end. `output_rms` (m, p) is the rms of each output, noise included, in the records that
+    excite the input. Units: those of g.
+
+    The variance at delay t, in units of 1 / (N - t), is
+    (rms(y) / rms(v))^2 - 2 g(t)^2 + sum_i g(i) g(2 t - i).
+    The sum arises because the sample autocorrelation of v is symmetric. Source: Isserlis' theorem
+    for the moments of Gaussian signals, as in Bartlett's formula. Noise that is correlated with v
+    is not included.
+    """
+    length = len(g)
+    size = fft.next_fast_len(2 * length, real=True)
+    mirrored = fft.irfft(fft.rfft(g, size, axis=0) ** 2, size, axis=0)[: 2 * length : 2]
+    variance = (output_rms / input_rms) ** 2 - 2.0 * g**2 + mirrored
+    used = rows - np.arange(length)[:, None, None]
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) / used))
 
 
 def by_least_squares(records: Sequence[Record], length: int) -> MarkovEstimate:

@@ -113,6 +113,42 @@ def test_correlation_is_unbiased_at_taps_near_the_record_length():
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.parametrize("together", [False, True])
+def test_predicted_deviation_of_correlation_is_its_spread_over_seeds(together):
+    rows, length, seeds, noise = 3000, 80, 800, 0.3
+    t = np.arange(length)[:, None, None]
+    # Decayed to 1e-3 at the end; two outputs that respond unequally to two inputs.
+    g = np.exp(-t / 12.0) * np.sin(t * np.array([[0.5, 0.3], [0.9, 0.4]]))
+    g *= np.array([[1.0, 0.2], [0.1, 3.0]])
+    errors = np.empty((seeds, length, 2, 2))
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        v = rng.normal(size=(rows + length, 2)) * [1.0, 0.5]
+        inputs = [v] if together else [v * [1, 0], v * [0, 1]]
+        records = []
+        for alone in inputs:  # the first rows are cut off: y is stationary from the start
+            y = markov_parameters.convolve(alone, g)[length:]
+            y += noise * rng.normal(size=y.shape)
+            records.append(_record(alone[length:], y, at_rest=False))
+        errors[seed] = markov_parameters.estimate_markov(records, length, "correlation").g - g
+    response = (g**2).sum(axis=0) * [1.0, 0.25]  # power of each output from each input
+    if together:
+        response = np.repeat(response.sum(axis=1, keepdims=True), 2, axis=1)
+    predicted = markov_parameters.correlation_standard_deviation(
+        g, np.sqrt(response + noise**2), np.array([1.0, 0.5]), rows
+    )
+    ratio = errors.std(axis=0) / predicted
+    # 800 seeds determine a standard deviation to 1 / sqrt(1600) = 2.5 %: five of these for the
+    # worst of 320. The formula neglects the length of the response, 12 of 3000 rows.
+    np.testing.assert_allclose(ratio, 1.0, atol=0.125)
+    # Errors of some ten neighbouring taps are correlated, so the mean of 80 taps is known to
+    # 2.5 % / sqrt(8) = 0.9 %: three of these.
+    np.testing.assert_allclose(np.sqrt((ratio**2).mean(axis=0)), 1.0, atol=0.03)
+    # Without the two terms that depend on t, a tap's prediction would be wrong by up to a third.
+    flat = np.sqrt(np.mean(predicted**2, axis=0))
+    assert np.abs(predicted / flat - 1.0).max() > 0.25
+
+
 def test_correlation_of_an_excitation_that_begins_late_is_finite():
     v = np.zeros((400, 1))
     v[300:, 0] = np.random.default_rng(6).normal(size=100)

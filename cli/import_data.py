@@ -1,4 +1,4 @@
-"""`levid import`: convert measured data (CSV, text, NPZ, MAT) to a log."""
+"""`levid import`: convert measured data (CSV, text, NPZ, MAT) to logs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .output_folder_check import quoted
+from .output_folder_check import quoted, same_logs
 from .progress import say
 
 
@@ -22,19 +22,39 @@ from .progress import say
     "-o", "--out", required=True, type=click.Path(path_type=Path), help="Path of the new log."
 )
 def command(file: Path, signals: Path, out: Path) -> int:
-    """Convert FILE (CSV, whitespace text, NPZ, MAT) to a log that `levid identify` reads.
+    """Convert FILE (CSV, text, NPZ, MAT) to a log that `levid identify` reads.
 
-    Prints the number of samples and the next command.
+    Data with long gaps become several logs, OUT-1.mcap, OUT-2.mcap, and so on. Prints the number of
+    samples, what was changed in the data, and the next commands.
 
     \b
     Examples:
-      levid import arm.dat --signals config/signals/cd-player-arm.yaml -o arm.mcap
-      levid identify arm.mcap --out out/arm
+      levid import motor.csv --signals motor.yaml -o motor.mcap
+      levid identify motor.mcap --out out/motor
     """
     from ..log.importer import import_file
 
-    samples = import_file(file, signals, out)
-    click.echo(f"{out}: {samples} samples")
+    found = import_file(file, signals, out)
+    for path, rows in found.logs:
+        click.echo(f"{path}: {rows} samples at {found.rate_hz:.6g} Hz")
+    for note in found.notes:
+        click.echo(f"note: {note}")
+    for warning in found.warnings:
+        say(f"warning: {warning}")
+    if found.missing_roles:
+        roles = " and ".join(found.missing_roles)
+        say(
+            f"next: levid identify needs columns of role {roles}: set the role in {signals}, "
+            f"delete {quoted(*(path for path, _ in found.logs))}, and import again"
+        )
+        return 0
     folder = out.with_suffix("") if out.suffix else out.with_name(f"{out.name}-identified")
-    say(f"next: levid identify {quoted(out)} --out {quoted(folder)}")
+    logs = same_logs([path for path, _ in found.logs])
+    say(f"next: levid identify {logs} --out {quoted(folder)}")
+    say(
+        "  or, with a model of the motor or plant (docs/configuration.md#modelyaml), for its "
+        "parameters and for effects that it lacks:"
+    )
+    say(f"      levid identify {logs} --model MODEL.yaml --out {quoted(folder)}")
+    say(f"      levid trace {logs} --model MODEL.yaml --out {quoted(folder / 'trace')}")
     return 0

@@ -151,7 +151,7 @@ def _imported(log: Log) -> Experiment:
         feedback=signals.loop is not None,
         noise_sd=_stated([c.noise_sd for c in outputs]),
         resolution=_stated([c.resolution for c in outputs]),
-        remarks=remarks,
+        remarks=(*record.remarks, *remarks),
         hold=signals.input_hold if stated else None,
     )
 

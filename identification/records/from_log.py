@@ -14,6 +14,7 @@ from ...config.base import ConfigError, Strict, parse_text
 from ...config.model import ModelConfig, load_model
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
+from ...log.importer import REMARKS
 from ...log.reader import Log
 from ...log.signals_yaml import SignalsFile
 from ...model.geometry import shape_matrix
@@ -201,7 +202,7 @@ def imported_record(log: Log) -> Record:
         output_names=tuple(c.name for c in outputs),
         output_units=tuple(c.unit for c in outputs),
         feedback=signals.loop is not None,
-        remarks=tuple(truncation_remarks(log)),
+        remarks=(*truncation_remarks(log), *log.metadata.get(REMARKS, "").splitlines()),
     )
 
 

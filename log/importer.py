@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..config.base import load_yaml
 from .array_variables import load_npz, read_variables
+from .clipping import clipping_remarks
 from .delimited_text import TextColumns, read_delimited
 from .errors import LogError
 from .header_units import unit_slip
@@ -106,7 +107,7 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> Imported
     return Imported(
         tuple(logs),
         data.rate_hz,
-        (*raw.notes, *data.remarks),
+        (*raw.notes, *data.remarks, *_clipping(signals, values)),
         tuple(_unit_warnings(data_path, signals_path, signals, raw.units)),
         tuple(role for role in _NEEDED if not signals.with_role(role)),
     )
@@ -218,6 +219,17 @@ def _rows(signals: SignalsFile, part: UniformPart, rate_hz: float) -> NDArray[np
     for column, value in zip(signals.columns, part.values.T, strict=True):
         rows[column.name] = value
     return rows
+
+
+def _clipping(signals: SignalsFile, values: list[Array]) -> list[str]:
+    return [
+        remark
+        for column, value in zip(signals.columns, values, strict=True)
+        if column.role in ("input", "output")
+        for remark in clipping_remarks(
+            column.name, column.unit, value, output=column.role == "output"
+        )
+    ]
 
 
 def _unit_warnings(

@@ -16,7 +16,7 @@ from .progress import say
     "--signals",
     required=True,
     type=click.Path(path_type=Path),
-    help="SIGNALS.yaml: columns, units, roles and rate; examples in config/signals/.",
+    help="SIGNALS.yaml: columns, units, roles and rate; `levid new signals FILE` writes a draft.",
 )
 @click.option(
     "-o", "--out", required=True, type=click.Path(path_type=Path), help="Path of the new log."

@@ -72,7 +72,8 @@ def identify_grey_box(
     Raises IdentificationError for a closed-loop record if the model's input is not zoh, and as
     fit_model does.
     """
-    remarks = _compare_holds(config, experiments)
+    units = dict.fromkeys(text for e in experiments for text in e.contradictions)
+    remarks = (*units, *_compare_holds(config, experiments))
     stops = [len(e.y) - round(holdout * len(e.y)) for e in experiments]
     fit = fit_model(
         config, [e.rows(0, stop) for e, stop in zip(experiments, stops, strict=True)], progress

@@ -207,10 +207,17 @@ def test_clipped_input(user: Folder, levid: Command) -> None:
     out, _ = user.load(data)
     assert f"note: {remark}" in out
     assert parameters(user.log) == PRECISE
-    code, text, _ = levid("identify", user.log, "--out", user.path / "out", "--json")
+    model = user.path / "model.yaml"
+    model.write_text(MODEL)
+    code, text, err = levid(
+        "identify", user.log, "--model", model, "--out", user.path / "out", "--json"
+    )
     assert code == 0
     (point,) = json.loads(text)["points"]
     assert any(remark in line for line in point["remarks"])
+    # The user did not fill in the unit of the position.
+    assert "warning: position is in unit 1 (none) in its signals file, but position_m in m" in err
+    assert "warning: current" not in err
 
 
 def test_model_of_the_motor_is_valid(tmp_path: Path, levid: Command) -> None:

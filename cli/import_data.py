@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from .output_folder_check import quoted, same_logs
 from .progress import say
+
+if TYPE_CHECKING:
+    from ..log.importer import Imported
+
+LEAST_TRACE_S = 34.0
+"""Shortest single record for `levid trace`: it fits to three fifths, which must last 20 s."""
 
 
 @click.command("import")
@@ -48,13 +55,21 @@ def command(file: Path, signals: Path, out: Path) -> int:
             f"delete {quoted(*(path for path, _ in found.logs))}, and import again"
         )
         return 0
+    _print_next(out, found)
+    return 0
+
+
+def _print_next(out: Path, found: Imported) -> None:
     folder = out.with_suffix("") if out.suffix else out.with_name(f"{out.name}-identified")
     logs = same_logs([path for path, _ in found.logs])
     say(f"next: levid identify {logs} --out {quoted(folder)}")
-    say(
-        "  or, with a model of the motor or plant (docs/configuration.md#modelyaml), for its "
-        "parameters and for effects that it lacks:"
-    )
+    say("With a MODEL.yaml of the plant (docs/configuration.md#modelyaml), fit its parameters:")
     say(f"      levid identify {logs} --model MODEL.yaml --out {quoted(folder)}")
+    say("and find effects that it lacks:")
     say(f"      levid trace {logs} --model MODEL.yaml --out {quoted(folder / 'trace')}")
-    return 0
+    seconds = found.rows / found.rate_hz
+    if seconds < LEAST_TRACE_S:
+        say(
+            f"levid trace needs {LEAST_TRACE_S:.0f} s of data or more; these are {seconds:.3g} s: "
+            "record longer to use it"
+        )

@@ -6,6 +6,7 @@ import codecs
 import csv
 import difflib
 import itertools
+import os
 from array import array
 from collections.abc import Iterator
 from datetime import datetime
@@ -70,14 +71,16 @@ def read_delimited(path: Path, signals: SignalsFile, *, whitespace: bool) -> Tex
             file.seek(0)
             places = [column_place(path, column, layout) for column in signals.columns]
             lines = (row for row in rows(file, layout.separator) if row[0] >= layout.first_line)
-            values = _read_rows(path, signals, layout, places, lines)
+            values, notes = _read_rows(path, signals, layout, places, lines)
     except (OSError, csv.Error) as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
     for infinite in values:
         infinite[np.isinf(infinite)] = np.nan
     cells = layout.cells
     return TextColumns(
-        values, ["" if cells is None else cells[place].unit for place in places], _notes(layout)
+        values,
+        ["" if cells is None else cells[place].unit for place in places],
+        (*_notes(layout), *notes),
     )
 
 
@@ -123,14 +126,19 @@ def _read_rows(
     layout: TextLayout,
     places: list[int],
     lines: Iterator[Row],
-) -> list[NDArray[np.float64]]:
+) -> tuple[list[NDArray[np.float64]], list[str]]:
+    """Return the columns, each (n,), and a note if the last line is not complete."""
     cells_of = [
         (column, place, array("d")) for column, place in zip(signals.columns, places, strict=True)
     ]
     parser = _CellParser(path)
     first, end = signals.rows.first, signals.rows.end
     count = 0
+    notes = []
     for line, cells in itertools.islice(lines, end):
+        if len(cells) < layout.width and next(lines, None) is None and _last_line_is_cut(path):
+            notes.append(f"line {line}, the last one, is not complete; it is left out")
+            break
         if count >= first:
             if len(cells) != layout.width:
                 _check_width(f"{path}: line {line}", cells, layout)
@@ -138,7 +146,14 @@ def _read_rows(
                 values.append(parser.number(line, column, cells[place]))
         count += 1
     check_length(path, signals.rows, count)
-    return [np.array(values, np.float64) for _, _, values in cells_of]
+    return [np.array(values, np.float64) for _, _, values in cells_of], notes
+
+
+def _last_line_is_cut(path: Path) -> bool:
+    """Return whether a file does not end with a line break, as after a logger was stopped."""
+    with path.open("rb") as file:
+        file.seek(-min(2, path.stat().st_size), os.SEEK_END)
+        return not set(file.read()) & set(b"\r\n")
 
 
 def _check_width(where: str, cells: list[str], layout: TextLayout) -> None:

@@ -21,6 +21,8 @@ _LONG_STEP = 5.0
 _MIN_ROWS = 5
 _MOST_RATE = 10.0
 """Highest rate to resample to, over the rate of the rows."""
+_MOST_ROWS = 20.0
+"""Most periods of the new rate for each row: more would be interpolation alone."""
 _METHODS: tuple[Method, ...] = ("cubic", "linear")
 _DOUBTFUL_ERROR = 0.1
 """Interpolation error, over the standard deviation, above which the rows are too far apart."""
@@ -85,7 +87,7 @@ def resample(
             f"{where}: rate_hz: expected at most {_MOST_RATE:g} times the rate of the rows, "
             f"{usual_hz:.4g} Hz, found {rate_hz:g} Hz"
         )
-    limit_s = _LONG_STEP * float(np.quantile(steps, 0.95))
+    limit_s = _LONG_STEP * float(np.quantile(steps, 0.95, method="lower"))
     cuts = np.flatnonzero(steps > limit_s) + 1
     edges = [0, *cuts.tolist(), len(time_s)]
     bounds = [b for b in pairwise(edges) if b[1] - b[0] >= _MIN_ROWS]
@@ -95,6 +97,13 @@ def resample(
         for i, column in enumerate(signals.columns)
     }
     parts = []
+    periods = sum(time_s[end - 1] - time_s[first] for first, end in bounds) * rate_hz
+    if periods > _MOST_ROWS * len(time_s):
+        raise LogError(
+            f"{where}: resample: expected at most {_MOST_ROWS:g} periods for each row, found "
+            f"{periods / len(time_s):.3g} at {rate_hz:g} Hz: most rows are far apart; set a lower "
+            "rate_hz, or import the dense rows alone (key rows)"
+        )
     for first, end in bounds:
         at = time_s[first:end]
         place = np.arange(np.ceil(at[0] * rate_hz - 1e-6), np.floor(at[-1] * rate_hz + 1e-6))

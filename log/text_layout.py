@@ -66,10 +66,10 @@ def text_layout(file: Iterable[str], *, whitespace: bool) -> TextLayout | None:
         cells = comment if len(comment) == found.width else None
         return replace(found, cells=cells, skipped=start)
     first_row = sample[start + first][0] if start + first < len(sample) else len(lines) + 1
-    texts = sample[start + names][1][: found.width]
-    below = [""] * len(texts) if units is None else sample[start + units][1]
+    texts = _of_width(sample[start + names][1], found.width)
+    below = _of_width([] if units is None else sample[start + units][1], found.width)
     cells = tuple(
-        _with_unit(header_cell(text), unit) for text, unit in zip(texts, below, strict=False)
+        _with_unit(header_cell(text), unit) for text, unit in zip(texts, below, strict=True)
     )
     return replace(found, cells=cells, first_line=first_row, skipped=start + names)
 
@@ -128,6 +128,11 @@ def _lost_header(sample: Sequence[Row]) -> bool:
     if start == 0 or not all(map(_is_value, sample[start][1])):
         return False
     return not any(map(_is_number, sample[start - 1][1]))
+
+
+def _of_width(cells: Sequence[str], width: int) -> list[str]:
+    """Return cells of a row, with empty ones at the end if there are too few."""
+    return [*cells, *[""] * (width - len(cells))][:width]
 
 
 def _first_wide(sample: Sequence[Row]) -> int:

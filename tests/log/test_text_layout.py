@@ -113,6 +113,17 @@ def test_name_with_two_units_must_be_given_with_its_unit(tmp_path):
         read(path, ("Position", "other"))
 
 
+def test_incomplete_last_line_is_left_out(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,u,y\n" + ROWS + "0.3,4")
+    found = read(path, ("u", "other"))
+    assert found.values[0].tolist() == [1.5, 2.5, 3.5]
+    assert found.notes == ("line 5, the last one, is not complete; it is left out",)
+    path.write_text("t,u,y\n" + ROWS + "0.3,4\n")
+    with pytest.raises(LogError, match="line 5: expected 3 cells, as in the first row, found 2"):
+        read(path, ("u", "other"))
+
+
 def test_empty_and_infinite_cells_are_missing_values(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("t,y\n0,\n1,NaN\n2,n/a\n3,-inf\n4,5\n")
